@@ -19,6 +19,8 @@ from asterism.errors import AsterismError
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_UNNAMED = re.compile(r"(.*\*)?\d*|u(n(named|labell?ed|identified|known))?\d*|uname\d*")
+
 NULL = -1
 """The null candidate: this marker has no point in this frame (the thesis' label 0)."""
 
@@ -137,7 +139,7 @@ class MarkerSet:
             )
         except (tomllib.TOMLDecodeError, KeyError, TypeError, ValueError) as problem:
             raise AsterismError(
-                f"{origin} is not a marker set ({problem}); it is TOML with a list `markers`, and optionally `aliases`, `pairs`, `segments`."
+                f"{origin} is not a marker set ({problem}); it is TOML with a list `markers`, perhaps `aliases`, `pairs` and `segments`."
             ) from problem
 
 
@@ -150,6 +152,11 @@ def shipped_marker_sets() -> tuple[str, ...]:
 def canonical(label: str) -> str:
     """A label without case and punctuation: R.ASIS, r_asis and RASIS are one."""
     return re.sub(r"[^0-9a-z*]", "", label.casefold())
+
+
+def is_unnamed(label: str) -> bool:
+    """Whether a label only counts points that nobody named: *12, uname*3, U7, Unlabeled 108, Unidentified, or nothing at all."""
+    return re.fullmatch(_UNNAMED, canonical(without_subject(label))) is not None
 
 
 def without_subject(label: str) -> str:
@@ -298,7 +305,9 @@ class Recording:
         """The same recording with these columns in this order. Raises AsterismError where a name is absent."""
         absent = [name for name in names if name not in self.labels]
         if absent:
-            raise AsterismError(f"{self.metadata.get('file', 'recording')} has no column {absent[0]}; it has {', '.join(self.labels[:8])}, ...")
+            raise AsterismError(
+                f"{self.metadata.get('file', 'recording')} has no column {absent[0]}; it has {', '.join(self.labels[:8])}, ..."
+            )
         columns = [self.labels.index(name) for name in names]
         return replace(
             self,
@@ -311,11 +320,12 @@ class Recording:
         """Some of the frames as a recording of its own, without the source file (its analog data would no longer fit)."""
         return replace(self, positions=self.positions[which], source=None, origin=None, taken=())
 
-    def with_labelling(self, labelling: Labelling, clouds: Clouds | None = None) -> Recording:
+    def with_labelling(self, labelling: Labelling, clouds: Clouds | None = None, *, keep_names: bool = False) -> Recording:
         """This recording's points under the labels that `labelling` gives them.
 
         The columns are the labelling's markers, then, as unlabelled columns *1, *2, ..., the samples that no marker took, each
-        still apart from samples of other columns: nothing is lost. `clouds` are the clouds that were labelled, by default
+        still apart from samples of other columns: nothing is lost. With `keep_names` such a column that had a name keeps it, as
+        long as no marker has it. `clouds` are the clouds that were labelled, by default
         `self.clouds()`. What the recording carries besides (source, events, metadata) goes on.
         """
         clouds = self.clouds() if clouds is None else clouds
@@ -330,12 +340,46 @@ class Recording:
         left[frames, columns] = np.nan
         rest = np.nonzero(~np.isnan(left[:, :, 0]).all(axis=0))[0]
         rest_origin = np.where(np.isnan(left[:, rest, 0]), -1, origin[:, rest])
+        names = [f"*{i + 1}" for i in range(len(rest))]
+        if keep_names:
+            own = [self.labels[column] for column in rest]
+            names = [new if is_unnamed(old) or old in labelling.names else old for new, old in zip(names, own, strict=True)]
         return replace(
             self,
             positions=np.concatenate([positions, left[:, rest]], axis=1),
-            labels=(*labelling.names, *(f"*{i + 1}" for i in range(len(rest)))),
+            labels=(*labelling.names, *names),
             origin=np.concatenate([new_origin, rest_origin], axis=1),
         )
+
+
+def keep_labels(labelling: Labelling, recording: Recording, clouds: Clouds, marker_set: MarkerSet) -> Labelling:
+    """The labelling with the labels that the recording has already: only points without a name take one from the model.
+
+    clouds      the clouds that were labelled: `recording.clouds()`, whose `columns` say where each point came from
+    marker_set  its names are the labelling's, in order; its aliases say which of the recording's labels mean a marker
+
+    Where a column of the recording is a marker of the set, its samples are that marker, with confidence 1. A label of the model
+    yields where it names such a sample otherwise, gives the marker another point, or falls on a column with a name of its own.
+    Raises AsterismError where two columns of the recording claim one marker.
+    """
+    indices, confidence = labelling.indices.copy(), labelling.confidence.copy()
+    marker_of_column = np.full(len(recording.labels), -1, dtype=np.int64)
+    for marker, column in enumerate(marker_set.columns_of(recording.labels)):
+        if column >= 0:
+            marker_of_column[column] = marker
+    named = np.array([not is_unnamed(label) for label in recording.labels], dtype=np.bool_)
+    frame_of_point = np.repeat(np.arange(len(clouds)), clouds.counts)
+    marker_of_point = marker_of_column[clouds.columns]
+    kept = np.nonzero(marker_of_point >= 0)[0]
+    frames, markers = frame_of_point[kept], marker_of_point[kept]
+
+    given_frames, given_markers = np.nonzero(indices >= 0)
+    points = clouds.offsets[given_frames] + indices[given_frames, given_markers]
+    yields = named[clouds.columns[points]]
+    indices[given_frames[yields], given_markers[yields]] = NULL
+    indices[frames, markers] = kept - clouds.offsets[frames]
+    confidence[frames, markers] = 1.0
+    return replace(labelling, indices=indices, confidence=confidence)
 
 
 def as_vertical(vertical: ArrayLike | str) -> Floats:

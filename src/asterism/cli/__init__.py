@@ -1,0 +1,110 @@
+"""The command line: words in; a call of the rooms, a table and an exit status out."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable, Sequence
+from inspect import cleandoc
+from typing import Annotated
+
+import typer
+
+from asterism.cli import _console
+from asterism.cli.capturability import capturability
+from asterism.cli.convert import convert
+from asterism.cli.demo import demo
+from asterism.cli.evaluate import evaluate
+from asterism.cli.info import info
+from asterism.cli.label import label
+from asterism.cli.train import train
+from asterism.errors import AsterismError
+
+_LISTS = ("--occlusions", "--ghosts")
+
+app = typer.Typer(
+    name="asterism",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from asterism import __version__
+
+        print(f"asterism {__version__}")
+        raise typer.Exit(0)
+
+
+@app.callback(
+    help="Say which anonymous point of a motion capture is which marker. Start with `asterism demo`.",
+    epilog="Status on leaving: 0 all done, 1 some files failed (named on standard error), 2 nothing could be done, 130 interrupted.",
+)
+def _asterism(
+    _version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and stop.")] = False,
+) -> None:
+    pass
+
+
+_EXAMPLES: dict[Callable[..., None], str] = {
+    demo: "asterism demo",
+    train: "asterism train labelled/*.c3d -o gait.model --markers helen-hayes",
+    label: "asterism label raw/*.c3d --model gait.model -o labelled",
+    evaluate: "asterism evaluate --leave-one-subject-out labelled/*.c3d --markers helen-hayes --occlusions 0 2 4",
+    capturability: "asterism capturability labelled/*.c3d --markers helen-hayes --report capturability.html",
+    info: "asterism info walk.c3d",
+    convert: "asterism convert walk.c3d walk.trc",
+}
+
+
+def _paragraphs(text: str) -> str:
+    return re.sub(r"(?<!\n)\n(?!\n)", " ", cleandoc(text))
+
+
+for _verb, _example in _EXAMPLES.items():
+    app.command(help=_paragraphs(_verb.__doc__ or ""), epilog=f"Example: {_example}")(_verb)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run one command line (by default the process') and return its exit status; see `asterism --help` for the meanings."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+    try:
+        words = _lists_joined(sys.argv[1:] if args is None else args)
+        status = app(args=words or ["--help"], prog_name="asterism", standalone_mode=False)
+    except AsterismError as problem:
+        _console.complain(str(problem))
+        return 2
+    except (KeyboardInterrupt, typer.Abort):
+        status = 130
+    except BrokenPipeError:
+        sys.stdout = None  # type: ignore[assignment]  # the reader is gone: nothing is left to flush at exit
+        return 1
+    except OSError as problem:
+        _console.complain(_console.reason(problem))
+        return 2
+    except Exception as problem:
+        if not hasattr(problem, "format_message"):
+            raise
+        _console.complain(f"{problem.format_message().rstrip('.')}; `asterism COMMAND --help` shows what it takes.")
+        return 2
+    if status == 130:
+        _console.complain("interrupted; finished files stay, and no half-written file is left.")
+    return status if isinstance(status, int) else 0
+
+
+def _lists_joined(args: Sequence[str]) -> list[str]:
+    """`--occlusions 0 1 2` becomes `--occlusions 0,1,2`: the numbers that follow such an option are all its own."""
+    joined: list[str] = []
+    of_a_list = False
+    for arg in args:
+        if of_a_list and arg.isdigit() and joined[-1] not in _LISTS:
+            joined[-1] += f",{arg}"
+            continue
+        of_a_list = arg in _LISTS or (of_a_list and arg.isdigit())
+        joined.append(arg)
+    return joined

@@ -1,0 +1,159 @@
+"""What all commands print with: results to standard output, failures and progress to standard error."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from asterism.errors import AsterismError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+Progress = Callable[[float, str], None]
+
+_WIDTH_WHEN_PIPED = 160
+
+
+def console() -> Console:
+    """Standard output as Rich sees it; wide where it is no terminal, so that nothing is cut off."""
+    from rich.console import Console
+
+    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDTH_WHEN_PIPED
+    return Console(width=width, highlight=False, soft_wrap=False)
+
+
+def say(line: str) -> None:
+    """One plain line of result."""
+    print(line, flush=True)
+
+
+def complain(sentence: str) -> None:
+    """One plain line on standard error."""
+    sys.stdout.flush()
+    print(f"asterism: {sentence}", file=sys.stderr, flush=True)
+
+
+def reason(problem: Exception) -> str:
+    """What an exception means to a user: one line."""
+    if isinstance(problem, OSError) and problem.filename:
+        return f"{problem.filename}: {(problem.strerror or 'cannot be opened').lower()}."
+    return " ".join(str(problem).split())
+
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> None:
+    """Print a table: the first `left` columns are text, the others numbers."""
+    from rich import box
+    from rich.table import Table
+
+    sheet = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    for i, column in enumerate(columns):
+        sheet.add_column(column, justify="left" if i < left else "right", overflow="fold", no_wrap=i >= left)
+    for row in rows:
+        sheet.add_row(*row)
+    console().print(sheet)
+
+
+def percent(fraction: float, digits: int = 2) -> str:
+    """0.1234 as 12.34 %, without a sign for what is not defined."""
+    return "–" if math.isnan(fraction) else f"{100 * fraction:.{digits}f} %"
+
+
+def count(number: float) -> str:
+    """12345.6 as 12,346."""
+    return "–" if math.isnan(number) else f"{number:,.0f}"
+
+
+@contextmanager
+def progress(what: str) -> Iterator[Progress | None]:
+    """A bar with the remaining time on standard error, where that is a terminal; None elsewhere."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=1.0)
+        yield lambda fraction, doing: bar.update(task, completed=fraction, description=doing or what)
+
+
+class Batch:
+    """A run over many files: one that fails is named and the others go on."""
+
+    def __init__(self, verb: str) -> None:
+        self.verb = verb
+        self.done: list[Path] = []
+        self.failed: list[Path] = []
+
+    @contextmanager
+    def file(self, path: Path) -> Iterator[None]:
+        """Work on one file; what it raises for bad input or a disk that refuses becomes one line on standard error."""
+        try:
+            yield
+        except (AsterismError, OSError) as problem:
+            sentence = reason(problem)
+            complain(sentence if path.name in sentence else f"{path}: {sentence}")
+            self.failed.append(path)
+        else:
+            self.done.append(path)
+
+    @property
+    def status(self) -> int:
+        """0 all files done, 1 some, 2 none."""
+        return 0 if not self.failed else 1 if self.done else 2
+
+    def close(self) -> int:
+        """Name the failed files once more where the batch was longer than one; returns the status."""
+        total = len(self.done) + len(self.failed)
+        if self.failed and total > 1:
+            complain(f"{total} files: {len(self.done)} {self.verb}, {len(self.failed)} failed: {', '.join(map(str, self.failed))}")
+        return self.status
+
+
+def check_new(path: Path, overwrite: bool) -> None:
+    """Raise AsterismError where `path` exists and may not be overwritten, or its folder is missing."""
+    if path.is_dir():
+        raise AsterismError(f"{path} is a folder; give the name of a file in it.")
+    if path.exists() and not overwrite:
+        raise AsterismError(f"{path} exists; choose another name, or replace it with --overwrite.")
+    if not path.absolute().parent.is_dir():
+        raise AsterismError(f"{path}: its folder does not exist; make it first.")
+
+
+def write_json(where: str | None, content: Mapping[str, Any]) -> None:
+    """Write `content` to the file `where`, or to standard output for "-"; NaN becomes null. Nothing for None."""
+    if where is None:
+        return
+    text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    if where == "-":
+        sys.stdout.write(text)
+        sys.stdout.flush()
+        return
+    path = Path(where)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, bool | int | str) else str(value)

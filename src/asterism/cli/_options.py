@@ -1,0 +1,89 @@
+"""The arguments and options that several commands share, each worded once."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asterism.errors import AsterismError
+
+
+class Miner(StrEnum):
+    """How partial solvers are chosen: thesis 4.5.3."""
+
+    BOTTOM_UP = "bottom-up"
+    TOP_DOWN = "top-down"
+    GENETIC = "genetic"
+
+
+class Rules(StrEnum):
+    """How the partial solvers' answers become one labelling."""
+
+    WHOLE_BODY = "whole-body"
+    THESIS = "thesis"
+
+
+Files = Annotated[list[Path], typer.Argument(metavar="FILES", help="Recordings: C3D, TRC, CSV, TSV, MAT or NPZ.", show_default=False)]
+Model = Annotated[Path, typer.Option("--model", "-m", metavar="FILE", help="The model that `asterism train` wrote.", show_default=False)]
+Markers = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SET",
+        help="helen-hayes, plug-in-gait, oxford-foot, a TOML file, or names with commas. Else the physical points of the files.",
+        show_default=False,
+    ),
+]
+Vertical = Annotated[
+    str | None,
+    typer.Option(metavar="AXIS", help="What points up: x, y, z, -x, -y, -z or three numbers. Else as the file says.", show_default=False),
+]
+Seed = Annotated[int, typer.Option(metavar="N", min=0, help="Start of all random choices: same seed, same result.")]
+Workers = Annotated[int, typer.Option(metavar="N", min=1, help="Processes to share the work; the result is the same.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
+Json = Annotated[
+    str | None,
+    typer.Option("--json", metavar="FILE", help="Write all results as JSON; - prints them instead of the table.", show_default=False),
+]
+Report = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Write an HTML report.", show_default=False)]
+MinerOption = Annotated[Miner, typer.Option("--miner", help="How the partial solvers are chosen.")]
+RulesOption = Annotated[Rules, typer.Option("--rules", help="How partial answers become one: the best measured, or the thesis'.")]
+HitRate = Annotated[
+    float, typer.Option("--target-hit-rate", metavar="SHARE", help="Share of frames in which a given label must be right, below 1.")
+]
+
+
+def marker_names(given: str | None) -> str | list[str] | None:
+    """What --markers means to `asterism.read`: a set's name or path, or a list of names."""
+    if given is None or "," not in given or Path(given).is_file():
+        return given
+    return [name.strip() for name in given.split(",") if name.strip()]
+
+
+def vertical_axis(given: str | None) -> str | list[float] | None:
+    """What --vertical means to `asterism.read`: an axis name or three numbers."""
+    if given is None or "," not in given:
+        return given
+    try:
+        return [float(number) for number in given.split(",")]
+    except ValueError:
+        raise AsterismError(f"--vertical {given} is no direction; give an axis such as z or -y, or three numbers such as 0,0,1.") from None
+
+
+def numbers(given: str, option: str) -> tuple[int, ...]:
+    """The numbers of a list option, each once, in order."""
+    try:
+        listed = tuple(dict.fromkeys(int(number) for number in given.replace(",", " ").split()))
+    except ValueError:
+        listed = ()
+    if not listed or min(listed) < 0:
+        raise AsterismError(f"{option} {given} is no list of numbers; give for example {option} 0 1 2 3.")
+    return listed
+
+
+def check_hit_rate(given: float) -> None:
+    """Raise AsterismError where a target hit rate is no share below 1."""
+    if not 0 < given < 1:
+        raise AsterismError(f"--target-hit-rate {given} is no share between 0 and 1; give for example 0.9999.")

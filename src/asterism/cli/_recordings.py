@@ -1,0 +1,97 @@
+"""What commands do with files before and after the rooms: read labelled ones, name subjects, sum up a labelling."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from asterism import formats
+from asterism.cli import _console
+from asterism.cli._options import marker_names, vertical_axis
+from asterism.errors import AsterismError
+from asterism.recording import Clouds, Labelling, MarkerSet, Recording
+
+_FEWEST_MARKERS = 4
+
+
+def read_labelled(files: Sequence[Path], markers: str | Sequence[str] | MarkerSet | None, vertical: str | None) -> list[Recording]:
+    """All files under one set of markers, or an AsterismError: a set learned from half of them would be another one.
+
+    Each file that cannot be read, or lacks a marker of the set, is named on standard error first. Without a set the markers
+    are those which all files have.
+    """
+    wanted = marker_names(markers) if isinstance(markers, str) else markers
+    marker_set = None if wanted is None else MarkerSet.load(wanted)
+    axis = vertical_axis(vertical)
+    batch = _console.Batch("read")
+    recordings = []
+    for path in files:
+        with batch.file(path):
+            recording = formats.read(path, markers=marker_set, vertical=axis)
+            if marker_set is not None:
+                _check_complete(path, recording)
+            recordings.append(recording)
+    if batch.failed:
+        raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; mend them or leave them out.")
+    return recordings if marker_set is not None else _with_common_markers(files, recordings)
+
+
+def _check_complete(path: Path, recording: Recording) -> None:
+    absent = [name for name, seen in zip(recording.labels, recording.visible.any(axis=0), strict=True) if not seen]
+    if absent:
+        raise AsterismError(
+            f"{path} has no marker {', '.join(absent[:6])}{', ...' if len(absent) > 6 else ''}; "
+            "leave the file out, name a smaller set with --markers, or add its spelling to the set's aliases."
+        )
+
+
+def _with_common_markers(files: Sequence[Path], recordings: Sequence[Recording]) -> list[Recording]:
+    named = [_named(recording) for recording in recordings]
+    common = [name for name in named[0] if all(name in others for others in named)]
+    if len(common) < _FEWEST_MARKERS:
+        raise AsterismError(f"{files[0]} and the other files share {len(common)} labelled markers; name the set with --markers.")
+    left_out = sorted({name for names in named for name in names} - set(common))
+    if left_out:
+        few = ", ".join(left_out[:8]) + (", ..." if len(left_out) > 8 else "")
+        _console.complain(f"using the {len(common)} markers that all files have; {len(left_out)} are in some files only ({few}).")
+    return [recording.select(common) for recording in recordings]
+
+
+def _named(recording: Recording) -> dict[str, None]:
+    """The labels of the columns that have a name of their own, and a sample."""
+    seen = recording.visible.any(axis=0)
+    return {
+        name: None
+        for name, is_seen in zip(recording.labels, seen, strict=True)
+        if is_seen and name and not name.startswith("*") and recording.labels.count(name) == 1
+    }
+
+
+def subject_of(recording: Recording) -> str:
+    """Whose recording it is: what the file says, else its folder."""
+    return str(recording.metadata.get("subject") or Path(str(recording.metadata.get("file", "."))).absolute().parent.name)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a labelling of a recording came out, as shares of all markers in all frames that add up to 1.
+
+    labelled  a point was given the marker's name
+    unsure    no point was, though the frame has points without a name: one of them may be the marker
+    hidden    no point was, and none is left in the frame
+    """
+
+    labelled: float
+    unsure: float
+    hidden: float
+
+
+def outcome(labelling: Labelling, clouds: Clouds) -> Outcome:
+    """Sum up a labelling of `clouds`; all NaN where there are no frames."""
+    given = labelling.indices >= 0
+    if given.size == 0:
+        return Outcome(float("nan"), float("nan"), float("nan"))
+    left_over = clouds.counts > given.sum(axis=1)
+    unsure = ~given & left_over[:, None]
+    return Outcome(float(given.mean()), float(unsure.mean()), float((~given & ~unsure).mean()))

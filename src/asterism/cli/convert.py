@@ -1,0 +1,47 @@
+"""`asterism convert`: a file in one format in, the same in another format out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asterism.cli import _console
+from asterism.cli._options import Json, Markers, Overwrite, Vertical, marker_names, vertical_axis
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="The file to read.", show_default=False)],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write; its suffix says the format.", show_default=False)],
+    markers: Markers = None,
+    vertical: Vertical = None,
+    overwrite: Overwrite = False,
+    json: Json = None,
+) -> None:
+    """Write a file in another format.
+
+    The suffix of OUT says which: C3D, TRC, CSV, TSV, MAT or NPZ; tables of numbers are MOT, STO or CSV.
+    What the other format cannot carry is named on standard error.
+    """
+    from asterism import formats
+
+    _console.check_new(target, overwrite)
+    recording = formats.read(source, markers=marker_names(markers), vertical=vertical_axis(vertical))
+    lost = formats.write(target, recording)
+    for what in lost:
+        _console.complain(f"{target}: {what}")
+    if json != "-":
+        _console.say(f"{target}: {len(recording):,} frames, {len(recording.labels)} points")
+    _console.write_json(
+        json,
+        {
+            "command": "convert",
+            "file": source,
+            "output": target,
+            "frames": len(recording),
+            "points": recording.labels,
+            "rate": recording.rate,
+            "not_carried": lost,
+        },
+    )

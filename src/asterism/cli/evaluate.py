@@ -1,0 +1,135 @@
+"""`asterism evaluate`: labelled files in; how often a model is right, wrong or unsure on them out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from asterism.cli import _console
+from asterism.cli._options import (
+    Files,
+    HitRate,
+    Json,
+    Markers,
+    Miner,
+    MinerOption,
+    Overwrite,
+    Report,
+    Rules,
+    RulesOption,
+    Seed,
+    Vertical,
+    Workers,
+    check_hit_rate,
+    numbers,
+)
+from asterism.errors import AsterismError
+
+if TYPE_CHECKING:
+    from asterism.labelling import Evaluation
+
+
+def evaluate(
+    files: Files,
+    model: Annotated[Path | None, typer.Option("--model", "-m", metavar="FILE", help="The model to test.", show_default=False)] = None,
+    leave_one_subject_out: Annotated[
+        bool, typer.Option("--leave-one-subject-out", help="Instead of a model: train on all subjects but one, test on that one, for each.")
+    ] = False,
+    occlusions: Annotated[str, typer.Option(metavar="N N ...", help="How many markers to hide in each frame.")] = "0 1 2 3 4 5",
+    ghosts: Annotated[str, typer.Option(metavar="N N ...", help="How many ghost points to add to each frame.")] = "0",
+    markers: Markers = None,
+    rules: RulesOption = Rules.WHOLE_BODY,
+    target_hit_rate: HitRate = 0.9999,
+    miner: MinerOption = Miner.BOTTOM_UP,
+    seed: Seed = 0,
+    workers: Workers = 1,
+    vertical: Vertical = None,
+    overwrite: Overwrite = False,
+    report: Report = None,
+    json: Json = None,
+) -> None:
+    """Measure how far labels can be trusted.
+
+    Names are hidden, markers too, ghost points come, and the labels that the model gives are compared with the truth.
+
+    FA: share of wrong labels among those given. FO: share of visible markers among those left without a label.
+    Missed: share of visible markers left without a label.
+    Perfect: share of frames without an error. ECE: expected calibration error, how far the confidence is off.
+
+    With --leave-one-subject-out the figures hold for people that
+    the model has not seen; --markers, --target-hit-rate, --miner and --workers belong to it.
+    """
+    if (model is None) == (not leave_one_subject_out):
+        raise AsterismError("evaluate takes either --model FILE or --leave-one-subject-out; give one of them.")
+    if model is not None and markers is not None:
+        raise AsterismError(f"{model} has its own marker set; leave --markers away.")
+    check_hit_rate(target_hit_rate)
+    hidden, haunted = numbers(occlusions, "--occlusions"), numbers(ghosts, "--ghosts")
+    if report is not None:
+        _console.check_new(report, overwrite)
+    from asterism import labelling
+    from asterism.cli._recordings import read_labelled
+
+    settings: dict[str, Any] = {"occlusions": hidden, "ghosts": haunted, "seed": seed, "rules": rules.value}
+    if model is not None:
+        ensemble = labelling.SolverEnsemble.load(model)
+        recordings = read_labelled(files, ensemble.marker_set, vertical)
+        with _console.progress("evaluating") as progress:
+            evaluation = labelling.evaluate(ensemble, recordings, **settings, progress=progress)
+    else:
+        recordings = read_labelled(files, markers, vertical)
+        with _console.progress("leaving subjects out") as progress:
+            evaluation = labelling.leave_one_subject_out(
+                recordings, **settings, workers=workers, progress=progress, target_hit_rate=target_hit_rate, miner=miner.value
+            )
+    if json != "-":
+        _print(evaluation)
+    if report is not None:
+        from asterism.report import evaluation_report
+
+        evaluation_report(report, evaluation)
+    _console.write_json(
+        json,
+        {
+            "command": "evaluate",
+            "model": model,
+            "leave_one_subject_out": leave_one_subject_out,
+            "files": files,
+            **settings,
+            "evaluation": evaluation.to_dict(),
+        },
+    )
+
+
+def _print(evaluation: Evaluation) -> None:
+    percent, count = _console.percent, _console.count
+    _console.table(
+        "Hidden markers and ghosts per frame",
+        ["hidden", "ghosts", "frames", "right", "FA", "FO", "missed", "perfect", "ECE", "frames/s", "evaluations/frame"],
+        [
+            [
+                str(c.occlusions),
+                str(c.ghosts),
+                count(c.frames),
+                percent(c.right / c.visible if c.visible else float("nan")),
+                percent(c.fa, 3),
+                percent(c.fo),
+                percent(c.missed),
+                percent(c.perfect),
+                percent(c.ece, 3),
+                count(c.frames_per_second),
+                count(c.evaluations_per_frame),
+            ]
+            for c in evaluation.conditions
+        ],
+        left=0,
+    )
+    names = [f"{c.occlusions}+{c.ghosts}" if c.ghosts else f"{c.occlusions}" for c in evaluation.conditions]
+    for key, title, digits in (("fa", "FA, wrong among the labels given", 3), ("fo", "FO, visible among the labels not given", 1)):
+        _console.table(
+            f"{title}, by marker and hidden{' + ghost' if any('+' in name for name in names) else ''} points per frame",
+            ["marker", *names],
+            [[marker, *(percent(c.per_marker[marker][key], digits) for c in evaluation.conditions)] for marker in evaluation.markers],
+        )

@@ -1,0 +1,152 @@
+"""`asterism label`: files with anonymous or wrong labels in, labelled files out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from asterism.cli import _console
+from asterism.cli._options import Files, Json, Model, Overwrite, Report, Rules, RulesOption, Vertical, Workers, vertical_axis
+from asterism.errors import AsterismError
+
+if TYPE_CHECKING:
+    from asterism.labelling import SolverEnsemble
+    from asterism.recording import Clouds, Labelling, Recording
+
+
+def label(
+    files: Files,
+    model: Model,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where the labelled files go.", show_default=False)],
+    keep: Annotated[bool, typer.Option("--keep", help="Labels that a file already has stay; only points without a name get one.")] = False,
+    rules: RulesOption = Rules.WHOLE_BODY,
+    workers: Workers = 1,
+    vertical: Vertical = None,
+    overwrite: Overwrite = False,
+    report: Report = None,
+    json: Json = None,
+) -> None:
+    """Label the points of recordings.
+
+    Whatever names the points have now. Each file goes to FOLDER under its own name and format, with everything
+    else in it as it was. Points that no marker took become *1, *2, ... A line per file says which share of all markers in all
+    frames was labelled, and which share is unsure: not labelled though the frame has points left.
+    """
+    from asterism.cli._recordings import outcome
+    from asterism.labelling import SolverEnsemble
+
+    targets = _targets(files, output)
+    if report is not None:
+        _console.check_new(report, overwrite)
+    axis = vertical_axis(vertical)
+    ensemble = SolverEnsemble.load(model)
+    batch = _console.Batch("labelled")
+    rows: list[dict[str, Any]] = []
+    shown: tuple[Recording, Labelling, Clouds] | None = None
+    with _console.progress("labelling") as progress:
+        for path, target in zip(files, targets, strict=True):
+            with batch.file(path):
+                _check_target(path, target, overwrite)
+                recording, clouds = _read(path, axis)
+                if not batch.done and len(clouds):
+                    ensemble.label(_first_frame(clouds), rules=rules.value)  # compiles, so that the rate below is that of the work
+                started = time.perf_counter()
+                labelling = ensemble.label(clouds, rules=rules.value, workers=workers)
+                seconds = time.perf_counter() - started
+                if keep:
+                    labelling = _kept(path, labelling, recording, clouds, ensemble)
+                lost = _write(target, recording.with_labelling(labelling, clouds, keep_names=keep))
+                summary = outcome(labelling, clouds)
+                row = {
+                    "file": path,
+                    "output": target,
+                    "frames": len(clouds),
+                    "labelled": summary.labelled,
+                    "unsure": summary.unsure,
+                    "hidden": summary.hidden,
+                    "frames_per_second": len(clouds) / seconds if seconds else float("nan"),
+                    "not_carried": lost,
+                }
+                rows.append(row)
+                shown = shown or (recording, labelling, clouds)
+                if json != "-":
+                    _console.say(_line(row))
+            if progress:
+                progress((len(batch.done) + len(batch.failed)) / len(files), path.name)
+    if report is not None and shown is not None:
+        from asterism.report import label_report
+
+        label_report(
+            report,
+            title=f"{len(rows)} labelled recordings" if len(rows) > 1 else f"{rows[0]['file'].name}, labelled",
+            files=rows,
+            recording=shown[0],
+            labelling=shown[1],
+            clouds=shown[2],
+            model_info={"model": str(model), "markers": len(ensemble.marker_set), "rules": rules.value},
+        )
+    _console.write_json(
+        json, {"command": "label", "model": model, "rules": rules.value, "keep": keep, "files": rows, "failed": batch.failed}
+    )
+    raise typer.Exit(batch.close())
+
+
+def _targets(files: Sequence[Path], output: Path) -> list[Path]:
+    """Where each file goes. Raises AsterismError where two would go to one place, or `output` is no folder."""
+    if output.exists() and not output.is_dir():
+        raise AsterismError(f"{output} is a file; -o takes the folder for the labelled files.")
+    taken: dict[str, Path] = {}
+    for path in files:
+        other = taken.setdefault(path.name.casefold(), path)
+        if other is not path:
+            raise AsterismError(f"{other} and {path} would both become {output / path.name}; label them into two folders.")
+    return [output / path.name for path in files]
+
+
+def _check_target(path: Path, target: Path, overwrite: bool) -> None:
+    if target.exists() and not overwrite:
+        what = "is the input itself" if target.samefile(path) else "exists"
+        raise AsterismError(f"{path}: {target} {what}; choose another folder with -o, or replace it with --overwrite.")
+
+
+def _read(path: Path, axis: str | list[float] | None) -> tuple[Recording, Clouds]:
+    from asterism import formats
+
+    recording = formats.read(path, vertical=axis)
+    return recording, recording.clouds()
+
+
+def _first_frame(clouds: Clouds) -> Clouds:
+    from asterism.recording import Clouds
+
+    return Clouds.from_points([clouds[0]], clouds.rate, clouds.vertical)
+
+
+def _kept(path: Path, labelling: Labelling, recording: Recording, clouds: Clouds, ensemble: SolverEnsemble) -> Labelling:
+    from asterism.recording import keep_labels
+
+    try:
+        return keep_labels(labelling, recording, clouds, ensemble.marker_set)
+    except AsterismError as problem:
+        raise AsterismError(f"{path}: {problem}") from None
+
+
+def _write(target: Path, recording: Recording) -> list[str]:
+    from asterism import formats
+
+    target.parent.mkdir(parents=True, exist_ok=True)
+    lost = formats.write(target, recording)
+    for what in lost:
+        _console.complain(f"{target}: {what}")
+    return lost
+
+
+def _line(row: dict[str, Any]) -> str:
+    return (
+        f"{row['file']}: {row['frames']:,} frames, {_console.percent(row['labelled'])} labelled, {_console.percent(row['unsure'])} unsure, "
+        f"{_console.count(row['frames_per_second'])} frames/s"
+    )
