@@ -364,10 +364,9 @@ def keep_labels(labelling: Labelling, recording: Recording, clouds: Clouds, mark
     """
     indices, confidence = labelling.indices.copy(), labelling.confidence.copy()
     marker_of_column = np.full(len(recording.labels), -1, dtype=np.int64)
-    for marker, column in enumerate(marker_set.columns_of(recording.labels)):
-        if column >= 0:
-            marker_of_column[column] = marker
-    named = np.array([not is_unnamed(label) for label in recording.labels], dtype=np.bool_)
+    columns = marker_set.columns_of(recording.labels)
+    marker_of_column[columns[columns >= 0]] = np.nonzero(columns >= 0)[0]
+    named = (marker_of_column >= 0) | np.array([not is_unnamed(label) for label in recording.labels], dtype=np.bool_)
     frame_of_point = np.repeat(np.arange(len(clouds)), clouds.counts)
     marker_of_point = marker_of_column[clouds.columns]
     kept = np.nonzero(marker_of_point >= 0)[0]
