@@ -1,0 +1,61 @@
+"""`python -m benchmarks [labelling] [--quick] [--rows ...]` measures; `python -m benchmarks docs` writes the tables."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from asterism import AsterismError
+from benchmarks import docs, figures, labelling
+from benchmarks.bench import Bench
+from benchmarks.data import folder
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure, tell each figure beside what was asked, keep it. Returns 0; 1 where a row failed; 2 where nothing can be measured."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("what", nargs="?", choices=["all", "labelling", "docs"], default="all")
+    parser.add_argument("--quick", action="store_true", help="few frames and folds, under two minutes; nothing is written")
+    parser.add_argument("--rows", nargs="+", metavar="ROW", choices=list(labelling.ROWS), help=f"only these: {', '.join(labelling.ROWS)}")
+    parser.add_argument(
+        "--models", type=Path, help="keep trained ensembles in this folder, and take them from there while the code is the same"
+    )
+    given = parser.parse_args(arguments)
+    if given.what == "docs":
+        docs.write()
+        return 0
+    try:
+        folder()
+    except AsterismError as problem:
+        print(problem, file=sys.stderr)
+        return 2
+    failed = [row for row in given.rows or labelling.ROWS if not _measure(row, Bench(given.quick, given.models))]
+    if not given.quick:
+        docs.write()
+    return 1 if failed else 0
+
+
+def _measure(row: str, bench: Bench) -> bool:
+    started = time.perf_counter()
+    print(f"{row} ...", file=sys.stderr, flush=True)
+    try:
+        for figure in labelling.ROWS[row](bench):
+            reached = {True: "reached", False: "MISSED", None: ""}[figures.reached(figure.asked, figure.measured)]
+            print(f"{figure.row:90} {figure.asked:>12} {figure.measured:12.5g} {figure.unit:18} n={figure.n:<8} {reached}", flush=True)
+            if not bench.quick:
+                figures.record(labelling.ISSUE, [figure], f"python -m benchmarks labelling --rows {row}")
+    except AsterismError as problem:
+        print(f"{row}: {problem}", file=sys.stderr, flush=True)
+        return False
+    print(f"{row}: {time.perf_counter() - started:.0f} s", file=sys.stderr, flush=True)
+    return True
+
+
+if __name__ == "__main__":
+    sys.exit(main())

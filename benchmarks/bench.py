@@ -1,0 +1,63 @@
+"""What the rows of the benchmark share: settings, trained ensembles, timing."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+
+import asterism
+from asterism.recording import Recording
+
+
+@dataclass
+class Bench:
+    """One run: `quick` takes few frames and folds; `models` is a folder that keeps trained ensembles between runs, or None."""
+
+    quick: bool = False
+    models: Path | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def say(self, text: str) -> None:
+        """Tell whoever waits what is being done."""
+        print(f"  {text}", file=sys.stderr, flush=True)
+
+    def fit(self, recordings: Sequence[Recording], people: Sequence[str], **options: float | str) -> asterism.SolverEnsemble:
+        """Train an ensemble, or take the one that the same code trained from the same recordings in an earlier run.
+
+        `seconds` under the returned model's key has the time of training where it happened in this run.
+        """
+        kept = self.models / f"{_key(recordings, people, options)}.model" if self.models else None
+        if kept and kept.exists():
+            return asterism.SolverEnsemble.load(kept)
+        started = time.perf_counter()
+        ensemble = asterism.SolverEnsemble.fit(list(recordings), seed=0, subjects=list(people), **options)
+        self.say(f"trained on {len(recordings)} recordings, {len(recordings[0].labels)} markers: {time.perf_counter() - started:.1f} s")
+        if kept:
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            ensemble.save(kept)
+        return ensemble
+
+
+def frames_per_second(run: Callable[[], object], frames: int, repeats: int = 5) -> float:
+    """Frames per second of a call that works on so many frames: warmed by one call, then the median of several."""
+    run()
+    times = []
+    for _ in range(repeats):
+        started = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - started)
+    return frames / median(times)
+
+
+def _key(recordings: Sequence[Recording], people: Sequence[str], options: dict[str, float | str]) -> str:
+    digest = hashlib.sha256(repr((list(people), sorted(options.items()), recordings[0].labels)).encode())
+    for source in sorted(Path(asterism.__file__).parent.joinpath("labelling").rglob("*.py")):
+        digest.update(source.read_bytes())
+    for recording in recordings:
+        digest.update(recording.positions.tobytes())
+    return digest.hexdigest()[:24]

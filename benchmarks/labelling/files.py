@@ -1,0 +1,118 @@
+"""Odd files of many vendors: which of them open, whether encodings agree, and which points are markers."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import asterism
+from asterism.formats import describe, read_table
+from asterism.recording import Recording, without_subject
+from benchmarks.bench import Bench
+from benchmarks.data import GAIT_BODY, folder, is_unnamed
+from benchmarks.figures import Figure
+
+ONE_STEP_MM = 0.2812
+"""The scale of the integer files of sample_02: to multiples of it their coordinates were cut when they were written."""
+
+STATIC_ONLY = frozenset(side + name for side in "LR" for name in ("MMA", "PCA", "TPF", "D1M"))
+"""Markers that some gait subjects wear while standing; the model computes points of some of these names too, behind its centre of mass."""
+
+
+def conformance(bench: Bench) -> Iterator[Figure]:
+    """Files that open with the right number of frames; where one does not, its sentence goes to the log."""
+    root = folder() / "conformance"
+    paths = _c3d_files(root)
+    yield Figure("conformance: C3D files read", f">= {len(paths) - 1}", sum(_opens(bench, path) for path in paths), "files", len(paths))
+    sample = root / "c3d" / "sample_02"
+    for kind, pattern, asked in (("three real", "*_real", 0.001), ("three integer", "*_int", 0.001), ("six", "*", ONE_STEP_MM)):
+        some = [asterism.read(path) for path in sorted(sample.glob(f"{pattern}.c3d"))]
+        apart = max(_millimetres_apart(some[0], other) for other in some[1:])
+        yield Figure(f"conformance: {kind} encodings of one trial, farthest apart", f"<= {asked}", apart, "mm", len(some))
+    for suffix in ("trc", "mot", "sto", "csv"):
+        paths = sorted(root.rglob(f"*.{suffix}"))
+        yield Figure(
+            f"conformance: {suffix.upper()} files read", f">= {len(paths)}", sum(_opens(bench, path) for path in paths), "files", len(paths)
+        )
+
+
+def physical(bench: Bench) -> Iterator[Figure]:
+    """Points of every C3D file whose kinds are known: markers, named or not, told from computed points."""
+    right = points = lost = markers = 0
+    for path in _c3d_files(folder()):
+        told = {kind: Counter(map(without_subject, labels)) for kind, labels in describe(path)["points"].items()}
+        everything = told["physical"] + told["computed"] + told["unnamed"]
+        real = _real_markers(path, everything)
+        if real is None:
+            continue
+        wrongly_lost, wrongly_kept = real & told["computed"], (everything - real) - told["computed"]
+        lost, markers, points = lost + wrongly_lost.total(), markers + real.total(), points + everything.total()
+        right += everything.total() - wrongly_lost.total() - wrongly_kept.total()
+        if wrongly_lost or wrongly_kept:
+            bench.say(f"{_name(path)}: lost {sorted(wrongly_lost)}, kept {sorted(wrongly_kept)}")
+    yield Figure("physical markers told from computed points", ">= 0.99", right / points, "fraction", points)
+    yield Figure("physical markers taken for computed points", "== 0", lost, "markers", markers)
+
+
+def _c3d_files(root: Path) -> list[Path]:
+    return sorted(path for path in root.rglob("*") if path.suffix.lower() == ".c3d")
+
+
+def _name(path: Path) -> str:
+    """The path as the index writes it: below `movement`, or else below the folder of all data or of the cameras."""
+    for root in ("movement", "cameras"):
+        if path.is_relative_to(folder() / root):
+            return str(path.relative_to(folder() / root))
+    return str(path.relative_to(folder()))
+
+
+def _index() -> dict[str, dict[str, Any]]:
+    known: dict[str, dict[str, Any]] = json.loads((folder() / "movement" / "index.json").read_text(encoding="utf-8"))
+    return known
+
+
+def _opens(bench: Bench, path: Path) -> bool:
+    """Whether a file opens, as a recording or as a table, with as many frames as the index knows (where it does)."""
+    try:
+        frames = len(asterism.read(path, vertical="z")) if path.suffix not in (".mot", ".sto") else len(read_table(path).values)
+    except asterism.AsterismError as problem:
+        bench.say(str(problem))
+        return False
+    expected = _index().get(_name(path), {}).get("frames") or frames
+    if frames != expected or frames == 0:
+        bench.say(f"{_name(path)}: {frames} frames instead of {expected}")
+    return frames == expected and frames > 0
+
+
+def _millimetres_apart(one: Recording, other: Recording) -> float:
+    """The largest difference of any coordinate; infinite where labels or gaps differ."""
+    if one.labels != other.labels or not np.array_equal(one.visible, other.visible):
+        return float("inf")
+    return float(np.nanmax(np.abs(one.positions - other.positions))) * 1000
+
+
+def _real_markers(path: Path, everything: Counter[str]) -> Counter[str] | None:
+    """The points that are no computed ones, or None where nobody has said."""
+    unnamed = Counter({label: count for label, count in everything.items() if is_unnamed(label)})
+    if path.is_relative_to(folder() / "gait"):
+        worn = set(GAIT_BODY) | _extra_markers(path)
+        return Counter({label: 1 for label in worn if label in everything}) + unnamed
+    entry = _index().get(_name(path).replace("sgi_", "pc_"))
+    if entry is None or "markers" not in entry or not entry["frames"]:
+        return None
+    if entry["computed"] == 0:
+        return everything
+    return Counter(map(without_subject, entry["markers"])) + unnamed
+
+
+def _extra_markers(path: Path) -> set[str]:
+    """What a gait subject wears in the standing trial only: the file lists it before the first point that the model computed."""
+    if path.stem != "static":
+        return set()
+    labels = list(asterism.read(path, markers=None).metadata["labels"])
+    return STATIC_ONLY & set(labels[: labels.index("CentreOfMass")])

@@ -1,0 +1,65 @@
+"""Other people, laboratories, vendors and movements: every labelled set, by person, never by frame."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+from asterism.hiding import hide_and_haunt
+from asterism.recording import Clouds, Ints, Recording
+from benchmarks.bench import Bench
+from benchmarks.data import Fold, Test, evenly, everything, movement_folds, spread
+from benchmarks.figures import Figure
+from benchmarks.score import Tally
+
+FRAMES = 400
+"""Frames of each recording that are tested, evenly spread."""
+
+REAL_DIRT = ("pig39/test_movement.c3d", "qtm-fullbody/static_lower_body_U.c3d", "mouse-qtm/MOS1aD_S2_M5_MC2_T2_TRM_5MMIN_E.mat")
+"""Files with points that nobody labelled. The other dirty ones have gaps only, and every row of theirs keeps its gaps."""
+
+
+def movement(bench: Bench) -> Iterator[Figure]:
+    """FA and missed with 0 and 3 occlusions by person, then the files with real unlabelled points as they were recorded."""
+    folds = movement_folds(("clinical-lower",) if bench.quick else None)
+    for (label, person), group in groupby(folds, key=lambda fold: (fold.label, fold.person)):
+        tallies: dict[str, Tally] = defaultdict(Tally)
+        unseen = False
+        for fold in group:
+            unseen = fold.unseen
+            for condition, tally in _tested(bench, fold).items():
+                tallies[condition] += tally
+        for condition, tally in tallies.items():
+            row = f"movement, {label}, {person}{' not seen' if unseen else ''}, {condition}"
+            limited = unseen and "as recorded" not in condition
+            yield Figure(f"{row}: FA", "<= 0.005" if limited else "none", tally.false_assignments, "fraction", tally.frames)
+            yield Figure(f"{row}: missed", "none", tally.missed_share, "fraction", tally.frames)
+
+
+def _tested(bench: Bench, fold: Fold) -> dict[str, Tally]:
+    train = [evenly(recording, 40) for recording in fold.train] if bench.quick else fold.train
+    ensemble = bench.fit(train, fold.train_people)
+    tallies: dict[str, Tally] = defaultdict(Tally)
+    for number, test in enumerate(fold.test):
+        frames = test.frames[spread(len(test.frames), 50 if bench.quick else FRAMES)]
+        for hidden in (0, 3):
+            clouds, truth = hide_and_haunt(test.recording.frames(frames), hidden, 0, seed=number)
+            tallies[f"{hidden} occlusions"].add(ensemble.label(clouds), truth)
+        if test.file in REAL_DIRT:
+            clouds, truth = _as_recorded(test, frames)
+            tallies[f"{Path(test.file).stem} as recorded"].add(ensemble.label(clouds), truth)
+    return tallies
+
+
+def _as_recorded(test: Test, frames: Ints) -> tuple[Clouds, Ints]:
+    """The clouds with the file's other points in them, and the truth about the markers of the set."""
+    markers, whole = test.recording, everything(test.file)
+    rest = [column for column, label in enumerate(whole.labels) if label not in markers.labels]
+    positions = np.concatenate([markers.positions[frames], whole.positions[frames][:, rest]], axis=1)
+    labels = (*markers.labels, *(f"*{column}" for column in rest))
+    clouds, truth = hide_and_haunt(Recording(positions, labels, whole.rate, whole.vertical), 0, 0, seed=0)
+    return clouds, truth[:, : len(markers.labels)]

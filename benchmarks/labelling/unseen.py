@@ -1,0 +1,78 @@
+"""Subjects that training has not seen: each of the gait subjects in turn, frame by frame, beside the peer on the same clouds."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+
+from asterism.hiding import hide_and_haunt
+from benchmarks.bench import Bench
+from benchmarks.data import evenly, gait, people_and_trials, spread
+from benchmarks.figures import Figure
+from benchmarks.peer import KeyPoses
+from benchmarks.score import Tally, some_frames
+
+CONDITIONS = {
+    (0, 0): "0 occlusions",
+    (2, 0): "2 occlusions",
+    (4, 0): "4 occlusions",
+    (5, 0): "5 occlusions",
+    (3, 3): "3 occlusions + 3 ghosts",
+}
+ASKED = {
+    ("0 occlusions", "right"): ">= 0.9999",
+    ("0 occlusions", "FA"): "<= 0.0001",
+    ("2 occlusions", "FA"): "<= 0.001",
+    ("4 occlusions", "FA"): "<= 0.002",
+    ("5 occlusions", "FA"): "<= 0.005",
+    ("2 occlusions", "missed"): "<= 0.005",
+    ("4 occlusions", "missed"): "<= 0.01",
+    ("5 occlusions", "missed"): "<= 0.02",
+    ("3 occlusions + 3 ghosts", "right"): ">= 0.95",
+    ("3 occlusions + 3 ghosts", "FA"): "<= 0.01",
+}
+PEER_FRAMES = 24
+"""Frames of each recording that the slow peer gets, evenly spread."""
+
+
+def unseen(bench: Bench) -> Iterator[Figure]:
+    """Leave one subject out over all of them: ours, the peer, the confidence's error, and every subject by name."""
+    trials = gait()
+    ours: dict[tuple[str, str], Tally] = defaultdict(Tally)
+    peers: dict[str, Tally] = defaultdict(Tally)
+    peer_seconds = 0.0
+    for subject in list(trials)[:1] if bench.quick else trials:
+        people, train = people_and_trials(trials, leave_out=subject)
+        if bench.quick:
+            train = [evenly(recording, 40) for recording in train]
+        ensemble, peer = bench.fit(train, people), KeyPoses.fit(train)
+        for (hidden, ghosts), name in CONDITIONS.items():
+            for number, recording in enumerate(trials[subject]):
+                clouds, truth = hide_and_haunt(recording, hidden, ghosts, seed=number)
+                ours[subject, name].add(ensemble.label(clouds), truth)
+                few, few_truth = some_frames(clouds, truth, spread(len(truth), PEER_FRAMES))
+                started = time.perf_counter()
+                labelling = peer.label(few)
+                peer_seconds += time.perf_counter() - started
+                peers[name].add(labelling, few_truth)
+        bench.say(f"{subject}: " + ", ".join(f"{name} FA {ours[subject, name].false_assignments:.5f}" for name in CONDITIONS.values()))
+    pooled, subjects = Tally(), list(dict.fromkeys(subject for subject, _ in ours))
+    for name in CONDITIONS.values():
+        total = sum((ours[subject, name] for subject in subjects), start=Tally())
+        pooled += total
+        yield from _rates(f"subjects not seen, {name}", total, name, asked=True)
+        yield from _rates(f"peer, subjects not seen, {name}", peers[name], name, asked=False)
+        yield Figure(f"subjects not seen, {name}: frames perfect", "none", total.perfect_share, "fraction", total.frames)
+        yield Figure(f"subjects not seen, {name}: calibration error", "none", total.calibration_error, "fraction", total.given)
+    yield Figure("subjects not seen, all conditions: calibration error", "<= 0.01", pooled.calibration_error, "fraction", pooled.given)
+    labelled = sum(tally.frames for tally in peers.values())
+    yield Figure("peer, subjects not seen: speed", "none", labelled / peer_seconds, "frames/s", labelled)
+    for subject in subjects:
+        for name in CONDITIONS.values():
+            yield from _rates(f"subject {subject} not seen, {name}", ours[subject, name], name, asked=False)
+
+
+def _rates(row: str, tally: Tally, condition: str, asked: bool) -> Iterator[Figure]:
+    for rate, measured in (("right", tally.right_share), ("FA", tally.false_assignments), ("missed", tally.missed_share)):
+        yield Figure(f"{row}: {rate}", ASKED.get((condition, rate), "none") if asked else "none", measured, "fraction", tally.frames)
