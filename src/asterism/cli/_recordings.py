@@ -10,7 +10,7 @@ from asterism import formats
 from asterism.cli import _console
 from asterism.cli._options import marker_names, vertical_axis
 from asterism.errors import AsterismError
-from asterism.recording import Clouds, Labelling, MarkerSet, Recording
+from asterism.recording import Clouds, Labelling, MarkerSet, Recording, is_unnamed
 
 _FEWEST_MARKERS = 4
 
@@ -38,7 +38,7 @@ def read_labelled(files: Sequence[Path], markers: str | Sequence[str] | MarkerSe
 
 
 def _check_complete(path: Path, recording: Recording) -> None:
-    absent = [name for name, seen in zip(recording.labels, recording.visible.any(axis=0), strict=True) if not seen]
+    absent = [name for column, name in enumerate(recording.labels) if not recording.visible[:, column].any()]
     if absent:
         raise AsterismError(
             f"{path} has no marker {', '.join(absent[:6])}{', ...' if len(absent) > 6 else ''}; "
@@ -60,11 +60,10 @@ def _with_common_markers(files: Sequence[Path], recordings: Sequence[Recording])
 
 def _named(recording: Recording) -> dict[str, None]:
     """The labels of the columns that have a name of their own, and a sample."""
-    seen = recording.visible.any(axis=0)
     return {
         name: None
-        for name, is_seen in zip(recording.labels, seen, strict=True)
-        if is_seen and name and not name.startswith("*") and recording.labels.count(name) == 1
+        for column, name in enumerate(recording.labels)
+        if not is_unnamed(name) and recording.labels.count(name) == 1 and recording.visible[:, column].any()
     }
 
 

@@ -27,21 +27,10 @@ def convert(
     from asterism import formats
 
     _console.check_new(target, overwrite)
-    recording = formats.read(source, markers=marker_names(markers), vertical=vertical_axis(vertical))
-    lost = formats.write(target, recording)
+    axis, wanted = vertical_axis(vertical), marker_names(markers)
+    lost = formats.convert(source, target, axis) if wanted is None else formats.write(target, formats.read(source, wanted, axis))
     for what in lost:
         _console.complain(f"{target}: {what}")
     if json != "-":
-        _console.say(f"{target}: {len(recording):,} frames, {len(recording.labels)} points")
-    _console.write_json(
-        json,
-        {
-            "command": "convert",
-            "file": source,
-            "output": target,
-            "frames": len(recording),
-            "points": recording.labels,
-            "rate": recording.rate,
-            "not_carried": lost,
-        },
-    )
+        _console.say(f"{source} -> {target}")
+    _console.write_json(json, {"command": "convert", "file": source, "output": target, "not_carried": lost})
