@@ -1,0 +1,228 @@
+"""Which points of a file are markers on a body, which a model computed, which nobody named: labels and positions in, kinds out.
+
+No list of exact names is complete, so families of names decide first (joint centres, segment axes, angles, ...), then geometry:
+what a model computes keeps exact relations that no measured marker keeps: unit axes of one length stay at right angles, midpoints
+stay in the middle, to the last bit that the file stores. Where in doubt a point counts as a marker: a lost marker costs more.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.recording import Floats, canonical, without_subject
+
+MARKER, COMPUTED, UNNAMED = "marker", "computed", "unnamed"
+
+_LOOKED_AT = 24
+_FEWEST_FRAMES = 5
+_EXACT = 1.5e-6
+_VERY_EXACT = 3e-7
+_RIGHT_ANGLE = 2e-4
+_MOST_POINTS = 400
+
+_NO_NAME = re.compile(
+    r"\s*|\*.*|\d+|(?:u|x|uname|unnamed|noname|unl|unlab|unlabel|unlabell?ed|unk|unknown|unid|unident|unidentified|ghost)[\s_:#-]*\d*\*?",
+    re.IGNORECASE,
+)
+_JOINT = r"(?:hip|knee|ankle|shoulder|elbow|wrist|h|k|a|s|e|w)"
+_COMPUTED_NAME = re.compile(
+    r".*(?:angles?|forces?|moments?|powers?|torques?|projections?|scalars?|leglength|archheight|archheightindex|normali[sz]edgrf"
+    r"|progress(?:ion)?angles?|velocity|acceleration)\d*"
+    r"|.*(?:centreof|centerof)(?:mass|pressure|gravity).*|(?:whole)?body?com|com|com[xyz]|cop|[lr]cop|cop[12lr]"
+    rf"|(?:left|right|l|r)?{_JOINT}?joint(?:centre|center)\w*|(?:left|right|l|r)?{_JOINT}jc\w{{0,4}}|jc{_JOINT}?[lr]?|{_JOINT}jc(?:left|right|l|r)"
+    r"|(?:left|right|l|r)?(?:hip|knee|ankle|shoulder|elbow|wrist)(?:centre|center)"
+    r"|proj[lr]\w+|virtual.*|[lr]?(?:prox|dist)(?:ff|hf)|[lr]?[fh]fplantar"
+    r"|v(?:mid|pel|[lr](?:hi|kn|an|to|he|ha|sh|el|wr))"
+)
+_VIRTUAL = re.compile(r"v[._ -](?!.*sac).+", re.IGNORECASE)
+_AXES = ("OALP", "0123", "OXYZ")
+_ORIGINS = "O0"
+
+
+def kinds_by_name(labels: Sequence[str]) -> list[str]:
+    """For each label "marker", "computed" or "unnamed", told from the names alone; a subject prefix is looked through.
+
+    A name that ends in O, A, L or P (or O, X, Y, Z; or 0 to 3 without a fourth neighbour) is a segment's axis only where the
+    whole family is there.
+    """
+    bare = [without_subject(label).strip() for label in labels]
+    families = _families(bare)
+    kinds = []
+    for place, label in enumerate(bare):
+        if _NO_NAME.fullmatch(label):
+            kinds.append(UNNAMED)
+        elif _COMPUTED_NAME.fullmatch(canonical(label)) or _VIRTUAL.fullmatch(label):
+            kinds.append(COMPUTED)
+        else:
+            kinds.append(COMPUTED if any(place in family for suffix, family in families if suffix == "OALP") else MARKER)
+    return kinds
+
+
+def point_kinds(labels: Sequence[str], positions: Floats | None = None, declared: Collection[str] = ()) -> list[str]:
+    """For each point "marker", "computed" or "unnamed".
+
+    labels     (P,) as the file has them
+    positions  (T, P, 3) m, NaN missing; None, or rounded ones (integer files), leave the names to decide
+    declared   labels that the file itself lists as angles, forces, moments, powers, scalars or modelled markers
+    """
+    listed = {canonical(without_subject(label)) for label in declared}
+    kinds = kinds_by_name(labels)
+    for place, label in enumerate(labels):
+        if kinds[place] != UNNAMED and canonical(without_subject(label)) in listed:
+            kinds[place] = COMPUTED
+    if positions is not None and len(positions) >= _FEWEST_FRAMES and len(labels) <= 20 * _MOST_POINTS:
+        _judge_by_geometry([without_subject(label).strip() for label in labels], positions, kinds)
+    return kinds
+
+
+def _families(labels: Sequence[str]) -> list[tuple[str, dict[int, str]]]:
+    """Sets of labels that differ in the last letter only and have all of a known set of endings: (endings, place -> ending)."""
+    stems: dict[str, dict[str, int]] = {}
+    for place, label in enumerate(labels):
+        if len(label) >= 3:
+            stems.setdefault(label[:-1], {}).setdefault(label[-1].upper(), place)
+    found = []
+    for endings in _AXES:
+        for members in stems.values():
+            if all(ending in members for ending in endings):
+                found.append((endings, {members[ending]: ending for ending in endings}))
+    return found
+
+
+def _judge_by_geometry(labels: Sequence[str], positions: Floats, kinds: list[str]) -> None:
+    points = [p for p, kind in enumerate(kinds) if kind != UNNAMED]
+    if not 4 <= len(points) <= 20 * _MOST_POINTS:
+        return
+    frames = np.linspace(0, len(positions) - 1, min(_LOOKED_AT, len(positions))).astype(int)
+    some = positions[frames]
+    _mark_flat_values(some, points, kinds)
+    candidates = [p for p in points if kinds[p] == MARKER or _may_be_joint(labels[p])][:_MOST_POINTS]
+    if len(candidates) < 4:
+        return
+    wobble, seen = _wobble(some[:, candidates])
+    exact = (wobble < _EXACT) & (seen >= _FEWEST_FRAMES)
+    np.fill_diagonal(exact, False)
+    named = [labels[p] for p in candidates]
+    judged = np.array([kinds[p] == COMPUTED for p in candidates])
+    frames_found = _orthogonal_frames(named, some[:, candidates], exact, judged)
+    _mark_frames(named, frames_found, wobble, seen, judged)
+    _mark_twins_and_offsets(named, some[:, candidates], exact, judged)
+    if any(named[tip][-1:] == "1" for _, tips in frames_found for tip in tips):
+        for place, label in enumerate(named):
+            alone = not any(label[:-1] + digit in named for digit in "123456789")
+            judged[place] |= len(label) > 2 and label[-1] == "0" and not label[-2].isdigit() and alone
+    _mark_midpoints(some[:, candidates], judged)
+    for place, point in enumerate(candidates):
+        if judged[place]:
+            kinds[point] = COMPUTED
+
+
+def _may_be_joint(label: str) -> bool:
+    return canonical(label).endswith("jc")
+
+
+def _mark_flat_values(some: Floats, points: list[int], kinds: list[str]) -> None:
+    """A power or a scalar fills one coordinate and leaves the others at zero; where most points lie in a plane it means nothing."""
+    values = some[:, points]
+    there = np.isfinite(values[:, :, 0]).sum(axis=0) >= _FEWEST_FRAMES
+    flat = (np.where(np.isfinite(values), values, 0.0) == 0.0).all(axis=0).sum(axis=1) >= 1
+    if there.any() and (flat & there).sum() < 0.5 * there.sum():
+        for point, is_flat in zip(points, flat & there, strict=True):
+            if is_flat:
+                kinds[point] = COMPUTED
+
+
+def _wobble(some: Floats) -> tuple[Floats, NDArray[np.int64]]:
+    """(P, P) by how much the distance of two points varies, and in how many frames both are there."""
+    seen = np.zeros((some.shape[1],) * 2, dtype=np.int64)
+    low, high = np.full(seen.shape, np.inf), np.full(seen.shape, -np.inf)
+    for frame in some:
+        apart = np.sqrt(((frame[:, None] - frame[None]) ** 2).sum(axis=2))
+        both = np.isfinite(apart)
+        seen += both
+        low = np.where(both, np.minimum(low, apart), low)
+        high = np.where(both, np.maximum(high, apart), high)
+    return np.where(seen > 0, high - low, np.inf), seen
+
+
+def _orthogonal_frames(
+    labels: Sequence[str], some: Floats, exact: NDArray[np.bool_], judged: NDArray[np.bool_]
+) -> list[tuple[int, tuple[int, int, int]]]:
+    """Every (origin, three tips) whose tips stay at right angles and exact distances: a model's segment axes.
+
+    The arms are of one length, or the tips of one name: a marker may lie on the axis that was laid through it.
+    """
+    stems = np.array([label[:-1] for label in labels])
+    kin = stems[:, None] == stems
+    found = []
+    for origin in np.nonzero(exact.sum(axis=1) >= 3)[0]:
+        around = np.nonzero(exact[origin] & ~judged)[0][:24]
+        arms = some[:, around] - some[:, [origin]]
+        lengths = np.linalg.norm(arms, axis=2)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            alike = np.nanmax(np.abs(lengths[:, :, None] - lengths[:, None, :]), axis=0) < 2 * _EXACT
+            arms = arms / lengths[:, :, None]
+            cosines = np.abs(np.einsum("tik,tjk->tij", arms, arms))
+        square = np.nan_to_num(cosines, nan=0.0).max(axis=0) < _RIGHT_ANGLE
+        square &= np.isfinite(cosines).sum(axis=0) >= _FEWEST_FRAMES
+        square &= exact[np.ix_(around, around)] & (alike | kin[np.ix_(around, around)])
+        for i, j in zip(*np.nonzero(np.triu(square)), strict=True):
+            found += [(int(origin), (int(around[i]), int(around[j]), int(around[k]))) for k in np.nonzero(square[i] & square[j])[0] if k > j]
+    return found
+
+
+def _mark_frames(
+    labels: Sequence[str],
+    found: list[tuple[int, tuple[int, int, int]]],
+    wobble: Floats,
+    seen: NDArray[np.int64],
+    judged: NDArray[np.bool_],
+) -> None:
+    """The tips of axes are computed, an origin of their name too, and what hangs on them exactly without being an origin."""
+    origins = {origin for origin, _ in found}
+    for origin, tips in found:
+        judged[list(tips)] = True
+        judged[origin] |= any(labels[origin][:-1] == labels[tip][:-1] for tip in tips)
+    for _, tips in found:
+        attached = ((wobble[list(tips)] < _VERY_EXACT) & (seen[list(tips)] >= _FEWEST_FRAMES)).all(axis=0)
+        for place in np.nonzero(attached)[0]:
+            judged[place] |= int(place) not in origins
+
+
+def _mark_twins_and_offsets(labels: Sequence[str], some: Floats, exact: NDArray[np.bool_], judged: NDArray[np.bool_]) -> None:
+    """A copy of a computed point, and a point at an exact distance from the marker whose name it extends (LANK1 from LANK)."""
+    for a, b in zip(*np.nonzero(exact & (np.arange(len(labels))[:, None] != np.arange(len(labels)))), strict=True):
+        with np.errstate(invalid="ignore"):
+            same = np.nanmax(np.abs(some[:, a] - some[:, b])) < _VERY_EXACT
+        extends = labels[b] != labels[a] and labels[b].startswith(labels[a])
+        if extends or (labels[b].upper().endswith("KAX") and labels[a].upper().endswith("KNE")):
+            judged[b] = True
+        elif same and judged[a] and not labels[a].startswith(labels[b]) and labels[a] != labels[b]:
+            judged[b] |= labels[a][-1:] in _ORIGINS and not _is_a_family_marker(labels[b])
+
+
+def _is_a_family_marker(label: str) -> bool:
+    """A plain marker name, three or four letters without a number, is kept even where a model puts an origin onto it."""
+    return re.fullmatch(r"[A-Za-z.]{2,}", label) is not None
+
+
+def _mark_midpoints(some: Floats, judged: NDArray[np.bool_]) -> None:
+    """A point exactly half-way between two markers in every frame is no marker."""
+    markers = np.nonzero(~judged & (np.isfinite(some[:, :, 0]).sum(axis=0) >= _FEWEST_FRAMES))[0]
+    if not 3 <= len(markers) <= 150:
+        return
+    here = some[:, markers]
+    frame = here[int(np.isfinite(here[:, :, 0]).sum(axis=1).argmax())]
+    i, j = np.triu_indices(len(markers), k=1)
+    for k in range(len(markers)):
+        close = np.abs(frame[i] + frame[j] - 2 * frame[k]).max(axis=1) < 4 * _EXACT
+        for a, b in zip(i[close], j[close], strict=True):
+            miss = np.abs(here[:, a] + here[:, b] - 2 * here[:, k]).max(axis=1)
+            apart = np.linalg.norm(here[:, a] - here[:, b], axis=1)
+            both = np.isfinite(miss)
+            if both.sum() >= _FEWEST_FRAMES and k not in (a, b) and miss[both].max() < 4 * _EXACT and apart[both].min() > 0.01:
+                judged[markers[k]] = True

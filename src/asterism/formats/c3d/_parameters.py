@@ -1,0 +1,252 @@
+"""The parameter section of a C3D file: its bytes in, records that remember where they lay out, and bytes again.
+
+A section is a chain of records, each a group (negative id) or a parameter (id of its group), each pointing to the next.
+Records that nobody changes are carried as their bytes, so that rewriting a file keeps what this code does not understand.
+Source: the public C3D format specification, "The parameter section".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import prod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.formats.c3d._numbers import Processor
+
+CHARACTER, BYTE, INTEGER, FLOAT = -1, 1, 2, 4
+_MOST_VALUES = 1 << 20
+_HEADER = 4
+
+
+@dataclass(frozen=True)
+class Record:
+    """One group or parameter: its bytes `raw`, from its name's length up to the next record, and what they say."""
+
+    raw: bytes
+    name: str
+    group: int
+    is_group: bool
+    last: bool
+    kind: int = 0
+    dimensions: tuple[int, ...] = ()
+    data: bytes = b""
+    cut: bool = False
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """A parsed section: `records` in file order, `tail` the bytes after the last of them, `oddities` what was wrong."""
+
+    head: bytes
+    records: tuple[Record, ...]
+    tail: bytes
+    processor: Processor
+    oddities: tuple[str, ...] = ()
+    _index: Mapping[tuple[str, str], int] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        names: dict[int, str] = {}
+        for record in self.records:
+            if record.is_group:
+                names.setdefault(record.group, record.name.upper())
+        index: dict[tuple[str, str], int] = {}
+        for place, record in enumerate(self.records):
+            if not record.is_group and record.group in names:
+                index.setdefault((names[record.group], record.name.upper()), place)
+        object.__setattr__(self, "_index", index)
+
+    @cached_property
+    def groups(self) -> dict[str, list[str]]:
+        """Group name -> names of its parameters, both in capitals, in file order."""
+        found: dict[str, list[str]] = {r.name.upper(): [] for r in self.records if r.is_group}
+        for group, name in self._index:
+            found[group].append(name)
+        return found
+
+    def group_id(self, group: str) -> int | None:
+        """The id of a group, or None where there is no such group."""
+        return next((r.group for r in self.records if r.is_group and r.name.upper() == group), None)
+
+    def find(self, group: str, name: str) -> Record | None:
+        """A parameter's record, or None."""
+        place = self._index.get((group, name))
+        return None if place is None else self.records[place]
+
+    def strings(self, group: str, name: str) -> list[str]:
+        """A character parameter as strings without padding; empty where absent."""
+        return [text_of(raw) for raw in self.raw_strings(group, name)]
+
+    def raw_strings(self, group: str, name: str) -> list[bytes]:
+        """A character parameter as byte strings, padding included; empty where absent."""
+        record = self.find(group, name)
+        if record is None or record.kind != CHARACTER:
+            return []
+        if not record.dimensions:
+            return [record.data[:1]]
+        width, count = record.dimensions[0], prod(record.dimensions[1:])
+        return [record.data[i * width : (i + 1) * width] for i in range(count)]
+
+    def text(self, group: str, name: str) -> str:
+        """The first string of a character parameter, empty where absent."""
+        return next(iter(self.strings(group, name)), "")
+
+    def values(self, group: str, name: str) -> NDArray[np.float64]:
+        """A numeric parameter, flat and as it lies in the file; empty where absent."""
+        record = self.find(group, name)
+        if record is None:
+            return np.empty(0)
+        if record.kind == FLOAT:
+            return self.processor.floats(self.processor.words32(record.data[: len(record.data) // 4 * 4])).astype(np.float64)
+        if record.kind == INTEGER:
+            return self.processor.integers(self.processor.words16(record.data[: len(record.data) // 2 * 2])).astype(np.float64)
+        if record.kind == BYTE:
+            return np.frombuffer(record.data, np.uint8).astype(np.float64)
+        return np.empty(0)
+
+    def counts(self, group: str, name: str) -> list[int]:
+        """A numeric parameter as counts: 16-bit integers without sign, floats where they are whole; empty where absent."""
+        record = self.find(group, name)
+        values = self.values(group, name)
+        if record is not None and record.kind == INTEGER:
+            values = np.where(values < 0, values + 65536, values)
+        return [int(value) for value in values if np.isfinite(value) and 0 <= value < 2**31 and value == int(value)]
+
+    def count(self, group: str, name: str) -> int | None:
+        """The first of `counts`, or None."""
+        return next(iter(self.counts(group, name)), None)
+
+    def number(self, group: str, name: str) -> float | None:
+        """The first value of a numeric parameter if it is finite, or None."""
+        return next((float(value) for value in self.values(group, name)[:1] if np.isfinite(value)), None)
+
+    def replaced(self, changes: Mapping[tuple[str, str], Record | None]) -> Parameters:
+        """The section with parameters changed, added behind their group (a new group at the front) or, where None, removed."""
+        records: list[Record] = list(self.records)
+        for place in sorted((self._index[key] for key in changes if key in self._index), reverse=True):
+            key = next(k for k, p in self._index.items() if p == place)
+            change = changes[key]
+            if change is None:
+                del records[place]
+            else:
+                records[place] = change
+        for key, change in changes.items():
+            if key not in self._index and change is not None:
+                after = next((i for i, r in enumerate(records) if r.is_group and r.group == change.group), -1)
+                records.insert(after + 1, change)
+        ended_by_link = bool(self.records) and self.records[-1].last
+        tail = b"\0\0" + self.tail[2:] if ended_by_link else self.tail
+        return Parameters(self.head, tuple(records), tail, self.processor, self.oddities)
+
+    def to_bytes(self) -> bytes:
+        """The section with its four-byte head, as long as its records need and ended by a zero record."""
+        end = len(self.records) - 1
+        chain = b"".join(self._linked(record, last=i == end and record.last) for i, record in enumerate(self.records))
+        return self.head + chain + (self.tail or b"\0\0")
+
+    def _linked(self, record: Record, last: bool) -> bytes:
+        if last == record.last:
+            return record.raw
+        at = 2 + abs(int.from_bytes(record.raw[:1], "little", signed=True))
+        return record.raw[:at] + self.processor.bytes_of_unsigned(0 if last else len(record.raw) - at) + record.raw[at + 2 :]
+
+
+def parse_parameters(section: bytes, processor: Processor) -> Parameters:
+    """The records of a section (its four-byte head included), as far as they make sense."""
+    records: list[Record] = []
+    oddities: list[str] = []
+    at = _HEADER
+    while at + 2 <= len(section):
+        size = int.from_bytes(section[at : at + 1], "little", signed=True)
+        if size == 0:
+            break
+        record, problem = _record_at(section, at, abs(size), processor)
+        if problem:
+            oddities.append(problem)
+        if record is None:
+            break
+        records.append(record)
+        at += len(record.raw)
+        if record.last or record.cut:
+            break
+    return Parameters(section[:_HEADER], tuple(records), section[at:], processor, tuple(oddities))
+
+
+def _record_at(section: bytes, at: int, size: int, processor: Processor) -> tuple[Record | None, str]:
+    group = int.from_bytes(section[at + 1 : at + 2], "little", signed=True)
+    link = at + 2 + size
+    if link + 2 > len(section):
+        return None, f"the parameter section breaks off at byte {at}"
+    name = text_of(section[at + 2 : link])
+    step = processor.unsigned_at(section, link)
+    if group <= 0:
+        stop = link + step if step else min(len(section), link + 3 + section[link + 2] if link + 2 < len(section) else link + 2)
+        if step in (1, 2) or stop > len(section):
+            return None, f"the parameter section breaks off in group {name}"
+        return Record(section[at:stop], name, -group, True, step == 0), ""
+    if link + 4 > len(section):
+        return None, f"the parameter section breaks off in parameter {name}"
+    kind = int.from_bytes(section[link + 2 : link + 3], "little", signed=True)
+    rank = section[link + 3]
+    dimensions = tuple(section[link + 4 : link + 4 + rank])
+    count = prod(dimensions)
+    begin, room = link + 4 + rank, len(section)
+    needed = count * abs(kind)
+    if kind not in (CHARACTER, BYTE, INTEGER, FLOAT) or len(dimensions) < rank or prod(dimensions[1:]) > _MOST_VALUES:
+        if step < 4 or link + step > room:
+            return None, f"the parameter section breaks off in parameter {name}"
+        return Record(section[at : link + step], name, group, False, False), f"parameter {name} has an unknown type; it is left as it is"
+    data = section[begin : begin + needed]
+    own_end = min(room, begin + needed + 1 + (section[begin + needed] if begin + needed < room else 0))
+    if len(data) < needed:
+        return Record(section[at:], name, group, False, False, kind, dimensions, data, cut=True), f"parameter {name} is cut by the data"
+    stop = own_end if step == 0 else link + step
+    if stop > room or stop < begin + needed:
+        return Record(section[at:own_end], name, group, False, True, kind, dimensions, data, cut=True), f"parameter {name} points nowhere"
+    return Record(section[at:stop], name, group, False, step == 0, kind, dimensions, data), ""
+
+
+def make_group(name: str, group: int, description: str = "", *, processor: Processor) -> Record:
+    """A new group record."""
+    text = name.encode("utf-8")[:127]
+    said = description.encode("utf-8")[:255]
+    link = processor.bytes_of_unsigned(3 + len(said))
+    raw = bytes([len(text), 256 - group]) + text + link + bytes([len(said)]) + said
+    return Record(raw, name, group, True, False)
+
+
+def make_parameter(
+    name: str, group: int, kind: int, dimensions: Sequence[int], data: bytes, *, processor: Processor, like: Record | None = None
+) -> Record:
+    """A new parameter record; from `like` come the spelling and lock of the name, and the description."""
+    text, size, said = name.encode("utf-8")[:127], len(name.encode("utf-8")[:127]), b"\0"
+    if like is not None:
+        old = int.from_bytes(like.raw[:1], "little", signed=True)
+        text, size = like.raw[2 : 2 + abs(old)], old
+        begin = 2 + abs(old) + 4 + len(like.dimensions) + len(like.data)
+        said = like.raw[begin : begin + 1 + like.raw[begin]] if begin < len(like.raw) else b"\0"
+    body = kind.to_bytes(1, "little", signed=True) + bytes([len(dimensions), *dimensions]) + data + said
+    raw = size.to_bytes(1, "little", signed=True) + bytes([group]) + text + processor.bytes_of_unsigned(2 + len(body)) + body
+    return Record(raw, name, group, False, False, kind, tuple(dimensions), data)
+
+
+def text_of(raw: bytes) -> str:
+    """Characters of a file as text: UTF-8 where it is, else Latin-1; blanks and NUL padding taken off."""
+    raw = raw.split(b"\0", 1)[0].strip()
+    try:
+        return raw.decode("utf-8")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1").strip()
+
+
+def as_any(parameters: Parameters, group: str, name: str) -> Any:
+    """A parameter as plain values: a list of strings or of numbers, a single one alone."""
+    record = parameters.find(group, name)
+    if record is None:
+        return None
+    values = parameters.strings(group, name) if record.kind == CHARACTER else [v.item() for v in parameters.values(group, name)]
+    return values[0] if len(values) == 1 else values

@@ -1,0 +1,109 @@
+"""A C3D file becomes a `Recording`: path in, positions in metres, events and everything that a writer needs out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from asterism.errors import AsterismError
+from asterism.formats._columns import Points, metres_per_unit, recording_of
+from asterism.formats._physical import COMPUTED, point_kinds
+from asterism.formats.c3d._file import C3DFile, numbered, open_c3d
+from asterism.recording import Floats, Recording, as_vertical
+
+_COMPUTED_GROUPS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS", "MODELED_MARKERS", "MODELLED_MARKERS")
+
+
+def read_c3d(path: Path, markers: Any = None, vertical: ArrayLike | str | None = None) -> Recording:
+    """The recording in a C3D file of any vendor, byte order and number format.
+
+    path      the file
+    markers   None: every point that is no computed one, under the file's labels; else what `MarkerSet.load` takes
+    vertical  None: what POINT:Y_SCREEN declares unless the markers clearly contradict it, else told from the markers, else +Z, the
+              custom of C3D files (metadata["vertical_from"] says which)
+
+    Returns positions in metres, NaN where a point is missing (negative residual, not finite, or all zero where the file has no
+    other way to say it); events; and as `source` the whole file, so that `write_c3d` loses nothing.
+
+    Raises AsterismError where the file is no C3D file, holds no points or no frames, has none of the markers or one of them
+    twice, or units that cannot be. Source: the public C3D format specification.
+    """
+    file = open_c3d(path)
+    if not file.layout.points:
+        raise AsterismError(f"{path} holds no points, only {file.analog_channels} analog channels; choose a recording with markers.")
+    if not file.layout.frames:
+        raise AsterismError(f"{path} holds no frames; export it again.")
+    positions, scale, units, remark = in_metres(file)
+    points = Points(
+        positions=positions,
+        labels=tuple(file.labels),
+        rate=file.rate,
+        format="C3D",
+        units=units,
+        kinds=tuple(kinds_of_points(file, positions)),
+        declared=declared_vertical(file),
+        fallback=as_vertical("z"),
+        first_frame=file.first_frame,
+        events=file.events,
+        subject=subject_of(file),
+        oddities=(*file.oddities, *([remark] if remark else [])),
+        extra={"encoding": encoding_of(file), "metres_per_unit": scale},
+    )
+    return replace(recording_of(path, points, markers, vertical), source=file)
+
+
+def in_metres(file: C3DFile) -> tuple[Floats, float, str, str]:
+    """(frames, points, 3) m; metres per unit; the unit's name; a remark where the file did not say it properly."""
+    raw = file.coordinates
+    kinds = point_kinds(file.labels, None, declared_computed(file))
+    bodily = np.array([kind != COMPUTED for kind in kinds], dtype=bool)
+    others = [file.parameters.text("POINT", name) for name in ("MODELED_MARKER_UNITS", "SCALAR_UNITS")]
+    scale, units, remark = metres_per_unit(Path(file.path), file.parameters.text("POINT", "UNITS"), raw[:, bodily], others)
+    return raw / round(1 / scale) if scale < 1 and scale == 1 / round(1 / scale) else raw * scale, scale, units, remark
+
+
+def kinds_of_points(file: C3DFile, positions: Floats) -> list[str]:
+    """For each point "marker", "computed" or "unnamed": what the file declares, its names, and geometry where it is exact.
+
+    positions (frames, points, 3) m. The rounded numbers of integer files keep no exact geometry.
+    """
+    return point_kinds(file.labels, positions if file.layout.real else None, declared_computed(file))
+
+
+def declared_computed(file: C3DFile) -> set[str]:
+    """Labels that the file lists as angles, forces and the like, in the groups that it names itself too (POINT:TYPE_GROUPS)."""
+    groups = dict.fromkeys([*_COMPUTED_GROUPS, *(name.upper() for name in file.parameters.strings("POINT", "TYPE_GROUPS")[::2])])
+    return {
+        label
+        for group in groups
+        if group not in ("", "LABELS", "MARKERS")
+        for name in numbered(file.parameters, "POINT", group)
+        for label in file.parameters.strings("POINT", name)
+        if label
+    }
+
+
+def declared_vertical(file: C3DFile) -> Floats | None:
+    """The axis that POINT:Y_SCREEN says points up the screen, or None.
+
+    Qualisys writes -Z for a vertical that is +Z; so a minus is believed only where we wrote it.
+    """
+    said = file.parameters.text("POINT", "Y_SCREEN").casefold()
+    if len(said) not in (1, 2) or said[-1] not in "xyz" or said[:-1] not in ("", "+", "-"):
+        return None
+    return as_vertical(said if file.ours else said[-1])
+
+
+def subject_of(file: C3DFile) -> str:
+    """The one subject that SUBJECTS:NAMES names, or nothing."""
+    names = [name for name in file.parameters.strings("SUBJECTS", "NAMES") if name]
+    return names[0] if len(names) == 1 else ""
+
+
+def encoding_of(file: C3DFile) -> str:
+    """Processor and number format in words: "PC real", "SGI integer"."""
+    return f"{file.processor.name} {'real' if file.layout.real else 'integer'}"
