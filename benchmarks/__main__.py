@@ -35,7 +35,8 @@ def main(arguments: list[str] | None = None) -> int:
     except AsterismError as problem:
         print(problem, file=sys.stderr)
         return 2
-    failed = [row for row in given.rows or labelling.ROWS if not _measure(row, Bench(given.quick, given.models))]
+    bench = Bench(given.quick, given.models)
+    failed = [row for row in given.rows or labelling.ROWS if not _measure(row, bench)]
     if not given.quick:
         docs.write()
     return 1 if failed else 0

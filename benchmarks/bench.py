@@ -20,27 +20,26 @@ class Bench:
 
     quick: bool = False
     models: Path | None = None
-    seconds: dict[str, float] = field(default_factory=dict)
+    trained: dict[str, asterism.SolverEnsemble] = field(default_factory=dict)
 
     def say(self, text: str) -> None:
         """Tell whoever waits what is being done."""
         print(f"  {text}", file=sys.stderr, flush=True)
 
-    def fit(self, recordings: Sequence[Recording], people: Sequence[str], **options: float | str) -> asterism.SolverEnsemble:
-        """Train an ensemble, or take the one that the same code trained from the same recordings in an earlier run.
-
-        `seconds` under the returned model's key has the time of training where it happened in this run.
-        """
-        kept = self.models / f"{_key(recordings, people, options)}.model" if self.models else None
-        if kept and kept.exists():
-            return asterism.SolverEnsemble.load(kept)
-        started = time.perf_counter()
-        ensemble = asterism.SolverEnsemble.fit(list(recordings), seed=0, subjects=list(people), **options)
-        self.say(f"trained on {len(recordings)} recordings, {len(recordings[0].labels)} markers: {time.perf_counter() - started:.1f} s")
-        if kept:
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            ensemble.save(kept)
-        return ensemble
+    def fit(self, recordings: Sequence[Recording], people: Sequence[str], **options: float) -> asterism.SolverEnsemble:
+        """Train an ensemble, or take the one that the same code has trained from the same recordings in this or an earlier run."""
+        key = _key(recordings, people, options)
+        kept = self.models / f"{key}.model" if self.models else None
+        if key not in self.trained and kept and kept.exists():
+            self.trained[key] = asterism.SolverEnsemble.load(kept)
+        if key not in self.trained:
+            started = time.perf_counter()
+            self.trained[key] = asterism.SolverEnsemble.fit(list(recordings), seed=0, subjects=list(people), **options)
+            self.say(f"trained on {len(recordings)} recordings, {len(recordings[0].labels)} markers: {time.perf_counter() - started:.1f} s")
+            if kept:
+                kept.parent.mkdir(parents=True, exist_ok=True)
+                self.trained[key].save(kept)
+        return self.trained[key]
 
 
 def frames_per_second(run: Callable[[], object], frames: int, repeats: int = 5) -> float:
@@ -54,7 +53,7 @@ def frames_per_second(run: Callable[[], object], frames: int, repeats: int = 5) 
     return frames / median(times)
 
 
-def _key(recordings: Sequence[Recording], people: Sequence[str], options: dict[str, float | str]) -> str:
+def _key(recordings: Sequence[Recording], people: Sequence[str], options: dict[str, float]) -> str:
     digest = hashlib.sha256(repr((list(people), sorted(options.items()), recordings[0].labels)).encode())
     for source in sorted(Path(asterism.__file__).parent.joinpath("labelling").rglob("*.py")):
         digest.update(source.read_bytes())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 from benchmarks.figures import Entry, load, reached
@@ -34,16 +35,22 @@ Recordings (their licences lie beside them; none is part of this repository):
 """
 
 SECTIONS = (
-    ("Subjects not seen", ("subjects not seen",)),
-    ("The peer on the same clouds", ("peer, ",)),
-    ("Subjects seen, and speed", ("subjects seen", "strong classifier", "full solver", "ensemble,", "training,", "full body")),
-    ("Other people, laboratories and movements", ("movement,",)),
-    ("Files", ("conformance", "physical markers")),
-    ("Table 5.4: FA by occlusions and target hit rate", ("table 5.4",)),
-    ("Table 5.5: FO by occlusions and target hit rate", ("table 5.5",)),
-    ("Table 5.3: marker by marker", ("table 5.3",)),
-    ("Each subject when left out", ("subject ",)),
+    ("Subjects not seen", "subjects not seen", None),
+    ("The peer on the same clouds", "peer, ", None),
+    ("Subjects seen", "subjects seen", None),
+    ("Solvers, speed and training", ("strong classifier", "full solver", "ensemble,", "training,", "full body"), None),
+    ("Files", ("conformance", "physical markers"), None),
+    (
+        "Other people, laboratories and movements",
+        "movement,",
+        r"movement, (?P<line>.*?(?: not seen|own other \w+)), (?P<column>(?:.* as recorded|\d occlusions): \w+)",
+    ),
+    ("Table 5.4: FA by occlusions and target hit rate", "table 5.4", r"table 5.4, subjects seen, (?P<line>.*), (?P<column>target .*): FA"),
+    ("Table 5.5: FO by occlusions and target hit rate", "table 5.5", r"table 5.5, subjects seen, (?P<line>.*), (?P<column>target .*): FO"),
+    ("Table 5.3: marker by marker, 4 occlusions, target 99.99 %", "table 5.3", r"table 5.3, .* %, (?P<line>.*): (?P<column>.*)"),
+    ("Each subject when left out", "subject ", r"subject (?P<line>\w+) not seen, (?P<column>.*)"),
 )
+"""Title, how its rows begin, and for a table in two directions what names the line and what the column."""
 
 
 def text(entries: list[Entry]) -> str:
@@ -57,13 +64,13 @@ def text(entries: list[Entry]) -> str:
         missed = [entry for entry in of_issue if reached(entry.asked, entry.measured) is False]
         if missed:
             parts += ["### Not reached\n", _table(missed)]
-        for title, starts in SECTIONS:
+        for title, starts, pattern in SECTIONS:
             some = [entry for entry in of_issue if entry.row.startswith(starts)]
             if some:
-                parts += [f"### {title}\n", _table(some)]
-        rest = [entry for entry in of_issue if not entry.row.startswith(tuple(start for _, starts in SECTIONS for start in starts))]
-        if rest:
-            parts += ["### Others\n", _table(rest)]
+                parts += [f"### {title}\n", _crossed(some, pattern) if pattern else _table(some)]
+            of_issue = [entry for entry in of_issue if entry not in some]
+        if of_issue:
+            parts += ["### Others\n", _table(of_issue)]
     return "\n".join(parts)
 
 
@@ -78,9 +85,31 @@ def _table(entries: list[Entry]) -> str:
     lines = ["| row | asked | measured | reached | n | measured on |", "|---|---|---|---|---|---|"]
     for entry in entries:
         verdict = {True: "yes", False: "**no**", None: ""}[reached(entry.asked, entry.measured)]
-        asked = "" if entry.asked == "none" else entry.asked
+        asked = "" if entry.asked == "none" else _asked(entry)
         lines.append(f"| {entry.row} | {asked} | {_number(entry)} | {verdict} | {entry.n:,} | {entry.date} |")
     return "\n".join(lines) + "\n"
+
+
+def _crossed(entries: list[Entry], pattern: str) -> str:
+    """Lines and columns by the two names in each row; a cell shows what was measured and, where something was asked, that."""
+    cells: dict[str, dict[str, str]] = {}
+    for entry in entries:
+        names = re.fullmatch(pattern, entry.row)
+        if not names:
+            raise ValueError(f"the row {entry.row!r} does not fit into its table in two directions")
+        shown = _number(entry) if entry.asked == "none" else f"{_number(entry)} (asked {_asked(entry)})"
+        missed = reached(entry.asked, entry.measured) is False
+        cells.setdefault(names["line"], {})[names["column"]] = f"**{shown}**" if missed else shown
+    columns = list(dict.fromkeys(column for line in cells.values() for column in line))
+    lines = [f"| | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
+    lines += [f"| {line} | {' | '.join(found.get(column, '') for column in columns)} |" for line, found in cells.items()]
+    smallest, largest = min(entry.n for entry in entries), max(entry.n for entry in entries)
+    return "\n".join(lines) + f"\n\nFrames per cell: {smallest:,} to {largest:,}. Bold: not reached.\n"
+
+
+def _asked(entry: Entry) -> str:
+    sign, bound = entry.asked.split()
+    return f"{sign} {float(bound) * 100:.4g} %" if entry.unit == "fraction" else entry.asked
 
 
 def _number(entry: Entry) -> str:

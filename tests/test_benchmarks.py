@@ -126,3 +126,20 @@ def test_the_peer_labels_what_is_easy_and_has_no_doubt(vertical: tuple[float, fl
     haunted = score.Tally()
     haunted.add(key_poses.label(clouds), truth)
     assert haunted.false_assignments > 0.02, "ghosts must mislead a method that always answers"
+
+
+def test_page_shows_cells_where_they_belong_and_what_was_missed() -> None:
+    def entry(row: str, asked: str, measured: float) -> object:
+        return figures.Entry("issue", row, asked, measured, "fraction", 7, "python -m benchmarks", "2026-01-01")
+
+    page = docs.text(
+        [
+            entry("table 5.4, subjects seen, 1 occlusion, target 99 %: FA", "< 0.08", 0.01),
+            entry("table 5.4, subjects seen, 1 occlusion, target 99.9 %: FA", "< 0.01", 0.02),
+            entry("movement, cmu41, 85 not seen, 3 occlusions: FA", "<= 0.005", 0.001),
+            entry("movement, pig39, test not seen, test_movement as recorded: missed", "none", 0.5),
+        ]
+    )
+    assert "| 1 occlusion | 1 % (asked < 8 %) | **2 % (asked < 1 %)** |" in page
+    assert "| cmu41, 85 not seen | 0.1 % (asked <= 0.5 %) |  |" in page
+    assert "2 of 3 figures asked for are reached" in page

@@ -20,8 +20,8 @@ from benchmarks.figures import Figure
 ONE_STEP_MM = 0.2812
 """The scale of the integer files of sample_02: to multiples of it their coordinates were cut when they were written."""
 
-STATIC_ONLY = frozenset(side + name for side in "LR" for name in ("MMA", "PCA", "TPF", "D1M"))
-"""Markers that some gait subjects wear while standing; the model computes points of some of these names too, behind its centre of mass."""
+STATIC_ONLY = tuple(side + name for side in "LR" for name in ("MMA", "PCA", "TPF", "D1M"))
+"""Markers that gait subjects wear while standing: they move by themselves, no model computed them."""
 
 
 def conformance(bench: Bench) -> Iterator[Figure]:
@@ -100,7 +100,7 @@ def _real_markers(path: Path, everything: Counter[str]) -> Counter[str] | None:
     """The points that are no computed ones, or None where nobody has said."""
     unnamed = Counter({label: count for label, count in everything.items() if is_unnamed(label)})
     if path.is_relative_to(folder() / "gait"):
-        worn = set(GAIT_BODY) | _extra_markers(path)
+        worn = {*GAIT_BODY, *STATIC_ONLY} if path.stem == "static" else {*GAIT_BODY}
         return Counter({label: 1 for label in worn if label in everything}) + unnamed
     entry = _index().get(_name(path).replace("sgi_", "pc_"))
     if entry is None or "markers" not in entry or not entry["frames"]:
@@ -108,11 +108,3 @@ def _real_markers(path: Path, everything: Counter[str]) -> Counter[str] | None:
     if entry["computed"] == 0:
         return everything
     return Counter(map(without_subject, entry["markers"])) + unnamed
-
-
-def _extra_markers(path: Path) -> set[str]:
-    """What a gait subject wears in the standing trial only: the file lists it before the first point that the model computed."""
-    if path.stem != "static":
-        return set()
-    labels = list(asterism.read(path, markers=None).metadata["labels"])
-    return STATIC_ONLY & set(labels[: labels.index("CentreOfMass")])

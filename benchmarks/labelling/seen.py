@@ -47,7 +47,7 @@ def tables(bench: Bench) -> Iterator[Figure]:
             labelling = ensemble.label(clouds)
             tally = Tally()
             tally.add(labelling, truth)
-            cell, column = f"subjects seen, {hidden} occlusions, target {target * 100:g} %", TARGETS.index(target)
+            cell, column = f"subjects seen, {hidden} occlusion{'s' * (hidden > 1)}, target {target * 100:g} %", TARGETS.index(target)
             asked_fa, asked_fo = f"< {THESIS_FA[hidden][column]:g}", f"< {THESIS_FO[hidden][column]:g}"
             yield Figure(f"table 5.4, {cell}: FA", asked_fa, tally.false_assignments, "fraction", tally.frames)
             yield Figure(f"table 5.5, {cell}: FO", asked_fo, tally.false_occlusions, "fraction", tally.frames)

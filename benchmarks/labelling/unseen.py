@@ -59,7 +59,9 @@ def unseen(bench: Bench) -> Iterator[Figure]:
         bench.say(f"{subject}: " + ", ".join(f"{name} FA {ours[subject, name].false_assignments:.5f}" for name in CONDITIONS.values()))
     pooled, subjects = Tally(), list(dict.fromkeys(subject for subject, _ in ours))
     for name in CONDITIONS.values():
-        total = sum((ours[subject, name] for subject in subjects), start=Tally())
+        total = Tally()
+        for subject in subjects:
+            total += ours[subject, name]
         pooled += total
         yield from _rates(f"subjects not seen, {name}", total, name, asked=True)
         yield from _rates(f"peer, subjects not seen, {name}", peers[name], name, asked=False)
@@ -70,7 +72,9 @@ def unseen(bench: Bench) -> Iterator[Figure]:
     yield Figure("peer, subjects not seen: speed", "none", labelled / peer_seconds, "frames/s", labelled)
     for subject in subjects:
         for name in CONDITIONS.values():
-            yield from _rates(f"subject {subject} not seen, {name}", ours[subject, name], name, asked=False)
+            tally = ours[subject, name]
+            yield Figure(f"subject {subject} not seen, {name}: FA", "none", tally.false_assignments, "fraction", tally.frames)
+            yield Figure(f"subject {subject} not seen, {name}: missed", "none", tally.missed_share, "fraction", tally.frames)
 
 
 def _rates(row: str, tally: Tally, condition: str, asked: bool) -> Iterator[Figure]:
