@@ -1,0 +1,244 @@
+"""What all readers share: the points that a file holds, under its own names, become a `Recording`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from asterism.errors import AsterismError
+from asterism.formats._physical import COMPUTED, UNNAMED, kinds_by_name
+from asterism.formats._vertical import tell_vertical, vertical_from_positions
+from asterism.recording import Event, Floats, MarkerSet, Recording, as_vertical
+
+__all__ = ["Points", "metres_per_unit", "recording_of", "settle_vertical", "without_common_subject", "vertical_from_positions"]
+
+_METRES = {
+    "m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0,
+    "dm": 0.1, "cm": 0.01, "centimeter": 0.01, "centimeters": 0.01, "centimetre": 0.01, "centimetres": 0.01,
+    "mm": 0.001, "millimeter": 0.001, "millimeters": 0.001, "millimetre": 0.001, "millimetres": 0.001,
+    "um": 1e-6, "in": 0.0254, "inch": 0.0254, "inches": 0.0254, "ft": 0.3048, "feet": 0.3048,
+}  # fmt: skip
+_SMALLEST_BODY, _LARGEST_BODY = 0.005, 60.0
+_FURTHEST = 1e6
+
+
+@dataclass(frozen=True)
+class Points:
+    """Every point of a file, in metres, still under the file's own labels.
+
+    positions  (T, P, 3) m, NaN missing
+    labels     (P,) as in the file, repeats and subject prefixes included
+    rate       frames per second
+    format     "TRC", "CSV", ...
+    units      the file's unit of length, as it is written again
+    kinds      (P,) "marker", "computed" or "unnamed", or None: told by name
+    declared   the vertical that the file or its format lays down, or None
+    fallback   the vertical to take where nothing else tells, or None
+    oddities   what was strange about the file and how it was taken
+    """
+
+    positions: Floats
+    labels: tuple[str, ...]
+    rate: float
+    format: str
+    units: str = "m"
+    kinds: tuple[str, ...] | None = None
+    declared: Floats | None = None
+    fallback: Floats | None = None
+    first_frame: int = 1
+    first_time: float | None = None
+    events: tuple[Event, ...] = ()
+    subject: str = ""
+    oddities: tuple[str, ...] = ()
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def kind_of_points(self) -> tuple[str, ...]:
+        """(P,) what each point is."""
+        return self.kinds if self.kinds is not None else tuple(kinds_by_name(self.labels))
+
+
+def recording_of(path: Path, points: Points, markers: Any = None, vertical: ArrayLike | str | None = None) -> Recording:
+    """The recording that `asterism.read` gives for the points of a file.
+
+    markers   None: all points but the computed ones; else what `MarkerSet.load` takes: exactly its columns, NaN where absent
+    vertical  None: told (see `settle_vertical`); else a vector or an axis name
+
+    Raises AsterismError, naming the file, where no marker of the set is there, one is there twice, or up cannot be told.
+    """
+    labels, subject = without_common_subject(points.labels)
+    kinds = np.array(points.kind_of_points, dtype=object)
+    physical = np.nonzero(kinds != COMPUTED)[0]
+    if markers is None:
+        columns, names = physical, tuple(labels[c] for c in physical)
+    else:
+        columns, names = wanted_columns(path, labels, MarkerSet.load(markers))
+    positions = np.full((len(points.positions), len(names), 3), np.nan)
+    there = columns >= 0
+    positions[:, there] = points.positions[:, columns[there]]
+    up, how = settle_vertical(
+        path, points.positions[:, physical], [labels[c] for c in physical], vertical, declared=points.declared, fallback=points.fallback
+    )
+    oddities = points.oddities
+    if how == "data against file":
+        oddities = (*oddities, "the vertical that the file declares contradicts its markers; the markers were believed")
+    origin = np.where(np.isnan(positions[:, :, 0]), -1, columns[None, :])
+    metadata: dict[str, Any] = {
+        "file": str(path),
+        "format": points.format,
+        "units": points.units,
+        "subject": points.subject or subject,
+        "first_frame": points.first_frame,
+        "vertical_from": how,
+        **({} if points.first_time is None else {"first_time": points.first_time}),
+        **({"oddities": list(oddities)} if oddities else {}),
+        **points.extra,
+    }
+    return Recording(
+        positions=positions,
+        labels=names,
+        rate=points.rate,
+        vertical=up,
+        events=points.events,
+        metadata=metadata,
+        source=points,
+        origin=origin.astype(np.int64),
+        taken=tuple(int(c) for c in (physical if markers is None else columns[there])),
+    )
+
+
+def wanted_columns(path: Path, labels: Sequence[str], wanted: MarkerSet) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    """The column of each marker of the set, -1 where absent, and the set's names.
+
+    Raises AsterismError where none is there, or two columns carry one marker's name.
+    """
+    try:
+        columns = wanted.columns_of(labels)
+    except AsterismError as problem:
+        raise AsterismError(f"{path}: {problem}") from problem
+    if (columns < 0).all():
+        shown = ", ".join(labels[:8]) + (", ..." if len(labels) > 8 else "")
+        raise AsterismError(
+            f"{path} has no marker of {wanted.title or 'the marker set'} ({', '.join(wanted.names[:4])}, ...); "
+            f"its points are {shown or 'none'}; choose another marker set or add these names as aliases."
+        )
+    return columns, wanted.names
+
+
+def settle_vertical(
+    path: Path,
+    positions: Floats,
+    labels: Sequence[str],
+    given: ArrayLike | str | None = None,
+    *,
+    declared: Floats | None = None,
+    fallback: Floats | None = None,
+) -> tuple[Floats, str]:
+    """The vertical of a file and where it comes from: "given", "file", "data", "data against file" or "convention".
+
+    positions (T, P, 3) and labels (P,) of the physical points. In this order: what the caller gives; what the markers say where
+    two signs agree on it (headers are often wrong); what the file declares; what the markers suggest; the fallback.
+
+    Raises AsterismError where none of these speaks.
+    """
+    if given is not None:
+        return as_vertical(given), "given"
+    told = tell_vertical(positions, labels)
+    if declared is not None:
+        declared = as_vertical(declared)
+        if told.sure and told.vector is not None and float(told.vector @ declared) < 0.5:
+            return told.vector, "data against file"
+        return declared, "file"
+    if told.vector is not None:
+        return told.vector, "data"
+    if fallback is not None:
+        return as_vertical(fallback), "convention"
+    raise AsterismError(f"{path} does not say which way is up and its points do not tell; give vertical=, for example vertical='z'.")
+
+
+def without_common_subject(labels: Sequence[str]) -> tuple[tuple[str, ...], str]:
+    """The labels without the subject's name that all of them carry before a colon, and that name ("" where there is none).
+
+    Unnamed points need not carry it. Names that would be left as Marker1, Marker2, ... keep their prefix.
+    """
+    named = [label for label, kind in zip(labels, kinds_by_name(labels), strict=True) if kind != UNNAMED]
+    subjects = {label.rpartition(":")[0] for label in named}
+    if len(subjects) != 1 or "" in subjects:
+        return tuple(labels), ""
+    subject = subjects.pop()
+    rests = [label.rpartition(":")[2] for label in named]
+    if all(re.fullmatch(r"(?i)marker\s*\d+", rest) or not rest for rest in rests):
+        return tuple(labels), ""
+    return tuple(label.rpartition(":")[2] if label.startswith(subject + ":") else label for label in labels), subject
+
+
+def metres_per_unit(path: Path, said: str | None, raw: Floats, others: Sequence[str] = ()) -> tuple[float, str, str]:
+    """Metres per unit of a file, that unit's name, and a remark ("" where the file said it and it fits).
+
+    said    what stands where the unit belongs, or None
+    raw     (T, P, 3) positions in the file's unit
+    others  further header values among which a misplaced unit may stand
+
+    Raises AsterismError where the unit that the file names makes a body of less than 5 mm or more than 60 m.
+    """
+    size = body_size(raw)
+    scale = _METRES.get((said or "").strip().casefold())
+    if scale is not None:
+        if np.isfinite(size) and not _SMALLEST_BODY <= size * scale <= _LARGEST_BODY:
+            likely = _unit_by_size(size)
+            raise AsterismError(
+                f"{path} gives its units as {said}, which makes its points {size * scale:.3g} m wide; "
+                f"the units are probably {likely}: correct the units field."
+            )
+        return scale, _short_unit(scale), ""
+    misplaced = next((other.strip() for other in others if other.strip().casefold() in _METRES), None)
+    what = f"units {said.strip()!r} mean nothing" if said and said.strip() else "no units in the file"
+    if misplaced is not None:
+        found, name, _ = metres_per_unit(path, misplaced, raw)
+        return found, name, f"{what}; {name} stands in another field of the header"
+    name = _unit_by_size(size)
+    return _METRES[name], name, f"{what}; {name} fits the size of the body"
+
+
+def _short_unit(scale: float) -> str:
+    return next(name for name, metres in _METRES.items() if metres == scale and len(name) <= 2)
+
+
+def body_size(raw: Floats) -> float:
+    """The usual length of the diagonal of the box around a frame's points, in the unit given; NaN without two points."""
+    some = raw[:: max(1, len(raw) // 200)]
+    seen = ~np.isnan(some).any(axis=2)
+    some, seen = some[seen.sum(axis=1) > 1], seen[seen.sum(axis=1) > 1]
+    if not len(some):
+        return float("nan")
+    high = np.where(seen[:, :, None], some, -np.inf).max(axis=1)
+    low = np.where(seen[:, :, None], some, np.inf).min(axis=1)
+    size = float(np.median(np.linalg.norm(high - low, axis=1)))
+    return size if size > 0 else float("nan")
+
+
+def _unit_by_size(size: float) -> str:
+    if not np.isfinite(size):
+        return "mm"
+    return "m" if size < 12 else "cm" if size < 300 else "mm"
+
+
+def as_metres(raw: Floats, scale: float) -> tuple[Floats, list[str]]:
+    """Positions in metres with NaN for what cannot be a place: not finite, beyond 1000 km, or zero in all three."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        positions = raw * scale
+        strange = np.isinf(raw).any(axis=2) | (np.abs(positions) > _FURTHEST).any(axis=2)
+    zero = (raw == 0).all(axis=2)
+    positions[strange | zero | np.isnan(positions).any(axis=2)] = np.nan
+    remarks = []
+    if strange.any():
+        remarks.append(f"{int(strange.sum())} samples are infinite or beyond 1000 km; taken as missing")
+    if zero.any():
+        remarks.append(f"{int(zero.sum())} samples are zero in all three coordinates; taken as missing")
+    return positions, remarks

@@ -1,0 +1,87 @@
+"""The comment lines that our CSV files begin with: what a plain table cannot say (units, rate, vertical, events), out and in."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from asterism.errors import AsterismError
+from asterism.formats._text import number_of
+from asterism.recording import Event, Floats, as_vertical
+
+
+@dataclass(frozen=True)
+class Comments:
+    """What the comment lines of a CSV file say; None where they do not."""
+
+    units: str | None = None
+    rate: float | None = None
+    vertical: Floats | None = None
+    subject: str = ""
+    first_frame: int | None = None
+    frames: int | None = None
+    events: tuple[Event, ...] = ()
+
+
+def comments_of(lines: Sequence[str]) -> Comments:
+    """The comments among the first lines of a file; what cannot be understood is left out."""
+    found: dict[str, str] = {}
+    events = []
+    for line in lines:
+        if not line.startswith("#"):
+            break
+        key, sign, value = line.lstrip("# ").rstrip(" ,;\t").partition("=")
+        key, value = key.strip().casefold(), value.strip()
+        if key == "event" and sign:
+            time, _, rest = value.partition(",")
+            context, _, label = rest.partition(",")
+            seconds = number_of(time)
+            if seconds is not None and seconds == seconds:
+                events.append(Event(label.strip(), seconds, context.strip()))
+        elif sign:
+            found.setdefault(key, value)
+    numbers = [number_of(cell) for cell in found.get("vertical", "").split()]
+    vertical = None
+    if len(numbers) == 3 and None not in numbers:
+        try:
+            vertical = as_vertical([float(n or 0.0) for n in numbers])
+        except AsterismError:
+            vertical = None
+    return Comments(
+        units=found.get("units"),
+        rate=number_of(found.get("rate", "")),
+        vertical=vertical,
+        subject=found.get("subject", ""),
+        first_frame=_count(found.get("first_frame")),
+        frames=_count(found.get("frames")),
+        events=tuple(events),
+    )
+
+
+def comment_lines(
+    units: str, rate: float, vertical: Floats, frames: int, first_frame: int, subject: str = "", events: Sequence[Event] = ()
+) -> list[str]:
+    """The lines that `comments_of` reads back."""
+    lines = [
+        f"# units={units}",
+        f"# rate={rate!r}",
+        "# vertical=" + " ".join(f"{float(v):.17g}" for v in vertical),
+        f"# frames={frames}",
+        f"# first_frame={first_frame}",
+    ]
+    lines += [f"# subject={_one_line(subject)}"] if subject else []
+    return lines + [f"# event={event.time!r},{_one_line(event.context).replace(',', ' ')},{_one_line(event.label)}" for event in events]
+
+
+def data_start(lines: Sequence[str]) -> int:
+    """The index of the first line that is neither a comment nor blank."""
+    return next((i for i, line in enumerate(lines) if line.strip(" ,;\t") and not line.startswith("#")), len(lines))
+
+
+def _one_line(text: str) -> str:
+    return re.sub(r"\s+", " ", text).strip()
+
+
+def _count(text: str | None) -> int | None:
+    return int(text) if text is not None and re.fullmatch(r"-?\d{1,9}", text) else None

@@ -1,0 +1,63 @@
+"""Points in, a plain description of them out, for people and for JSON."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.formats._columns import Points, settle_vertical, without_common_subject
+from asterism.formats._physical import COMPUTED, MARKER, UNNAMED
+from asterism.recording import Floats
+
+
+def described(path: Path, points: Points) -> dict[str, Any]:
+    """Format, frames, rate, duration (s), units, vertical and where it comes from, points by kind, share missing, gaps, events, oddities.
+
+    Missing and gaps count the physical named points; a gap is a run of missing frames between two seen ones.
+    """
+    labels, subject = without_common_subject(points.labels)
+    kinds = np.array(points.kind_of_points, dtype=object)
+    physical = np.nonzero(kinds == MARKER)[0]
+    there = np.nonzero(kinds != COMPUTED)[0]
+    seen = ~np.isnan(points.positions[:, physical, 0])
+    try:
+        vertical, how = settle_vertical(
+            path, points.positions[:, there], [labels[c] for c in there], declared=points.declared, fallback=points.fallback
+        )
+        up: list[float] | None = [float(v) for v in vertical]
+    except AsterismError:
+        up, how = None, "cannot be told"
+    twice = sorted({label for label in labels if labels.count(label) > 1}) if len(labels) < 2000 else []
+    return {
+        "file": str(path),
+        "format": points.format,
+        "frames": len(points.positions),
+        "rate": points.rate,
+        "duration": len(points.positions) / points.rate,
+        "first_frame": points.first_frame,
+        "units": points.units,
+        "vertical": up,
+        "vertical_from": how,
+        "subject": points.subject or subject,
+        "points": {
+            "physical": [labels[c] for c in physical],
+            "computed": [labels[c] for c in np.nonzero(kinds == COMPUTED)[0]],
+            "unnamed": [labels[c] for c in np.nonzero(kinds == UNNAMED)[0]],
+        },
+        "missing": float(1 - seen.mean()) if seen.size else 0.0,
+        "gaps": gaps(seen),
+        "events": [{"label": e.label, "context": e.context, "time": e.time} for e in points.events],
+        "oddities": [*points.oddities, *(f"the label {label} occurs {labels.count(label)} times" for label in twice)],
+    }
+
+
+def gaps(seen: Floats) -> int:
+    """How many runs of missing frames lie between two seen ones, over all columns of seen (T, P)."""
+    count = 0
+    for column in np.asarray(seen, dtype=bool).T:
+        frames = np.nonzero(column)[0]
+        count += int((np.diff(frames) > 1).sum())
+    return count

@@ -1,0 +1,196 @@
+"""One front door for all formats: a file's content and suffix choose who reads it, the suffix who writes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from asterism.errors import AsterismError
+from asterism.formats import csv_long, csv_motive, csv_nexus, csv_wide, mat, npz, storage, trc, tsv
+from asterism.formats._columns import Points, recording_of
+from asterism.formats._describe import described
+from asterism.formats._text import decoded, lines_of
+from asterism.formats.c3d import read_c3d
+from asterism.recording import Clouds, Recording
+
+_READERS: dict[str, Callable[[Path], Points]] = {
+    "TRC": trc.read_trc,
+    "Motive CSV": csv_motive.read_motive,
+    "Nexus CSV": csv_nexus.read_nexus,
+    "CSV long": csv_long.read_long,
+    "CSV": csv_wide.read_wide,
+    "QTM TSV": tsv.read_tsv,
+    "QTM MAT": mat.read_mat,
+    "storage": storage.read_marker_table,
+    "NPZ": npz.read_npz,
+}
+_WRITERS: dict[str, Callable[[Path, Recording], list[str]]] = {
+    ".trc": trc.write_trc,
+    ".csv": csv_wide.write_wide,
+    ".tsv": tsv.write_tsv,
+    ".mat": mat.write_mat,
+    ".mot": storage.write_marker_table,
+    ".sto": storage.write_marker_table,
+    ".npz": npz.write_npz,
+}
+_TABLES = (".mot", ".sto", ".csv")
+_KNOWN = "C3D, TRC, CSV, TSV, MAT, MOT, STO and NPZ"
+
+
+def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None = None) -> Recording:
+    """A recording from a file: C3D, TRC, CSV (wide, long, Motive's, Nexus'), QTM's TSV and MAT, MOT, STO or NPZ.
+
+    markers   None: every point that the file says is physical, under its own label; else a marker set (its name, a TOML file, a
+              list of names, a `MarkerSet`): exactly its columns in its order, NaN where the file lacks one
+    vertical  None: what the file declares or its format lays down, else what the data tells; or "z", "-y", a vector
+
+    Positions are metres. Raises AsterismError, naming the file, where it cannot be read, has no marker of the set, has one of
+    them twice, or up cannot be told.
+    """
+    path = Path(path)
+    kind = _kind_of(path)
+    if kind == "C3D":
+        return read_c3d(path, markers, vertical)
+    return recording_of(path, _READERS[kind](path), markers, vertical)
+
+
+def read_clouds(path: str | Path, vertical: ArrayLike | str | None = None) -> Clouds:
+    """The anonymous points of a file, frame by frame: of an NPZ or long CSV of clouds, or of any recording without its labels."""
+    path = Path(path)
+    if _kind_of(path) == "NPZ":
+        clouds = npz.read_npz_clouds(path)
+        if clouds is not None:
+            return clouds
+    return read(path, vertical=vertical).clouds()
+
+
+def write(path: str | Path, recording: Recording | Clouds) -> list[str]:
+    """Write a recording in the format of the suffix; clouds as .npz or as a long .csv. A file there is replaced at once or not at all.
+
+    Returns what the format could not carry, one sentence each; an empty list where nothing was lost. A recording that was read
+    from C3D and is written as C3D keeps everything else as it was.
+
+    Raises AsterismError where the suffix is unknown or the file cannot be written.
+    """
+    path = Path(path)
+    suffix = path.suffix.casefold()
+    if isinstance(recording, Clouds):
+        if suffix == ".npz":
+            return npz.write_npz_clouds(path, recording)
+        if suffix == ".csv":
+            return csv_long.write_clouds(path, recording)
+        raise AsterismError(f"{path}: anonymous clouds are written as .npz or .csv; choose one of them.")
+    if suffix == ".c3d":
+        from asterism.formats.c3d import write_c3d
+
+        return list(write_c3d(path, recording) or [])
+    writer = _WRITERS.get(suffix)
+    if writer is None:
+        raise AsterismError(f"{path}: no format has the suffix {suffix or '(none)'}; write .c3d, {', '.join(_WRITERS)}.")
+    return writer(path, recording)
+
+
+def describe(path: str | Path) -> dict[str, Any]:
+    """What a file holds, as plain values for people and JSON: format, frames, rate, units, vertical, points, gaps, events, oddities.
+
+    Raises AsterismError where the file cannot be read.
+    """
+    path = Path(path)
+    kind = _kind_of(path)
+    if kind == "C3D":
+        from asterism.formats.c3d import describe_c3d
+
+        return describe_c3d(path)
+    if kind == "NPZ":
+        clouds = npz.read_npz_clouds(path)
+        if clouds is not None:
+            return npz.described_clouds(path, clouds)
+    if kind == "storage":
+        table = storage.read_table(path)
+        if not storage.holds_markers(table):
+            return storage.described_table(path, table)
+    try:
+        points = _READERS[kind](path)
+    except AsterismError:
+        if kind != "CSV":
+            raise
+        table = storage.table_or_none(path)
+        if table is None:
+            raise
+        return storage.described_table(path, table)
+    return described(path, points)
+
+
+def convert(source: str | Path, target: str | Path, vertical: ArrayLike | str | None = None) -> list[str]:
+    """Read one file and write another, a recording or a table of values (joint angles in MOT, STO, CSV).
+
+    Returns what the target could not carry, as `write` does. Raises AsterismError as `read` and `write` do.
+    """
+    source, target = Path(source), Path(target)
+    if _kind_of(source) in ("storage", "CSV"):
+        table = storage.table_or_none(source)
+        if table is not None and not storage.holds_markers(table):
+            if target.suffix.casefold() not in _TABLES:
+                raise AsterismError(
+                    f"{source} holds a table of values, no marker positions; it can be written as {', '.join(_TABLES)}, not as {target.name}."
+                )
+            return storage.write_table(target, table)
+    if _kind_of(source) == "NPZ":
+        clouds = npz.read_npz_clouds(source)
+        if clouds is not None and target.suffix.casefold() in (".npz", ".csv"):
+            return write(target, clouds)
+    return write(target, read(source, vertical=vertical))
+
+
+def _kind_of(path: Path) -> str:
+    """Which reader a file needs. Content decides where it is plain; a suffix that lies is looked through."""
+    suffix = path.suffix.casefold()
+    try:
+        with path.open("rb") as file:
+            head = file.read(8192)
+    except FileNotFoundError as problem:
+        raise AsterismError(f"{path} does not exist; check its name and folder.") from problem
+    except IsADirectoryError as problem:
+        raise AsterismError(f"{path} is a folder; name a file in it.") from problem
+    except OSError as problem:
+        raise AsterismError(f"{path} cannot be read ({problem.strerror or problem}); check its permissions.") from problem
+    if not head.strip(b"\x00 \t\r\n"):
+        raise AsterismError(f"{path} is empty; export it again.")
+    if head[:4] == b"PK\x03\x04":
+        return "NPZ"
+    if head.startswith(b"MATLAB ") or head[1:4] == b"HDF" or suffix == ".mat":
+        return "QTM MAT"
+    if suffix == ".npz":
+        raise AsterismError(f"{path} is not an NPZ file; it was damaged or has the wrong suffix.")
+    text_like = b"\x00" not in head or head[:2] in (b"\xff\xfe", b"\xfe\xff")
+    by_content = _text_kind(path, head) if text_like else None
+    if by_content is not None:
+        return by_content
+    if suffix == ".c3d" or (not text_like and len(head) > 1 and head[1] == 0x50):
+        return "C3D"
+    by_suffix = {".trc": "TRC", ".csv": "CSV", ".txt": "CSV", ".tsv": "QTM TSV", ".mot": "storage", ".sto": "storage"}.get(suffix)
+    if by_suffix is None:
+        raise AsterismError(f"{path}: this is no format that Asterism reads ({_KNOWN}); export it in one of them.")
+    return by_suffix
+
+
+def _text_kind(path: Path, head: bytes) -> str | None:
+    """What the first lines say, or None."""
+    lines = lines_of(decoded(path, head))
+    first = lines[0].strip().strip('"').casefold()
+    if first.startswith("format version"):
+        return "Motive CSV"
+    if first.startswith("pathfiletype") or any(line.casefold().startswith("datarate") and "nummarkers" in line.casefold() for line in lines[:4]):
+        return "TRC"
+    if any(line.startswith(("NO_OF_FRAMES", "MARKER_NAMES")) for line in lines[:16]):
+        return "QTM TSV"
+    if any(line.strip(" ,;\t").casefold() == "endheader" for line in lines[:200]):
+        return "storage"
+    if csv_nexus.is_nexus(lines):
+        return "Nexus CSV"
+    if csv_long.is_long(lines):
+        return "CSV long"
+    return None

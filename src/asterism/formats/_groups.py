@@ -1,0 +1,62 @@
+"""Column names in, markers out: which columns of a table are the x, y and z of one point."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+_UNITS = r"(?:\s*[\[(]\s*(?P<units>mm|cm|m|in|ft|meters|millimeters)\s*[\])]|[_ ](?P<bare>mm|cm|m))?"
+_SUFFIXES = tuple(
+    re.compile(pattern + _UNITS, re.IGNORECASE)
+    for pattern in (
+        r"(?P<name>.+?)[_. :\-/|]*[_. :\-/|]t?(?P<axis>[xyz])",
+        r"(?P<name>.+?)[_. :\-]*pos(?:ition)?[_. :\-]*(?P<axis>[xyz])",
+        r"(?P<axis>[xyz])[_. :\-/|]+(?P<name>.+?)",
+        r"(?P<name>.+?)\s*[\[(](?P<axis>[xyz012])[\])]",
+        r"(?P<name>.+?)(?P<axis>[XYZ])",
+    )
+)
+_NO_POSITIONS = re.compile(r"(?i).*(force|moment|torque|_v$|_f$|_p$|angle|velocity|accel|speed|quat|rot(ation)?|_r$).*|pelvis|.*_v|.*_p")
+
+
+@dataclass(frozen=True)
+class Group:
+    """One point of a table: its name, its three columns in the order x, y, z, and the unit that its names carry."""
+
+    name: str
+    columns: tuple[int, int, int]
+    units: str | None = None
+
+
+def marker_groups(names: Sequence[str]) -> tuple[list[Group], list[int]]:
+    """The points that a table's column names spell out, in column order, and the columns that belong to none.
+
+    Understood are NAME_x, NAME.X, NAME X, NAME:x, NAME_tx, x_NAME, NAME_pos_x, NAME[0] and NAMEX, each with a unit after it or
+    not; the first way of writing that makes the most groups is taken for the whole file.
+    """
+    best: list[Group] = []
+    for pattern in _SUFFIXES:
+        found = _groups(names, pattern)
+        if len(found) > len(best):
+            best = found
+    taken = {column for group in best for column in group.columns}
+    return best, [i for i in range(len(names)) if i not in taken]
+
+
+def _groups(names: Sequence[str], pattern: re.Pattern[str]) -> list[Group]:
+    waiting: dict[str, dict[int, int]] = {}
+    found: list[tuple[int, Group]] = []
+    for column, name in enumerate(names):
+        match = pattern.fullmatch(name.strip())
+        if match is None:
+            continue
+        marker, axis = match["name"].strip(), match["axis"].lower()
+        if _NO_POSITIONS.fullmatch(marker):
+            continue
+        axes = waiting.setdefault(marker, {})
+        axes[("xyz".find(axis) if axis in "xyz" else int(axis))] = column
+        if len(axes) == 3:
+            found.append((min(axes.values()), Group(marker, (axes[0], axes[1], axes[2]), match["units"] or match["bare"])))
+            del waiting[marker]
+    return [group for _, group in sorted(found, key=lambda pair: pair[0])]

@@ -1,0 +1,169 @@
+"""What the readers of text files share: bytes in; lines, rows of numbers and frames in their places out."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.recording import Floats
+
+_MISSING = {"", "na", "n/a", "#n/a", "null", "none", "-", "--", "nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#ind", "1.#ind"}
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf(inity)?|[+-]?nan", re.IGNORECASE)
+
+
+def read_bytes(path: Path) -> bytes:
+    """The whole file. Raises AsterismError where it cannot be read or is empty."""
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as problem:
+        raise AsterismError(f"{path} does not exist; check its name and folder.") from problem
+    except IsADirectoryError as problem:
+        raise AsterismError(f"{path} is a folder; name a file in it.") from problem
+    except OSError as problem:
+        raise AsterismError(f"{path} cannot be read ({problem.strerror or problem}); check its permissions.") from problem
+    if not data.strip(b"\x00 \t\r\n"):
+        raise AsterismError(f"{path} is empty; export it again.")
+    return data
+
+
+def decoded(path: Path, data: bytes) -> str:
+    """The text of a file: UTF-8 or UTF-16 with its mark, else Latin-1. Raises AsterismError where it is no text."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data.decode("utf-16", errors="replace")
+    if b"\x00" in data[:4096]:
+        raise AsterismError(f"{path} is not a text file; if it is a C3D, MAT or NPZ file, give it that suffix.")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def lines_of(text: str) -> list[str]:
+    """Lines without their ends, whichever of CRLF, LF and CR the file uses."""
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def delimiter_of(line: str) -> str | None:
+    """What separates the cells of a line: tab, semicolon or comma; None is any blank."""
+    for candidate in "\t;,":
+        if candidate in line:
+            return candidate
+    return None
+
+
+def cells_of(line: str, delimiter: str | None) -> list[str]:
+    """The cells of a line, without blanks and quotes around them."""
+    if delimiter is None:
+        return line.split()
+    if '"' in line:
+        import csv
+
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+    return [cell.strip() for cell in line.split(delimiter)]
+
+
+def number_of(cell: str) -> float | None:
+    """A number as people write it, NaN for the many spellings of missing, None for anything else."""
+    cell = cell.strip().strip('"').strip()
+    if cell.casefold() in _MISSING:
+        return float("nan")
+    return float(cell) if _NUMBER.fullmatch(cell) else None
+
+
+def rows_of_numbers(path: Path, lines: Sequence[str], first_line: int, delimiter: str | None, width: int) -> tuple[Floats, list[str]]:
+    """The numbers of a table: (rows, width), NaN where a cell is blank or a row is short; and remarks.
+
+    lines       the data lines; blank ones are skipped
+    first_line  the number in the file of lines[0], counted from 1, for messages
+
+    Raises AsterismError, naming line and column, where a cell is no number or a row is too long.
+    """
+    kept = [i for i, line in enumerate(lines) if line.strip(" \t,;\"")]
+    out = np.full((len(kept), width), np.nan)
+    decimal_comma = delimiter == ";"
+    short: list[int] = []
+    for row, i in enumerate(kept):
+        line = lines[i].replace(",", ".") if decimal_comma else lines[i]
+        cells = line.split(delimiter) if '"' not in line else cells_of(line, delimiter)
+        if len(cells) > width:
+            if any(cell.strip() for cell in cells[width:]):
+                raise AsterismError(
+                    f"{path}, line {first_line + i}: {len(cells)} cells where the header has {width}; mend this line or the header."
+                )
+            cells = cells[:width]
+        elif len(cells) < width:
+            short.append(row)
+        try:
+            if "_" in line:
+                raise ValueError
+            out[row, : len(cells)] = list(map(float, cells))
+        except ValueError:
+            for column, cell in enumerate(cells):
+                number = number_of(cell)
+                if number is None:
+                    raise AsterismError(
+                        f"{path}, line {first_line + i}, column {column + 1}: {cell.strip()[:30]!r} is not a number; correct it or leave it blank."
+                    ) from None
+                out[row, column] = number
+    remarks = [f"line {first_line + kept[row]} has fewer cells than the header; the rest is taken as missing" for row in short[:1]]
+    if len(short) > 1:
+        remarks[0] += f" (and {len(short) - 1} more lines)"
+    return out, remarks
+
+
+def rate_of(path: Path, said: float | None, times: Floats | None, suspicious: list[str]) -> float:
+    """Frames per second from the header's word and the time column; a remark goes into `suspicious` where they differ.
+
+    Even steps of the time column are believed against the header: they belong to the very samples.
+    Raises AsterismError where neither tells.
+    """
+    timed = None
+    if times is not None and len(times) > 1 and np.isfinite(times).all():
+        steps = np.diff(times)
+        mean = float(steps.mean())
+        if mean > 0 and np.abs(steps - mean).max() <= max(0.0011, 0.02 * mean) and np.isfinite(1 / mean):
+            timed = 1.0 / mean
+    good = said is not None and np.isfinite(said) and 0 < said < 1e6
+    if good and said is not None:
+        if timed is None or abs(timed - said) <= max(0.02 * said, said * 0.0011 * said / max(1, len(times) - 1 if times is not None else 1)):
+            return float(said)
+        suspicious.append(f"the header says {said:g} frames per second, the time column {timed:.6g}; the time column was believed")
+    if timed is not None:
+        return float(f"{timed:.6g}")
+    raise AsterismError(f"{path} does not say how many frames per second it has; add the rate to its header or a time column.")
+
+
+def frames_in_place(frames: Floats, rows: Floats) -> tuple[Floats, int, list[str]]:
+    """Rows (T, ...) with NaN rows put in where frame numbers were left out, the first frame's number, and remarks."""
+    if not len(frames):
+        return rows, 1, []
+    numbers = np.round(np.where(np.isfinite(frames), frames, 0.0))
+    if (numbers != frames).any() or (np.abs(numbers) > 2**31).any():
+        return rows, 1, []
+    first = int(numbers[0])
+    steps = np.diff(numbers)
+    if len(steps) == 0 or (steps == steps[0]).all():
+        return rows, first, []
+    span = int(numbers[-1] - numbers[0]) + 1
+    if (steps < 1).any() or span > 4 * len(frames) + 1000:
+        return rows, first, ["the frame numbers do not run upwards one by one; the lines were taken one after the other"]
+    filled = np.full((span, *rows.shape[1:]), np.nan)
+    filled[(numbers - numbers[0]).astype(np.int64)] = rows
+    return filled, first, [f"{span - len(frames)} frames are left out in the file; they were put in as missing"]
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Put `data` into the file at once or not at all. Raises AsterismError where the folder cannot be written to."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        temporary.write_bytes(data)
+        os.replace(temporary, path)
+    except OSError as problem:
+        raise AsterismError(f"{path} cannot be written ({problem.strerror or problem}); check the folder, space and permissions.") from problem
+    finally:
+        temporary.unlink(missing_ok=True)

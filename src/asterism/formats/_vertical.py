@@ -1,0 +1,162 @@
+"""Which way is up, told from the positions alone: (frames, points, 3) in, a unit vector or None out."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asterism.recording import Floats, canonical, without_subject
+
+_FRAMES_LOOKED_AT = 400
+_SURE_SHARE = 0.85
+_LIKELY_SHARE = 0.6
+_PELVIS = 2
+
+_SIDE = r"(?:left|right|l|r|v|m)?"
+_TAIL = r"(?:left|right|lat|med|tip|sup|l|r|m|\d)*"
+_LEVELS = (
+    r"toe|bigtoe|toetip|heel|hee|ank|ankle|mal|malleolus|latmal|medmal|lmal|mmal|llmal|lmmal|malllat|mall|mallm|latankle|medankle|mt|mtp|meta|5meta|"
+    r"calc|cal|hlx|p1m|p5m|d5m|p1mt|p5mt|mfoot|foot|midfoot|midfootsup|midfootlat|cca|lca|stl|hindfoot|ajc|mh|mfh|spm|sph|tt",
+    r"kne|knee|kneel|kneem|lfe|mfe|lfc|mfc|latknee|medknee|kneelat|kneemed|pat|kjc|epicondyle",
+    r"asi|asis|psi|psis|sacr|sacral|sacrum|sac|s2|pelvis|iliac|iliaccrest|ilcrest|icr|ic|waist|fwt|bwt|fwaist|bwaist|trochanter|troc|gtroc|hip",
+    r"sho|shoulder|acr|acrom|acromion|c7|clav|clavicle|t1|t2|strn|ster|stern|sternum|sternnotch|manubrium|man|xiph|str|sel|sup",
+    r"fhd|bhd|head|headl|headr|headfront|hv|occ|temp|glab|tophead|fronthead|rearhead|backhead|headback|headtop|nose|chin",
+)
+_LEVEL_PATTERNS = tuple(re.compile(f"{_SIDE}(?:{cores}){_TAIL}") for cores in _LEVELS)
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the data says about up: a unit vector or None, and whether two independent signs agree on it."""
+
+    vector: Floats | None
+    sure: bool = False
+
+
+def vertical_from_positions(positions: Floats, labels: Sequence[str] = ()) -> Floats | None:
+    """The axis that points up, told from how a body stands and moves, or None where that cannot be told.
+
+    positions  (T, P, 3) in any one unit, NaN missing: physical markers only
+    labels     (P,) names, as far as there are any
+
+    Returns a unit vector along one of the six axis directions; a tilted vertical is not looked for. See `tell_vertical`.
+    """
+    return tell_vertical(positions, labels).vector
+
+
+def tell_vertical(positions: Floats, labels: Sequence[str] = ()) -> Told:
+    """Like `vertical_from_positions`, with how sure it is.
+
+    Three signs: recognised names (head, shoulder, pelvis, knee, foot) vote by the majority of the frames; the floor is where
+    everything lies above zero and often just above it; the shape of a body is longest upwards, and its floor end stands still
+    from time to time. Names that contradict the floor (somebody lying) leave it open.
+    """
+    positions = np.asarray(positions, dtype=np.float64)
+    if positions.ndim != 3 or positions.shape[0] == 0 or positions.shape[1] < 3:
+        return Told(None)
+    positions = np.where(np.isfinite(positions), positions, np.nan)
+    if np.isnan(positions).all():
+        return Told(None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        named, share = _by_names(positions, labels) if len(labels) == positions.shape[1] else (None, 0.0)
+        above, floored = _by_floor(positions)
+        shaped = _by_shape(positions)
+        if named is not None and share >= _SURE_SHARE:
+            if above is not None and above != named:
+                return Told(None)
+            return Told(_unit(*named), sure=named == above)
+        if floored is not None:
+            return Told(_unit(*floored), sure=floored == above and floored in (shaped, named))
+        if named is not None and share >= _LIKELY_SHARE:
+            return Told(_unit(*named))
+        if shaped is not None:
+            return Told(_unit(*shaped))
+        return Told(_unit(*above) if above is not None and _long_axis(positions) in (None, above[0]) else None)
+
+
+def _by_names(positions: Floats, labels: Sequence[str]) -> tuple[tuple[int, bool] | None, float]:
+    """The direction from low to high parts of the body in most frames, and the share of the frames that agree."""
+    levels = np.array([_level(label) for label in labels])
+    known = [level for level in range(len(_LEVELS)) if (levels == level).any()]
+    if len(known) < 2 or known[0] > _PELVIS:
+        return None, 0.0
+    some = _sampled(positions)
+    heights = [np.nanmean(some[:, levels == level], axis=1) for level in known]
+    steps = np.stack([high - low for i, low in enumerate(heights) for high in heights[i + 1 :]])
+    rise = np.nansum(steps, axis=0)
+    rise = rise[np.linalg.norm(rise, axis=1) > 0]
+    if len(rise) == 0:
+        return None, 0.0
+    axis = np.abs(rise).argmax(axis=1)
+    votes = np.zeros((3, 2))
+    np.add.at(votes, (axis, (rise[np.arange(len(rise)), axis] < 0).astype(int)), 1)
+    best = np.unravel_index(votes.argmax(), votes.shape)
+    share = float(votes[best] / len(rise))
+    return (int(best[0]), bool(best[1])), share if len(known) > 2 or _PELVIS in known else min(share, _LIKELY_SHARE)
+
+
+def _by_floor(positions: Floats) -> tuple[tuple[int, bool] | None, tuple[int, bool] | None]:
+    """The one direction in which all lies above zero, and the same again where it also rests on a floor at zero."""
+    ends = np.nanpercentile(_sampled(positions).reshape(-1, 3), [0.5, 5, 95, 99.5], axis=0)
+    above, resting = [], []
+    for axis in range(3):
+        for down in (False, True):
+            low, lowish, _, high = -ends[::-1, axis] if down else ends[:, axis]
+            reach = high - low
+            if reach > 0 and -0.03 * reach <= low <= reach:
+                above.append((axis, down))
+                if low <= 0.2 * reach and lowish - low <= 0.06 * reach:
+                    resting.append((axis, down))
+    return (above[0] if len(above) == 1 else None), (resting[0] if len(resting) == 1 else None)
+
+
+def _long_axis(positions: Floats) -> int | None:
+    some = _sampled(positions)
+    high, low = np.nanpercentile(some, [97, 3], axis=1)
+    extents = np.nanmedian(high - low, axis=0)
+    order = np.argsort(extents)[::-1]
+    return int(order[0]) if extents[order[0]] > 1.15 * extents[order[1]] else None
+
+
+def _by_shape(positions: Floats) -> tuple[int, bool] | None:
+    """The axis along which a frame's points reach furthest; its lower end is at zero height, or where points stand still."""
+    axis = _long_axis(positions)
+    if axis is None:
+        return None
+    along = positions[:, :, axis]
+    bottom, lowish, highish, top = np.nanpercentile(along, [1, 5, 95, 99])
+    length = top - bottom
+    at_floor = abs(bottom) < 0.12 * length, abs(top) < 0.12 * length
+    if at_floor[0] != at_floor[1]:
+        return axis, bool(at_floor[1])
+    sharpness = (lowish - bottom) / length, (top - highish) / length
+    if (bottom > 0 or top < 0) and sharpness[int(top < 0)] <= 0.06:
+        return axis, bool(top < 0)
+    speed = np.linalg.norm(np.diff(positions, axis=0), axis=2)
+    place = (along[:-1] - np.nanmin(along[:-1], axis=1, keepdims=True)) / length
+    seen = np.isfinite(speed) & np.isfinite(place)
+    ends = speed[seen & (place < 0.15)], speed[seen & (place > 0.85)]
+    if min(map(len, ends)) < 20:
+        return None
+    still = [float(np.percentile(end, 25)) for end in ends]
+    return (axis, bool(still[1] < still[0])) if max(still) > 1.3 * min(still) else None
+
+
+def _level(label: str) -> int:
+    name = canonical(without_subject(label))
+    return next((level for level, pattern in enumerate(_LEVEL_PATTERNS) if pattern.fullmatch(name)), -1)
+
+
+def _sampled(positions: Floats) -> Floats:
+    return positions[:: max(1, len(positions) // _FRAMES_LOOKED_AT)]
+
+
+def _unit(axis: int, downwards: bool) -> Floats:
+    vector = np.zeros(3)
+    vector[axis] = -1.0 if downwards else 1.0
+    return vector

@@ -1,0 +1,195 @@
+"""CSV with one row per sample: frame, time, marker, x, y, z (labelled) or frame, x, y, z (anonymous clouds): in and out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.errors import AsterismError
+from asterism.formats._columns import Points, as_metres, metres_per_unit
+from asterism.formats._comments import comment_lines, comments_of, data_start
+from asterism.formats._text import cells_of, decoded, delimiter_of, lines_of, number_of, rate_of, read_bytes, write_atomically
+from asterism.formats._writing import all_points
+from asterism.recording import Clouds, Floats, Recording
+
+_AXIS = re.compile(r"(?i)(?:pos(?:ition)?[_ .]?|coord(?:inate)?[_ .]?)?([xyz])(?:\s*[\[(_ ]\s*(mm|cm|m)\s*[\])]?)?")
+_NAME = re.compile(r"(?i)(marker|name|label|point|trajectory)([_ ]?(name|label|id))?")
+_FRAME = re.compile(r"(?i)(frame|frames|frame[_ ]?(no|number|id|index)|t_index|frame#)")
+_TIME = re.compile(r"(?i)(time|t|timestamp|seconds)(\s*[\[(_ ]\s*s\w*\s*[\])]?)?")
+_MOST_SAMPLES = 200_000_000
+
+
+def is_long(lines: Sequence[str]) -> bool:
+    """Whether the header has one column each for x, y and z and one for the frame or the time."""
+    at = data_start(lines)
+    if at >= len(lines):
+        return False
+    names = cells_of(lines[at], delimiter_of(lines[at]))
+    axes = [match[1].lower() for name in names if (match := _AXIS.fullmatch(name))]
+    return sorted(axes) == ["x", "y", "z"] and any(_FRAME.fullmatch(name) or _TIME.fullmatch(name) for name in names)
+
+
+def read_long(path: Path) -> Points:
+    """All points of a CSV file with one row per sample; without a column of names, the n-th point of each frame is called *n.
+
+    Frames come from a frame column, else from the distinct times. A frame that no row mentions is one without points.
+
+    Raises AsterismError, naming file and line, where a marker occurs twice in a frame or a cell is no number.
+    """
+    lines = lines_of(decoded(path, read_bytes(path)))
+    comments = comments_of(lines)
+    at = data_start(lines)
+    delimiter = delimiter_of(lines[at])
+    names = cells_of(lines[at], delimiter)
+    axes = {match[1].lower(): i for i, name in enumerate(names) if (match := _AXIS.fullmatch(name))}
+    units = next((match[2] for name in names if (match := _AXIS.fullmatch(name)) and match[2]), None)
+    frame_at = next((i for i, name in enumerate(names) if _FRAME.fullmatch(name)), None)
+    time_at = next((i for i, name in enumerate(names) if _TIME.fullmatch(name)), None)
+    name_at = next((i for i, name in enumerate(names) if _NAME.fullmatch(name)), None)
+    wanted = [i for i in (frame_at, time_at) if i is not None] + [axes[axis] for axis in "xyz"]
+    values, marks, line_numbers = _samples(path, lines, at + 1, delimiter, wanted, name_at)
+    count = 1 + (frame_at is not None and time_at is not None)
+    raw = values[:, count:]
+    remarks: list[str] = []
+    frame, frames, first = _frames(path, values[:, 0], frame_at is not None, comments.first_frame, comments.frames, line_numbers)
+    times = None
+    if time_at is not None:
+        column = values[:, [i for i in (frame_at, time_at) if i is not None].index(time_at)]
+        times = np.full(frames, np.nan)
+        times[frame] = column
+        there = np.isfinite(times)
+        if there.sum() > 1:
+            times = np.interp(np.arange(frames), np.nonzero(there)[0], times[there])
+    labels, column = _columns(path, marks, frame, line_numbers)
+    if frames * max(1, len(labels)) > _MOST_SAMPLES:
+        raise AsterismError(f"{path} spreads over {frames} frames and {len(labels)} points, too many to hold; split it or mend its frame numbers.")
+    spread = np.full((frames, len(labels), 3), np.nan)
+    spread[frame, column] = raw
+    scale, name, remark = metres_per_unit(path, comments.units or units, spread)
+    positions, odd = as_metres(spread, scale)
+    return Points(
+        positions,
+        tuple(labels),
+        rate_of(path, comments.rate, times, remarks),
+        "CSV long",
+        units=name,
+        declared=comments.vertical,
+        first_frame=first,
+        first_time=float(times[0]) if times is not None and len(times) and np.isfinite(times[0]) else None,
+        events=comments.events,
+        subject=comments.subject,
+        oddities=tuple([*([remark] if remark else []), *remarks, *odd]),
+    )
+
+
+def write_long(path: Path, recording: Recording) -> list[str]:
+    """Write one row per visible sample: frame, time, marker, x, y, z in metres, 17 digits."""
+    positions, labels, lost = all_points(recording, "CSV", events=True)
+    first = int(recording.metadata.get("first_frame", 1))
+    head = comment_lines(
+        "m", recording.rate, recording.vertical, len(positions), first, str(recording.metadata.get("subject", "")), recording.events
+    )
+    names = [re.sub(r"[\s,;\"]+", " ", label) for label in labels]
+    frames, columns = np.nonzero(~np.isnan(positions[:, :, 0]))
+    rows = [
+        f"{first + t},{t / recording.rate:.9g},{names[m]},{x:.17g},{y:.17g},{z:.17g}"
+        for t, m, (x, y, z) in zip(frames.tolist(), columns.tolist(), positions[frames, columns].tolist(), strict=True)
+    ]
+    write_atomically(path, ("\n".join([*head, "frame,time,marker,x,y,z", *rows]) + "\n").encode())
+    unseen = [label for label, seen in zip(labels, ~np.isnan(positions[:, :, 0]).all(axis=0), strict=True) if not seen]
+    if unseen:
+        lost.append(f"columns without a sample: {', '.join(unseen[:5])}")
+    return lost
+
+
+def write_clouds(path: Path, clouds: Clouds) -> list[str]:
+    """Write anonymous clouds, one row per point: frame, x, y, z in metres, 17 digits; frames count from 0."""
+    head = comment_lines("m", clouds.rate, clouds.vertical, len(clouds), 0)
+    frames = np.repeat(np.arange(len(clouds)), clouds.counts)
+    rows = [f"{t},{x:.17g},{y:.17g},{z:.17g}" for t, (x, y, z) in zip(frames.tolist(), clouds.xyz.tolist(), strict=True)]
+    write_atomically(path, ("\n".join([*head, "frame,x,y,z", *rows]) + "\n").encode())
+    return [] if (clouds.columns < 0).all() else ["the columns that the points came from"]
+
+
+def _samples(
+    path: Path, lines: list[str], start: int, delimiter: str | None, wanted: list[int], name_at: int | None
+) -> tuple[Floats, list[str] | None, list[int]]:
+    """The wanted numbers of each row, its marker's name, and its line number."""
+    values: list[list[float]] = []
+    marks: list[str] = []
+    numbers: list[int] = []
+    last = max([*wanted, -1 if name_at is None else name_at])
+    for i in range(start, len(lines)):
+        line = lines[i]
+        if not line.strip(" ,;\t"):
+            continue
+        cells = cells_of(line, delimiter) if '"' in line else line.split(delimiter)
+        if len(cells) <= last:
+            if i == len(lines) - 1:
+                break
+            raise AsterismError(f"{path}, line {i + 1}: {len(cells)} cells where the header has more; mend or remove this line.")
+        try:
+            row = [float(cells[k]) for k in wanted]
+        except ValueError:
+            row = []
+            for k in wanted:
+                number = number_of(cells[k].replace(",", ".") if delimiter == ";" else cells[k])
+                if number is None:
+                    raise AsterismError(
+                        f"{path}, line {i + 1}, column {k + 1}: {cells[k].strip()[:30]!r} is not a number; correct it or leave it blank."
+                    ) from None
+                row.append(number)
+        values.append(row)
+        numbers.append(i + 1)
+        if name_at is not None:
+            marks.append(cells[name_at].strip())
+    return np.array(values, dtype=np.float64).reshape(len(values), len(wanted)), marks if name_at is not None else None, numbers
+
+
+def _frames(
+    path: Path, column: Floats, numbered: bool, first: int | None, count: int | None, lines: list[int]
+) -> tuple[NDArray[np.int64], int, int]:
+    """For each row its frame from 0, how many frames there are, and the first one's number."""
+    if not len(column):
+        return np.empty(0, dtype=np.int64), count or 0, 1 if first is None else first
+    wrong = ~np.isfinite(column) | ((column != np.round(column)) | (np.abs(column) > 2**31) if numbered else False)
+    if wrong.any():
+        raise AsterismError(f"{path}, line {lines[int(np.nonzero(wrong)[0][0])]}: the frame is no whole number; correct it.")
+    if not numbered:
+        _, frame = np.unique(column, return_inverse=True)
+        return frame.astype(np.int64), int(frame.max()) + 1, 1
+    low = int(column.min()) if first is None else min(first, int(column.min()))
+    frame = (column - low).astype(np.int64)
+    span = int(frame.max()) + 1
+    if count is not None and span <= count <= span + 1_000_000:
+        span = count
+    if span > 100 * len(column) + 100_000:
+        raise AsterismError(f"{path}: frame numbers run from {low} to {low + span - 1} for {len(column)} samples; mend the frame column.")
+    return frame, span, low
+
+
+def _columns(
+    path: Path, marks: list[str] | None, frame: NDArray[np.int64], lines: list[int]
+) -> tuple[list[str], NDArray[np.int64]]:
+    """The labels in order of appearance and each row's column; anonymous points are numbered within their frame."""
+    if marks is None:
+        order = np.argsort(frame, kind="stable")
+        ordered = frame[order]
+        starts = np.searchsorted(ordered, ordered, side="left")
+        column = np.empty(len(frame), dtype=np.int64)
+        column[order] = np.arange(len(frame)) - starts
+        return [f"*{i + 1}" for i in range(int(column.max()) + 1 if len(column) else 0)], column
+    index: dict[str, int] = {}
+    column = np.array([index.setdefault(mark, len(index)) for mark in marks], dtype=np.int64)
+    labels = [name or "*" for name in index]
+    key = frame * max(1, len(index)) + column
+    order = np.argsort(key, kind="stable")
+    repeated = np.nonzero(np.diff(key[order]) == 0)[0]
+    if len(repeated):
+        row = int(order[repeated[0] + 1])
+        raise AsterismError(f"{path}, line {lines[row]}: {labels[int(column[row])]} occurs twice in this frame; remove or rename one of the two.")
+    return labels, column

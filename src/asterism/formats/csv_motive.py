@@ -1,0 +1,113 @@
+"""Motive's CSV export (versions 1.2x and 3.x): a file in, its markers out; poses of rigid bodies and bones are no points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.formats._columns import Points, as_metres, metres_per_unit
+from asterism.formats._physical import COMPUTED, MARKER, UNNAMED, kinds_by_name
+from asterism.formats._text import cells_of, decoded, frames_in_place, lines_of, number_of, rate_of, read_bytes, rows_of_numbers
+from asterism.recording import Floats, as_vertical
+
+_TYPES = {"marker", "rigid body", "rigid body marker", "bone", "bone marker", "skeleton", "marker set", "unlabeled marker"}
+_TWIN = 0.01
+
+
+@dataclass(frozen=True)
+class _Block:
+    kind: str
+    name: str
+    columns: tuple[int, int, int]
+
+
+def read_motive(path: Path) -> Points:
+    """All markers of a Motive export. Rigid-body markers count as computed only where the file also has the measured ones.
+
+    Positions of rigid bodies and bones are poses, computed. Motive is Y up. Raises AsterismError, naming the file, where its
+    header or a cell makes no sense.
+    """
+    lines = lines_of(decoded(path, read_bytes(path)))
+    header = _key_values(cells_of(lines[0], ","))
+    at = next((i for i, line in enumerate(lines[:24]) if i > 0 and cells_of(line, ",")[0].casefold() == "frame"), None)
+    if at is None:
+        raise AsterismError(f"{path} has no line that begins with Frame; export it from Motive again, with its header.")
+    above = [cells_of(line, ",") for line in lines[1:at]]
+    types = next((row for row in above if any(cell.casefold() in _TYPES for cell in row[2:])), None)
+    if types is None:
+        raise AsterismError(f"{path} has no row with the types of its columns (Marker, Rigid Body, ...); export it with its header.")
+    names = above[above.index(types) + 1] if above.index(types) + 1 < len(above) else []
+    what = next((row for row in reversed(above) if any(cell.casefold() == "position" for cell in row)), [])
+    axes = cells_of(lines[at], ",")
+    blocks = _blocks(types, names, what, axes)
+    if not blocks:
+        raise AsterismError(f"{path} holds no positions; export it from Motive again, with markers.")
+    values, remarks = rows_of_numbers(path, lines[at + 1 :], at + 2, ",", len(axes))
+    raw = values[:, [column for block in blocks for column in block.columns]].reshape(len(values), len(blocks), 3)
+    scale, units, remark = metres_per_unit(path, header.get("length units"), raw)
+    positions, odd = as_metres(raw, scale)
+    said = number_of(header.get("export frame rate", header.get("capture frame rate", "")))
+    times = values[:, 1] if len(axes) > 1 and axes[1].casefold().startswith("time") else None
+    rate = rate_of(path, said, times, remarks)
+    kinds = _kinds(blocks, positions)
+    positions, first, jumps = frames_in_place(values[:, 0], positions)
+    total = number_of(header.get("total exported frames", ""))
+    if total is not None and total == total and total != len(values):
+        remarks.append(f"the header says {total:g} frames, the file holds {len(values)}")
+    return Points(
+        positions,
+        tuple(block.name for block in blocks),
+        rate,
+        "Motive CSV",
+        units=units,
+        kinds=kinds,
+        declared=as_vertical("y"),
+        first_frame=first,
+        first_time=float(times[0]) if times is not None and len(times) and np.isfinite(times[0]) else None,
+        oddities=tuple([*([remark] if remark else []), *remarks, *odd, *jumps]),
+        extra={"motive_version": header.get("format version", ""), "take": header.get("take name", "")},
+    )
+
+
+def _key_values(cells: list[str]) -> dict[str, str]:
+    return {key.casefold(): value for key, value in zip(cells[::2], cells[1::2], strict=False) if key}
+
+
+def _blocks(types: list[str], names: list[str], what: list[str], axes: list[str]) -> list[_Block]:
+    """Runs of three columns X, Y, Z that are positions of one thing."""
+    blocks = []
+    for i in range(2, len(axes) - 2):
+        trio = [cell.upper() for cell in axes[i : i + 3]]
+        if trio != ["X", "Y", "Z"] or max(i + 3, 0) > len(names) or i >= len(types):
+            continue
+        if what and (i >= len(what) or what[i].casefold() != "position"):
+            continue
+        if len(set(names[i : i + 3])) == 1:
+            blocks.append(_Block(types[i].casefold(), names[i], (i, i + 1, i + 2)))
+    return blocks
+
+
+def _kinds(blocks: list[_Block], positions: Floats) -> tuple[str, ...]:
+    """Poses are computed; fitted markers of a rigid body or a bone are where a measured marker runs along within 10 mm."""
+    measured = [i for i, block in enumerate(blocks) if block.kind in ("marker", "unlabeled marker")]
+    kinds = []
+    for i, block in enumerate(blocks):
+        if block.kind in ("rigid body", "bone", "skeleton"):
+            kinds.append(COMPUTED)
+        elif block.kind in ("rigid body marker", "bone marker") and _has_twin(positions, i, measured):
+            kinds.append(COMPUTED)
+        else:
+            kinds.append(UNNAMED if kinds_by_name([block.name])[0] == UNNAMED else MARKER)
+    return tuple(kinds)
+
+
+def _has_twin(positions: Floats, fitted: int, measured: list[int]) -> bool:
+    for other in measured:
+        apart = np.linalg.norm(positions[:, fitted] - positions[:, other], axis=1)
+        both = np.isfinite(apart)
+        if both.sum() > 0 and float(np.median(apart[both])) < _TWIN:
+            return True
+    return False

@@ -1,0 +1,104 @@
+"""Nexus' ASCII export: the section Trajectories of a file in, its points out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.formats._columns import Points, as_metres, metres_per_unit
+from asterism.formats._text import cells_of, decoded, delimiter_of, frames_in_place, lines_of, number_of, read_bytes, rows_of_numbers
+from asterism.recording import Event, as_vertical
+
+_SECTIONS = {"trajectories", "devices", "model outputs", "joints", "segments", "events", "emg", "force plates", "unlabeled trajectories"}
+
+
+def is_nexus(lines: Sequence[str]) -> bool:
+    """Whether the first line names one of Nexus' sections and the second line is a rate or an event table."""
+    first = lines[0].strip(" ,;\t\ufeff").casefold()
+    if first not in _SECTIONS or len(lines) < 2:
+        return False
+    return number_of(lines[1].strip(" ,;\t")) is not None or first == "events"
+
+
+def read_nexus(path: Path) -> Points:
+    """The points of the section Trajectories, and the events of the section Events where the file has one.
+
+    Nexus is Z up. Raises AsterismError, naming file and line, where there is no such section or a cell is no number.
+    """
+    lines = lines_of(decoded(path, read_bytes(path)))
+    bare = [line.strip(" ,;\t").casefold() for line in lines]
+    at = next((i for i, line in enumerate(bare) if line == "trajectories"), None)
+    if at is None:
+        raise AsterismError(f"{path} has no section Trajectories; export it from Nexus again, with trajectories.")
+    rate = number_of(bare[at + 1]) if at + 1 < len(bare) else None
+    if rate is None or not rate > 0:
+        raise AsterismError(f"{path}, line {at + 2}: the frame rate of the trajectories should stand here; export the file again.")
+    if at + 4 >= len(lines):
+        raise AsterismError(f"{path} ends within the header of its trajectories; export it again.")
+    delimiter = delimiter_of(lines[at + 2]) or ","
+    over, axes = cells_of(lines[at + 2], delimiter), cells_of(lines[at + 3], delimiter)
+    units = next((cell for cell in cells_of(lines[at + 4], delimiter) if cell), None)
+    has_units = units is not None and number_of(units) is None
+    labels, columns = _points(over, axes)
+    if not labels:
+        raise AsterismError(f"{path}, line {at + 3}: no trajectory is named over columns X, Y, Z; export the file again.")
+    start = at + (5 if has_units else 4)
+    end = next((i for i in range(start, len(lines)) if not bare[i] or bare[i] in _SECTIONS), len(lines))
+    values, remarks = rows_of_numbers(path, lines[start:end], start + 1, delimiter, max(len(over), len(axes), max(columns) + 1))
+    raw = values[:, columns].reshape(len(values), len(labels), 3)
+    scale, name, remark = metres_per_unit(path, units if has_units else None, raw)
+    positions, odd = as_metres(raw, scale)
+    frame_at = next((i for i, cell in enumerate(axes) if cell.casefold() == "frame"), 0)
+    positions, first, jumps = frames_in_place(values[:, frame_at], positions)
+    return Points(
+        positions,
+        tuple(labels),
+        float(rate),
+        "Nexus CSV",
+        units=name,
+        declared=as_vertical("z"),
+        first_frame=first,
+        events=_events(lines, bare),
+        oddities=tuple([*([remark] if remark else []), *remarks, *odd, *jumps]),
+    )
+
+
+def _points(over: list[str], axes: list[str]) -> tuple[list[str], list[int]]:
+    """Names that stand over an X with Y and Z beside it, and the three columns of each, one after the other."""
+    labels: list[str] = []
+    columns: list[int] = []
+    for i, axis in enumerate(axes[:-2] if len(axes) > 2 else []):
+        trio = [re.sub(r"\W", "", cell).upper() for cell in axes[i : i + 3]]
+        if axis and trio == ["X", "Y", "Z"]:
+            labels.append((over[i] if i < len(over) else "") or f"*{len(labels) + 1}")
+            columns += [i, i + 1, i + 2]
+    return labels, columns
+
+
+def _events(lines: list[str], bare: list[str]) -> tuple[Event, ...]:
+    """Rows Subject, Context, Name, Time of the section Events."""
+    at = next((i for i, line in enumerate(bare) if line == "events"), None)
+    if at is None:
+        return ()
+    events: list[Event] = []
+    names: list[str] = []
+    for i in range(at + 1, len(lines)):
+        if not bare[i] or bare[i] in _SECTIONS:
+            if names:
+                break
+            continue
+        cells = cells_of(lines[i], delimiter_of(lines[i]))
+        lowered = [cell.casefold() for cell in cells]
+        if not names:
+            if "name" in lowered and any(cell.startswith("time") for cell in lowered):
+                names = ["time" if cell.startswith("time") else cell for cell in lowered]
+            continue
+        row = dict(zip(names, cells, strict=False))
+        time = number_of(row.get("time", ""))
+        if time is not None and np.isfinite(time):
+            events.append(Event(row.get("name", ""), float(time), row.get("context", "")))
+    return tuple(events)

@@ -1,0 +1,158 @@
+"""CSV with one row per frame and three columns per marker (frame, time, LKNE_x, LKNE_y, LKNE_z, ...): in and out."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.formats._columns import _METRES, Points, as_metres, metres_per_unit
+from asterism.formats._comments import comment_lines, comments_of, data_start
+from asterism.formats._groups import marker_groups
+from asterism.formats._text import (
+    cells_of,
+    decoded,
+    delimiter_of,
+    frames_in_place,
+    lines_of,
+    number_of,
+    rate_of,
+    read_bytes,
+    rows_of_numbers,
+    write_atomically,
+)
+from asterism.formats._writing import all_points, dense_rows, spelled_numbers
+from asterism.recording import Recording
+
+_FRAME = re.compile(r"(?i)(frame|frames|frame[ _]?(no|number|id|index)?\.?#?|index|sample|#|nr|no)?")
+_TIME = re.compile(r"(?i)(time|t|timestamp|seconds)(\s*[\[(_ ]\s*(?P<unit>s|sec|secs|seconds|ms|milliseconds)\s*[\])]?)?")
+
+
+def read_wide(path: Path) -> Points:
+    """All points of a CSV file with three columns per marker, separated by commas, semicolons or tabs.
+
+    The header is one row (LKNE_x, LKNE.X, X LKNE, LKNE_x (mm), LKNE[0], ...) or two (names over x, y, z); a row of units may
+    follow. The rate comes from a time column or a comment line `# rate=100`. Missing is blank, NaN, or zero in all three.
+
+    Raises AsterismError, naming the file, where no three columns are a marker.
+    """
+    lines = lines_of(decoded(path, read_bytes(path)))
+    comments = comments_of(lines)
+    at = data_start(lines)
+    if at >= len(lines):
+        raise AsterismError(f"{path} has no header row; write one such as frame,time,LKNE_x,LKNE_y,LKNE_z.")
+    delimiter = delimiter_of(lines[at])
+    names, units, body_at = _header(lines, at, delimiter)
+    groups, rest = marker_groups(names)
+    if not groups:
+        shown = ", ".join(name for name in names[:5] if name)
+        raise AsterismError(
+            f"{path} has no marker in its header ({shown}, ...): three columns such as LKNE_x, LKNE_y, LKNE_z make one; rename the columns."
+        )
+    values, remarks = rows_of_numbers(path, _numbers_only(lines[body_at:], names, rest, delimiter), body_at + 1, delimiter, len(names))
+    raw = values[:, [column for group in groups for column in group.columns]].reshape(len(values), len(groups), 3)
+    unit = comments.units or units or next((group.units for group in groups if group.units), None)
+    scale, name, remark = metres_per_unit(path, unit, raw)
+    positions, odd = as_metres(raw, scale)
+    time_at = next((i for i in rest if names[i] and _TIME.fullmatch(names[i])), None)
+    frame_at = next((i for i in rest if _FRAME.fullmatch(names[i]) and i != time_at), None)
+    times = None
+    if time_at is not None:
+        match = _TIME.fullmatch(names[time_at])
+        milliseconds = match is not None and (match["unit"] or "").lower().startswith("m")
+        times = values[:, time_at] * (0.001 if milliseconds else 1.0)
+    rate = rate_of(path, comments.rate, times, remarks)
+    first, jumps = comments.first_frame, []
+    if frame_at is not None:
+        positions, numbered, jumps = frames_in_place(values[:, frame_at], positions)
+        first = numbered if len(values) else first
+    return Points(
+        positions,
+        tuple(group.name for group in groups),
+        rate,
+        "CSV",
+        units=name,
+        declared=comments.vertical,
+        first_frame=1 if first is None else first,
+        first_time=float(times[0]) if times is not None and len(times) and np.isfinite(times[0]) else None,
+        events=comments.events,
+        subject=comments.subject,
+        oddities=tuple([*([remark] if remark else []), *remarks, *odd, *jumps]),
+    )
+
+
+def write_wide(path: Path, recording: Recording) -> list[str]:
+    """Write frame, time and three columns per marker; comment lines on top carry units, rate, vertical and events.
+
+    Units are those of the file that the recording came from where that is mm, cm or m, else metres. Returns what was lost.
+    """
+    positions, labels, lost = all_points(recording, "CSV", events=True)
+    units = str(recording.metadata.get("units", "")).casefold()
+    units = units if units in ("mm", "cm", "m") else "m"
+    decimals = {"mm": 6, "cm": 7, "m": 9}[units]
+    first = int(recording.metadata.get("first_frame", 1))
+    start = recording.metadata.get("first_time")
+    start = float(start) if isinstance(start, int | float) else (first - 1) / recording.rate
+    head = comment_lines(
+        units, recording.rate, recording.vertical, len(positions), first, str(recording.metadata.get("subject", "")), recording.events
+    )
+    bare = [re.sub(r'[,;"#]', ' ', label) for label in _unrepeated(labels)]
+    names = [f"{label}_{axis}" for label in bare for axis in "xyz"]
+    body = spelled_numbers(dense_rows(positions / _METRES[units], decimals), ",", decimals)
+    rows = [",".join(filter(None, (str(first + t), f"{start + t / recording.rate:.9g}", row))) for t, row in enumerate(body)]
+    write_atomically(path, ("\n".join([*head, ",".join(["frame", "time", *names]), *rows]) + "\n").encode())
+    if len(set(labels)) < len(labels):
+        lost.append("labels that occur more than once: a number was added to each repeat")
+    return lost
+
+
+def _header(lines: list[str], at: int, delimiter: str | None) -> tuple[list[str], str | None, int]:
+    """Column names, the unit of a units row, and where the numbers begin."""
+    names = cells_of(lines[at], delimiter)
+    below = cells_of(lines[at + 1], delimiter) if at + 1 < len(lines) else []
+    axes = [cell for cell in below if re.fullmatch(r"(?i)[xyz]", cell)]
+    body = at + 1
+    if len(axes) >= 3 and len(axes) >= 0.5 * len([cell for cell in below if cell]):
+        width = max(len(names), len(below))
+        names += [""] * (width - len(names))
+        below += [""] * (width - len(below))
+        over = ""
+        joined = []
+        for name, axis in zip(names, below, strict=True):
+            over = name or over
+            joined.append(f"{over}_{axis}" if re.fullmatch(r"(?i)[xyz]", axis) else (axis or name))
+        names, body = joined, at + 2
+        below = cells_of(lines[body], delimiter) if body < len(lines) else []
+    words = [cell.strip("[]()").casefold() for cell in below if cell.strip()]
+    lengths = [word for word in words if word in _METRES]
+    if len(lengths) >= 3 and all(number_of(word) is None for word in words):
+        return names, lengths[0], body + 1
+    return names, None, body
+
+
+def _numbers_only(lines: list[str], names: list[str], rest: list[int], delimiter: str | None) -> list[str]:
+    """The data lines with columns that hold text (a subject, a comment) blanked, where the first line has such."""
+    first = next((line for line in lines if line.strip(" ,;\t")), "")
+    cells = cells_of(first, delimiter)
+    words = [i for i in rest if i < len(cells) and number_of(cells[i].replace(",", ".")) is None]
+    if not words or delimiter is None or len(cells) > len(names):
+        return lines
+    kept = []
+    for line in lines:
+        row = cells_of(line, delimiter)
+        for i in words:
+            if i < len(row):
+                row[i] = ""
+        kept.append(delimiter.join(row))
+    return kept
+
+
+def _unrepeated(labels: tuple[str, ...]) -> list[str]:
+    seen: dict[str, int] = {}
+    out = []
+    for label in labels:
+        seen[label] = seen.get(label, 0) + 1
+        out.append(label if seen[label] == 1 else f"{label} {seen[label]}")
+    return out

@@ -1,0 +1,144 @@
+"""QTM's MAT export: labelled and unidentified trajectories of a file in, its points out, and back."""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+
+from asterism.errors import AsterismError
+from asterism.formats._columns import Points, as_metres, metres_per_unit
+from asterism.formats._physical import MARKER, UNNAMED
+from asterism.formats._text import read_bytes, write_atomically
+from asterism.formats._writing import all_points
+from asterism.recording import Event, Floats, Recording, as_vertical
+
+
+def read_mat(path: Path) -> Points:
+    """The trajectories of a MAT file exported by QTM: labelled ones, then unidentified pieces as *1, *2, ...; QTM is Z up.
+
+    A sample of Type 0 is missing. Raises AsterismError, naming the file, where it is damaged, of MATLAB's version 7.3, or not QTM's.
+    """
+    data = read_bytes(path)
+    if data[1:4] == b"HDF" or data[:10] == b"MATLAB 7.3":
+        raise AsterismError(f"{path} is a MAT file of version 7.3; save it with -v7 in MATLAB, or export it from QTM as C3D or TSV.")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            variables: dict[str, Any] = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
+    except Exception as problem:  # a damaged file makes SciPy raise anything, from zlib.error to MemoryError
+        raise AsterismError(f"{path} is damaged or no MAT file ({type(problem).__name__}); export it from QTM again.") from problem
+    take = next((v for k, v in variables.items() if not k.startswith("__") and isinstance(v, dict) and "Trajectories" in v), None)
+    if take is None:
+        raise AsterismError(f"{path} is a MAT file, but not one that QTM exports (no Trajectories in it); export 3D data from QTM as MAT, C3D or TSV.")
+    try:
+        return _points(path, take)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as problem:
+        raise AsterismError(f"{path}: its trajectories are not laid out as QTM does ({problem}); export it from QTM again.") from problem
+
+
+def _points(path: Path, take: dict[str, Any]) -> Points:
+    frames, rate = int(take["Frames"]), float(take["FrameRate"])
+    sets = take["Trajectories"]
+    raw, labels, kinds = [], list[str](), list[str]()
+    for key in ("Labeled", "Unidentified"):
+        part = sets.get(key) if isinstance(sets, dict) else None
+        if not isinstance(part, dict) or not np.size(part.get("Data", ())):
+            continue
+        positions = _samples(part, frames)
+        names = [str(name) for name in np.atleast_1d(part.get("Labels", ()))] if key == "Labeled" else []
+        for i in range(positions.shape[1]):
+            named = i < len(names) and bool(names[i].strip())
+            labels.append(names[i] if named else f"*{1 + sum(kind == UNNAMED for kind in kinds)}")
+            kinds.append(MARKER if named else UNNAMED)
+        raw.append(positions)
+    together = np.concatenate(raw, axis=1) if raw else np.full((frames, 0, 3), np.nan)
+    if not np.isfinite(rate) or rate <= 0:
+        raise AsterismError(f"{path} gives a frame rate of {rate:g}; export it from QTM again.")
+    scale, units, remark = metres_per_unit(path, "mm", together)
+    positions, odd = as_metres(together, scale)
+    return Points(
+        positions,
+        tuple(labels),
+        rate,
+        "QTM MAT",
+        units=units,
+        kinds=tuple(kinds),
+        declared=as_vertical("z"),
+        first_frame=int(take.get("StartFrame", 1)),
+        events=_events(take.get("Events")),
+        oddities=tuple([*([remark] if remark else []), *odd]),
+        extra={"time_stamp": str(take.get("Timestamp", "")).replace("\t", " ")},
+    )
+
+
+def _samples(part: dict[str, Any], frames: int) -> Floats:
+    """(T, N, 3) in the file's unit from Data (N, 4, T), which loses its first axis where N is 1, with Type 0 as NaN."""
+    data = np.asarray(part["Data"], dtype=np.float64)
+    data = data.reshape(-1, data.shape[-2] if data.ndim > 1 else 4, frames)
+    if data.shape[1] not in (3, 4):
+        raise ValueError(f"{data.shape[1]} values per sample, 3 or 4 expected")
+    positions = np.ascontiguousarray(data[:, :3].transpose(2, 0, 1))
+    kinds = part.get("Type")
+    if kinds is not None and np.size(kinds) == data.shape[0] * frames:
+        positions[np.asarray(kinds).reshape(data.shape[0], frames).T == 0] = np.nan
+    return positions
+
+
+def _events(entries: Any) -> tuple[Event, ...]:
+    rows = entries if isinstance(entries, list | tuple | np.ndarray) else [entries]
+    found = []
+    for row in np.atleast_1d(np.asarray(rows, dtype=object)):
+        if isinstance(row, dict) and "Time" in row and np.size(row["Time"]) == 1:
+            found.append(Event(str(row.get("Label", "")), float(row["Time"])))
+    return tuple(found)
+
+
+def write_mat(path: Path, recording: Recording) -> list[str]:
+    """Write a MAT file laid out as QTM does, in millimetres, compressed. Returns what was lost."""
+    positions, labels, lost = all_points(recording, "MAT", events=True)
+    named = [i for i, label in enumerate(labels) if not label.startswith("*")]
+    rest = [i for i in range(len(labels)) if i not in set(named)]
+    parts: dict[str, Any] = {"Labeled": _part(positions[:, named], [labels[i] for i in named])}
+    if rest:
+        parts["Unidentified"] = _part(positions[:, rest], None)
+    take: dict[str, Any] = {
+        "File": path.name,
+        "Timestamp": str(recording.metadata.get("time_stamp", "")),
+        "StartFrame": float(recording.metadata.get("first_frame", 1)),
+        "Frames": float(len(positions)),
+        "FrameRate": recording.rate,
+        "Trajectories": parts,
+    }
+    if recording.events:
+        events = np.zeros(len(recording.events), dtype=[("Label", object), ("Frame", object), ("Time", object)])
+        for i, event in enumerate(recording.events):
+            events[i] = (f"{event.context} {event.label}".strip(), float(round(event.time * recording.rate) + 1), event.time)
+        take["Events"] = events
+    name = re.sub(r"\W", "_", path.stem)[:31] or "take"
+    name = name if name[0].isalpha() else f"take_{name}"[:31]
+    buffer = io.BytesIO()
+    scipy.io.savemat(buffer, {name: take}, do_compression=True, long_field_names=True)
+    write_atomically(path, buffer.getvalue())
+    if recording.vertical[2] < 0.99:
+        lost.append("the vertical: QTM's files are Z up")
+    if any(event.context for event in recording.events):
+        lost.append("the sides of events: they stand before the events' names")
+    return lost
+
+
+def _part(positions: Floats, labels: list[str] | None) -> dict[str, Any]:
+    count = positions.shape[1]
+    seen = ~np.isnan(positions[:, :, 0])
+    data = np.concatenate([positions * 1000.0, np.where(seen, 0.0, np.nan)[:, :, None]], axis=2)
+    part: dict[str, Any] = {"Count": float(count)}
+    if labels is not None:
+        names = np.empty((1, count), dtype=object)
+        names[0, :] = labels
+        part["Labels"] = names
+    return part | {"Data": np.ascontiguousarray(data.transpose(1, 2, 0)), "Type": seen.T.astype(np.uint8)}

@@ -1,0 +1,191 @@
+"""NPZ, our own plain container without pickle: recordings and clouds in, the same out, bit for bit."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.errors import AsterismError
+from asterism.formats._columns import Points
+from asterism.formats._text import read_bytes, write_atomically
+from asterism.formats._writing import all_points
+from asterism.recording import Clouds, Event, Recording, as_vertical
+
+VERSION = 1
+_MOST_BYTES = 8 << 30
+
+
+def read_npz(path: Path) -> Points:
+    """The points of an NPZ file of ours: of a recording, or of clouds with the n-th point of each frame as *n.
+
+    Raises AsterismError, naming the file, where it is damaged, of a later version, or not ours.
+    """
+    clouds = read_npz_clouds(path)
+    if clouds is not None:
+        return _points_of_clouds(clouds)
+    held = _arrays(path)
+    try:
+        notes = json.loads(str(held["notes"]))
+        positions = np.array(held["positions"], dtype=np.float64)
+        labels = tuple(str(label) for label in held["labels"])
+        events = tuple(Event(str(e[0]), float(e[1]), str(e[2])) for e in notes.get("events", []))
+        if positions.ndim != 3 or positions.shape[1:] != (len(labels), 3) or np.isinf(positions).any():
+            raise ValueError(f"positions {positions.shape} do not fit {len(labels)} labels, or are infinite")
+        positions[np.isnan(positions).any(axis=2)] = np.nan
+        rate = float(held["rate"])
+        if not np.isfinite(rate) or rate <= 0:
+            raise ValueError(f"frame rate {rate}")
+        first_time = notes.get("first_time")
+        return Points(
+            positions,
+            labels,
+            rate,
+            "NPZ",
+            units="m",
+            kinds=tuple(str(kind) for kind in notes["kinds"]) if len(notes.get("kinds", [])) == len(labels) else None,
+            declared=as_vertical(held["vertical"]),
+            first_frame=int(notes.get("first_frame", 1)),
+            first_time=None if first_time is None else float(first_time),
+            events=events,
+            subject=str(notes.get("subject", "")),
+        )
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError, AttributeError, AsterismError) as problem:
+        raise AsterismError(f"{path} is no recording or clouds of Asterism, or is damaged ({problem}); write it again.") from problem
+
+
+def read_npz_clouds(path: Path) -> Clouds | None:
+    """The clouds in an NPZ file, or None where it holds a recording. Raises AsterismError where it is damaged or not ours."""
+    held = _arrays(path, only_kind=True)
+    if str(held.get("kind")) != "clouds":
+        return None
+    held = _arrays(path)
+    try:
+        xyz, offsets = np.array(held["xyz"], dtype=np.float64), np.array(held["offsets"], dtype=np.int64)
+        columns = np.array(held["columns"], dtype=np.int64)
+        fits = xyz.ndim == 2 and xyz.shape[1] == 3 and offsets.ndim == 1 and len(offsets) > 0 and columns.shape == (len(xyz),)
+        if not fits or offsets[0] != 0 or offsets[-1] != len(xyz) or (np.diff(offsets) < 0).any() or not np.isfinite(xyz).all():
+            raise ValueError("its points and frames do not fit together")
+        rate = float(held["rate"])
+        if not np.isfinite(rate) or rate <= 0:
+            raise ValueError(f"frame rate {rate}")
+        return Clouds(xyz, offsets, rate, as_vertical(held["vertical"]), columns)
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError, AsterismError) as problem:
+        raise AsterismError(f"{path} is damaged ({problem}); write it again.") from problem
+
+
+def write_npz(path: Path, recording: Recording) -> list[str]:
+    """Write positions, labels, rate, vertical and events as they are. Returns what was lost."""
+    positions, labels, lost = all_points(recording, "NPZ", events=True)
+    kinds = list[str]()
+    if isinstance(recording.source, Points) and len(labels) > len(recording.labels):
+        kinds = ["marker"] * len(recording.labels) + ["computed"] * (len(labels) - len(recording.labels))
+    notes = {
+        "events": [[event.label, event.time, event.context] for event in recording.events],
+        "first_frame": int(recording.metadata.get("first_frame", 1)),
+        "subject": str(recording.metadata.get("subject", "")),
+        "kinds": kinds,
+    }
+    start = recording.metadata.get("first_time")
+    if isinstance(start, int | float):
+        notes["first_time"] = float(start)
+    _save(
+        path,
+        kind="recording",
+        positions=positions,
+        labels=np.array(labels, dtype=str).reshape(len(labels)),
+        rate=recording.rate,
+        vertical=recording.vertical,
+        notes=json.dumps(notes),
+    )
+    return lost
+
+
+def write_npz_clouds(path: Path, clouds: Clouds) -> list[str]:
+    """Write clouds as they are; nothing is lost."""
+    _save(
+        path, kind="clouds", xyz=clouds.xyz, offsets=clouds.offsets, columns=clouds.columns, rate=clouds.rate, vertical=clouds.vertical
+    )
+    return []
+
+
+def described_clouds(path: Path, clouds: Clouds) -> dict[str, Any]:
+    """What a file of clouds holds, as plain values."""
+    counts = clouds.counts
+    return {
+        "file": str(path),
+        "format": "NPZ clouds",
+        "frames": len(clouds),
+        "rate": clouds.rate,
+        "duration": len(clouds) / clouds.rate,
+        "units": "m",
+        "vertical": [float(v) for v in clouds.vertical],
+        "vertical_from": "file",
+        "points_per_frame": {
+            "fewest": int(counts.min()) if len(counts) else 0,
+            "median": float(np.median(counts)) if len(counts) else 0.0,
+            "most": int(counts.max()) if len(counts) else 0,
+        },
+    }
+
+
+def _save(path: Path, **arrays: Any) -> None:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, asterism=np.array(VERSION), **{name: np.asarray(value) for name, value in arrays.items()})
+    write_atomically(path, buffer.getvalue())
+
+
+def _arrays(path: Path, only_kind: bool = False) -> dict[str, NDArray[Any]]:
+    """The arrays of a file, refused before they are loaded where they claim more than they can hold."""
+    data = read_bytes(path)
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            if sum(entry.file_size for entry in archive.infolist()) > min(_MOST_BYTES, 1100 * len(data) + 65536):
+                raise ValueError("it claims to hold more than it can")
+            held = {}
+            for entry in archive.infolist():
+                name = entry.filename.removesuffix(".npy")
+                if only_kind and name not in ("asterism", "kind"):
+                    continue
+                held[name] = _array(archive.read(entry))
+    except (zipfile.BadZipFile, ValueError, OSError, EOFError, KeyError, NotImplementedError, RuntimeError, MemoryError, SyntaxError) as problem:
+        raise AsterismError(f"{path} is damaged ({problem}); write it again.") from problem
+    except Exception as problem:  # zlib.error, struct.error, tokenize.TokenError, UnicodeDecodeError of a damaged archive
+        raise AsterismError(f"{path} is damaged ({type(problem).__name__}); write it again.") from problem
+    version = held.get("asterism")
+    if version is None or version.shape != () or version.dtype.kind not in "iu":
+        raise AsterismError(f"{path} is an NPZ file, but none that Asterism wrote; write it with asterism.write.")
+    if int(version) > VERSION:
+        raise AsterismError(f"{path} has format version {int(version)}, this Asterism reads up to {VERSION}; install a later one.")
+    return held
+
+
+def _array(data: bytes) -> NDArray[Any]:
+    """One member, without pickle, its size checked against its header first."""
+    stream = io.BytesIO(data)
+    version = np.lib.format.read_magic(stream)
+    if version == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+    else:
+        shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
+    count = 1
+    for length in shape:
+        count *= int(length)
+    if dtype.hasobject or min(shape, default=0) < 0 or count * dtype.itemsize > len(data):
+        raise ValueError("an array in it is longer than its data, or holds objects")
+    return np.asarray(np.load(io.BytesIO(data), allow_pickle=False))
+
+
+def _points_of_clouds(clouds: Clouds) -> Points:
+    counts = clouds.counts
+    most = int(counts.max()) if len(counts) else 0
+    positions = np.full((len(clouds), most, 3), np.nan)
+    frame = np.repeat(np.arange(len(clouds)), counts)
+    place = np.arange(len(clouds.xyz)) - clouds.offsets[frame]
+    positions[frame, place] = clouds.xyz
+    return Points(positions, tuple(f"*{i + 1}" for i in range(most)), clouds.rate, "NPZ", declared=clouds.vertical)

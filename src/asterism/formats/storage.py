@@ -1,0 +1,230 @@
+"""MOT and STO, OpenSim's tables of values over time, and plain CSV tables: files in, a `Table` or marker points out, and back."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.formats._columns import Points, as_metres, metres_per_unit
+from asterism.formats._groups import marker_groups
+from asterism.formats._text import (
+    cells_of,
+    decoded,
+    delimiter_of,
+    lines_of,
+    number_of,
+    rate_of,
+    read_bytes,
+    rows_of_numbers,
+    write_atomically,
+)
+from asterism.formats._writing import all_points
+from asterism.recording import Floats, Recording, as_vertical
+
+_HEADER_LINES = 400
+
+
+@dataclass(frozen=True)
+class Table:
+    """Named values over time, such as joint angles or forces.
+
+    names       (C,) column names, the time column left out
+    values      (T, C) in the file's own units, NaN missing
+    times       (T,) s
+    title       what the first line of the file calls it
+    in_degrees  whether angles are degrees; None where the file does not say
+    format      "MOT", "STO" or "CSV"
+    """
+
+    names: tuple[str, ...]
+    values: Floats
+    times: Floats
+    title: str = ""
+    in_degrees: bool | None = None
+    format: str = "STO"
+    units: str = ""
+
+    @property
+    def rate(self) -> float:
+        """Rows per second; NaN where there are fewer than two rows."""
+        steps = np.diff(self.times)
+        steps = steps[np.isfinite(steps) & (steps > 0)]
+        return float(f"{1 / steps.mean():.6g}") if len(steps) else float("nan")
+
+
+def read_table(path: str | Path) -> Table:
+    """The table in a MOT, STO or CSV file; cells that hold three values (Vec3) become columns name_x, name_y, name_z.
+
+    Raises AsterismError, naming file and line, where there is no row of names over numbers, or no time column.
+    """
+    path = Path(path)
+    lines = lines_of(decoded(path, read_bytes(path)))
+    end = next((i for i, line in enumerate(lines[:_HEADER_LINES]) if line.strip(" \t,;").casefold() == "endheader"), None)
+    header = _header(lines[:end] if end is not None else lines[:0])
+    if end is None:
+        header |= _header([line.lstrip("# ") for line in lines[:20] if line.startswith("#")])
+    names_at = next(
+        (i for i in range(0 if end is None else end + 1, len(lines)) if lines[i].strip(" \t,;") and not lines[i].startswith("#")), None
+    )
+    if names_at is None:
+        raise AsterismError(f"{path} ends before its column names; export it again.")
+    delimiter = delimiter_of(lines[names_at])
+    names = cells_of(lines[names_at], delimiter)
+    while names and not names[-1]:
+        names.pop()
+    body = lines[names_at + 1 :]
+    if header.get("datatype", "").casefold().startswith("vec3") and delimiter == "\t":
+        names = [names[0], *(f"{name}_{axis}" for name in names[1:] for axis in "xyz")]
+        body = [line.replace(",", "\t") for line in body]
+    if not names or any(number_of(name) is not None and name for name in names):
+        raise AsterismError(f"{path}, line {names_at + 1}: numbers where the column names belong; write a row of names above the numbers.")
+    values, _ = rows_of_numbers(path, body, names_at + 2, delimiter, len(names))
+    time_at = next((i for i, name in enumerate(names) if re.fullmatch(r"(?i)time(\s*[\[(_]?s(ec(onds)?)?[\])]?)?|t", name)), None)
+    if time_at is None:
+        raise AsterismError(f"{path} has no column called time; add one in seconds.")
+    others = [i for i in range(len(names)) if i != time_at]
+    degrees = header.get("indegrees", header.get("in_degrees", "")).casefold()
+    return Table(
+        tuple(names[i] for i in others),
+        values[:, others],
+        values[:, time_at],
+        title=header.get("title", header.get("", "")),
+        in_degrees={"yes": True, "no": False}.get(degrees),
+        format={".mot": "MOT", ".sto": "STO"}.get(path.suffix.casefold(), "CSV" if end is None else "STO"),
+        units=header.get("units", ""),
+    )
+
+
+def table_or_none(path: Path) -> Table | None:
+    """The table in a file, or None where it holds none."""
+    try:
+        return read_table(path)
+    except AsterismError:
+        return None
+
+
+def write_table(path: str | Path, table: Table) -> list[str]:
+    """Write a table as .mot, .sto or .csv; values keep 17 digits, so that they come back as they were.
+
+    Returns an empty list: nothing is lost. Raises AsterismError for another suffix or where the file cannot be written.
+    """
+    path = Path(path)
+    suffix = path.suffix.casefold()
+    if suffix not in (".mot", ".sto", ".csv"):
+        raise AsterismError(f"{path}: a table is written as .mot, .sto or .csv; choose one of these suffixes.")
+    degrees = {True: "yes", False: "no"}.get(table.in_degrees)  # type: ignore[call-overload]
+    title = re.sub(r"[\r\n]+", " ", table.title) or path.stem
+    if suffix == ".csv":
+        head = [f"# title={title}", *([f"# inDegrees={degrees}"] if degrees else []), *([f"# units={table.units}"] if table.units else [])]
+        separator = ","
+    else:
+        head = [title, "version=1", f"nRows={len(table.values)}", f"nColumns={len(table.names) + 1}"]
+        head += [f"inDegrees={degrees}"] if degrees else []
+        head += [f"units={table.units}"] if table.units else []
+        head += ["endheader"]
+        separator = "\t"
+    names = [re.sub(r"[\t\r\n,;\"]", " ", name) for name in table.names]
+    rows = [
+        separator.join(_shortest(value) for value in (time, *row))
+        for time, row in zip(table.times.tolist(), table.values.tolist(), strict=True)
+    ]
+    write_atomically(path, ("\n".join([*head, separator.join(["time", *names]), *rows]) + "\n").encode())
+    return []
+
+
+def holds_markers(table: Table) -> bool:
+    """Whether the columns are positions of points: nearly all of them in groups of x, y, z, and none named as a force or a translation."""
+    groups, rest = marker_groups(table.names)
+    return len(groups) > 0 and len(rest) <= 0.1 * len(table.names)
+
+
+def read_marker_table(path: Path) -> Points:
+    """The points of a MOT or STO file whose columns are marker positions (name_tx, name_ty, name_tz or name_x, ...).
+
+    Raises AsterismError where it holds something else, such as joint angles, and says what.
+    """
+    return points_of_table(path, read_table(path))
+
+
+def points_of_table(path: Path, table: Table) -> Points:
+    """The points in a table's columns. Raises AsterismError where they are no marker positions."""
+    if not holds_markers(table):
+        shown = ", ".join(table.names[:4]) + (", ..." if len(table.names) > 4 else "")
+        what = "joint angles or other values" if table.in_degrees is not None else "values"
+        raise AsterismError(
+            f"{path} holds {what} ({shown or 'no column'}), no marker positions; read it with asterism.formats.read_table or convert it to CSV."
+        )
+    groups, _ = marker_groups(table.names)
+    raw = table.values[:, [column for group in groups for column in group.columns]].reshape(len(table.values), len(groups), 3)
+    remarks: list[str] = []
+    scale, units, remark = metres_per_unit(path, table.units or next((g.units for g in groups if g.units), None), raw)
+    positions, odd = as_metres(raw, scale)
+    return Points(
+        positions,
+        tuple(group.name for group in groups),
+        rate_of(path, None, table.times, remarks),
+        table.format,
+        units=units,
+        fallback=as_vertical("y"),
+        first_time=float(table.times[0]) if len(table.times) else None,
+        oddities=tuple([*([remark] if remark else []), *remarks, *odd]),
+    )
+
+
+def write_marker_table(path: Path, recording: Recording) -> list[str]:
+    """Write positions in metres as columns name_tx, name_ty, name_tz of a MOT or STO file."""
+    positions, labels, lost = all_points(recording, path.suffix[1:].upper())
+    bare = [re.sub(r"[\s,;]+", "_", label) for label in labels]
+    names = tuple(f"{name}_t{axis}" for name in bare for axis in "xyz")
+    start = recording.metadata.get("first_time")
+    start = float(start) if isinstance(start, int | float) else (int(recording.metadata.get("first_frame", 1)) - 1) / recording.rate
+    times = np.round(start + np.arange(len(positions)) / recording.rate, 9)
+    values = np.round(positions, 9) + 0.0
+    values[(values == 0).all(axis=2), 0] = 1e-9
+    write_table(path, Table(names, values.reshape(len(values), -1), times, "Marker positions", None, units="m"))
+    if recording.vertical[1] < 0.99:
+        lost.append(f"the vertical: {path.suffix[1:].upper()} readers take Y as up or tell it from the data")
+    return lost
+
+
+def described_table(path: Path, table: Table) -> dict[str, Any]:
+    """What a table holds, as plain values."""
+    return {
+        "file": str(path),
+        "format": f"{table.format} table",
+        "title": table.title,
+        "frames": len(table.values),
+        "rate": table.rate,
+        "duration": float(table.times[-1] - table.times[0]) if len(table.times) else 0.0,
+        "columns": list(table.names),
+        "in_degrees": table.in_degrees,
+        "missing": float(np.isnan(table.values).mean()) if table.values.size else 0.0,
+    }
+
+
+def _header(lines: list[str]) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for i, line in enumerate(lines):
+        key, sign, value = line.strip(" \t,;").partition("=")
+        if sign:
+            found.setdefault(key.strip().casefold(), value.strip(" \t,;"))
+        elif i == 0 and key:
+            found[""] = key
+        else:
+            word = re.fullmatch(r"(datacolumns|datarows|units|name)\s+(\S.*)", key.strip(), re.IGNORECASE)
+            if word:
+                found.setdefault(word[1].casefold(), word[2].strip())
+    if found.get("units", "").casefold().startswith("are "):
+        del found["units"]
+    return found
+
+
+def _shortest(value: float) -> str:
+    return "" if value != value else f"{value:.17g}" if float(f"{value:.15g}") != value else f"{value:.15g}"
+
+

@@ -1,0 +1,158 @@
+"""TRC, the text format of Motion Analysis, Cortex and OpenSim: a file in, its points out, and back."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.formats._columns import _METRES, Points, as_metres, metres_per_unit
+from asterism.formats._text import (
+    cells_of,
+    decoded,
+    delimiter_of,
+    frames_in_place,
+    lines_of,
+    number_of,
+    rate_of,
+    read_bytes,
+    rows_of_numbers,
+    write_atomically,
+)
+from asterism.formats._writing import all_points, dense_rows, spelled_numbers
+from asterism.recording import Recording, as_vertical
+
+Y_UP = as_vertical("y")
+
+
+def read_trc(path: Path) -> Points:
+    """All points of a TRC file, with tabs, commas, semicolons or blanks between its cells.
+
+    Missing is a blank, NaN in any spelling, or zero in all three coordinates. Columns count, not the header's numbers. Up is
+    what the data says, else Y, as in OpenSim.
+
+    Raises AsterismError, naming file and line, where the header is not that of a TRC file or a cell is no number.
+    """
+    text = decoded(path, read_bytes(path))
+    lines = lines_of(text)
+    at = next((i for i, line in enumerate(lines[:12]) if "datarate" in line.casefold()), None)
+    if at is None or at + 2 >= len(lines):
+        raise AsterismError(f"{path} is not a TRC file: it has no line with DataRate, CameraRate, NumFrames; export it again.")
+    names_at = next((i for i in range(at + 1, min(at + 6, len(lines))) if lines[i].strip(" \t,;\"").casefold().startswith("frame")), None)
+    if names_at is None:
+        raise AsterismError(f"{path} has no line with Frame#, Time and the markers' names after its header; add it or export the file again.")
+    header = _header(lines[at], lines[at + 1] if names_at > at + 1 else "")
+    delimiter = delimiter_of(lines[names_at])
+    letters = cells_of(lines[names_at + 1], delimiter) if names_at + 1 < len(lines) else []
+    has_letters = any(re.fullmatch(r"[XYZxyz]\d*", cell) for cell in letters)
+    data_at = names_at + 2 if has_letters else names_at + 1
+    labels, remarks = _labels(path, lines[names_at], delimiter, letters if has_letters else [], lines[data_at : data_at + 3])
+    if letters and has_letters and not _in_order(letters):
+        raise AsterismError(f"{path}, line {names_at + 2}: the coordinates do not stand in the order X, Y, Z; export the file in that order.")
+    rows, more = rows_of_numbers(path, lines[data_at:], data_at + 1, delimiter, 2 + 3 * len(labels))
+    remarks += more
+    raw = rows[:, 2:].reshape(len(rows), len(labels), 3)
+    if len(raw) and _cut_short(lines):
+        remarks.append("the file ends within a line; the last marker of its last frame is taken as missing")
+        seen = np.nonzero(~np.isnan(raw[-1]).all(axis=1))[0]
+        raw[-1, seen[-1:]] = np.nan
+    scale, units, remark = metres_per_unit(path, header.get("units"), raw, list(header.values()))
+    positions, odd = as_metres(raw, scale)
+    said = number_of(header.get("datarate", ""))
+    if said is None or not said > 0:
+        said = number_of(header.get("camerarate", ""))
+    rate = rate_of(path, said, rows[:, 1], remarks)
+    first_time = float(rows[0, 1]) if len(rows) and np.isfinite(rows[0, 1]) else None
+    positions, first, jumps = frames_in_place(rows[:, 0], positions)
+    for key, found, what in (("numframes", len(rows), "frames"), ("nummarkers", len(labels), "markers")):
+        number = number_of(header.get(key, ""))
+        if number is None or number != found:
+            remarks.append(f"the header says {header.get(key) or 'no number of'} {what}, the file holds {found}")
+    return Points(
+        positions,
+        tuple(labels),
+        rate,
+        "TRC",
+        units=units,
+        fallback=Y_UP,
+        first_frame=first,
+        first_time=first_time,
+        oddities=tuple([*([remark] if remark else []), *remarks, *odd, *jumps]),
+    )
+
+
+def write_trc(path: Path, recording: Recording) -> list[str]:
+    """Write a TRC file in the units of the file that the recording came from, else millimetres; blanks are missing.
+
+    Axes stay as they are: a vertical other than Y is in the list of what the format cannot say, as are events.
+    """
+    positions, labels, lost = all_points(recording, "TRC")
+    units = str(recording.metadata.get("units", "")).casefold()
+    units = units if units in ("mm", "cm", "m") else "mm"
+    values = positions / _METRES[units]
+    decimals = {"mm": 5, "cm": 6, "m": 8}[units]
+    frames, points = values.shape[:2]
+    first = int(recording.metadata.get("first_frame", 1))
+    start = recording.metadata.get("first_time")
+    start = float(start) if isinstance(start, int | float) else (first - 1) / recording.rate
+    rate = f"{recording.rate:.10g}"
+    names = [re.sub(r"[\t\r\n]", " ", label) for label in labels]
+    head = [
+        f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+        f"{rate}\t{rate}\t{frames}\t{points}\t{units}\t{rate}\t{first}\t{frames}",
+        "Frame#\tTime" + "".join(f"\t{name}\t\t" for name in names),
+        "\t" + "".join(f"\tX{i + 1}\tY{i + 1}\tZ{i + 1}" for i in range(points)),
+        "",
+    ]
+    body = spelled_numbers(dense_rows(values, decimals), "\t", decimals)
+    rows = ["\t".join(filter(None, (str(first + t), f"{start + t / recording.rate:.6f}", row))) for t, row in enumerate(body)]
+    write_atomically(path, ("\n".join([*head, *rows]) + "\n").encode())
+    if recording.vertical[1] < 0.99:
+        lost.append("the vertical: TRC readers take Y as up or tell it from the data")
+    return lost
+
+
+def _header(keys: str, values: str) -> dict[str, str]:
+    """The header's two lines as a table; where blanks were padded with tabs, the non-blank cells correspond."""
+    delimiter = delimiter_of(keys)
+    names, cells = cells_of(keys, delimiter), cells_of(values, delimiter_of(values) if delimiter is None else delimiter)
+    filled, written = [n for n in names if n], [c for c in cells if c]
+    pairs = zip(filled, written, strict=False) if len(cells) > len(names) or len(filled) == len(written) else zip(names, cells, strict=False)
+    return {name.casefold(): cell for name, cell in pairs if name}
+
+
+def _labels(path: Path, line: str, delimiter: str | None, letters: list[str], data: list[str]) -> tuple[list[str], list[str]]:
+    """Marker names, whether they stand over their X column (and two blanks follow) or close together."""
+    cells = cells_of(line, delimiter)[2:]
+    named = [cell for cell in cells if cell]
+    width = max((len(cells_of(row, delimiter)) for row in data if row.strip()), default=0)
+    columns = sum(bool(re.fullmatch(r"[XYZxyz]\d*", cell)) for cell in letters) or max(width - 2, 3 * len(named))
+    count = max(columns // 3, len(named))
+    spread = delimiter is not None and all(i % 3 == 0 for i, cell in enumerate(cells) if cell) and not (len(named) == 1 and count > 1)
+    if spread:
+        labels = [cells[i] if i < len(cells) else "" for i in range(0, 3 * count, 3)]
+    elif len(named) <= count:
+        labels = named + [""] * (count - len(named))
+    else:
+        labels = named
+    nameless = sum(not label for label in labels)
+    remarks = [f"{nameless} points have no name; they are numbered *1, *2, ..."] if nameless else []
+    numbers = iter(range(1, nameless + 1))
+    return [label or f"*{next(numbers)}" for label in labels], remarks
+
+
+def _in_order(letters: list[str]) -> bool:
+    found = "".join(cell[0] for cell in letters if re.fullmatch(r"[XYZxyz]\d*", cell)).upper()
+    return all(found[i] == "XYZ"[i % 3] for i in range(len(found)))
+
+
+def _cut_short(lines: list[str]) -> bool:
+    """Whether the last line lacks its end and its last cell has fewer decimals than the one above: the file was cut there."""
+    if not lines[-1].strip() or len(lines) < 2:
+        return False
+    last, above = lines[-1].rstrip(), lines[-2].rstrip()
+    decimals = [len(line.rpartition(".")[2]) if "." in line[-16:] else 0 for line in (last, above)]
+    return decimals[0] < decimals[1] or len(re.split(r"[\t,;]", last)) < len(re.split(r"[\t,;]", above))
