@@ -105,7 +105,7 @@ PEOPLE = {
         "U": ("qtm-fullbody/static_lower_body_U.c3d",),
     },
 }
-"""Sets that several people share: train on the others, with the labels that all files have in common."""
+"""Sets that several people share: train on the others, with the markers that all of them wear (not in every trial)."""
 
 OWN_TRIALS = {
     "clouthier62": (("clouthier62/labelled/KneeltoProne01.c3d",), ("clouthier62/labelled/PronetoRun01.c3d",)),
@@ -150,16 +150,22 @@ def movement_folds(chosen: Sequence[str] | None = None) -> Iterator[Fold]:
         if chosen is None or label in chosen:
             trial = _named(everything(file))
             test = Test(file, trial, np.nonzero(_in_odd_block(trial))[0])
-            yield Fold(label, "own other frames", False, (blocks(trial, odd=False),), ("one",), (test,))
+            yield Fold(label, "own other frames", False, (blocks(trial, odd=False),), (label,), (test,))
 
 
 def _leave_one_out(label: str, owners: list[tuple[str, str]], unseen: bool) -> Iterator[Fold]:
-    trials = _with_common_labels([everything(file) for _, file in owners])
+    named = [(owner, _named(everything(file))) for owner, file in owners]
+    worn = [{label for who, trial in named if who == owner for label in trial.labels} for owner in dict.fromkeys(who for who, _ in named)]
+    common = [
+        label for label in dict.fromkeys(label for _, trial in named for label in trial.labels) if all(label in some for some in worn)
+    ]
+    trials = [_with_columns(trial, common) for _, trial in named]
     for left_out in dict.fromkeys(owner for owner, _ in owners):
         train = [(owner, trial) for (owner, _), trial in zip(owners, trials, strict=True) if owner != left_out]
         test = [Test(file, trial, np.arange(len(trial))) for (owner, file), trial in zip(owners, trials, strict=True) if owner == left_out]
         person = left_out if unseen else "own other trials"
-        yield Fold(label, person, unseen, tuple(trial for _, trial in train), tuple(owner for owner, _ in train), tuple(test))
+        people = tuple(owner if unseen else label for owner, _ in train)
+        yield Fold(label, person, unseen, tuple(trial for _, trial in train), people, tuple(test))
 
 
 @cache
@@ -179,10 +185,13 @@ def _named(recording: Recording) -> Recording:
     )
 
 
-def _with_common_labels(recordings: list[Recording]) -> list[Recording]:
-    named = [_named(recording) for recording in recordings]
-    common = [label for label in named[0].labels if all(label in other.labels for other in named[1:])]
-    return [recording.select(common) for recording in named]
+def _with_columns(recording: Recording, labels: list[str]) -> Recording:
+    """These columns only; a marker that the trial lacks is missing in all its frames."""
+    positions = np.full((len(recording), len(labels), 3), np.nan)
+    for column, label in enumerate(labels):
+        if label in recording.labels:
+            positions[:, column] = recording.positions[:, recording.labels.index(label)]
+    return Recording(positions, tuple(labels), recording.rate, recording.vertical, metadata=recording.metadata)
 
 
 def is_unnamed(label: str) -> bool:
