@@ -1,0 +1,661 @@
+"""Whole-body kernels: a frame's points, the body model and the anchors in; the best labelling and its margins out.
+
+The mathematics stands in `model.py`. All kernels take the vertical as +z. Their plain twins are in `tests/twins.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from asterism.labelling._kernels import search
+
+LOG_2PI = math.log(2.0 * math.pi)
+
+
+class BodyArrays(NamedTuple):
+    """A body model as the kernels read it; K key poses, M markers, r latent directions (pose, size, then small moves of the whole body).
+
+    mean        (K, M, 3) m, the mean body
+    whiten      (K, M, 3, 3) takes a residual in m to unit variance
+    load        (K, M, 3, r) whitened displacement per unit of each latent
+    gram        (K, M, r, r) load' load
+    log_scale   (K, M) log |det whiten|
+    log_weight  (K,) how frequent the key pose is
+    """
+
+    mean: np.ndarray
+    whiten: np.ndarray
+    load: np.ndarray
+    gram: np.ndarray
+    log_scale: np.ndarray
+    log_weight: np.ndarray
+
+
+class AnchorArrays(NamedTuple):
+    """What follows for the whole body once an anchor's three markers are known; A anchors.
+
+    markers    (A, 3)
+    precision  (K, A, 9, 9) of the anchor's own points
+    log_own    (K, A) log density at the anchor's mean, with the key pose's weight
+    gain       (K, A, M, 3, 9) prediction of every marker per displacement of the anchor's points
+    whiten     (K, A, M, 3, 3) takes a prediction's residual to unit variance
+    log_scale  (K, A, M) log |det whiten|
+    """
+
+    markers: np.ndarray
+    precision: np.ndarray
+    log_own: np.ndarray
+    gain: np.ndarray
+    whiten: np.ndarray
+    log_scale: np.ndarray
+
+
+class LookSettings(NamedTuple):
+    """How the whole-body look decides; the numbers that `EnsembleSettings` names and explains.
+
+    reward       nats that a labelled point earns over an occlusion and a ghost
+    first_ghost  nats that the first ghost of a frame costs
+    far          squared distance of an anchor's own points beyond which it is not followed up
+    agree        anchors that must lead to the best labelling before the others are skipped
+    budget       feature evaluations per frame
+    per_anchor   labellings of one anchor that are followed up
+    contest      nats: alternatives at least this close are computed exactly
+    good         nats per point from which a labelling explains the frame
+    enough       anchors that end the search even if the best labelling does not explain the frame
+    """
+
+    reward: float
+    first_ghost: float
+    far: float
+    agree: int
+    budget: int
+    per_anchor: int
+    contest: float
+    good: float
+    enough: int
+
+
+@njit(cache=True, nogil=True)
+def align(points, rows, mean, markers, out):
+    """Move all points so that those at `rows` lie best on `mean[markers]`: a turn about the vertical and a shift.
+
+    IN  points (n, 3); rows (k,), -1 for none; mean (M, 3); markers (k,)
+    OUT out (n, 3)
+    O(n + k), no allocation.
+    """
+    count, px, py, pz, qx, qy, qz = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(len(rows)):
+        if rows[i] >= 0:
+            count += 1
+            px += points[rows[i], 0]
+            py += points[rows[i], 1]
+            pz += points[rows[i], 2]
+            qx += mean[markers[i], 0]
+            qy += mean[markers[i], 1]
+            qz += mean[markers[i], 2]
+    px, py, pz, qx, qy, qz = px / count, py / count, pz / count, qx / count, qy / count, qz / count
+    along, across = 0.0, 0.0
+    for i in range(len(rows)):
+        if rows[i] >= 0:
+            ax, ay = points[rows[i], 0] - px, points[rows[i], 1] - py
+            bx, by = mean[markers[i], 0] - qx, mean[markers[i], 1] - qy
+            along += ax * bx + ay * by
+            across += ax * by - ay * bx
+    size = math.hypot(along, across)
+    cos, sin = (along / size, across / size) if size > 0.0 else (1.0, 0.0)
+    for i in range(len(points)):
+        x, y = points[i, 0] - px, points[i, 1] - py
+        out[i, 0] = cos * x - sin * y + qx
+        out[i, 1] = sin * x + cos * y + qy
+        out[i, 2] = points[i, 2] - pz + qz
+
+
+@njit(cache=True, nogil=True)
+def _cholesky(matrix):
+    """Lower triangle of a symmetric positive definite matrix replaced by its Cholesky factor; returns log det. O(r^3 / 3)."""
+    n = len(matrix)
+    log_det = 0.0
+    for j in range(n):
+        total = matrix[j, j]
+        for k in range(j):
+            total -= matrix[j, k] * matrix[j, k]
+        pivot = math.sqrt(total)
+        matrix[j, j] = pivot
+        log_det += 2.0 * math.log(pivot)
+        for i in range(j + 1, n):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = total / pivot
+    return log_det
+
+
+@njit(cache=True, nogil=True)
+def _inverse_of_factor(factor, inverse):
+    """OUT inverse of factor factor'. The strict upper triangle of `factor` is used as room. O(2 r^3 / 3)."""
+    n = len(factor)
+    for j in range(n):
+        inverse[j, j] = 1.0 / factor[j, j]
+        for i in range(j + 1, n):
+            total = 0.0
+            for k in range(j, i):
+                total -= factor[i, k] * inverse[j, k]
+            inverse[j, i] = total / factor[i, i]
+    # row j of `inverse` now holds column j of the factor's inverse
+    for i in range(n):
+        for j in range(i, n):
+            total = 0.0
+            for k in range(j, n):
+                total += inverse[i, k] * inverse[j, k]
+            inverse[i, j] = total
+    for i in range(n):
+        for j in range(i):
+            inverse[i, j] = inverse[j, i]
+
+
+class Room(NamedTuple):
+    """Working arrays of one thread, so that no frame allocates: see `make_room`."""
+
+    aligned: np.ndarray
+    residual: np.ndarray
+    information: np.ndarray
+    covariance: np.ndarray
+    moment: np.ndarray
+    latent: np.ndarray
+    spread: np.ndarray
+    fit: np.ndarray
+    scores: np.ndarray
+    everyone: np.ndarray
+
+
+@njit(cache=True, nogil=True)
+def make_room(n, markers, latents):
+    """Working arrays for frames of n points."""
+    return Room(
+        np.empty((n, 3)),
+        np.empty((markers, 3)),
+        np.empty((latents, latents)),
+        np.empty((latents, latents)),
+        np.empty(latents),
+        np.empty(latents),
+        np.empty((3, latents)),
+        np.empty(1),
+        np.empty((markers, n)),
+        np.arange(markers),
+    )
+
+
+@njit(cache=True, nogil=True)
+def evidence(body, k, points, rows, settings, room):
+    """How likely the labelled points are all together, under one key pose.
+
+    IN   body BodyArrays; k key pose; points (n, 3); rows (M,), -1 for none; settings LookSettings
+    OUT  room.aligned, residual, moment, information (its Cholesky factor), fit (mean squared residual, 1 where all is as expected)
+    Returns the labelling's score: log density of its points plus the rewards, in nats (0 is the empty labelling).
+    O(M r^2 + r^3).
+    """
+    markers, latents = body.load.shape[1], body.load.shape[3]
+    align(points, rows, body.mean[k], room.everyone, room.aligned)
+    room.information[:] = 0.0
+    room.moment[:] = 0.0
+    for i in range(latents):
+        room.information[i, i] = 1.0
+    score, squares, labelled = body.log_weight[k], 0.0, 0
+    for m in range(markers):
+        row = rows[m]
+        if row < 0:
+            continue
+        labelled += 1
+        for a in range(3):
+            total = 0.0
+            for b in range(3):
+                total += body.whiten[k, m, a, b] * (room.aligned[row, b] - body.mean[k, m, b])
+            room.residual[m, a] = total
+            squares += total * total
+        for i in range(latents):
+            room.moment[i] += (
+                body.load[k, m, 0, i] * room.residual[m, 0]
+                + body.load[k, m, 1, i] * room.residual[m, 1]
+                + body.load[k, m, 2, i] * room.residual[m, 2]
+            )
+            for j in range(i + 1):
+                room.information[i, j] += body.gram[k, m, i, j]
+        score += body.log_scale[k, m] - 1.5 * LOG_2PI + settings.reward
+    if labelled < len(points):
+        score -= settings.first_ghost
+    score -= 0.5 * _cholesky(room.information)
+    quadratic = 0.0
+    for i in range(latents):
+        total = room.moment[i]
+        for j in range(i):
+            total -= room.information[i, j] * room.latent[j]
+        room.latent[i] = total / room.information[i, i]
+        quadratic += room.latent[i] * room.latent[i]
+    room.fit[0] = (squares - quadratic) / max(1, 3 * labelled)
+    return score + 0.5 * (quadratic - squares)
+
+
+@njit(cache=True, nogil=True)
+def posterior(room):
+    """What the labelled points say of the latents, after `evidence`. OUT room.covariance, latent. O(r^3)."""
+    _inverse_of_factor(room.information, room.covariance)
+    latents = len(room.latent)
+    for i in range(latents):
+        total = 0.0
+        for j in range(latents):
+            total += room.covariance[i, j] * room.moment[j]
+        room.latent[i] = total
+
+
+@njit(cache=True, nogil=True)
+def score_all(body, k, rows, settings, room):
+    """Score every point as every marker, given all other labelled points (leave one out), after `posterior`.
+
+    OUT room.scores (M, n): nats by which "point c is marker m" beats "m is hidden and c is a ghost"; -inf where far
+    O(M (r^2 + n)).
+    """
+    markers, latents, n = body.load.shape[1], body.load.shape[3], len(room.aligned)
+    h, inverse = np.empty((3, 3)), np.empty((3, 3))
+    centre, shift = np.empty(3), np.empty(3)
+    for m in range(markers):
+        for a in range(3):
+            for i in range(latents):
+                total = 0.0
+                for j in range(latents):
+                    total += body.load[k, m, a, j] * room.covariance[j, i]
+                room.spread[a, i] = total
+        for a in range(3):
+            for b in range(3):
+                total = 0.0
+                for i in range(latents):
+                    total += room.spread[a, i] * body.load[k, m, b, i]
+                h[a, b] = total
+            total = 0.0
+            for i in range(latents):
+                total += body.load[k, m, a, i] * room.latent[i]
+            centre[a] = total
+        sign = -1.0 if rows[m] >= 0 else 1.0
+        for a in range(3):
+            for b in range(3):
+                h[a, b] = (1.0 if a == b else 0.0) + sign * h[a, b]
+        # predictive covariance (whitened): I + h for a hidden marker; (I - h)^-1 leave-one-out for a labelled one
+        c00, c01, c02 = h[1, 1] * h[2, 2] - h[1, 2] * h[2, 1], h[0, 2] * h[2, 1] - h[0, 1] * h[2, 2], h[0, 1] * h[1, 2] - h[0, 2] * h[1, 1]
+        c11, c12, c22 = h[0, 0] * h[2, 2] - h[0, 2] * h[2, 0], h[0, 2] * h[1, 0] - h[0, 0] * h[1, 2], h[0, 0] * h[1, 1] - h[0, 1] * h[1, 0]
+        det = h[0, 0] * c00 + h[0, 1] * (h[1, 2] * h[2, 0] - h[1, 0] * h[2, 2]) + h[0, 2] * (h[1, 0] * h[2, 1] - h[1, 1] * h[2, 0])
+        det = max(det, 1e-9)
+        inverse[0, 0], inverse[0, 1], inverse[0, 2] = c00 / det, c01 / det, c02 / det
+        inverse[1, 0], inverse[1, 1], inverse[1, 2] = c01 / det, c11 / det, c12 / det
+        inverse[2, 0], inverse[2, 1], inverse[2, 2] = c02 / det, c12 / det, c22 / det
+        base = body.log_scale[k, m] - 1.5 * LOG_2PI + settings.reward
+        if rows[m] >= 0:
+            # leave-one-out centre: e - (I - h)^-1 (e - centre)
+            base += 0.5 * math.log(det)
+            for a in range(3):
+                shift[a] = room.residual[m, a]
+                for b in range(3):
+                    shift[a] -= inverse[a, b] * (room.residual[m, b] - centre[b])
+            q = h
+        else:
+            base -= 0.5 * math.log(det)
+            shift[:] = centre
+            q = inverse
+        for c in range(n):
+            dx = room.aligned[c, 0] - body.mean[k, m, 0]
+            dy = room.aligned[c, 1] - body.mean[k, m, 1]
+            dz = room.aligned[c, 2] - body.mean[k, m, 2]
+            x = body.whiten[k, m, 0, 0] * dx + body.whiten[k, m, 0, 1] * dy + body.whiten[k, m, 0, 2] * dz - shift[0]
+            y = body.whiten[k, m, 1, 0] * dx + body.whiten[k, m, 1, 1] * dy + body.whiten[k, m, 1, 2] * dz - shift[1]
+            z = body.whiten[k, m, 2, 0] * dx + body.whiten[k, m, 2, 1] * dy + body.whiten[k, m, 2, 2] * dz - shift[2]
+            room.scores[m, c] = base - 0.5 * (
+                x * (q[0, 0] * x + q[0, 1] * y + q[0, 2] * z)
+                + y * (q[1, 0] * x + q[1, 1] * y + q[1, 2] * z)
+                + z * (q[2, 0] * x + q[2, 1] * y + q[2, 2] * z)
+            )
+
+
+@njit(cache=True, nogil=True)
+def assign(scores, first_ghost, rows):
+    """Give points to markers, best score first; what scores below 0 stays null, unless that saves the only ghosts.
+
+    IN  scores (M, n) nats; first_ghost nats that may be paid to leave no point over
+    OUT rows (M,), -1 for none
+    O(M n + labels * entries above -first_ghost).
+    """
+    markers, n = scores.shape
+    rows[:] = -1
+    entry_marker = np.empty(markers * n, dtype=np.int64)
+    entry_row = np.empty(markers * n, dtype=np.int64)
+    entries = 0
+    for m in range(markers):
+        for c in range(n):
+            if scores[m, c] > -first_ghost:
+                entry_marker[entries], entry_row[entries] = m, c
+                entries += 1
+    taken = np.zeros(n, dtype=np.bool_)
+    given, sure = 0, -1
+    order = np.empty(min(markers, n), dtype=np.int64)
+    credit = first_ghost
+    while True:
+        best, chosen, kept = -first_ghost, -1, 0
+        for e in range(entries):
+            m, c = entry_marker[e], entry_row[e]
+            if rows[m] >= 0 or taken[c]:
+                continue
+            entry_marker[kept], entry_row[kept] = m, c
+            if scores[m, c] > best:
+                best, chosen = scores[m, c], kept
+            kept += 1
+        entries = kept
+        if sure < 0 and (chosen < 0 or best <= 0.0):
+            sure = given
+        if chosen < 0:
+            break
+        if best <= 0.0:
+            credit += best
+            if credit <= 0.0:
+                break
+        m = entry_marker[chosen]
+        rows[m] = entry_row[chosen]
+        taken[rows[m]] = True
+        order[given] = m
+        given += 1
+    if given < n:
+        for g in range(sure, given):
+            rows[order[g]] = -1
+
+
+@njit(cache=True, nogil=True)
+def key_pose(anchors, a, body, points, rows3, delta, room):
+    """The key pose that fits an anchor's own points best: aligns the points to it and returns it, its log density and squared distance.
+
+    OUT delta (9,) displacement of the anchor's points, room.aligned. O(K (n + 81)).
+    """
+    best, best_log, best_distance = 0, -np.inf, 0.0
+    poses = len(body.log_weight)
+    for k in range(poses):
+        align(points, rows3, body.mean[k], anchors.markers[a], room.aligned)
+        distance = 0.0
+        for i in range(3):
+            for b in range(3):
+                delta[3 * i + b] = room.aligned[rows3[i], b] - body.mean[k, anchors.markers[a, i], b]
+        for i in range(9):
+            for j in range(9):
+                distance += delta[i] * anchors.precision[k, a, i, j] * delta[j]
+        log_density = anchors.log_own[k, a] - 0.5 * distance
+        if log_density > best_log:
+            best, best_log, best_distance = k, log_density, distance
+    if poses > 1:
+        align(points, rows3, body.mean[best], anchors.markers[a], room.aligned)
+        for i in range(3):
+            for b in range(3):
+                delta[3 * i + b] = room.aligned[rows3[i], b] - body.mean[best, anchors.markers[a, i], b]
+    return best, best_log, best_distance
+
+
+@njit(cache=True, nogil=True)
+def predict(anchors, a, k, body, rows3, delta, settings, room):
+    """Score every point as every marker from an anchor alone, after `key_pose` (fills room.scores, like `score_all`). O(M n)."""
+    markers, n = body.load.shape[1], len(room.aligned)
+    for m in range(markers):
+        mx, my, mz = body.mean[k, m, 0], body.mean[k, m, 1], body.mean[k, m, 2]
+        for i in range(9):
+            mx += anchors.gain[k, a, m, 0, i] * delta[i]
+            my += anchors.gain[k, a, m, 1, i] * delta[i]
+            mz += anchors.gain[k, a, m, 2, i] * delta[i]
+        w = anchors.whiten[k, a, m]
+        base = anchors.log_scale[k, a, m] - 1.5 * LOG_2PI + settings.reward
+        for c in range(n):
+            dx, dy, dz = room.aligned[c, 0] - mx, room.aligned[c, 1] - my, room.aligned[c, 2] - mz
+            x = w[0, 0] * dx
+            y = w[1, 0] * dx + w[1, 1] * dy
+            z = w[2, 0] * dx + w[2, 1] * dy + w[2, 2] * dz
+            room.scores[m, c] = base - 0.5 * (x * x + y * y + z * z)
+    for i in range(3):
+        m = anchors.markers[a, i]
+        for c in range(n):
+            room.scores[m, c] = -np.inf
+        room.scores[m, rows3[i]] = 50.0
+
+
+@njit(cache=True, nogil=True)
+def best_pose(body, points, rows, settings, room):
+    """The key pose under which a labelling scores best, and that score: (k, nats)."""
+    best, best_score = 0, -np.inf
+    for k in range(len(body.log_weight)):
+        score = evidence(body, k, points, rows, settings, room)
+        if score > best_score:
+            best, best_score = k, score
+    return best, best_score
+
+
+@njit(cache=True, nogil=True)
+def refine(body, points, rows, settings, rounds, room):
+    """Relabel by the whole body until nothing changes: key pose, posterior, leave-one-out scores, assignment.
+
+    IN/OUT rows (M,). Returns the score of the labelling, in nats.
+    """
+    score = -np.inf
+    previous = np.empty_like(rows)
+    for _ in range(rounds):
+        previous[:] = rows
+        count = 0
+        for m in range(len(rows)):
+            count += rows[m] >= 0
+        if count < 3:
+            rows[:] = -1
+            return -np.inf
+        k, score = best_pose(body, points, rows, settings, room)
+        evidence(body, k, points, rows, settings, room)
+        posterior(room)
+        score_all(body, k, rows, settings, room)
+        assign(room.scores, settings.first_ghost, rows)
+        same = True
+        for m in range(len(rows)):
+            if rows[m] != previous[m]:
+                same = False
+                break
+        if same:
+            return score
+    rows[:] = previous
+    return score
+
+
+@njit(cache=True, nogil=True)
+def _known(table, count, rows):
+    for h in range(count):
+        same = True
+        for m in range(len(rows)):
+            if table[h, m] != rows[m]:
+                same = False
+                break
+        if same:
+            return h
+    return -1
+
+
+@njit(cache=True, nogil=True)
+def label_frame(points, order, solvers, anchors, body, settings, room, rows, margins, counters):
+    """The best labelling of one frame and by how much it beats the next one, marker by marker.
+
+    Anchors (partial solvers of three markers) propose; from each proposal the whole body is predicted, labelled and refined;
+    labellings reached from several anchors collect votes; the search ends when the best one has enough of them.
+    Then, for every marker, the best labelling that differs there is looked for among the other labellings found and among the
+    nearest changes: hide the marker, give it a free point, swap it, let a hidden marker take its point.
+
+    IN   points (n, 3) m, z up; order (n,) search order; solvers SolverArrays, anchors AnchorArrays (the same anchors); body, settings
+    OUT  rows (M,), margins (M,) nats (for a null: how far its best free point was from being taken, negative);
+         counters (4,): feature evaluations, anchors run, labellings refined, votes of the best
+    """
+    markers, n = body.load.shape[1], len(points)
+    rows[:] = -1
+    margins[:] = 0.0
+    counters[:] = 0
+    if n < 3:
+        return
+    limit = 24
+    starts = np.empty((limit, markers), dtype=np.int64)
+    finals = np.empty((limit, markers), dtype=np.int64)
+    final_of = np.empty(limit, dtype=np.int64)
+    scores = np.empty(limit)
+    votes = np.zeros(limit, dtype=np.int64)
+    last_vote = np.full(limit, -1, dtype=np.int64)
+    n_starts, n_finals, best = 0, 0, -1
+    found = np.empty((64, 3), dtype=np.int64)
+    pick_rows = np.empty((settings.per_anchor, 3), dtype=np.int64)
+    pick_score = np.empty(settings.per_anchor)
+    trial = np.empty(markers, dtype=np.int64)
+    delta = np.empty(9)
+    evaluations = np.zeros(2, dtype=np.int64)
+    for a in range(len(anchors.markers)):
+        if best >= 0 and (votes[best] >= settings.enough or (votes[best] >= settings.agree and scores[best] >= settings.good * min(n, markers))):
+            break
+        if n_starts >= limit - settings.per_anchor or evaluations[0] > settings.budget:
+            break
+        counters[1] += 1
+        solutions = search(solvers, a, points, order, settings.budget, found, evaluations)
+        if solutions < 0:
+            solutions = 0
+        picks = 0
+        for s in range(solutions):
+            k, total, distance = key_pose(anchors, a, body, points, found[s], delta, room)
+            if distance > settings.far:
+                continue
+            predict(anchors, a, k, body, found[s], delta, settings, room)
+            for m in range(markers):
+                top = 0.0
+                for c in range(n):
+                    if room.scores[m, c] > top:
+                        top = room.scores[m, c]
+                total += min(top, 25.0)
+            where = picks
+            while where > 0 and pick_score[where - 1] < total:
+                where -= 1
+            if where < settings.per_anchor:
+                last = min(picks, settings.per_anchor - 1)
+                for k in range(last, where, -1):
+                    pick_score[k] = pick_score[k - 1]
+                    pick_rows[k] = pick_rows[k - 1]
+                pick_score[where] = total
+                pick_rows[where] = found[s]
+                picks = min(picks + 1, settings.per_anchor)
+        for p in range(picks):
+            if p > 0 and pick_score[p] < pick_score[0] - 60.0:
+                break
+            k, _, _ = key_pose(anchors, a, body, points, pick_rows[p], delta, room)
+            predict(anchors, a, k, body, pick_rows[p], delta, settings, room)
+            assign(room.scores, settings.first_ghost, trial)
+            start = _known(starts, n_starts, trial)
+            if start < 0:
+                final = _known(finals, n_finals, trial)
+                if final < 0:
+                    starts[n_starts] = trial
+                    score = refine(body, points, trial, settings, 4, room)
+                    counters[2] += 1
+                    final = _known(finals, n_finals, trial)
+                    if final < 0:
+                        final = n_finals
+                        finals[final] = trial
+                        scores[final] = score
+                        n_finals += 1
+                    final_of[n_starts] = final
+                    n_starts += 1
+            else:
+                final = final_of[start]
+            if last_vote[final] < a:
+                last_vote[final] = a
+                votes[final] += 1
+            if best < 0 or scores[final] > scores[best]:
+                best = final
+    counters[0] = evaluations[0]
+    if best < 0 or scores[best] == -np.inf:
+        return
+    rows[:] = finals[best]
+    top = scores[best]
+    # nearest changes; a change that turns out better replaces the labelling, and the looking starts again
+    for _ in range(4):
+        k, top = best_pose(body, points, rows, settings, room)
+        evidence(body, k, points, rows, settings, room)
+        posterior(room)
+        score_all(body, k, rows, settings, room)
+        local = room.scores.copy()
+        owner = np.full(n, -1, dtype=np.int64)
+        for m in range(markers):
+            if rows[m] >= 0:
+                owner[rows[m]] = m
+        better = False
+        labelled = 0
+        for m in range(markers):
+            labelled += rows[m] >= 0
+        for m in range(markers):
+            if rows[m] >= 0:
+                margins[m] = local[m, rows[m]] + (settings.first_ghost if labelled == n else 0.0)
+            else:
+                margins[m] = -np.inf
+        for m in range(markers):
+            for c in range(n):
+                if c == rows[m]:
+                    continue
+                o = owner[c]
+                # cheap estimate of what the change costs; exact only where it is near
+                cost = -local[m, c]
+                if rows[m] >= 0:
+                    cost += local[m, rows[m]]
+                if o >= 0:
+                    cost += local[o, c]
+                    if rows[m] >= 0:
+                        cost -= max(0.0, local[o, rows[m]])
+                elif rows[m] < 0:
+                    margins[m] = max(margins[m], -cost)
+                    continue
+                if o >= 0 and cost < settings.contest:
+                    trial[:] = rows
+                    trial[m] = c
+                    trial[o] = -1
+                    if rows[m] >= 0 and local[o, rows[m]] > -settings.contest:
+                        trial[o] = rows[m]
+                    cost = top - evidence(body, k, points, trial, settings, room)
+                    counters[2] += 1
+                    if cost < -1e-6:
+                        rows[:] = trial
+                        better = True
+                        break
+                if rows[m] >= 0:
+                    margins[m] = min(margins[m], cost)
+                if o >= 0:
+                    margins[o] = min(margins[o], cost)
+            if better:
+                break
+        if not better:
+            break
+    for h in range(n_finals):
+        for m in range(markers):
+            if rows[m] >= 0 and finals[h, m] != rows[m]:
+                margins[m] = min(margins[m], max(0.0, top - scores[h]))
+    counters[3] = votes[best]
+
+
+@njit(cache=True, nogil=True)
+def label_clouds(xyz, offsets, first, last, solvers, anchors, body, settings, rows, margins, counters):
+    """`label_frame` for the frames first..last of clouds whose points are sorted within each frame.
+
+    IN  xyz (P, 3) m, z up; offsets (T + 1,)
+    OUT rows (T, M), margins (T, M) nats, counters (T, 4); see `label_frame`
+    O(frames * (anchors' search + labellings * M r^2)); memory for one frame.
+    """
+    markers, latents = body.load.shape[1], body.load.shape[3]
+    most = 0
+    for t in range(first, last):
+        most = max(most, offsets[t + 1] - offsets[t])
+    order = np.arange(most)
+    room = make_room(0, markers, latents)
+    for t in range(first, last):
+        n = offsets[t + 1] - offsets[t]
+        if n != len(room.aligned):
+            room = make_room(n, markers, latents)
+        label_frame(
+            xyz[offsets[t] : offsets[t + 1]], order[:n], solvers, anchors, body, settings, room, rows[t], margins[t], counters[t]
+        )

@@ -1,0 +1,156 @@
+"""Anchors: partial solvers of three markers from which the whole body is predicted.
+
+A whole-body labelling needs a first guess of where the body stands. Each anchor is a partial solver (section 4.5.2) over three markers with
+wide intervals on their distances, height differences and signed triangle: it should never miss the right triple and may propose wrong ones,
+which the whole body then refutes. The anchors are put in an order in which, whatever is hidden, a few of the first still see their markers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from asterism.labelling._kernels import G2, G4, G9, SolverArrays, feature_ranges, search
+from asterism.labelling.body._kernels import LOG_2PI, AnchorArrays
+from asterism.labelling.body.model import BodyModel
+from asterism.recording import Floats, Ints
+
+CHECKS = ((G4, (0, 1), 1), (G2, (0, 1), 1), (G4, (0, 2), 2), (G2, (0, 2), 2), (G2, (1, 2), 2), (G9, (0, 1, 2), 2))
+"""An anchor's classifiers: feature, its points among the three, and the depth of the search at which it can be computed."""
+
+
+@dataclass(frozen=True)
+class AnchorRules:
+    """How anchors are chosen.
+
+    count      anchors kept
+    considered triples that are tried out
+    widen      each end of an interval moves out by this many standard deviations of that end over the people
+    hidden     up to this share of the markers may be hidden in the patterns that the anchors must cover
+    covers     anchors that each pattern should have
+    """
+
+    count: int = 40
+    considered: int = 1000
+    widen: float = 1.0
+    hidden: float = 0.4
+    covers: int = 3
+
+
+@dataclass(frozen=True)
+class Anchors:
+    """triples (A, 3) markers; low, high (A, 6) interval of each of `CHECKS`."""
+
+    triples: Ints
+    low: Floats
+    high: Floats
+
+    def solvers(self) -> SolverArrays:
+        """The anchors as solvers for the tree search."""
+        count, checks = len(self.triples), len(CHECKS)
+        per_depth = [sum(depth == d for _, _, depth in CHECKS) for d in range(3)]
+        starts = np.concatenate([[0], np.cumsum(np.tile(per_depth, count))])
+        slots = np.array([(*points, 0, 0, 0)[:4] for _, points, _ in CHECKS])
+        return SolverArrays(
+            first_depth=3 * np.arange(count + 1),
+            markers=self.triples.reshape(-1),
+            first_feature=starts,
+            kinds=np.tile([kind for kind, _, _ in CHECKS], count),
+            slots=np.tile(slots, (count, 1)),
+            low=self.low.reshape(count * checks),
+            high=self.high.reshape(count * checks),
+        )
+
+    def arrays(self, body: BodyModel) -> AnchorArrays:
+        """What each anchor says of the whole body, for the kernels."""
+        poses, markers = body.mean.shape[:2]
+        count = len(self.triples)
+        rows = (3 * self.triples[:, :, None] + np.arange(3)).reshape(count, 9)
+        parts = []
+        for k in range(poses):
+            full = body.covariance(k)
+            own = full[rows[:, :, None], rows[:, None, :]]
+            precision = np.linalg.inv(own)
+            cross = full[:, rows].transpose(1, 0, 2).reshape(count, markers, 3, 9)
+            gain = cross @ precision[:, None]
+            blocks = np.stack([full[3 * m : 3 * m + 3, 3 * m : 3 * m + 3] for m in range(markers)])
+            spread = blocks - gain @ cross.transpose(0, 1, 3, 2)
+            spread[np.arange(count)[:, None], self.triples] = 1e-4 * np.eye(3)
+            lower = np.linalg.cholesky(spread)
+            log_own = body.log_weight[k] - 0.5 * np.linalg.slogdet(own)[1] - 4.5 * LOG_2PI
+            parts.append((precision, log_own, gain, np.linalg.inv(lower), -np.log(np.diagonal(lower, axis1=2, axis2=3)).sum(axis=2)))
+        return AnchorArrays(np.ascontiguousarray(self.triples), *(np.stack(part) for part in zip(*parts, strict=True)))
+
+
+def choose_anchors(frames: Floats, people: Ints, body: BodyModel, rules: AnchorRules, rng: np.random.Generator) -> Anchors:
+    """Pick anchors from labelled frames: (N, M, 3) m, z up, NaN where missing; people (N,).
+
+    A triple is worth the occlusion patterns that it sees and earlier ones do not see often enough, per unit of time that it costs.
+    """
+    markers = frames.shape[1]
+    triples = _triples(markers, rules, rng)
+    predicted = Anchors(triples, np.zeros((len(triples), 6)), np.zeros((len(triples), 6))).arrays(body).log_scale.mean(axis=(0, 2))
+    triples = triples[np.argsort(-predicted, kind="stable")[: min(rules.considered, max(60, len(triples) // 2))]]
+    anchors = _with_intervals(triples, frames, people, rules.widen)
+    cost = _cost(anchors, frames, rng)
+    patterns = 3000
+    seen = np.ones((patterns, markers), dtype=bool)
+    for p in range(patterns):
+        seen[p, rng.choice(markers, int(rng.uniform(0, rules.hidden) * markers), replace=False)] = False
+    covered = seen[:, triples].all(axis=2).T
+    often_shown = (~np.isnan(frames[:, :, 0])).mean(axis=0)[triples].prod(axis=1)
+    worth = often_shown / cost
+    times, chosen = np.zeros(patterns), []
+    free = np.ones(len(triples), dtype=bool)
+    while len(chosen) < rules.count and free.any():
+        gain = (covered @ np.where(times < rules.covers, 1.0, 0.02)) * worth
+        gain[~free] = -1.0
+        best = int(np.argmax(gain))
+        free[best] = False
+        chosen.append(best)
+        times += covered[best] * often_shown[best]
+    return Anchors(triples[chosen], anchors.low[chosen], anchors.high[chosen])
+
+
+def _triples(markers: int, rules: AnchorRules, rng: np.random.Generator) -> Ints:
+    everything = markers * (markers - 1) * (markers - 2) // 6
+    if everything <= 4 * rules.considered:
+        return np.array(list(combinations(range(markers), 3)), dtype=np.int64)
+    picked = {tuple(sorted(rng.choice(markers, 3, replace=False))) for _ in range(4 * rules.considered)}
+    return np.array(sorted(picked), dtype=np.int64)
+
+
+def _with_intervals(triples: Ints, frames: Floats, people: Ints, widen: float) -> Anchors:
+    """Intervals of every check: the people's range, each end widened by how much the people differ there."""
+    kinds = np.tile([kind for kind, _, _ in CHECKS], len(triples))
+    slots = np.stack([triples[:, (*points, 0, 0, 0)[:4]] for _, points, _ in CHECKS], axis=1).reshape(-1, 4)
+    count = people.max() + 1
+    low, high = np.empty((len(kinds), count)), np.empty((len(kinds), count))
+    feature_ranges(frames, people, count, kinds, slots, low, high)
+    shown = np.isfinite(low)
+    low, high = np.where(shown, low, np.nan), np.where(shown, high, np.nan)
+    with np.errstate(invalid="ignore"):
+        all_low, all_high = np.nanmin(low, axis=1), np.nanmax(high, axis=1)
+        slack = np.maximum(0.05 * (all_high - all_low), 1e-3)
+        all_low -= np.maximum(widen * np.nanstd(low, axis=1), slack)
+        all_high += np.maximum(widen * np.nanstd(high, axis=1), slack)
+    # a triple that is never seen together keeps NaN: comparisons with NaN reject nothing, so shut it out
+    never = np.isnan(all_low)
+    all_low[never], all_high[never] = np.inf, -np.inf
+    return Anchors(triples, all_low.reshape(-1, len(CHECKS)), all_high.reshape(-1, len(CHECKS)))
+
+
+def _cost(anchors: Anchors, frames: Floats, rng: np.random.Generator) -> Floats:
+    """Mean cost of each anchor in a frame, in microseconds of a usual machine: evaluations, and labellings to follow up."""
+    shown = [frame[~np.isnan(frame[:, 0])] for frame in frames[rng.choice(len(frames), min(30, len(frames)), replace=False)]]
+    solvers, markers = anchors.solvers(), frames.shape[1]
+    cost = np.zeros(len(anchors.triples))
+    found = np.empty((64, 3), dtype=np.int64)
+    for a in range(len(cost)):
+        for points in shown:
+            counters = np.zeros(2, dtype=np.int64)
+            solutions = search(solvers, a, np.ascontiguousarray(points), np.arange(len(points)), 10**7, found, counters)
+            cost[a] += 0.006 * counters[0] + 0.0035 * markers**2 * (solutions if solutions >= 0 else 2 * len(found)) + 1.0
+    return cost / len(shown)

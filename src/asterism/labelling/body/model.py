@@ -1,0 +1,196 @@
+"""The body as a whole: labelled frames in; a Gaussian mixture of key poses, sizes and marker placements out.
+
+A frame's labelled points, once the body is turned about the vertical and shifted onto a key pose's mean body, are modelled as
+
+    y_m = mean_m + load_m u + noise_m,     u ~ N(0, I),  noise_m ~ N(0, S_m)
+
+with latent directions u: the main directions in which the bodies of the training set differ there (pose and person together), a change of
+size, and small moves of the whole body (shift, turn) that the first rough placing leaves over. Given any labelled subset, every other
+marker's place follows in closed form with its covariance, and so does the density of a whole labelling. This is what single distances and
+heights lack: the whole pose (issue "Label a real recording end to end", "a last look at the whole body").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.cluster.vq import kmeans2
+
+from asterism.labelling.body._kernels import BodyArrays
+from asterism.recording import Floats, Ints
+
+
+@dataclass(frozen=True)
+class BodyRules:
+    """How a body model is learned. Chosen on the gait subjects, each left out in turn (docs/labelling.md).
+
+    poses           key poses at most; fewer where there are not `frames_per_pose` frames for each
+    frames_per_pose training frames that a key pose needs
+    latents         directions in which pose and person vary within a key pose
+    size_std        how much bodies differ in size beyond the people of the training set, as a share of the size
+    placement_std   how far a marker sits from where the model expects it, beyond what was seen (m)
+    person_extra    people's own mean bodies count (1 + person_extra / people) times: few people show too little variety
+    shift_std       first placing of the body, error of the position (m)
+    turn_std        first placing of the body, error of the heading (rad)
+    """
+
+    poses: int = 4
+    frames_per_pose: int = 300
+    latents: int = 16
+    size_std: float = 0.06
+    placement_std: float = 0.012
+    person_extra: float = 2.0
+    shift_std: float = 0.1
+    turn_std: float = 0.3
+
+
+@dataclass(frozen=True)
+class BodyModel:
+    """K key poses of M markers with r latents.
+
+    mean        (K, M, 3) m
+    load        (K, M, 3, r) m per latent
+    noise       (K, M, 3, 3) m2
+    log_weight  (K,) log share of the training frames
+    """
+
+    mean: Floats
+    load: Floats
+    noise: Floats
+    log_weight: Floats
+
+    def arrays(self) -> BodyArrays:
+        """The model as the kernels read it."""
+        lower = np.linalg.cholesky(self.noise)
+        whiten = np.linalg.inv(lower)
+        load = whiten @ self.load
+        gram = np.einsum("kmai,kmaj->kmij", load, load)
+        log_scale = -np.log(np.diagonal(lower, axis1=2, axis2=3)).sum(axis=2)
+        return BodyArrays(self.mean, whiten, load, gram, log_scale, self.log_weight)
+
+    def covariance(self, pose: int) -> Floats:
+        """(3M, 3M) m2, of the placed body in one key pose."""
+        flat = self.load[pose].reshape(-1, self.load.shape[3])
+        full = flat @ flat.T
+        for m, block in enumerate(self.noise[pose]):
+            full[3 * m : 3 * m + 3, 3 * m : 3 * m + 3] += block
+        return full
+
+
+def place_onto(frames: Floats, mean: Floats) -> Floats:
+    """Turn each frame about +z and shift it so that the markers that both show lie best on `mean`: (N, M, 3) m, NaN stays."""
+    shown = ~np.isnan(frames[:, :, :1]) & ~np.isnan(mean[None, :, :1])
+    count = np.maximum(shown.sum(axis=1, keepdims=True), 1)
+    here = np.where(shown, frames, 0.0).sum(axis=1, keepdims=True) / count
+    there = np.where(shown, mean, 0.0).sum(axis=1, keepdims=True) / count
+    a, b = np.where(shown, frames - here, 0.0), np.where(shown, mean - there, 0.0)
+    along = (a[..., :2] * b[..., :2]).sum(axis=(1, 2))
+    across = (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sum(axis=1)
+    angle = np.arctan2(across, along)[:, None]
+    moved = frames - here
+    x, y = moved[..., 0].copy(), moved[..., 1].copy()
+    moved[..., 0] = np.cos(angle) * x - np.sin(angle) * y
+    moved[..., 1] = np.sin(angle) * x + np.cos(angle) * y
+    return moved + there
+
+
+def fit_body(frames: Floats, people: Ints, rules: BodyRules, seed: int) -> BodyModel:
+    """Learn a body model from labelled frames.
+
+    frames (N, M, 3) m, z up, NaN where missing, every marker shown somewhere; people (N,) whose frame it is. O(N M^2 + M^3) per key pose.
+    """
+    mean = frames[np.argmax((~np.isnan(frames[:, :, 0])).sum(axis=1))]
+    for _ in range(12):
+        placed = place_onto(frames, mean)
+        mean = _mean_over_people(placed, people)
+    placed = _fill(placed, mean)
+    pose_of = _key_poses(placed - placed.mean(axis=1, keepdims=True), people, rules, seed)
+    poses = []
+    for k in range(pose_of.max() + 1):
+        own = pose_of == k
+        centre = _mean_over_people(placed[own], people[own])
+        poses.append((*_pose(_fill(place_onto(frames[own], centre), centre), people[own], rules), np.log(own.mean())))
+    means, loads, noises, weights = zip(*poses, strict=True)
+    return BodyModel(np.stack(means), np.stack(loads), np.stack(noises), np.array(weights))
+
+
+def _mean_over_people(frames: Floats, people: Ints) -> Floats:
+    """The mean of the people's mean bodies: (M, 3), NaN for a marker that none shows."""
+    sums, counts = np.zeros(frames.shape[1:]), np.zeros((frames.shape[1], 1))
+    for person in np.unique(people):
+        own = frames[people == person]
+        shown = ~np.isnan(own[:, :, :1])
+        count = shown.sum(axis=0)
+        sums += np.where(count > 0, np.where(shown, own, 0.0).sum(axis=0) / np.maximum(count, 1), 0.0)
+        counts += count > 0
+    return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+
+
+def _fill(placed: Floats, mean: Floats) -> Floats:
+    """Missing samples replaced by what the shown ones of the same frame let expect (conditional means, three rounds)."""
+    missing = np.isnan(placed[:, :, 0])
+    if not missing.any():
+        return placed
+    deviation = np.where(np.isnan(placed), 0.0, placed - mean).reshape(len(placed), -1)
+    patterns, which = np.unique(missing, axis=0, return_inverse=True)
+    for _ in range(3):
+        covariance = deviation.T @ deviation / len(deviation) + 1e-4 * np.eye(deviation.shape[1])
+        for p, pattern in enumerate(patterns):
+            hidden = np.repeat(pattern, 3)
+            if hidden.any() and not hidden.all():
+                rows = np.nonzero(which == p)[0]
+                gain = np.linalg.solve(covariance[np.ix_(~hidden, ~hidden)], covariance[np.ix_(~hidden, hidden)])
+                deviation[np.ix_(rows, np.nonzero(hidden)[0])] = deviation[np.ix_(rows, np.nonzero(~hidden)[0])] @ gain
+    return deviation.reshape(placed.shape) + mean
+
+
+def _key_poses(centred: Floats, people: Ints, rules: BodyRules, seed: int) -> Ints:
+    """Which key pose each frame belongs to: k-means of the bodies brought to one size, (N,)."""
+    count = int(np.clip(len(centred) // rules.frames_per_pose, 1, rules.poses))
+    if count == 1:
+        return np.zeros(len(centred), dtype=np.int64)
+    scaled = centred.reshape(len(centred), -1).copy()
+    for person in np.unique(people):
+        scaled[people == person] /= np.sqrt((scaled[people == person] ** 2).sum(axis=1).mean())
+    _, pose_of = kmeans2(scaled, count, minit="++", rng=np.random.default_rng(seed))
+    sizes = np.bincount(pose_of, minlength=count)
+    kept = np.nonzero(sizes >= rules.frames_per_pose // 4)[0]
+    centres = np.stack([scaled[pose_of == k].mean(axis=0) for k in kept])
+    return np.argmin(((scaled[:, None] - centres[None]) ** 2).sum(axis=2), axis=1)
+
+
+def _pose(placed: Floats, people: Ints, rules: BodyRules) -> tuple[Floats, Floats, Floats]:
+    """Mean (M, 3), load (M, 3, r) and noise (M, 3, 3) of one key pose."""
+    markers = placed.shape[1]
+    groups = [placed[people == person].reshape(-1, 3 * markers) for person in np.unique(people)]
+    own = np.stack([group.mean(axis=0) for group in groups])
+    centre = own.mean(axis=0)
+    covariance = sum(((group - centre).T @ (group - centre) / len(group) for group in groups), np.zeros((3 * markers, 3 * markers)))
+    covariance /= len(groups)
+    covariance += (own - centre).T @ (own - centre) / len(groups) * (rules.person_extra / len(groups))
+    mean = centre.reshape(markers, 3)
+    size = (mean - mean.mean(axis=0)).ravel() * rules.size_std
+    covariance += np.outer(size, size)
+    values, vectors = np.linalg.eigh(covariance)
+    main = vectors[:, ::-1][:, : rules.latents] * np.sqrt(np.maximum(values[::-1][: rules.latents], 0.0))
+    rest = covariance - main @ main.T
+    noise = np.stack([rest[3 * m : 3 * m + 3, 3 * m : 3 * m + 3] for m in range(markers)])
+    noise += rules.placement_std**2 * np.eye(3)
+    moves = np.zeros((markers, 3, 4))
+    moves[:, :, :3] = rules.shift_std * np.eye(3)
+    moves[:, 0, 3], moves[:, 1, 3] = -rules.turn_std * mean[:, 1], rules.turn_std * mean[:, 0]
+    return mean, np.concatenate([main.reshape(markers, 3, -1), moves], axis=2), noise
+
+
+def subsample(people: Ints, per_person: int) -> Ints:
+    """Rows of at most `per_person` frames of each person, evenly spread."""
+    rows = [np.nonzero(people == person)[0] for person in np.unique(people)]
+    return np.sort(np.concatenate([row[np.unique(np.linspace(0, len(row) - 1, min(per_person, len(row))).astype(int))] for row in rows]))
+
+
+def names_of(people: Sequence[str]) -> tuple[tuple[str, ...], Ints]:
+    """The different names in order of appearance, and each one's number."""
+    order = tuple(dict.fromkeys(people))
+    return order, np.array([order.index(person) for person in people], dtype=np.int64)
