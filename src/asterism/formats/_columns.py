@@ -14,9 +14,17 @@ from numpy.typing import ArrayLike, NDArray
 from asterism.errors import AsterismError
 from asterism.formats._physical import COMPUTED, UNNAMED, kinds_by_name
 from asterism.formats._vertical import tell_vertical, vertical_from_positions
-from asterism.recording import Event, Floats, MarkerSet, Recording, as_vertical
+from asterism.recording import Event, Floats, MarkerSet, Recording, as_vertical, canonical, without_subject
 
-__all__ = ["Points", "metres_per_unit", "recording_of", "settle_vertical", "without_common_subject", "vertical_from_positions"]
+__all__ = [
+    "Points",
+    "is_unnamed",
+    "metres_per_unit",
+    "recording_of",
+    "settle_vertical",
+    "vertical_from_positions",
+    "without_common_subject",
+]
 
 _METRES = {
     "m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0,
@@ -116,10 +124,18 @@ def recording_of(path: Path, points: Points, markers: Any = None, vertical: Arra
 def wanted_columns(path: Path, labels: Sequence[str], wanted: MarkerSet) -> tuple[NDArray[np.int64], tuple[str, ...]]:
     """The column of each marker of the set, -1 where absent, and the set's names.
 
+    A column with the set's own name goes before one with an alias of it.
     Raises AsterismError where none is there, or two columns carry one marker's name.
     """
+    exact = {canonical(without_subject(label)) for label in labels} & {canonical(name) for name in wanted.names}
+    spelled = [
+        ""
+        if (name := wanted.name_of(label)) and canonical(name) in exact and canonical(without_subject(label)) != canonical(name)
+        else label
+        for label in labels
+    ]
     try:
-        columns = wanted.columns_of(labels)
+        columns = wanted.columns_of(spelled)
     except AsterismError as problem:
         raise AsterismError(f"{path}: {problem}") from problem
     if (columns < 0).all():
@@ -178,6 +194,11 @@ def without_common_subject(labels: Sequence[str]) -> tuple[tuple[str, ...], str]
     return tuple(label.rpartition(":")[2] if label.startswith(subject + ":") else label for label in labels), subject
 
 
+def is_unnamed(label: str) -> bool:
+    """Whether a label only numbers a point that nobody named: *12, Unlabeled:108, U3, x56."""
+    return kinds_by_name([label])[0] == UNNAMED
+
+
 def metres_per_unit(path: Path, said: str | None, raw: Floats, others: Sequence[str] = ()) -> tuple[float, str, str]:
     """Metres per unit of a file, that unit's name, and a remark ("" where the file said it and it fits).
 
@@ -211,15 +232,17 @@ def _short_unit(scale: float) -> str:
 
 
 def body_size(raw: Floats) -> float:
-    """The usual length of the diagonal of the box around a frame's points, in the unit given; NaN without two points."""
+    """About how large what a frame shows is, in the unit given: four times the median distance from the median point.
+
+    A body's height for a whole body; a few lost points do not matter. NaN without two points.
+    """
     some = raw[:: max(1, len(raw) // 200)]
-    seen = ~np.isnan(some).any(axis=2)
-    some, seen = some[seen.sum(axis=1) > 1], seen[seen.sum(axis=1) > 1]
+    some = np.where(np.isfinite(some).all(axis=2, keepdims=True) & (np.abs(some) < 1e100).all(axis=2, keepdims=True), some, np.nan)
+    some = some[(~np.isnan(some[:, :, 0])).sum(axis=1) > 1]
     if not len(some):
         return float("nan")
-    high = np.where(seen[:, :, None], some, -np.inf).max(axis=1)
-    low = np.where(seen[:, :, None], some, np.inf).min(axis=1)
-    size = float(np.median(np.linalg.norm(high - low, axis=1)))
+    away = np.linalg.norm(some - np.nanmedian(some, axis=1, keepdims=True), axis=2)
+    size = 4.0 * float(np.median(np.nanmedian(away, axis=1)))
     return size if size > 0 else float("nan")
 
 
@@ -233,8 +256,8 @@ def as_metres(raw: Floats, scale: float) -> tuple[Floats, list[str]]:
     """Positions in metres with NaN for what cannot be a place: not finite, beyond 1000 km, or zero in all three."""
     with np.errstate(over="ignore", invalid="ignore"):
         positions = raw * scale
-        strange = np.isinf(raw).any(axis=2) | (np.abs(positions) > _FURTHEST).any(axis=2)
-    zero = (raw == 0).all(axis=2)
+        strange: NDArray[np.bool_] = (np.isinf(raw) | (np.abs(positions) > _FURTHEST)).any(axis=2)
+    zero: NDArray[np.bool_] = (raw == 0).all(axis=2)
     positions[strange | zero | np.isnan(positions).any(axis=2)] = np.nan
     remarks = []
     if strange.any():

@@ -13,7 +13,7 @@ from asterism.formats import csv_long, csv_motive, csv_nexus, csv_wide, mat, npz
 from asterism.formats._columns import Points, recording_of
 from asterism.formats._describe import described
 from asterism.formats._text import decoded, lines_of
-from asterism.formats.c3d import read_c3d
+from asterism.formats.c3d import describe_c3d, read_c3d, write_c3d
 from asterism.recording import Clouds, Recording
 
 _READERS: dict[str, Callable[[Path], Points]] = {
@@ -84,9 +84,8 @@ def write(path: str | Path, recording: Recording | Clouds) -> list[str]:
             return csv_long.write_clouds(path, recording)
         raise AsterismError(f"{path}: anonymous clouds are written as .npz or .csv; choose one of them.")
     if suffix == ".c3d":
-        from asterism.formats.c3d import write_c3d
-
-        return list(write_c3d(path, recording) or [])
+        write_c3d(path, recording)
+        return []
     writer = _WRITERS.get(suffix)
     if writer is None:
         raise AsterismError(f"{path}: no format has the suffix {suffix or '(none)'}; write .c3d, {', '.join(_WRITERS)}.")
@@ -101,8 +100,6 @@ def describe(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     kind = _kind_of(path)
     if kind == "C3D":
-        from asterism.formats.c3d import describe_c3d
-
         return describe_c3d(path)
     if kind == "NPZ":
         clouds = npz.read_npz_clouds(path)
@@ -117,10 +114,10 @@ def describe(path: str | Path) -> dict[str, Any]:
     except AsterismError:
         if kind != "CSV":
             raise
-        table = storage.table_or_none(path)
-        if table is None:
+        values = storage.table_or_none(path)
+        if values is None:
             raise
-        return storage.described_table(path, table)
+        return storage.described_table(path, values)
     return described(path, points)
 
 
@@ -135,7 +132,7 @@ def convert(source: str | Path, target: str | Path, vertical: ArrayLike | str | 
         if table is not None and not storage.holds_markers(table):
             if target.suffix.casefold() not in _TABLES:
                 raise AsterismError(
-                    f"{source} holds a table of values, no marker positions; it can be written as {', '.join(_TABLES)}, not as {target.name}."
+                    f"{source} holds a table of values, no marker positions; write it as {', '.join(_TABLES)}, not as {target.name}."
                 )
             return storage.write_table(target, table)
     if _kind_of(source) == "NPZ":
@@ -183,7 +180,9 @@ def _text_kind(path: Path, head: bytes) -> str | None:
     first = lines[0].strip().strip('"').casefold()
     if first.startswith("format version"):
         return "Motive CSV"
-    if first.startswith("pathfiletype") or any(line.casefold().startswith("datarate") and "nummarkers" in line.casefold() for line in lines[:4]):
+    if first.startswith("pathfiletype") or any(
+        line.casefold().startswith("datarate") and "nummarkers" in line.casefold() for line in lines[:4]
+    ):
         return "TRC"
     if any(line.startswith(("NO_OF_FRAMES", "MARKER_NAMES")) for line in lines[:16]):
         return "QTM TSV"

@@ -83,7 +83,7 @@ def rows_of_numbers(path: Path, lines: Sequence[str], first_line: int, delimiter
 
     Raises AsterismError, naming line and column, where a cell is no number or a row is too long.
     """
-    kept = [i for i, line in enumerate(lines) if line.strip(" \t,;\"")]
+    kept = [i for i, line in enumerate(lines) if line.strip(' \t,;"')]
     out = np.full((len(kept), width), np.nan)
     decimal_comma = delimiter == ";"
     short: list[int] = []
@@ -107,7 +107,7 @@ def rows_of_numbers(path: Path, lines: Sequence[str], first_line: int, delimiter
                 number = number_of(cell)
                 if number is None:
                     raise AsterismError(
-                        f"{path}, line {first_line + i}, column {column + 1}: {cell.strip()[:30]!r} is not a number; correct it or leave it blank."
+                        f"{path}, line {first_line + i}, column {column + 1}: {cell.strip()[:30]!r} is not a number; correct or blank it."
                     ) from None
                 out[row, column] = number
     remarks = [f"line {first_line + kept[row]} has fewer cells than the header; the rest is taken as missing" for row in short[:1]]
@@ -130,7 +130,9 @@ def rate_of(path: Path, said: float | None, times: Floats | None, suspicious: li
             timed = 1.0 / mean
     good = said is not None and np.isfinite(said) and 0 < said < 1e6
     if good and said is not None:
-        if timed is None or abs(timed - said) <= max(0.02 * said, said * 0.0011 * said / max(1, len(times) - 1 if times is not None else 1)):
+        if timed is None or abs(timed - said) <= max(
+            0.02 * said, said * 0.0011 * said / max(1, len(times) - 1 if times is not None else 1)
+        ):
             return float(said)
         suspicious.append(f"the header says {said:g} frames per second, the time column {timed:.6g}; the time column was believed")
     if timed is not None:
@@ -164,6 +166,8 @@ def write_atomically(path: Path, data: bytes) -> None:
         temporary.write_bytes(data)
         os.replace(temporary, path)
     except OSError as problem:
-        raise AsterismError(f"{path} cannot be written ({problem.strerror or problem}); check the folder, space and permissions.") from problem
+        raise AsterismError(
+            f"{path} cannot be written ({problem.strerror or problem}); check the folder, space and permissions."
+        ) from problem
     finally:
         temporary.unlink(missing_ok=True)

@@ -22,7 +22,9 @@ def all_points(recording: Recording, format: str, *, events: bool = False) -> tu
             positions = np.concatenate([positions, source.positions[:, others]], axis=1)
             labels += [source.labels[c] for c in others]
     elif source is not None:
-        lost.append(f"what {recording.metadata.get('file', 'the source')} holds besides markers and events (analog, computed points, parameters)")
+        lost.append(
+            f"what {recording.metadata.get('file', 'the source')} holds besides markers and events (analog, computed points, parameters)"
+        )
     if recording.events and not events:
         lost.append(f"{len(recording.events)} events: {format} has no place for them")
     return positions, tuple(labels), lost

@@ -56,17 +56,19 @@ def read_long(path: Path) -> Points:
     raw = values[:, count:]
     remarks: list[str] = []
     frame, frames, first = _frames(path, values[:, 0], frame_at is not None, comments.first_frame, comments.frames, line_numbers)
-    times = None
+    times: Floats | None = None
     if time_at is not None:
-        column = values[:, [i for i in (frame_at, time_at) if i is not None].index(time_at)]
+        stamps = values[:, [i for i in (frame_at, time_at) if i is not None].index(time_at)]
         times = np.full(frames, np.nan)
-        times[frame] = column
+        times[frame] = stamps
         there = np.isfinite(times)
         if there.sum() > 1:
             times = np.interp(np.arange(frames), np.nonzero(there)[0], times[there])
     labels, column = _columns(path, marks, frame, line_numbers)
     if frames * max(1, len(labels)) > _MOST_SAMPLES:
-        raise AsterismError(f"{path} spreads over {frames} frames and {len(labels)} points, too many to hold; split it or mend its frame numbers.")
+        raise AsterismError(
+            f"{path} spreads over {frames} frames and {len(labels)} points, too many to hold; split it or mend its frame numbers."
+        )
     spread = np.full((frames, len(labels), 3), np.nan)
     spread[frame, column] = raw
     scale, name, remark = metres_per_unit(path, comments.units or units, spread)
@@ -100,7 +102,7 @@ def write_long(path: Path, recording: Recording) -> list[str]:
         for t, m, (x, y, z) in zip(frames.tolist(), columns.tolist(), positions[frames, columns].tolist(), strict=True)
     ]
     write_atomically(path, ("\n".join([*head, "frame,time,marker,x,y,z", *rows]) + "\n").encode())
-    unseen = [label for label, seen in zip(labels, ~np.isnan(positions[:, :, 0]).all(axis=0), strict=True) if not seen]
+    unseen = [label for m, label in enumerate(labels) if np.isnan(positions[:, m, 0]).all()]
     if unseen:
         lost.append(f"columns without a sample: {', '.join(unseen[:5])}")
     return lost
@@ -172,9 +174,7 @@ def _frames(
     return frame, span, low
 
 
-def _columns(
-    path: Path, marks: list[str] | None, frame: NDArray[np.int64], lines: list[int]
-) -> tuple[list[str], NDArray[np.int64]]:
+def _columns(path: Path, marks: list[str] | None, frame: NDArray[np.int64], lines: list[int]) -> tuple[list[str], NDArray[np.int64]]:
     """The labels in order of appearance and each row's column; anonymous points are numbered within their frame."""
     if marks is None:
         order = np.argsort(frame, kind="stable")
@@ -191,5 +191,7 @@ def _columns(
     repeated = np.nonzero(np.diff(key[order]) == 0)[0]
     if len(repeated):
         row = int(order[repeated[0] + 1])
-        raise AsterismError(f"{path}, line {lines[row]}: {labels[int(column[row])]} occurs twice in this frame; remove or rename one of the two.")
+        raise AsterismError(
+            f"{path}, line {lines[row]}: {labels[int(column[row])]} occurs twice in this frame; remove or rename one of the two."
+        )
     return labels, column

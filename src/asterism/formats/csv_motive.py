@@ -95,9 +95,9 @@ def _kinds(blocks: list[_Block], positions: Floats) -> tuple[str, ...]:
     measured = [i for i, block in enumerate(blocks) if block.kind in ("marker", "unlabeled marker")]
     kinds = []
     for i, block in enumerate(blocks):
-        if block.kind in ("rigid body", "bone", "skeleton"):
-            kinds.append(COMPUTED)
-        elif block.kind in ("rigid body marker", "bone marker") and _has_twin(positions, i, measured):
+        if block.kind in ("rigid body", "bone", "skeleton") or (
+            block.kind in ("rigid body marker", "bone marker") and _has_twin(positions, i, measured)
+        ):
             kinds.append(COMPUTED)
         else:
             kinds.append(UNNAMED if kinds_by_name([block.name])[0] == UNNAMED else MARKER)

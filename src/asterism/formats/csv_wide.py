@@ -64,7 +64,7 @@ def read_wide(path: Path) -> Points:
         milliseconds = match is not None and (match["unit"] or "").lower().startswith("m")
         times = values[:, time_at] * (0.001 if milliseconds else 1.0)
     rate = rate_of(path, comments.rate, times, remarks)
-    first, jumps = comments.first_frame, []
+    first, jumps = comments.first_frame, list[str]()
     if frame_at is not None:
         positions, numbered, jumps = frames_in_place(values[:, frame_at], positions)
         first = numbered if len(values) else first
@@ -98,7 +98,7 @@ def write_wide(path: Path, recording: Recording) -> list[str]:
     head = comment_lines(
         units, recording.rate, recording.vertical, len(positions), first, str(recording.metadata.get("subject", "")), recording.events
     )
-    bare = [re.sub(r'[,;"#]', ' ', label) for label in _unrepeated(labels)]
+    bare = [re.sub(r'[,;"#]', " ", label) for label in _unrepeated(labels)]
     names = [f"{label}_{axis}" for label in bare for axis in "xyz"]
     body = spelled_numbers(dense_rows(positions / _METRES[units], decimals), ",", decimals)
     rows = [",".join(filter(None, (str(first + t), f"{start + t / recording.rate:.9g}", row))) for t, row in enumerate(body)]

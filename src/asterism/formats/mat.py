@@ -35,7 +35,9 @@ def read_mat(path: Path) -> Points:
         raise AsterismError(f"{path} is damaged or no MAT file ({type(problem).__name__}); export it from QTM again.") from problem
     take = next((v for k, v in variables.items() if not k.startswith("__") and isinstance(v, dict) and "Trajectories" in v), None)
     if take is None:
-        raise AsterismError(f"{path} is a MAT file, but not one that QTM exports (no Trajectories in it); export 3D data from QTM as MAT, C3D or TSV.")
+        raise AsterismError(
+            f"{path} is a MAT file, but not one that QTM exports (no Trajectories in it); export 3D data from QTM as MAT, C3D or TSV."
+        )
     try:
         return _points(path, take)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as problem:

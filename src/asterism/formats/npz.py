@@ -108,9 +108,7 @@ def write_npz(path: Path, recording: Recording) -> list[str]:
 
 def write_npz_clouds(path: Path, clouds: Clouds) -> list[str]:
     """Write clouds as they are; nothing is lost."""
-    _save(
-        path, kind="clouds", xyz=clouds.xyz, offsets=clouds.offsets, columns=clouds.columns, rate=clouds.rate, vertical=clouds.vertical
-    )
+    _save(path, kind="clouds", xyz=clouds.xyz, offsets=clouds.offsets, columns=clouds.columns, rate=clouds.rate, vertical=clouds.vertical)
     return []
 
 
@@ -136,7 +134,8 @@ def described_clouds(path: Path, clouds: Clouds) -> dict[str, Any]:
 
 def _save(path: Path, **arrays: Any) -> None:
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, asterism=np.array(VERSION), **{name: np.asarray(value) for name, value in arrays.items()})
+    held: dict[str, Any] = {"asterism": VERSION, **arrays}
+    np.savez_compressed(buffer, **held)
     write_atomically(path, buffer.getvalue())
 
 
@@ -153,7 +152,17 @@ def _arrays(path: Path, only_kind: bool = False) -> dict[str, NDArray[Any]]:
                 if only_kind and name not in ("asterism", "kind"):
                     continue
                 held[name] = _array(archive.read(entry))
-    except (zipfile.BadZipFile, ValueError, OSError, EOFError, KeyError, NotImplementedError, RuntimeError, MemoryError, SyntaxError) as problem:
+    except (
+        zipfile.BadZipFile,
+        ValueError,
+        OSError,
+        EOFError,
+        KeyError,
+        NotImplementedError,
+        RuntimeError,
+        MemoryError,
+        SyntaxError,
+    ) as problem:
         raise AsterismError(f"{path} is damaged ({problem}); write it again.") from problem
     except Exception as problem:  # zlib.error, struct.error, tokenize.TokenError, UnicodeDecodeError of a damaged archive
         raise AsterismError(f"{path} is damaged ({type(problem).__name__}); write it again.") from problem

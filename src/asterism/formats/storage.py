@@ -117,7 +117,7 @@ def write_table(path: str | Path, table: Table) -> list[str]:
     suffix = path.suffix.casefold()
     if suffix not in (".mot", ".sto", ".csv"):
         raise AsterismError(f"{path}: a table is written as .mot, .sto or .csv; choose one of these suffixes.")
-    degrees = {True: "yes", False: "no"}.get(table.in_degrees)  # type: ignore[call-overload]
+    degrees = {None: "", True: "yes", False: "no"}[table.in_degrees]
     title = re.sub(r"[\r\n]+", " ", table.title) or path.stem
     if suffix == ".csv":
         head = [f"# title={title}", *([f"# inDegrees={degrees}"] if degrees else []), *([f"# units={table.units}"] if table.units else [])]
@@ -157,7 +157,7 @@ def points_of_table(path: Path, table: Table) -> Points:
         shown = ", ".join(table.names[:4]) + (", ..." if len(table.names) > 4 else "")
         what = "joint angles or other values" if table.in_degrees is not None else "values"
         raise AsterismError(
-            f"{path} holds {what} ({shown or 'no column'}), no marker positions; read it with asterism.formats.read_table or convert it to CSV."
+            f"{path} holds {what} ({shown or 'no column'}), no marker positions; use asterism.formats.read_table or convert it to CSV."
         )
     groups, _ = marker_groups(table.names)
     raw = table.values[:, [column for group in groups for column in group.columns]].reshape(len(table.values), len(groups), 3)
@@ -226,5 +226,3 @@ def _header(lines: list[str]) -> dict[str, str]:
 
 def _shortest(value: float) -> str:
     return "" if value != value else f"{value:.17g}" if float(f"{value:.15g}") != value else f"{value:.15g}"
-
-

@@ -40,9 +40,11 @@ def read_trc(path: Path) -> Points:
     at = next((i for i, line in enumerate(lines[:12]) if "datarate" in line.casefold()), None)
     if at is None or at + 2 >= len(lines):
         raise AsterismError(f"{path} is not a TRC file: it has no line with DataRate, CameraRate, NumFrames; export it again.")
-    names_at = next((i for i in range(at + 1, min(at + 6, len(lines))) if lines[i].strip(" \t,;\"").casefold().startswith("frame")), None)
+    names_at = next((i for i in range(at + 1, min(at + 6, len(lines))) if lines[i].strip(' \t,;"').casefold().startswith("frame")), None)
     if names_at is None:
-        raise AsterismError(f"{path} has no line with Frame#, Time and the markers' names after its header; add it or export the file again.")
+        raise AsterismError(
+            f"{path} has no line with Frame#, Time and the markers' names after its header; add it or export the file again."
+        )
     header = _header(lines[at], lines[at + 1] if names_at > at + 1 else "")
     delimiter = delimiter_of(lines[names_at])
     letters = cells_of(lines[names_at + 1], delimiter) if names_at + 1 < len(lines) else []
@@ -50,7 +52,9 @@ def read_trc(path: Path) -> Points:
     data_at = names_at + 2 if has_letters else names_at + 1
     labels, remarks = _labels(path, lines[names_at], delimiter, letters if has_letters else [], lines[data_at : data_at + 3])
     if letters and has_letters and not _in_order(letters):
-        raise AsterismError(f"{path}, line {names_at + 2}: the coordinates do not stand in the order X, Y, Z; export the file in that order.")
+        raise AsterismError(
+            f"{path}, line {names_at + 2}: the coordinates do not stand in the order X, Y, Z; export the file in that order."
+        )
     rows, more = rows_of_numbers(path, lines[data_at:], data_at + 1, delimiter, 2 + 3 * len(labels))
     remarks += more
     raw = rows[:, 2:].reshape(len(rows), len(labels), 3)
@@ -120,7 +124,9 @@ def _header(keys: str, values: str) -> dict[str, str]:
     delimiter = delimiter_of(keys)
     names, cells = cells_of(keys, delimiter), cells_of(values, delimiter_of(values) if delimiter is None else delimiter)
     filled, written = [n for n in names if n], [c for c in cells if c]
-    pairs = zip(filled, written, strict=False) if len(cells) > len(names) or len(filled) == len(written) else zip(names, cells, strict=False)
+    pairs = (
+        zip(filled, written, strict=False) if len(cells) > len(names) or len(filled) == len(written) else zip(names, cells, strict=False)
+    )
     return {name.casefold(): cell for name, cell in pairs if name}
 
 

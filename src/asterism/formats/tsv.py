@@ -99,7 +99,10 @@ def write_tsv(path: Path, recording: Recording) -> list[str]:
         "NO_OF_ANALOG\t0",
         "ANALOG_FREQUENCY\t0",
         f"DESCRIPTION\t{re.sub(r'[^ -~]', ' ', str(recording.metadata.get('description', '')) or '--')}",
-        *(f"EVENT\t{re.sub('[^ -~]', ' ', f'{e.context} {e.label}'.strip())}\t{round(e.time * recording.rate) + 1}\t{e.time:.6f}" for e in recording.events),
+        *(
+            f"EVENT\t{re.sub('[^ -~]', ' ', f'{e.context} {e.label}'.strip())}\t{round(e.time * recording.rate) + 1}\t{e.time:.6f}"
+            for e in recording.events
+        ),
         "DATA_INCLUDED\t3D",
         "\t".join(["MARKER_NAMES", *names]),
         "\t".join(["Frame", "Time", *(f"{name} {axis}" for name in names for axis in "XYZ")]),
