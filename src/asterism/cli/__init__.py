@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import glob
+import os
 import re
 import sys
 from collections.abc import Callable, Sequence
@@ -74,7 +76,7 @@ def main(args: Sequence[str] | None = None) -> int:
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
     try:
-        words = _lists_joined(sys.argv[1:] if args is None else args)
+        words = _lists_joined(_globbed(sys.argv[1:] if args is None else args))
         status = app(args=words or ["--help"], prog_name="asterism", standalone_mode=False)
     except AsterismError as problem:
         _console.complain(str(problem))
@@ -82,7 +84,7 @@ def main(args: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         status = 130
     except BrokenPipeError:
-        sys.stdout = None  # type: ignore[assignment]  # the reader is gone: nothing is left to flush at exit
+        sys.stdout = None  # the reader is gone: nothing is left to flush at exit
         return 1
     except OSError as problem:
         _console.complain(_console.reason(problem))
@@ -95,6 +97,11 @@ def main(args: Sequence[str] | None = None) -> int:
     if status == 130:
         _console.complain("interrupted; finished files stay, and no half-written file is left.")
     return status if isinstance(status, int) else 0
+
+
+def _globbed(args: Sequence[str]) -> list[str]:
+    """`*.c3d` becomes the files that it means, for shells that leave that to the program."""
+    return [path for arg in args for path in (sorted(glob.glob(arg)) if glob.has_magic(arg) and not os.path.exists(arg) else []) or [arg]]
 
 
 def _lists_joined(args: Sequence[str]) -> list[str]:

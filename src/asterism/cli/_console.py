@@ -51,13 +51,27 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, 
     """Print a table: the first `left` columns are text, the others numbers."""
     from rich import box
     from rich.table import Table
+    from rich.text import Text
 
-    sheet = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    sheet = Table(title=Text(title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
     for i, column in enumerate(columns):
         sheet.add_column(column, justify="left" if i < left else "right", overflow="fold", no_wrap=i >= left)
     for row in rows:
-        sheet.add_row(*row)
+        sheet.add_row(*(Text(cell) for cell in row))
     console().print(sheet)
+
+
+def facts(title: str, rows: Sequence[tuple[str, str]]) -> None:
+    """Print names with their values under a title."""
+    from rich.table import Table
+    from rich.text import Text
+
+    sheet = Table.grid(padding=(0, 2))
+    sheet.add_column(no_wrap=True)
+    sheet.add_column(overflow="fold")
+    for name, value in rows:
+        sheet.add_row(f"  {name}", Text(value))
+    console().print(Text(title, style="bold"), sheet, sep="\n")
 
 
 def percent(fraction: float, digits: int = 2) -> str:
@@ -81,7 +95,7 @@ def progress(what: str) -> Iterator[Progress | None]:
     from rich.progress import Progress as Bar
 
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Bar(*columns, console=Console(stderr=True), transient=True, redirect_stdout=sys.stdout.isatty()) as bar:
         task = bar.add_task(what, total=1.0)
         yield lambda fraction, doing: bar.update(task, completed=fraction, description=doing or what)
 

@@ -84,6 +84,6 @@ def numbers(given: str, option: str) -> tuple[int, ...]:
 
 
 def check_hit_rate(given: float) -> None:
-    """Raise AsterismError where a target hit rate is no share below 1."""
-    if not 0 < given < 1:
-        raise AsterismError(f"--target-hit-rate {given} is no share between 0 and 1; give for example 0.9999.")
+    """Raise AsterismError where a target hit rate makes no sense."""
+    if not 0.5 <= given < 1:
+        raise AsterismError(f"--target-hit-rate {given} is no share from 0.5 to below 1; give for example 0.9999.")

@@ -1,4 +1,4 @@
-"""What commands do with files before and after the rooms: read labelled ones, name subjects, sum up a labelling."""
+"""What commands do with files before and after the rooms: read labelled ones, sum up a labelling."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ from asterism.recording import Clouds, Labelling, MarkerSet, Recording, is_unnam
 _FEWEST_MARKERS = 4
 
 
-def read_labelled(files: Sequence[Path], markers: str | Sequence[str] | MarkerSet | None, vertical: str | None) -> list[Recording]:
+def read_labelled(files: Sequence[Path], markers: str | MarkerSet | None, vertical: str | None) -> list[Recording]:
     """All files under one set of markers, or an AsterismError: a set learned from half of them would be another one.
 
     Each file that cannot be read, or lacks a marker of the set, is named on standard error first. Without a set the markers
     are those which all files have.
     """
-    wanted = marker_names(markers) if isinstance(markers, str) else markers
-    marker_set = None if wanted is None else MarkerSet.load(wanted)
+    marker_set = markers if isinstance(markers, MarkerSet) else marker_set_of(markers)
     axis = vertical_axis(vertical)
     batch = _console.Batch("read")
     recordings = []
@@ -35,6 +34,11 @@ def read_labelled(files: Sequence[Path], markers: str | Sequence[str] | MarkerSe
     if batch.failed:
         raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; mend them or leave them out.")
     return recordings if marker_set is not None else _with_common_markers(files, recordings)
+
+
+def marker_set_of(markers: str | None) -> MarkerSet | None:
+    """The set that --markers names, or None where it was not given."""
+    return None if markers is None else MarkerSet.load(marker_names(markers) or ())
 
 
 def _check_complete(path: Path, recording: Recording) -> None:
@@ -65,11 +69,6 @@ def _named(recording: Recording) -> dict[str, None]:
         for column, name in enumerate(recording.labels)
         if not is_unnamed(name) and recording.labels.count(name) == 1 and recording.visible[:, column].any()
     }
-
-
-def subject_of(recording: Recording) -> str:
-    """Whose recording it is: what the file says, else its folder."""
-    return str(recording.metadata.get("subject") or Path(str(recording.metadata.get("file", "."))).absolute().parent.name)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from asterism.cli._options import Files, Json, Model, Overwrite, Report, Rules, 
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
+    from asterism.cli._console import Progress
     from asterism.labelling import SolverEnsemble
     from asterism.recording import Clouds, Labelling, Recording
 
@@ -55,7 +56,7 @@ def label(
                 if not batch.done and len(clouds):
                     ensemble.label(_first_frame(clouds), rules=rules.value)  # compiles, so that the rate below is that of the work
                 started = time.perf_counter()
-                labelling = ensemble.label(clouds, rules=rules.value, workers=workers)
+                labelling = ensemble.label(clouds, rules=rules.value, workers=workers, progress=_share(progress, batch, len(files), path))
                 seconds = time.perf_counter() - started
                 if keep:
                     labelling = _kept(path, labelling, recording, clouds, ensemble)
@@ -75,8 +76,6 @@ def label(
                 shown = shown or (recording, labelling, clouds)
                 if json != "-":
                     _console.say(_line(row))
-            if progress:
-                progress((len(batch.done) + len(batch.failed)) / len(files), path.name)
     if report is not None and shown is not None:
         from asterism.report import label_report
 
@@ -93,6 +92,14 @@ def label(
         json, {"command": "label", "model": model, "rules": rules.value, "keep": keep, "files": rows, "failed": batch.failed}
     )
     raise typer.Exit(batch.close())
+
+
+def _share(progress: Progress | None, batch: _console.Batch, files: int, path: Path) -> Progress | None:
+    """Progress within one file as progress of the whole batch."""
+    if progress is None:
+        return None
+    before = len(batch.done) + len(batch.failed)
+    return lambda fraction, _: progress((before + fraction) / files, path.name)
 
 
 def _targets(files: Sequence[Path], output: Path) -> list[Path]:

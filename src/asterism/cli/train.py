@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -21,9 +21,6 @@ from asterism.cli._options import (
     Vertical,
     check_hit_rate,
 )
-
-if TYPE_CHECKING:
-    from asterism.recording import Recording
 
 
 def train(
@@ -42,40 +39,25 @@ def train(
     Recordings of several people make a model that holds for people it has not seen. A file that lacks a marker of the set stops
     the training before it starts, and is named.
     """
-    from asterism.cli._recordings import read_labelled, subject_of
+    from asterism.cli._recordings import marker_set_of, read_labelled
 
     check_hit_rate(target_hit_rate)
     _console.check_new(output, overwrite)
-    recordings = read_labelled(files, markers, vertical)
+    marker_set = marker_set_of(markers)
+    recordings = read_labelled(files, marker_set, vertical)
     from asterism.labelling import SolverEnsemble
 
     started = time.perf_counter()
     with _console.progress("training") as progress:
-        ensemble = SolverEnsemble.fit(recordings, seed=seed, target_hit_rate=target_hit_rate, miner=miner.value, progress=progress)
+        ensemble = SolverEnsemble.fit(
+            recordings, seed=seed, target_hit_rate=target_hit_rate, miner=miner.value, marker_set=marker_set, progress=progress
+        )
     seconds = time.perf_counter() - started
     ensemble.save(output)
+    names, about = ensemble.marker_set.names, ensemble.about
     if json != "-":
-        _console.say(_line(output, recordings, len(ensemble.marker_set), seconds))
-    _console.write_json(
-        json,
-        {
-            "command": "train",
-            "model": output,
-            "markers": ensemble.marker_set.names,
-            "files": files,
-            "subjects": sorted({subject_of(recording) for recording in recordings}),
-            "frames": sum(map(len, recordings)),
-            "target_hit_rate": target_hit_rate,
-            "miner": miner.value,
-            "seed": seed,
-            "seconds": seconds,
-        },
-    )
-
-
-def _line(output: Path, recordings: list[Recording], markers: int, seconds: float) -> str:
-    from asterism.cli._recordings import subject_of
-
-    people = len({subject_of(recording) for recording in recordings})
-    frames = sum(map(len, recordings))
-    return f"{output}: {markers} markers, from {len(recordings)} recordings of {people} subjects ({frames:,} frames) in {seconds:.0f} s"
+        _console.say(
+            f"{output}: {len(names)} markers, from {len(recordings)} recordings of {len(about['subjects'])} subjects "
+            f"({about['frames']:,} frames) in {seconds:.0f} s"
+        )
+    _console.write_json(json, {"command": "train", "model": output, "markers": names, "files": files, **about, "seconds": seconds})

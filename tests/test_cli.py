@@ -1,0 +1,343 @@
+"""The command line, driven as a user drives it: what it prints, writes, refuses, and with which status it leaves."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asterism import formats
+from asterism.cli import main
+from asterism.hiding import anonymous
+from asterism.recording import Recording
+from asterism.simulation import simulate_walks
+
+ROOT = Path(__file__).parent.parent
+VERBS = ("demo", "train", "label", "evaluate", "capturability", "info", "convert")
+MARKERS = "helen-hayes"
+
+
+def run(*args: object) -> int:
+    return main([str(arg) for arg in args])
+
+
+def asterism(*args: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", "asterism.cli", *map(str, args)], capture_output=True, text=True, cwd=cwd, timeout=120)
+
+
+@pytest.fixture(scope="module")
+def walks() -> list[Recording]:
+    """Five people of different sizes walk for a second."""
+    return simulate_walks(subjects=5, frames=100, markers=MARKERS, seed=3)
+
+
+@pytest.fixture(scope="module")
+def folder(walks: list[Recording], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """walk-0.c3d to walk-4.c3d, labelled; nameless.c3d, walk-4 without its labels; broken.c3d."""
+    place = tmp_path_factory.mktemp("recordings")
+    for i, walk in enumerate(walks):
+        formats.write(place / f"walk-{i}.c3d", walk)
+    formats.write(place / "nameless.c3d", anonymous(walks[4].clouds()))
+    (place / "broken.c3d").write_bytes((place / "walk-0.c3d").read_bytes()[:300])
+    return place
+
+
+@pytest.fixture(scope="module")
+def model(folder: Path) -> Path:
+    """What `asterism train` makes of the first four."""
+    path = folder / "walks.model"
+    assert run("train", *(folder / f"walk-{i}.c3d" for i in range(4)), "-o", path, "--markers", MARKERS) == 0
+    return path
+
+
+# What the command says about itself
+
+
+def test_help_comes_at_once_and_names_every_command() -> None:
+    started = time.perf_counter()
+    shown = asterism("--help")
+    seconds = time.perf_counter() - started
+    assert shown.returncode == 0
+    assert [verb for verb in VERBS if not re.search(rf"^  {verb} ", shown.stdout, re.MULTILINE)] == []
+    assert seconds < 2.0, f"--help took {seconds:.2f} s"
+
+
+def test_help_loads_no_heavy_room() -> None:
+    code = (
+        "import sys; from asterism.cli import main; main(['--help']); print([m for m in ('numba', 'scipy', 'plotly') if m in sys.modules])"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert shown.stdout.splitlines()[-1] == "[]", shown.stderr
+
+
+def _options(verb: str, capsys: pytest.CaptureFixture[str]) -> set[str]:
+    assert run(verb, "--help") == 0
+    text = capsys.readouterr().out
+    assert f"Example: asterism {verb}" in text
+    return set(re.findall(r"^  (?:-\w, )?(--[a-z-]+)", text, re.MULTILINE)) - {"--help"}
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_command_and_option_is_documented(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    pages = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8").split("\n## ")
+    [page] = [page for page in pages if page.startswith(f"`asterism {verb}`")]
+    options = _options(verb, capsys)
+    assert f"```sh\nasterism {verb}" in page
+    assert {option for option in options if f"`{option}" not in page} == set()
+    table = "\n".join(line for line in page.splitlines() if line.startswith("|"))
+    assert set(re.findall(r"`(--[a-z-]+)", table)) <= options, "documented, but not there"
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--version") == 0
+    assert re.fullmatch(r"asterism \d+\.\d+\.\d+\n", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["lable"], "lable"),
+        (["label", "a.c3d"], "--model"),
+        (["info"], "FILES"),
+        (["train", "a.c3d", "-o", "m", "--miner", "sideways"], "sideways"),
+        (["train", "a.c3d", "-o", "m", "--target-hit-rate", "99.9"], "--target-hit-rate 99.9"),
+        (["train", "a.c3d", "-o", "no/such/m"], "folder"),
+        (["evaluate", "a.c3d"], "--leave-one-subject-out"),
+        (["evaluate", "a.c3d", "--model", "m", "--leave-one-subject-out"], "one of them"),
+        (["evaluate", "a.c3d", "--leave-one-subject-out", "--occlusions", "many"], "--occlusions many"),
+        (["convert", "a.c3d", "b.trc", "--vertical", "1,2,up"], "--vertical 1,2,up"),
+        (["info", "nowhere.c3d"], "nowhere.c3d"),
+    ],
+    ids=lambda value: "-".join(value) if isinstance(value, list) else "",
+)
+def test_wrong_words_leave_with_2_and_one_sentence(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(*words) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err.count("\n") == 1 and said in shown.err
+
+
+# info and convert
+
+
+def test_info_shows_a_recording(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("info", folder / "walk-0.c3d") == 0
+    shown = capsys.readouterr()
+    assert "C3D" in shown.out and "100" in shown.out and "RKNE" in shown.out
+    assert shown.err == ""
+
+
+def test_json_on_standard_output_is_all_there_is(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("info", folder / "walk-0.c3d", folder / "nameless.c3d", "--json", "-") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [entry["frames"] for entry in found["files"]] == [100, 100]
+
+
+def test_a_batch_goes_on_after_a_bad_file_and_names_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("info", folder / "walk-0.c3d", folder / "broken.c3d", folder / "walk-1.c3d") == 1
+    shown = capsys.readouterr()
+    assert "walk-0.c3d" in shown.out and "walk-1.c3d" in shown.out
+    first, last = shown.err.splitlines()
+    assert "broken.c3d" in first and "3 files: 2 shown, 1 failed" in last and "broken.c3d" in last
+    assert run("info", folder / "broken.c3d") == 2
+
+
+def test_a_pattern_that_the_shell_left_means_its_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("info", folder / "walk-[01].c3d", "--json", "-") == 0
+    found = json.loads(capsys.readouterr().out)["files"]
+    assert [Path(entry["file"]).name for entry in found] == ["walk-0.c3d", "walk-1.c3d"]
+
+
+@pytest.mark.parametrize("suffix", ["c3d", "trc", "csv", "npz"])
+def test_convert_keeps_the_positions(suffix: str, folder: Path, walks: list[Recording], tmp_path: Path) -> None:
+    target = tmp_path / f"walk.{suffix}"
+    assert run("convert", folder / "walk-0.c3d", target) == 0
+    again = formats.read(target)
+    assert again.labels == walks[0].labels
+    np.testing.assert_allclose(again.positions, walks[0].positions, atol=1e-5)
+
+
+def test_convert_replaces_a_file_only_when_asked(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "walk.trc"
+    target.write_text("mine")
+    assert run("convert", folder / "walk-0.c3d", target) == 2
+    assert target.read_text() == "mine" and "--overwrite" in capsys.readouterr().err
+    assert run("convert", folder / "walk-0.c3d", target, "--overwrite") == 0
+    assert len(formats.read(target)) == 100
+
+
+def test_convert_takes_some_markers(folder: Path, tmp_path: Path) -> None:
+    assert run("convert", folder / "walk-0.c3d", tmp_path / "knees.trc", "--markers", "LKNE,RKNE") == 0
+    assert formats.read(tmp_path / "knees.trc").labels == ("LKNE", "RKNE")
+
+
+# train
+
+
+def test_train_names_the_file_that_lacks_a_marker(
+    folder: Path, walks: list[Recording], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    formats.write(tmp_path / "legless.c3d", walks[1].select([name for name in walks[1].labels if name != "LKNE"]))
+    assert run("train", folder / "walk-0.c3d", tmp_path / "legless.c3d", "-o", tmp_path / "m.model", "--markers", MARKERS) == 2
+    said = capsys.readouterr().err
+    assert "legless.c3d" in said and "LKNE" in said
+    assert not (tmp_path / "m.model").exists()
+
+
+def test_train_is_the_same_again(folder: Path, model: Path, tmp_path: Path) -> None:
+    again = tmp_path / "again.model"
+    report = tmp_path / "train.json"
+    files = [folder / f"walk-{i}.c3d" for i in range(4)]
+    assert run("train", *files, "-o", again, "--markers", MARKERS, "--json", report) == 0
+    assert again.read_bytes() == model.read_bytes()
+    told = json.loads(report.read_text())
+    assert len(told["markers"]) == 15 and len(told["subjects"]) == 4 and 200 <= told["frames"] <= 400
+
+
+# label
+
+
+def test_label_names_the_points_of_a_stranger(
+    folder: Path, model: Path, walks: list[Recording], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = folder / "nameless.c3d"
+    before = source.read_bytes()
+    assert run("label", source, "--model", model, "-o", tmp_path / "out", "--report", tmp_path / "report.html") == 0
+    line = capsys.readouterr().out
+    assert re.search(r"nameless\.c3d: 100 frames, [\d.]+ % labelled, [\d.]+ % unsure, [\d,]+ frames/s", line), line
+    labelled = formats.read(tmp_path / "out" / "nameless.c3d", markers=MARKERS)
+    given = labelled.visible
+    assert given.mean() > 0.8, f"{given.mean():.1%} of the markers labelled"
+    wrong = np.linalg.norm(labelled.positions - walks[4].positions, axis=2)[given] > 1e-4
+    assert wrong.mean() <= 0.001, f"{wrong.mean():.2%} of the labels wrong"
+    assert source.read_bytes() == before
+    assert "</html>" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_label_goes_on_after_a_bad_file(folder: Path, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    files = (folder / "walk-3.c3d", folder / "broken.c3d", folder / "walk-4.c3d")
+    assert run("label", *files, "--model", model, "-o", out, "--json", tmp_path / "label.json") == 1
+    assert sorted(p.name for p in out.iterdir()) == ["walk-3.c3d", "walk-4.c3d"]
+    assert "3 files: 2 labelled, 1 failed" in capsys.readouterr().err
+    told = json.loads((tmp_path / "label.json").read_text())
+    assert [Path(row["file"]).name for row in told["files"]] == ["walk-3.c3d", "walk-4.c3d"]
+    assert [Path(path).name for path in told["failed"]] == ["broken.c3d"]
+    for row in told["files"]:
+        assert row["labelled"] + row["unsure"] + row["hidden"] == pytest.approx(1.0)
+
+
+def test_label_never_writes_over_its_input(folder: Path, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = tmp_path / "walk.c3d"
+    source.write_bytes((folder / "nameless.c3d").read_bytes())
+    assert run("label", source, "--model", model, "-o", tmp_path) == 2
+    assert "input itself" in capsys.readouterr().err
+    assert source.read_bytes() == (folder / "nameless.c3d").read_bytes()
+    assert run("label", source, "--model", model, "-o", tmp_path, "--overwrite") == 0
+    assert "RKNE" in formats.read(source).labels
+
+
+def test_two_files_of_one_name_do_not_collide(folder: Path, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = tmp_path / "walk-3.c3d"
+    other.write_bytes((folder / "walk-4.c3d").read_bytes())
+    assert run("label", folder / "walk-3.c3d", other, "--model", model, "-o", tmp_path / "out") == 2
+    assert str(other) in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_keep_leaves_the_labels_of_the_file(folder: Path, model: Path, walks: list[Recording], tmp_path: Path) -> None:
+    swapped = dict(LKNE="RKNE", RKNE="LKNE", LTOE="*1", RTOE="Pointer")
+    worn = walks[4]
+    formats.write(
+        tmp_path / "mixed.c3d", Recording(worn.positions, tuple(swapped.get(n, n) for n in worn.labels), worn.rate, worn.vertical)
+    )
+    for keep, lkne in (((), "LKNE"), (("--keep",), "RKNE")):
+        assert run("label", tmp_path / "mixed.c3d", "--model", model, "-o", tmp_path / f"out{len(keep)}", *keep) == 0
+        labelled = formats.read(tmp_path / f"out{len(keep)}" / "mixed.c3d")
+        knee = labelled.positions[:, labelled.labels.index("LKNE")]
+        given = ~np.isnan(knee[:, 0])
+        right = np.abs(knee - worn.positions[:, worn.labels.index(lkne)]).max(axis=1)[given] < 1e-4
+        assert given.mean() > 0.5 and right.mean() > 0.99
+        assert not keep or (given.all() and right.all())
+        assert ("Pointer" in labelled.labels) == bool(keep)
+
+
+@pytest.mark.parametrize("suffix", ["npz", "csv"])
+def test_anonymous_clouds_are_labelled_too(suffix: str, folder: Path, model: Path, walks: list[Recording], tmp_path: Path) -> None:
+    formats.write(tmp_path / f"cloud.{suffix}", anonymous(walks[4].clouds()))
+    assert run("label", tmp_path / f"cloud.{suffix}", "--model", model, "-o", tmp_path / "out") == 0
+    labelled = formats.read(tmp_path / "out" / f"cloud.{suffix}", markers=MARKERS)
+    assert labelled.visible.mean() > 0.8
+
+
+@pytest.mark.parametrize("damage", [b"", b"not a model", None], ids=["empty", "text", "cut"])
+def test_a_damaged_model_is_refused_in_one_sentence(
+    damage: bytes | None, folder: Path, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad = tmp_path / "bad.model"
+    bad.write_bytes(model.read_bytes()[:-500] if damage is None else damage)
+    assert run("label", folder / "walk-4.c3d", "--model", bad, "-o", tmp_path / "out") == 2
+    said = capsys.readouterr().err
+    assert "bad.model" in said and said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+# evaluate and capturability
+
+
+def test_evaluate_a_model(folder: Path, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("evaluate", "--model", model, folder / "walk-4.c3d", "--occlusions", "0", "2", "--ghosts", "0", "3")
+    assert run(*words, "--json", tmp_path / "e.json", "--report", tmp_path / "e.html") == 0
+    shown = capsys.readouterr().out
+    assert "FA" in shown and "FO" in shown and "RKNE" in shown
+    told = json.loads((tmp_path / "e.json").read_text())
+    conditions = told["evaluation"]["conditions"]
+    assert sorted((c["occlusions"], c["ghosts"]) for c in conditions) == [(0, 0), (0, 3), (2, 0), (2, 3)]
+    assert min(c["fa"] for c in conditions) <= 0.001
+    assert "</html>" in (tmp_path / "e.html").read_text(encoding="utf-8")
+
+
+def test_capturability(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [folder / f"walk-{i}.c3d" for i in range(3)]
+    assert run("capturability", *files, "--markers", MARKERS, "--json", tmp_path / "c.json", "--report", tmp_path / "c.html") == 0
+    assert "RKNE" in capsys.readouterr().out
+    told = json.loads((tmp_path / "c.json").read_text())["capturability"]
+    assert len(told["markers"]) == 15
+    assert "</html>" in (tmp_path / "c.html").read_text(encoding="utf-8")
+
+
+# As a real process
+
+
+def test_piped_output_has_no_escape_codes_and_no_bar(folder: Path, model: Path, tmp_path: Path) -> None:
+    shown = asterism("label", folder / "walk-4.c3d", "--model", model, "-o", tmp_path / "out")
+    assert shown.returncode == 0, shown.stderr
+    assert "\x1b" not in shown.stdout + shown.stderr and shown.stderr == ""
+    assert shown.stdout.count("\n") == 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no SIGINT to a single process")
+def test_interrupting_leaves_no_half_file(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "asterism.cli", "demo", "-o", str(tmp_path / "demo")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job starts with SIGINT ignored
+    )
+    assert process.stdout is not None and process.stderr is not None
+    assert "Training" in process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    said = process.stderr.read()
+    assert process.wait(timeout=60) == 130
+    assert said.count("\n") == 1 and "interrupted" in said
+    assert list((tmp_path / "demo").iterdir()) == []
+    process.stdout.close()
+    process.stderr.close()
