@@ -19,7 +19,10 @@ from asterism.errors import AsterismError
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_UNNAMED = re.compile(r"(.*\*)?\d*|u(n(named|labell?ed|identified|known))?\d*|uname\d*")
+_UNNAMED = re.compile(
+    r"|\*.*|\d+|u\d+|x\d{2,}|(?:uname|unnamed|noname|unl|unlab|unlabel|unlabell?ed|unk|unknown|unid|unident|unidentified|ghost)[\s_:#-]*\d*\*?\d*",
+    re.IGNORECASE,
+)
 
 NULL = -1
 """The null candidate: this marker has no point in this frame (the thesis' label 0)."""
@@ -155,8 +158,8 @@ def canonical(label: str) -> str:
 
 
 def is_unnamed(label: str) -> bool:
-    """Whether a label only counts points that nobody named: *12, uname*3, U7, Unlabeled 108, Unidentified, or nothing at all."""
-    return re.fullmatch(_UNNAMED, canonical(without_subject(label))) is not None
+    """Whether a label only counts points that nobody named: *12, uname*3, U7, Unlabeled:108, 20100, Unidentified, or nothing at all."""
+    return _UNNAMED.fullmatch(without_subject(label).strip()) is not None
 
 
 def without_subject(label: str) -> str:
