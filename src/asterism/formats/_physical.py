@@ -13,7 +13,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.recording import Floats, canonical, without_subject
+from asterism.recording import Floats, canonical, is_unnamed, without_subject
 
 MARKER, COMPUTED, UNNAMED = "marker", "computed", "unnamed"
 
@@ -24,10 +24,6 @@ _VERY_EXACT = 3e-7
 _RIGHT_ANGLE = 2e-4
 _MOST_POINTS = 400
 
-_NO_NAME = re.compile(
-    r"\s*|\*.*|\d+|(?:u|x|uname|unnamed|noname|unl|unlab|unlabel|unlabell?ed|unk|unknown|unid|unident|unidentified|ghost)[\s_:#-]*\d*\*?",
-    re.IGNORECASE,
-)
 _JOINT = r"(?:hip|knee|ankle|shoulder|elbow|wrist|h|k|a|s|e|w)"
 _COMPUTED_NAME = re.compile(
     r".*(?:angles?|forces?|moments?|powers?|torques?|projections?|scalars?|leglength|archheight|archheightindex|normali[sz]edgrf"
@@ -53,7 +49,7 @@ def kinds_by_name(labels: Sequence[str]) -> list[str]:
     families = _families(bare)
     kinds = []
     for place, label in enumerate(bare):
-        if _NO_NAME.fullmatch(label):
+        if is_unnamed(label):
             kinds.append(UNNAMED)
         elif _COMPUTED_NAME.fullmatch(canonical(label)) or _VIRTUAL.fullmatch(label):
             kinds.append(COMPUTED)
@@ -171,7 +167,9 @@ def _orthogonal_frames(
         square &= np.isfinite(cosines).sum(axis=0) >= _FEWEST_FRAMES
         square &= exact[np.ix_(around, around)] & (alike | kin[np.ix_(around, around)])
         for i, j in zip(*np.nonzero(np.triu(square)), strict=True):
-            found += [(int(origin), (int(around[i]), int(around[j]), int(around[k]))) for k in np.nonzero(square[i] & square[j])[0] if k > j]
+            found += [
+                (int(origin), (int(around[i]), int(around[j]), int(around[k]))) for k in np.nonzero(square[i] & square[j])[0] if k > j
+            ]
     return found
 
 

@@ -1,5 +1,7 @@
 """C3D files of all vendors: read, described and written so that nothing in them is lost."""
 
+from asterism.formats.c3d._describe import describe_c3d
 from asterism.formats.c3d._reader import read_c3d
+from asterism.formats.c3d._writer import write_c3d
 
-__all__ = ["read_c3d"]
+__all__ = ["describe_c3d", "read_c3d", "write_c3d"]

@@ -123,7 +123,8 @@ class C3DFile:
         """(frames, points, 3) in the file's unit, NaN where a point is missing (not finite and absurd ones included)."""
         xyz = np.ascontiguousarray(self.point_words[:, :, :3])
         with np.errstate(invalid="ignore", over="ignore"):
-            values = self.processor.floats(xyz).astype(np.float64) if self.layout.real else self.processor.integers(xyz) * self.scale
+            stored = self.processor.floats(xyz) if self.layout.real else self.processor.integers(xyz)
+            values = stored.astype(np.float64) * (1.0 if self.layout.real else self.scale)
             missing = ~(np.abs(values) < _NOWHERE).all(axis=2)
         if not self.residuals_say_nothing:
             missing |= self.residuals < 0
@@ -337,7 +338,7 @@ def _claims(header: Header, parameters: Parameters, start: int) -> Iterator[Layo
     if len(begin) >= 2 and len(end) >= 2:
         frames.append(end[0] + 65536 * end[1] - begin[0] - 65536 * begin[1] + 1)
     frames += [count for name in ("LONG_FRAMES", "FRAMES") if (count := parameters.count("POINT", name)) is not None]
-    frames = sorted(dict.fromkeys(count for count in frames if count > 0), key=lambda count: count in (65535, 65536)) or [0]
+    frames = sorted(dict.fromkeys(count for count in frames if count > 0), key=lambda count: count == 65535) or [0]
     scale = parameters.number("POINT", "SCALE")
     signs = [header.scale] if np.isfinite(header.scale) and header.scale != 0 else []
     signs += [scale] if scale else []

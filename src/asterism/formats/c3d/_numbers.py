@@ -8,7 +8,7 @@ Source: the public C3D format specification, "Processor type" and "Floating-poin
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +23,7 @@ class Processor:
 
     code: int
     name: str
-    order: str
+    order: Literal["<", ">"]
     vax: bool = False
 
     def words16(self, raw: bytes | memoryview, count: int = -1, offset: int = 0) -> Words:

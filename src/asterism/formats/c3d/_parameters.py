@@ -127,26 +127,38 @@ class Parameters:
     def replaced(self, changes: Mapping[tuple[str, str], Record | None]) -> Parameters:
         """The section with parameters changed, added behind their group (a new group at the front) or, where None, removed."""
         records: list[Record] = list(self.records)
+        key_of = {place: key for key, place in self._index.items()}
         for place in sorted((self._index[key] for key in changes if key in self._index), reverse=True):
-            key = next(k for k, p in self._index.items() if p == place)
-            change = changes[key]
+            change = changes[key_of[place]]
             if change is None:
                 del records[place]
             else:
                 records[place] = change
         for key, change in changes.items():
             if key not in self._index and change is not None:
+                if change.is_group:
+                    records.insert(0, change)
+                    continue
                 after = next((i for i, r in enumerate(records) if r.is_group and r.group == change.group), -1)
                 records.insert(after + 1, change)
         ended_by_link = bool(self.records) and self.records[-1].last
         tail = b"\0\0" + self.tail[2:] if ended_by_link else self.tail
         return Parameters(self.head, tuple(records), tail, self.processor, self.oddities)
 
+    def mended(self) -> Parameters:
+        """The section with a last parameter that the data cut short filled up with blanks, so that something can follow it."""
+        if not self.records or not self.records[-1].cut or self.records[-1].last:
+            return self
+        last = self.records[-1]
+        data = last.data.ljust(prod(last.dimensions) * abs(last.kind), b" " if last.kind == CHARACTER else b"\0")
+        whole = make_parameter(last.name, last.group, last.kind, last.dimensions, data, processor=self.processor)
+        return Parameters(self.head, (*self.records[:-1], whole), b"", self.processor, self.oddities)
+
     def to_bytes(self) -> bytes:
         """The section with its four-byte head, as long as its records need and ended by a zero record."""
         end = len(self.records) - 1
         chain = b"".join(self._linked(record, last=i == end and record.last) for i, record in enumerate(self.records))
-        return self.head + chain + (self.tail or b"\0\0")
+        return self.head + chain + self.tail.rstrip(b"\0").ljust(2, b"\0")
 
     def _linked(self, record: Record, last: bool) -> bytes:
         if last == record.last:

@@ -37,8 +37,13 @@ def read_c3d(path: Path, markers: Any = None, vertical: ArrayLike | str | None =
         raise AsterismError(f"{path} holds no points, only {file.analog_channels} analog channels; choose a recording with markers.")
     if not file.layout.frames:
         raise AsterismError(f"{path} holds no frames; export it again.")
+    return replace(recording_of(path, points_of(file), markers, vertical), source=file)
+
+
+def points_of(file: C3DFile) -> Points:
+    """Every point of a file in metres, with what the file says about them. Raises AsterismError for a rate or units that cannot be."""
     positions, scale, units, remark = in_metres(file)
-    points = Points(
+    return Points(
         positions=positions,
         labels=tuple(file.labels),
         rate=file.rate,
@@ -53,7 +58,6 @@ def read_c3d(path: Path, markers: Any = None, vertical: ArrayLike | str | None =
         oddities=(*file.oddities, *([remark] if remark else [])),
         extra={"encoding": encoding_of(file), "metres_per_unit": scale},
     )
-    return replace(recording_of(path, points, markers, vertical), source=file)
 
 
 def in_metres(file: C3DFile) -> tuple[Floats, float, str, str]:
@@ -92,6 +96,9 @@ def declared_vertical(file: C3DFile) -> Floats | None:
 
     Qualisys writes -Z for a vertical that is +Z; so a minus is believed only where we wrote it.
     """
+    vector = file.parameters.values("POINT", "VERTICAL")
+    if file.ours and len(vector) == 3 and np.isfinite(vector).all() and vector.any():
+        return as_vertical(vector)
     said = file.parameters.text("POINT", "Y_SCREEN").casefold()
     if len(said) not in (1, 2) or said[-1] not in "xyz" or said[:-1] not in ("", "+", "-"):
         return None

@@ -1,0 +1,131 @@
+"""Changed parameters of a C3D file: labels, events and single numbers in, records that replace the old ones out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.formats.c3d._file import C3DFile, numbered
+from asterism.formats.c3d._numbers import Processor
+from asterism.formats.c3d._parameters import CHARACTER, FLOAT, INTEGER, Parameters, Record, make_group, make_parameter
+from asterism.recording import Event
+
+MOST_STRINGS = 255
+_WIDEST = 127
+_EVENT_WIDTHS = {"CONTEXTS": 16, "LABELS": 32, "DESCRIPTIONS": 80, "SUBJECTS": 32}
+
+
+def strings_record(name: str, group: int, strings: Sequence[bytes], width: int, processor: Processor, like: Record | None = None) -> Record:
+    """A character parameter, padded with blanks to `width` or to the longest string. Raises AsterismError beyond 127 bytes."""
+    width = max([width, *map(len, strings)])
+    if width > max(_WIDEST, like.dimensions[0] if like is not None and like.dimensions else 0):
+        raise AsterismError(
+            f"label {max(strings, key=len).decode('utf-8', 'replace')!r} is longer than the {_WIDEST} bytes of a C3D label; shorten it."
+        )
+    data = b"".join(text.ljust(width) for text in strings)
+    return make_parameter(name, group, CHARACTER, (width, len(strings)), data, processor=processor, like=like)
+
+
+def floats_record(name: str, group: int, values: Sequence[float], dimensions: Sequence[int], processor: Processor) -> Record:
+    """A parameter of floats."""
+    data = processor.store(processor.words_of_floats(np.asarray(values, dtype=np.float64)))
+    return make_parameter(name, group, FLOAT, dimensions, data, processor=processor)
+
+
+def integers_record(name: str, group: int, values: Sequence[int], dimensions: Sequence[int], processor: Processor) -> Record:
+    """A parameter of 16-bit integers; values up to 65535 are stored without their sign."""
+    data = b"".join(processor.bytes_of_unsigned(int(value) & 0xFFFF) for value in values)
+    return make_parameter(name, group, INTEGER, dimensions, data, processor=processor)
+
+
+def with_number(parameters: Parameters, group: str, name: str, value: float) -> Record:
+    """The record of an existing single number with another value, stored in the same type."""
+    old = parameters.find(group, name)
+    if old is None:
+        raise KeyError(f"{group}:{name}")
+    processor = parameters.processor
+    first = processor.store(processor.words_of_floats([value])) if old.kind == FLOAT else processor.bytes_of_unsigned(int(value) & 0xFFFF)
+    if old.kind == 1:
+        first = bytes([int(value) & 0xFF])
+    return make_parameter(name, old.group, old.kind, old.dimensions, first + old.data[len(first) :], processor=processor, like=old)
+
+
+def label_parameters(file: C3DFile, labels: Sequence[bytes], descriptions: Sequence[bytes]) -> dict[tuple[str, str], Record | None]:
+    """Changes to POINT:USED, LABELS, LABELS2, ... and DESCRIPTIONS, ... for a new list of points."""
+    parameters, processor = file.parameters, file.processor
+    group = parameters.group_id("POINT")
+    if group is None:
+        used = {record.group for record in parameters.records if record.is_group}
+        group = next(number for number in range(1, 128) if number not in used)
+    changes: dict[tuple[str, str], Record | None] = {}
+    if parameters.group_id("POINT") is None:
+        changes["", "POINT"] = make_group("POINT", group, processor=processor)
+    if parameters.find("POINT", "USED") is not None:
+        changes["POINT", "USED"] = with_number(parameters, "POINT", "USED", len(labels))
+    else:
+        changes["POINT", "USED"] = integers_record("USED", group, [len(labels)], (), processor)
+    for name, texts in (("LABELS", labels), ("DESCRIPTIONS", descriptions)):
+        if name == "DESCRIPTIONS" and parameters.find("POINT", name) is None:
+            continue
+        old = numbered(parameters, "POINT", name)
+        pages = [texts[at : at + MOST_STRINGS] for at in range(0, len(texts), MOST_STRINGS)]
+        keys = [name, *(f"{name}{page + 1}" for page in range(1, len(pages)))]
+        changes.update({("POINT", key): None for key in old})
+        for key, page in zip(keys, pages, strict=True):
+            like = parameters.find("POINT", key)
+            widths = [
+                record.dimensions[0] for k in old if (record := parameters.find("POINT", k)) is not None and len(record.dimensions) > 1
+            ]
+            changes["POINT", key] = strings_record(key, group, page, max(widths, default=4), processor, like)
+    return changes
+
+
+def with_events(parameters: Parameters, events: Sequence[Event]) -> Parameters:
+    """The parameters with these events in the group EVENT, in place of those that were there."""
+    group = parameters.group_id("EVENT")
+    changes: dict[tuple[str, str], Record | None] = {}
+    if group is None:
+        used = {record.group for record in parameters.records if record.is_group}
+        group = next(number for number in range(1, 128) if number not in used)
+        parameters = Parameters(
+            parameters.head,
+            (make_group("EVENT", group, processor=parameters.processor), *parameters.records),
+            parameters.tail,
+            parameters.processor,
+            parameters.oddities,
+        )
+    for name in (*_EVENT_WIDTHS, "TIMES", "ICON_IDS", "GENERIC_FLAGS"):
+        changes.update({("EVENT", key): None for key in numbered(parameters, "EVENT", name)})
+    subject = next(iter(parameters.strings("SUBJECTS", "NAMES")), "")
+    for record in event_records(events, group, parameters.processor, subject):
+        changes["EVENT", record.name] = record
+    return parameters.replaced(changes)
+
+
+def event_records(events: Sequence[Event], group: int, processor: Processor, subject: str = "") -> list[Record]:
+    """The parameters of the group EVENT; more than 255 events go on in LABELS2, TIMES2, ..."""
+    records = [integers_record("USED", group, [len(events)], (), processor)]
+    for page, at in enumerate(range(0, len(events), MOST_STRINGS)):
+        some = events[at : at + MOST_STRINGS]
+        number = str(page + 1) if page else ""
+        texts = {
+            "CONTEXTS": [event.context for event in some],
+            "LABELS": [event.label for event in some],
+            "DESCRIPTIONS": ["" for _ in some],
+            "SUBJECTS": [subject for _ in some],
+        }
+        for name, strings in texts.items():
+            records.append(strings_record(name + number, group, [s.encode("utf-8") for s in strings], _EVENT_WIDTHS[name], processor))
+        minutes = [np.floor(event.time / 60) for event in some]
+        times = [value for event, whole in zip(some, minutes, strict=True) for value in (whole, event.time - 60 * whole)]
+        records.append(floats_record("TIMES" + number, group, times, (2, len(some)), processor))
+        records.append(integers_record("ICON_IDS" + number, group, [_icon_of(event) for event in some], (len(some),), processor))
+        flags = make_parameter("GENERIC_FLAGS" + number, group, 1, (len(some),), bytes(len(some)), processor=processor)
+        records.append(flags)
+    return records
+
+
+def _icon_of(event: Event) -> int:
+    return {"foot strike": 1, "foot off": 2}.get(event.label.casefold(), 0)

@@ -1,0 +1,128 @@
+"""A new C3D file from a recording that was not read from one: bytes out, little-endian, real numbers, millimetres."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.formats.c3d._edit import MOST_STRINGS, event_records, floats_record, integers_record, strings_record
+from asterism.formats.c3d._file import BLOCK
+from asterism.formats.c3d._numbers import PC
+from asterism.formats.c3d._parameters import CHARACTER, Record, make_group, make_parameter
+from asterism.recording import Floats, Recording
+
+_POINT, _ANALOG, _FORCE_PLATFORM, _TRIAL, _EVENT, _SUBJECTS, _MANUFACTURER = range(1, 8)
+_MOST = 65535
+_SCREENS = {"x": "+Y", "y": "+X", "z": "+X"}
+
+
+def fresh_c3d(recording: Recording, target: str) -> bytes:
+    """The bytes of a new file: positions in mm, missing points with residual -1, labels, rate, vertical, events, subject.
+
+    Raises AsterismError where the recording does not fit: more than 65535 points, or a label beyond 127 bytes.
+    """
+    frames, points = recording.positions.shape[:2]
+    if points > _MOST:
+        raise AsterismError(f"{target}: {points} points are more than the {_MOST} that a C3D file can hold; write fewer columns.")
+    first = recording.metadata.get("first_frame", 1)
+    first = first if isinstance(first, int) and first >= 1 and first + frames - 1 < 2**31 else 1
+    try:
+        section = _section(recording, first)
+    except AsterismError as problem:
+        raise AsterismError(f"{target}: {problem}") from problem
+    data = np.empty((frames, points, 4))
+    data[:, :, :3] = recording.positions * 1000.0
+    data[:, :, 3] = 0.0
+    data[~recording.visible] = (0.0, 0.0, 0.0, -1.0)
+    block = PC.store(PC.words_of_floats(data))
+    ending = b"" if frames >= _MOST else bytes(-len(block) % BLOCK)  # readers take what follows uncounted frames for frames
+    return _header(recording, first, len(section) // BLOCK + 2) + section + block + ending
+
+
+def _header(recording: Recording, first: int, data_start: int) -> bytes:
+    frames, points = recording.positions.shape[:2]
+    last = first + frames - 1
+    words = np.zeros(BLOCK // 2, dtype=np.uint16)
+    words[0] = 0x5002
+    words[1] = points
+    words[3:5] = (first, last) if last <= _MOST else (1, min(frames, _MOST))
+    words[8] = data_start
+    head = bytearray(PC.store(words))
+    head[12:16] = PC.store(PC.words_of_floats([-1.0]))
+    head[20:24] = PC.store(PC.words_of_floats([recording.rate]))
+    return bytes(head)
+
+
+def _section(recording: Recording, first: int) -> bytes:
+    """The parameter section in whole blocks. It states where the data begin, so it is laid out twice."""
+    blocks = -(-len(_chain(recording, first, 0)) // BLOCK)
+    section = _chain(recording, first, blocks + 2)
+    return (section[:2] + bytes([min(blocks, 255)]) + section[3:]).ljust(blocks * BLOCK, b"\0")
+
+
+def _chain(recording: Recording, first: int, data_start: int) -> bytes:
+    frames, points = recording.positions.shape[:2]
+    last = first + frames - 1
+    records = [_group("POINT", _POINT), _integer("USED", _POINT, points), _integer("FRAMES", _POINT, min(frames, _MOST))]
+    records += [_integer("DATA_START", _POINT, data_start), _float("SCALE", _POINT, -1.0), _float("RATE", _POINT, recording.rate)]
+    if frames > _MOST:
+        records.append(_float("LONG_FRAMES", _POINT, frames))
+    records += [_text("UNITS", _POINT, "mm"), *_screens(recording.vertical)]
+    for page, at in enumerate(range(0, points, MOST_STRINGS)):
+        number = str(page + 1) if page else ""
+        labels = [label.encode("utf-8") for label in recording.labels[at : at + MOST_STRINGS]]
+        records.append(strings_record("LABELS" + number, _POINT, labels, 4, PC))
+        records.append(strings_record("DESCRIPTIONS" + number, _POINT, [b""] * len(labels), 4, PC))
+    records += [_group("ANALOG", _ANALOG), _integer("USED", _ANALOG, 0), _float("RATE", _ANALOG, 0.0), _float("GEN_SCALE", _ANALOG, 1.0)]
+    records += [_group("FORCE_PLATFORM", _FORCE_PLATFORM), _integer("USED", _FORCE_PLATFORM, 0)]
+    records += [
+        _group("TRIAL", _TRIAL),
+        integers_record("ACTUAL_START_FIELD", _TRIAL, [first % 65536, first // 65536], (2,), PC),
+        integers_record("ACTUAL_END_FIELD", _TRIAL, [last % 65536, last // 65536], (2,), PC),
+        _float("CAMERA_RATE", _TRIAL, recording.rate),
+    ]
+    subject = str(recording.metadata.get("subject") or "")
+    if recording.events:
+        records += [_group("EVENT", _EVENT), *event_records(recording.events, _EVENT, PC, subject)]
+    if subject:
+        records += [_group("SUBJECTS", _SUBJECTS), _integer("USED", _SUBJECTS, 1), _integer("USES_PREFIXES", _SUBJECTS, 0)]
+        records.append(strings_record("NAMES", _SUBJECTS, [subject.encode("utf-8")], 4, PC))
+    records += [_group("MANUFACTURER", _MANUFACTURER), _text("COMPANY", _MANUFACTURER, "Asterism")]
+    records += [_text("SOFTWARE", _MANUFACTURER, "Asterism"), _text("VERSION_LABEL", _MANUFACTURER, _version())]
+    return bytes([1, 0x50, 0, PC.code]) + b"".join(record.raw for record in records) + b"\0\0"
+
+
+def _screens(vertical: Floats) -> list[Record]:
+    """POINT:X_SCREEN and Y_SCREEN, the vertical being up the screen; a tilted one in full beside them."""
+    axis = int(np.abs(vertical).argmax())
+    letter, sign = "xyz"[axis], "-" if vertical[axis] < 0 else "+"
+    records = [_text("X_SCREEN", _POINT, _SCREENS[letter]), _text("Y_SCREEN", _POINT, sign + letter.upper())]
+    if np.abs(vertical[axis]) < 1.0:
+        records.append(floats_record("VERTICAL", _POINT, list(vertical), (3,), PC))
+    return records
+
+
+def _version() -> str:
+    try:
+        return version("asterism")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def _group(name: str, number: int) -> Record:
+    return make_group(name, number, processor=PC)
+
+
+def _integer(name: str, group: int, value: int) -> Record:
+    return integers_record(name, group, [value], (), PC)
+
+
+def _float(name: str, group: int, value: float) -> Record:
+    return floats_record(name, group, [value], (), PC)
+
+
+def _text(name: str, group: int, value: str) -> Record:
+    data = value.encode("utf-8")
+    return make_parameter(name, group, CHARACTER, (len(data),), data, processor=PC)

@@ -1,0 +1,258 @@
+"""Write recordings as C3D: a recording and a path in, a file out.
+
+A recording that was read from C3D goes back into a copy of that file: columns it stands for are replaced, sample by sample, by
+the bits they came from; whatever else the file holds stays as it was. Any other recording gets a new file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.formats._columns import without_common_subject
+from asterism.formats._physical import is_unnamed
+from asterism.formats._text import write_atomically
+from asterism.formats.c3d._edit import label_parameters, with_events, with_number
+from asterism.formats.c3d._file import BLOCK, C3DFile
+from asterism.formats.c3d._fresh import fresh_c3d
+from asterism.formats.c3d._numbers import Words
+from asterism.formats.c3d._parameters import Parameters, Record
+from asterism.formats.c3d._reader import in_metres
+from asterism.recording import Floats, Ints, Recording, canonical
+
+_MOST_POINTS = 65535
+
+
+def write_c3d(path: Path, recording: Recording) -> None:
+    """Write a recording as C3D; a file at `path` is replaced at once or not at all.
+
+    Where the recording was read from C3D, every sample that is still what it was (`origin`) is copied bit by bit with its residual
+    and cameras, new samples get residual 0, lost ones are written as the file itself writes missing points; points that the
+    recording does not stand for (`taken`), analog data, parameters, byte order and number format stay. Unchanged, the file comes
+    out byte for byte.
+
+    Raises AsterismError where the recording does not fit its source (other frames, a label twice), a coordinate does not fit the
+    file's integers, or the file cannot be written.
+    """
+    if not recording.labels or not len(recording):
+        what = "no points" if not recording.labels else "no frames"
+        raise AsterismError(f"{path}: the recording has {what}, and a C3D file needs both; nothing was written.")
+    if isinstance(recording.source, C3DFile):
+        write_atomically(path, rewritten(recording.source, recording, str(path)))
+    else:
+        write_atomically(path, fresh_c3d(recording, str(path)))
+
+
+@dataclass(frozen=True)
+class _Slot:
+    """One point column of the new file: the old column whose place it takes (None: a new place) and the recording's column (None: kept)."""
+
+    place: int | None
+    column: int | None
+
+
+def rewritten(file: C3DFile, recording: Recording, target: str) -> bytes:
+    """The bytes of `file` with the columns that `recording` stands for replaced by its columns."""
+    if len(recording) != file.layout.frames:
+        raise AsterismError(
+            f"{target}: the recording has {len(recording)} frames, the file that it was read from {file.layout.frames}; "
+            "cut recordings with `frames()`, which lets go of the file."
+        )
+    origin = recording.origin
+    if origin is None or origin.shape != recording.positions.shape[:2]:
+        origin = np.full(recording.positions.shape[:2], -1, dtype=np.int64)
+    origin = np.where((origin >= 0) & (origin < file.layout.points), origin, -1)
+    seen = without_common_subject(file.labels)[0]
+    slots = _slots(seen, recording, origin, file.layout.points)
+    if len(slots) > _MOST_POINTS:
+        raise AsterismError(
+            f"{target}: {len(slots)} points are more than the {_MOST_POINTS} that a C3D file can hold; write fewer columns."
+        )
+    words = _data(file, recording, origin, slots, target)
+    labels = _labels(file, seen, recording, slots, target)
+    same_columns = [slot.place for slot in slots] == list(range(file.layout.points)) and labels == file.raw_labels
+    parameters = file.parameters
+    if not same_columns:
+        descriptions = [
+            file.descriptions[slot.place] if slot.place is not None and label == file.raw_labels[slot.place] else b""
+            for slot, label in zip(slots, labels, strict=True)
+        ]
+        parameters = parameters.replaced(label_parameters(file, labels, descriptions))
+    if recording.events != file.events:
+        parameters = with_events(parameters, recording.events)
+    rate = recording.rate if recording.rate != file.rate else None
+    if rate is not None:
+        parameters = _with_rate(parameters, rate / file.rate)
+    return _assembled(file, parameters, words, len(slots), rate)
+
+
+def _slots(seen: Sequence[str], recording: Recording, origin: Ints, points: int) -> list[_Slot]:
+    """The columns of the new file: old places where a label or the samples' origin say so, new ones behind."""
+    free = {place for place in recording.taken if 0 <= place < points}
+    place_of: dict[int, int] = {}
+    main = [int(np.bincount(column[column >= 0]).argmax()) if (column >= 0).any() else -1 for column in origin.T]
+    by_label: dict[str, list[int]] = {}
+    for place in sorted(free):
+        by_label.setdefault(seen[place], []).append(place)
+
+    def take(column: int, place: int) -> None:
+        place_of[column] = place
+        free.discard(place)
+
+    for column, label in enumerate(recording.labels):
+        if main[column] in free and seen[main[column]] == label:
+            take(column, main[column])
+    for column, label in enumerate(recording.labels):
+        same = [place for place in by_label.get(label, ()) if place in free]
+        if column not in place_of and same:
+            take(column, same[0])
+    for column in range(len(recording.labels)):
+        if column not in place_of and main[column] in free:
+            take(column, main[column])
+    for column in range(len(recording.labels)):
+        if column not in place_of and main[column] < 0 and free:
+            take(column, min(free))
+    column_at = {place: column for column, place in place_of.items()}
+    slots = [_Slot(p, column_at.get(p)) for p in range(points) if p in column_at or p not in set(recording.taken)]
+    return slots + [_Slot(None, column) for column in range(len(recording.labels)) if column not in place_of]
+
+
+def _data(file: C3DFile, recording: Recording, origin: Ints, slots: Sequence[_Slot], target: str) -> Words:
+    """(frames, width) the new data block."""
+    points = file.point_words
+    before, scale, _, _ = in_metres(file)
+    frames = np.arange(file.layout.frames)
+    out = np.empty((file.layout.frames, len(slots), 4), dtype=points.dtype)
+    missing = _missing_words(file)
+    for new, slot in enumerate(slots):
+        if slot.column is None:
+            out[:, new] = points[:, slot.place]
+            continue
+        here = recording.positions[:, slot.column]
+        done = np.zeros(len(here), dtype=bool)
+        sources = [origin[:, slot.column]] + ([np.full(len(here), slot.place)] if slot.place is not None else [])
+        for source in sources:
+            there = before[frames, source]
+            same = ((there == here) | (np.isnan(there) & np.isnan(here))).all(axis=1) & (source >= 0) & ~done
+            out[same, new] = points[frames[same], source[same]]
+            done |= same
+        gone = ~done & np.isnan(here[:, 0])
+        out[gone, new] = missing
+        fresh = ~done & ~gone
+        out[fresh, new] = _encoded(file, here[fresh], scale, recording.labels[slot.column], target)
+    return np.concatenate([out.reshape(len(frames), -1), file.words[:, 4 * file.layout.points :]], axis=1)
+
+
+def _missing_words(file: C3DFile) -> Words:
+    """The four words with which this file says that a point is missing."""
+    if file.zeros_are_missing and np.isnan(file.coordinates).any() and not file.residuals_say_nothing:
+        return np.zeros(4, dtype=file.point_words.dtype)
+    if file.layout.real:
+        return file.processor.words_of_floats([0.0, 0.0, 0.0, -1.0])
+    return file.processor.words_of_integers([0, 0, 0, -1])
+
+
+def _encoded(file: C3DFile, positions: Floats, scale: float, label: str, target: str) -> Words:
+    """(N, 4) words of new samples, (N, 3) m."""
+    raw = positions * round(1 / scale) if scale < 1 and scale == 1 / round(1 / scale) else positions / scale
+    residual = np.full((len(raw), 1), -1.0 if file.residuals_say_nothing else 0.0)
+    if file.layout.real:
+        return file.processor.words_of_floats(np.concatenate([raw, residual], axis=1))
+    steps = np.rint(raw / file.scale)
+    if (np.abs(steps) > 32767).any():
+        raise AsterismError(
+            f"{target}: {label} lies {np.abs(positions).max():.2f} m from the origin, further than the integers of this file reach "
+            f"({32767 * file.scale * scale:.2f} m); move it there or write another format."
+        )
+    return file.processor.words_of_integers(np.concatenate([steps, residual], axis=1).astype(np.int16))
+
+
+def _labels(file: C3DFile, seen: Sequence[str], recording: Recording, slots: Sequence[_Slot], target: str) -> list[bytes]:
+    """The labels of the new file as bytes: old ones untouched, new ones with the file's subject prefix, unnamed ones unique."""
+    prefix = next((full[: -len(short)] for full, short in zip(file.labels, seen, strict=True) if full != short), "")
+    kept = {canonical(seen[slot.place]) for slot in slots if slot.column is None and slot.place is not None}
+    wanted = {canonical(label) for label in recording.labels}
+    labels, number = [], 0
+    for slot in slots:
+        label = "" if slot.column is None else recording.labels[slot.column]
+        if slot.place is not None and (slot.column is None or seen[slot.place] == label):
+            labels.append(file.raw_labels[slot.place])
+            continue
+        if is_unnamed(label):
+            while canonical(label) in kept:
+                number += 1
+                label = f"*{number}" if canonical(f"*{number}") not in wanted else label
+            kept.add(canonical(label))
+        elif canonical(label) in kept:
+            raise AsterismError(
+                f"{target}: {label} would stand there twice, as a marker and as a point of the file that was not read; "
+                "read the file with a marker set that has it, or rename it."
+            )
+        labels.append((label if is_unnamed(label) else prefix + label).encode("utf-8"))
+    return labels
+
+
+def _with_rate(parameters: Parameters, factor: float) -> Parameters:
+    changes: dict[tuple[str, str], Record | None] = {}
+    for group in ("POINT", "ANALOG"):
+        old = parameters.number(group, "RATE")
+        if old is not None:
+            changes[group, "RATE"] = with_number(parameters, group, "RATE", old * factor)
+    return parameters.replaced(changes)
+
+
+def _assembled(file: C3DFile, parameters: Parameters, words: Words, points: int, rate: float | None) -> bytes:
+    """Header, parameters, data and whatever follows, with the pointers that move set anew."""
+    raw, begin, start = file.raw, file.header.parameters_at, file.layout.start
+    section, shift = raw[begin:start] if begin < start else b"", 0
+    tail, tail_shift = _tail(file, words.nbytes - (file.layout.stop - start))
+    if parameters is not file.parameters or tail_shift:
+        if begin >= start:
+            raise AsterismError(
+                f"{file.path} keeps its parameters behind its data, so its points cannot be renamed; export it again first."
+            )
+        section, shift = _fitted_section(file, parameters, tail_shift)
+    head = bytearray(raw[:begin])
+    processor = file.processor
+    if points != file.header.points and points != file.layout.points:
+        head[2:4] = processor.bytes_of_unsigned(points)
+    if shift:
+        head[16:18] = processor.bytes_of_unsigned(start // BLOCK + 1 + shift)
+    if rate is not None:
+        head[20:24] = processor.store(processor.words_of_floats([rate]))
+    return b"".join([bytes(head), section, processor.store(words), tail])
+
+
+def _tail(file: C3DFile, growth: int) -> tuple[bytes, int]:
+    """What follows the data, padded so that it begins on its old place in a block; and by how many blocks it moves."""
+    tail = file.raw[file.layout.stop :]
+    if not growth:
+        return tail, 0
+    if not tail.strip(b"\0") and len(tail) <= BLOCK:
+        return (bytes(-(file.layout.stop + growth) % BLOCK) if len(file.raw) % BLOCK == 0 else tail), 0
+    pad = -growth % BLOCK
+    return bytes(pad) + tail, (growth + pad) // BLOCK
+
+
+def _fitted_section(file: C3DFile, parameters: Parameters, tail_shift: int) -> tuple[bytes, int]:
+    """The parameter section in whole blocks, and by how many blocks it has grown."""
+    start = file.layout.start
+    room = start - file.header.parameters_at
+    parameters = parameters.mended()
+    blocks = -(-len(parameters.to_bytes()) // BLOCK)
+    shift = max(0, blocks - room // BLOCK)
+    changes: dict[tuple[str, str], Record | None] = {}
+    for group in parameters.groups:
+        block = parameters.count(group, "DATA_START")
+        if block is not None and block >= start // BLOCK + 1 and (shift or (tail_shift and block > start // BLOCK + 1)):
+            moved = block + shift + (tail_shift if block > start // BLOCK + 1 else 0)
+            changes[group, "DATA_START"] = with_number(parameters, group, "DATA_START", moved)
+    parameters = parameters.replaced(changes)
+    section = parameters.to_bytes()
+    counted = section[2] + shift if section[2] else 0
+    section = section[:2] + bytes([min(counted, 255)]) + section[3:]
+    return section.ljust(room + shift * BLOCK, b"\0"), shift
