@@ -30,7 +30,7 @@ def convert(
     axis, wanted = vertical_axis(vertical), marker_names(markers)
     lost = formats.convert(source, target, axis) if wanted is None else formats.write(target, formats.read(source, wanted, axis))
     for what in lost:
-        _console.complain(f"{target}: {what}")
+        _console.complain(f"{target} leaves out {what}.")
     if json != "-":
         _console.say(f"{source} -> {target}")
     _console.write_json(json, {"command": "convert", "file": source, "output": target, "not_carried": lost})

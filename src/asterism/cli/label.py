@@ -148,7 +148,7 @@ def _write(target: Path, recording: Recording) -> list[str]:
     target.parent.mkdir(parents=True, exist_ok=True)
     lost = formats.write(target, recording)
     for what in lost:
-        _console.complain(f"{target}: {what}")
+        _console.complain(f"{target} leaves out {what}.")
     return lost
 
 
