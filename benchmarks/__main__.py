@@ -11,7 +11,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from asterism import AsterismError
+from asterism.errors import AsterismError
 from benchmarks import docs, figures, labelling
 from benchmarks.bench import Bench
 from benchmarks.data import folder
@@ -26,6 +26,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--models", type=Path, help="keep trained ensembles in this folder, and take them from there while the code is the same"
     )
+    parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="processes that share the folds of a row")
     given = parser.parse_args(arguments)
     if given.what == "docs":
         docs.write()
@@ -35,7 +36,7 @@ def main(arguments: list[str] | None = None) -> int:
     except AsterismError as problem:
         print(problem, file=sys.stderr)
         return 2
-    bench = Bench(given.quick, given.models)
+    bench = Bench(given.quick, given.models, given.jobs)
     failed = [row for row in given.rows or labelling.ROWS if not _measure(row, bench)]
     if not given.quick:
         docs.write()

@@ -5,26 +5,46 @@ from __future__ import annotations
 import hashlib
 import sys
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from statistics import median
+from typing import TypeVar
 
 import asterism
 from asterism.recording import Recording
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
 
 @dataclass
 class Bench:
-    """One run: `quick` takes few frames and folds; `models` is a folder that keeps trained ensembles between runs, or None."""
+    """One run: `quick` takes few frames and folds; `models` is a folder that keeps trained ensembles between runs, or None.
+
+    `jobs` processes share the folds of a row; rows that measure time run in one.
+    """
 
     quick: bool = False
     models: Path | None = None
+    jobs: int = 1
     trained: dict[str, asterism.SolverEnsemble] = field(default_factory=dict)
 
     def say(self, text: str) -> None:
         """Tell whoever waits what is being done."""
         print(f"  {text}", file=sys.stderr, flush=True)
+
+    def each(self, work: Callable[[Bench, Item], Result], items: Sequence[Item]) -> Iterator[Result]:
+        """The results of a function over items, in their order; with several jobs both must be picklable."""
+        if self.jobs == 1 or len(items) == 1:
+            yield from (work(self, item) for item in items)
+            return
+        alone = replace(self, jobs=1, trained={})
+        with ProcessPoolExecutor(self.jobs, mp_context=get_context("spawn")) as pool:
+            yield from pool.map(partial(work, alone), items)
 
     def fit(self, recordings: Sequence[Recording], people: Sequence[str], **options: float) -> asterism.SolverEnsemble:
         """Train an ensemble, or take the one that the same code has trained from the same recordings in this or an earlier run."""

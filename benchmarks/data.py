@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-import asterism
+from asterism.errors import AsterismError
+from asterism.formats import read
 from asterism.recording import Recording
 
 _MIDDLE = "LFHD RFHD LBHD RBHD C7 T2 T6 T10 T12 RBAK CLAV STRN LASI RASI SACR"
@@ -45,7 +46,7 @@ def folder() -> Path:
     """Where the real recordings are. Raises AsterismError where `ASTERISM_DATA` does not name a folder."""
     named = os.environ.get("ASTERISM_DATA")
     if not named or not Path(named).is_dir():
-        raise asterism.AsterismError(
+        raise AsterismError(
             "the benchmarks need real recordings: set ASTERISM_DATA to the folder that holds gait, movement and conformance."
         )
     return Path(named)
@@ -56,7 +57,7 @@ def gait(markers: str | tuple[str, ...] = "helen-hayes") -> dict[str, tuple[Reco
     """All trials of each gait subject, with the markers of a set."""
     wanted = markers if isinstance(markers, str) else list(markers)
     return {
-        subject.name: tuple(asterism.read(path, markers=wanted) for path in sorted(subject.glob("*.c3d")))
+        subject.name: tuple(read(path, markers=wanted) for path in sorted(subject.glob("*.c3d")))
         for subject in sorted((folder() / "gait").iterdir())
         if subject.is_dir()
     }
@@ -171,7 +172,7 @@ def _leave_one_out(label: str, owners: list[tuple[str, str]], unseen: bool) -> I
 @cache
 def everything(file: str) -> Recording:
     """All points of a file of the movement recordings that the reader does not take for computed ones."""
-    return asterism.read(folder() / "movement" / file)
+    return read(folder() / "movement" / file)
 
 
 def _named(recording: Recording) -> Recording:

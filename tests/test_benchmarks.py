@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from asterism.errors import AsterismError
 from asterism.hiding import hide_and_haunt
 from asterism.recording import NULL, Labelling, Recording
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
-docs, figures, peer, score = (import_module(f"benchmarks.{name}") for name in ("docs", "figures", "peer", "score"))
+benchmark_data, docs, figures, peer, score = (import_module(f"benchmarks.{name}") for name in ("data", "docs", "figures", "peer", "score"))
 
 
 def test_kept_figures_have_the_agreed_form() -> None:
@@ -126,6 +127,32 @@ def test_the_peer_labels_what_is_easy_and_has_no_doubt(vertical: tuple[float, fl
     haunted = score.Tally()
     haunted.add(key_poses.label(clouds), truth)
     assert haunted.false_assignments > 0.02, "ghosts must mislead a method that always answers"
+
+
+def test_without_real_recordings_the_sentence_says_what_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("ASTERISM_DATA", raising=False)
+    with pytest.raises(AsterismError, match="set ASTERISM_DATA"):
+        benchmark_data.folder()
+
+
+def test_every_labelled_movement_file_is_tested_and_by_people_that_training_has_not_seen(data: Path) -> None:
+    folds = list(benchmark_data.movement_folds())
+    tested = {test.file for fold in folds for test in fold.test}
+    index = json.loads((data / "movement" / "index.json").read_text(encoding="utf-8"))
+    labelled = {file for file, entry in index.items() if entry.get("markers") and (data / "movement" / file).exists()}
+    assert labelled - tested == {"qtm-fullbody/lem_static.trc"}, "the same trial as lem_static.c3d, and nothing else, is left out"
+    for fold in folds:
+        assert {recording.labels for recording in fold.train} == {test.recording.labels for test in fold.test}
+        assert not fold.unseen or fold.person not in fold.train_people
+        trained_on = {recording.positions.tobytes() for recording in fold.train}
+        assert not any(test.recording.frames(test.frames).positions.tobytes() in trained_on for test in fold.test)
+
+
+def test_blocks_of_ten_frames_share_no_frame_and_lose_none() -> None:
+    recording = Recording(np.arange(47.0 * 3).reshape(47, 1, 3), ("a",), 100.0)
+    even, odd = (benchmark_data.blocks(recording, odd=side).positions[:, 0, 0] / 3 for side in (False, True))
+    assert sorted([*even, *odd]) == list(range(47))
+    assert {int(frame) // 10 % 2 for frame in even} == {0} and {int(frame) // 10 % 2 for frame in odd} == {1}
 
 
 def test_page_shows_cells_where_they_belong_and_what_was_missed() -> None:

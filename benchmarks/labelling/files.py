@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-import asterism
-from asterism.formats import describe, read_table
+from asterism.errors import AsterismError
+from asterism.formats import describe, read, read_table
 from asterism.recording import Recording, without_subject
 from benchmarks.bench import Bench
 from benchmarks.data import GAIT_BODY, folder, is_unnamed
@@ -35,7 +35,7 @@ def conformance(bench: Bench) -> Iterator[Figure]:
     yield Figure("conformance: C3D files read", f">= {len(paths) - 1}", sum(_opens(bench, path) for path in paths), "files", len(paths))
     sample = root / "c3d" / "sample_02"
     for kind, pattern, asked in (("three real", "*_real", 0.001), ("three integer", "*_int", ONE_STEP_MM), ("six", "*", ONE_STEP_MM)):
-        some = [asterism.read(path) for path in sorted(sample.glob(f"{pattern}.c3d"))]
+        some = [read(path) for path in sorted(sample.glob(f"{pattern}.c3d"))]
         apart = max(_millimetres_apart(some[0], other) for other in some[1:])
         yield Figure(f"conformance: {kind} encodings of one trial, farthest apart", f"<= {asked}", apart, "mm", len(some))
     for suffix in ("trc", "mot", "sto", "csv"):
@@ -83,8 +83,8 @@ def _index() -> dict[str, dict[str, Any]]:
 def _opens(bench: Bench, path: Path) -> bool:
     """Whether a file opens, as a recording or as a table, with as many frames as the index knows (where it does)."""
     try:
-        frames = len(asterism.read(path, vertical="z")) if path.suffix not in (".mot", ".sto") else len(read_table(path).values)
-    except asterism.AsterismError as problem:
+        frames = len(read(path, vertical="z")) if path.suffix not in (".mot", ".sto") else len(read_table(path).values)
+    except AsterismError as problem:
         bench.say(str(problem))
         return False
     expected = TRUE_FRAMES.get(path.name) or _index().get(_name(path), {}).get("frames") or frames

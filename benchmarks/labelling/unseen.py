@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 from asterism.hiding import hide_and_haunt
 from benchmarks.bench import Bench
@@ -36,45 +37,59 @@ PEER_FRAMES = 24
 """Frames of each recording that the slow peer gets, evenly spread."""
 
 
+@dataclass
+class Outcome:
+    """What came of one subject left out, by condition; the peer's seconds over all its frames."""
+
+    ours: dict[str, Tally] = field(default_factory=lambda: defaultdict(Tally))
+    peers: dict[str, Tally] = field(default_factory=lambda: defaultdict(Tally))
+    peer_seconds: float = 0.0
+
+
 def unseen(bench: Bench) -> Iterator[Figure]:
     """Leave one subject out over all of them: ours, the peer, the confidence's error, and every subject by name."""
-    trials = gait()
-    ours: dict[tuple[str, str], Tally] = defaultdict(Tally)
-    peers: dict[str, Tally] = defaultdict(Tally)
-    peer_seconds = 0.0
-    for subject in list(trials)[:1] if bench.quick else trials:
-        people, train = people_and_trials(trials, leave_out=subject)
-        if bench.quick:
-            train = [evenly(recording, 40) for recording in train]
-        ensemble, peer = bench.fit(train, people), KeyPoses.fit(train)
-        for (hidden, ghosts), name in CONDITIONS.items():
-            for number, recording in enumerate(trials[subject]):
-                clouds, truth = hide_and_haunt(recording, hidden, ghosts, seed=number)
-                ours[subject, name].add(ensemble.label(clouds), truth)
-                few, few_truth = some_frames(clouds, truth, spread(len(truth), PEER_FRAMES))
-                started = time.perf_counter()
-                labelling = peer.label(few)
-                peer_seconds += time.perf_counter() - started
-                peers[name].add(labelling, few_truth)
-        bench.say(f"{subject}: " + ", ".join(f"{name} FA {ours[subject, name].false_assignments:.5f}" for name in CONDITIONS.values()))
-    pooled, subjects = Tally(), list(dict.fromkeys(subject for subject, _ in ours))
+    subjects = list(gait())[: 1 if bench.quick else None]
+    outcomes = dict(zip(subjects, bench.each(_left_out, subjects), strict=True))
+    pooled = Tally()
     for name in CONDITIONS.values():
-        total = Tally()
-        for subject in subjects:
-            total += ours[subject, name]
+        total, peers = Tally(), Tally()
+        for outcome in outcomes.values():
+            total += outcome.ours[name]
+            peers += outcome.peers[name]
         pooled += total
         yield from _rates(f"subjects not seen, {name}", total, name, asked=True)
-        yield from _rates(f"peer, subjects not seen, {name}", peers[name], name, asked=False)
+        yield from _rates(f"peer, subjects not seen, {name}", peers, name, asked=False)
         yield Figure(f"subjects not seen, {name}: frames perfect", "none", total.perfect_share, "fraction", total.frames)
         yield Figure(f"subjects not seen, {name}: calibration error", "none", total.calibration_error, "fraction", total.given)
     yield Figure("subjects not seen, all conditions: calibration error", "<= 0.01", pooled.calibration_error, "fraction", pooled.given)
-    labelled = sum(tally.frames for tally in peers.values())
-    yield Figure("peer, subjects not seen: speed", "none", labelled / peer_seconds, "frames/s", labelled)
-    for subject in subjects:
-        for name in CONDITIONS.values():
-            tally = ours[subject, name]
+    labelled = sum(tally.frames for outcome in outcomes.values() for tally in outcome.peers.values())
+    seconds = sum(outcome.peer_seconds for outcome in outcomes.values())
+    yield Figure("peer, subjects not seen: speed", "none", labelled / seconds, "frames/s", labelled)
+    for subject, outcome in outcomes.items():
+        for name, tally in outcome.ours.items():
             yield Figure(f"subject {subject} not seen, {name}: FA", "none", tally.false_assignments, "fraction", tally.frames)
             yield Figure(f"subject {subject} not seen, {name}: missed", "none", tally.missed_share, "fraction", tally.frames)
+
+
+def _left_out(bench: Bench, subject: str) -> Outcome:
+    trials = gait()
+    people, train = people_and_trials(trials, leave_out=subject)
+    if bench.quick:
+        train = [evenly(recording, 40) for recording in train]
+    ensemble, peer, outcome = bench.fit(train, people), KeyPoses.fit(train), Outcome()
+    for (hidden, ghosts), name in CONDITIONS.items():
+        for number, recording in enumerate(trials[subject]):
+            clouds, truth = hide_and_haunt(recording, hidden, ghosts, seed=number)
+            outcome.ours[name].add(ensemble.label(clouds), truth)
+            few, few_truth = some_frames(clouds, truth, spread(len(truth), PEER_FRAMES))
+            started = time.perf_counter()
+            labelling = peer.label(few)
+            outcome.peer_seconds += time.perf_counter() - started
+            outcome.peers[name].add(labelling, few_truth)
+    told = (f"{name} FA {tally.false_assignments:.5f} missed {tally.missed_share:.5f}" for name, tally in outcome.ours.items())
+    bench.say(f"{subject} left out: {', '.join(told)}")
+    outcome.ours, outcome.peers = dict(outcome.ours), dict(outcome.peers)
+    return outcome
 
 
 def _rates(row: str, tally: Tally, condition: str, asked: bool) -> Iterator[Figure]:
