@@ -88,7 +88,7 @@ def spread(frames: int, most: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, frames - 1, min(frames, most)).round().astype(np.int64))
 
 
-PEOPLE = {
+PEOPLE: dict[str, dict[str, tuple[str, ...]]] = {
     "cmu41": {
         "01 and 06": ("cmu41/01_01_climb.c3d", "cmu41/06_xx_dribble_shoot.c3d"),
         "02": ("cmu41/02_01_walk.c3d", "cmu41/02_05_punch.c3d"),
@@ -108,7 +108,7 @@ PEOPLE = {
 }
 """Sets that several people share: train on the others, with the markers that all of them wear (not in every trial)."""
 
-OWN_TRIALS = {
+OWN_TRIALS: dict[str, tuple[tuple[str, ...], ...]] = {
     "clouthier62": (("clouthier62/labelled/KneeltoProne01.c3d",), ("clouthier62/labelled/PronetoRun01.c3d",)),
     "sprint53": (("sprint53/run0700cms.trc",), ("sprint53/static.trc",)),
     "lab51-multiactivity": (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -78,7 +79,7 @@ def speed(bench: Bench) -> Iterator[Figure]:
     recording = test_frames(1024 if bench.quick else 4096)
     for hidden, ghosts, asked in ((0, 0, "none"), (4, 0, "none"), (4, 3, "> 5000")):
         clouds, _ = hide_and_haunt(recording, hidden, ghosts, seed=0)
-        rate = frames_per_second(lambda clouds=clouds: ensemble.label(clouds, workers=1), len(clouds))
+        rate = frames_per_second(partial(ensemble.label, clouds, workers=1), len(clouds))
         yield Figure(f"ensemble, {hidden} occlusions + {ghosts} ghosts, one core", asked, rate, "frames/s", len(clouds))
 
 
@@ -113,7 +114,7 @@ def full_body(bench: Bench) -> Iterator[Figure]:
         yield Figure(f"{row}: FA", "none", tally.false_assignments, "fraction", tally.frames)
         yield Figure(f"{row}: missed", "none", tally.missed_share, "fraction", tally.frames)
         if hidden == 0:
-            rate = frames_per_second(lambda clouds=clouds: ensemble.label(clouds, workers=1), len(clouds), repeats=3)
+            rate = frames_per_second(partial(ensemble.label, clouds, workers=1), len(clouds), repeats=3)
             yield Figure(f"full body, {markers} markers: labelling, one core", "> 1000", rate, "frames/s", len(clouds))
 
 
