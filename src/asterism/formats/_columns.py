@@ -212,7 +212,7 @@ def metres_per_unit(path: Path, said: str | None, raw: Floats, others: Sequence[
     scale = _METRES.get((said or "").strip().casefold())
     if scale is not None:
         if np.isfinite(size) and not _SMALLEST_BODY <= size * scale <= _LARGEST_BODY:
-            likely = _unit_by_size(size)
+            likely = _unit_by_size(size, raw)
             raise AsterismError(
                 f"{path} gives its units as {said}, which makes its points {size * scale:.3g} m wide; "
                 f"the units are probably {likely}: correct the units field."
@@ -223,7 +223,7 @@ def metres_per_unit(path: Path, said: str | None, raw: Floats, others: Sequence[
     if misplaced is not None:
         found, name, _ = metres_per_unit(path, misplaced, raw)
         return found, name, f"{what}; {name} stands in another field of the header"
-    name = _unit_by_size(size)
+    name = _unit_by_size(size, raw)
     return _METRES[name], name, f"{what}; {name} fits the size of the body"
 
 
@@ -246,18 +246,20 @@ def body_size(raw: Floats) -> float:
     return size if size > 0 else float("nan")
 
 
-def _unit_by_size(size: float) -> str:
-    if not np.isfinite(size):
-        return "mm"
-    return "m" if size < 12 else "cm" if size < 300 else "mm"
+def _unit_by_size(size: float, raw: Floats) -> str:
+    """The unit that makes a body of that size human; a single point has none, only its distance from the origin."""
+    if np.isfinite(size):
+        return "m" if size < 12 else "cm" if size < 300 else "mm"
+    away = np.abs(raw[np.isfinite(raw)])
+    return "m" if len(away) and float(np.median(away)) < 12 else "mm"
 
 
-def as_metres(raw: Floats, scale: float) -> tuple[Floats, list[str]]:
-    """Positions in metres with NaN for what cannot be a place: not finite, beyond 1000 km, or zero in all three."""
+def as_metres(raw: Floats, scale: float, zero_is_missing: bool = True) -> tuple[Floats, list[str]]:
+    """Positions in metres with NaN for what cannot be a place (not finite, beyond 1000 km, zero in all three), and remarks."""
     with np.errstate(over="ignore", invalid="ignore"):
         positions = raw * scale
-        strange: NDArray[np.bool_] = (np.isinf(raw) | (np.abs(positions) > _FURTHEST)).any(axis=2)
-    zero: NDArray[np.bool_] = (raw == 0).all(axis=2)
+        strange = np.any(np.isinf(raw) | (np.abs(positions) > _FURTHEST), axis=2)
+    zero = np.all(raw == 0, axis=2) & zero_is_missing
     positions[strange | zero | np.isnan(positions).any(axis=2)] = np.nan
     remarks = []
     if strange.any():

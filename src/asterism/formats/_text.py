@@ -87,6 +87,7 @@ def rows_of_numbers(path: Path, lines: Sequence[str], first_line: int, delimiter
     out = np.full((len(kept), width), np.nan)
     decimal_comma = delimiter == ";"
     short: list[int] = []
+    blank = float("nan")
     for row, i in enumerate(kept):
         line = lines[i].replace(",", ".") if decimal_comma else lines[i]
         cells = line.split(delimiter) if '"' not in line else cells_of(line, delimiter)
@@ -101,7 +102,7 @@ def rows_of_numbers(path: Path, lines: Sequence[str], first_line: int, delimiter
         try:
             if "_" in line:
                 raise ValueError
-            out[row, : len(cells)] = list(map(float, cells))
+            out[row, : len(cells)] = [float(cell) if cell else blank for cell in cells]
         except ValueError:
             for column, cell in enumerate(cells):
                 number = number_of(cell)

@@ -36,7 +36,7 @@ def dense_rows(values: Floats, decimals: int) -> Floats:
     at_zero = (values == 0).all(axis=2)
     if at_zero.any():
         values[at_zero, 0] = 10.0**-decimals
-    return values.reshape(len(values), -1)
+    return values.reshape(len(values), 3 * values.shape[1])
 
 
 def spelled_numbers(rows: Floats, delimiter: str, decimals: int) -> list[str]:

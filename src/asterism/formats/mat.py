@@ -46,14 +46,16 @@ def read_mat(path: Path) -> Points:
 
 def _points(path: Path, take: dict[str, Any]) -> Points:
     frames, rate = int(take["Frames"]), float(take["FrameRate"])
+    if not 0 <= frames < 100_000_000:
+        raise ValueError(f"{frames} frames")
     sets = take["Trajectories"]
     raw, labels, kinds = [], list[str](), list[str]()
     for key in ("Labeled", "Unidentified"):
         part = sets.get(key) if isinstance(sets, dict) else None
-        if not isinstance(part, dict) or not np.size(part.get("Data", ())):
+        if not isinstance(part, dict) or "Data" not in part:
             continue
-        positions = _samples(part, frames)
         names = [str(name) for name in np.atleast_1d(part.get("Labels", ()))] if key == "Labeled" else []
+        positions = _samples(part, frames, len(names))
         for i in range(positions.shape[1]):
             named = i < len(names) and bool(names[i].strip())
             labels.append(names[i] if named else f"*{1 + sum(kind == UNNAMED for kind in kinds)}")
@@ -63,7 +65,7 @@ def _points(path: Path, take: dict[str, Any]) -> Points:
     if not np.isfinite(rate) or rate <= 0:
         raise AsterismError(f"{path} gives a frame rate of {rate:g}; export it from QTM again.")
     scale, units, remark = metres_per_unit(path, "mm", together)
-    positions, odd = as_metres(together, scale)
+    positions, odd = as_metres(together, scale, zero_is_missing=False)
     return Points(
         positions,
         tuple(labels),
@@ -79,16 +81,19 @@ def _points(path: Path, take: dict[str, Any]) -> Points:
     )
 
 
-def _samples(part: dict[str, Any], frames: int) -> Floats:
-    """(T, N, 3) in the file's unit from Data (N, 4, T), which loses its first axis where N is 1, with Type 0 as NaN."""
+def _samples(part: dict[str, Any], frames: int, named: int) -> Floats:
+    """(T, N, 3) in the file's unit from Data (N, 4, T), which SciPy gives without axes of length 1, with Type 0 as NaN."""
     data = np.asarray(part["Data"], dtype=np.float64)
-    data = data.reshape(-1, data.shape[-2] if data.ndim > 1 else 4, frames)
+    count = int(part["Count"]) if "Count" in part else max(named, data.shape[0] if data.ndim == 3 else 1)
+    if frames * count == 0 or data.size == 0:
+        return np.full((frames, max(named, min(count, 10_000)), 3), np.nan)
+    data = data.reshape(count, -1, frames)
     if data.shape[1] not in (3, 4):
         raise ValueError(f"{data.shape[1]} values per sample, 3 or 4 expected")
     positions = np.ascontiguousarray(data[:, :3].transpose(2, 0, 1))
     kinds = part.get("Type")
-    if kinds is not None and np.size(kinds) == data.shape[0] * frames:
-        positions[np.asarray(kinds).reshape(data.shape[0], frames).T == 0] = np.nan
+    if kinds is not None and np.size(kinds) == count * frames:
+        positions[np.asarray(kinds).reshape(count, frames).T == 0] = np.nan
     return positions
 
 

@@ -39,6 +39,8 @@ class Table:
     title       what the first line of the file calls it
     in_degrees  whether angles are degrees; None where the file does not say
     format      "MOT", "STO" or "CSV"
+    units       the unit of length that the header names, or ""
+    said_rate   rows per second by the header, NaN where it does not say
     """
 
     names: tuple[str, ...]
@@ -48,13 +50,14 @@ class Table:
     in_degrees: bool | None = None
     format: str = "STO"
     units: str = ""
+    said_rate: float = float("nan")
 
     @property
     def rate(self) -> float:
-        """Rows per second; NaN where there are fewer than two rows."""
+        """Rows per second, by the times; by the header where there are fewer than two rows, NaN where it does not say."""
         steps = np.diff(self.times)
         steps = steps[np.isfinite(steps) & (steps > 0)]
-        return float(f"{1 / steps.mean():.6g}") if len(steps) else float("nan")
+        return float(f"{1 / steps.mean():.6g}") if len(steps) else self.said_rate
 
 
 def read_table(path: str | Path) -> Table:
@@ -97,6 +100,7 @@ def read_table(path: str | Path) -> Table:
         in_degrees={"yes": True, "no": False}.get(degrees),
         format={".mot": "MOT", ".sto": "STO"}.get(path.suffix.casefold(), "CSV" if end is None else "STO"),
         units=header.get("units", ""),
+        said_rate=number_of(header.get("datarate", "")) or float("nan"),
     )
 
 
@@ -120,12 +124,13 @@ def write_table(path: str | Path, table: Table) -> list[str]:
     degrees = {None: "", True: "yes", False: "no"}[table.in_degrees]
     title = re.sub(r"[\r\n]+", " ", table.title) or path.stem
     if suffix == ".csv":
-        head = [f"# title={title}", *([f"# inDegrees={degrees}"] if degrees else []), *([f"# units={table.units}"] if table.units else [])]
+        head = [f"# title={title}", *([f"# inDegrees={degrees}"] if degrees else []), *([f"# Units={table.units}"] if table.units else [])]
         separator = ","
     else:
         head = [title, "version=1", f"nRows={len(table.values)}", f"nColumns={len(table.names) + 1}"]
         head += [f"inDegrees={degrees}"] if degrees else []
-        head += [f"units={table.units}"] if table.units else []
+        head += [f"DataRate={table.said_rate:.10g}"] if np.isfinite(table.said_rate) else []
+        head += [f"Units={table.units}"] if table.units else []
         head += ["endheader"]
         separator = "\t"
     names = [re.sub(r"[\t\r\n,;\"]", " ", name) for name in table.names]
@@ -167,7 +172,7 @@ def points_of_table(path: Path, table: Table) -> Points:
     return Points(
         positions,
         tuple(group.name for group in groups),
-        rate_of(path, None, table.times, remarks),
+        rate_of(path, table.said_rate, table.times, remarks),
         table.format,
         units=units,
         fallback=as_vertical("y"),
@@ -186,7 +191,7 @@ def write_marker_table(path: Path, recording: Recording) -> list[str]:
     times = np.round(start + np.arange(len(positions)) / recording.rate, 9)
     values = np.round(positions, 9) + 0.0
     values[(values == 0).all(axis=2), 0] = 1e-9
-    write_table(path, Table(names, values.reshape(len(values), -1), times, "Marker positions", None, units="m"))
+    write_table(path, Table(names, values.reshape(len(values), len(names)), times, "Marker positions", units="m", said_rate=recording.rate))
     if recording.vertical[1] < 0.99:
         lost.append(f"the vertical: {path.suffix[1:].upper()} readers take Y as up or tell it from the data")
     return lost

@@ -58,7 +58,7 @@ def read_trc(path: Path) -> Points:
     rows, more = rows_of_numbers(path, lines[data_at:], data_at + 1, delimiter, 2 + 3 * len(labels))
     remarks += more
     raw = rows[:, 2:].reshape(len(rows), len(labels), 3)
-    if len(raw) and _cut_short(lines):
+    if len(raw) and _cut_short(lines, delimiter):
         remarks.append("the file ends within a line; the last marker of its last frame is taken as missing")
         seen = np.nonzero(~np.isnan(raw[-1]).all(axis=1))[0]
         raw[-1, seen[-1:]] = np.nan
@@ -155,10 +155,12 @@ def _in_order(letters: list[str]) -> bool:
     return all(found[i] == "XYZ"[i % 3] for i in range(len(found)))
 
 
-def _cut_short(lines: list[str]) -> bool:
-    """Whether the last line lacks its end and its last cell has fewer decimals than the one above: the file was cut there."""
-    if not lines[-1].strip() or len(lines) < 2:
+def _cut_short(lines: list[str], delimiter: str | None) -> bool:
+    """Whether the last line lacks its end and has fewer cells, or fewer decimals in its last one, than the line above: a cut file."""
+    if len(lines) < 2 or not lines[-1].strip():
         return False
-    last, above = lines[-1].rstrip(), lines[-2].rstrip()
-    decimals = [len(line.rpartition(".")[2]) if "." in line[-16:] else 0 for line in (last, above)]
-    return decimals[0] < decimals[1] or len(re.split(r"[\t,;]", last)) < len(re.split(r"[\t,;]", above))
+    last, above = cells_of(lines[-1], delimiter), cells_of(lines[-2], delimiter)
+    if len(last) < len(above):
+        return any(above[len(last) :])
+    decimals = [len(cells[-1].partition(".")[2]) for cells in (last, above)]
+    return bool(last[-1]) and last[-1].casefold() != "nan" and decimals[0] < decimals[1]

@@ -1,0 +1,160 @@
+"""Which way is up: told from names, floor and shape, and left open where it cannot be told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from asterism.errors import AsterismError
+from asterism.formats import read, write
+from asterism.formats._columns import settle_vertical
+from asterism.formats._vertical import tell_vertical, vertical_from_positions
+from asterism.recording import Recording
+
+AXES = {"x": (1, 0, 0), "-x": (-1, 0, 0), "y": (0, 1, 0), "-y": (0, -1, 0), "z": (0, 0, 1), "-z": (0, 0, -1)}
+GAIT = ("LFHD", "RFHD", "C7", "LSHO", "RSHO", "LASI", "RASI", "SACR", "LKNE", "RKNE", "LANK", "RANK", "LTOE", "RTOE")
+HEIGHTS = np.array([1.7, 1.7, 1.5, 1.45, 1.45, 1.0, 1.0, 1.02, 0.5, 0.5, 0.1, 0.1, 0.04, 0.04])
+
+
+def walk(seed: int = 0, frames: int = 200) -> np.ndarray:
+    """Somebody of 1.7 m who walks along x at 1 m/s, 100 Hz, z up; feet stand still half of the time."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(frames) / 100.0
+    positions = np.zeros((frames, len(GAIT), 3))
+    side = np.array([1 if name[0] == "L" else -1 if name[0] == "R" else 0 for name in GAIT])
+    positions[:, :, 1] = 0.15 * side + rng.normal(0, 0.02, len(GAIT))
+    positions[:, :, 2] = HEIGHTS + 0.02 * np.sin(4 * np.pi * time)[:, None]
+    positions[:, :, 0] = time[:, None]
+    for feet, phase in (((10, 12), 0.0), ((11, 13), 0.5)):
+        step = np.floor(time + phase) + np.clip(2 * ((time + phase) % 1) - 1, 0, 1) - phase
+        lift = 0.1 * np.sin(np.pi * np.clip(2 * ((time + phase) % 1) - 1, 0, 1))
+        for foot in feet:
+            positions[:, foot, 0] = step
+            positions[:, foot, 2] = HEIGHTS[foot] + lift
+    return positions
+
+
+def turned(positions: np.ndarray, up: tuple[int, int, int]) -> np.ndarray:
+    """The same motion in axes in which `up` points up (a right-handed rotation)."""
+    up = np.array(up, dtype=float)
+    ahead = np.array([0.0, 1.0, 0.0]) if up[0] else np.array([1.0, 0.0, 0.0])
+    return positions @ np.stack([ahead, np.cross(up, ahead), up])
+
+
+@pytest.mark.parametrize("up", AXES.values(), ids=AXES.keys())
+@pytest.mark.parametrize("away", [(0.0, 0.0, 0.0), (3.0, -2.0, 0.0), (-1.0, 4.0, 1.0)], ids=["origin", "far", "above the origin"])
+def test_names_tell_all_six_axes(up, away):
+    positions = turned(walk() + away, up)
+    np.testing.assert_array_equal(vertical_from_positions(positions, GAIT), up)
+
+
+@pytest.mark.parametrize("up", AXES.values(), ids=AXES.keys())
+@pytest.mark.parametrize("seed", range(3))
+def test_anonymous_points_tell_all_six_axes(up, seed):
+    positions = turned(walk(seed) + np.array([-1.0, 0.5, 0.0]), up)
+    np.testing.assert_array_equal(vertical_from_positions(positions, [f"*{i}" for i in range(len(GAIT))]), up)
+
+
+@pytest.mark.parametrize("up", AXES.values(), ids=AXES.keys())
+def test_gaps_and_infinities_do_not_matter(up):
+    positions = turned(walk(), up)
+    positions[np.random.default_rng(1).random(positions.shape[:2]) < 0.5] = np.nan
+    positions[3, 2] = np.inf
+    np.testing.assert_array_equal(vertical_from_positions(positions, GAIT), up)
+
+
+@pytest.mark.parametrize(
+    "positions",
+    [
+        np.zeros((0, 5, 3)),
+        np.zeros((4, 2, 3)),
+        np.zeros((4, 5, 3)),
+        np.full((4, 5, 3), np.nan),
+        np.random.default_rng(0).normal(0, 1, (50, 20, 3)),
+    ],
+    ids=["no frames", "two points", "all equal", "all missing", "a ball of noise"],
+)
+def test_what_cannot_be_told_is_left_open(positions):
+    assert vertical_from_positions(positions, ()) is None
+
+
+def lying(height: float) -> np.ndarray:
+    """Somebody who lies along x, 20 cm thick, on a bed of that height."""
+    return walk()[:, :, [2, 1, 0]] * (1, 1, 0) + (-0.8, 0, height) + np.random.default_rng(0).uniform(0, 0.2, (1, len(GAIT), 3))
+
+
+def test_somebody_lying_on_the_floor_is_not_stood_up_by_names():
+    told = tell_vertical(lying(0.01), GAIT)
+    assert told.vector is None or tuple(told.vector) == (0, 0, 1)
+
+
+def test_somebody_lying_on_a_bed_does_not_overrule_the_file(tmp_path):
+    vector, how = settle_vertical(tmp_path, lying(0.6), GAIT, declared=np.array([0.0, 0.0, 1.0]))
+    assert (tuple(vector), how) == ((0, 0, 1), "file")
+
+
+def test_a_declared_vertical_stands_unless_two_signs_contradict_it(tmp_path):
+    standing = walk()
+    vector, how = settle_vertical(tmp_path, standing, GAIT, declared=np.array([0.0, 0.0, -1.0]))
+    assert (tuple(vector), how) == ((0, 0, 1), "data against file")
+    vector, how = settle_vertical(tmp_path, standing - (0, 0, 5.0), GAIT, declared=np.array([0.0, 1.0, 0.0]))
+    assert (tuple(vector), how) == ((0, 1, 0), "file")
+    vector, how = settle_vertical(tmp_path, standing, GAIT, given="-y", declared=np.array([0.0, 0.0, 1.0]))
+    assert (tuple(vector), how) == ((0, -1, 0), "given")
+
+
+def test_a_file_that_does_not_tell_asks_for_the_vertical(tmp_path):
+    noise = np.random.default_rng(0).normal(0, 0.5, (50, 20, 3))
+    write(tmp_path / "noise.csv", Recording(noise, tuple(f"M{i}a" for i in range(20)), 100.0))
+    text = "\n".join(line for line in (tmp_path / "noise.csv").read_text().splitlines() if "vertical" not in line)
+    (tmp_path / "noise.csv").write_text(text + "\n")
+    with pytest.raises(AsterismError, match=r"noise\.csv does not say which way is up.*vertical="):
+        read(tmp_path / "noise.csv")
+    np.testing.assert_array_equal(read(tmp_path / "noise.csv", vertical="-y").vertical, [0, -1, 0])
+
+
+Z_UP = [
+    "gait/HC002/straight.c3d",
+    "gait/HC030/turn.c3d",
+    "gait/HC040/static.c3d",
+    "movement/cmu41/01_01_climb.c3d",
+    "movement/cmu41/85_12.c3d",
+    "movement/cmu41/06_xx_dribble_shoot.c3d",
+    "movement/clouthier62/labelled/PronetoRun01.c3d",
+    "movement/clouthier62/labelled/KneeltoProne01.c3d",
+    "movement/clouthier62/raw/S01_Pronetokneel01_mksrem.c3d",
+    "movement/qtm-fullbody/running_0002.c3d",
+    "movement/qtm-fullbody/lem_static.c3d",
+    "movement/clinical-lower/auc_dynamic.c3d",
+    "movement/optitrack-lower/skeleton20/jog_001.c3d",
+    "movement/optitrack-lower/skeleton20/walk_slow_001.c3d",
+    "movement/athlete-barbell70/athlete_barbell.c3d",
+    "movement/pig39/test_movement.c3d",
+    "conformance/c3d/sample_02/pc_real.c3d",
+    "conformance/c3d/sample_30/admarche2.c3d",
+    "conformance/trc/init100.trc",
+    "movement/qtm-fullbody/lem_static.trc",
+    "cameras/vicon-rig-walk/walking_1.c3d",
+]
+Y_UP = [
+    "movement/vicon53/nick_freeform_001.c3d",
+    "movement/lab51-multiactivity/squats1.trc",
+    "movement/running42/run300.trc",
+    "movement/fullbody61/markers_StairUp3.trc",
+    "movement/sprint53/run0700cms.trc",
+    "conformance/trc/markers_walk.trc",
+    "conformance/motive-csv/motive_v1.22_rigidbodies.csv",
+    "movement/optitrack-wheelchair/racing_full.c3d",
+]
+
+
+@pytest.mark.parametrize("file, up", [*((file, "z") for file in Z_UP), *((file, "y") for file in Y_UP)])
+def test_real_files_stand_upright(data, file, up):
+    np.testing.assert_array_equal(read(data / file).vertical, AXES[up])
+
+
+def test_markers_alone_agree_with_every_declared_vertical_of_the_gait_files(data):
+    for path in sorted((data / "gait").glob("*/straight.c3d")):
+        recording = read(path)
+        np.testing.assert_array_equal(vertical_from_positions(recording.positions, recording.labels), [0, 0, 1], err_msg=str(path))
+        np.testing.assert_array_equal(vertical_from_positions(recording.positions), [0, 0, 1], err_msg=f"{path}, nameless")
