@@ -23,6 +23,9 @@ _EXACT = 1.5e-6
 _VERY_EXACT = 3e-7
 _RIGHT_ANGLE = 2e-4
 _MOST_POINTS = 400
+_LARGEST_ANGLE = 0.36
+_STILL = 0.002
+_ALONE, _ABSURD = 0.8, 20.0
 
 _JOINT = r"(?:hip|knee|ankle|shoulder|elbow|wrist|h|k|a|s|e|w)"
 _COMPUTED_NAME = re.compile(
@@ -96,6 +99,7 @@ def _judge_by_geometry(labels: Sequence[str], positions: Floats, kinds: list[str
     frames = np.linspace(0, len(positions) - 1, min(_LOOKED_AT, len(positions))).astype(int)
     some = positions[frames]
     _mark_flat_values(some, points, kinds)
+    _mark_far_values(some, [p for p in points if kinds[p] == MARKER], kinds)
     candidates = [p for p in points if kinds[p] == MARKER or _may_be_joint(labels[p])][:_MOST_POINTS]
     if len(candidates) < 4:
         return
@@ -130,6 +134,32 @@ def _mark_flat_values(some: Floats, points: list[int], kinds: list[str]) -> None
         for point, is_flat in zip(points, flat & there, strict=True):
             if is_flat:
                 kinds[point] = COMPUTED
+
+
+def _mark_far_values(some: Floats, points: list[int], kinds: list[str]) -> None:
+    """Undeclared angles and moments: values that change, far from every marker.
+
+    An angle in degrees, taken for millimetres, never leaves the box of 360 mm around the laboratory's origin, wherever the body
+    is; a moment in newton millimetres lies tens of metres away. What never strays 0.8 m from all markers is left alone,
+    and so is what stands still.
+    """
+    values = some[:, points]
+    there = np.isfinite(values[:, :, 0])
+    size = np.where(there, np.abs(values).max(axis=2), 0.0).max(axis=0)
+    centre = np.nanmedian(np.where(there.any(axis=1)[:, None, None], values, 0.0), axis=1)
+    offset = np.where(there, np.abs(values - centre[:, None]).max(axis=2), 0.0)
+    suspect = (size < _LARGEST_ANGLE) | ((offset > _ABSURD).sum(axis=0) > 0.5 * there.sum(axis=0))
+    low = np.where(there[:, :, None], values, np.inf).min(axis=0)
+    high = np.where(there[:, :, None], values, -np.inf).max(axis=0)
+    suspect &= (there.sum(axis=0) >= _FEWEST_FRAMES) & ((high - low).max(axis=1) > _STILL)
+    if not suspect.any() or (~suspect).sum() < 4:
+        return
+    body = np.where(np.isfinite(values[:, ~suspect]), values[:, ~suspect], np.inf)
+    for place in np.nonzero(suspect)[0]:
+        with np.errstate(invalid="ignore"):
+            nearest = np.linalg.norm(body - values[:, [place]], axis=2).min(axis=1)
+        if (nearest[there[:, place]] > _ALONE).mean() >= 0.2:
+            kinds[points[place]] = COMPUTED
 
 
 def _wobble(some: Floats) -> tuple[Floats, NDArray[np.int64]]:

@@ -207,11 +207,12 @@ def _with_rate(parameters: Parameters, factor: float) -> Parameters:
 
 def _assembled(file: C3DFile, parameters: Parameters, words: Words, points: int, rate: float | None) -> bytes:
     """Header, parameters, data and whatever follows, with the pointers that move set anew."""
-    raw, begin, start = file.raw, file.header.parameters_at, file.layout.start
-    section, shift = raw[begin:start] if begin < start else b"", 0
+    raw, start = file.raw, file.layout.start
+    begin = min(file.header.parameters_at, start)
+    section, shift = raw[begin:start], 0
     tail, tail_shift = _tail(file, words.nbytes - (file.layout.stop - start))
     if parameters is not file.parameters or tail_shift:
-        if begin >= start:
+        if begin == start:
             raise AsterismError(
                 f"{file.path} keeps its parameters behind its data, so its points cannot be renamed; export it again first."
             )
