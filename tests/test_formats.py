@@ -530,3 +530,27 @@ def test_paths_may_be_text(tmp_path):
     path: str = str(Path(tmp_path) / "walk.npz")
     write(path, body())
     assert read(path).metadata["file"] == path
+
+
+def test_long_csv_is_written_by_its_double_suffix(tmp_path):
+    write(tmp_path / "walk.long.csv", body())
+    assert read(tmp_path / "walk.long.csv").metadata["format"] == "CSV long"
+
+
+def test_a_wide_csv_of_one_marker_converts_as_a_recording(tmp_path):
+    recording = Recording(body().positions[:, :1], NAMES[:1], 100.0)
+    write(tmp_path / "one.csv", recording)
+    convert(tmp_path / "one.csv", tmp_path / "one.npz")
+    np.testing.assert_allclose(read(tmp_path / "one.npz").positions, recording.positions, atol=1e-9)
+
+
+@pytest.mark.parametrize("rate", [59.94, 60.0, 100.0, 119.88012, 240.0, 1000.0])
+@pytest.mark.parametrize("digits", [2, 3, 6])
+def test_rounded_times_do_not_bend_the_rate(tmp_path, rate, digits):
+    recording = body(12)
+    write(tmp_path / "walk.trc", Recording(recording.positions, NAMES, rate, metadata={"units": "mm"}))
+    lines = (tmp_path / "walk.trc").read_text().splitlines()
+    rows = [line.split("\t") for line in lines[6:]]
+    rows = ["\t".join([row[0], f"{float(row[1]):.{digits}f}", *row[2:]]) for row in rows]
+    (tmp_path / "walk.trc").write_text("\n".join([*lines[:6], *rows]) + "\n")
+    assert read(tmp_path / "walk.trc").rate == pytest.approx(rate, rel=1e-6)

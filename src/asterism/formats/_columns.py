@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
 from asterism.formats._physical import COMPUTED, UNNAMED, kinds_by_name
+from asterism.formats._text import some_of
 from asterism.formats._vertical import tell_vertical, vertical_from_positions
 from asterism.recording import Event, Floats, MarkerSet, Recording, as_vertical, canonical, without_subject
 
@@ -139,10 +140,9 @@ def wanted_columns(path: Path, labels: Sequence[str], wanted: MarkerSet) -> tupl
     except AsterismError as problem:
         raise AsterismError(f"{path}: {problem}") from problem
     if (columns < 0).all():
-        shown = ", ".join(labels[:8]) + (", ..." if len(labels) > 8 else "")
         raise AsterismError(
-            f"{path} has no marker of {wanted.title or 'the marker set'} ({', '.join(wanted.names[:4])}, ...); "
-            f"its points are {shown or 'none'}; choose another marker set or add these names as aliases."
+            f"{path} has no marker of {wanted.title or 'the marker set'} ({some_of(wanted.names)}); "
+            f"its points are {some_of(labels, 8)}; choose another marker set or add these names as aliases."
         )
     return columns, wanted.names
 

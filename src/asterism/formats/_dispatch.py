@@ -68,7 +68,9 @@ def read_clouds(path: str | Path, vertical: ArrayLike | str | None = None) -> Cl
 
 
 def write(path: str | Path, recording: Recording | Clouds) -> list[str]:
-    """Write a recording in the format of the suffix; clouds as .npz or as a long .csv. A file there is replaced at once or not at all.
+    """Write a recording in the format of the suffix; clouds as .npz or .csv. A file there is replaced at once or not at all.
+
+    A .csv has a row per frame, a .long.csv a row per sample (frame, time, marker, x, y, z).
 
     Returns what the format could not carry, one sentence each; an empty list where nothing was lost. A recording that was read
     from C3D and is written as C3D keeps everything else as it was.
@@ -83,6 +85,8 @@ def write(path: str | Path, recording: Recording | Clouds) -> list[str]:
         if suffix == ".csv":
             return csv_long.write_clouds(path, recording)
         raise AsterismError(f"{path}: anonymous clouds are written as .npz or .csv; choose one of them.")
+    if path.name.casefold().endswith(".long.csv"):
+        return csv_long.write_long(path, recording)
     if suffix == ".c3d":
         write_c3d(path, recording)
         return []
@@ -129,7 +133,7 @@ def convert(source: str | Path, target: str | Path, vertical: ArrayLike | str | 
     source, target = Path(source), Path(target)
     if _kind_of(source) in ("storage", "CSV"):
         table = storage.table_or_none(source)
-        if table is not None and not storage.holds_markers(table):
+        if table is not None and not storage.holds_markers(table, strictly=_kind_of(source) == "storage"):
             if target.suffix.casefold() not in _TABLES:
                 raise AsterismError(
                     f"{source} holds a table of values, no marker positions; write it as {', '.join(_TABLES)}, not as {target.name}."

@@ -17,7 +17,7 @@ _SUFFIXES = tuple(
         r"(?P<name>.+?)(?P<axis>[XYZ])",
     )
 )
-_NO_POSITIONS = re.compile(r"(?i).*(force|moment|torque|_v$|_f$|_p$|angle|velocity|accel|speed|quat|rot(ation)?|_r$).*|pelvis|.*_v|.*_p")
+_NO_POSITIONS = re.compile(r"(?i).*(force|moment|torque|_v$|_f$|_p$|angle|velocity|accel|speed|quat|rot(ation)?|_r$).*|.*_v|.*_p")
 
 
 @dataclass(frozen=True)

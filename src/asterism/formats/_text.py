@@ -67,6 +67,12 @@ def cells_of(line: str, delimiter: str | None) -> list[str]:
     return [cell.strip() for cell in line.split(delimiter)]
 
 
+def some_of(names: Sequence[str], most: int = 5) -> str:
+    """The first few names, each cut to a readable length, for a message."""
+    short = [name if len(name) <= 40 else name[:37] + "..." for name in names[:most]]
+    return ", ".join(short) + (", ..." if len(names) > most else "") if short else "none"
+
+
 def number_of(cell: str) -> float | None:
     """A number as people write it, NaN for the many spellings of missing, None for anything else."""
     cell = cell.strip().strip('"').strip()
@@ -117,28 +123,34 @@ def rows_of_numbers(path: Path, lines: Sequence[str], first_line: int, delimiter
     return out, remarks
 
 
-def rate_of(path: Path, said: float | None, times: Floats | None, suspicious: list[str]) -> float:
-    """Frames per second from the header's word and the time column; a remark goes into `suspicious` where they differ.
+def rate_of(path: Path, said: float | None, times: Floats | None, remarks: list[str]) -> float:
+    """Frames per second from the header's word and the time column; where they differ, `remarks` gets a sentence.
 
     Even steps of the time column are believed against the header: they belong to the very samples.
     Raises AsterismError where neither tells.
     """
-    timed = None
-    if times is not None and len(times) > 1 and np.isfinite(times).all():
-        steps = np.diff(times)
-        mean = float(steps.mean())
-        if mean > 0 and np.abs(steps - mean).max() <= max(0.0011, 0.02 * mean) and np.isfinite(1 / mean):
-            timed = 1.0 / mean
+    timed, agrees = _timed_rate(times, said)
     good = said is not None and np.isfinite(said) and 0 < said < 1e6
-    if good and said is not None:
-        if timed is None or abs(timed - said) <= max(
-            0.02 * said, said * 0.0011 * said / max(1, len(times) - 1 if times is not None else 1)
-        ):
-            return float(said)
-        suspicious.append(f"the header says {said:g} frames per second, the time column {timed:.6g}; the time column was believed")
-    if timed is not None:
-        return float(f"{timed:.6g}")
-    raise AsterismError(f"{path} does not say how many frames per second it has; add the rate to its header or a time column.")
+    if good and said is not None and (agrees or timed is None):
+        return float(said)
+    if timed is None:
+        raise AsterismError(f"{path} does not say how many frames per second it has; add the rate to its header or a time column.")
+    if good:
+        remarks.append(f"the header says {said:g} frames per second, the time column {timed:.6g}; the time column was believed")
+    return timed
+
+
+def _timed_rate(times: Floats | None, said: float | None) -> tuple[float | None, bool]:
+    """The rate of evenly spaced times, else None; and whether `said` explains them to the digits that they are printed with."""
+    if times is None or len(times) < 2 or not np.isfinite(times).all():
+        return None, False
+    span, steps = float(times[-1] - times[0]), np.diff(times)
+    digit = next((10.0**-d for d in range(7) if np.allclose(np.round(times, d), times, rtol=0, atol=1e-9)), 1e-6)
+    mean = span / len(steps)
+    if not np.isfinite(span) or mean < 1e-6 or np.abs(steps - mean).max() > 1.01 * digit + 0.02 * mean:
+        return None, False
+    agrees = said is not None and said > 0 and abs(len(steps) / said - span) <= 1.01 * digit + 1e-4 * span
+    return float(f"{1.0 / mean:.6g}"), agrees
 
 
 def frames_in_place(frames: Floats, rows: Floats) -> tuple[Floats, int, list[str]]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from asterism.errors import AsterismError
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
-from asterism.formats._text import cells_of, decoded, delimiter_of, lines_of, number_of, rate_of, read_bytes, write_atomically
+from asterism.formats._text import cells_of, decoded, delimiter_of, lines_of, number_of, rate_of, read_bytes, some_of, write_atomically
 from asterism.formats._writing import all_points
 from asterism.recording import Clouds, Floats, Recording
 
@@ -20,7 +20,7 @@ _AXIS = re.compile(r"(?i)(?:pos(?:ition)?[_ .]?|coord(?:inate)?[_ .]?)?([xyz])(?
 _NAME = re.compile(r"(?i)(marker|name|label|point|trajectory)([_ ]?(name|label|id))?")
 _FRAME = re.compile(r"(?i)(frame|frames|frame[_ ]?(no|number|id|index)|t_index|frame#)")
 _TIME = re.compile(r"(?i)(time|t|timestamp|seconds)(\s*[\[(_ ]\s*s\w*\s*[\])]?)?")
-_MOST_SAMPLES = 200_000_000
+_MOST_SPREAD, _MOST_EMPTY = 200, 2_000_000
 
 
 def is_long(lines: Sequence[str]) -> bool:
@@ -65,7 +65,7 @@ def read_long(path: Path) -> Points:
         if there.sum() > 1:
             times = np.interp(np.arange(frames), np.nonzero(there)[0], times[there])
     labels, column = _columns(path, marks, frame, line_numbers)
-    if frames * max(1, len(labels)) > _MOST_SAMPLES:
+    if frames * max(1, len(labels)) > _MOST_SPREAD * len(values) + _MOST_EMPTY:
         raise AsterismError(
             f"{path} spreads over {frames} frames and {len(labels)} points, too many to hold; split it or mend its frame numbers."
         )
@@ -192,6 +192,6 @@ def _columns(path: Path, marks: list[str] | None, frame: NDArray[np.int64], line
     if len(repeated):
         row = int(order[repeated[0] + 1])
         raise AsterismError(
-            f"{path}, line {lines[row]}: {labels[int(column[row])]} occurs twice in this frame; remove or rename one of the two."
+            f"{path}, line {lines[row]}: {some_of([labels[int(column[row])]])} occurs twice in this frame; remove or rename one of the two."
         )
     return labels, column

@@ -35,7 +35,7 @@ def read_nexus(path: Path) -> Points:
     if at is None:
         raise AsterismError(f"{path} has no section Trajectories; export it from Nexus again, with trajectories.")
     rate = number_of(bare[at + 1]) if at + 1 < len(bare) else None
-    if rate is None or not rate > 0:
+    if rate is None or not 0 < rate < 1e6:
         raise AsterismError(f"{path}, line {at + 2}: the frame rate of the trajectories should stand here; export the file again.")
     if at + 4 >= len(lines):
         raise AsterismError(f"{path} ends within the header of its trajectories; export it again.")

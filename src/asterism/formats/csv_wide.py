@@ -21,6 +21,7 @@ from asterism.formats._text import (
     rate_of,
     read_bytes,
     rows_of_numbers,
+    some_of,
     write_atomically,
 )
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
@@ -47,10 +48,8 @@ def read_wide(path: Path) -> Points:
     names, units, body_at = _header(lines, at, delimiter)
     groups, rest = marker_groups(names)
     if not groups:
-        shown = ", ".join(name for name in names[:5] if name)
-        raise AsterismError(
-            f"{path} has no marker in its header ({shown}, ...): three columns such as LKNE_x, LKNE_y, LKNE_z make one; rename the columns."
-        )
+        shown = some_of([name for name in names if name])
+        raise AsterismError(f"{path} has no marker in its header ({shown}): name three columns LKNE_x, LKNE_y, LKNE_z to make one.")
     values, remarks = rows_of_numbers(path, _numbers_only(lines[body_at:], names, rest, delimiter), body_at + 1, delimiter, len(names))
     raw = values[:, [column for group in groups for column in group.columns]].reshape(len(values), len(groups), 3)
     unit = comments.units or units or next((group.units for group in groups if group.units), None)

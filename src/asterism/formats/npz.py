@@ -152,19 +152,9 @@ def _arrays(path: Path, only_kind: bool = False) -> dict[str, NDArray[Any]]:
                 if only_kind and name not in ("asterism", "kind"):
                     continue
                 held[name] = _array(archive.read(entry))
-    except (
-        zipfile.BadZipFile,
-        ValueError,
-        OSError,
-        EOFError,
-        KeyError,
-        NotImplementedError,
-        RuntimeError,
-        MemoryError,
-        SyntaxError,
-    ) as problem:
-        raise AsterismError(f"{path} is damaged ({problem}); write it again.") from problem
-    except Exception as problem:  # zlib.error, struct.error, tokenize.TokenError, UnicodeDecodeError of a damaged archive
+    except ValueError as problem:
+        raise AsterismError(f"{path} is damaged ({str(problem)[:100]}); write it again.") from problem
+    except Exception as problem:  # a damaged archive raises anything from zlib.error to SyntaxError
         raise AsterismError(f"{path} is damaged ({type(problem).__name__}); write it again.") from problem
     version = held.get("asterism")
     if version is None or version.shape != () or version.dtype.kind not in "iu":

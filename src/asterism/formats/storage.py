@@ -21,6 +21,7 @@ from asterism.formats._text import (
     rate_of,
     read_bytes,
     rows_of_numbers,
+    some_of,
     write_atomically,
 )
 from asterism.formats._writing import all_points
@@ -142,10 +143,10 @@ def write_table(path: str | Path, table: Table) -> list[str]:
     return []
 
 
-def holds_markers(table: Table) -> bool:
-    """Whether the columns are positions of points: nearly all of them in groups of x, y, z, and none named as a force or a translation."""
+def holds_markers(table: Table, strictly: bool = True) -> bool:
+    """Whether columns are positions of points: groups of x, y and z, none named as a force; strictly: nearly all columns are."""
     groups, rest = marker_groups(table.names)
-    return len(groups) > 0 and len(rest) <= 0.1 * len(table.names)
+    return len(groups) > 0 and (not strictly or len(rest) <= 0.1 * len(table.names))
 
 
 def read_marker_table(path: Path) -> Points:
@@ -159,10 +160,9 @@ def read_marker_table(path: Path) -> Points:
 def points_of_table(path: Path, table: Table) -> Points:
     """The points in a table's columns. Raises AsterismError where they are no marker positions."""
     if not holds_markers(table):
-        shown = ", ".join(table.names[:4]) + (", ..." if len(table.names) > 4 else "")
         what = "joint angles or other values" if table.in_degrees is not None else "values"
         raise AsterismError(
-            f"{path} holds {what} ({shown or 'no column'}), no marker positions; use asterism.formats.read_table or convert it to CSV."
+            f"{path} holds {what} ({some_of(table.names)}), no marker positions; use asterism.formats.read_table or convert it to CSV."
         )
     groups, _ = marker_groups(table.names)
     raw = table.values[:, [column for group in groups for column in group.columns]].reshape(len(table.values), len(groups), 3)
