@@ -1,0 +1,7 @@
+"""Results in; self-contained HTML pages out, that need no network and keep their tables where no script may run."""
+
+from asterism.report.capturability import capturability_report
+from asterism.report.evaluation import evaluation_report
+from asterism.report.label import label_report
+
+__all__ = ["capturability_report", "evaluation_report", "label_report"]

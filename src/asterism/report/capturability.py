@@ -1,0 +1,114 @@
+"""A study of a marker set in; out comes a page that says whether it can be labelled, and what would help."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from asterism.report import figures
+from asterism.report.page import Cell, Page, Section, Table, percent, tinted, write_page
+
+if TYPE_CHECKING:
+    from asterism.labelling import Capturability
+
+
+def capturability_report(
+    path: str | Path,
+    capturability: Capturability,
+    *,
+    title: str = "Can this marker set be labelled?",
+    settings: Mapping[str, Any] | None = None,
+) -> None:
+    """Write an HTML page on a marker set's capturability; `settings` (files, seed, ...) are named at its foot.
+
+    Raises AsterismError where the file cannot be written.
+    """
+    names = list(capturability.markers)
+    rates = np.asarray(capturability.hit_rates, dtype=np.float64)
+    confusion = np.asarray(capturability.confusion, dtype=np.float64)
+    worst = int(np.argmin(rates)) if len(rates) else -1
+    sections = [
+        Section(
+            "Which marker could be taken for which",
+            "The share of frames in which the point of the row's marker could as well have been the column's marker. White: never.",
+            figure=figures.matrix(names, confusion),
+            table=_pairs(names, confusion),
+        ),
+        Section(
+            "With markers hidden",
+            "The share of markers that are still found when others cannot be seen. Grey: each marker; the thick line: all together.",
+            figure=_falling(capturability),
+            table=Table(
+                ["hidden", "hit rate", "worst marker", "its hit rate"],
+                [
+                    [str(hidden), percent(float(rate), 3), names[int(np.argmin(each))], percent(float(np.min(each)), 3)]
+                    for hidden, rate, each in capturability.by_occlusions
+                ],
+            ),
+        ),
+        Section(
+            "Hit rate by marker, nothing hidden",
+            figure=figures.bars(names, rates, "hit rate"),
+            table=Table(
+                ["marker", "hit rate", "taken for"],
+                [[name, percent(float(rate), 3), _taken_for(names, confusion, i)] for i, (name, rate) in enumerate(zip(names, rates, strict=True))],
+            ),
+            folded=True,
+        ),
+    ]
+    if capturability.changes:
+        ordered = sorted(capturability.changes, key=lambda c: c.hit_rate_before - c.hit_rate_after)
+        sections.append(
+            Section(
+                "What one change would do",
+                "The best change comes first. Dropping a marker counts the markers that remain.",
+                table=Table(["change", "marker", "how", "hit rate before", "after", "gain"], [_change(c) for c in ordered], left=3),
+            )
+        )
+    merits = [(str(len(names)), "markers", "")]
+    if len(rates):
+        merits += [(percent(float(rates.mean()), 2), "hit rate, nothing hidden", ""), (percent(rates[worst], 2), f"hit rate of {names[worst]}, the worst", "")]
+    if capturability.by_occlusions:
+        hidden, rate, _ = capturability.by_occlusions[-1]
+        merits.append((percent(float(rate), 2), f"hit rate with {hidden} hidden", ""))
+    write_page(path, Page(title, capturability.verdict, settings or {}, merits, sections))
+
+
+def _pairs(names: list[str], confusion: np.ndarray) -> Table:
+    """The ten most confused pairs."""
+    off = confusion.copy()
+    np.fill_diagonal(off, 0.0)
+    order = np.argsort(-off, axis=None, kind="stable")[:10]
+    pairs = [divmod(int(place), len(names)) for place in order if off.flat[place] > 0]
+    return Table(
+        ["the point of", "could be taken for", "share of frames"],
+        [[names[a], names[b], tinted(float(off[a, b]), 3, max(float(off.max()), 0.01))] for a, b in pairs] or [["no marker", "any other", "0 %"]],
+        left=2,
+    )
+
+
+def _taken_for(names: list[str], confusion: np.ndarray, row: int) -> str:
+    others = [(float(share), name) for j, (share, name) in enumerate(zip(confusion[row], names, strict=True)) if j != row and share > 0]
+    return ", ".join(f"{name} {percent(share, 2)}" for share, name in sorted(others, reverse=True)[:3]) or "no other"
+
+
+def _falling(capturability: Capturability) -> figures.Figure:
+    hidden = [entry[0] for entry in capturability.by_occlusions]
+    each = {name: (hidden, [entry[2][m] for entry in capturability.by_occlusions]) for m, name in enumerate(capturability.markers)}
+    together = {"all markers": (hidden, [entry[1] for entry in capturability.by_occlusions])}
+    return figures.curves({**each, **together}, "hidden markers", "hit rate", faint=list(each))
+
+
+def _change(change: Any) -> list[str | Cell]:
+    gain = float(change.hit_rate_after - change.hit_rate_before)
+    return [
+        change.action,
+        change.marker,
+        change.description,
+        percent(change.hit_rate_before, 3),
+        percent(change.hit_rate_after, 3),
+        f"{100 * gain:+.3f} points",
+    ]

@@ -1,0 +1,242 @@
+"""Numbers in; Plotly figures out, as plain dicts of `data` and `layout`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.recording import Floats
+
+Figure = dict[str, Any]
+
+PALETTE = ("#0f7b8a", "#d1495b", "#e09f3e", "#5b5f97", "#3a9d5d", "#8d5a97", "#64748b", "#b5651d")
+HIDDEN, UNSURE = -2.0, -1.0
+MOST_NINES = 4.0
+CONFIDENCE_SHADES = ((0.0, "#d8eef0"), (0.25, "#a5d8dc"), (0.5, "#5fb6be"), (0.75, "#248f9c"), (1.0, "#0b5563"))
+COLUMNS = 600
+"""At most so many columns has a timeline; longer recordings are drawn by blocks of frames."""
+
+
+def figure(data: Sequence[Mapping[str, Any]], height: int, **layout: Any) -> Figure:
+    """A figure in the house's look; `layout` adds to it or overrides it."""
+    axis = {"gridcolor": "#e6ebf2", "zerolinecolor": "#cfd8e4", "linecolor": "#cfd8e4", "automargin": True, "fixedrange": True}
+    look: Figure = {
+        "height": height,
+        "margin": {"l": 12, "r": 12, "t": 12, "b": 12},
+        "paper_bgcolor": "#ffffff",
+        "plot_bgcolor": "#ffffff",
+        "font": {"family": "system-ui, -apple-system, Segoe UI, Roboto, sans-serif", "size": 13, "color": "#16213a"},
+        "colorway": list(PALETTE),
+        "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"},
+        "hoverlabel": {"bgcolor": "#ffffff", "bordercolor": "#cfd8e4"},
+    }
+    for name in {"xaxis", "yaxis", *(key for key in layout if key.startswith(("xaxis", "yaxis")))}:
+        look[name] = {**axis, **layout.pop(name, {})}
+    return {"data": [dict(trace) for trace in data], "layout": {**look, **layout}}
+
+
+def timeline(
+    names: Sequence[str], confidence: Floats, given: NDArray[np.bool_], unsure: NDArray[np.bool_], wrong: NDArray[np.bool_] | None, rate: float
+) -> Figure:
+    """Frames x markers: shade = confidence of the label, amber = unsure, grey = hidden, red = wrong (where the truth is known).
+
+    confidence, given, unsure, wrong  (T, M). A block of several frames shows its worst: unsure before labelled before hidden, and the
+    least confidence.
+    """
+    frames, markers = given.shape
+    block = max(1, -(-frames // COLUMNS))
+    starts = np.arange(0, frames, block)
+    nines = np.clip(-np.log10(np.maximum(1.0 - confidence, 10.0**-MOST_NINES)), 0.0, MOST_NINES)
+    least = np.minimum.reduceat(np.where(given, nines, np.inf), starts, axis=0)
+    doubtful, any_given = np.logical_or.reduceat(unsure, starts, axis=0), np.isfinite(least)
+    z = np.where(doubtful, UNSURE, np.where(any_given, np.where(any_given, least, 0.0), HIDDEN))
+    text = np.where(z == HIDDEN, "hidden", np.where(z == UNSURE, "unsure", ""))
+    text = [[text[b, m] or f"confidence {100 * (1 - 10.0 ** -z[b, m]):.4g} %" for b in range(len(starts))] for m in range(markers)]
+    low, high = HIDDEN - 0.5, MOST_NINES
+    grey, amber, zero = ((edge - low) / (high - low) for edge in (HIDDEN + 0.5, UNSURE + 0.5, 0.0))
+    shades = [[0.0, "#e3e7ee"], [grey, "#e3e7ee"], [grey, "#f2a93b"], [amber, "#f2a93b"], [amber, CONFIDENCE_SHADES[0][1]]]
+    shades += [[zero + (1.0 - zero) * at, color] for at, color in CONFIDENCE_SHADES]
+    data: list[Mapping[str, Any]] = [
+        {
+            "type": "heatmap",
+            "x": starts / rate,
+            "y": list(names),
+            "z": np.round(z.T, 2),
+            "text": text,
+            "zmin": low,
+            "zmax": high,
+            "colorscale": shades,
+            "ygap": 1,
+            "hovertemplate": "%{y}, %{x:.2f} s: %{text}<extra></extra>",
+            "colorbar": {
+                "tickvals": [HIDDEN, UNSURE, 0, 1, 2, 3, 4],
+                "ticktext": ["hidden", "unsure", "0 %", "90 %", "99 %", "99.9 %", "99.99 %"],
+                "thickness": 12,
+                "outlinewidth": 0,
+                "orientation": "h",
+                "y": 1.01,
+                "yanchor": "bottom",
+                "tickfont": {"size": 11},
+                "ticklabelposition": "outside top",
+            },
+        }
+    ]
+    if wrong is not None and wrong.any():
+        at, marker = np.nonzero(np.logical_or.reduceat(wrong, starts, axis=0))
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "x": starts[at] / rate,
+                "y": [names[m] for m in marker],
+                "marker": {"color": "#ff2d1a", "size": 6, "symbol": "x"},
+                "hovertemplate": "%{y}, %{x:.2f} s: wrong label<extra></extra>",
+                "showlegend": False,
+            }
+        )
+    return figure(
+        data,
+        height=110 + 20 * markers,
+        yaxis={"autorange": "reversed", "dtick": 1, "showgrid": False, "type": "category", "tickfont": {"size": 11}},
+        xaxis={"title": {"text": "time in s"}, "showgrid": False, "range": [0, max(frames, 1) / rate]},
+    )
+
+
+def matrix(names: Sequence[str], shares: Floats) -> Figure:
+    """(M, M) shares as a picture, rows by columns; the diagonal is left out and small shares are made visible."""
+    off = np.array(shares, dtype=np.float64)
+    np.fill_diagonal(off, np.nan)
+    highest = max(float(np.nanmax(off, initial=0.0)), 1e-4)
+    small = len(names) > 20
+    trace = {
+        "type": "heatmap",
+        "x": list(names),
+        "y": list(names),
+        "z": np.round(np.sqrt(off), 5),
+        "customdata": np.round(100 * off, 3),
+        "zmin": 0,
+        "zmax": float(np.sqrt(highest)),
+        "colorscale": [[0, "#ffffff"], [0.02, "#fdf3e4"], [0.35, "#f6c177"], [0.7, "#dd6b4d"], [1, "#7d1a2d"]],
+        "hovertemplate": "%{y} could be %{x} in %{customdata} % of the frames<extra></extra>",
+        "xgap": 1,
+        "ygap": 1,
+        "colorbar": {
+            "tickvals": [float(np.sqrt(highest * part)) for part in (0, 0.1, 0.25, 0.5, 1)],
+            "ticktext": [f"{100 * highest * part:.3g} %" for part in (0, 0.1, 0.25, 0.5, 1)],
+            "thickness": 12,
+            "outlinewidth": 0,
+        },
+    }
+    side = {"showgrid": False, "dtick": 1, "type": "category", "tickfont": {"size": 9 if small else 11}}
+    return figure(
+        [trace],
+        height=150 + (14 if small else 24) * len(names),
+        xaxis={**side, "title": {"text": "could be taken for"}, "tickangle": -90},
+        yaxis={**side, "title": {"text": "the point of"}, "autorange": "reversed"},
+        plot_bgcolor="#eef1f6",
+    )
+
+
+def bars(names: Sequence[str], shares: Floats, what: str) -> Figure:
+    """One horizontal bar per name, shares 0..1 as percent."""
+    trace = {
+        "type": "bar",
+        "orientation": "h",
+        "y": list(names),
+        "x": 100 * np.asarray(shares),
+        "marker": {"color": "#0f7b8a"},
+        "hovertemplate": "%{y}: %{x:.3f} %<extra></extra>",
+    }
+    return figure(
+        [trace],
+        height=90 + 20 * len(names),
+        bargap=0.25,
+        xaxis={"title": {"text": what}, "ticksuffix": " %", "range": [0, 100]},
+        yaxis={"autorange": "reversed", "dtick": 1, "showgrid": False, "type": "category", "tickfont": {"size": 11}},
+    )
+
+
+def curves(lines: Mapping[str, tuple[Any, Any]], x: str, y: str, faint: Sequence[str] = ()) -> Figure:
+    """Named lines of (x, share); shares are drawn in percent, the lines named in `faint` thin and grey."""
+    data = []
+    for name, (at, shares) in lines.items():
+        thin = name in faint
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "lines" if thin else "lines+markers",
+                "name": name,
+                "x": list(at),
+                "y": 100 * np.asarray(shares, dtype=np.float64),
+                "line": {"width": 1, "color": "#c3ccd9"} if thin else {"width": 3},
+                "marker": {"size": 8},
+                "showlegend": not thin,
+                "hovertemplate": name + ": %{y:.3f} % at %{x}<extra></extra>",
+            }
+        )
+    return figure(
+        data, height=360, xaxis={"title": {"text": x}, "dtick": 1}, yaxis={"title": {"text": y}, "ticksuffix": " %", "rangemode": "tozero"}
+    )
+
+
+def reliability(lines: Mapping[str, Sequence[tuple[float, float, int]]]) -> Figure:
+    """Said confidence against the share that was right, one line per condition, on a scale of nines; below, how many labels there were.
+
+    lines  name -> (mean confidence, share right, count) per bin
+    """
+    ticks = (0.0, 0.5, 0.9, 0.99, 0.999, 0.9999)
+    at, told = [_nines(tick) for tick in ticks], ["0 %", "50 %", "90 %", "99 %", "99.9 %", "≥ 99.99 %"]
+    data: list[Mapping[str, Any]] = [
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "x": [0, MOST_NINES],
+            "y": [0, MOST_NINES],
+            "line": {"color": "#9aa4b5", "dash": "dot", "width": 2},
+            "name": "as good as its word",
+            "hoverinfo": "skip",
+        }
+    ]
+    for i, (name, bins) in enumerate(lines.items()):
+        kept = [(float(said), float(right), int(n)) for said, right, n in bins if n > 0]
+        color = PALETTE[i % len(PALETTE)]
+        x = [_nines(said) for said, _, _ in kept]
+        told_in_full = [f"said {100 * said:.4g} %, right {100 * right:.4g} % of {n:,}" for said, right, n in kept]
+        shared = {"name": name, "x": x, "legendgroup": name, "text": told_in_full, "hovertemplate": name + ": %{text}<extra></extra>"}
+        data.append(
+            {
+                **shared,
+                "type": "scatter",
+                "mode": "lines+markers",
+                "y": [_nines(right) for _, right, _ in kept],
+                "line": {"color": color, "width": 2},
+                "marker": {"size": 7},
+            }
+        )
+        data.append(
+            {
+                **shared,
+                "type": "scatter",
+                "mode": "lines+markers",
+                "y": [n for _, _, n in kept],
+                "line": {"color": color, "width": 1},
+                "marker": {"size": 5},
+                "yaxis": "y2",
+                "showlegend": False,
+            }
+        )
+    x_axis = {"title": {"text": "confidence that was said"}, "tickvals": at, "ticktext": told, "range": [-0.05, MOST_NINES + 0.08], "anchor": "y2"}
+    return figure(
+        data,
+        height=560,
+        xaxis=x_axis,
+        yaxis={"title": {"text": "labels that were right"}, "tickvals": at, "ticktext": told, "range": [-0.1, 4.1], "domain": [0.36, 1]},
+        yaxis2={"title": {"text": "number of labels"}, "type": "log", "dtick": 1, "domain": [0, 0.26]},
+    )
+
+
+def _nines(share: float) -> float:
+    return float(np.clip(-np.log10(max(1.0 - share, 10.0**-MOST_NINES)), 0.0, MOST_NINES))

@@ -1,0 +1,155 @@
+"""Texts, tables and figures in; one HTML file out, with style, script and data inside."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib import metadata, resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from asterism.errors import AsterismError
+
+NOTHING = "–"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A table's cell: its text, how strongly it is tinted (0 to 1), and with which of the page's tints ("warn", "bad")."""
+
+    text: str
+    tint: float = 0.0
+    kind: str = "warn"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: the first `left` columns are text, the others numbers."""
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str | Cell]]
+    left: int = 1
+
+
+@dataclass(frozen=True)
+class Section:
+    """One block of a page, shown in this order: heading, text, figure (a Plotly figure as a plain dict) or scene, table, note."""
+
+    heading: str
+    text: str = ""
+    figure: Mapping[str, Any] | None = None
+    scene: Mapping[str, Any] | None = None
+    table: Table | None = None
+    note: str = ""
+    folded: bool = False
+
+
+@dataclass(frozen=True)
+class Page:
+    """A whole report."""
+
+    title: str
+    lead: str
+    facts: Mapping[str, Any]
+    figures_of_merit: Sequence[tuple[str, str, str]]  # value, name, one of "", "good", "warn", "bad"
+    sections: Sequence[Section] = field(default_factory=tuple)
+
+
+def write_page(path: str | Path, page: Page) -> None:
+    """Render the page and put it at `path` in one go. Raises AsterismError where the file cannot be written."""
+    target = Path(path)
+    figures = {f"figure-{i}": s.figure for i, s in enumerate(page.sections) if s.figure is not None}
+    scenes = {f"scene-{i}": s.scene for i, s in enumerate(page.sections) if s.scene is not None}
+    environment = Environment(
+        loader=PackageLoader("asterism.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    made = {"Asterism": _version(), **page.facts, "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")}
+    html = environment.get_template("page.html").render(
+        page=page,
+        facts={name: str(value) for name, value in made.items() if value is not None},
+        style=_template("page.css"),
+        script=_template("page.js"),
+        plotly=_plotly() if figures or scenes else "",
+        data=_as_script({"figures": figures, "scenes": scenes}),
+        is_cell=lambda cell: isinstance(cell, Cell),
+    )
+    try:
+        _replace(target, html)
+    except OSError as problem:
+        raise AsterismError(f"{target}: the report cannot be written ({problem.strerror}); choose another place.") from problem
+
+
+def percent(share: float, digits: int = 1) -> str:
+    """A share 0..1 as text: 99.2 %; a dash where it is not known."""
+    return NOTHING if share is None or math.isnan(share) else f"{100 * share:.{digits}f} %"
+
+
+def count(number: float) -> str:
+    """A whole number with separated thousands; a dash where it is not known."""
+    return NOTHING if number is None or math.isnan(number) else f"{number:,.0f}"
+
+
+def tinted(share: float, digits: int, worst: float, kind: str = "warn") -> Cell:
+    """A share as a cell whose tint grows with its root up to `worst`."""
+    known = not math.isnan(share) and worst > 0
+    return Cell(percent(share, digits), min(math.sqrt(max(share, 0.0) / worst), 1.0) if known else 0.0, kind)
+
+
+def plain(value: Any) -> Any:
+    """The value as JSON can hold it: arrays as lists, numbers that are not finite as null."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _as_script(value: Any) -> str:
+    text = json.dumps(plain(value), ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
+
+
+def _plotly() -> str:
+    from plotly.offline import get_plotlyjs
+
+    load: Callable[[], str] = get_plotlyjs
+    return load()
+
+
+def _template(name: str) -> str:
+    return resources.files("asterism.report").joinpath("templates", name).read_text(encoding="utf-8")
+
+
+def _version() -> str:
+    try:
+        return metadata.version("asterism")
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def _replace(target: Path, text: str) -> None:
+    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
+            stream.write(text)
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(temporary, 0o666 & ~umask)
+        os.replace(temporary, target)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
