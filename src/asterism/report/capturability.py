@@ -54,7 +54,7 @@ def capturability_report(
             figure=figures.bars(names, rates, "hit rate"),
             table=Table(
                 ["marker", "hit rate", "taken for"],
-                [[name, percent(float(rate), 3), _taken_for(names, confusion, i)] for i, (name, rate) in enumerate(zip(names, rates, strict=True))],
+                [[name, percent(float(rates[i]), 3), _taken_for(names, confusion, i)] for i, name in enumerate(names)],
             ),
             folded=True,
         ),
@@ -70,7 +70,8 @@ def capturability_report(
         )
     merits = [(str(len(names)), "markers", "")]
     if len(rates):
-        merits += [(percent(float(rates.mean()), 2), "hit rate, nothing hidden", ""), (percent(rates[worst], 2), f"hit rate of {names[worst]}, the worst", "")]
+        merits.append((percent(float(rates.mean()), 2), "hit rate, nothing hidden", ""))
+        merits.append((percent(float(rates[worst]), 2), f"hit rate of {names[worst]}, the worst", ""))
     if capturability.by_occlusions:
         hidden, rate, _ = capturability.by_occlusions[-1]
         merits.append((percent(float(rate), 2), f"hit rate with {hidden} hidden", ""))
@@ -83,11 +84,8 @@ def _pairs(names: list[str], confusion: np.ndarray) -> Table:
     np.fill_diagonal(off, 0.0)
     order = np.argsort(-off, axis=None, kind="stable")[:10]
     pairs = [divmod(int(place), len(names)) for place in order if off.flat[place] > 0]
-    return Table(
-        ["the point of", "could be taken for", "share of frames"],
-        [[names[a], names[b], tinted(float(off[a, b]), 3, max(float(off.max()), 0.01))] for a, b in pairs] or [["no marker", "any other", "0 %"]],
-        left=2,
-    )
+    rows: list[list[str | Cell]] = [[names[a], names[b], tinted(float(off[a, b]), 3, max(float(off.max()), 0.01))] for a, b in pairs]
+    return Table(["the point of", "could be taken for", "share of frames"], rows or [["no marker", "any other", percent(0.0)]], left=2)
 
 
 def _taken_for(names: list[str], confusion: np.ndarray, row: int) -> str:

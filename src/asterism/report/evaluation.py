@@ -27,8 +27,9 @@ def evaluation_report(
     sections = [
         Section(
             "By number of hidden markers and ghosts",
-            "FA: wrong among the labels that were given. FO: nulls that are wrong, because the marker was in view, among all nulls. Missed: markers "
-            "in view that got no label. Perfect: frames in which every marker is right. ECE: how far the confidence is from the share that is right.",
+            "FA: wrong among the labels that were given. FO: nulls that are wrong, because the marker was in view, among all nulls. "
+            "Missed: markers in view that got no label. Perfect: frames in which every marker is right. ECE: how far, on average, "
+            "the confidence is from the share that is right.",
             table=_summary(conditions),
         )
     ]
@@ -43,8 +44,8 @@ def evaluation_report(
         sections.append(
             Section(
                 "Is the confidence as good as its word?",
-                "Of the labels given at 99 %, 99 % should be right: points on the dotted line. The scale is that of nines; a curve above the line is "
-                "too modest, one below it promises too much. The lower curves count the labels.",
+                "Of the labels given at 99 %, 99 % should be right: points on the dotted line. A curve above the line is too modest, one "
+                "below it promises too much. Each step of the scale is ten times fewer errors; the lower curves count the labels.",
                 figure=figures.reliability({name: c.reliability for name, c in zip(names, conditions, strict=True)}),
                 table=Table(
                     ["condition", "said", "right", "labels"],

@@ -39,7 +39,12 @@ def figure(data: Sequence[Mapping[str, Any]], height: int, **layout: Any) -> Fig
 
 
 def timeline(
-    names: Sequence[str], confidence: Floats, given: NDArray[np.bool_], unsure: NDArray[np.bool_], wrong: NDArray[np.bool_] | None, rate: float
+    names: Sequence[str],
+    confidence: Floats,
+    given: NDArray[np.bool_],
+    unsure: NDArray[np.bool_],
+    wrong: NDArray[np.bool_] | None,
+    rate: float,
 ) -> Figure:
     """Frames x markers: shade = confidence of the label, amber = unsure, grey = hidden, red = wrong (where the truth is known).
 
@@ -228,12 +233,12 @@ def reliability(lines: Mapping[str, Sequence[tuple[float, float, int]]]) -> Figu
                 "showlegend": False,
             }
         )
-    x_axis = {"title": {"text": "confidence that was said"}, "tickvals": at, "ticktext": told, "range": [-0.05, MOST_NINES + 0.08], "anchor": "y2"}
+    scale = {"tickvals": at, "ticktext": told, "range": [-0.1, MOST_NINES + 0.1]}
     return figure(
         data,
         height=560,
-        xaxis=x_axis,
-        yaxis={"title": {"text": "labels that were right"}, "tickvals": at, "ticktext": told, "range": [-0.1, 4.1], "domain": [0.36, 1]},
+        xaxis={**scale, "title": {"text": "confidence that was said"}, "anchor": "y2"},
+        yaxis={**scale, "title": {"text": "labels that were right"}, "domain": [0.36, 1]},
         yaxis2={"title": {"text": "number of labels"}, "type": "log", "dtick": 1, "domain": [0, 0.26]},
     )
 

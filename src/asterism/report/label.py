@@ -36,11 +36,11 @@ def label_report(
     truth       (T, M) int, for each marker its place in its frame's cloud, -1 where it is hidden: adds right, wrong and missed
     marker_set  for pairs and segments; by default the shipped set that has these markers
 
-    A label is unsure where a marker got none although its frame has points left over; hidden where none was left. Raises AsterismError
-    where the file cannot be written.
+    A marker without a label counts as unsure where its frame has points left over, as hidden where none is left; where the truth is
+    given it decides. Raises AsterismError where the file cannot be written.
     """
     given = labelling.indices >= 0
-    unsure = ~given & (clouds.counts > given.sum(axis=1))[:, None]
+    unsure = ~given & ((clouds.counts > given.sum(axis=1))[:, None] if truth is None else truth >= 0)
     hidden = ~given & ~unsure
     wrong = None if truth is None else given & (labelling.indices != truth)
     first = files[0].get("file", "") if files else recording.metadata.get("file", "")
@@ -48,7 +48,7 @@ def label_report(
     own = {"frames": len(clouds), "labelled": _mean(given), "unsure": _mean(unsure), "hidden": _mean(hidden)}
     rows = [{**(own if i == 0 else {}), **file} for i, file in enumerate(files)]
 
-    sections = [Section("Files", table=_files(rows), note="Unsure: a marker without a label while points were left over. " + _HIDDEN)]
+    sections = [Section("Files", table=_files(rows), note=_NOTE if truth is None else _NOTE_WITH_TRUTH)]
     if truth is not None:
         sections.append(_against_truth(given, labelling, truth))
     view = scene(labelling, clouds, marker_set, wrong)
@@ -56,7 +56,7 @@ def label_report(
         sections.append(
             Section(
                 f"{shown} in 3D",
-                "Drag to turn, pinch or scroll over the slider to move in time. The view follows the body over the floor; grey points got no label.",
+                "Drag to turn it; the slider moves in time. The view goes along with the body; grey points got no label.",
                 scene=view,
             )
         )
@@ -75,7 +75,7 @@ def label_report(
         (percent(own["labelled"], 2), "of the markers labelled", ""),
         (percent(own["unsure"], 2), "unsure", "warn" if own["unsure"] > 0.02 else ""),
         (percent(own["hidden"], 2), "hidden", ""),
-        (_sureness(labelling.confidence, given), "of the labels at 99 % confidence or more", ""),
+        (_sureness(labelling.confidence, given), "of the labels are 99 % sure or more", ""),
     ]
     if wrong is not None:
         share = _mean(wrong[given])
@@ -87,7 +87,11 @@ def label_report(
     write_page(path, Page(title, lead, model_info, merits, sections))
 
 
-_HIDDEN = "Hidden: a marker without a label because every point of the frame had found its marker."
+_NOTE = (
+    "Unsure: a marker without a label while the frame had points left over (it may be hidden, and the points may be ghosts). "
+    "Hidden: a marker without a label because every point of the frame had found its marker."
+)
+_NOTE_WITH_TRUTH = "Unsure: a marker in view that got no label. Hidden: a marker out of view that got none, as it should."
 
 
 def _files(rows: Sequence[Mapping[str, Any]]) -> Table:

@@ -27,7 +27,10 @@ def known_set(names: Sequence[str]) -> MarkerSet | None:
 
 
 def scene(labelling: Labelling, clouds: Clouds, marker_set: MarkerSet | None, wrong: NDArray[np.bool_] | None) -> dict[str, Any] | None:
-    """The scene's data: points in mm with z up, in axes that follow the body over the floor; None where there is nothing to see."""
+    """The scene's data: points in mm with z up, in axes that follow the body over the floor.
+
+    wrong  (T, M) the labels that are known to be wrong, or None. Returns None where no marker got a label.
+    """
     labelled = labelling.positions(clouds) @ _upright(clouds.vertical).T
     seen = np.isfinite(labelled[:, :, 0])
     if not seen.any():
@@ -59,7 +62,8 @@ def scene(labelling: Labelling, clouds: Clouds, marker_set: MarkerSet | None, wr
         "seconds": np.round(frames / clouds.rate, 3),
         "step_ms": 1000 * float(frames[1] - frames[0]) / clouds.rate if len(frames) > 1 else 40,
         "ranges": ranges,
-        "eye": {"x": 1.25, "y": 1.25, "z": 0.35},
+        "aspect": np.round((ranges[:, 1] - ranges[:, 0]) / (ranges[:, 1] - ranges[:, 0]).max(), 3),
+        "eye": {"x": 1.15, "y": 1.15, "z": 0.25},
     }
 
 

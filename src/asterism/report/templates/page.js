@@ -52,8 +52,8 @@
     const layout = {
       margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "#fff", uirevision: "kept", legend: { orientation: "h", x: 0, y: 1, itemsizing: "constant" },
       font: { family: "system-ui, sans-serif", color: "#16213a" },
-      scene: { aspectmode: "data", dragmode: "orbit", xaxis: axis(scene.ranges[0]), yaxis: axis(scene.ranges[1]), zaxis: axis(scene.ranges[2]),
-        camera: { eye: scene.eye, center: { x: 0, y: 0, z: -0.05 }, up: { x: 0, y: 0, z: 1 } } }
+      scene: { aspectmode: "manual", aspectratio: { x: scene.aspect[0], y: scene.aspect[1], z: scene.aspect[2] }, dragmode: "orbit", xaxis: axis(scene.ranges[0]), yaxis: axis(scene.ranges[1]), zaxis: axis(scene.ranges[2]),
+        camera: { eye: scene.eye, center: { x: 0, y: 0, z: -0.03 }, up: { x: 0, y: 0, z: 1 } } }
     };
     Plotly.newPlot(view, drawn, layout, { ...config, scrollZoom: false });
 
