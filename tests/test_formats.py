@@ -144,7 +144,10 @@ def test_computed_points_of_the_source_survive_though_they_are_no_markers(tmp_pa
     physical = read(tmp_path / "in.trc")
     assert physical.labels == NAMES
     write(tmp_path / "out.trc", physical)
-    assert describe(tmp_path / "out.trc")["points"]["computed"] == ["L_HJC"]
+    write(tmp_path / "out.c3d", physical)
+    for name in ("out.trc", "out.c3d"):
+        assert "L_HJC" in read(tmp_path / name, markers=["L_HJC"]).labels
+        assert "L_HJC" not in read(tmp_path / name).labels
 
 
 def test_a_relabelled_recording_writes_every_sample_once(tmp_path):
@@ -554,3 +557,18 @@ def test_rounded_times_do_not_bend_the_rate(tmp_path, rate, digits):
     rows = ["\t".join([row[0], f"{float(row[1]):.{digits}f}", *row[2:]]) for row in rows]
     (tmp_path / "walk.trc").write_text("\n".join([*lines[:6], *rows]) + "\n")
     assert read(tmp_path / "walk.trc").rate == pytest.approx(rate, rel=1e-6)
+
+
+names_of_people = st.text("abxyzLR0123456789_.-* +ä", min_size=1, max_size=12).map(str.strip).filter(lambda name: name.strip("*_.- +"))
+labels_of_people = st.lists(names_of_people, min_size=1, max_size=5)
+
+
+@relaxed
+@pytest.mark.parametrize("suffix", ["trc", "csv", "tsv", "mat", "npz"])
+@given(labels=st.one_of(labels_of_people, st.just(["force", "LKNE_", "pelvis", "x", "y_x", "F_1_v"])))
+def test_labels_come_back_whatever_they_are(tmp_path, suffix, labels):
+    labels = [f"M{i}{label}" if labels.count(label) > 1 or label.startswith("*") else label for i, label in enumerate(labels)]
+    positions = np.arange(1.0, 1.0 + 2 * len(labels) * 3).reshape(2, len(labels), 3) / 100.0
+    write(tmp_path / f"a.{suffix}", Recording(positions, tuple(labels), 100.0))
+    found = describe(tmp_path / f"a.{suffix}")["points"]
+    assert sorted(found["physical"] + found["computed"] + found["unnamed"]) == sorted(labels)

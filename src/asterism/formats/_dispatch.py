@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from asterism.formats import csv_long, csv_motive, csv_nexus, csv_wide, mat, npz
 from asterism.formats._columns import Points, recording_of
 from asterism.formats._describe import described
 from asterism.formats._text import decoded, lines_of
+from asterism.formats._writing import all_points
 from asterism.formats.c3d import describe_c3d, read_c3d, write_c3d
 from asterism.recording import Clouds, Recording
 
@@ -88,12 +90,20 @@ def write(path: str | Path, recording: Recording | Clouds) -> list[str]:
     if path.name.casefold().endswith(".long.csv"):
         return csv_long.write_long(path, recording)
     if suffix == ".c3d":
-        write_c3d(path, recording)
+        write_c3d(path, _with_computed(recording))
         return []
     writer = _WRITERS.get(suffix)
     if writer is None:
         raise AsterismError(f"{path}: no format has the suffix {suffix or '(none)'}; write .c3d, {', '.join(_WRITERS)}.")
     return writer(path, recording)
+
+
+def _with_computed(recording: Recording) -> Recording:
+    """A recording from a text file with the computed points of that file as columns; any other as it is."""
+    if not isinstance(recording.source, Points):
+        return recording
+    positions, labels, _ = all_points(recording, "C3D", events=True)
+    return replace(recording, positions=positions, labels=labels, source=None, origin=None, taken=())
 
 
 def describe(path: str | Path) -> dict[str, Any]:

@@ -44,6 +44,17 @@ def marker_groups(names: Sequence[str]) -> tuple[list[Group], list[int]]:
     return best, [i for i in range(len(names)) if i not in taken]
 
 
+def own_groups(names: Sequence[str], before_axis: str, start: int = 0) -> list[Group] | None:
+    """The points where all columns from `start` on are NAME + before_axis + x, y, z side by side, as we write them; else None."""
+    found = []
+    for i in range(start, len(names), 3):
+        stems = [name.removesuffix(before_axis + axis) for name, axis in zip(names[i : i + 3], "xyz", strict=False)]
+        if len(stems) < 3 or len(set(stems)) != 1 or stems[0] == names[i]:
+            return None
+        found.append(Group(stems[0], (i, i + 1, i + 2)))
+    return found
+
+
 def _groups(names: Sequence[str], pattern: re.Pattern[str]) -> list[Group]:
     waiting: dict[str, dict[int, int]] = {}
     found: list[tuple[int, Group]] = []

@@ -13,7 +13,7 @@ from asterism.errors import AsterismError
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
 from asterism.formats._text import cells_of, decoded, delimiter_of, lines_of, number_of, rate_of, read_bytes, some_of, write_atomically
-from asterism.formats._writing import all_points
+from asterism.formats._writing import all_points, first_frame_of, times_of
 from asterism.recording import Clouds, Floats, Recording
 
 _AXIS = re.compile(r"(?i)(?:pos(?:ition)?[_ .]?|coord(?:inate)?[_ .]?)?([xyz])(?:\s*[\[(_ ]\s*(mm|cm|m)\s*[\])]?)?")
@@ -91,14 +91,14 @@ def read_long(path: Path) -> Points:
 def write_long(path: Path, recording: Recording) -> list[str]:
     """Write one row per visible sample: frame, time, marker, x, y, z in metres, 17 digits."""
     positions, labels, lost = all_points(recording, "CSV", events=True)
-    first = int(recording.metadata.get("first_frame", 1))
+    first, times = first_frame_of(recording), times_of(recording)
     head = comment_lines(
         "m", recording.rate, recording.vertical, len(positions), first, str(recording.metadata.get("subject", "")), recording.events
     )
     names = [re.sub(r"[\s,;\"]+", " ", label) for label in labels]
     frames, columns = np.nonzero(~np.isnan(positions[:, :, 0]))
     rows = [
-        f"{first + t},{t / recording.rate:.9g},{names[m]},{x:.17g},{y:.17g},{z:.17g}"
+        f"{first + t},{times[t]:.9g},{names[m]},{x:.17g},{y:.17g},{z:.17g}"
         for t, m, (x, y, z) in zip(frames.tolist(), columns.tolist(), positions[frames, columns].tolist(), strict=True)
     ]
     write_atomically(path, ("\n".join([*head, "frame,time,marker,x,y,z", *rows]) + "\n").encode())

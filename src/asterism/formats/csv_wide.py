@@ -10,7 +10,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.formats._columns import _METRES, Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
-from asterism.formats._groups import marker_groups
+from asterism.formats._groups import marker_groups, own_groups
 from asterism.formats._text import (
     cells_of,
     decoded,
@@ -24,7 +24,7 @@ from asterism.formats._text import (
     some_of,
     write_atomically,
 )
-from asterism.formats._writing import all_points, dense_rows, spelled_numbers
+from asterism.formats._writing import all_points, dense_rows, first_frame_of, spelled_numbers, times_of
 from asterism.recording import Recording
 
 _FRAME = re.compile(r"(?i)(frame|frames|frame[ _]?(no|number|id|index)?\.?#?|index|sample|#|nr|no)?")
@@ -46,7 +46,9 @@ def read_wide(path: Path) -> Points:
         raise AsterismError(f"{path} has no header row; write one such as frame,time,LKNE_x,LKNE_y,LKNE_z.")
     delimiter = delimiter_of(lines[at])
     names, units, body_at = _header(lines, at, delimiter)
-    groups, rest = marker_groups(names)
+    ours = comments.frames is not None and names[:2] == ["frame", "time"]
+    own = own_groups(names, "_", 2) if ours else None
+    groups, rest = marker_groups(names) if own is None else (own, [0, 1])
     if not groups:
         shown = some_of([name for name in names if name])
         raise AsterismError(f"{path} has no marker in its header ({shown}): name three columns LKNE_x, LKNE_y, LKNE_z to make one.")
@@ -91,16 +93,14 @@ def write_wide(path: Path, recording: Recording) -> list[str]:
     units = str(recording.metadata.get("units", "")).casefold()
     units = units if units in ("mm", "cm", "m") else "m"
     decimals = {"mm": 6, "cm": 7, "m": 9}[units]
-    first = int(recording.metadata.get("first_frame", 1))
-    start = recording.metadata.get("first_time")
-    start = float(start) if isinstance(start, int | float) else (first - 1) / recording.rate
+    first, times = first_frame_of(recording), times_of(recording)
     head = comment_lines(
         units, recording.rate, recording.vertical, len(positions), first, str(recording.metadata.get("subject", "")), recording.events
     )
     bare = [re.sub(r'[,;"#]', " ", label) for label in _unrepeated(labels)]
     names = [f"{label}_{axis}" for label in bare for axis in "xyz"]
     body = spelled_numbers(dense_rows(positions / _METRES[units], decimals), ",", decimals)
-    rows = [",".join(filter(None, (str(first + t), f"{start + t / recording.rate:.9g}", row))) for t, row in enumerate(body)]
+    rows = [",".join(filter(None, (str(first + t), f"{times[t]:.9g}", row))) for t, row in enumerate(body)]
     write_atomically(path, ("\n".join([*head, ",".join(["frame", "time", *names]), *rows]) + "\n").encode())
     if len(set(labels)) < len(labels):
         lost.append("labels that occur more than once: a number was added to each repeat")

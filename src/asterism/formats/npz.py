@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from asterism.errors import AsterismError
 from asterism.formats._columns import Points
 from asterism.formats._text import read_bytes, write_atomically
-from asterism.formats._writing import all_points
+from asterism.formats._writing import all_points, first_frame_of
 from asterism.recording import Clouds, Event, Recording, as_vertical
 
 VERSION = 1
@@ -87,7 +87,7 @@ def write_npz(path: Path, recording: Recording) -> list[str]:
         kinds = ["marker"] * len(recording.labels) + ["computed"] * (len(labels) - len(recording.labels))
     notes = {
         "events": [[event.label, event.time, event.context] for event in recording.events],
-        "first_frame": int(recording.metadata.get("first_frame", 1)),
+        "first_frame": first_frame_of(recording),
         "subject": str(recording.metadata.get("subject", "")),
         "kinds": kinds,
     }

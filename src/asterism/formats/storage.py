@@ -11,7 +11,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.formats._columns import Points, as_metres, metres_per_unit
-from asterism.formats._groups import marker_groups
+from asterism.formats._groups import Group, marker_groups, own_groups
 from asterism.formats._text import (
     cells_of,
     decoded,
@@ -24,10 +24,11 @@ from asterism.formats._text import (
     some_of,
     write_atomically,
 )
-from asterism.formats._writing import all_points
+from asterism.formats._writing import all_points, times_of
 from asterism.recording import Floats, Recording, as_vertical
 
 _HEADER_LINES = 400
+_MARKERS = "Marker positions"
 
 
 @dataclass(frozen=True)
@@ -145,8 +146,13 @@ def write_table(path: str | Path, table: Table) -> list[str]:
 
 def holds_markers(table: Table, strictly: bool = True) -> bool:
     """Whether columns are positions of points: groups of x, y and z, none named as a force; strictly: nearly all columns are."""
-    groups, rest = marker_groups(table.names)
+    groups, rest = _groups_of(table)
     return len(groups) > 0 and (not strictly or len(rest) <= 0.1 * len(table.names))
+
+
+def _groups_of(table: Table) -> tuple[list[Group], list[int]]:
+    own = own_groups(table.names, "_t") if table.title == _MARKERS else None
+    return (own, []) if own is not None else marker_groups(table.names)
 
 
 def read_marker_table(path: Path) -> Points:
@@ -164,7 +170,7 @@ def points_of_table(path: Path, table: Table) -> Points:
         raise AsterismError(
             f"{path} holds {what} ({some_of(table.names)}), no marker positions; use asterism.formats.read_table or convert it to CSV."
         )
-    groups, _ = marker_groups(table.names)
+    groups, _ = _groups_of(table)
     raw = table.values[:, [column for group in groups for column in group.columns]].reshape(len(table.values), len(groups), 3)
     remarks: list[str] = []
     scale, units, remark = metres_per_unit(path, table.units or next((g.units for g in groups if g.units), None), raw)
@@ -186,12 +192,10 @@ def write_marker_table(path: Path, recording: Recording) -> list[str]:
     positions, labels, lost = all_points(recording, path.suffix[1:].upper())
     bare = [re.sub(r"[\s,;]+", "_", label) for label in labels]
     names = tuple(f"{name}_t{axis}" for name in bare for axis in "xyz")
-    start = recording.metadata.get("first_time")
-    start = float(start) if isinstance(start, int | float) else (int(recording.metadata.get("first_frame", 1)) - 1) / recording.rate
-    times = np.round(start + np.arange(len(positions)) / recording.rate, 9)
+    times = np.round(times_of(recording), 9)
     values = np.round(positions, 9) + 0.0
     values[(values == 0).all(axis=2), 0] = 1e-9
-    write_table(path, Table(names, values.reshape(len(values), len(names)), times, "Marker positions", units="m", said_rate=recording.rate))
+    write_table(path, Table(names, values.reshape(len(values), len(names)), times, _MARKERS, units="m", said_rate=recording.rate))
     if recording.vertical[1] < 0.99:
         lost.append(f"the vertical: {path.suffix[1:].upper()} readers take Y as up or tell it from the data")
     return lost

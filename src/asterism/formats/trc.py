@@ -21,7 +21,7 @@ from asterism.formats._text import (
     rows_of_numbers,
     write_atomically,
 )
-from asterism.formats._writing import all_points, dense_rows, spelled_numbers
+from asterism.formats._writing import all_points, dense_rows, first_frame_of, spelled_numbers, times_of
 from asterism.recording import Recording, as_vertical
 
 Y_UP = as_vertical("y")
@@ -98,9 +98,7 @@ def write_trc(path: Path, recording: Recording) -> list[str]:
     values = positions / _METRES[units]
     decimals = {"mm": 5, "cm": 6, "m": 8}[units]
     frames, points = values.shape[:2]
-    first = int(recording.metadata.get("first_frame", 1))
-    start = recording.metadata.get("first_time")
-    start = float(start) if isinstance(start, int | float) else (first - 1) / recording.rate
+    first, times = first_frame_of(recording), times_of(recording)
     rate = f"{recording.rate:.10g}"
     names = [re.sub(r"[\t\r\n]", " ", label) for label in labels]
     head = [
@@ -112,7 +110,7 @@ def write_trc(path: Path, recording: Recording) -> list[str]:
         "",
     ]
     body = spelled_numbers(dense_rows(values, decimals), "\t", decimals)
-    rows = ["\t".join(filter(None, (str(first + t), f"{start + t / recording.rate:.6f}", row))) for t, row in enumerate(body)]
+    rows = ["\t".join(filter(None, (str(first + t), f"{times[t]:.6f}", row))) for t, row in enumerate(body)]
     write_atomically(path, ("\n".join([*head, *rows]) + "\n").encode())
     if recording.vertical[1] < 0.99:
         lost.append("the vertical: TRC readers take Y as up or tell it from the data")

@@ -10,7 +10,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._text import decoded, frames_in_place, lines_of, number_of, rate_of, read_bytes, rows_of_numbers, write_atomically
-from asterism.formats._writing import all_points, dense_rows, spelled_numbers
+from asterism.formats._writing import all_points, dense_rows, first_frame_of, spelled_numbers, times_of
 from asterism.formats.csv_long import is_long, read_long
 from asterism.formats.csv_wide import read_wide
 from asterism.recording import Event, Recording, as_vertical
@@ -87,9 +87,7 @@ def read_tsv(path: Path) -> Points:
 def write_tsv(path: Path, recording: Recording) -> list[str]:
     """Write a QTM-like TSV: millimetres, columns Frame and Time, blank where missing. Returns what was lost."""
     positions, labels, lost = all_points(recording, "TSV", events=True)
-    first = int(recording.metadata.get("first_frame", 1))
-    start = recording.metadata.get("first_time")
-    start = float(start) if isinstance(start, int | float) else (first - 1) / recording.rate
+    first, times = first_frame_of(recording), times_of(recording)
     names = [re.sub(r"[\t\r\n]", " ", label) for label in labels]
     head = [
         f"NO_OF_FRAMES\t{len(positions)}",
@@ -108,7 +106,7 @@ def write_tsv(path: Path, recording: Recording) -> list[str]:
         "\t".join(["Frame", "Time", *(f"{name} {axis}" for name in names for axis in "XYZ")]),
     ]
     body = spelled_numbers(dense_rows(positions * 1000.0, 5), "\t", 5)
-    rows = ["\t".join(filter(None, (str(first + t), f"{start + t / recording.rate:.6f}", row))) for t, row in enumerate(body)]
+    rows = ["\t".join(filter(None, (str(first + t), f"{times[t]:.6f}", row))) for t, row in enumerate(body)]
     write_atomically(path, ("\n".join([*head, *rows]) + "\n").encode())
     if recording.vertical[2] < 0.99:
         lost.append("the vertical: QTM's files are Z up")
