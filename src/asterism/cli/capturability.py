@@ -38,7 +38,7 @@ def capturability(
     if report is not None:
         from asterism.report import capturability_report
 
-        capturability_report(report, result)
+        capturability_report(report, result, settings={"recordings": len(files), "seed": seed})
     _console.write_json(json, {"command": "capturability", "files": files, "seed": seed, "capturability": result.to_dict()})
 
 

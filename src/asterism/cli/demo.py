@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from asterism.recording import Ints, Labelling
 
 _WALKERS, _STRANGERS, _FRAMES = 10, 2, 300
+_MARKERS = "helen-hayes"
 _CONDITIONS = ((0, 0), (2, 0), (4, 0), (2, 3))
 
 
@@ -33,17 +34,18 @@ def demo(
     from asterism import formats
     from asterism.hiding import anonymous, hide_and_haunt
     from asterism.labelling import SolverEnsemble
+    from asterism.recording import MarkerSet
     from asterism.report import label_report
     from asterism.simulation import simulate_walks
 
     output.mkdir(parents=True, exist_ok=True)
-    walks = simulate_walks(subjects=_WALKERS, frames=_FRAMES, markers="helen-hayes", seed=seed)
+    walks = simulate_walks(subjects=_WALKERS, frames=_FRAMES, markers=_MARKERS, seed=seed)
     known, strangers = walks[:-_STRANGERS], walks[-_STRANGERS:]
     talk = _console.say if json != "-" else _console.complain
     talk(f"Training on {len(known)} simulated walkers, {len(known[0].labels)} markers ...")
     started = time.perf_counter()
     with _console.progress("training") as progress:
-        ensemble = SolverEnsemble.fit(known, seed=seed, progress=progress)
+        ensemble = SolverEnsemble.fit(known, seed=seed, marker_set=MarkerSet.load(_MARKERS), progress=progress)
     talk(f"Trained in {time.perf_counter() - started:.0f} s. Labelling {len(strangers)} walkers that the model has not seen ...")
     model = output / "walkers.model"
     ensemble.save(model)
@@ -82,8 +84,9 @@ def demo(
         recording=recording,
         labelling=labelling,
         clouds=clouds,
-        model_info={"model": model.name, "markers": len(ensemble.marker_set), "seed": seed},
+        model_info={"model": model.name, **ensemble.about},
         truth=truth,
+        marker_set=ensemble.marker_set,
     )
     talk(f"Look at {page} in a browser, and at {labelled} in any C3D viewer. Label a file yourself:")
     talk(f"  asterism label {raw} --model {model} -o {output / 'labelled'}")
@@ -105,16 +108,16 @@ def _compared(labelling: Labelling, truth: Ints) -> dict[str, int]:
 
 def _print(rows: list[dict[str, Any]]) -> None:
     _console.table(
-        f"What was labelled, and the truth beside it ({_STRANGERS} walkers, {_FRAMES} frames each)",
-        ["hidden", "ghosts", "markers in view", "labelled right", "labelled wrong", "not labelled", "frames/s"],
+        f"{_STRANGERS} walkers, {_FRAMES} frames each; wrong labels include those given to hidden markers",
+        ["hidden", "ghosts", "markers in view", "right", "not labelled", "wrong labels", "frames/s"],
         [
             [
                 str(row["hidden"]),
                 str(row["ghosts"]),
                 _console.count(row["visible"]),
                 f"{row['right']:,} ({_console.percent(row['right'] / max(row['visible'], 1))})",
-                _console.count(row["wrong"]),
                 _console.count(row["not labelled"]),
+                _console.count(row["wrong"]),
                 _console.count(row["frames_per_second"]),
             ]
             for row in rows

@@ -89,7 +89,7 @@ def evaluate(
     if report is not None:
         from asterism.report import evaluation_report
 
-        evaluation_report(report, evaluation)
+        evaluation_report(report, evaluation, settings={"model": model or "each subject left out in turn", **settings})
     _console.write_json(
         json,
         {

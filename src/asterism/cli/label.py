@@ -86,7 +86,8 @@ def label(
             recording=shown[0],
             labelling=shown[1],
             clouds=shown[2],
-            model_info={"model": str(model), "markers": len(ensemble.marker_set), "rules": rules.value},
+            model_info={"model": str(model), "rules": rules.value, "keep": keep, **ensemble.about},
+            marker_set=ensemble.marker_set,
         )
     _console.write_json(
         json, {"command": "label", "model": model, "rules": rules.value, "keep": keep, "files": rows, "failed": batch.failed}
