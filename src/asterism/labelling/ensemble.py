@@ -34,6 +34,8 @@ class LookRules:
 
     reward      nats that a labelled point earns over "marker hidden, point a ghost": the log of how much rarer that is
     first_ghost nats that the first ghost of a frame costs: most frames have none
+    odd         nats that a point earns where its marker is only oddly placed: within `odd_radius` of where it is expected
+    odd_radius  m
     far         squared distance of an anchor's own points beyond which its proposal is dropped
     agree       anchors that must lead to the best labelling before the others are skipped
     explained   share of a usual frame's score from which a labelling may end the search
@@ -45,13 +47,20 @@ class LookRules:
 
     reward: float = 2.0
     first_ghost: float = 6.0
+    odd: float = -0.5
+    odd_radius: float = 0.2
     far: float = 70.0
     agree: int = 2
-    explained: float = 0.65
-    enough: int = 8
+    explained: float = 0.85
+    enough: int = 6
     budget: int = 200_000
     per_anchor: int = 3
     contest: float = 10.0
+
+    def settings(self, typical_score: float) -> LookSettings:
+        """As the kernels read them; `typical_score` is the usual score per point of a frame, in nats."""
+        numbers = asdict(self)
+        return LookSettings(good=numbers.pop("explained") * typical_score, **numbers)
 
 
 @dataclass(frozen=True)
@@ -195,10 +204,17 @@ class SolverEnsemble:
         clouds: T frames. Gives indices (T, M), -1 where it does not know, and confidence (T, M). Each frame stands alone. The result does not
         depend on the order of the points, nor on `workers`. O(T) time; a frame of n points costs O(n M) beyond the search, which has a budget.
         """
+        return self.label_counted(clouds, rules=rules, workers=workers, progress=progress)[0]
+
+    def label_counted(
+        self, clouds: Clouds, *, rules: str = "whole-body", workers: int = 1, progress: Progress | None = None
+    ) -> tuple[Labelling, Ints]:
+        """`label`, and how many features were evaluated for each frame: (T,)."""
         if rules not in RULES:
             raise AsterismError(f"there are no rules {rules!r}; choose from {', '.join(RULES)}.")
-        rows, confidence, _ = self._look_at(clouds, workers, progress)
-        return Labelling(np.where(confidence >= self.least_confidence, rows, NULL), confidence, self.marker_set.names)
+        rows, confidence, counters = self._look_at(clouds, workers, progress)
+        indices = np.where(confidence >= self.least_confidence, rows, NULL)
+        return Labelling(indices, confidence, self.marker_set.names), counters[:, 0]
 
     def _look_at(self, clouds: Clouds, workers: int = 1, progress: Progress | None = None) -> tuple[Ints, Floats, Ints]:
         """The best labelling of each frame before doubtful labels are taken back: indices, confidence (T, M), counters (T, 4)."""
@@ -241,11 +257,7 @@ class SolverEnsemble:
 
     def _parts(self) -> Prepared:
         if self._prepared is None:
-            look = self._look
-            settings = LookSettings(
-                look.reward, look.first_ghost, look.far, look.agree, look.budget, look.per_anchor, look.contest,
-                look.explained * self._typical_score, look.enough,
-            )
+            settings = self._look.settings(self._typical_score)
             self._prepared = Prepared(self._anchors.solvers(), self._anchors.arrays(self._body), self._body.arrays(), settings)
         return self._prepared
 
@@ -341,7 +353,7 @@ def replace_parts(ensemble: SolverEnsemble, **parts: Any) -> SolverEnsemble:
 
 
 def least_confidence(target_hit_rate: float) -> float:
-    return 1.0 - (1.0 - target_hit_rate) ** 0.25
+    return 1.0 - (1.0 - target_hit_rate) ** 0.2
 
 
 def upright(points: Floats, vertical: Floats) -> Floats:
@@ -405,7 +417,7 @@ def _typical_score(body: BodyModel, frames: Floats, look: LookRules) -> float:
     from asterism.labelling.body._kernels import best_pose, make_room
 
     arrays = body.arrays()
-    settings = LookSettings(look.reward, look.first_ghost, look.far, look.agree, look.budget, look.per_anchor, look.contest, 0.0, look.enough)
+    settings = look.settings(0.0)
     scores = []
     for frame in frames[:: max(1, len(frames) // 200)]:
         shown = ~np.isnan(frame[:, 0])

@@ -14,6 +14,8 @@ from numba import njit
 from asterism.labelling._kernels import search
 
 LOG_2PI = math.log(2.0 * math.pi)
+REACH = 0.6
+"""No point farther than this from where a marker is expected is looked at (m)."""
 
 
 class BodyArrays(NamedTuple):
@@ -23,6 +25,8 @@ class BodyArrays(NamedTuple):
     whiten      (K, M, 3, 3) takes a residual in m to unit variance
     load        (K, M, 3, r) whitened displacement per unit of each latent
     gram        (K, M, r, r) load' load
+    full        (K, r, r) identity plus the sum of gram over all markers
+    spread      (K, M, 3, 3) its inverse
     log_scale   (K, M) log |det whiten|
     log_weight  (K,) how frequent the key pose is
     """
@@ -31,6 +35,8 @@ class BodyArrays(NamedTuple):
     whiten: np.ndarray
     load: np.ndarray
     gram: np.ndarray
+    full: np.ndarray
+    spread: np.ndarray
     log_scale: np.ndarray
     log_weight: np.ndarray
 
@@ -44,6 +50,7 @@ class AnchorArrays(NamedTuple):
     gain       (K, A, M, 3, 9) prediction of every marker per displacement of the anchor's points
     whiten     (K, A, M, 3, 3) takes a prediction's residual to unit variance
     log_scale  (K, A, M) log |det whiten|
+    widest     (K, A, M) m2, trace of a prediction's covariance
     """
 
     markers: np.ndarray
@@ -52,6 +59,7 @@ class AnchorArrays(NamedTuple):
     gain: np.ndarray
     whiten: np.ndarray
     log_scale: np.ndarray
+    widest: np.ndarray
 
 
 class LookSettings(NamedTuple):
@@ -59,6 +67,7 @@ class LookSettings(NamedTuple):
 
     reward       nats that a labelled point earns over an occlusion and a ghost
     first_ghost  nats that the first ghost of a frame costs
+    odd          nats that an oddly placed point earns, within `odd_radius` (m) of where its marker is expected
     far          squared distance of an anchor's own points beyond which it is not followed up
     agree        anchors that must lead to the best labelling before the others are skipped
     budget       feature evaluations per frame
@@ -70,6 +79,8 @@ class LookSettings(NamedTuple):
 
     reward: float
     first_ghost: float
+    odd: float
+    odd_radius: float
     far: float
     agree: int
     budget: int
@@ -80,12 +91,10 @@ class LookSettings(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def align(points, rows, mean, markers, out):
-    """Move all points so that those at `rows` lie best on `mean[markers]`: a turn about the vertical and a shift.
+def placing(points, rows, mean, markers):
+    """The turn about the vertical and the shift that bring the points at `rows` best onto `mean[markers]`: (cos, sin, from, onto).
 
-    IN  points (n, 3); rows (k,), -1 for none; mean (M, 3); markers (k,)
-    OUT out (n, 3)
-    O(n + k), no allocation.
+    IN  points (n, 3); rows (k,), -1 for none; mean (M, 3); markers (k,). O(k), no allocation.
     """
     count, px, py, pz, qx, qy, qz = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(len(rows)):
@@ -105,13 +114,20 @@ def align(points, rows, mean, markers, out):
             bx, by = mean[markers[i], 0] - qx, mean[markers[i], 1] - qy
             along += ax * bx + ay * by
             across += ax * by - ay * bx
-    size = math.hypot(along, across)
+    size = math.sqrt(along * along + across * across)
     cos, sin = (along / size, across / size) if size > 0.0 else (1.0, 0.0)
+    return cos, sin, (px, py, pz), (qx, qy, qz)
+
+
+@njit(cache=True, nogil=True)
+def align(points, rows, mean, markers, out):
+    """Move all points by `placing`. OUT out (n, 3). O(n + k)."""
+    cos, sin, here, there = placing(points, rows, mean, markers)
     for i in range(len(points)):
-        x, y = points[i, 0] - px, points[i, 1] - py
-        out[i, 0] = cos * x - sin * y + qx
-        out[i, 1] = sin * x + cos * y + qy
-        out[i, 2] = points[i, 2] - pz + qz
+        x, y = points[i, 0] - here[0], points[i, 1] - here[1]
+        out[i, 0] = cos * x - sin * y + there[0]
+        out[i, 1] = sin * x + cos * y + there[1]
+        out[i, 2] = points[i, 2] - here[2] + there[2]
 
 
 @njit(cache=True, nogil=True)
@@ -166,7 +182,8 @@ class Room(NamedTuple):
     covariance: np.ndarray
     moment: np.ndarray
     latent: np.ndarray
-    spread: np.ndarray
+    slope: np.ndarray
+    odd: np.ndarray
     fit: np.ndarray
     scores: np.ndarray
     everyone: np.ndarray
@@ -183,6 +200,7 @@ def make_room(n, markers, latents):
         np.empty(latents),
         np.empty(latents),
         np.empty((3, latents)),
+        np.zeros(markers, dtype=np.bool_),
         np.empty(1),
         np.empty((markers, n)),
         np.arange(markers),
@@ -195,21 +213,38 @@ def evidence(body, k, points, rows, settings, room):
 
     IN   body BodyArrays; k key pose; points (n, 3); rows (M,), -1 for none; settings LookSettings
     OUT  room.aligned, residual, moment, information (its Cholesky factor), fit (mean squared residual, 1 where all is as expected)
+    Markers flagged in room.odd count with `settings.odd` and say nothing of the body.
     Returns the labelling's score: log density of its points plus the rewards, in nats (0 is the empty labelling).
     O(M r^2 + r^3).
     """
     markers, latents = body.load.shape[1], body.load.shape[3]
     align(points, rows, body.mean[k], room.everyone, room.aligned)
-    room.information[:] = 0.0
     room.moment[:] = 0.0
-    for i in range(latents):
-        room.information[i, i] = 1.0
+    counted = 0
+    for m in range(markers):
+        counted += rows[m] >= 0 and not room.odd[m]
+    if 2 * counted > markers:
+        room.information[:] = body.full[k]
+    else:
+        room.information[:] = 0.0
+        for i in range(latents):
+            room.information[i, i] = 1.0
+    for m in range(markers):
+        present = rows[m] >= 0 and not room.odd[m]
+        if present != (2 * counted > markers):
+            sign = 1.0 if present else -1.0
+            for i in range(latents):
+                for j in range(i + 1):
+                    room.information[i, j] += sign * body.gram[k, m, i, j]
     score, squares, labelled = body.log_weight[k], 0.0, 0
     for m in range(markers):
         row = rows[m]
         if row < 0:
             continue
         labelled += 1
+        if room.odd[m]:
+            score += settings.odd
+            continue
         for a in range(3):
             total = 0.0
             for b in range(3):
@@ -222,8 +257,6 @@ def evidence(body, k, points, rows, settings, room):
                 + body.load[k, m, 1, i] * room.residual[m, 1]
                 + body.load[k, m, 2, i] * room.residual[m, 2]
             )
-            for j in range(i + 1):
-                room.information[i, j] += body.gram[k, m, i, j]
         score += body.log_scale[k, m] - 1.5 * LOG_2PI + settings.reward
     if labelled < len(points):
         score -= settings.first_ghost
@@ -267,18 +300,19 @@ def score_all(body, k, rows, settings, room):
                 total = 0.0
                 for j in range(latents):
                     total += body.load[k, m, a, j] * room.covariance[j, i]
-                room.spread[a, i] = total
+                room.slope[a, i] = total
         for a in range(3):
             for b in range(3):
                 total = 0.0
                 for i in range(latents):
-                    total += room.spread[a, i] * body.load[k, m, b, i]
+                    total += room.slope[a, i] * body.load[k, m, b, i]
                 h[a, b] = total
             total = 0.0
             for i in range(latents):
                 total += body.load[k, m, a, i] * room.latent[i]
             centre[a] = total
-        sign = -1.0 if rows[m] >= 0 else 1.0
+        counts = rows[m] >= 0 and not room.odd[m]
+        sign = -1.0 if counts else 1.0
         for a in range(3):
             for b in range(3):
                 h[a, b] = (1.0 if a == b else 0.0) + sign * h[a, b]
@@ -291,7 +325,7 @@ def score_all(body, k, rows, settings, room):
         inverse[1, 0], inverse[1, 1], inverse[1, 2] = c01 / det, c11 / det, c12 / det
         inverse[2, 0], inverse[2, 1], inverse[2, 2] = c02 / det, c12 / det, c22 / det
         base = body.log_scale[k, m] - 1.5 * LOG_2PI + settings.reward
-        if rows[m] >= 0:
+        if counts:
             # leave-one-out centre: e - (I - h)^-1 (e - centre)
             base += 0.5 * math.log(det)
             for a in range(3):
@@ -303,18 +337,30 @@ def score_all(body, k, rows, settings, room):
             base -= 0.5 * math.log(det)
             shift[:] = centre
             q = inverse
+        at_x = body.mean[k, m, 0] + body.spread[k, m, 0, 0] * shift[0]
+        at_y = body.mean[k, m, 1] + body.spread[k, m, 1, 0] * shift[0] + body.spread[k, m, 1, 1] * shift[1]
+        at_z = body.mean[k, m, 2] + body.spread[k, m, 2, 0] * shift[0] + body.spread[k, m, 2, 1] * shift[1]
+        at_z += body.spread[k, m, 2, 2] * shift[2]
         for c in range(n):
+            dx, dy, dz = room.aligned[c, 0] - at_x, room.aligned[c, 1] - at_y, room.aligned[c, 2] - at_z
+            near2 = dx * dx + dy * dy + dz * dz
+            if near2 > REACH * REACH:
+                room.scores[m, c] = -np.inf
+                continue
             dx = room.aligned[c, 0] - body.mean[k, m, 0]
             dy = room.aligned[c, 1] - body.mean[k, m, 1]
             dz = room.aligned[c, 2] - body.mean[k, m, 2]
             x = body.whiten[k, m, 0, 0] * dx + body.whiten[k, m, 0, 1] * dy + body.whiten[k, m, 0, 2] * dz - shift[0]
             y = body.whiten[k, m, 1, 0] * dx + body.whiten[k, m, 1, 1] * dy + body.whiten[k, m, 1, 2] * dz - shift[1]
             z = body.whiten[k, m, 2, 0] * dx + body.whiten[k, m, 2, 1] * dy + body.whiten[k, m, 2, 2] * dz - shift[2]
-            room.scores[m, c] = base - 0.5 * (
+            score = base - 0.5 * (
                 x * (q[0, 0] * x + q[0, 1] * y + q[0, 2] * z)
                 + y * (q[1, 0] * x + q[1, 1] * y + q[1, 2] * z)
                 + z * (q[2, 0] * x + q[2, 1] * y + q[2, 2] * z)
             )
+            if score < settings.odd and near2 < settings.odd_radius * settings.odd_radius:
+                score = settings.odd
+            room.scores[m, c] = score
 
 
 @njit(cache=True, nogil=True)
@@ -369,37 +415,42 @@ def assign(scores, first_ghost, rows):
 
 
 @njit(cache=True, nogil=True)
-def key_pose(anchors, a, body, points, rows3, delta, room):
-    """The key pose that fits an anchor's own points best: aligns the points to it and returns it, its log density and squared distance.
+def _anchor_displacement(anchors, a, k, body, points, rows3, delta):
+    """OUT delta (9,): how far an anchor's points lie from a key pose's, once placed onto it. Returns its squared distance."""
+    cos, sin, here, there = placing(points, rows3, body.mean[k], anchors.markers[a])
+    for i in range(3):
+        m, row = anchors.markers[a, i], rows3[i]
+        x, y = points[row, 0] - here[0], points[row, 1] - here[1]
+        delta[3 * i] = cos * x - sin * y + there[0] - body.mean[k, m, 0]
+        delta[3 * i + 1] = sin * x + cos * y + there[1] - body.mean[k, m, 1]
+        delta[3 * i + 2] = points[row, 2] - here[2] + there[2] - body.mean[k, m, 2]
+    distance = 0.0
+    for i in range(9):
+        total = 0.5 * anchors.precision[k, a, i, i] * delta[i]
+        for j in range(i):
+            total += anchors.precision[k, a, i, j] * delta[j]
+        distance += 2.0 * total * delta[i]
+    return distance
 
-    OUT delta (9,) displacement of the anchor's points, room.aligned. O(K (n + 81)).
-    """
-    best, best_log, best_distance = 0, -np.inf, 0.0
-    poses = len(body.log_weight)
-    for k in range(poses):
-        align(points, rows3, body.mean[k], anchors.markers[a], room.aligned)
-        distance = 0.0
-        for i in range(3):
-            for b in range(3):
-                delta[3 * i + b] = room.aligned[rows3[i], b] - body.mean[k, anchors.markers[a, i], b]
-        for i in range(9):
-            for j in range(9):
-                distance += delta[i] * anchors.precision[k, a, i, j] * delta[j]
+
+@njit(cache=True, nogil=True)
+def key_pose(anchors, a, body, points, rows3, delta):
+    """The key pose that fits an anchor's own points best: (k, its log density, its squared distance). O(81 K)."""
+    best, best_log, best_distance = 0, -np.inf, np.inf
+    for k in range(len(body.log_weight)):
+        distance = _anchor_displacement(anchors, a, k, body, points, rows3, delta)
         log_density = anchors.log_own[k, a] - 0.5 * distance
         if log_density > best_log:
             best, best_log, best_distance = k, log_density, distance
-    if poses > 1:
-        align(points, rows3, body.mean[best], anchors.markers[a], room.aligned)
-        for i in range(3):
-            for b in range(3):
-                delta[3 * i + b] = room.aligned[rows3[i], b] - body.mean[best, anchors.markers[a, i], b]
     return best, best_log, best_distance
 
 
 @njit(cache=True, nogil=True)
-def predict(anchors, a, k, body, rows3, delta, settings, room):
-    """Score every point as every marker from an anchor alone, after `key_pose` (fills room.scores, like `score_all`). O(M n)."""
-    markers, n = body.load.shape[1], len(room.aligned)
+def predict(anchors, a, k, body, points, rows3, delta, settings, room):
+    """Score every point as every marker from an anchor alone (fills room.scores, like `score_all`). O(M n)."""
+    markers, n = body.load.shape[1], len(points)
+    _anchor_displacement(anchors, a, k, body, points, rows3, delta)
+    align(points, rows3, body.mean[k], anchors.markers[a], room.aligned)
     for m in range(markers):
         mx, my, mz = body.mean[k, m, 0], body.mean[k, m, 1], body.mean[k, m, 2]
         for i in range(9):
@@ -408,8 +459,13 @@ def predict(anchors, a, k, body, rows3, delta, settings, room):
             mz += anchors.gain[k, a, m, 2, i] * delta[i]
         w = anchors.whiten[k, a, m]
         base = anchors.log_scale[k, a, m] - 1.5 * LOG_2PI + settings.reward
+        # no score above 0 beyond sqrt(2 base) standard deviations
+        reach2 = 2.0 * max(base, 0.0) * anchors.widest[k, a, m]
         for c in range(n):
             dx, dy, dz = room.aligned[c, 0] - mx, room.aligned[c, 1] - my, room.aligned[c, 2] - mz
+            if dx * dx + dy * dy + dz * dz > reach2:
+                room.scores[m, c] = -np.inf
+                continue
             x = w[0, 0] * dx
             y = w[1, 0] * dx + w[1, 1] * dy
             z = w[2, 0] * dx + w[2, 1] * dy + w[2, 2] * dz
@@ -433,14 +489,37 @@ def best_pose(body, points, rows, settings, room):
 
 
 @njit(cache=True, nogil=True)
+def look_again(body, k, points, rows, settings, room):
+    """Score all points by a labelling under key pose k, odd markers set aside: fills room.scores, room.odd; gives the labelling's score.
+
+    A marker is odd where its own point is so far from where the others expect it that it scores `settings.odd` only.
+    """
+    score = evidence(body, k, points, rows, settings, room)
+    posterior(room)
+    score_all(body, k, rows, settings, room)
+    news = False
+    for m in range(len(rows)):
+        odd = rows[m] >= 0 and room.scores[m, rows[m]] <= settings.odd
+        if odd != room.odd[m]:
+            room.odd[m] = odd
+            news = True
+    if news:
+        score = evidence(body, k, points, rows, settings, room)
+        posterior(room)
+        score_all(body, k, rows, settings, room)
+    return score
+
+
+@njit(cache=True, nogil=True)
 def refine(body, points, rows, settings, rounds, room):
     """Relabel by the whole body until nothing changes: key pose, posterior, leave-one-out scores, assignment.
 
     IN/OUT rows (M,). Returns the score of the labelling, in nats.
     """
-    score = -np.inf
+    k, score = 0, -np.inf
     previous = np.empty_like(rows)
-    for _ in range(rounds):
+    room.odd[:] = False
+    for step in range(rounds):
         previous[:] = rows
         count = 0
         for m in range(len(rows)):
@@ -448,10 +527,9 @@ def refine(body, points, rows, settings, rounds, room):
         if count < 3:
             rows[:] = -1
             return -np.inf
-        k, score = best_pose(body, points, rows, settings, room)
-        evidence(body, k, points, rows, settings, room)
-        posterior(room)
-        score_all(body, k, rows, settings, room)
+        if step == 0:
+            k, _ = best_pose(body, points, rows, settings, room)
+        score = look_again(body, k, points, rows, settings, room)
         assign(room.scores, settings.first_ghost, rows)
         same = True
         for m in range(len(rows)):
@@ -505,7 +583,8 @@ def label_frame(points, order, solvers, anchors, body, settings, room, rows, mar
     last_vote = np.full(limit, -1, dtype=np.int64)
     n_starts, n_finals, best = 0, 0, -1
     found = np.empty((64, 3), dtype=np.int64)
-    pick_rows = np.empty((settings.per_anchor, 3), dtype=np.int64)
+    pose_of, density = np.empty(64, dtype=np.int64), np.empty(64)
+    pick = np.empty(settings.per_anchor, dtype=np.int64)
     pick_score = np.empty(settings.per_anchor)
     trial = np.empty(markers, dtype=np.int64)
     delta = np.empty(9)
@@ -521,10 +600,17 @@ def label_frame(points, order, solvers, anchors, body, settings, room, rows, mar
             solutions = 0
         picks = 0
         for s in range(solutions):
-            k, total, distance = key_pose(anchors, a, body, points, found[s], delta, room)
+            pose_of[s], density[s], distance = key_pose(anchors, a, body, points, found[s], delta)
             if distance > settings.far:
+                density[s] = -np.inf
+        for s in range(solutions):
+            better = 0
+            for other in range(solutions):
+                better += density[other] > density[s]
+            if density[s] == -np.inf or better >= 4 * settings.per_anchor:
                 continue
-            predict(anchors, a, k, body, found[s], delta, settings, room)
+            total = density[s]
+            predict(anchors, a, pose_of[s], body, points, found[s], delta, settings, room)
             for m in range(markers):
                 top = 0.0
                 for c in range(n):
@@ -536,17 +622,16 @@ def label_frame(points, order, solvers, anchors, body, settings, room, rows, mar
                 where -= 1
             if where < settings.per_anchor:
                 last = min(picks, settings.per_anchor - 1)
-                for k in range(last, where, -1):
-                    pick_score[k] = pick_score[k - 1]
-                    pick_rows[k] = pick_rows[k - 1]
+                for p in range(last, where, -1):
+                    pick_score[p] = pick_score[p - 1]
+                    pick[p] = pick[p - 1]
                 pick_score[where] = total
-                pick_rows[where] = found[s]
+                pick[where] = s
                 picks = min(picks + 1, settings.per_anchor)
         for p in range(picks):
-            if p > 0 and pick_score[p] < pick_score[0] - 60.0:
+            if p > 0 and pick_score[p] < pick_score[0] - 40.0:
                 break
-            k, _, _ = key_pose(anchors, a, body, points, pick_rows[p], delta, room)
-            predict(anchors, a, k, body, pick_rows[p], delta, settings, room)
+            predict(anchors, a, pose_of[pick[p]], body, points, found[pick[p]], delta, settings, room)
             assign(room.scores, settings.first_ghost, trial)
             start = _known(starts, n_starts, trial)
             if start < 0:
@@ -577,10 +662,9 @@ def label_frame(points, order, solvers, anchors, body, settings, room, rows, mar
     top = scores[best]
     # nearest changes; a change that turns out better replaces the labelling, and the looking starts again
     for _ in range(4):
-        k, top = best_pose(body, points, rows, settings, room)
-        evidence(body, k, points, rows, settings, room)
-        posterior(room)
-        score_all(body, k, rows, settings, room)
+        room.odd[:] = False
+        k, _ = best_pose(body, points, rows, settings, room)
+        top = look_again(body, k, points, rows, settings, room)
         local = room.scores.copy()
         owner = np.full(n, -1, dtype=np.int64)
         for m in range(markers):
@@ -617,7 +701,10 @@ def label_frame(points, order, solvers, anchors, body, settings, room, rows, mar
                     trial[o] = -1
                     if rows[m] >= 0 and local[o, rows[m]] > -settings.contest:
                         trial[o] = rows[m]
+                    was_odd, owner_odd = room.odd[m], room.odd[o]
+                    room.odd[m], room.odd[o] = False, False
                     cost = top - evidence(body, k, points, trial, settings, room)
+                    room.odd[m], room.odd[o] = was_odd, owner_odd
                     counters[2] += 1
                     if cost < -1e-6:
                         rows[:] = trial

@@ -80,7 +80,9 @@ class Anchors:
             spread[np.arange(count)[:, None], self.triples] = 1e-4 * np.eye(3)
             lower = np.linalg.cholesky(spread)
             log_own = body.log_weight[k] - 0.5 * np.linalg.slogdet(own)[1] - 4.5 * LOG_2PI
-            parts.append((precision, log_own, gain, np.linalg.inv(lower), -np.log(np.diagonal(lower, axis1=2, axis2=3)).sum(axis=2)))
+            log_scale = -np.log(np.diagonal(lower, axis1=2, axis2=3)).sum(axis=2)
+            widest = np.trace(spread, axis1=2, axis2=3)
+            parts.append((precision, log_own, gain, np.linalg.inv(lower), log_scale, widest))
         return AnchorArrays(np.ascontiguousarray(self.triples), *(np.stack(part) for part in zip(*parts, strict=True)))
 
 

@@ -68,7 +68,8 @@ class BodyModel:
         load = whiten @ self.load
         gram = np.einsum("kmai,kmaj->kmij", load, load)
         log_scale = -np.log(np.diagonal(lower, axis1=2, axis2=3)).sum(axis=2)
-        return BodyArrays(self.mean, whiten, load, gram, log_scale, self.log_weight)
+        full = np.eye(load.shape[3]) + gram.sum(axis=1)
+        return BodyArrays(self.mean, whiten, load, gram, full, lower, log_scale, self.log_weight)
 
     def covariance(self, pose: int) -> Floats:
         """(3M, 3M) m2, of the placed body in one key pose."""
