@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from asterism.report import figures
-from asterism.report.page import Cell, Page, Section, Table, percent, tinted, write_page
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, percent, tinted, write_page
 
 if TYPE_CHECKING:
     from asterism.labelling import Capturability
@@ -29,7 +29,6 @@ def capturability_report(
     names = list(capturability.markers)
     rates = np.asarray(capturability.hit_rates, dtype=np.float64)
     confusion = np.asarray(capturability.confusion, dtype=np.float64)
-    worst = int(np.argmin(rates)) if len(rates) else -1
     sections = [
         Section(
             "Which marker could be taken for which",
@@ -44,14 +43,14 @@ def capturability_report(
             table=Table(
                 ["hidden", "hit rate", "worst marker", "its hit rate"],
                 [
-                    [str(hidden), percent(float(rate), 3), names[int(np.argmin(each))], percent(float(np.min(each)), 3)]
+                    [str(hidden), percent(float(rate), 3), *_worst(names, np.asarray(each, dtype=np.float64))]
                     for hidden, rate, each in capturability.by_occlusions
                 ],
             ),
         ),
         Section(
-            "Hit rate by marker, nothing hidden",
-            figure=figures.bars(names, rates, "hit rate"),
+            "Markers that are not found, nothing hidden",
+            figure=figures.bars(names, 1.0 - rates, "not found (100 % less the hit rate)"),
             table=Table(
                 ["marker", "hit rate", "taken for"],
                 [[name, percent(float(rates[i]), 3), _taken_for(names, confusion, i)] for i, name in enumerate(names)],
@@ -71,11 +70,20 @@ def capturability_report(
     merits = [(str(len(names)), "markers", "")]
     if len(rates):
         merits.append((percent(float(rates.mean()), 2), "hit rate, nothing hidden", ""))
-        merits.append((percent(float(rates[worst]), 2), f"hit rate of {names[worst]}, the worst", ""))
+        name, rate = _worst(names, rates, digits=2)
+        merits.append((rate, f"hit rate of {name}, the worst", ""))
     if capturability.by_occlusions:
-        hidden, rate, _ = capturability.by_occlusions[-1]
-        merits.append((percent(float(rate), 2), f"hit rate with {hidden} hidden", ""))
+        hidden, together, _ = capturability.by_occlusions[-1]
+        merits.append((percent(float(together), 2), f"hit rate with {hidden} hidden", ""))
     write_page(path, Page(title, capturability.verdict, settings or {}, merits, sections))
+
+
+def _worst(names: list[str], rates: np.ndarray, digits: int = 3) -> tuple[str, str]:
+    """The marker with the lowest hit rate that is known, and that rate."""
+    if np.isnan(rates).all():
+        return NOTHING, NOTHING
+    place = int(np.nanargmin(rates))
+    return names[place], percent(float(rates[place]), digits)
 
 
 def _pairs(names: list[str], confusion: np.ndarray) -> Table:

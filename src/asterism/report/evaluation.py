@@ -45,8 +45,9 @@ def evaluation_report(
             Section(
                 "Is the confidence as good as its word?",
                 "Of the labels given at 99 %, 99 % should be right: points on the dotted line. A curve above the line is too modest, one "
-                "below it promises too much. Each step of the scale is ten times fewer errors; the lower curves count the labels.",
-                figure=figures.reliability({name: c.reliability for name, c in zip(names, conditions, strict=True)}),
+                "below it promises too much. Each step of the scale is ten times fewer errors; the lower curves count the labels. "
+                "Tap a name to show or hide its curves.",
+                figure=figures.reliability({n: c.reliability for n, c in zip(names, conditions, strict=True)}, _ends(by_ghosts)),
                 table=Table(
                     ["condition", "said", "right", "labels"],
                     [
@@ -64,7 +65,9 @@ def evaluation_report(
         ("fo", "FO by marker: wrong among the nulls", 1, "warn"),
         ("missed", "Missed by marker: in view, without a label", 2, "warn"),
     ):
-        sections.append(Section(heading, table=_by_marker(evaluation, conditions, names, key, digits, kind)))
+        head = [f"{c.occlusions} + {c.ghosts}" if c.ghosts else str(c.occlusions) for c in conditions]
+        explained = "Columns: hidden markers per frame" + (", + ghosts." if any(c.ghosts for c in conditions) else ".")
+        sections.append(Section(heading, explained, table=_by_marker(evaluation, conditions, head, key, digits, kind)))
     people = len(evaluation.subjects)
     frames = sum(c.frames for c in conditions)
     merits = [(count(people), "subjects", ""), (count(len(evaluation.markers)), "markers", ""), (count(frames), "frames labelled", "")]
@@ -81,6 +84,11 @@ def evaluation_report(
 def _name(condition: Condition) -> str:
     ghosts = f", {condition.ghosts} ghost{'s' if condition.ghosts > 1 else ''}" if condition.ghosts else ""
     return f"{condition.occlusions} hidden{ghosts}"
+
+
+def _ends(by_ghosts: Mapping[int, list[Condition]]) -> list[str]:
+    """The names of the easiest and the hardest condition for each number of ghosts."""
+    return [_name(condition) for own in by_ghosts.values() for condition in (own[0], own[-1])]
 
 
 def _summary(conditions: list[Condition]) -> Table:

@@ -38,6 +38,11 @@ def figure(data: Sequence[Mapping[str, Any]], height: int, **layout: Any) -> Fig
     return {"data": [dict(trace) for trace in data], "layout": {**look, **layout}}
 
 
+def frames_per_column(frames: int) -> int:
+    """How many frames one column of a timeline stands for."""
+    return max(1, -(-frames // COLUMNS))
+
+
 def timeline(
     names: Sequence[str],
     confidence: Floats,
@@ -48,18 +53,17 @@ def timeline(
 ) -> Figure:
     """Frames x markers: shade = confidence of the label, amber = unsure, grey = hidden, red = wrong (where the truth is known).
 
-    confidence, given, unsure, wrong  (T, M). A block of several frames shows its worst: unsure before labelled before hidden, and the
-    least confidence.
+    confidence, given, unsure, wrong  (T, M). A block of several frames is unsure or hidden where at least half of it is, else it shows
+    the least confidence of its labels; a wrong label always shows.
     """
     frames, markers = given.shape
-    block = max(1, -(-frames // COLUMNS))
-    starts = np.arange(0, frames, block)
+    starts = np.arange(0, frames, frames_per_column(frames))
     nines = np.clip(-np.log10(np.maximum(1.0 - confidence, 10.0**-MOST_NINES)), 0.0, MOST_NINES)
     least = np.minimum.reduceat(np.where(given, nines, np.inf), starts, axis=0)
-    doubtful, any_given = np.logical_or.reduceat(unsure, starts, axis=0), np.isfinite(least)
-    z = np.where(doubtful, UNSURE, np.where(any_given, np.where(any_given, least, 0.0), HIDDEN))
-    text = np.where(z == HIDDEN, "hidden", np.where(z == UNSURE, "unsure", ""))
-    text = [[text[b, m] or f"confidence {100 * (1 - 10.0 ** -z[b, m]):.4g} %" for b in range(len(starts))] for m in range(markers)]
+    size = np.diff([*starts, frames])[:, None]
+    doubtful, labelled = (2 * np.add.reduceat(part.astype(np.int64), starts, axis=0) for part in (unsure, given))
+    z = np.where(labelled > size, np.where(np.isfinite(least), least, 0.0), np.where(doubtful >= size - labelled / 2, UNSURE, HIDDEN))
+    said = [[_said(float(value)) for value in row] for row in z.T]
     low, high = HIDDEN - 0.5, MOST_NINES
     grey, amber, zero = ((edge - low) / (high - low) for edge in (HIDDEN + 0.5, UNSURE + 0.5, 0.0))
     shades = [[0.0, "#e3e7ee"], [grey, "#e3e7ee"], [grey, "#f2a93b"], [amber, "#f2a93b"], [amber, CONFIDENCE_SHADES[0][1]]]
@@ -70,7 +74,7 @@ def timeline(
             "x": starts / rate,
             "y": list(names),
             "z": np.round(z.T, 2),
-            "text": text,
+            "text": said,
             "zmin": low,
             "zmax": high,
             "colorscale": shades,
@@ -96,7 +100,7 @@ def timeline(
                 "type": "scatter",
                 "mode": "markers",
                 "x": starts[at] / rate,
-                "y": [names[m] for m in marker],
+                "y": [names[int(m)] for m in marker],
                 "marker": {"color": "#ff2d1a", "size": 6, "symbol": "x"},
                 "hovertemplate": "%{y}, %{x:.2f} s: wrong label<extra></extra>",
                 "showlegend": False,
@@ -159,7 +163,7 @@ def bars(names: Sequence[str], shares: Floats, what: str) -> Figure:
         [trace],
         height=90 + 20 * len(names),
         bargap=0.25,
-        xaxis={"title": {"text": what}, "ticksuffix": " %", "range": [0, 100]},
+        xaxis={"title": {"text": what}, "ticksuffix": " %", "rangemode": "tozero"},
         yaxis={"autorange": "reversed", "dtick": 1, "showgrid": False, "type": "category", "tickfont": {"size": 11}},
     )
 
@@ -167,6 +171,7 @@ def bars(names: Sequence[str], shares: Floats, what: str) -> Figure:
 def curves(lines: Mapping[str, tuple[Any, Any]], x: str, y: str, faint: Sequence[str] = ()) -> Figure:
     """Named lines of (x, share); shares are drawn in percent, the lines named in `faint` thin and grey."""
     data = []
+    thick = [name for name in lines if name not in faint]
     for name, (at, shares) in lines.items():
         thin = name in faint
         data.append(
@@ -176,21 +181,25 @@ def curves(lines: Mapping[str, tuple[Any, Any]], x: str, y: str, faint: Sequence
                 "name": name,
                 "x": list(at),
                 "y": 100 * np.asarray(shares, dtype=np.float64),
-                "line": {"width": 1, "color": "#c3ccd9"} if thin else {"width": 3},
+                "line": {"width": 1, "color": "#c3ccd9"} if thin else {"width": 3, "color": PALETTE[thick.index(name) % len(PALETTE)]},
                 "marker": {"size": 8},
                 "showlegend": not thin,
                 "hovertemplate": name + ": %{y:.3f} % at %{x}<extra></extra>",
             }
         )
     return figure(
-        data, height=360, xaxis={"title": {"text": x}, "dtick": 1}, yaxis={"title": {"text": y}, "ticksuffix": " %", "rangemode": "tozero"}
+        data,
+        height=360,
+        xaxis={"title": {"text": x}, "dtick": 1},
+        yaxis={"title": {"text": y}, "ticksuffix": " %", "rangemode": "normal" if faint else "tozero"},
     )
 
 
-def reliability(lines: Mapping[str, Sequence[tuple[float, float, int]]]) -> Figure:
+def reliability(lines: Mapping[str, Sequence[tuple[float, float, int]]], drawn: Sequence[str]) -> Figure:
     """Said confidence against the share that was right, one line per condition, on a scale of nines; below, how many labels there were.
 
     lines  name -> (mean confidence, share right, count) per bin
+    drawn  the lines that are drawn at first; the others come by a tap on the legend
     """
     ticks = (0.0, 0.5, 0.9, 0.99, 0.999, 0.9999)
     at, told = [_nines(tick) for tick in ticks], ["0 %", "50 %", "90 %", "99 %", "99.9 %", "≥ 99.99 %"]
@@ -210,7 +219,8 @@ def reliability(lines: Mapping[str, Sequence[tuple[float, float, int]]]) -> Figu
         color = PALETTE[i % len(PALETTE)]
         x = [_nines(said) for said, _, _ in kept]
         told_in_full = [f"said {100 * said:.4g} %, right {100 * right:.4g} % of {n:,}" for said, right, n in kept]
-        shared = {"name": name, "x": x, "legendgroup": name, "text": told_in_full, "hovertemplate": name + ": %{text}<extra></extra>"}
+        shared: dict[str, Any] = {"name": name, "x": x, "legendgroup": name, "text": told_in_full, "hovertemplate": name + ": %{text}<extra></extra>"}
+        shared["visible"] = True if name in drawn else "legendonly"
         data.append(
             {
                 **shared,
@@ -239,8 +249,14 @@ def reliability(lines: Mapping[str, Sequence[tuple[float, float, int]]]) -> Figu
         height=560,
         xaxis={**scale, "title": {"text": "confidence that was said"}, "anchor": "y2"},
         yaxis={**scale, "title": {"text": "labels that were right"}, "domain": [0.36, 1]},
-        yaxis2={"title": {"text": "number of labels"}, "type": "log", "dtick": 1, "domain": [0, 0.26]},
+        yaxis2={"title": {"text": "how many"}, "type": "log", "dtick": 1, "domain": [0, 0.26]},
     )
+
+
+def _said(value: float) -> str:
+    if value < 0:
+        return "hidden" if value == HIDDEN else "unsure"
+    return f"confidence {100 * (1 - 10.0**-value):.4g} %"
 
 
 def _nines(share: float) -> float:

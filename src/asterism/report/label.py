@@ -46,7 +46,7 @@ def label_report(
     first = files[0].get("file", "") if files else recording.metadata.get("file", "")
     shown = Path(str(first)).name or "the recording"
     own = {"frames": len(clouds), "labelled": _mean(given), "unsure": _mean(unsure), "hidden": _mean(hidden)}
-    rows = [{**(own if i == 0 else {}), **file} for i, file in enumerate(files)]
+    rows = [{**(own if i == 0 else {}), **file} for i, file in enumerate(files or [{"file": shown}])]
 
     sections = [Section("Files", table=_files(rows), note=_NOTE if truth is None else _NOTE_WITH_TRUTH)]
     if truth is not None:
@@ -65,23 +65,26 @@ def label_report(
             Section(
                 f"{shown} over time",
                 "Each row is a marker: the darker, the surer the label. Amber: unsure. Grey: hidden."
+                + (f" Each column stands for {block} frames." if (block := figures.frames_per_column(len(clouds))) > 1 else "")
                 + (" Red crosses: wrong labels." if wrong is not None and wrong.any() else ""),
                 figure=figures.timeline(labelling.names, labelling.confidence, given, unsure, wrong, clouds.rate),
             )
         )
     sections.append(Section(f"Markers of {shown}", table=_markers(labelling, given, unsure, hidden, truth)))
     merits = [
-        (count(sum(row["frames"] for row in rows if row.get("frames"))), "frames" if len(rows) < 2 else f"frames in {len(rows)} files", ""),
-        (percent(own["labelled"], 2), "of the markers labelled", ""),
-        (percent(own["unsure"], 2), "unsure", "warn" if own["unsure"] > 0.02 else ""),
-        (percent(own["hidden"], 2), "hidden", ""),
-        (_sureness(labelling.confidence, given), "of the labels are 99 % sure or more", ""),
+        (count(_total(rows, "frames")), "frames" if len(rows) < 2 else f"frames in {len(rows)} files", ""),
+        (percent(_share(rows, "labelled"), 2), "of the markers labelled", ""),
+        (percent(_share(rows, "unsure"), 2), "unsure", "warn" if _share(rows, "unsure") > 0.02 else ""),
+        (percent(_share(rows, "hidden"), 2), "hidden", ""),
+        (percent(_mean(labelling.confidence[given] >= 0.99), 2), "of the labels are 99 % sure or more", ""),
     ]
     if wrong is not None:
         share = _mean(wrong[given])
         merits.append((percent(share, 3), "of the labels wrong", "good" if share <= 0.001 else "bad"))
-    if rows and rows[0].get("frames_per_second"):
-        merits.append((count(rows[0]["frames_per_second"]), "frames per second", ""))
+    timed = [row for row in rows if row.get("frames_per_second", 0) > 0]
+    if timed:
+        seconds = sum(row["frames"] / row["frames_per_second"] for row in timed)
+        merits.append((count(_total(timed, "frames") / seconds if seconds else float("nan")), "frames per second", ""))
     lead = f"{len(labelling.names)} markers in {len(clouds):,} frames at {clouds.rate:g} frames per second"
     lead += f" ({len(clouds) / clouds.rate:.1f} s)." if len(rows) < 2 else f" in {shown}, which is shown in full."
     write_page(path, Page(title, lead, model_info, merits, sections))
@@ -161,5 +164,12 @@ def _mean(values: NDArray[np.bool_] | Floats) -> float:
     return float(values.mean()) if values.size else float("nan")
 
 
-def _sureness(confidence: Floats, given: NDArray[np.bool_]) -> str:
-    return percent(_mean(confidence[given] >= 0.99), 2)
+def _total(rows: Sequence[Mapping[str, Any]], key: str) -> float:
+    return float(sum(row.get(key, 0) for row in rows))
+
+
+def _share(rows: Sequence[Mapping[str, Any]], key: str) -> float:
+    """The mean of a share over the frames of all files that tell it."""
+    told = [(row[key], row["frames"]) for row in rows if key in row and row.get("frames", 0) > 0 and not np.isnan(row[key])]
+    frames = sum(number for _, number in told)
+    return sum(share * number for share, number in told) / frames if frames else float("nan")

@@ -48,12 +48,12 @@ def scene(labelling: Labelling, clouds: Clouds, marker_set: MarkerSet | None, wr
         rest.append(_millimetres(left[near][:REST_POINTS]))
     mistaken = wrong if wrong is not None else np.zeros(seen.shape, dtype=bool)
     sides = _sides(labelling.names, marker_set)
-    shown = [side for side in ("left", "right", "middle") if side in sides]
-    shown += ["wrong"] if mistaken[frames].any() else []
+    there = {*sides, *(["wrong"] if mistaken[frames].any() else []), *(["rest"] if any(rest) else [])}
     return {
         "names": list(labelling.names),
+        "named": len(labelling.names) <= 20,
         "side": sides,
-        "shown": [*shown, *(["rest"] if any(rest) else [])],
+        "shown": sorted(there),
         "bones": _bones(labelled, seen, labelling.names, marker_set),
         "points": [_millimetres(labelled[t]) for t in frames],
         "rest": rest,
@@ -63,7 +63,7 @@ def scene(labelling: Labelling, clouds: Clouds, marker_set: MarkerSet | None, wr
         "step_ms": 1000 * float(frames[1] - frames[0]) / clouds.rate if len(frames) > 1 else 40,
         "ranges": ranges,
         "aspect": np.round((ranges[:, 1] - ranges[:, 0]) / (ranges[:, 1] - ranges[:, 0]).max(), 3),
-        "eye": {"x": 1.15, "y": 1.15, "z": 0.25},
+        "eye": {"x": 1.2, "y": 1.2, "z": 0.25},
     }
 
 

@@ -1,11 +1,15 @@
 (function () {
   "use strict";
   const data = JSON.parse(document.getElementById("data").textContent);
-  const config = { responsive: true, displaylogo: false, displayModeBar: false };
+  const config = { displaylogo: false, displayModeBar: false };
 
-  for (const [id, figure] of Object.entries(data.figures)) {
-    Plotly.newPlot(id, figure.data, figure.layout, config);
+  function draw(box, traces, layout, more) {
+    Plotly.newPlot(box, traces, layout, { ...config, ...more }).then(() => {
+      new ResizeObserver(() => Plotly.Plots.resize(box)).observe(box);
+    });
   }
+
+  for (const [id, figure] of Object.entries(data.figures)) draw(document.getElementById(id), figure.data, figure.layout);
 
   function startScene(box, scene) {
     const view = box.querySelector(".view"), slider = box.querySelector("input[type=range]"), told = box.querySelector("output");
@@ -42,7 +46,7 @@
       }
       const [color, name, size] = look[groups[i - 1]];
       return {
-        type: "scatter3d", mode: i === 5 ? "markers" : "markers+text", name, text: trace.text, textposition: "top center",
+        type: "scatter3d", mode: i === 5 || !scene.named ? "markers" : "markers+text", name, text: trace.text, textposition: "top center",
         textfont: { size: 11, color: "#33415c" }, marker: { size, color, symbol: i === 4 ? "diamond" : "circle", line: { width: 0 } },
         hovertemplate: "%{text}<br>%{x:.3f}, %{y:.3f}, %{z:.3f} m<extra></extra>", showlegend: scene.shown.includes(groups[i - 1]), ...xyz
       };
@@ -55,7 +59,7 @@
       scene: { aspectmode: "manual", aspectratio: { x: scene.aspect[0], y: scene.aspect[1], z: scene.aspect[2] }, dragmode: "orbit", xaxis: axis(scene.ranges[0]), yaxis: axis(scene.ranges[1]), zaxis: axis(scene.ranges[2]),
         camera: { eye: scene.eye, center: { x: 0, y: 0, z: -0.03 }, up: { x: 0, y: 0, z: 1 } } }
     };
-    Plotly.newPlot(view, drawn, layout, { ...config, scrollZoom: false });
+    draw(view, drawn, layout, { scrollZoom: false });
 
     function show(f) {
       const now = traces(f);
@@ -66,6 +70,7 @@
     }
     function stop() { clearInterval(timer); timer = null; play.textContent = "Play"; }
 
+    names.checked = scene.named;
     slider.max = scene.points.length - 1;
     slider.addEventListener("input", () => { stop(); show(+slider.value); });
     names.addEventListener("change", () => {
