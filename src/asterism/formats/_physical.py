@@ -68,7 +68,7 @@ def point_kinds(labels: Sequence[str], positions: Floats | None = None, declared
     positions  (T, P, 3) m, NaN missing; None, or rounded ones (integer files), leave the names to decide
     declared   labels that the file itself lists as angles, forces, moments, powers, scalars or modelled markers
     """
-    listed = {canonical(without_subject(label)) for label in declared}
+    listed = {canonical(without_subject(label)) for label in declared} - {""}
     kinds = kinds_by_name(labels)
     for place, label in enumerate(labels):
         if kinds[place] != UNNAMED and canonical(without_subject(label)) in listed:

@@ -22,7 +22,7 @@ from asterism.formats.c3d._fresh import fresh_c3d
 from asterism.formats.c3d._numbers import Words
 from asterism.formats.c3d._parameters import Parameters, Record
 from asterism.formats.c3d._reader import in_metres
-from asterism.recording import Floats, Ints, Recording, canonical
+from asterism.recording import Floats, Ints, Recording
 
 _MOST_POINTS = 65535
 
@@ -174,8 +174,8 @@ def _encoded(file: C3DFile, positions: Floats, scale: float, label: str, target:
 def _labels(file: C3DFile, seen: Sequence[str], recording: Recording, slots: Sequence[_Slot], target: str) -> list[bytes]:
     """The labels of the new file as bytes: old ones untouched, new ones with the file's subject prefix, unnamed ones unique."""
     prefix = next((full[: -len(short)] for full, short in zip(file.labels, seen, strict=True) if full != short), "")
-    kept = {canonical(seen[slot.place]) for slot in slots if slot.column is None and slot.place is not None}
-    wanted = {canonical(label) for label in recording.labels}
+    kept = {seen[slot.place].casefold() for slot in slots if slot.column is None and slot.place is not None}
+    wanted = {label.casefold() for label in recording.labels}
     labels, number = [], 0
     for slot in slots:
         label = "" if slot.column is None else recording.labels[slot.column]
@@ -183,11 +183,11 @@ def _labels(file: C3DFile, seen: Sequence[str], recording: Recording, slots: Seq
             labels.append(file.raw_labels[slot.place])
             continue
         if is_unnamed(label):
-            while canonical(label) in kept:
+            while label.casefold() in kept:
                 number += 1
-                label = f"*{number}" if canonical(f"*{number}") not in wanted else label
-            kept.add(canonical(label))
-        elif canonical(label) in kept:
+                label = f"*{number}" if f"*{number}".casefold() not in wanted else label
+            kept.add(label.casefold())
+        elif label.casefold() in kept:
             raise AsterismError(
                 f"{target}: {label} would stand there twice, as a marker and as a point of the file that was not read; "
                 "read the file with a marker set that has it, or rename it."
