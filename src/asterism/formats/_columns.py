@@ -213,6 +213,8 @@ def metres_per_unit(path: Path, said: str | None, raw: Floats, others: Sequence[
     if scale is not None:
         if np.isfinite(size) and not _SMALLEST_BODY <= size * scale <= _LARGEST_BODY:
             likely = _unit_by_size(size, raw)
+            if _METRES[likely] == scale:
+                return scale, _short_unit(scale), f"the points lie {size * scale:.3g} m apart"
             raise AsterismError(
                 f"{path} gives its units as {said}, which makes its points {size * scale:.3g} m wide; "
                 f"the units are probably {likely}: correct the units field."
