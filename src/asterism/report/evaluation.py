@@ -78,7 +78,7 @@ def evaluation_report(
         merits += [(count(easy.frames_per_second), f"frames per second, {names[0]}", "")]
     subjects = ", ".join(evaluation.subjects)
     lead = f"{len(evaluation.markers)} markers of {people} subject{'s' if people != 1 else ''}" + (f": {subjects}." if subjects else ".")
-    write_page(path, Page(title, lead, settings or {}, merits, sections))
+    write_page(path, Page(title, lead, {"rules": evaluation.rules, **(settings or {})}, merits, sections))
 
 
 def _name(condition: Condition) -> str:
@@ -88,7 +88,7 @@ def _name(condition: Condition) -> str:
 
 def _ends(by_ghosts: Mapping[int, list[Condition]]) -> list[str]:
     """The names of the easiest and the hardest condition for each number of ghosts."""
-    return [_name(condition) for own in by_ghosts.values() for condition in (own[0], own[-1])]
+    return list(dict.fromkeys(_name(condition) for own in by_ghosts.values() for condition in (own[0], own[-1])))
 
 
 def _summary(conditions: list[Condition]) -> Table:
@@ -100,7 +100,7 @@ def _summary(conditions: list[Condition]) -> Table:
                 str(c.occlusions),
                 str(c.ghosts),
                 count(c.frames),
-                percent(c.right / c.visible if c.visible else float("nan"), 3),
+                percent(c.right, 3),
                 tinted(float(c.fa), 3, 0.05, "bad"),
                 percent(c.fo),
                 tinted(float(c.missed), 2, 0.2),

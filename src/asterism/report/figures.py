@@ -214,13 +214,20 @@ def reliability(lines: Mapping[str, Sequence[tuple[float, float, int]]], drawn: 
             "hoverinfo": "skip",
         }
     ]
-    for i, (name, bins) in enumerate(lines.items()):
+    colors = dict(zip([*drawn, *(name for name in lines if name not in drawn)], PALETTE * len(lines), strict=False))
+    for name, bins in lines.items():
         kept = [(float(said), float(right), int(n)) for said, right, n in bins if n > 0]
-        color = PALETTE[i % len(PALETTE)]
+        color = colors[name]
         x = [_nines(said) for said, _, _ in kept]
         told_in_full = [f"said {100 * said:.4g} %, right {100 * right:.4g} % of {n:,}" for said, right, n in kept]
-        shared: dict[str, Any] = {"name": name, "x": x, "legendgroup": name, "text": told_in_full, "hovertemplate": name + ": %{text}<extra></extra>"}
-        shared["visible"] = True if name in drawn else "legendonly"
+        shared: dict[str, Any] = {
+            "name": name,
+            "x": x,
+            "legendgroup": name,
+            "visible": True if name in drawn else "legendonly",
+            "text": told_in_full,
+            "hovertemplate": name + ": %{text}<extra></extra>",
+        }
         data.append(
             {
                 **shared,
