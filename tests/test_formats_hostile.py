@@ -7,11 +7,13 @@ import zipfile
 
 import numpy as np
 import pytest
+import scipy.io
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from asterism.errors import AsterismError
 from asterism.formats import convert, describe, read, read_clouds, read_table, write, write_table
+from asterism.formats._mat5 import variables_of
 from asterism.formats.csv_long import write_long
 from asterism.recording import Clouds, Event, Recording
 
@@ -274,3 +276,37 @@ def test_cut_real_files(data, tmp_path, cut):
             theirs = whole.positions[:same, [whole.labels.index(label) for label in shared]]
             wrong = ~np.isnan(mine) & ~np.isclose(mine, theirs, atol=1e-12, equal_nan=True)
             assert not wrong.any(), f"{source.name} cut at {cut}: a wrong number"
+
+
+def test_mat_files_that_are_no_take_of_qtm_are_refused(tmp_path):
+    scipy.io.savemat(tmp_path / "other.mat", {"a": np.eye(3), "b": "text", "c": {"d": 1.0}})
+    with pytest.raises(AsterismError, match=r"other\.mat is a MAT file, but not one that QTM exports"):
+        read(tmp_path / "other.mat")
+    scipy.io.savemat(
+        tmp_path / "half.mat", {"a": {"Frames": 3.0, "FrameRate": 100.0, "Trajectories": {"Labeled": {"Data": np.zeros((2, 7, 3))}}}}
+    )
+    with pytest.raises(AsterismError, match=r"half\.mat: its trajectories are not laid out as QTM does"):
+        read(tmp_path / "half.mat")
+    (tmp_path / "new.mat").write_bytes(b"MATLAB 7.3 MAT-file" + b" " * 200)
+    with pytest.raises(AsterismError, match=r"new\.mat.*version 7\.3"):
+        read(tmp_path / "new.mat")
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_our_mat_reader_agrees_with_scipy(tmp_path, compressed):
+    rng = np.random.default_rng(0)
+    names = np.array(["a", "bc", "ä"], dtype=object).reshape(1, 3)
+    held = {
+        "x": rng.normal(size=(2, 3, 4)),
+        "n": np.arange(5, dtype=np.uint8),
+        "t": "words",
+        "c": names,
+        "s": {"y": {"z": 2.0}, "e": np.zeros((0, 3))},
+    }
+    scipy.io.savemat(tmp_path / "a.mat", held, do_compression=compressed)
+    found = variables_of((tmp_path / "a.mat").read_bytes())
+    np.testing.assert_array_equal(found["x"], held["x"])
+    np.testing.assert_array_equal(found["n"], scipy.io.loadmat(tmp_path / "a.mat")["n"])
+    assert (found["t"], found["c"]) == ("words", ["a", "bc", "ä"])
+    assert found["s"]["y"]["z"] == 2.0
+    assert found["s"]["e"].shape == (0, 3)

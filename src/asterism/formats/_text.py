@@ -142,7 +142,7 @@ def rate_of(path: Path, said: float | None, times: Floats | None, remarks: list[
 
 def _timed_rate(times: Floats | None, said: float | None) -> tuple[float | None, bool]:
     """The rate of evenly spaced times, else None; and whether `said` explains them to the digits that they are printed with."""
-    if times is None or len(times) < 2 or not np.isfinite(times).all():
+    if times is None or len(times) < 2 or not (np.abs(times) < 1e9).all():
         return None, False
     span, steps = float(times[-1] - times[0]), np.diff(times)
     digit = next((10.0**-d for d in range(7) if np.allclose(np.round(times, d), times, rtol=0, atol=1e-9)), 1e-6)

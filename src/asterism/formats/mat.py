@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import scipy.io
 
 from asterism.errors import AsterismError
 from asterism.formats._columns import Points, as_metres, metres_per_unit
+from asterism.formats._mat5 import variables_of
 from asterism.formats._physical import MARKER, UNNAMED
 from asterism.formats._text import read_bytes, write_atomically
 from asterism.formats._writing import all_points, first_frame_of
@@ -28,12 +28,10 @@ def read_mat(path: Path) -> Points:
     if data[1:4] == b"HDF" or data[:10] == b"MATLAB 7.3":
         raise AsterismError(f"{path} is a MAT file of version 7.3; save it with -v7 in MATLAB, or export it from QTM as C3D or TSV.")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            variables: dict[str, Any] = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
-    except Exception as problem:  # a damaged file makes SciPy raise anything, from zlib.error to MemoryError
-        raise AsterismError(f"{path} is damaged or no MAT file ({type(problem).__name__}); export it from QTM again.") from problem
-    take = next((v for k, v in variables.items() if not k.startswith("__") and isinstance(v, dict) and "Trajectories" in v), None)
+        variables = variables_of(data)
+    except ValueError as problem:
+        raise AsterismError(f"{path} is damaged or no MAT file ({problem}); export it from QTM again.") from problem
+    take = next((value for value in variables.values() if isinstance(value, dict) and "Trajectories" in value), None)
     if take is None:
         raise AsterismError(
             f"{path} is a MAT file, but not one that QTM exports (no Trajectories in it); export 3D data from QTM as MAT, C3D or TSV."
@@ -45,7 +43,7 @@ def read_mat(path: Path) -> Points:
 
 
 def _points(path: Path, take: dict[str, Any]) -> Points:
-    frames, rate = int(take["Frames"]), float(take["FrameRate"])
+    frames, rate = int(_number(take["Frames"])), _number(take["FrameRate"])
     if not 0 <= frames < 100_000_000:
         raise ValueError(f"{frames} frames")
     sets = take["Trajectories"]
@@ -54,7 +52,7 @@ def _points(path: Path, take: dict[str, Any]) -> Points:
         part = sets.get(key) if isinstance(sets, dict) else None
         if not isinstance(part, dict) or "Data" not in part:
             continue
-        names = [str(name) for name in np.atleast_1d(part.get("Labels", ()))] if key == "Labeled" else []
+        names = [str(name) for name in part.get("Labels", ())] if key == "Labeled" else []
         positions = _samples(part, frames, len(names))
         for i in range(positions.shape[1]):
             named = i < len(names) and bool(names[i].strip())
@@ -74,36 +72,39 @@ def _points(path: Path, take: dict[str, Any]) -> Points:
         units=units,
         kinds=tuple(kinds),
         declared=as_vertical("z"),
-        first_frame=int(take.get("StartFrame", 1)),
+        first_frame=int(_number(take["StartFrame"])) if "StartFrame" in take else 1,
         events=_events(take.get("Events")),
         oddities=tuple([*([remark] if remark else []), *odd]),
         extra={"time_stamp": str(take.get("Timestamp", "")).replace("\t", " ")},
     )
 
 
+def _number(value: Any) -> float:
+    """The one number that an array of size 1 holds."""
+    return float(np.asarray(value, dtype=np.float64).reshape(()))
+
+
 def _samples(part: dict[str, Any], frames: int, named: int) -> Floats:
-    """(T, N, 3) in the file's unit from Data (N, 4, T), which SciPy gives without axes of length 1, with Type 0 as NaN."""
+    """(T, N, 3) in the file's unit from Data (N, 4, T), which MATLAB stores as (N, 4) where T is 1, with Type 0 as NaN."""
     data = np.asarray(part["Data"], dtype=np.float64)
-    count = int(part["Count"]) if "Count" in part else max(named, data.shape[0] if data.ndim == 3 else 1)
-    if frames * count == 0 or data.size == 0:
-        return np.full((frames, max(named, min(count, 10_000)), 3), np.nan)
-    data = data.reshape(count, -1, frames)
-    if data.shape[1] not in (3, 4):
-        raise ValueError(f"{data.shape[1]} values per sample, 3 or 4 expected")
+    if data.size == 0:
+        return np.full((frames, max(named, min(data.shape[0], 10_000) if data.ndim == 3 else 0), 3), np.nan)
+    data = data.reshape(*data.shape[:2], -1)
+    if data.shape[1] not in (3, 4) or data.shape[2] != frames:
+        raise ValueError(f"Data is {data.shape}, expected (trajectories, 4, {frames})")
     positions = np.ascontiguousarray(data[:, :3].transpose(2, 0, 1))
     kinds = part.get("Type")
-    if kinds is not None and np.size(kinds) == count * frames:
-        positions[np.asarray(kinds).reshape(count, frames).T == 0] = np.nan
+    if kinds is not None and np.size(kinds) == positions.shape[0] * positions.shape[1]:
+        positions[np.asarray(kinds).reshape(len(data), frames).T == 0] = np.nan
     return positions
 
 
 def _events(entries: Any) -> tuple[Event, ...]:
-    rows = entries if isinstance(entries, list | tuple | np.ndarray) else [entries]
     found = []
-    for row in np.atleast_1d(np.asarray(rows, dtype=object)):
-        if isinstance(row, dict) and "Time" in row and np.size(row["Time"]) == 1:
-            found.append(Event(str(row.get("Label", "")), float(row["Time"])))
-    return tuple(found)
+    for row in entries if isinstance(entries, list) else [entries]:
+        if isinstance(row, dict) and np.size(row.get("Time", ())) == 1:
+            found.append(Event(str(row.get("Label", "")), _number(row["Time"])))
+    return tuple(event for event in found if np.isfinite(event.time))
 
 
 def write_mat(path: Path, recording: Recording) -> list[str]:
