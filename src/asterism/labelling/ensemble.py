@@ -309,7 +309,7 @@ class SolverEnsemble:
         if not path.is_file():
             raise AsterismError(f"{path} does not exist; train a model first (asterism train), or check the path.")
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 arrays = {name: file[name] for name in file.files}
             head = json.loads(arrays["head"].tobytes().decode())
             if head["format"] != FORMAT:
