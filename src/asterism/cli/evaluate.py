@@ -21,7 +21,6 @@ from asterism.cli._options import (
     RulesOption,
     Seed,
     Vertical,
-    Workers,
     check_hit_rate,
     numbers,
 )
@@ -44,7 +43,6 @@ def evaluate(
     target_hit_rate: HitRate = 0.9999,
     miner: MinerOption = Miner.BOTTOM_UP,
     seed: Seed = 0,
-    workers: Workers = 1,
     vertical: Vertical = None,
     overwrite: Overwrite = False,
     report: Report = None,
@@ -59,7 +57,7 @@ def evaluate(
     Perfect: share of frames without an error. ECE: expected calibration error, how far the confidence is off.
 
     With --leave-one-subject-out the figures hold for people that
-    the model has not seen; --markers, --target-hit-rate, --miner and --workers belong to it.
+    the model has not seen; --markers, --target-hit-rate and --miner belong to it.
     """
     if (model is None) == (not leave_one_subject_out):
         raise AsterismError("evaluate takes either --model FILE or --leave-one-subject-out; give one of them.")
@@ -82,7 +80,7 @@ def evaluate(
         recordings = read_labelled(files, markers, vertical)
         with _console.progress("leaving subjects out") as progress:
             evaluation = labelling.leave_one_subject_out(
-                recordings, **settings, workers=workers, progress=progress, target_hit_rate=target_hit_rate, miner=miner.value
+                recordings, **settings, progress=progress, target_hit_rate=target_hit_rate, miner=miner.value
             )
     if json != "-":
         _print(evaluation)
@@ -113,7 +111,7 @@ def _print(evaluation: Evaluation) -> None:
                 str(c.occlusions),
                 str(c.ghosts),
                 count(c.frames),
-                percent(c.right / c.visible if c.visible else float("nan")),
+                percent(c.right),
                 percent(c.fa, 3),
                 percent(c.fo),
                 percent(c.missed),

@@ -1,0 +1,72 @@
+"""The project as a stranger meets it: the README's commands, the documents, the version, the order of the rooms."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import asterism
+
+ROOT = Path(__file__).parent.parent
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+
+
+def _project() -> dict[str, Any]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def test_the_readme_checks_what_ci_checks() -> None:
+    [line] = re.findall(r'^pip install -e ".*', (ROOT / ".ci" / "run").read_text(encoding="utf-8"), re.MULTILINE)
+    assert f"\n{line}\n" in (ROOT / "README.md").read_text(encoding="utf-8")
+    assert all(tool in line for tool in ("ruff check", "ruff format --check", "mypy", "lint-imports", "pytest"))
+
+
+def test_one_version() -> None:
+    version = _project()["project"]["version"]
+    assert asterism.__version__ in (version, "0+unknown"), "0+unknown: a source tree that is not installed"
+    assert f"## {version}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_every_room_stands_in_the_contract_and_in_the_documents() -> None:
+    package = Path(asterism.__file__).parent
+    rooms = {p.stem for p in package.iterdir() if (p.suffix == ".py" or (p / "__init__.py").is_file()) and not p.stem.startswith("_")}
+    [contract] = _project()["tool"]["importlinter"]["contracts"]
+    assert rooms == set(contract["layers"])
+    text = (ROOT / "docs" / "conventions.md").read_text(encoding="utf-8")
+    assert [room for room in rooms if f"`{room}`" not in text] == []
+
+
+def test_the_reference_page_lists_what_the_package_exports() -> None:
+    text = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    documented = set(re.findall(r"^### `asterism\.(\w+)", text, re.MULTILINE))
+    assert documented == {name for name in asterism.__all__ if name != "__version__"}
+
+
+@pytest.mark.parametrize("name", asterism.__all__)
+def test_every_export_exists_and_explains_itself(name: str) -> None:
+    exported = getattr(asterism, name)
+    assert isinstance(exported, str) or inspect.getdoc(exported)
+
+
+def _links(document: Path) -> Iterator[str]:
+    text = re.sub(r"```.*?```", "", document.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if not re.match(r"https?:|mailto:|#", target):
+            yield target.split("#")[0]
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: p.name)
+def test_links_between_documents_lead_somewhere(document: Path) -> None:
+    assert [target for target in _links(document) if not (document.parent / target).exists()] == []
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: p.name)
+def test_python_in_the_documents_is_python(document: Path) -> None:
+    for block in re.findall(r"```python\n(.*?)```", document.read_text(encoding="utf-8"), re.DOTALL):
+        compile(block, document.name, "exec")
