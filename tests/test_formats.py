@@ -572,3 +572,65 @@ def test_labels_come_back_whatever_they_are(tmp_path, suffix, labels):
     write(tmp_path / f"a.{suffix}", Recording(positions, tuple(labels), 100.0))
     found = describe(tmp_path / f"a.{suffix}")["points"]
     assert sorted(found["physical"] + found["computed"] + found["unnamed"]) == sorted(labels)
+
+
+NEXUS = """Devices
+1000
+,,Force plate - Force,,
+Frame,Sub Frame,Fx,Fy,Fz
+,,N,N,N
+1,0,1,2,3
+
+Events
+100
+Subject,Context,Name,Time (s),Description
+Ann,Left,Foot Strike,0.02,the heel touches
+
+Trajectories
+100
+,,Ann:LKNE,,,Ann:RKNE,,
+Frame,Sub Frame,X,Y,Z,X,Y,Z
+,,mm,mm,mm,mm,mm,mm
+7,0,100,500,200,-100,500,200
+8,0,101,501,201,,,
+9,0,102,502,202,,,
+"""
+
+
+def test_nexus_sections_in_any_order_with_events(tmp_path):
+    (tmp_path / "walk.csv").write_text(NEXUS.replace("\n", "\r\n"), newline="")
+    recording = read(tmp_path / "walk.csv", vertical="y")
+    np.testing.assert_allclose(recording.positions, TRUTH, equal_nan=True)
+    assert recording.labels == ("LKNE", "RKNE")
+    assert (recording.metadata["subject"], recording.metadata["first_frame"]) == ("Ann", 7)
+    assert recording.events == (Event("Foot Strike", 0.02, "Left"),)
+    assert tuple(read(tmp_path / "walk.csv").vertical) == (0, 0, 1)
+
+
+def test_motive_3_with_bones_and_millimetres(tmp_path):
+    text = """Format Version,1.25,Take Name,walk,Export Frame Rate,100.000000,Total Exported Frames,3,Length Units,Millimeters
+
+,Type,Bone,Bone,Bone,Bone,Bone,Bone,Bone,Marker,Marker,Marker,Marker,Marker,Marker
+,Name,Ann:Hip,Ann:Hip,Ann:Hip,Ann:Hip,Ann:Hip,Ann:Hip,Ann:Hip,Ann:LKNE,Ann:LKNE,Ann:LKNE,Ann:RKNE,Ann:RKNE,Ann:RKNE
+,ID,1,1,1,1,1,1,1,2,2,2,3,3,3
+,Parent,0,0,0,0,0,0,0,1,1,1,1,1,1
+,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position,Position,Position,Position,Position,Position,Position
+Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,X,Y,Z,X,Y,Z
+0,0.00,0,0,0,1,0,900,0,100,500,200,-100,500,200
+1,0.01,0,0,0,1,0,900,0,101,501,201,,,
+2,0.02,0,0,0,1,0,900,0,102,502,202,,,
+"""
+    (tmp_path / "walk.csv").write_text(text)
+    recording = read(tmp_path / "walk.csv")
+    np.testing.assert_allclose(recording.positions, TRUTH, equal_nan=True)
+    assert recording.labels == ("LKNE", "RKNE")
+    assert tuple(recording.vertical) == (0, 1, 0)
+    assert describe(tmp_path / "walk.csv")["points"]["computed"] == ["Hip"]
+
+
+def test_clouds_and_tables_are_described(tmp_path):
+    write(tmp_path / "clouds.npz", body().clouds())
+    found = describe(tmp_path / "clouds.npz")
+    assert (found["format"], found["frames"], found["points_per_frame"]["most"]) == ("NPZ clouds", 20, 8)
+    write_table(tmp_path / "one.sto", Table(("a",), np.zeros((1, 1)), np.zeros(1)))
+    assert json.loads(json.dumps(describe(tmp_path / "one.sto"), allow_nan=False))["rate"] is None

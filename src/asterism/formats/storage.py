@@ -175,14 +175,17 @@ def points_of_table(path: Path, table: Table) -> Points:
     remarks: list[str] = []
     scale, units, remark = metres_per_unit(path, table.units or next((g.units for g in groups if g.units), None), raw)
     positions, odd = as_metres(raw, scale)
+    rate = rate_of(path, table.said_rate, table.times, remarks)
+    start = float(table.times[0]) if len(table.times) and np.abs(table.times[0]) < 1e9 else None
     return Points(
         positions,
         tuple(group.name for group in groups),
-        rate_of(path, table.said_rate, table.times, remarks),
+        rate,
         table.format,
         units=units,
         fallback=as_vertical("y"),
-        first_time=float(table.times[0]) if len(table.times) else None,
+        first_frame=1 if start is None else round(start * rate) + 1,
+        first_time=start,
         oddities=tuple([*([remark] if remark else []), *remarks, *odd]),
     )
 
@@ -208,7 +211,7 @@ def described_table(path: Path, table: Table) -> dict[str, Any]:
         "format": f"{table.format} table",
         "title": table.title,
         "frames": len(table.values),
-        "rate": table.rate,
+        "rate": table.rate if np.isfinite(table.rate) else None,
         "duration": float(table.times[-1] - table.times[0]) if len(table.times) else 0.0,
         "columns": list(table.names),
         "in_degrees": table.in_degrees,
