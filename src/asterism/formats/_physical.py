@@ -222,19 +222,23 @@ def _mark_frames(
 
 
 def _mark_twins_and_offsets(labels: Sequence[str], some: Floats, exact: NDArray[np.bool_], judged: NDArray[np.bool_]) -> None:
-    """A copy of a computed point, and a point at an exact distance from the marker whose name it extends (LANK1 from LANK)."""
-    for a, b in zip(*np.nonzero(exact & (np.arange(len(labels))[:, None] != np.arange(len(labels)))), strict=True):
+    """A copy of a computed point, and a point at an exact distance from one marker, whose name it extends (LANK1 from LANK).
+
+    Where a point is stiff with several, as on the solved rigid bodies of some systems, its name says nothing.
+    """
+    for a, b in zip(*np.nonzero(exact), strict=True):
         with np.errstate(invalid="ignore"):
             same = np.nanmax(np.abs(some[:, a] - some[:, b])) < _VERY_EXACT
-        extends = labels[b] != labels[a] and labels[b].startswith(labels[a])
+        alone = (exact[b] & ~judged).sum() == 1
+        extends = alone and labels[b] != labels[a] and labels[b].startswith(labels[a])
         if extends or (labels[b].upper().endswith("KAX") and labels[a].upper().endswith("KNE")):
             judged[b] = True
         elif same and judged[a] and not labels[a].startswith(labels[b]) and labels[a] != labels[b]:
-            judged[b] |= labels[a][-1:] in _ORIGINS and not _is_a_family_marker(labels[b])
+            judged[b] |= labels[a][-1:] in _ORIGINS and not _is_plain_name(labels[b])
 
 
-def _is_a_family_marker(label: str) -> bool:
-    """A plain marker name, three or four letters without a number, is kept even where a model puts an origin onto it."""
+def _is_plain_name(label: str) -> bool:
+    """A plain marker name, letters without a number, is kept even where a model puts an origin onto it."""
     return re.fullmatch(r"[A-Za-z.]{2,}", label) is not None
 
 
