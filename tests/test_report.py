@@ -1,0 +1,329 @@
+"""The reports: self-contained pages whose tables say what the data say, also without scripts and for odd input."""
+
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from asterism.errors import AsterismError
+from asterism.hiding import anonymous, hide_and_haunt
+from asterism.recording import Clouds, Ints, Labelling, Recording
+from asterism.report import capturability_report, evaluation_report, label_report
+from asterism.simulation import simulate_walks
+
+
+class Reader(HTMLParser):
+    """A page as a reader without scripts has it: text, tables as lists of rows, and what the page would load."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tables: list[list[list[str]]] = []
+        self.loads: list[str] = []
+        self.text = ""
+        self.json = ""
+        self._stack: list[str] = []
+        self._kind = ""
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        self.loads += [str(given[name]) for name in ("src", "href", "action", "data", "srcset") if name in given]
+        if tag == "script":
+            self._kind = given.get("type") or "code"
+        if tag == "table":
+            self.tables.append([])
+        elif tag == "tr":
+            self.tables[-1].append([])
+        elif tag in ("td", "th"):
+            self.tables[-1][-1].append("")
+        if tag not in ("meta", "input", "link", "br", "circle", "path"):
+            self._stack.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in self._stack:
+            while self._stack.pop() != tag:
+                pass
+
+    def handle_data(self, data: str) -> None:
+        if self._stack and self._stack[-1] == "script":
+            self.json += data if self._kind == "application/json" else ""
+        elif self._stack and self._stack[-1] != "style":
+            self.text += data
+            if self._stack[-1] in ("td", "th"):
+                self.tables[-1][-1][-1] += data
+
+    def table(self, first: str) -> dict[str, list[str]]:
+        """The rows of the table whose head starts with `first`, by their first cell."""
+        rows = next(rows for rows in self.tables if rows[0][0] == first)
+        return {row[0]: row[1:] for row in rows}
+
+
+def read(path: Path) -> Reader:
+    return Reader(path.read_text(encoding="utf-8"))
+
+
+def labelled(recording: Recording, seed: int = 0) -> tuple[Clouds, Ints, Labelling]:
+    """Two hidden, two ghosts; LTHI and RTHI swapped in the first ten frames, LKNE left out in the next five."""
+    clouds, truth = hide_and_haunt(recording, 2, 2, seed)
+    indices, confidence = truth.copy(), np.where(truth >= 0, 0.995, 0.1)
+    left, right, knee = (recording.labels.index(name) for name in ("LTHI", "RTHI", "LKNE"))
+    indices[:10, [left, right]] = indices[:10, [right, left]]
+    indices[10:15, knee] = -1
+    return clouds, truth, Labelling(indices, confidence, recording.labels)
+
+
+@pytest.fixture(scope="module")
+def walk() -> Recording:
+    return simulate_walks(1, frames=150, seed=2)[0]
+
+
+def make_label_page(path: Path, walk: Recording, **changes: Any) -> Reader:
+    clouds, truth, labelling = labelled(walk)
+    arguments: dict[str, Any] = {
+        "title": "A walk",
+        "files": [{"file": "folder/walk.c3d", "frames": len(clouds), "frames_per_second": 1234.0}],
+        "recording": anonymous(clouds),
+        "labelling": labelling,
+        "clouds": clouds,
+        "model_info": {"model": "gait.model", "seed": 7},
+        "truth": truth,
+    }
+    label_report(path, **{**arguments, **changes})
+    return read(path)
+
+
+# What a labelled recording's page says
+
+
+def test_the_label_page_tells_right_wrong_and_missed(tmp_path: Path, walk: Recording) -> None:
+    _, truth, labelling = labelled(walk)
+    page = make_label_page(tmp_path / "page.html", walk)
+    told = page.table("")
+    given, seen = labelling.indices >= 0, truth >= 0
+    right = given & (labelling.indices == truth)
+    assert told["right label"][0] == f"{right.sum():,}"
+    wrong = int(told["wrong label: another point than its own"][0]) + int(told["wrong label: the marker was hidden"][0])
+    assert wrong == (given & ~right).sum() > 0
+    assert told["missed: visible, but no label"][0] == str((seen & ~given).sum())
+    markers = page.table("marker")
+    assert set(markers) == {"marker", *walk.labels}
+    column = markers["marker"].index("wrong")
+    assert {name for name, row in markers.items() if row[column] not in ("wrong", "0")} == {"LTHI", "RTHI"}
+
+
+def test_the_label_page_names_file_model_seed_and_version(tmp_path: Path, walk: Recording) -> None:
+    page = make_label_page(tmp_path / "page.html", walk)
+    for expected in ("A walk", "walk.c3d", "gait.model", "seed", "7", "1,234", "Asterism", "written"):
+        assert expected in page.text
+    assert page.table("file")["walk.c3d"][0] == "150"
+
+
+def test_without_the_truth_nothing_is_called_right(tmp_path: Path, walk: Recording) -> None:
+    page = make_label_page(tmp_path / "page.html", walk, truth=None)
+    assert "right label" not in page.text
+    assert page.table("marker")["marker"][-1] == "least confidence"
+
+
+def test_several_files_are_summed_up_by_their_frames(tmp_path: Path, walk: Recording) -> None:
+    files = [
+        {"file": "a.c3d", "frames": 300, "labelled": 1.0, "unsure": 0.0, "hidden": 0.0, "frames_per_second": 100.0},
+        {"file": "b.c3d", "frames": 100, "labelled": 0.2, "unsure": 0.8, "hidden": 0.0, "frames_per_second": 50.0},
+    ]
+    page = make_label_page(tmp_path / "page.html", walk, files=files)
+    assert "80.00 %" in page.text  # labelled: (300 * 1 + 100 * 0.2) / 400
+    assert re.search(r"\b80\s*frames per second", page.text)  # 400 frames in 3 s + 2 s
+
+
+# What every page is
+
+
+def test_pages_are_self_contained_and_small(tmp_path: Path, walk: Recording) -> None:
+    path = tmp_path / "page.html"
+    page = make_label_page(path, walk)
+    assert page.loads == []
+    assert path.stat().st_size < 8e6
+    assert list(tmp_path.iterdir()) == [path]
+    assert "@import" not in path.read_text(encoding="utf-8").split("</style>")[0]
+
+
+def test_a_long_recording_of_a_whole_body_stays_small(tmp_path: Path) -> None:
+    long = simulate_walks(1, frames=6000, markers="plug-in-gait")[0]
+    page = make_label_page(tmp_path / "page.html", long)
+    assert (tmp_path / "page.html").stat().st_size < 8e6
+    data = json.loads(page.json)
+    (scene,) = data["scenes"].values()
+    assert 100 < len(scene["points"]) <= 200
+    assert len(scene["bones"]) == 38, "the bones join all 39 markers"
+    (timeline,) = data["figures"].values()
+    assert len(timeline["data"][0]["x"]) <= 600
+
+
+@pytest.mark.parametrize("name", ["</script><script>alert(1)</script>.c3d", "a<b>&\"'.c3d", "Jürgen – 歩行.c3d"])
+def test_names_of_files_and_markers_cannot_break_the_page(tmp_path: Path, walk: Recording, name: str) -> None:
+    _, _, labelling = labelled(walk)
+    odd = Labelling(labelling.indices, labelling.confidence, (name, *labelling.names[1:]))
+    page = make_label_page(tmp_path / "page.html", walk, files=[{"file": name}], labelling=odd, title=name)
+    assert name in page.table("marker")
+    assert json.loads(page.json)["scenes"]["scene-2"]["names"][0] == name
+
+
+def test_positions_in_the_scene_are_those_of_the_labels(tmp_path: Path) -> None:
+    sideways = simulate_walks(1, frames=120, vertical="-y", seed=3)[0]
+    clouds, truth = hide_and_haunt(sideways, 0, 0)
+    labelling = Labelling(truth, np.ones(truth.shape), sideways.labels)
+    page = make_label_page(tmp_path / "p.html", sideways, labelling=labelling, clouds=clouds, recording=anonymous(clouds), truth=truth)
+    (scene,) = json.loads(page.json)["scenes"].values()
+    for points, frame in zip(scene["points"], scene["frames"], strict=True):
+        shown, true = np.array(points) / 1000, sideways.positions[frame - 1]
+        distances = [np.linalg.norm(p[:, None] - p[None], axis=2) for p in (shown, true)]
+        np.testing.assert_allclose(*distances, atol=0.003)
+        assert np.corrcoef(shown[:, 2], true @ sideways.vertical)[0, 1] > 0.999
+        assert np.sign(np.linalg.det(shown[1:4] - shown[0])) == np.sign(np.linalg.det(true[1:4] - true[0])), "the body is mirrored"
+
+
+def nothing(frames: int) -> dict[str, Any]:
+    clouds = Clouds.from_points([np.empty((0, 3))] * frames, rate=100.0)
+    labelling = Labelling(np.full((frames, 2), -1), np.zeros((frames, 2)), ("A", "B"))
+    recording = Recording(np.empty((frames, 0, 3)), (), 100.0)
+    return {"clouds": clouds, "labelling": labelling, "recording": recording, "truth": np.full((frames, 2), -1)}
+
+
+@pytest.mark.parametrize("frames", [0, 1, 5])
+def test_a_recording_without_points_has_a_page_too(tmp_path: Path, walk: Recording, frames: int) -> None:
+    page = make_label_page(tmp_path / "page.html", walk, files=[], **nothing(frames))
+    assert set(page.table("marker")) == {"marker", "A", "B"}
+    assert "nan" not in page.text.casefold()
+
+
+def test_points_without_any_label_are_no_trouble(tmp_path: Path, walk: Recording) -> None:
+    _, truth, labelling = labelled(walk)
+    none = Labelling(np.full_like(truth, -1), np.zeros(truth.shape), labelling.names)
+    page = make_label_page(tmp_path / "page.html", walk, labelling=none, truth=None)
+    assert page.table("file")["walk.c3d"][1:3] == ["0.00 %", "100.00 %"]
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path: Path, walk: Recording) -> None:
+    with pytest.raises(AsterismError, match=r"missing.*cannot be written"):
+        make_label_page(tmp_path / "missing" / "page.html", walk)
+
+
+# Evaluation
+
+
+def evaluation() -> Any:
+    """Two markers, three conditions; NaN where there were no nulls."""
+    conditions = []
+    for hidden, ghosts in ((0, 0), (3, 0), (3, 2)):
+        markers = {
+            "LKNE": {"fa": 0.001 * hidden, "fo": 0.25 if hidden else float("nan"), "missed": 0.01 * ghosts},
+            "RKNE": {"fa": 0.0, "fo": float("nan"), "missed": 0.0},
+        }
+        conditions.append(
+            SimpleNamespace(
+                occlusions=hidden,
+                ghosts=ghosts,
+                frames=1000,
+                visible=2000,
+                given=1990,
+                right=0.9934,
+                fa=0.00123,
+                fo=0.5,
+                missed=0.0071,
+                perfect=0.98,
+                ece=0.004,
+                reliability=[(0.5, 0.55, 10), (0.999, 1.0, 1980), (0.2, float("nan"), 0)],
+                per_marker=markers,
+                frames_per_second=5432.0,
+                evaluations_per_frame=float("nan"),
+            )
+        )
+    return SimpleNamespace(markers=("LKNE", "RKNE"), conditions=conditions, subjects=["Ann", "Bo"], rules="whole-body")
+
+
+def test_the_evaluation_page_holds_the_tables_of_the_thesis(tmp_path: Path) -> None:
+    path = tmp_path / "evaluation.html"
+    evaluation_report(path, evaluation(), settings={"seed": 3})
+    page = read(path)
+    by_marker = [rows for rows in page.tables if rows[0][0] == "marker"]
+    assert [rows[0] for rows in by_marker] == [["marker", "0", "3", "3 + 2"]] * 3
+    fa, fo, missed = ({row[0]: row[1:] for row in rows} for rows in by_marker)
+    assert fa["LKNE"] == ["0.000 %", "0.300 %", "0.300 %"]
+    assert fa["mean of the markers"] == ["0.000 %", "0.150 %", "0.150 %"]
+    assert fo["LKNE"] == ["–", "25.0 %", "25.0 %"] and fo["RKNE"] == ["–"] * 3
+    assert missed["LKNE"] == ["0.00 %", "0.00 %", "2.00 %"]
+    summary = next(rows for rows in page.tables if rows[0][0] == "hidden")
+    assert summary[1] == ["0", "0", "1,000", "99.340 %", "0.123 %", "50.0 %", "0.71 %", "98.00 %", "0.400 %", "5,432", "–"]
+    assert "Ann" in page.text and "whole-body" in page.text and "nan" not in page.text.casefold()
+
+
+def test_the_reliability_curve_lies_on_the_line_where_confidence_is_honest(tmp_path: Path) -> None:
+    honest = evaluation()
+    honest.conditions[0].reliability = [(share, share, 100) for share in (0.3, 0.9, 0.99, 0.9999)]
+    evaluation_report(tmp_path / "e.html", honest)
+    figures = json.loads(read(tmp_path / "e.html").json)["figures"].values()
+    (curves,) = (figure for figure in figures if "yaxis2" in figure["layout"])
+    line = next(trace for trace in curves["data"] if trace["name"] == "0 hidden")
+    np.testing.assert_allclose(line["x"], line["y"])
+    assert line["x"][1] == pytest.approx(1) and line["x"][2] == pytest.approx(2)
+    counts = next(trace for trace in curves["data"] if trace["name"] == "0 hidden" and trace.get("yaxis") == "y2")
+    assert counts["y"] == [100] * 4
+
+
+def test_an_evaluation_without_conditions_or_subjects_has_a_page(tmp_path: Path) -> None:
+    empty = SimpleNamespace(markers=(), conditions=[], subjects=[], rules="thesis")
+    evaluation_report(tmp_path / "e.html", empty)
+    assert "0 markers of 0 subjects" in read(tmp_path / "e.html").text
+
+
+# Capturability
+
+
+def capturability() -> Any:
+    return SimpleNamespace(
+        markers=("A", "B", "C"),
+        hit_rates=np.array([0.99, 0.8, 1.0]),
+        confusion=np.array([[0.99, 0.01, 0.0], [0.2, 0.8, 0.0], [0.0, 0.0, 1.0]]),
+        by_occlusions=[(0, 0.93, np.array([0.99, 0.8, 1.0])), (1, 0.7, np.array([0.9, 0.5, float("nan")]))],
+        changes=[
+            SimpleNamespace(action="drop", marker="C", description="without C", hit_rate_before=0.93, hit_rate_after=0.9),
+            SimpleNamespace(action="move", marker="B", description="3 cm up", hit_rate_before=0.93, hit_rate_after=0.97),
+        ],
+        verdict="B is taken for A; move it.",
+    )
+
+
+def test_the_capturability_page_says_what_is_confused_and_what_helps(tmp_path: Path) -> None:
+    path = tmp_path / "capturability.html"
+    capturability_report(path, capturability(), settings={"seed": 0})
+    page = read(path)
+    pairs = next(rows for rows in page.tables if rows[0][0] == "the point of")
+    assert pairs[1:] == [["B", "A", "20.000 %"], ["A", "B", "1.000 %"]]
+    hidden = next(rows for rows in page.tables if rows[0][0] == "hidden")
+    assert hidden[2] == ["1", "70.000 %", "B", "50.000 %"]
+    changes = next(rows for rows in page.tables if rows[0][0] == "change")
+    assert [row[1] for row in changes[1:]] == ["B", "C"], "the best change comes first"
+    assert changes[1][-1] == "+4.000 points"
+    assert "B is taken for A; move it." in page.text
+    assert page.loads == []
+
+
+def test_the_confusion_picture_shows_rows_as_truth_and_no_diagonal(tmp_path: Path) -> None:
+    capturability_report(tmp_path / "c.html", capturability())
+    figures = json.loads(read(tmp_path / "c.html").json)["figures"].values()
+    heat = next(figure["data"][0] for figure in figures if figure["data"][0]["type"] == "heatmap")
+    assert heat["y"] == ["A", "B", "C"] and heat["customdata"][1][0] == 20.0
+    assert [heat["z"][i][i] for i in range(3)] == [None] * 3
+
+
+def test_a_marker_set_without_any_confusion_has_a_page(tmp_path: Path) -> None:
+    perfect = capturability()
+    perfect.confusion, perfect.hit_rates, perfect.changes, perfect.by_occlusions = np.eye(3), np.ones(3), [], []
+    capturability_report(tmp_path / "c.html", perfect)
+    assert ["no marker", "any other", "0.0 %"] in [row for rows in read(tmp_path / "c.html").tables for row in rows]
