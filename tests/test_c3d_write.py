@@ -16,7 +16,10 @@ from hypothesis.extra import numpy as hnp
 
 from asterism.errors import AsterismError
 from asterism.formats import read, write
+from asterism.formats.c3d._edit import integers_record
 from asterism.formats.c3d._file import C3DFile, open_c3d
+from asterism.formats.c3d._numbers import PC
+from asterism.formats.c3d._parameters import make_group
 from asterism.recording import Event, Labelling, Recording
 
 LABEL_PARAMETERS = ("LABELS", "LABELS2", "LABELS3", "DESCRIPTIONS", "DESCRIPTIONS2", "DESCRIPTIONS3", "USED", "DATA_START")
@@ -256,6 +259,42 @@ def test_whatever_is_written_new_comes_back(tmp_path: Path, positions: np.ndarra
     written = again.source.coordinates / 1000
     np.testing.assert_allclose(written, recording.positions, rtol=1e-6, atol=1e-9)
     assert (again.events, len(again)) == (events, len(recording))
+
+
+def test_a_block_behind_the_data_is_still_found_where_its_parameter_says(tmp_path: Path) -> None:
+    write(tmp_path / "plain.c3d", replace(some(20, 4), metadata={"subject": "Ann " * 25}))
+    file = open_c3d(tmp_path / "plain.c3d")
+    block = len(file.raw) // 512 + 1
+    records = {
+        ("", "ROTATION"): make_group("ROTATION", 20, processor=PC),
+        ("ROTATION", "DATA_START"): integers_record("DATA_START", 20, [block], (), PC),
+    }
+    section = file.parameters.replaced(records).to_bytes().ljust(file.layout.start - 512, b"\0")
+    assert len(section) == file.layout.start - 512
+    rotations = bytes(range(1, 256)) * 4
+    (tmp_path / "rotations.c3d").write_bytes(file.raw[:512] + section + file.raw[file.layout.start :] + rotations)
+    recording = read(tmp_path / "rotations.c3d")
+    assert recording.positions.shape == (20, 4, 3)
+    more = replace(
+        recording,
+        positions=np.concatenate([recording.positions, recording.positions + 1], axis=1),
+        labels=(*recording.labels, *("a very long name of a marker " + "x" * i for i in range(4))),
+        origin=None,
+    )
+    write(tmp_path / "out.c3d", more)
+    after = open_c3d(tmp_path / "out.c3d")
+    moved = after.parameters.count("ROTATION", "DATA_START")
+    assert moved is not None and moved > block
+    assert after.raw[(moved - 1) * 512 :] == rotations
+    np.testing.assert_allclose(read(tmp_path / "out.c3d").positions, more.positions, atol=1e-6)
+
+
+def test_thousands_of_points_with_long_names(tmp_path: Path) -> None:
+    recording = replace(some(2, 4000), labels=tuple(f"a name as long as names go in real files {i}" for i in range(4000)))
+    write(tmp_path / "many.c3d", recording)
+    again = read(tmp_path / "many.c3d")
+    assert again.labels == recording.labels
+    np.testing.assert_allclose(again.positions, recording.positions, rtol=1e-6, atol=1e-6)
 
 
 def test_no_points_and_no_frames_are_refused(tmp_path: Path) -> None:

@@ -144,7 +144,7 @@ def _mark_far_values(some: Floats, points: list[int], kinds: list[str]) -> None:
     and so is what stands still.
     """
     values = some[:, points]
-    there = np.isfinite(values[:, :, 0])
+    there = np.asarray(np.isfinite(values[:, :, 0]))
     size = np.where(there, np.abs(values).max(axis=2), 0.0).max(axis=0)
     centre = np.nanmedian(np.where(there.any(axis=1)[:, None, None], values, 0.0), axis=1)
     offset = np.where(there, np.abs(values - centre[:, None]).max(axis=2), 0.0)

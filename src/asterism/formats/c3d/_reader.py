@@ -34,7 +34,8 @@ def read_c3d(path: Path, markers: Any = None, vertical: ArrayLike | str | None =
     """
     file = open_c3d(path)
     if not file.layout.points:
-        raise AsterismError(f"{path} holds no points, only {file.analog_channels} analog channels; choose a recording with markers.")
+        analog = f", only {file.analog_channels} analog channels" if file.analog_channels else ""
+        raise AsterismError(f"{path} holds no points{analog}; choose a recording with markers.")
     if not file.layout.frames:
         raise AsterismError(f"{path} holds no frames; export it again.")
     return replace(recording_of(path, points_of(file), markers, vertical), source=file)
