@@ -138,7 +138,7 @@ def _version() -> str:
     try:
         return metadata.version("asterism")
     except metadata.PackageNotFoundError:
-        return "not installed"
+        return "0+unknown"
 
 
 def _replace(target: Path, text: str) -> None:
