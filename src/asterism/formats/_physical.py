@@ -146,7 +146,7 @@ def _mark_far_values(some: Floats, points: list[int], kinds: list[str]) -> None:
     values = some[:, points]
     there = np.asarray(np.isfinite(values[:, :, 0]))
     size = np.where(there, np.abs(values).max(axis=2), 0.0).max(axis=0)
-    centre = np.nanmedian(np.where(there.any(axis=1)[:, None, None], values, 0.0), axis=1)
+    centre = np.nanmedian(np.where((there.sum(axis=1) > 0)[:, None, None], values, 0.0), axis=1)
     offset = np.where(there, np.abs(values - centre[:, None]).max(axis=2), 0.0)
     suspect = (size < _LARGEST_ANGLE) | ((offset > _ABSURD).sum(axis=0) > 0.5 * there.sum(axis=0))
     low = np.where(there[:, :, None], values, np.inf).min(axis=0)
