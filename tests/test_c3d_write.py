@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -70,6 +71,14 @@ def test_an_unchanged_file_comes_out_byte_for_byte(data: Path, tmp_path: Path) -
     for path in real_files(data):
         write(tmp_path / "out.c3d", read(path, vertical="z"))
         assert (tmp_path / "out.c3d").read_bytes() == path.read_bytes(), path
+
+
+def test_a_recording_travels_to_another_process_whole(data: Path, tmp_path: Path) -> None:
+    path = data / "gait/HC002/straight.c3d"
+    parcel = pickle.dumps(read(path).source)
+    assert len(parcel) < 1.01 * path.stat().st_size, "the bytes are enough"
+    write(tmp_path / "out.c3d", replace(read(path), source=pickle.loads(parcel)))
+    assert (tmp_path / "out.c3d").read_bytes() == path.read_bytes()
 
 
 def test_swapped_labels_carry_their_samples_bit_by_bit(data: Path, tmp_path: Path) -> None:

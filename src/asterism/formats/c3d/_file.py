@@ -77,6 +77,9 @@ class C3DFile:
     layout: Layout
     oddities: tuple[str, ...]
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return parse_c3d, (self.raw, self.path)
+
     @cached_property
     def words(self) -> Words:
         """(frames, width) the data block as raw bit patterns."""
