@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from asterism.recording import Ints, Labelling
 
-_WALKERS, _STRANGERS, _FRAMES = 10, 2, 300
+_WALKERS, _STRANGERS, _FRAMES, _RATE = 10, 2, 150, 50.0
 _MARKERS = "helen-hayes"
 _CONDITIONS = ((0, 0), (2, 0), (4, 0), (2, 3))
 
@@ -28,7 +28,7 @@ def demo(
 ) -> None:
     """Try everything in under a minute, on simulated people.
 
-    Ten people of different sizes walk, 15 markers each. Eight train a model; it labels the other two, with markers hidden and
+    Ten people of different sizes walk for three seconds, 15 markers each. Eight train a model; it labels the other two, with markers hidden and
     ghosts added. Leaves a report, the model, and an unlabelled and a labelled C3D. Files of an earlier demo are replaced.
     """
     from asterism import formats
@@ -39,7 +39,7 @@ def demo(
     from asterism.simulation import simulate_walks
 
     output.mkdir(parents=True, exist_ok=True)
-    walks = simulate_walks(subjects=_WALKERS, frames=_FRAMES, markers=_MARKERS, seed=seed)
+    walks = simulate_walks(subjects=_WALKERS, frames=_FRAMES, rate=_RATE, markers=_MARKERS, seed=seed)
     known, strangers = walks[:-_STRANGERS], walks[-_STRANGERS:]
     talk = _console.say if json != "-" else _console.complain
     talk(f"Training on {len(known)} simulated walkers, {len(known[0].labels)} markers ...")
