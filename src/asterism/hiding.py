@@ -11,9 +11,7 @@ GHOST_RADIUS = 0.15
 """How far from a marker a ghost may lie, in metres."""
 
 
-def hide_and_haunt(
-    recording: Recording, occlusions: int = 2, ghosts: int = 1, seed: int | np.random.Generator = 0
-) -> tuple[Clouds, Ints]:
+def hide_and_haunt(recording: Recording, occlusions: int = 2, ghosts: int = 1, seed: int | np.random.Generator = 0) -> tuple[Clouds, Ints]:
     """Take the labels away, hide some markers of each frame, add ghosts, and shuffle the points of each frame.
 
     In each frame exactly `occlusions` of the visible markers go, at random (all of them where fewer are visible). `ghosts` points

@@ -74,7 +74,7 @@ def write_page(path: str | Path, page: Page) -> None:
     made = {"Asterism": _version(), **page.facts, "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")}
     html = environment.get_template("page.html").render(
         page=page,
-        facts={name: str(value) for name, value in made.items() if value is not None},
+        facts={name: _told(value) for name, value in made.items() if value is not None},
         style=_template("page.css"),
         script=_template("page.js"),
         plotly=_plotly() if figures or scenes else "",
@@ -116,6 +116,10 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def _told(value: Any) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
 def _as_script(value: Any) -> str:
