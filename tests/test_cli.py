@@ -114,6 +114,9 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         (["evaluate", "a.c3d", "--leave-one-subject-out", "--occlusions", "many"], "--occlusions many"),
         (["convert", "a.c3d", "b.trc", "--vertical", "1,2,up"], "--vertical 1,2,up"),
         (["info", "nowhere.c3d"], "nowhere.c3d"),
+        (["info", "nowhere.c3d", "--json", "no/such/folder.json"], "folder.json"),
+        (["label", "nowhere.c3d", "-m", "no.model", "-o", "out"], "no.model"),
+        (["label", "nowhere.c3d", "-m", "no.model", "-o", "out", "--report", "no/such/page.html"], "page.html"),
     ],
     ids=lambda value: "-".join(value) if isinstance(value, list) else "",
 )

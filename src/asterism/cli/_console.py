@@ -133,8 +133,11 @@ class Batch:
         return self.status
 
 
-def check_new(path: Path, overwrite: bool) -> None:
-    """Raise AsterismError where `path` exists and may not be overwritten, or its folder is missing."""
+def check_new(given: Path | str | None, overwrite: bool) -> None:
+    """Raise AsterismError where a file exists and may not be overwritten, or its folder is missing. None and "-" are no files."""
+    if given is None or given == "-":
+        return
+    path = Path(given)
     if path.is_dir():
         raise AsterismError(f"{path} is a folder; give the name of a file in it.")
     if path.exists() and not overwrite:

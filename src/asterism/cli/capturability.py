@@ -25,8 +25,8 @@ def capturability(
     Which markers are taken for which, how the hit rate falls when markers are hidden, and what dropping, moving or adding one
     marker would change.
     """
-    if report is not None:
-        _console.check_new(report, overwrite)
+    _console.check_new(report, overwrite)
+    _console.check_new(json, overwrite)
     from asterism import labelling
     from asterism.cli._recordings import read_labelled
 

@@ -27,6 +27,7 @@ def convert(
     from asterism import formats
 
     _console.check_new(target, overwrite)
+    _console.check_new(json, overwrite)
     axis, wanted = vertical_axis(vertical), marker_names(markers)
     lost = formats.convert(source, target, axis) if wanted is None else formats.write(target, formats.read(source, wanted, axis))
     for what in lost:

@@ -28,8 +28,9 @@ def demo(
 ) -> None:
     """Try everything in under a minute, on simulated people.
 
-    Ten people of different sizes walk for three seconds, 15 markers each. Eight train a model; it labels the other two, with markers hidden and
-    ghosts added. Leaves a report, the model, and an unlabelled and a labelled C3D. Files of an earlier demo are replaced.
+    Ten people of different sizes walk for three seconds, 15 markers each. Eight train a model; it labels the other two, with
+    markers hidden and ghosts added. Leaves a report, the model, and an unlabelled and a labelled C3D. Files of an earlier demo
+    are replaced.
     """
     from asterism import formats
     from asterism.hiding import anonymous, hide_and_haunt
@@ -38,6 +39,7 @@ def demo(
     from asterism.report import label_report
     from asterism.simulation import simulate_walks
 
+    _console.check_new(json, overwrite=True)
     output.mkdir(parents=True, exist_ok=True)
     walks = simulate_walks(subjects=_WALKERS, frames=_FRAMES, rate=_RATE, markers=_MARKERS, seed=seed)
     known, strangers = walks[:-_STRANGERS], walks[-_STRANGERS:]

@@ -65,8 +65,8 @@ def evaluate(
         raise AsterismError(f"{model} has its own marker set; leave --markers away.")
     check_hit_rate(target_hit_rate)
     hidden, haunted = numbers(occlusions, "--occlusions"), numbers(ghosts, "--ghosts")
-    if report is not None:
-        _console.check_new(report, overwrite)
+    _console.check_new(report, overwrite)
+    _console.check_new(json, overwrite)
     from asterism import labelling
     from asterism.cli._recordings import read_labelled
 

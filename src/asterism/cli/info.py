@@ -8,20 +8,21 @@ from typing import Any
 import typer
 
 from asterism.cli import _console
-from asterism.cli._options import Files, Json
+from asterism.cli._options import Files, Json, Overwrite
 
 _UNITS = {"rate": " frames/s", "duration": " s"}
 _LONGEST_LIST = {"physical": 200, "events": 40}
 _LONG_ENOUGH = 12
 
 
-def info(files: Files, json: Json = None) -> None:
+def info(files: Files, overwrite: Overwrite = False, json: Json = None) -> None:
     """Show what files hold.
 
     Points (physical, computed, unnamed), frames, rate, units, the vertical, events, gaps and oddities.
     """
     from asterism import formats
 
+    _console.check_new(json, overwrite)
     batch = _console.Batch("shown")
     found: list[dict[str, Any]] = []
     for path in files:

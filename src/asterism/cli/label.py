@@ -41,8 +41,8 @@ def label(
     from asterism.labelling import SolverEnsemble
 
     targets = _targets(files, output)
-    if report is not None:
-        _console.check_new(report, overwrite)
+    _console.check_new(report, overwrite)
+    _console.check_new(json, overwrite)
     axis = vertical_axis(vertical)
     ensemble = SolverEnsemble.load(model)
     batch = _console.Batch("labelled")

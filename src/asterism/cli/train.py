@@ -43,6 +43,7 @@ def train(
 
     check_hit_rate(target_hit_rate)
     _console.check_new(output, overwrite)
+    _console.check_new(json, overwrite)
     marker_set = marker_set_of(markers)
     recordings = read_labelled(files, marker_set, vertical)
     from asterism.labelling import SolverEnsemble
