@@ -307,6 +307,19 @@ def test_evaluate_a_model(folder: Path, model: Path, tmp_path: Path, capsys: pyt
     assert "</html>" in (tmp_path / "e.html").read_text(encoding="utf-8")
 
 
+def test_evaluate_goes_on_after_a_bad_file(folder: Path, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("evaluate", "--model", model, "--occlusions", "1", "--json", tmp_path / "e.json")
+    assert run(*words, folder / "walk-4.c3d", folder / "broken.c3d") == 1
+    assert "broken.c3d" in capsys.readouterr().err.splitlines()[-1]
+    assert [Path(path).name for path in json.loads((tmp_path / "e.json").read_text())["failed"]] == ["broken.c3d"]
+    assert run("evaluate", "--model", model, folder / "broken.c3d") == 2
+
+
+def test_more_cannot_be_hidden_than_there_is(folder: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("evaluate", "--model", model, folder / "walk-4.c3d", "--occlusions", "16") == 2
+    assert "15 markers" in capsys.readouterr().err
+
+
 def test_capturability(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = [folder / f"walk-{i}.c3d" for i in range(3)]
     assert run("capturability", *files, "--markers", MARKERS, "--json", tmp_path / "c.json", "--report", tmp_path / "c.html") == 0

@@ -53,12 +53,12 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, 
     from rich.table import Table
     from rich.text import Text
 
-    sheet = Table(title=Text(title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    sheet = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for i, column in enumerate(columns):
         sheet.add_column(column, justify="left" if i < left else "right", overflow="fold", no_wrap=i >= left)
     for row in rows:
         sheet.add_row(*(Text(cell) for cell in row))
-    console().print(sheet)
+    console().print(Text(title, style="bold"), sheet, sep="\n")
 
 
 def facts(title: str, rows: Sequence[tuple[str, str]]) -> None:

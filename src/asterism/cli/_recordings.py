@@ -15,25 +15,25 @@ from asterism.recording import Clouds, Labelling, MarkerSet, Recording, is_unnam
 _FEWEST_MARKERS = 4
 
 
-def read_labelled(files: Sequence[Path], markers: str | MarkerSet | None, vertical: str | None) -> list[Recording]:
-    """All files under one set of markers, or an AsterismError: a set learned from half of them would be another one.
+def read_labelled(
+    files: Sequence[Path], markers: str | MarkerSet | None, vertical: str | None, batch: _console.Batch, *, complete: bool = False
+) -> list[Recording]:
+    """The files of a batch that can be read, under one set of markers; without a set, the markers that all of them have.
 
-    Each file that cannot be read, or lacks a marker of the set, is named on standard error first. Without a set the markers
-    are those which all files have.
+    complete: a file without one of the set's markers counts as one that cannot be read. Raises AsterismError where none is left.
     """
     marker_set = markers if isinstance(markers, MarkerSet) else marker_set_of(markers)
     axis = vertical_axis(vertical)
-    batch = _console.Batch("read")
     recordings = []
     for path in files:
         with batch.file(path):
             recording = formats.read(path, markers=marker_set, vertical=axis)
-            if marker_set is not None:
+            if complete and marker_set is not None:
                 _check_complete(path, recording)
             recordings.append(recording)
-    if batch.failed:
-        raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; mend them or leave them out.")
-    return recordings if marker_set is not None else _with_common_markers(files, recordings)
+    if not recordings:
+        raise AsterismError("none of the files can be used; see above.")
+    return recordings if marker_set is not None else _with_common_markers(batch.done, recordings)
 
 
 def marker_set_of(markers: str | None) -> MarkerSet | None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import typer
+
 from asterism.cli import _console
 from asterism.cli._options import Files, Json, Markers, Overwrite, Report, Seed, Vertical
 
@@ -30,7 +32,8 @@ def capturability(
     from asterism import labelling
     from asterism.cli._recordings import read_labelled
 
-    recordings = read_labelled(files, markers, vertical)
+    batch = _console.Batch("read")
+    recordings = read_labelled(files, markers, vertical, batch)
     with _console.progress("capturability") as progress:
         result = labelling.capturability(recordings, seed=seed, progress=progress)
     if json != "-":
@@ -38,8 +41,12 @@ def capturability(
     if report is not None:
         from asterism.report import capturability_report
 
-        capturability_report(report, result, settings={"recordings": len(files), "seed": seed})
-    _console.write_json(json, {"command": "capturability", "files": files, "seed": seed, "capturability": result.to_dict()})
+        capturability_report(report, result, settings={"recordings": len(recordings), "seed": seed})
+    _console.write_json(
+        json,
+        {"command": "capturability", "files": batch.done, "failed": batch.failed, "seed": seed, "capturability": result.to_dict()},
+    )
+    raise typer.Exit(batch.close())
 
 
 def _print(result: Capturability) -> None:

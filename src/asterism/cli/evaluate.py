@@ -71,14 +71,16 @@ def evaluate(
     from asterism.cli._recordings import read_labelled
 
     settings: dict[str, Any] = {"occlusions": hidden, "ghosts": haunted, "seed": seed, "rules": rules.value}
-    if model is not None:
-        ensemble = labelling.SolverEnsemble.load(model)
-        recordings = read_labelled(files, ensemble.marker_set, vertical)
-        with _console.progress("evaluating") as progress:
+    ensemble = None if model is None else labelling.SolverEnsemble.load(model)
+    batch = _console.Batch("read")
+    recordings = read_labelled(files, markers if ensemble is None else ensemble.marker_set, vertical, batch)
+    count = len(recordings[0].labels)
+    if max(hidden) > count:
+        raise AsterismError(f"--occlusions {max(hidden)} hides more than the {count} markers that there are; give smaller numbers.")
+    with _console.progress("evaluating") as progress:
+        if ensemble is not None:
             evaluation = labelling.evaluate(ensemble, recordings, **settings, progress=progress)
-    else:
-        recordings = read_labelled(files, markers, vertical)
-        with _console.progress("leaving subjects out") as progress:
+        else:
             evaluation = labelling.leave_one_subject_out(
                 recordings, **settings, progress=progress, target_hit_rate=target_hit_rate, miner=miner.value
             )
@@ -94,11 +96,13 @@ def evaluate(
             "command": "evaluate",
             "model": model,
             "leave_one_subject_out": leave_one_subject_out,
-            "files": files,
+            "files": batch.done,
+            "failed": batch.failed,
             **settings,
             "evaluation": evaluation.to_dict(),
         },
     )
+    raise typer.Exit(batch.close())
 
 
 def _print(evaluation: Evaluation) -> None:

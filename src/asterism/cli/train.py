@@ -21,6 +21,7 @@ from asterism.cli._options import (
     Vertical,
     check_hit_rate,
 )
+from asterism.errors import AsterismError
 
 
 def train(
@@ -45,7 +46,10 @@ def train(
     _console.check_new(output, overwrite)
     _console.check_new(json, overwrite)
     marker_set = marker_set_of(markers)
-    recordings = read_labelled(files, marker_set, vertical)
+    batch = _console.Batch("read")
+    recordings = read_labelled(files, marker_set, vertical, batch, complete=True)
+    if batch.failed:
+        raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; mend them or leave them out.")
     from asterism.labelling import SolverEnsemble
 
     started = time.perf_counter()
