@@ -568,14 +568,99 @@ def expose(solvers, pairs, s, frames, choice, hidden, budget, allowed, bench, no
     return len(choice)
 
 
+class Whole(NamedTuple):
+    """The strong classifier of the whole model, arranged to test one marker at a time.
+
+    first         (M + 1,) marker m owns classifiers first[m]:first[m + 1], all that read it, the most rejecting first
+    kinds, slots  (C,), (C, 4) markers, the first `points` of them in use
+    points        (C,) how many points a classifier reads
+    low, high     (C,) as in `search_by_pairs`, angles by their cosines
+    """
+
+    first: np.ndarray
+    kinds: np.ndarray
+    slots: np.ndarray
+    points: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
 @njit(cache=True, nogil=True)
-def label_by_matrix(solvers, pairs, trusted, xyz, offsets, budget, indices, votes, evaluations):
+def fits(whole, m, place, points, slack, least):
+    """How well marker m at its place goes with all the markers that have one.
+
+    IN  place (M,) row of `points` of each marker, -1 for none; slack, share of an interval by which a value may miss it and nearly fit
+        least, classifiers that must have had a say
+    Returns (2 where all accept, 1 where none is missed by more than the slack, else 0; evaluations made). O(classifiers that read m).
+    """
+    evaluations, level = 0, 2
+    for f in range(whole.first[m], whole.first[m + 1]):
+        a, b, c, d = place[whole.slots[f, 0]], place[whole.slots[f, 1]], place[whole.slots[f, 2]], place[whole.slots[f, 3]]
+        used = whole.points[f]
+        if a < 0 or b < 0 or (used > 2 and c < 0) or (used > 3 and d < 0):
+            continue
+        evaluations += 1
+        value = bare_feature(whole.kinds[f], points, a, b, c, d)
+        low, high = whole.low[f], whole.high[f]
+        if value < low or value > high:
+            level = 1
+            room = slack * (high - low)
+            if value < low - room or value > high + room:
+                return 0, evaluations
+    return level if evaluations >= least else min(level, 1), evaluations
+
+
+@njit(cache=True, nogil=True)
+def complete(whole, points, n, place, taken, levels, rounds, slack, least):
+    """Give the free points to markers without one, where the strong classifier of the whole model leaves no choice.
+
+    A marker gets a point that fits it, given the markers that have theirs, if no other free point nearly fits it, and if the point nearly fits
+    no other marker that lacks one: the safe rules of the labelling matrix, stricter. New labels speak in the next round.
+
+    IN  points (n, 3); rounds at most; slack, least as in `fits`. levels (M, n) int is memory.
+    OUT place (M,), taken (n,) bool: completed
+    Returns the evaluations made.
+    """
+    markers, evaluations = len(place), 0
+    for _ in range(rounds):
+        for m in range(markers):
+            for c in range(n):
+                levels[m, c] = 0
+                if place[m] < 0 and not taken[c]:
+                    place[m] = c
+                    levels[m, c], made = fits(whole, m, place, points, slack, least)
+                    evaluations += made
+                    place[m] = -1
+        changed = False
+        for m in range(markers):
+            if place[m] >= 0:
+                continue
+            near, only = 0, -1
+            for c in range(n):
+                near += levels[m, c] > 0
+                if levels[m, c] == 2:
+                    only = c
+            if near != 1 or only < 0:
+                continue
+            rivals = 0
+            for other in range(markers):
+                rivals += levels[other, only] > 0
+            if rivals == 1:
+                place[m], taken[only], changed = only, True, True
+        if not changed:
+            break
+    return evaluations
+
+
+@njit(cache=True, nogil=True)
+def label_by_matrix(solvers, pairs, trusted, whole, slack, least, xyz, offsets, budget, indices, votes, evaluations):
     """Label frames with an ensemble of partial solvers through the labelling matrix and its safe rules (section 4.5.4).
 
     A solver proposes a point for a marker where all labellings that it found agree on it and it is trusted with the marker. A column
     with proposals of two points, and a row with proposals of two markers, give null.
 
     IN  solvers, pairs as in `search_by_pairs`; trusted (D,) bool whether the solver may propose the marker of this depth
+        whole, the strong classifier of the whole model: `complete` follows, slack and least are for it; one without markers: it does not
         xyz (P, 3) m, offsets (T + 1,); budget, feature evaluations per frame and solver, after which a solver proposes nothing
     OUT indices (T, M) -1 for none; votes (T, M) of the solvers trusted with the marker the share that propose the point given, or, for a
         null, the point most often proposed; evaluations (T,) feature evaluations
@@ -592,6 +677,7 @@ def label_by_matrix(solvers, pairs, trusted, xyz, offsets, budget, indices, vote
         for k in range(solvers.first_depth[s], solvers.first_depth[s + 1]):
             able[solvers.markers[k]] += trusted[k]
     bench, matrix = make_bench(markers, most, deepest), np.empty((markers, most), dtype=np.int64)
+    place, taken, levels = np.empty(markers, dtype=np.int64), np.empty(most, dtype=np.bool_), np.empty((markers, most), dtype=np.int64)
     for t in range(frames):
         n = offsets[t + 1] - offsets[t]
         lay_out(xyz[offsets[t] : offsets[t + 1]], n, bench)
@@ -607,9 +693,11 @@ def label_by_matrix(solvers, pairs, trusted, xyz, offsets, budget, indices, vote
             common(bench.found, solutions, depths, bench.agreed)
             for k in range(depths):
                 if bench.agreed[k] >= 0 and trusted[first + k]:
-                    matrix[solvers.markers[first + k], bench.order[bench.agreed[k]]] += 1
+                    matrix[solvers.markers[first + k], bench.agreed[k]] += 1
+        place[:] = -1
+        taken[:n] = False
         for m in range(markers):
-            indices[t, m], votes[t, m] = -1, 0.0
+            votes[t, m] = 0.0
             proposed, best = 0, -1
             for c in range(n):
                 if matrix[m, c] > 0:
@@ -623,7 +711,11 @@ def label_by_matrix(solvers, pairs, trusted, xyz, offsets, budget, indices, vote
             for other in range(markers):
                 shared = shared or (other != m and matrix[other, best] > 0)
             if proposed == 1 and not shared:
-                indices[t, m] = best
+                place[m], taken[best] = best, True
+        if len(whole.first) > 1:
+            evaluations[t] += complete(whole, bench.points, n, place, taken, levels, 3, slack, least)
+        for m in range(markers):
+            indices[t, m] = bench.order[place[m]] if place[m] >= 0 else -1
 
 
 @njit(cache=True, nogil=True)
@@ -689,3 +781,35 @@ def arrange(table, reads, markers, start, order, rank, first_feature):
             for w in range(words):
                 left[w] &= ~table[chosen, best, w]
     first_feature[len(markers)] = count
+
+
+@njit(cache=True, nogil=True)
+def confusions(whole, frames, choice, known, taken_for, shown):
+    """In how many frames a marker's point could be taken for another marker, when only some labels are known, and these are right.
+
+    It could if no classifier objects to the move (the other marker gets the point, the first one none) or to the swap of the two.
+
+    IN  frames (N, M, 3) m, NaN where missing; choice (K,) frames to look at; known (K, M) bool, which labels are known in each
+    OUT taken_for (M, M) int, row the marker whose point it is, column the marker that it is taken for; shown (M,) frames with the marker
+    O(K M^2), most pairs end at the first classifier.
+    """
+    markers = frames.shape[1]
+    place = np.empty(markers, dtype=np.int64)
+    for k in range(len(choice)):
+        points = frames[choice[k]]
+        for a in range(markers):
+            if np.isnan(points[a, 0]):
+                continue
+            shown[a] += 1
+            taken_for[a, a] += 1
+            for b in range(markers):
+                if a == b:
+                    continue
+                for m in range(markers):
+                    place[m] = m if known[k, m] and not np.isnan(points[m, 0]) else -1
+                place[a], place[b] = -1, a
+                could = fits(whole, b, place, points, 0.0, 1)[0] == 2
+                if not could and not np.isnan(points[b, 0]):
+                    place[a] = b
+                    could = fits(whole, b, place, points, 0.0, 1)[0] == 2 and fits(whole, a, place, points, 0.0, 1)[0] == 2
+                taken_for[a, b] += could

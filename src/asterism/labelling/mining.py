@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
-from asterism.labelling._kernels import SolverArrays, expose, make_bench
+from asterism.labelling._kernels import expose, make_bench
 from asterism.labelling.features import members
+from asterism.labelling.matrix import BUDGET, PartialSolvers, whole_model
 from asterism.labelling.solver import Solver, pack, plant, replacements, share_pairs
 from asterism.labelling.weak import Spread, Trial
 from asterism.recording import Floats, Ints
@@ -22,9 +23,6 @@ Progress = Callable[[float, str], None]
 Subset = tuple[int, ...]
 
 MINERS = ("bottom-up", "top-down", "genetic")
-
-BUDGET = 20_000
-"""Feature evaluations that a partial solver may spend on one exposure."""
 
 
 ANSWERS = 0.3
@@ -66,67 +64,6 @@ class Assessed:
     hit_rates: Floats
     answers: Floats
     judged: bool
-
-
-@dataclass(frozen=True)
-class PartialSolvers:
-    """An ensemble of partial solvers.
-
-    solvers    flat arrays of S solvers
-    hit_rates  (S, M) of each solver's proposals the share that was right, NaN for markers it does not know (1st property)
-    targets    (M,) a solver proposes a marker only where its hit rate reaches the marker's target
-    covered    (M,) bool: a solver reaches the target; of a marker that none reaches, the best solvers are in, and trusted nevertheless
-    trusted    (D,) bool by depth of all solvers: may this solver propose this marker
-    """
-
-    solvers: SolverArrays
-    hit_rates: Floats
-    targets: Floats
-    covered: NDArray[np.bool_]
-    trusted: NDArray[np.bool_]
-
-    def __len__(self) -> int:
-        return len(self.solvers.first_depth) - 1
-
-    def to_arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Everything as plain arrays, for a file."""
-        own = {"hit_rates": self.hit_rates, "targets": self.targets, "covered": self.covered, "trusted": self.trusted}
-        return {**{f"solver_{name}": array for name, array in self.solvers._asdict().items()}, **own}
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> PartialSolvers:
-        """What `to_arrays` gave. Raises AsterismError where an array is missing or they do not fit each other."""
-        try:
-            ints = {
-                name: np.asarray(arrays[f"solver_{name}"], dtype=np.int64) for name in SolverArrays._fields if name not in ("low", "high")
-            }
-            floats = {name: np.asarray(arrays[f"solver_{name}"], dtype=np.float64) for name in ("low", "high")}
-            solvers = SolverArrays(**ints, **floats)
-            rest = [np.asarray(arrays[name]) for name in ("hit_rates", "targets", "covered", "trusted")]
-        except (KeyError, ValueError, TypeError) as problem:
-            raise AsterismError(f"the partial solvers cannot be read ({problem}); train the model again.") from problem
-        if not _fits(solvers, rest[0], rest[1], rest[2], rest[3]):
-            raise AsterismError("the partial solvers do not fit together; the model is damaged, train it again.")
-        return cls(solvers, rest[0].astype(np.float64), rest[1].astype(np.float64), rest[2].astype(np.bool_), rest[3].astype(np.bool_))
-
-
-def _fits(solvers: SolverArrays, hit_rates: Floats, targets: Floats, covered: Floats, trusted: Floats) -> bool:
-    """Whether the kernels can walk over the arrays without leaving them."""
-    first, depths, classifiers = solvers.first_depth, len(solvers.markers), len(solvers.kinds)
-    if hit_rates.ndim != 2 or hit_rates.shape[0] != len(first) - 1 or not len(first) or targets.ndim != 1:
-        return False
-    markers = len(targets)
-    shapes = hit_rates.shape[1] == markers == len(covered) and len(trusted) == depths and solvers.slots.shape == (classifiers, 4)
-    shapes = shapes and len(solvers.low) == len(solvers.high) == classifiers and len(solvers.first_feature) == depths + 1
-    if not shapes or first[0] != 0 or first[-1] != depths or solvers.first_feature[0] != 0 or solvers.first_feature[-1] != classifiers:
-        return False
-    if (np.diff(first) < 1).any() or (np.diff(solvers.first_feature) < 0).any():
-        return False
-    if not ((solvers.markers >= 0) & (solvers.markers < markers)).all() or not ((solvers.kinds >= 0) & (solvers.kinds < 9)).all():
-        return False
-    place = np.arange(depths) - np.repeat(first[:-1], np.diff(first))
-    reach = np.repeat(place, np.diff(solvers.first_feature))
-    return bool(((solvers.slots >= 0) & (solvers.slots <= reach[:, None])).all())
 
 
 class Mine:
@@ -456,4 +393,5 @@ def choose(quarry: Mine, found: list[Assessed], progress: Progress, patterns: in
         quarry.targets,
         covered,
         np.concatenate([np.empty(0, dtype=np.bool_), *by_depth]),
+        whole_model(quarry.weak, quarry.table),
     )

@@ -88,12 +88,17 @@ def share_pairs(arrays: SolverArrays, n_markers: int) -> tuple[SolverArrays, Pai
     np.minimum.at(rules.above, (b[above], a[above]), -arrays.low[above])
     rest = ~(far | above)
     first = np.concatenate([[0], np.cumsum(rest)])[arrays.first_feature]
-    low, high = arrays.low.copy(), arrays.high.copy()
-    angle = np.isin(arrays.kinds, (G1, G6, G7))
-    low[angle] = np.where(arrays.high[angle] >= np.pi, -np.inf, np.cos(arrays.high[angle]))
-    high[angle] = np.where(arrays.low[angle] <= 0.0, np.inf, np.cos(arrays.low[angle]))
+    low, high = angles_by_cosine(arrays.kinds, arrays.low, arrays.high)
     own = (arrays.kinds[rest], arrays.slots[rest], low[rest], high[rest])
     return SolverArrays(arrays.first_depth, arrays.markers, first.astype(np.int64), *own), rules
+
+
+def angles_by_cosine(kinds: Ints, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+    """Intervals of which those of angles (rad) become those of their cosines; what reaches 0 or pi stays open."""
+    angle = np.isin(kinds, (G1, G6, G7))
+    near = np.where(angle, np.where(high >= np.pi, -np.inf, np.cos(np.clip(high, 0.0, np.pi))), low)
+    far = np.where(angle, np.where(low <= 0.0, np.inf, np.cos(np.clip(low, 0.0, np.pi))), high)
+    return near, far
 
 
 def replacements(frames: Floats, weak: Weak, rng: np.random.Generator, words: int = WORDS) -> Bits:

@@ -1,0 +1,265 @@
+"""Capturability (thesis 4.5.2, 6.1): labelled recordings in; whether their marker set can be labelled, and what would help, out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.errors import AsterismError
+from asterism.hiding import hide_and_haunt
+from asterism.labelling._kernels import confusions
+from asterism.labelling.matrix import PartialSolvers, label_by_matrix, whole_model
+from asterism.labelling.mining import Mine, Mining, Progress, Subset, bottom_up, choose, hide
+from asterism.labelling.solver import FullSolver, stack
+from asterism.recording import NULL, Clouds, Floats, Ints, Recording
+
+Half = tuple[Floats, Ints]
+
+FRAMES, CHANGE_FRAMES = 3000, 800
+"""Frames that are looked at, evenly spread; and those on which a change of the marker set is tried."""
+
+MOST_HIDDEN = 5
+STEP = 0.03
+"""How far a marker is moved, and an added one stands off the skin between its neighbours, in metres."""
+
+COMPARED_HIDDEN = 4
+"""Two marker sets are compared on frames with 0 to so many markers hidden."""
+
+WORST = 4
+"""How many markers, the hardest ones, are moved and given a new neighbour."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """What one change of the marker set would do.
+
+    action      "drop", "move" or "add"
+    hit rates   share of the markers in sight (those of the set before and after the change) that get their label, with 0 to 4 hidden
+    """
+
+    action: str
+    marker: str
+    description: str
+    hit_rate_before: float
+    hit_rate_after: float
+
+
+@dataclass(frozen=True)
+class Capturability:
+    """Whether a marker set can be labelled.
+
+    markers        (M,) names
+    hit_rates      (M,) share of frames with all markers in sight in which the full solver names the marker (4.5.2, property 4: 1 is the best)
+    confusion      (M, M) how often the row marker's point could be taken for the column marker when a third of the labels are known, as a
+                   share of all that it could be taken for, itself included: rows sum to 1
+    by_occlusions  (hidden, share of the markers in sight that get their label, the same per marker (M,)) for 0, 1, 2, ... hidden
+    changes        what dropping, moving or adding a marker would do, the most helpful first
+    verdict        all this in plain words
+    """
+
+    markers: tuple[str, ...]
+    hit_rates: Floats
+    confusion: Floats
+    by_occlusions: list[tuple[int, float, Floats]]
+    changes: list[Change]
+    verdict: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything in lists and plain values, for JSON."""
+        return {
+            "markers": list(self.markers),
+            "hit_rates": self.hit_rates.tolist(),
+            "confusion": self.confusion.tolist(),
+            "by_occlusions": [
+                {"hidden": hidden, "hit_rate": rate, "per_marker": dict(zip(self.markers, own.tolist(), strict=True))}
+                for hidden, rate, own in self.by_occlusions
+            ],
+            "changes": [asdict(change) for change in self.changes],
+            "verdict": self.verdict,
+        }
+
+
+def capturability(
+    recordings: Sequence[Recording], *, subjects: Sequence[str] | None = None, seed: int = 0, progress: Progress | None = None
+) -> Capturability:
+    """Tell whether the markers of labelled recordings can be told apart frame by frame, which are confused, and what would help.
+
+    Even blocks of ten frames teach, odd ones test (of the same people: the question is about the markers, not about strangers).
+    `subjects` names the person of each recording. Deterministic by seed. Raises AsterismError for fewer than four markers, for columns that
+    differ, for a marker that is never there, or where no frame shows all markers.
+    """
+    tell = progress or (lambda fraction, doing: None)
+    frames, groups = stack(recordings, subjects)
+    names, markers = recordings[0].labels, frames.shape[1]
+    if markers < 4:
+        raise AsterismError(f"{markers} markers are too few to ask which of them can be told apart; give at least four.")
+    teach, test = _halves(frames, groups)
+    tell(0.0, "full solver")
+    hit_rates = _whole_hit_rates(teach, test, names, seed)
+    tell(0.1, "confusions")
+    settings = Mining(glance=200, exposures=800, proof=2000, breadth=60, largest=min(8, markers), most_solvers=50)
+    mine = Mine(*teach, settings=settings, seed=seed)
+    confusion = _confusion(mine, test[0], np.random.default_rng(seed))
+    chosen = choose(mine, bottom_up(mine, lambda fraction, doing: tell(0.15 + 0.35 * fraction, doing)), lambda fraction, doing: None)
+    tell(0.55, "hidden markers")
+    by_occlusions = []
+    for hidden in range(min(MOST_HIDDEN, markers - 3) + 1):
+        clouds, truth = hide_and_haunt(Recording(test[0], names, 1.0), hidden, 0, seed)
+        given = label_by_matrix(clouds, chosen).indices
+        there = truth != NULL
+        right = (given == truth) & there
+        per_marker: Floats = right.sum(axis=0) / np.maximum(there.sum(axis=0), 1)
+        by_occlusions.append((hidden, float(right.sum() / max(there.sum(), 1)), per_marker))
+    hardest = np.argsort(by_occlusions[-1][2] + np.diagonal(confusion), kind="stable")[:WORST]
+    changes = _changes(chosen, mine, teach, test, names, hardest, seed, lambda fraction, doing: tell(0.6 + 0.4 * fraction, doing))
+    tell(1.0, "done")
+    verdict = _verdict(names, hit_rates, confusion, by_occlusions, changes)
+    return Capturability(names, hit_rates, confusion, by_occlusions, changes, verdict)
+
+
+def _halves(frames: Floats, groups: Ints) -> tuple[Half, Half]:
+    """Even and odd blocks of ten frames, at most `FRAMES` together."""
+    odd = (np.arange(len(frames)) // 10) % 2 == 1
+    if odd.all() or not odd.any():
+        odd = np.arange(len(frames)) % 2 == 1
+    if len(frames) == 1:
+        return (frames, groups), (frames, groups)
+    halves = []
+    for half in (~odd, odd):
+        rows = np.nonzero(half)[0]
+        rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), FRAMES // 2)).round().astype(np.int64)]
+        halves.append((np.ascontiguousarray(frames[rows]), groups[rows]))
+    return halves[0], halves[1]
+
+
+def _whole_hit_rates(teach: Half, test: Half, names: Sequence[str], seed: int) -> Floats:
+    complete = ~np.isnan(test[0][:, :, 0]).any(axis=1)
+    if not complete.any():
+        raise AsterismError("no frame shows all markers, so they cannot be compared; give recordings with fewer gaps, or fewer markers.")
+    solver = FullSolver.fit_frames(*teach, names, weak_classifiers=max(40, 3 * len(names)), widen=0.25, seed=seed)
+    clouds, truth = hide_and_haunt(Recording(test[0][complete], tuple(names), 1.0), 0, 0, seed)
+    rates: Floats = (solver.label(clouds).indices == truth).mean(axis=0)
+    return rates
+
+
+def _confusion(mine: Mine, frames: Floats, rng: np.random.Generator) -> Floats:
+    n = mine.n_markers
+    taken_for, shown = np.zeros((n, n), dtype=np.int64), np.zeros(n, dtype=np.int64)
+    known = np.argsort(rng.random((len(frames), n)), axis=1) < max(2, n // 3)
+    confusions(whole_model(mine.weak, mine.table), frames, np.arange(len(frames)), known, taken_for, shown)
+    for marker in np.nonzero(shown == 0)[0]:
+        taken_for[marker, marker] = 1
+    confusion: Floats = taken_for / taken_for.sum(axis=1, keepdims=True)
+    return confusion
+
+
+def _rebuilt(mine: Mine, subsets: Sequence[Subset]) -> PartialSolvers:
+    """The ensemble of the given subsets' solvers, on the mine's frames."""
+    return choose(mine, [assessed for subset in subsets if (assessed := mine.assess(subset)) is not None], lambda fraction, doing: None)
+
+
+def _found(ensemble: PartialSolvers, frames: Floats, hidden: NDArray[np.bool_], judged: NDArray[np.bool_]) -> float:
+    """Share of the judged markers in sight that get their label; hidden (N, M) bool."""
+    there = ~np.isnan(frames[:, :, 0]) & ~hidden
+    truth = np.where(there, np.cumsum(there, axis=1) - 1, NULL)
+    given = label_by_matrix(Clouds.from_points([frame[seen] for frame, seen in zip(frames, there, strict=True)], 1.0), ensemble).indices
+    asked = there & judged
+    return float((asked & (given == truth)).sum() / max(asked.sum(), 1))
+
+
+def _changes(
+    chosen: PartialSolvers, mine: Mine, teach: Half, test: Half, names: Sequence[str], hardest: Ints, seed: int, progress: Progress
+) -> list[Change]:
+    """Every marker dropped, the hardest ones moved and given a neighbour; each judged by the markers that the set had before."""
+    n = len(names)
+    hidden = hide(len(test[0]), n, COMPARED_HIDDEN, np.random.default_rng(seed))
+    everyone = np.ones(n, dtype=np.bool_)
+    before = _found(chosen, test[0], hidden, everyone)
+    changes = []
+    for marker in range(n):
+        progress(0.3 * marker / n, "markers dropped")
+        gone, others = hidden.copy(), everyone.copy()
+        gone[:, marker], others[marker] = True, False
+        alone = _found(chosen, test[0], hidden, others)
+        changes.append(Change("drop", names[marker], "without it", alone, _found(chosen, test[0], gone, others)))
+
+    few = slice(None, None, max(1, len(teach[0]) // CHANGE_FRAMES))
+    settings = Mining(glance=200, exposures=800, proof=800, most_solvers=mine.settings.most_solvers)
+    subsets = [tuple(np.sort(own).tolist()) for own in np.split(chosen.solvers.markers, chosen.solvers.first_depth[1:-1])]
+
+    def found(alter: Callable[[Floats], Floats], more: Sequence[Subset] = ()) -> float:
+        changed, tested = alter(teach[0][few]), alter(test[0])
+        extra = tested.shape[1] - n
+        altered = _rebuilt(Mine(changed, teach[1][few], settings=settings, seed=seed), [*subsets, *more])
+        return _found(altered, tested, np.pad(hidden, ((0, 0), (0, extra))), np.pad(everyone, (0, extra)))
+
+    before = found(lambda frames: frames)
+    near = _neighbours(mine)
+    for number, marker in enumerate(hardest.tolist()):
+        progress(0.3 + 0.7 * number / len(hardest), "markers moved and added")
+        one, two = int(near[marker, 0]), int(near[marker, 1])
+        text = f"{STEP * 100:.0f} cm away from its neighbour {names[one]}"
+        changes.append(Change("move", names[marker], text, before, found(partial(_moved, marker=marker, other=one))))
+        text = f"a new marker between {names[marker]}, {names[one]} and {names[two]}"
+        joined = [tuple(sorted({*subset[1:], n})) for subset in subsets] + [(*subset, n) for subset in subsets if marker in subset]
+        changes.append(Change("add", names[marker], text, before, found(partial(_added, triple=(marker, one, two)), joined)))
+    return sorted(changes, key=lambda change: change.hit_rate_before - change.hit_rate_after)
+
+
+def _moved(frames: Floats, marker: int, other: int) -> Floats:
+    moved = frames.copy()
+    apart = frames[:, marker] - frames[:, other]
+    moved[:, marker] += STEP * apart / np.maximum(np.linalg.norm(apart, axis=1, keepdims=True), 1e-9)
+    return moved
+
+
+def _added(frames: Floats, triple: tuple[int, int, int]) -> Floats:
+    a, b, c = (frames[:, marker] for marker in triple)
+    side = np.cross(b - a, c - a)
+    side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
+    return np.concatenate([frames, ((a + b + c) / 3 + STEP * side)[:, None]], axis=1)
+
+
+def _neighbours(mine: Mine) -> NDArray[np.int64]:
+    """(M, M - 1) the other markers, those that keep the steadiest distance first: what sits on the same segment."""
+    between = mine.frames[:, :, None] - mine.frames[:, None]
+    distance = np.sqrt((between**2).sum(axis=3))
+    seen = ~np.isnan(distance)
+    count = np.maximum(seen.sum(axis=0), 1)
+    mean = np.where(seen, distance, 0.0).sum(axis=0) / count
+    spread = np.sqrt(np.where(seen, (distance - mean) ** 2, 0.0).sum(axis=0) / count)
+    np.fill_diagonal(spread, np.inf)
+    return np.argsort(spread, axis=1, kind="stable")[:, :-1]
+
+
+def _verdict(
+    names: Sequence[str], hit_rates: Floats, confusion: Floats, by_occlusions: list[tuple[int, float, Floats]], changes: list[Change]
+) -> str:
+    worst, mean = int(hit_rates.argmin()), float(hit_rates.mean())
+    if mean >= 0.99:
+        opening = f"These {len(names)} markers can be labelled"
+    elif mean >= 0.8:
+        opening = f"These {len(names)} markers can be labelled in most frames, not in all"
+    else:
+        opening = f"These {len(names)} markers cannot be labelled reliably as they are"
+    words = [f"{opening}: with all in sight, {mean:.1%} of the labels are found ({names[worst]} least often, {hit_rates[worst]:.1%})."]
+    if len(by_occlusions) > 1:
+        hidden, rate, own = by_occlusions[min(3, len(by_occlusions) - 1)]
+        weak = int(own.argmin())
+        words.append(f"With {hidden} hidden, {rate:.1%} of the others are; {names[weak]} suffers most ({own[weak]:.1%}).")
+    apart = confusion - np.diag(np.diagonal(confusion))
+    row, column = np.unravel_index(int(apart.argmax()), apart.shape)
+    if apart[row, column] >= 0.005:
+        words.append(f"{names[row]} is the one most easily taken for another: {names[column]}.")
+    else:
+        words.append("No marker is easily taken for another.")
+    helpful = changes[0] if changes else None
+    if helpful is not None and helpful.hit_rate_after > helpful.hit_rate_before + 0.005:
+        what = helpful.description if helpful.action == "add" else f"{helpful.action} {helpful.marker} ({helpful.description})"
+        words.append(f"What would help most: {what}.")
+    return " ".join(words)
