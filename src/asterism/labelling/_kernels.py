@@ -39,7 +39,7 @@ def feature(kind, points, a, b, c, d):
     Thesis table 4.1. Twin: tests/twins.py
     """
     value = bare_feature(kind, points, a, b, c, d)
-    if kind == G1 or kind == G6 or kind == G7:
+    if kind in (G1, G6, G7):
         if value >= 1.0:
             return 0.0
         if value <= -1.0:
@@ -219,7 +219,10 @@ def search_in(solvers, s, points, n, distance, order, budget, found, counters, p
 
 @njit(cache=True, nogil=True)
 def common(found, solutions, depths, out):
-    """Where all labellings that a solver found agree. OUT out (>= depths,): the row of each depth, -1 where they differ. O(solutions depths)."""
+    """Where all labellings that a solver found agree.
+
+    OUT out (>= depths,): the row of each depth, -1 where they differ. O(solutions depths).
+    """
     for k in range(depths):
         out[k] = found[0, k] if solutions > 0 else -1
         for i in range(1, solutions):
@@ -422,7 +425,8 @@ def lay_out(points, n, bench):
 def search_by_pairs(solvers, pairs, s, n, now, budget, bench):
     """`search` for an ensemble: what pairs of points allow is looked up as bits, made when first needed and shared by the frame's solvers.
 
-    IN  solvers SolverArrays without the classifiers in `pairs`, angles by their cosines (`solver.share_pairs`); n points on the bench; now, a number of the frame that is new to the bench
+    IN  solvers SolverArrays without the classifiers in `pairs`, angles by their cosines (`solver.share_pairs`)
+        n points on the bench; now, a number of the frame that is new to the bench
         budget, feature evaluations for this solver on this frame; a pair of points counts as one
     OUT bench.found points (rows of bench.points) by depth; bench.counters
     Returns the number of labellings found, or -1 where the budget or the room for labellings did not suffice.
@@ -525,9 +529,11 @@ def expose(solvers, pairs, s, frames, choice, hidden, budget, allowed, bench, no
     A solver proposes a point for a marker where all labellings that it found agree on it. With the marker in sight a proposal of its
     point is a hit. A proposal of any other point is a failure. No proposal is silence.
 
-    IN  solvers, pairs as in `search_by_pairs`; frames (N, M, 3) m, NaN where missing; choice (E,) frame of each exposure; hidden (E, M) bool
+    IN  solvers, pairs as in `search_by_pairs`; frames (N, M, 3) m, NaN where missing
+        choice (E,) frame of each exposure; hidden (E, M) bool
         budget, evaluations per exposure
-        allowed, failures after which a marker is hopeless, as it is after 50 silences that are four times its hits; where all are, the count stops
+        allowed, failures after which a marker is hopeless, as it is after 50 silences that are four times its hits
+        (where all are, the count stops)
         now, as many numbers from here on as there are exposures are new to the bench
     OUT hits, failures, silent (M,) set to the counts, all markers; silent: own markers all in sight and yet no proposal
     Returns the number of exposures made. O(E times a search).
@@ -614,8 +620,8 @@ def fits(whole, m, place, points, slack, least):
 def complete(whole, points, n, place, taken, levels, rounds, slack, least):
     """Give the free points to markers without one, where the strong classifier of the whole model leaves no choice.
 
-    A marker gets a point that fits it, given the markers that have theirs, if no other free point nearly fits it, and if the point nearly fits
-    no other marker that lacks one: the safe rules of the labelling matrix, stricter. New labels speak in the next round.
+    A marker gets a point that fits it, given the markers that have theirs, if no other free point nearly fits it, and if the point nearly
+    fits no other marker that lacks one: the safe rules of the labelling matrix, stricter. New labels speak in the next round.
 
     IN  points (n, 3); rounds at most; slack, least as in `fits`. levels (M, n) int is memory.
     OUT place (M,), taken (n,) bool: completed
@@ -722,8 +728,8 @@ def label_by_matrix(solvers, pairs, trusted, whole, slack, least, xyz, offsets, 
 def arrange(table, reads, markers, start, order, rank, first_feature):
     """In which order to assign markers and to evaluate weak classifiers, so that wrong branches die early.
 
-    From the first marker on, the next is always the one for which the classifiers that it makes computable reject the largest share of wrong
-    points; at each depth the classifier that rejects most comes first, then the one that adds most, and so on.
+    From the first marker on, the next is always the one for which the classifiers that it makes computable reject the largest share of
+    wrong points; at each depth the classifier that rejects most comes first, then the one that adds most, and so on.
 
     IN  table (F, M, R) uint64 bits: does classifier f reject when marker m alone is given a wrong point; reads (F, M) bool
         markers (D,) of the solver, start its first one

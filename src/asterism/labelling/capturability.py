@@ -54,7 +54,7 @@ class Capturability:
     """Whether a marker set can be labelled.
 
     markers        (M,) names
-    hit_rates      (M,) share of frames with all markers in sight in which the full solver names the marker (4.5.2, property 4: 1 is the best)
+    hit_rates      (M,) share of frames with all markers in sight in which the full solver names it (4.5.2, property 4: 1 is the best)
     confusion      (M, M) how often the row marker's point could be taken for the column marker when a third of the labels are known, as a
                    share of all that it could be taken for, itself included: rows sum to 1
     by_occlusions  (hidden, share of the markers in sight that get their label, the same per marker (M,)) for 0, 1, 2, ... hidden
@@ -89,7 +89,8 @@ def capturability(
 ) -> Capturability:
     """Tell whether the markers of labelled recordings can be told apart frame by frame, which are confused, and what would help.
 
-    Even blocks of ten frames teach, odd ones test (of the same people: the question is about the markers, not about strangers).
+    With markers hidden, even blocks of ten frames teach and odd ones test (of the same people: the question is about the markers, not about
+    strangers).
     `subjects` names the person of each recording. Deterministic by seed. Raises AsterismError for fewer than four markers, for columns that
     differ, for a marker that is never there, or where no frame shows all markers.
     """
@@ -100,7 +101,7 @@ def capturability(
         raise AsterismError(f"{markers} markers are too few to ask which of them can be told apart; give at least four.")
     teach, test = _halves(frames, groups)
     tell(0.0, "full solver")
-    hit_rates = _whole_hit_rates(teach, test, names, seed)
+    hit_rates = _whole_hit_rates(np.concatenate([teach[0], test[0]]), np.concatenate([teach[1], test[1]]), names, seed)
     tell(0.1, "confusions")
     settings = Mining(glance=200, exposures=800, proof=2000, breadth=60, largest=min(8, markers), most_solvers=50)
     mine = Mine(*teach, settings=settings, seed=seed)
@@ -137,12 +138,13 @@ def _halves(frames: Floats, groups: Ints) -> tuple[Half, Half]:
     return halves[0], halves[1]
 
 
-def _whole_hit_rates(teach: Half, test: Half, names: Sequence[str], seed: int) -> Floats:
-    complete = ~np.isnan(test[0][:, :, 0]).any(axis=1)
+def _whole_hit_rates(frames: Floats, groups: Ints, names: Sequence[str], seed: int) -> Floats:
+    """Share of the frames that a full solver names uniquely; it knows them all, so that only ambiguity counts, not what is new to it."""
+    complete = ~np.isnan(frames[:, :, 0]).any(axis=1)
     if not complete.any():
         raise AsterismError("no frame shows all markers, so they cannot be compared; give recordings with fewer gaps, or fewer markers.")
-    solver = FullSolver.fit_frames(*teach, names, weak_classifiers=max(40, 3 * len(names)), widen=0.25, seed=seed)
-    clouds, truth = hide_and_haunt(Recording(test[0][complete], tuple(names), 1.0), 0, 0, seed)
+    solver = FullSolver.fit_frames(frames, groups, names, weak_classifiers=max(40, 3 * len(names)), widen=0.25, seed=seed)
+    clouds, truth = hide_and_haunt(Recording(frames[complete], tuple(names), 1.0), 0, 0, seed)
     rates: Floats = (solver.label(clouds).indices == truth).mean(axis=0)
     return rates
 
@@ -247,13 +249,14 @@ def _verdict(
         opening = f"These {len(names)} markers can be labelled in most frames, not in all"
     else:
         opening = f"These {len(names)} markers cannot be labelled reliably as they are"
-    words = [f"{opening}: with all in sight, {mean:.1%} of the labels are found ({names[worst]} least often, {hit_rates[worst]:.1%})."]
+    least = f" ({names[worst]} least often, {hit_rates[worst]:.1%})" if hit_rates[worst] < mean - 0.001 else ""
+    words = [f"{opening}: with all in sight, {mean:.1%} of the labels are found{least}."]
     if len(by_occlusions) > 1:
         hidden, rate, own = by_occlusions[min(3, len(by_occlusions) - 1)]
         weak = int(own.argmin())
         words.append(f"With {hidden} hidden, {rate:.1%} of the others are; {names[weak]} suffers most ({own[weak]:.1%}).")
     apart = confusion - np.diag(np.diagonal(confusion))
-    row, column = np.unravel_index(int(apart.argmax()), apart.shape)
+    row, column = divmod(int(apart.argmax()), len(names))
     if apart[row, column] >= 0.005:
         words.append(f"{names[row]} is the one most easily taken for another: {names[column]}.")
     else:

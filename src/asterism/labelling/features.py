@@ -1,7 +1,7 @@
 """Geometric features (thesis table 4.1): the registry, and the pool of all of them over all subsets of a marker set.
 
-A tenth feature is one more `if kind == G10` in `_kernels.feature` and one more line at the end of `FEATURES` here, with a constant G10 beside
-the others; the pool, the training, the search and the files that models are saved in take it from there.
+A tenth feature is one more `if kind == G10` in `_kernels.feature` and one more line at the end of `FEATURES` here, with a constant G10
+beside the others; the pool, the training, the search and the files that models are saved in take it from there.
 """
 
 from __future__ import annotations

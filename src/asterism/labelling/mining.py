@@ -26,7 +26,7 @@ MINERS = ("bottom-up", "top-down", "genetic")
 
 
 ANSWERS = 0.3
-"""A solver that proposes a marker less often than this, its markers all in sight, is no solver for it: too little is known of its hit rate."""
+"""A solver that proposes a marker less often than this, its markers all in sight, is none for it: too little is known of its hit rate."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class Mining:
 class Assessed:
     """A partial solver and what its exposure to frames showed.
 
-    hit_rates (M,) share of its proposals that are right, NaN for other markers (1st property); answers (M,) share of the frames with all its
-    markers in sight in which it proposes the right point; judged, whether on all exposures or on a glance
+    hit_rates (M,) share of its proposals that are right, NaN for other markers (1st property); answers (M,) share of the frames with all
+    its markers in sight in which it proposes the right point; judged, whether on all exposures or on a glance
     """
 
     solver: Solver
@@ -180,10 +180,10 @@ def mine(
 
     frames (N, M, 3) m, z up, NaN where missing; groups (N,) whose frame each is; targets a number or (M,); miner one of `MINERS`.
 
-    A hit rate is measured on frames of the ground truth with 0 to 5 markers hidden: of the points that the solver proposes for a marker, the
-    share that is right. The thesis exposes its solvers to whole frames; with markers hidden, a solver that takes a stranger's point where it
-    should stay silent is found out, which is stricter. Where a solver finds several labellings, it is silent about the markers in which they
-    differ; how often is in `Assessed.answers`, and guides the choice, not the trust.
+    A hit rate is measured on frames of the ground truth with 0 to 5 markers hidden: of the points that the solver proposes for a marker,
+    the share that is right. The thesis exposes its solvers to whole frames; with markers hidden, a solver that takes a stranger's point
+    where it should stay silent is found out, which is stricter. Where a solver finds several labellings, it is silent about the markers
+    in which they differ; how often is in `Assessed.answers`, and guides the choice, not the trust.
 
     Equal seeds give equal solvers. Raises AsterismError for an unknown miner or fewer than three markers.
     """
@@ -205,12 +205,12 @@ def bottom_up(quarry: Mine, progress: Progress) -> list[Assessed]:
     best, an equal share for every marker, so that no part of the body is forgotten.
     """
     level: set[Subset] = {(marker,) for marker in range(quarry.n_markers)}
-    found = []
+    found: list[Assessed] = []
     largest = min(quarry.settings.largest, quarry.n_markers)
     for size in range(2, largest + 1):
         grown = sorted({tuple(sorted((*subset, m))) for subset in level for m in range(quarry.n_markers) if m not in subset})
         grown = _nearest(quarry, grown, 4 * quarry.settings.breadth)
-        waiting = []
+        waiting: list[Assessed] = []
         for number, subset in enumerate(grown):
             if number % 16 == 0:
                 progress((size - 2 + number / len(grown)) / (largest - 1), f"solvers of {size} markers")
@@ -228,8 +228,8 @@ def bottom_up(quarry: Mine, progress: Progress) -> list[Assessed]:
 def top_down(quarry: Mine, progress: Progress) -> list[Assessed]:
     """Algorithm 4.2: start with all markers, take markers out as long as a target is reached.
 
-    A solver joins the result when none of its children reaches a target. (As printed, step 2d drops the child instead of keeping the parent,
-    which would return the solvers that fail.) A level keeps the `breadth` best, an equal share for every marker.
+    A solver joins the result when none of its children reaches a target. (As printed, step 2d drops the child instead of keeping the
+    parent, which would return the solvers that fail.) A level keeps the `breadth` best, an equal share for every marker.
     """
     whole = quarry.assess(range(quarry.n_markers))
     level = [] if whole is None else [whole]
@@ -262,9 +262,10 @@ def top_down(quarry: Mine, progress: Progress) -> list[Assessed]:
 
 
 def genetic(quarry: Mine, progress: Progress) -> list[Assessed]:
-    """The genetic search: subsets as chromosomes, crossover, mutation (permutation, addition, subtraction), a quarter dies out per generation.
+    """The genetic search: subsets as chromosomes, crossover, mutation, and a quarter that dies out per generation.
 
-    Fitness is the best hit rate of the solver, capped at the target; among equals the smaller solver wins. Subtraction is drawn twice as often
+    Fitness is the best hit rate of the solver, capped at the target; among equals the smaller solver wins. Mutations are
+    permutation, addition and subtraction. Subtraction is drawn twice as often
     as the other mutations, which drives towards small solvers. All that ever reached a target are returned.
     """
     rng, n, size = quarry.rng, quarry.n_markers, quarry.settings.breadth
@@ -351,8 +352,8 @@ def _best(quarry: Mine, candidates: list[Assessed], limit: int) -> list[Assessed
 def choose(quarry: Mine, found: list[Assessed], progress: Progress, patterns: int = 1500) -> PartialSolvers:
     """The ensemble: of the solvers found those that, over random patterns of hidden markers, leave the fewest markers without a proposal.
 
-    Chosen one after the other by how much each adds, small ones first among equals; each is judged once more on `proof` exposures before it is
-    in. For a marker that no solver reaches the target of, the best that is known is taken, and the marker flagged.
+    Chosen one after the other by how much each adds, small ones first among equals; each is judged once more on `proof` exposures before
+    it is in. For a marker that no solver reaches the target of, the best that is known is taken, and the marker flagged.
     """
     n, settings = quarry.n_markers, quarry.settings
     found = sorted(found, key=lambda a: (len(a.solver.markers), sorted(a.solver.markers.tolist())))
@@ -377,12 +378,12 @@ def choose(quarry: Mine, found: list[Assessed], progress: Progress, patterns: in
         rates[best] = 0.0
         chosen.append(proven)
         progress(len(chosen) / settings.most_solvers, f"{len(chosen)} solvers chosen")
-    covered = np.array([quarry.reaches(a) for a in chosen]).reshape(-1, n).any(axis=0)
+    covered = np.any(np.array([quarry.reaches(a) for a in chosen], dtype=np.bool_).reshape(-1, n), axis=0)
     trusted = [quarry.reaches(a) for a in chosen]
     for marker in np.nonzero(~covered)[0]:
         able = [a for _, a in sorted(quarry.known.items()) if a.hit_rates[marker] > 0]
-        for best in sorted(able, key=lambda a: (-a.hit_rates[marker], len(a.solver.markers)))[:3]:
-            chosen.append(best)
+        for stopgap in sorted(able, key=lambda a: (-a.hit_rates[marker], len(a.solver.markers)))[:3]:
+            chosen.append(stopgap)
             trusted.append(np.arange(n) == marker)
     arrays = pack([a.solver for a in chosen])
     by_depth = [may[a.solver.markers] for a, may in zip(chosen, trusted, strict=True)]

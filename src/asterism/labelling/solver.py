@@ -71,7 +71,8 @@ def share_pairs(arrays: SolverArrays, n_markers: int) -> tuple[SolverArrays, Pai
     """Solvers without their classifiers of distance and height, and these as rules for pairs of markers that all the solvers share.
 
     The intervals of angles become those of their cosines, as `search_by_pairs` reads them.
-    A solver out of `mining` has all such classifiers over its markers, with the same intervals as the others, so that nothing changes but speed.
+    A solver out of `mining` has all such classifiers over its markers, with the same intervals as the others, so that nothing changes but
+    speed.
     """
     shape = (n_markers, n_markers)
     rules = PairRules(np.full(shape, -np.inf), np.full(shape, np.inf), np.full(shape, -np.inf), np.full(shape, np.inf))

@@ -1,4 +1,4 @@
-"""Weak classifiers: labelled frames in; intervals, wrong labellings, the boosted choice and the strong classifier out (thesis 4.3, 4.4.1)."""
+"""Weak classifiers (thesis 4.3, 4.4.1): labelled frames in; intervals, wrong labellings, the boosted choice, the strong classifier out."""
 
 from __future__ import annotations
 
@@ -116,8 +116,8 @@ def wrong_labellings(n_markers: int, severities: Ints, rng: np.random.Generator)
 class Trial:
     """Wrong labellings, and which weak classifiers of a pool reject them, as bits.
 
-    frames (K, M, 3) m, labels (K, M); table (F, W) bit k set where classifier f rejects labelling k; moved (M, W) bit k set where labelling k
-    is wrong about marker m; weight (W,) of the labellings of a word: the fewer labels are wrong, the harder and heavier
+    frames (K, M, 3) m, labels (K, M); table (F, W) bit k set where classifier f rejects labelling k; moved (M, W) bit k set where
+    labelling k is wrong about marker m; weight (W,) of the labellings of a word: the fewer labels are wrong, the harder and heavier
     """
 
     frames: Floats
@@ -128,7 +128,7 @@ class Trial:
 
     @classmethod
     def draw(cls, frames: Floats, weak: Weak, rng: np.random.Generator, count: int = 8192) -> Trial:
-        """Permutations of random frames with severities from 2 to M (section 4.4.1), half of them of 2 to 4 labels; complete frames go first."""
+        """Permutations with severities from 2 to M (section 4.4.1), half of them of 2 to 4 labels, of frames without gaps if there are."""
         n = frames.shape[1]
         words = max(2, count // 64)
         few = np.linspace(2, min(4, n), words // 2)
@@ -233,8 +233,8 @@ class StrongClassifier:
 def choose_widening(spread: Spread, frames: Floats, groups: Ints, rows: Ints, seed: int | np.random.Generator = 0) -> float:
     """The factor of rule "widened" that does best on people left out, one after the other, for the classifiers `rows`.
 
-    Best: the share of a left-out person's frames that is accepted, minus the share of their wrong labellings of 2 or 3 labels that is accepted
-    too, averaged over the people; of equals the smallest. With one person nothing can be left out: 1.
+    Best: the share of a left-out person's frames that is accepted, minus the share of their wrong labellings of 2 or 3 labels that is
+    accepted too, averaged over the people; of equals the smallest. With one person nothing can be left out: 1.
     """
     people = np.unique(groups)
     if len(people) < 2:

@@ -1,0 +1,85 @@
+"""Whether a marker set can be labelled: a good one, one that cannot be, and the words for it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from asterism import AsterismError
+from asterism.labelling.capturability import capturability
+from asterism.simulation import simulate_walks
+
+WALKS = simulate_walks(subjects=2, frames=100, seed=3)
+
+
+FEW = ("RASI", "LASI", "SACR", "RKNE", "RANK", "RHEE", "RTOE", "LTOE")
+
+
+@pytest.fixture(scope="module")
+def good():
+    told = []
+    return capturability(WALKS, seed=0, progress=lambda fraction, doing: told.append(fraction)), told
+
+
+def test_a_good_set(good):
+    result, _ = good
+    assert result.markers == WALKS[0].labels
+    assert (result.hit_rates > 0.9).all()
+    assert "can be labelled" in result.verdict
+    assert np.allclose(result.confusion.sum(axis=1), 1.0)
+    assert (np.diagonal(result.confusion) > 0.3).all()
+
+
+def test_hit_rate_falls_with_what_is_hidden(good):
+    hidden, rates, per_marker = zip(*good[0].by_occlusions, strict=True)
+    assert hidden == (0, 1, 2, 3, 4, 5)
+    assert rates[5] < rates[0]
+    assert all(own.shape == (15,) for own in per_marker)
+
+
+def test_changes_name_every_marker_and_the_best_comes_first(good):
+    changes = good[0].changes
+    assert {change.marker for change in changes if change.action == "drop"} == set(WALKS[0].labels)
+    assert {change.action for change in changes} == {"drop", "move", "add"}
+    gains = [change.hit_rate_after - change.hit_rate_before for change in changes]
+    assert gains == sorted(gains, reverse=True)
+
+
+def test_progress_rises(good):
+    told = good[1]
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+
+
+def test_json(good):
+    table = json.loads(json.dumps(good[0].to_dict()))
+    assert table["markers"] == list(WALKS[0].labels)
+    assert set(table) == {"markers", "hit_rates", "confusion", "by_occlusions", "changes", "verdict"}
+
+
+def test_two_markers_that_cannot_be_told_apart_are_found():
+    """Two labels of a foot that swap places at random: neither is ever sure."""
+    rng = np.random.default_rng(0)
+    a, b = FEW.index("RHEE"), FEW.index("RTOE")
+    mixed = []
+    for walk in (walk.select(FEW) for walk in WALKS):
+        positions = walk.positions.copy()
+        flip = rng.random(len(walk)) < 0.5
+        positions[flip, a], positions[flip, b] = walk.positions[flip, b], walk.positions[flip, a]
+        mixed.append(replace(walk, positions=positions))
+    result = capturability(mixed, seed=0)
+    assert result.hit_rates[a] < 0.5
+    assert result.confusion[a, b] > 0.2
+    assert b in result.confusion[a].argsort()[-2:]
+
+
+def test_what_cannot_be_asked():
+    with pytest.raises(AsterismError, match="too few"):
+        capturability([WALKS[0].select(WALKS[0].labels[:3])])
+    gappy = WALKS[0].positions.copy()
+    gappy[::2, 0], gappy[1::2, 1] = np.nan, np.nan
+    with pytest.raises(AsterismError, match="no frame shows all markers"):
+        capturability([replace(WALKS[0], positions=gappy)])

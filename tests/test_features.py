@@ -1,0 +1,120 @@
+"""The registry of features, the pool over all subsets, and the kernels against their plain twins."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+import twins
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from asterism import AsterismError
+from asterism.labelling import _kernels
+from asterism.labelling.features import FEATURES, describe, members, pool, upright
+
+coordinates = st.floats(-2.0, 2.0, allow_nan=False).map(lambda x: round(x, 3))
+four_points = st.lists(st.tuples(coordinates, coordinates, coordinates), min_size=4, max_size=4, unique=True).map(np.array)
+
+
+def test_registry_is_in_the_kernels_order():
+    assert [feature.name for feature in FEATURES] == [f"g{i}" for i in range(1, 10)]
+    assert (_kernels.G1, _kernels.G2, _kernels.G9) == (0, 1, 8)
+
+
+@pytest.mark.parametrize("kind", range(len(FEATURES)), ids=[feature.name for feature in FEATURES])
+@given(points=four_points)
+@settings(max_examples=60, deadline=None)
+def test_kernel_equals_twin(kind, points):
+    if np.linalg.norm(points[:, None] - points[None], axis=2)[np.triu_indices(4, 1)].min() < 1e-2:
+        return
+    expected = twins.feature(FEATURES[kind].name, list(points))
+    # Near 0 and pi an angle is only as good as the root of the cosine's rounding.
+    assert _kernels.feature(kind, points, 0, 1, 2, 3) == pytest.approx(expected, abs=1e-6)
+
+
+def test_pool_of_the_thesis_has_665():
+    kinds, slots = pool(15, ("g2", "g4", "g9"))
+    assert len(kinds) == 665 == 105 + 105 + 455
+    assert slots.shape == (665, 4)
+
+
+@pytest.mark.parametrize(
+    ("name", "count"), [("g1", 30), ("g2", 10), ("g3", 15), ("g4", 10), ("g5", 30), ("g6", 15), ("g7", 10), ("g8", 10)]
+)
+def test_pool_sizes_of_five_markers(name, count):
+    assert len(pool(5, (name,))[0]) == count
+
+
+@pytest.mark.parametrize("feature", FEATURES, ids=lambda feature: feature.name)
+def test_arrangements_are_all_there_is_and_none_twice(feature):
+    """Over all orders of a subset's points, values differ in as many ways (up to sign and the angle's supplement) as there are arrangements."""
+    points = np.random.default_rng(1).normal(size=(4, 3))
+
+    def essence(order):
+        value = twins.feature(feature.name, [points[i] for i in order])
+        if feature.name in ("g6", "g7"):
+            value = np.cos(value)
+        return round(min(abs(value), 1 / abs(value)) if feature.name == "g5" else abs(value), 9)
+
+    values = {essence(order) for order in permutations(range(feature.points))}
+    listed = [essence(order) for order in feature.arrangements]
+    assert len(set(listed)) == len(listed)
+    assert set(listed) == values
+
+
+def test_many_markers_sample_four_point_features():
+    kinds, slots = pool(30, ("g2", "g3"), seed=3)
+    assert (kinds == 1).sum() == 435
+    assert 15_000 < (kinds == 2).sum() <= 20_000
+    again = pool(30, ("g2", "g3"), seed=3)
+    assert np.array_equal(slots, again[1])
+    assert all(len(set(row)) == 4 for row in slots[kinds == 2][:200].tolist())
+
+
+def test_g9_tells_a_body_from_its_mirror_image():
+    points = np.array([[0.0, 0, 1], [1.0, 0, 1], [0.0, 1, 1]])
+    mirrored = points * [-1, 1, 1]
+    assert _kernels.feature(_kernels.G9, points, 0, 1, 2, 0) == pytest.approx(1.0)
+    assert _kernels.feature(_kernels.G9, mirrored, 0, 1, 2, 0) == pytest.approx(-1.0)
+
+
+@pytest.mark.parametrize("kind", range(len(FEATURES)), ids=[feature.name for feature in FEATURES])
+def test_missing_point_gives_nan_and_coincident_points_a_number(kind):
+    points = np.random.default_rng(0).normal(size=(4, 3))
+    points[1] = np.nan
+    assert np.isnan(_kernels.feature(kind, points, 0, 1, 2, 3))
+    assert np.isfinite(_kernels.feature(kind, np.ones((4, 3)), 0, 1, 2, 3))
+
+
+def test_unknown_or_repeated_feature_is_refused():
+    with pytest.raises(AsterismError, match="g10"):
+        pool(5, ("g2", "g10"))
+    with pytest.raises(AsterismError, match="once"):
+        pool(5, ("g2", "g2"))
+
+
+def test_members_and_words():
+    kinds, slots = pool(4, ("g4", "g9"))
+    reads = members(kinds, slots, 4)
+    assert reads.sum(axis=1).tolist() == [2] * 6 + [3] * 4
+    assert describe(kinds[0], slots[0], ["A", "B", "C", "D"]) == "height difference (A, B)"
+
+
+@given(vertical=st.tuples(coordinates, coordinates, coordinates).filter(lambda v: np.linalg.norm(v) > 0.1), points=four_points)
+@settings(max_examples=60, deadline=None)
+def test_upright_is_a_rotation_that_lifts_the_vertical_to_z(vertical, points):
+    up = np.array(vertical) / np.linalg.norm(vertical)
+    assert np.allclose(upright(up, up), [0, 0, 1], atol=1e-9)
+    turned = upright(points, up)
+    assert np.allclose(turned[:, 2], points @ up, atol=1e-9)
+    before, after = (np.linalg.norm(p[:, None] - p[None], axis=2) for p in (points, turned))
+    assert np.allclose(before, after, atol=1e-9)
+    volume = [np.linalg.det(p[1:] - p[0]) for p in (points, turned)]
+    assert volume[0] == pytest.approx(volume[1], abs=1e-9), "a mirror image is no rotation"
+
+
+def test_upright_leaves_z_up_alone():
+    points = np.random.default_rng(0).normal(size=(5, 3))
+    assert upright(points, np.array([0.0, 0.0, 1.0])) is points

@@ -1,0 +1,149 @@
+"""Intervals, wrong labellings, the boosted choice and the strong classifier."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from asterism import AsterismError
+from asterism.labelling._kernels import popcount
+from asterism.labelling.weak import Spread, StrongClassifier, Trial, choose_widening, readable, wrong_labellings
+
+
+def bodies(people=4, frames=60, markers=7, seed=0):
+    """(N, M, 3) m random bodies: one shape, a size per person, jitter per frame, turned about z; and whose each frame is."""
+    rng = np.random.default_rng(seed)
+    shape = rng.uniform(-0.5, 0.5, size=(markers, 3)) + [0, 0, 1]
+    sizes = rng.uniform(0.85, 1.15, size=people)
+    groups = np.repeat(np.arange(people), frames)
+    out = shape[None] * sizes[groups, None, None] + rng.normal(scale=0.01, size=(people * frames, markers, 3))
+    turn = rng.uniform(0, 2 * np.pi, size=len(out))
+    cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    return np.stack([cos * out[..., 0] - sin * out[..., 1], sin * out[..., 0] + cos * out[..., 1], out[..., 2]], axis=2), groups
+
+
+FRAMES, GROUPS = bodies()
+SPREAD = Spread.measure(FRAMES, GROUPS)
+
+
+def test_range_accepts_all_of_training_and_is_tight():
+    weak = SPREAD.weak("range")
+    right = np.tile(np.arange(7), (len(FRAMES), 1))
+    strong = StrongClassifier(weak, np.ones(len(weak)), 7)
+    assert strong.accepts(FRAMES, right).all()
+    distance = np.linalg.norm(FRAMES[:, 0] - FRAMES[:, 1], axis=1)
+    row = np.nonzero((weak.kinds == 1) & (weak.slots[:, 0] == 0) & (weak.slots[:, 1] == 1))[0][0]
+    assert (weak.low[row], weak.high[row]) == (pytest.approx(distance.min()), pytest.approx(distance.max()))
+
+
+def test_widened_moves_each_end_by_its_own_spread_over_people():
+    plain, wide = SPREAD.weak("range"), SPREAD.weak("widened", 1.0)
+    lows = np.array([[np.linalg.norm(FRAMES[GROUPS == g][:, 0] - FRAMES[GROUPS == g][:, 1], axis=1).min() for g in range(4)]])
+    row = np.nonzero((plain.kinds == 1) & (plain.slots[:, 0] == 0) & (plain.slots[:, 1] == 1))[0][0]
+    assert plain.low[row] - wide.low[row] == pytest.approx(lows.std(ddof=1))
+    assert (SPREAD.weak("widened", 0.0).low == plain.low).all()
+    assert (SPREAD.weak("widened", 2.0).high >= wide.high).all()
+
+
+def test_one_person_widens_by_a_share_of_the_range():
+    weak, wide = SPREAD.weak("range", people=[0]), SPREAD.weak("widened", 1.0, people=[0])
+    assert np.allclose(weak.low - wide.low, 0.1 * (weak.high - weak.low))
+
+
+def test_a_feature_never_seen_accepts_everything():
+    frames = FRAMES.copy()
+    frames[:, 0] = np.nan
+    weak = Spread.measure(frames, GROUPS).weak("range")
+    unseen = (weak.slots[:, 0] == 0) & (weak.kinds != 8)
+    assert np.isinf(weak.low[unseen]).all()
+    assert not np.isin(np.nonzero(unseen)[0], readable(weak, 7, range(7))).any()
+
+
+def test_unknown_rule_is_refused():
+    with pytest.raises(AsterismError, match="rule"):
+        SPREAD.weak("median")
+
+
+@given(n=st.integers(2, 12), seed=st.integers(0, 1000))
+@settings(max_examples=40, deadline=None)
+def test_wrong_labellings_have_exactly_their_severity(n, seed):
+    rng = np.random.default_rng(seed)
+    severities = rng.integers(2, n + 1, size=50)
+    labels = wrong_labellings(n, severities, rng)
+    assert (np.sort(labels, axis=1) == np.arange(n)).all()
+    assert ((labels != np.arange(n)).sum(axis=1) == severities).all()
+
+
+@given(word=st.integers(0, 2**64 - 1))
+def test_popcount(word):
+    assert popcount(np.uint64(word)) == word.bit_count()
+
+
+def slow_boost(rejects, moved, weight, rows, markers, most):
+    """Section 4.4.1 with sets of booleans: rejects (F, K), moved (M, K), weight (K,)."""
+    wrong = moved[list(markers)].any(axis=0)
+    left, chosen = wrong.copy(), []
+    while len(chosen) < most:
+        gains = {f: int((weight * (rejects[f] & left)).sum()) for f in rows if f not in chosen}
+        if not gains:
+            break
+        best = max(gains, key=lambda f: (gains[f], -list(rows).index(f)))
+        if gains[best] == 0:
+            if (left == wrong).all():
+                break
+            left = wrong.copy()
+            continue
+        chosen.append(best)
+        left = left & ~rejects[best]
+    return chosen
+
+
+@pytest.mark.parametrize("markers", [range(7), (0, 2, 3, 5)])
+def test_boosting_equals_its_twin(markers):
+    weak = SPREAD.weak("range")
+    trial = Trial.draw(FRAMES, weak, np.random.default_rng(0), 256)
+    bits = np.unpackbits(trial.table.view(np.uint8), axis=1, bitorder="little").astype(bool)
+    moved = np.unpackbits(trial.moved.view(np.uint8), axis=1, bitorder="little").astype(bool)
+    rows = readable(weak, 7, list(markers))
+    chosen, gains, once = trial.boost(rows, list(markers), 12)
+    assert chosen.tolist() == slow_boost(bits, moved, np.repeat(trial.weight, 64), rows, markers, 12)
+    assert (np.diff(gains[:once]) <= 0).all(), "within a round each adds no more than the one before"
+
+
+def test_strong_classifier_rejects_and_its_score_counts_weights():
+    weak = SPREAD.weak("range")
+    trial = Trial.draw(FRAMES, weak, np.random.default_rng(0), 1024)
+    rows, gains, _ = trial.boost(np.arange(len(weak)), range(7), 20)
+    strong = StrongClassifier(weak.take(rows), gains.astype(float), 7)
+    assert strong.accuracy(FRAMES, wrong=20_000) > 0.99
+    weaker = StrongClassifier(weak.take(rows[:2]), gains[:2].astype(float), 7)
+    assert weaker.accuracy(FRAMES, wrong=20_000) < strong.accuracy(FRAMES, wrong=20_000)
+    wrong = np.tile([1, 0, 2, 3, 4, 5, 6], (len(FRAMES), 1))
+    scores = strong.score(FRAMES, wrong)
+    assert ((scores >= 0) & (scores < 1)).all()
+    assert not strong.accepts(FRAMES, wrong).any()
+
+
+def test_accuracy_is_the_same_for_the_same_seed_and_needs_whole_frames():
+    strong = StrongClassifier(SPREAD.weak("range").take(np.arange(3)), np.ones(3), 7)
+    assert strong.accuracy(FRAMES, 5000, seed=4) == strong.accuracy(FRAMES, 5000, seed=4)
+    with pytest.raises(AsterismError, match="no frame shows all markers"):
+        strong.accuracy(np.full((3, 7, 3), np.nan), 100)
+
+
+def test_missing_points_are_ignored():
+    frames = FRAMES[:4].copy()
+    frames[:, 2] = np.nan
+    strong = StrongClassifier(SPREAD.weak("range"), np.ones(len(SPREAD.kinds)), 7)
+    assert strong.accepts(frames, np.tile(np.arange(7), (4, 1))).all()
+
+
+def test_widening_is_chosen_larger_when_people_differ_more():
+    rows = np.arange(len(SPREAD.kinds))
+    alike = np.concatenate([FRAMES[GROUPS == 0]] * 2)
+    groups = np.repeat([0, 1], len(alike) // 2)
+    same = choose_widening(Spread.measure(alike, groups), alike, groups, rows)
+    assert choose_widening(SPREAD, FRAMES, GROUPS, rows) > same
+    assert choose_widening(SPREAD, FRAMES, np.zeros(len(FRAMES), dtype=int), rows) == 1.0
