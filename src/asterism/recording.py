@@ -154,7 +154,7 @@ def shipped_marker_sets() -> tuple[str, ...]:
 
 def canonical(label: str) -> str:
     """A label without case and punctuation: R.ASIS, r_asis and RASIS are one."""
-    return re.sub(r"[^0-9a-z*]", "", label.casefold())
+    return re.sub(r"[^\w*]|_", "", label.casefold())
 
 
 def is_unnamed(label: str) -> bool:
@@ -328,12 +328,18 @@ class Recording:
 
         The columns are the labelling's markers, then, as unlabelled columns *1, *2, ..., the samples that no marker took, each
         still apart from samples of other columns: nothing is lost. With `keep_names` such a column that had a name keeps it, as
-        long as no marker has it. `clouds` are the clouds that were labelled, by default
-        `self.clouds()`. What the recording carries besides (source, events, metadata) goes on.
+        long as no marker has it. `clouds` are the clouds that were labelled, by default `self.clouds()`. What the recording carries
+        besides (source, events, metadata) goes on. Raises AsterismError where the clouds are not this recording's.
         """
         clouds = self.clouds() if clouds is None else clouds
         frames, markers = np.nonzero(labelling.indices >= 0)
         columns = clouds.columns[clouds.offsets[frames] + labelling.indices[frames, markers]]
+        if (columns < 0).any():
+            frame = frames[np.argmax(columns < 0)]
+            raise AsterismError(
+                f"frame {frame}: a labelled point came from no column of this recording; label the recording's own clouds(), "
+                "or make one of the clouds with asterism.hiding.anonymous()."
+            )
         origin = self.origin if self.origin is not None else np.full(self.visible.shape, -1, dtype=np.int64)
         shape = labelling.indices.shape
         positions, new_origin = np.full((*shape, 3), np.nan), np.full(shape, -1, dtype=np.int64)

@@ -11,6 +11,10 @@ from scipy.optimize import isotonic_regression
 from asterism.recording import Floats
 
 
+LARGEST = 60.0
+"""Margins beyond this (nats) are all the same: as sure as it gets."""
+
+
 @dataclass(frozen=True)
 class Calibration:
     """A non-decreasing curve from margin (nats) to the probability that the label is right.
@@ -31,7 +35,7 @@ class Calibration:
 
         Each bin counts one right and one wrong label more than it saw, so that no confidence is exactly 0 or 1 (rule of succession).
         """
-        given, hit = np.asarray(margin, dtype=np.float64), np.asarray(right, dtype=np.float64)
+        given, hit = np.clip(np.asarray(margin, dtype=np.float64), -LARGEST, LARGEST), np.asarray(right, dtype=np.float64)
         if len(given) == 0:
             return cls(np.array([0.0]), np.array([0.5]))
         order = np.argsort(given, kind="stable")

@@ -16,8 +16,8 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.hiding import hide_and_haunt
 from asterism.labelling._kernels import SolverArrays
-from asterism.labelling.body._kernels import AnchorArrays, BodyArrays, LookSettings, label_clouds
-from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors
+from asterism.labelling.body._kernels import AnchorArrays, BodyArrays, LookSettings, best_pose, label_clouds, make_room
+from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors, with_intervals
 from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, names_of, subsample
 from asterism.labelling.calibration import Calibration
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording
@@ -37,11 +37,12 @@ class LookRules:
     odd         nats that a point earns where its marker is only oddly placed: within `odd_radius` of where it is expected
     odd_radius  m
     far         squared distance of an anchor's own points beyond which its proposal is dropped
-    agree       anchors that must lead to the best labelling before the others are skipped
-    explained   share of a usual frame's score from which a labelling may end the search
-    enough      anchors that end the search even so
+    agree       anchors that must lead to the best labelling before the others are skipped, where it leaves points over
+    enough      anchors that end the search even where the best labelling scores less than labelled frames usually do
     budget      feature evaluations per frame, after which it is decided with what was found
     per_anchor  labellings of one anchor that are followed up
+    least_found share of the markers (or points, if fewer) that a proposal must find at once to be followed up
+    clear       nats by which a label must beat its rivals to be taken before the others
     contest     nats up to which a rival labelling is computed exactly
     """
 
@@ -51,16 +52,17 @@ class LookRules:
     odd_radius: float = 0.2
     far: float = 70.0
     agree: int = 2
-    explained: float = 0.85
     enough: int = 6
     budget: int = 200_000
     per_anchor: int = 3
+    least_found: float = 0.5
+    clear: float = 3.0
     contest: float = 10.0
 
-    def settings(self, typical_score: float) -> LookSettings:
-        """As the kernels read them; `typical_score` is the usual score per point of a frame, in nats."""
+    def settings(self, usual_score: float) -> LookSettings:
+        """As the kernels read them; `usual_score` is what nearly every rightly labelled frame scores per label, in nats."""
         numbers = asdict(self)
-        return LookSettings(good=numbers.pop("explained") * typical_score, **numbers)
+        return LookSettings(good=usual_score, **numbers)
 
 
 @dataclass(frozen=True)
@@ -70,12 +72,16 @@ class TrainingRules:
     frames_per_person  training frames of one person at most, evenly spread
     folds              groups of people left out in turn to calibrate the confidence
     trial_frames       frames on which each left-out person is tried
+    usually_hidden     share of the markers hidden when the usual score is taken
+    usual              share of the rightly labelled frames that score less than the "usual" score
     trials             (occlusions, ghosts) of the trials, occlusions as a share of the markers
     """
 
     frames_per_person: int = 1500
     folds: int = 5
     trial_frames: int = 300
+    usually_hidden: float = 0.25
+    usual: float = 0.05
     trials: tuple[tuple[float, int], ...] = ((0.0, 0), (0.07, 0), (0.14, 0), (0.2, 0), (0.27, 0), (0.34, 0), (0.0, 3), (0.2, 3))
 
 
@@ -101,7 +107,7 @@ class SolverEnsemble:
         markers: Ints,
         body: BodyModel,
         anchors: Anchors,
-        typical_score: float,
+        usual_score: float,
         calibrations: tuple[Calibration, Calibration],
         least_confidence: float,
         look: LookRules,
@@ -113,7 +119,7 @@ class SolverEnsemble:
         self._markers = markers
         self._body = body
         self._anchors = anchors
-        self._typical_score = typical_score
+        self._usual_score = usual_score
         self._calibrations = calibrations
         self._look = look
         self._prepared: Prepared | None = None
@@ -163,22 +169,26 @@ class SolverEnsemble:
         frames, people = np.ascontiguousarray(frames[rows]), people[rows]
 
         report(0.0, "learning the body")
-        body, anchors = _learn(frames, people, body_rules, seed)
+        body = fit_body(frames, people, body_rules, seed)
+        anchors = choose_anchors(frames, people, body, AnchorRules(), np.random.default_rng(seed))
         draft = cls(marker_set, markers, body, anchors, 0.0, (Calibration.fit([], []),) * 2, 0.0, look, {})
-        outcomes = []
+        outcomes, usual = [], []
         folds = _folds(people, training.folds)
         for i, out in enumerate(folds):
             report(0.1 + 0.9 * i / len(folds), "trying it on people left out")
-            own = _learn(frames[~out], _renumbered(people[~out]), body_rules, seed)
-            typical = _typical_score(own[0], frames[~out], look)
-            tried = replace_parts(draft, body=own[0], anchors=own[1], typical_score=typical)
+            others, whose = frames[~out], _renumbered(people[~out])
+            own = fit_body(others, whose, body_rules, seed)
+            scores = _scores_of_truth(own, frames[out], look, training, np.random.default_rng([seed, i]))
+            usual.append(np.quantile(scores, training.usual))
+            own_anchors = with_intervals(anchors.triples, others, whose, AnchorRules().widen)
+            tried = replace_parts(draft, body=own, anchors=own_anchors, usual_score=float(usual[-1]))
             outcomes.append(_trial(tried, frames[out], people[out], training, seed + i))
         margin, right, spare = (np.concatenate(parts) for parts in zip(*outcomes, strict=True))
         calibrations = (Calibration.fit(margin[~spare], right[~spare]), Calibration.fit(margin[spare], right[spare]))
         report(1.0, "done")
         return replace_parts(
             draft,
-            typical_score=_typical_score(body, frames, look),
+            usual_score=float(np.median(usual)),
             calibrations=calibrations,
             least_confidence=least_confidence(target_hit_rate),
             about={
@@ -257,7 +267,7 @@ class SolverEnsemble:
 
     def _parts(self) -> Prepared:
         if self._prepared is None:
-            settings = self._look.settings(self._typical_score)
+            settings = self._look.settings(self._usual_score)
             self._prepared = Prepared(self._anchors.solvers(), self._anchors.arrays(self._body), self._body.arrays(), settings)
         return self._prepared
 
@@ -274,7 +284,7 @@ class SolverEnsemble:
                 "pairs": self.marker_set.pairs,
                 "segments": dict(self.marker_set.segments),
             },
-            "typical_score": self._typical_score,
+            "usual_score": self._usual_score,
             "least_confidence": self.least_confidence,
             "look": asdict(self._look),
             "about": self.about,
@@ -329,7 +339,7 @@ class SolverEnsemble:
             _check_shapes(len(marker_set), arrays["markers"], body, anchors)
             calibrations = tuple(Calibration(*_finite(arrays[f"calibration_{i}"])) for i in range(2))
             return cls(
-                marker_set, arrays["markers"], body, anchors, float(head["typical_score"]), (calibrations[0], calibrations[1]),
+                marker_set, arrays["markers"], body, anchors, float(head["usual_score"]), (calibrations[0], calibrations[1]),
                 float(head["least_confidence"]), LookRules(**head["look"]), dict(head["about"]),
             )
         except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, NotImplementedError, MemoryError) as problem:
@@ -343,7 +353,7 @@ def replace_parts(ensemble: SolverEnsemble, **parts: Any) -> SolverEnsemble:
         "markers": ensemble._markers,
         "body": ensemble._body,
         "anchors": ensemble._anchors,
-        "typical_score": ensemble._typical_score,
+        "usual_score": ensemble._usual_score,
         "calibrations": ensemble._calibrations,
         "least_confidence": ensemble.least_confidence,
         "look": ensemble._look,
@@ -394,11 +404,6 @@ def _common_marker_set(recordings: Sequence[Recording]) -> MarkerSet:
     return MarkerSet(labels, title="the recordings' own labels")
 
 
-def _learn(frames: Floats, people: Ints, rules: BodyRules, seed: int) -> tuple[BodyModel, Anchors]:
-    body = fit_body(frames, people, rules, seed)
-    return body, choose_anchors(frames, people, body, AnchorRules(), np.random.default_rng(seed))
-
-
 def _renumbered(people: Ints) -> Ints:
     return np.unique(people, return_inverse=True)[1].astype(np.int64)
 
@@ -412,19 +417,17 @@ def _folds(people: Ints, folds: int) -> list[Any]:
     return [block % 2 == i for i in range(2)]
 
 
-def _typical_score(body: BodyModel, frames: Floats, look: LookRules) -> float:
-    """Median score per point of rightly labelled frames, in nats."""
-    from asterism.labelling.body._kernels import best_pose, make_room
-
-    arrays = body.arrays()
-    settings = look.settings(0.0)
+def _scores_of_truth(body: BodyModel, frames: Floats, look: LookRules, rules: TrainingRules, rng: np.random.Generator) -> Floats:
+    """Score per label, in nats, of rightly labelled frames of people left out, some of their markers hidden."""
+    arrays, settings = body.arrays(), look.settings(0.0)
     scores = []
-    for frame in frames[:: max(1, len(frames) // 200)]:
-        shown = ~np.isnan(frame[:, 0])
-        rows = np.where(shown, np.cumsum(shown) - 1, NULL)
-        room = make_room(int(shown.sum()), len(rows), arrays.load.shape[3])
-        scores.append(best_pose(arrays, np.ascontiguousarray(frame[shown]), rows, settings, room)[1] / shown.sum())
-    return float(np.median(scores))
+    for frame in frames[rng.choice(len(frames), min(300, len(frames)), replace=False)]:
+        shown = ~np.isnan(frame[:, 0]) & (rng.random(len(frame)) >= rules.usually_hidden)
+        if shown.sum() >= 3:
+            rows = np.where(shown, np.cumsum(shown) - 1, NULL)
+            room = make_room(int(shown.sum()), len(rows), arrays.load.shape[3])
+            scores.append(best_pose(arrays, np.ascontiguousarray(frame[shown]), rows, settings, room)[1] / shown.sum())
+    return np.array(scores)
 
 
 def _trial(ensemble: SolverEnsemble, frames: Floats, people: Ints, rules: TrainingRules, seed: int) -> tuple[Floats, Any, Any]:

@@ -14,6 +14,14 @@ from numba import njit
 from asterism.labelling._kernels import search
 
 LOG_2PI = math.log(2.0 * math.pi)
+LABELLINGS = 24
+"""Labellings of one frame that are kept apart."""
+ROUNDS = 8
+"""Relabellings after which a labelling that still changes is taken as it is."""
+WORTH_REFINING = 20.0
+"""A proposal this many nats behind its anchor's best one is not followed up."""
+SUMS = {"reassoc", "contract"}
+"""Sums may be reordered (a frame's small products then run in vector registers); NaN and infinities keep their meaning."""
 REACH = 0.6
 """No point farther than this from where a marker is expected is looked at (m)."""
 
@@ -69,11 +77,13 @@ class LookSettings(NamedTuple):
     first_ghost  nats that the first ghost of a frame costs
     odd          nats that an oddly placed point earns, within `odd_radius` (m) of where its marker is expected
     far          squared distance of an anchor's own points beyond which it is not followed up
-    agree        anchors that must lead to the best labelling before the others are skipped
+    agree        anchors that must lead to the best labelling before the others are skipped, where points are left over
     budget       feature evaluations per frame
     per_anchor   labellings of one anchor that are followed up
+    least_found  share of the markers that a proposal must find at once to be followed up
+    clear        nats by which a label must beat its rivals to be taken before the others
     contest      nats: alternatives at least this close are computed exactly
-    good         nats per point from which a labelling explains the frame
+    good         nats per label from which a labelling of most points explains the frame
     enough       anchors that end the search even if the best labelling does not explain the frame
     """
 
@@ -85,12 +95,22 @@ class LookSettings(NamedTuple):
     agree: int
     budget: int
     per_anchor: int
+    least_found: float
+    clear: float
     contest: float
     good: float
     enough: int
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=SUMS)
+def _count(rows):
+    labelled = 0
+    for m in range(len(rows)):
+        labelled += rows[m] >= 0
+    return labelled
+
+
+@njit(cache=True, nogil=True, fastmath=SUMS)
 def placing(points, rows, mean, markers):
     """The turn about the vertical and the shift that bring the points at `rows` best onto `mean[markers]`: (cos, sin, from, onto).
 
@@ -119,7 +139,7 @@ def placing(points, rows, mean, markers):
     return cos, sin, (px, py, pz), (qx, qy, qz)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=SUMS)
 def align(points, rows, mean, markers, out):
     """Move all points by `placing`. OUT out (n, 3). O(n + k)."""
     cos, sin, here, there = placing(points, rows, mean, markers)
@@ -130,47 +150,54 @@ def align(points, rows, mean, markers, out):
         out[i, 2] = points[i, 2] - here[2] + there[2]
 
 
-@njit(cache=True, nogil=True)
-def _cholesky(matrix):
+@njit(cache=True, nogil=True, fastmath=SUMS)
+def _cholesky(matrix, column):
     """Lower triangle of a symmetric positive definite matrix replaced by its Cholesky factor; returns log det. O(r^3 / 3)."""
     n = len(matrix)
     log_det = 0.0
     for j in range(n):
-        total = matrix[j, j]
-        for k in range(j):
-            total -= matrix[j, k] * matrix[j, k]
-        pivot = math.sqrt(total)
-        matrix[j, j] = pivot
+        pivot = math.sqrt(matrix[j, j])
         log_det += 2.0 * math.log(pivot)
+        matrix[j, j] = pivot
         for i in range(j + 1, n):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            matrix[i, j] = total / pivot
+            matrix[i, j] /= pivot
+            column[i] = matrix[i, j]
+        for i in range(j + 1, n):
+            weight = column[i]
+            for k in range(j + 1, i + 1):
+                matrix[i, k] -= weight * column[k]
     return log_det
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=SUMS)
 def _inverse_of_factor(factor, inverse):
-    """OUT inverse of factor factor'. The strict upper triangle of `factor` is used as room. O(2 r^3 / 3)."""
+    """OUT inverse (r, r) of factor factor'. O(r^3 / 2)."""
     n = len(factor)
-    for j in range(n):
-        inverse[j, j] = 1.0 / factor[j, j]
-        for i in range(j + 1, n):
-            total = 0.0
-            for k in range(j, i):
-                total -= factor[i, k] * inverse[j, k]
-            inverse[j, i] = total / factor[i, i]
-    # row j of `inverse` now holds column j of the factor's inverse
+    # the factor's inverse, row by row, into the lower triangle
     for i in range(n):
-        for j in range(i, n):
-            total = 0.0
-            for k in range(j, n):
-                total += inverse[i, k] * inverse[j, k]
-            inverse[i, j] = total
-    for i in range(n):
-        for j in range(i):
-            inverse[i, j] = inverse[j, i]
+        inverse[i, : i + 1] = 0.0
+        for k in range(i):
+            weight = factor[i, k]
+            for j in range(k + 1):
+                inverse[i, j] -= weight * inverse[k, j]
+        inverse[i, i] = 1.0
+        for j in range(i + 1):
+            inverse[i, j] /= factor[i, i]
+    # its transpose times itself: sums over rows i >= max(a, b), which are overwritten last
+    for a in range(n):
+        for b in range(a + 1, n):
+            inverse[a, b] = 0.0
+        for i in range(a + 1, n):
+            weight = inverse[i, a]
+            for b in range(a + 1, i + 1):
+                inverse[a, b] += weight * inverse[i, b]
+        total = 0.0
+        for i in range(a, n):
+            total += inverse[i, a] * inverse[i, a]
+        inverse[a, a] = total
+    for a in range(n):
+        for b in range(a):
+            inverse[a, b] = inverse[b, a]
 
 
 class Room(NamedTuple):
@@ -189,7 +216,7 @@ class Room(NamedTuple):
     everyone: np.ndarray
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=SUMS)
 def make_room(n, markers, latents):
     """Working arrays for frames of n points."""
     return Room(
@@ -207,7 +234,7 @@ def make_room(n, markers, latents):
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=SUMS)
 def evidence(body, k, points, rows, settings, room):
     """How likely the labelled points are all together, under one key pose.
 
@@ -260,7 +287,7 @@ def evidence(body, k, points, rows, settings, room):
         score += body.log_scale[k, m] - 1.5 * LOG_2PI + settings.reward
     if labelled < len(points):
         score -= settings.first_ghost
-    score -= 0.5 * _cholesky(room.information)
+    score -= 0.5 * _cholesky(room.information, room.latent)
     quadratic = 0.0
     for i in range(latents):
         total = room.moment[i]
@@ -272,7 +299,7 @@ def evidence(body, k, points, rows, settings, room):
     return score + 0.5 * (quadratic - squares)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=SUMS)
 def posterior(room):
     """What the labelled points say of the latents, after `evidence`. OUT room.covariance, latent. O(r^3)."""
     _inverse_of_factor(room.information, room.covariance)
@@ -284,7 +311,7 @@ def posterior(room):
         room.latent[i] = total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=SUMS)
 def score_all(body, k, rows, settings, room):
     """Score every point as every marker, given all other labelled points (leave one out), after `posterior`.
 
@@ -296,11 +323,11 @@ def score_all(body, k, rows, settings, room):
     centre, shift = np.empty(3), np.empty(3)
     for m in range(markers):
         for a in range(3):
-            for i in range(latents):
-                total = 0.0
-                for j in range(latents):
-                    total += body.load[k, m, a, j] * room.covariance[j, i]
-                room.slope[a, i] = total
+            room.slope[a] = 0.0
+            for j in range(latents):
+                weight = body.load[k, m, a, j]
+                for i in range(latents):
+                    room.slope[a, i] += weight * room.covariance[j, i]
         for a in range(3):
             for b in range(3):
                 total = 0.0
@@ -363,7 +390,7 @@ def score_all(body, k, rows, settings, room):
             room.scores[m, c] = score
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=SUMS)
 def assign(scores, first_ghost, rows):
     """Give points to markers, best score first; what scores below 0 stays null, unless that saves the only ghosts.
 
@@ -414,7 +441,36 @@ def assign(scores, first_ghost, rows):
             rows[order[g]] = -1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=SUMS)
+def assign_clear(scores, gap, rows):
+    """Give points to markers only where nothing else comes near: best both ways, and by `gap` nats over the next best and over null.
+
+    IN  scores (M, n) nats. OUT rows (M,), -1 for none. O(M n).
+    """
+    markers, n = scores.shape
+    suitor, suit, rival = np.full(n, -1, dtype=np.int64), np.zeros(n), np.zeros(n)
+    for c in range(n):
+        for m in range(markers):
+            if scores[m, c] > suit[c]:
+                rival[c] = suit[c]
+                suit[c] = scores[m, c]
+                suitor[c] = m
+            elif scores[m, c] > rival[c]:
+                rival[c] = scores[m, c]
+    for m in range(markers):
+        best, second, chosen = 0.0, 0.0, -1
+        for c in range(n):
+            if scores[m, c] > best:
+                second = best
+                best = scores[m, c]
+                chosen = c
+            elif scores[m, c] > second:
+                second = scores[m, c]
+        clear = chosen >= 0 and suitor[chosen] == m and best - second > gap and best - rival[chosen] > gap
+        rows[m] = chosen if clear else -1
+
+
+@njit(cache=True, nogil=True, fastmath=SUMS)
 def _anchor_displacement(anchors, a, k, body, points, rows3, delta):
     """OUT delta (9,): how far an anchor's points lie from a key pose's, once placed onto it. Returns its squared distance."""
     cos, sin, here, there = placing(points, rows3, body.mean[k], anchors.markers[a])
@@ -433,7 +489,7 @@ def _anchor_displacement(anchors, a, k, body, points, rows3, delta):
     return distance
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=SUMS)
 def key_pose(anchors, a, body, points, rows3, delta):
     """The key pose that fits an anchor's own points best: (k, its log density, its squared distance). O(81 K)."""
     best, best_log, best_distance = 0, -np.inf, np.inf
@@ -445,7 +501,7 @@ def key_pose(anchors, a, body, points, rows3, delta):
     return best, best_log, best_distance
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=SUMS)
 def predict(anchors, a, k, body, points, rows3, delta, settings, room):
     """Score every point as every marker from an anchor alone (fills room.scores, like `score_all`). O(M n)."""
     markers, n = body.load.shape[1], len(points)
@@ -477,7 +533,7 @@ def predict(anchors, a, k, body, points, rows3, delta, settings, room):
         room.scores[m, rows3[i]] = 50.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=SUMS)
 def best_pose(body, points, rows, settings, room):
     """The key pose under which a labelling scores best, and that score: (k, nats)."""
     best, best_score = 0, -np.inf
@@ -488,7 +544,7 @@ def best_pose(body, points, rows, settings, room):
     return best, best_score
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=SUMS)
 def look_again(body, k, points, rows, settings, room):
     """Score all points by a labelling under key pose k, odd markers set aside: fills room.scores, room.odd; gives the labelling's score.
 
@@ -510,27 +566,30 @@ def look_again(body, k, points, rows, settings, room):
     return score
 
 
-@njit(cache=True, nogil=True)
-def refine(body, points, rows, settings, rounds, room):
-    """Relabel by the whole body until nothing changes: key pose, posterior, leave-one-out scores, assignment.
+@njit(cache=True, nogil=True, fastmath=SUMS)
+def refine(body, k, points, rows, settings, room):
+    """Relabel by the whole body until nothing changes: posterior, leave-one-out scores, assignment.
 
-    IN/OUT rows (M,). Returns the score of the labelling, in nats.
+    First only clear labels are taken (`assign_clear`), which narrow down where the others must be; then all.
+    IN k key pose to begin with; IN/OUT rows (M,). Returns the score of the labelling, in nats.
     """
-    k, score = 0, -np.inf
+    score = -np.inf
     previous = np.empty_like(rows)
     room.odd[:] = False
-    for step in range(rounds):
+    clearly = True
+    for step in range(ROUNDS):
         previous[:] = rows
-        count = 0
-        for m in range(len(rows)):
-            count += rows[m] >= 0
-        if count < 3:
+        if _count(rows) < 3:
             rows[:] = -1
             return -np.inf
-        if step == 0:
+        if step == 1:
             k, _ = best_pose(body, points, rows, settings, room)
         score = look_again(body, k, points, rows, settings, room)
-        assign(room.scores, settings.first_ghost, rows)
+        if clearly:
+            assign_clear(room.scores, settings.clear, rows)
+            clearly = _count(rows) > _count(previous) and step < ROUNDS // 2
+        if not clearly:
+            assign(room.scores, settings.first_ghost, rows)
         same = True
         for m in range(len(rows)):
             if rows[m] != previous[m]:
@@ -542,7 +601,7 @@ def refine(body, points, rows, settings, rounds, room):
     return score
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=SUMS)
 def _known(table, count, rows):
     for h in range(count):
         same = True
@@ -555,177 +614,240 @@ def _known(table, count, rows):
     return -1
 
 
-@njit(cache=True, nogil=True)
-def label_frame(points, order, solvers, anchors, body, settings, room, rows, margins, counters):
-    """The best labelling of one frame and by how much it beats the next one, marker by marker.
+class Board(NamedTuple):
+    """The labellings of one frame that were found so far: H at most.
 
-    Anchors (partial solvers of three markers) propose; from each proposal the whole body is predicted, labelled and refined;
-    labellings reached from several anchors collect votes; the search ends when the best one has enough of them.
-    Then, for every marker, the best labelling that differs there is looked for among the other labellings found and among the
-    nearest changes: hide the marker, give it a free point, swap it, let a hidden marker take its point.
+    starts, start_final  (H, M) what anchors proposed, (H,) the final labelling that each led to
+    finals               (H, M) refined labellings
+    scores               (H,) nats
+    needs                (H,) anchors that must lead to it: one where it leaves no point over and fits like a usual body, more where not
+    votes, last_vote     (H,) anchors that led to it, and the last of them
+    """
 
-    IN   points (n, 3) m, z up; order (n,) search order; solvers SolverArrays, anchors AnchorArrays (the same anchors); body, settings
-    OUT  rows (M,), margins (M,) nats (for a null: how far its best free point was from being taken, negative);
-         counters (4,): feature evaluations, anchors run, labellings refined, votes of the best
+    starts: np.ndarray
+    start_final: np.ndarray
+    finals: np.ndarray
+    scores: np.ndarray
+    needs: np.ndarray
+    votes: np.ndarray
+    last_vote: np.ndarray
+
+
+@njit(cache=True, nogil=True, fastmath=SUMS)
+def propose(anchors, a, body, points, found, solutions, settings, room, pick, pick_score, pose_of):
+    """Which of an anchor's triples are worth following up: those from which the whole body is found best.
+
+    IN   found (solutions, 3) rows of the anchor's markers
+    OUT  pick, pick_score (P,) the best of them and how well they explain the frame (nats); pose_of (solutions,) key pose of each
+    Returns the number of picks. O(solutions K + P M n).
     """
     markers, n = body.load.shape[1], len(points)
-    rows[:] = -1
-    margins[:] = 0.0
-    counters[:] = 0
-    if n < 3:
-        return
-    limit = 24
-    starts = np.empty((limit, markers), dtype=np.int64)
-    finals = np.empty((limit, markers), dtype=np.int64)
-    final_of = np.empty(limit, dtype=np.int64)
-    scores = np.empty(limit)
-    votes = np.zeros(limit, dtype=np.int64)
-    last_vote = np.full(limit, -1, dtype=np.int64)
-    n_starts, n_finals, best = 0, 0, -1
-    found = np.empty((64, 3), dtype=np.int64)
-    pose_of, density = np.empty(64, dtype=np.int64), np.empty(64)
-    pick = np.empty(settings.per_anchor, dtype=np.int64)
-    pick_score = np.empty(settings.per_anchor)
-    trial = np.empty(markers, dtype=np.int64)
-    delta = np.empty(9)
+    delta, density = np.empty(9), np.empty(solutions)
+    for s in range(solutions):
+        pose_of[s], density[s], distance = key_pose(anchors, a, body, points, found[s], delta)
+        if distance > settings.far:
+            density[s] = -np.inf
+    picks, most = 0, len(pick)
+    for _ in range(min(solutions, 2 * most + 2 * max(0, n - markers))):
+        s = np.argmax(density)
+        total = density[s]
+        if total == -np.inf:
+            break
+        density[s] = -np.inf
+        predict(anchors, a, pose_of[s], body, points, found[s], delta, settings, room)
+        for m in range(markers):
+            top = 0.0
+            for c in range(n):
+                top = max(top, room.scores[m, c])
+            total += min(top, 25.0)
+        where = picks
+        while where > 0 and pick_score[where - 1] < total:
+            where -= 1
+        if where < most:
+            for p in range(min(picks, most - 1), where, -1):
+                pick_score[p] = pick_score[p - 1]
+                pick[p] = pick[p - 1]
+            pick_score[where] = total
+            pick[where] = s
+            picks = min(picks + 1, most)
+    return picks
+
+
+@njit(cache=True, nogil=True, fastmath=SUMS)
+def find_labellings(points, order, solvers, anchors, body, settings, room, board, counters):
+    """Let anchors propose and refine what they propose, until enough of them agree on the best labelling.
+
+    OUT  board; counters, see `label_frame`. Returns the number of labellings found and the best one's place, -1 for none.
+    """
+    markers, n = body.load.shape[1], len(points)
+    n_starts, n_finals, best, most_labelled = 0, 0, -1, 0
+    found = np.empty((max(64, n * n), 3), dtype=np.int64)
+    pose_of = np.empty(len(found), dtype=np.int64)
+    pick, pick_score = np.empty(settings.per_anchor, dtype=np.int64), np.empty(settings.per_anchor)
+    trial, delta = np.empty(markers, dtype=np.int64), np.empty(9)
     evaluations = np.zeros(2, dtype=np.int64)
     for a in range(len(anchors.markers)):
-        if best >= 0 and (votes[best] >= settings.enough or (votes[best] >= settings.agree and scores[best] >= settings.good * min(n, markers))):
+        if best >= 0 and board.votes[best] >= board.needs[best]:
             break
-        if n_starts >= limit - settings.per_anchor or evaluations[0] > settings.budget:
+        if n_starts + settings.per_anchor > len(board.starts) or evaluations[0] > settings.budget:
             break
+        if best >= 0 and board.needs[best] < settings.enough:
+            # only an anchor that sees its markers can still agree
+            one, two, three = anchors.markers[a]
+            if board.finals[best, one] < 0 or board.finals[best, two] < 0 or board.finals[best, three] < 0:
+                continue
         counters[1] += 1
         solutions = search(solvers, a, points, order, settings.budget, found, evaluations)
-        if solutions < 0:
-            solutions = 0
-        picks = 0
-        for s in range(solutions):
-            pose_of[s], density[s], distance = key_pose(anchors, a, body, points, found[s], delta)
-            if distance > settings.far:
-                density[s] = -np.inf
-        for s in range(solutions):
-            better = 0
-            for other in range(solutions):
-                better += density[other] > density[s]
-            if density[s] == -np.inf or better >= 4 * settings.per_anchor:
-                continue
-            total = density[s]
-            predict(anchors, a, pose_of[s], body, points, found[s], delta, settings, room)
-            for m in range(markers):
-                top = 0.0
-                for c in range(n):
-                    if room.scores[m, c] > top:
-                        top = room.scores[m, c]
-                total += min(top, 25.0)
-            where = picks
-            while where > 0 and pick_score[where - 1] < total:
-                where -= 1
-            if where < settings.per_anchor:
-                last = min(picks, settings.per_anchor - 1)
-                for p in range(last, where, -1):
-                    pick_score[p] = pick_score[p - 1]
-                    pick[p] = pick[p - 1]
-                pick_score[where] = total
-                pick[where] = s
-                picks = min(picks + 1, settings.per_anchor)
+        if solutions <= 0:
+            continue
+        picks = propose(anchors, a, body, points, found, solutions, settings, room, pick, pick_score, pose_of)
         for p in range(picks):
-            if p > 0 and pick_score[p] < pick_score[0] - 40.0:
+            if pick_score[p] < pick_score[0] - WORTH_REFINING:
                 break
             predict(anchors, a, pose_of[pick[p]], body, points, found[pick[p]], delta, settings, room)
             assign(room.scores, settings.first_ghost, trial)
-            start = _known(starts, n_starts, trial)
-            if start < 0:
-                final = _known(finals, n_finals, trial)
+            labelled = _count(trial)
+            if labelled < max(most_labelled - 2, settings.least_found * min(n, markers)):
+                continue
+            most_labelled = max(most_labelled, labelled)
+            start, final = _known(board.starts, n_starts, trial), _known(board.finals, n_finals, trial)
+            if start >= 0:
+                final = board.start_final[start]
+            elif final < 0:
+                board.starts[n_starts] = trial
+                assign_clear(room.scores, settings.clear, trial)
+                score = refine(body, pose_of[pick[p]], points, trial, settings, room)
+                counters[2] += 1
+                final = _known(board.finals, n_finals, trial)
                 if final < 0:
-                    starts[n_starts] = trial
-                    score = refine(body, points, trial, settings, 4, room)
-                    counters[2] += 1
-                    final = _known(finals, n_finals, trial)
-                    if final < 0:
-                        final = n_finals
-                        finals[final] = trial
-                        scores[final] = score
-                        n_finals += 1
-                    final_of[n_starts] = final
-                    n_starts += 1
-            else:
-                final = final_of[start]
-            if last_vote[final] < a:
-                last_vote[final] = a
-                votes[final] += 1
-            if best < 0 or scores[final] > scores[best]:
+                    final = n_finals
+                    labelled = _count(trial)
+                    board.finals[final] = trial
+                    board.scores[final] = score
+                    usual = settings.good * labelled - (settings.first_ghost if labelled < n else 0.0)
+                    board.needs[final] = settings.enough
+                    if score >= usual and 10 * labelled >= 6 * min(n, markers):
+                        board.needs[final] = 1 if labelled == n else settings.agree
+                    board.votes[final], board.last_vote[final] = 0, -1
+                    n_finals += 1
+                board.start_final[n_starts] = final
+                n_starts += 1
+            if board.last_vote[final] < a:
+                board.last_vote[final] = a
+                board.votes[final] += 1
+            if best < 0 or board.scores[final] > board.scores[best]:
                 best = final
     counters[0] = evaluations[0]
-    if best < 0 or scores[best] == -np.inf:
-        return
-    rows[:] = finals[best]
-    top = scores[best]
-    # nearest changes; a change that turns out better replaces the labelling, and the looking starts again
+    return n_finals, best
+
+
+@njit(cache=True, nogil=True, fastmath=SUMS)
+def nearest_changes(body, points, settings, room, rows, margins, counters):
+    """For every marker, by how much the labelling beats the nearest one that differs there; a better one replaces it.
+
+    Changes looked at: hide the marker, give it a free point, swap it with another, let another marker take its point. Estimated from the
+    leave-one-out scores, computed exactly where they come within `settings.contest`.
+
+    IN/OUT rows (M,). OUT margins (M,) nats; for a null, how far its best free point was from being taken (negative)
+    Returns the labelling's score. O(M (r^2 + n)) and O(M + r^3) for each change computed exactly.
+    """
+    markers, n = body.load.shape[1], len(points)
+    trial, owner = np.empty(markers, dtype=np.int64), np.empty(n, dtype=np.int64)
+    top = -np.inf
     for _ in range(4):
         room.odd[:] = False
         k, _ = best_pose(body, points, rows, settings, room)
         top = look_again(body, k, points, rows, settings, room)
         local = room.scores.copy()
-        owner = np.full(n, -1, dtype=np.int64)
+        owner[:] = -1
+        whole = _count(rows) == n
         for m in range(markers):
+            margins[m] = -np.inf
             if rows[m] >= 0:
                 owner[rows[m]] = m
+                margins[m] = local[m, rows[m]] + (settings.first_ghost if whole else 0.0)
         better = False
-        labelled = 0
-        for m in range(markers):
-            labelled += rows[m] >= 0
-        for m in range(markers):
-            if rows[m] >= 0:
-                margins[m] = local[m, rows[m]] + (settings.first_ghost if labelled == n else 0.0)
-            else:
-                margins[m] = -np.inf
         for m in range(markers):
             for c in range(n):
-                if c == rows[m]:
-                    continue
                 o = owner[c]
-                # cheap estimate of what the change costs; exact only where it is near
+                if o == m or local[m, c] == -np.inf:
+                    continue
                 cost = -local[m, c]
                 if rows[m] >= 0:
                     cost += local[m, rows[m]]
                 if o >= 0:
                     cost += local[o, c]
-                    if rows[m] >= 0:
+                    swap = rows[m] >= 0 and local[o, rows[m]] > -settings.contest
+                    if swap:
                         cost -= max(0.0, local[o, rows[m]])
-                elif rows[m] < 0:
-                    margins[m] = max(margins[m], -cost)
-                    continue
-                if o >= 0 and cost < settings.contest:
-                    trial[:] = rows
-                    trial[m] = c
-                    trial[o] = -1
-                    if rows[m] >= 0 and local[o, rows[m]] > -settings.contest:
-                        trial[o] = rows[m]
-                    was_odd, owner_odd = room.odd[m], room.odd[o]
-                    room.odd[m], room.odd[o] = False, False
-                    cost = top - evidence(body, k, points, trial, settings, room)
-                    room.odd[m], room.odd[o] = was_odd, owner_odd
-                    counters[2] += 1
-                    if cost < -1e-6:
-                        rows[:] = trial
-                        better = True
-                        break
-                if rows[m] >= 0:
-                    margins[m] = min(margins[m], cost)
-                if o >= 0:
+                    if cost < settings.contest:
+                        trial[:] = rows
+                        trial[m] = c
+                        trial[o] = rows[m] if swap else -1
+                        was, owner_was = room.odd[m], room.odd[o]
+                        room.odd[m], room.odd[o] = False, False
+                        cost = top - evidence(body, k, points, trial, settings, room)
+                        room.odd[m], room.odd[o] = was, owner_was
+                        counters[2] += 1
+                        if cost < -1e-6:
+                            rows[:] = trial
+                            better = True
+                            break
                     margins[o] = min(margins[o], cost)
+                margins[m] = min(margins[m], cost) if rows[m] >= 0 else max(margins[m], -cost)
             if better:
                 break
         if not better:
             break
-    for h in range(n_finals):
-        for m in range(markers):
-            if rows[m] >= 0 and finals[h, m] != rows[m]:
-                margins[m] = min(margins[m], max(0.0, top - scores[h]))
-    counters[3] = votes[best]
+    return top
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=SUMS)
+def label_frame(points, order, solvers, anchors, body, settings, room, board, rows, margins, counters):
+    """The best labelling of one frame and by how much it beats the next one, marker by marker.
+
+    Anchors (partial solvers of three markers) propose; from each proposal the whole body is predicted, labelled and refined; labellings
+    reached from several anchors collect votes. The best one's margins are taken against its nearest changes and the other labellings found.
+
+    IN   points (n, 3) m, z up; order (n,) search order; solvers SolverArrays, anchors AnchorArrays (the same anchors); body, settings
+    OUT  rows (M,), margins (M,) nats (for a null: how far its best free point was from being taken, negative);
+         counters (4,): feature evaluations, anchors run, labellings scored, votes of the best
+    """
+    rows[:] = -1
+    margins[:] = -np.inf
+    counters[:] = 0
+    if len(points) < 3:
+        return
+    # the more points there are than markers, the likelier a ghost lies anywhere
+    crowd = math.log(1.0 + max(0, len(points) - len(rows)))
+    settings = LookSettings(
+        settings.reward - crowd,
+        settings.first_ghost,
+        settings.odd - crowd,
+        settings.odd_radius,
+        settings.far,
+        settings.agree,
+        settings.budget,
+        settings.per_anchor,
+        settings.least_found,
+        settings.clear,
+        settings.contest,
+        settings.good - crowd,
+        settings.enough,
+    )
+    count, best = find_labellings(points, order, solvers, anchors, body, settings, room, board, counters)
+    if best < 0 or board.scores[best] == -np.inf:
+        return
+    rows[:] = board.finals[best]
+    counters[3] = board.votes[best]
+    top = nearest_changes(body, points, settings, room, rows, margins, counters)
+    for h in range(count):
+        for m in range(len(rows)):
+            if rows[m] >= 0 and board.finals[h, m] != rows[m]:
+                margins[m] = min(margins[m], max(0.0, top - board.scores[h]))
+
+
+@njit(cache=True, nogil=True, fastmath=SUMS)
 def label_clouds(xyz, offsets, first, last, solvers, anchors, body, settings, rows, margins, counters):
     """`label_frame` for the frames first..last of clouds whose points are sorted within each frame.
 
@@ -739,10 +861,19 @@ def label_clouds(xyz, offsets, first, last, solvers, anchors, body, settings, ro
         most = max(most, offsets[t + 1] - offsets[t])
     order = np.arange(most)
     room = make_room(0, markers, latents)
+    board = Board(
+        np.empty((LABELLINGS, markers), dtype=np.int64),
+        np.empty(LABELLINGS, dtype=np.int64),
+        np.empty((LABELLINGS, markers), dtype=np.int64),
+        np.empty(LABELLINGS),
+        np.empty(LABELLINGS, dtype=np.int64),
+        np.empty(LABELLINGS, dtype=np.int64),
+        np.empty(LABELLINGS, dtype=np.int64),
+    )
     for t in range(first, last):
         n = offsets[t + 1] - offsets[t]
         if n != len(room.aligned):
             room = make_room(n, markers, latents)
         label_frame(
-            xyz[offsets[t] : offsets[t + 1]], order[:n], solvers, anchors, body, settings, room, rows[t], margins[t], counters[t]
+            xyz[offsets[t] : offsets[t + 1]], order[:n], solvers, anchors, body, settings, room, board, rows[t], margins[t], counters[t]
         )

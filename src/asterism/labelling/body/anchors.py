@@ -26,17 +26,17 @@ class AnchorRules:
     """How anchors are chosen.
 
     count      anchors kept
-    considered triples that are tried out
+    considered triples that are tried out, about
     widen      each end of an interval moves out by this many standard deviations of that end over the people
     hidden     up to this share of the markers may be hidden in the patterns that the anchors must cover
-    covers     anchors that each pattern should have
+    again      a pattern that an earlier anchor sees already counts this much, for each of them
     """
 
     count: int = 40
-    considered: int = 1000
-    widen: float = 1.0
+    considered: int = 1500
+    widen: float = 0.3
     hidden: float = 0.4
-    covers: int = 3
+    again: float = 0.25
 
 
 @dataclass(frozen=True)
@@ -92,10 +92,15 @@ def choose_anchors(frames: Floats, people: Ints, body: BodyModel, rules: AnchorR
     A triple is worth the occlusion patterns that it sees and earlier ones do not see often enough, per unit of time that it costs.
     """
     markers = frames.shape[1]
-    triples = _triples(markers, rules, rng)
-    predicted = Anchors(triples, np.zeros((len(triples), 6)), np.zeros((len(triples), 6))).arrays(body).log_scale.mean(axis=(0, 2))
-    triples = triples[np.argsort(-predicted, kind="stable")[: min(rules.considered, max(60, len(triples) // 2))]]
-    anchors = _with_intervals(triples, frames, people, rules.widen)
+    triples = np.array(list(combinations(range(markers), 3)), dtype=np.int64)
+    if len(triples) <= rules.considered:
+        # few enough to try all that tell something of the whole body
+        ends = np.zeros((len(triples), len(CHECKS)))
+        told = Anchors(triples, ends, ends).arrays(body).log_scale.mean(axis=(0, 2))
+        triples = triples[np.argsort(-told, kind="stable")[: max(60, len(triples) // 2)]]
+    else:
+        triples = _some_triples(frames, rules, rng)
+    anchors = with_intervals(triples, frames, people, rules.widen)
     cost = _cost(anchors, frames, rng)
     patterns = 3000
     seen = np.ones((patterns, markers), dtype=bool)
@@ -107,7 +112,7 @@ def choose_anchors(frames: Floats, people: Ints, body: BodyModel, rules: AnchorR
     times, chosen = np.zeros(patterns), []
     free = np.ones(len(triples), dtype=bool)
     while len(chosen) < rules.count and free.any():
-        gain = (covered @ np.where(times < rules.covers, 1.0, 0.02)) * worth
+        gain = (covered @ rules.again**times) * worth
         gain[~free] = -1.0
         best = int(np.argmax(gain))
         free[best] = False
@@ -116,15 +121,22 @@ def choose_anchors(frames: Floats, people: Ints, body: BodyModel, rules: AnchorR
     return Anchors(triples[chosen], anchors.low[chosen], anchors.high[chosen])
 
 
-def _triples(markers: int, rules: AnchorRules, rng: np.random.Generator) -> Ints:
-    everything = markers * (markers - 1) * (markers - 2) // 6
-    if everything <= 4 * rules.considered:
-        return np.array(list(combinations(range(markers), 3)), dtype=np.int64)
-    picked = {tuple(sorted(rng.choice(markers, 3, replace=False))) for _ in range(4 * rules.considered)}
+def _some_triples(frames: Floats, rules: AnchorRules, rng: np.random.Generator) -> Ints:
+    """Triples of a large marker set that are worth trying: neighbours that keep their distances, and some at random."""
+    markers = frames.shape[1]
+    sample = frames[rng.choice(len(frames), min(200, len(frames)), replace=False)]
+    picked = {tuple(sorted(rng.choice(markers, 3, replace=False).tolist())) for _ in range(rules.considered // 3)}
+    with np.errstate(invalid="ignore"):
+        for m in range(markers):
+            distance = np.linalg.norm(sample - sample[:, m : m + 1], axis=2)
+            spread = np.where(np.isfinite(distance).sum(axis=0) > 5, np.nanstd(np.where(np.isfinite(distance), distance, np.nan), axis=0), np.inf)
+            spread[m] = np.inf
+            near = np.argsort(spread, kind="stable")[:7].tolist()
+            picked |= {tuple(sorted((m, *pair))) for pair in combinations(near, 2)}
     return np.array(sorted(picked), dtype=np.int64)
 
 
-def _with_intervals(triples: Ints, frames: Floats, people: Ints, widen: float) -> Anchors:
+def with_intervals(triples: Ints, frames: Floats, people: Ints, widen: float) -> Anchors:
     """Intervals of every check: the people's range, each end widened by how much the people differ there."""
     kinds = np.tile([kind for kind, _, _ in CHECKS], len(triples))
     slots = np.stack([triples[:, (*points, 0, 0, 0)[:4]] for _, points, _ in CHECKS], axis=1).reshape(-1, 4)
@@ -135,7 +147,7 @@ def _with_intervals(triples: Ints, frames: Floats, people: Ints, widen: float) -
     low, high = np.where(shown, low, np.nan), np.where(shown, high, np.nan)
     with np.errstate(invalid="ignore"):
         all_low, all_high = np.nanmin(low, axis=1), np.nanmax(high, axis=1)
-        slack = np.maximum(0.05 * (all_high - all_low), 1e-3)
+        slack = np.maximum(0.02 * (all_high - all_low), 1e-3)
         all_low -= np.maximum(widen * np.nanstd(low, axis=1), slack)
         all_high += np.maximum(widen * np.nanstd(high, axis=1), slack)
     # a triple that is never seen together keeps NaN: comparisons with NaN reject nothing, so shut it out
@@ -146,7 +158,7 @@ def _with_intervals(triples: Ints, frames: Floats, people: Ints, widen: float) -
 
 def _cost(anchors: Anchors, frames: Floats, rng: np.random.Generator) -> Floats:
     """Mean cost of each anchor in a frame, in microseconds of a usual machine: evaluations, and labellings to follow up."""
-    shown = [frame[~np.isnan(frame[:, 0])] for frame in frames[rng.choice(len(frames), min(30, len(frames)), replace=False)]]
+    shown = [frame[~np.isnan(frame[:, 0])] for frame in frames[rng.choice(len(frames), min(20, len(frames)), replace=False)]]
     solvers, markers = anchors.solvers(), frames.shape[1]
     cost = np.zeros(len(anchors.triples))
     found = np.empty((64, 3), dtype=np.int64)
