@@ -1,6 +1,18 @@
 """The heart: clouds in, labels with a calibrated confidence out."""
 
+from asterism.labelling.capturability import Capturability, Change, capturability
 from asterism.labelling.ensemble import SolverEnsemble
 from asterism.labelling.evaluation import Condition, Evaluation, evaluate, leave_one_subject_out
+from asterism.labelling.solver import FullSolver
 
-__all__ = ["Condition", "Evaluation", "SolverEnsemble", "evaluate", "leave_one_subject_out"]
+__all__ = [
+    "Capturability",
+    "Change",
+    "Condition",
+    "Evaluation",
+    "FullSolver",
+    "SolverEnsemble",
+    "capturability",
+    "evaluate",
+    "leave_one_subject_out",
+]

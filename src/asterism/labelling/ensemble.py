@@ -20,12 +20,14 @@ from asterism.labelling.body._kernels import AnchorArrays, BodyArrays, LookSetti
 from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors, with_intervals
 from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, names_of, subsample
 from asterism.labelling.calibration import Calibration
+from asterism.labelling.matrix import PartialSolvers, label_by_matrix
+from asterism.labelling.mining import mine
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording
 
 Progress = Callable[[float, str], None]
 FORMAT = "asterism-model"
 FORMAT_VERSION = 1
-RULES = ("whole-body", "thesis")
+RULES = ("whole-body", "partial-solvers", "thesis")
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ class LookRules:
     odd         nats that a point earns where its marker is only oddly placed: within `odd_radius` of where it is expected
     odd_radius  m
     far         squared distance of an anchor's own points beyond which its proposal is dropped
-    agree       anchors that must lead to the best labelling before the others are skipped, where it leaves points over
+    agree       anchors that must lead to the best labelling before the others are skipped, where markers or points are left over
     enough      anchors that end the search even where the best labelling scores less than labelled frames usually do
     budget      feature evaluations per frame, after which it is decided with what was found
     per_anchor  labellings of one anchor that are followed up
@@ -47,9 +49,9 @@ class LookRules:
     """
 
     reward: float = 2.0
-    first_ghost: float = 6.0
-    odd: float = -0.5
-    odd_radius: float = 0.2
+    first_ghost: float = 12.0
+    odd: float = -2.0
+    odd_radius: float = 0.15
     far: float = 70.0
     agree: int = 2
     enough: int = 6
@@ -111,6 +113,7 @@ class SolverEnsemble:
         calibrations: tuple[Calibration, Calibration],
         least_confidence: float,
         look: LookRules,
+        partial: PartialSolvers | None,
         about: dict[str, Any],
     ) -> None:
         self.marker_set = marker_set
@@ -122,6 +125,7 @@ class SolverEnsemble:
         self._usual_score = usual_score
         self._calibrations = calibrations
         self._look = look
+        self._partial = partial
         self._prepared: Prepared | None = None
 
     @classmethod
@@ -131,7 +135,7 @@ class SolverEnsemble:
         *,
         seed: int = 0,
         target_hit_rate: float = 0.9999,
-        miner: str = "bottom-up",
+        miner: str | None = "bottom-up",
         subjects: Sequence[str] | None = None,
         marker_set: MarkerSet | None = None,
         body_rules: BodyRules | None = None,
@@ -142,7 +146,8 @@ class SolverEnsemble:
         """Learn from labelled recordings that share their labels (read with `markers=`).
 
         subjects: whose recording each is; by default what the recordings' metadata says, else their folder. Confidence is calibrated on people
-        left out in turn, so more people make it honest. The same recordings and seed give the same model, bit for bit.
+        left out in turn, so more people make it honest. `miner` finds the partial solvers of the thesis' rules ("bottom-up", "top-down",
+        "genetic"; None leaves them out and saves most of the time). The same recordings and seed give the same model, bit for bit.
         Raises AsterismError where there is nothing to learn from, or the recordings' labels differ.
         """
         body_rules, look, training = body_rules or BodyRules(), look or LookRules(), training or TrainingRules()
@@ -171,11 +176,11 @@ class SolverEnsemble:
         report(0.0, "learning the body")
         body = fit_body(frames, people, body_rules, seed)
         anchors = choose_anchors(frames, people, body, AnchorRules(), np.random.default_rng(seed))
-        draft = cls(marker_set, markers, body, anchors, 0.0, (Calibration.fit([], []),) * 2, 0.0, look, {})
+        draft = cls(marker_set, markers, body, anchors, 0.0, (Calibration.fit([], []),) * 2, 0.0, look, None, {})
         outcomes, usual = [], []
         folds = _folds(people, training.folds)
         for i, out in enumerate(folds):
-            report(0.1 + 0.9 * i / len(folds), "trying it on people left out")
+            report(0.1 + 0.4 * i / len(folds), "trying it on people left out")
             others, whose = frames[~out], _renumbered(people[~out])
             own = fit_body(others, whose, body_rules, seed)
             scores = _scores_of_truth(own, frames[out], look, training, np.random.default_rng([seed, i]))
@@ -185,12 +190,18 @@ class SolverEnsemble:
             outcomes.append(_trial(tried, frames[out], people[out], training, seed + i))
         margin, right, spare = (np.concatenate(parts) for parts in zip(*outcomes, strict=True))
         calibrations = (Calibration.fit(margin[~spare], right[~spare]), Calibration.fit(margin[spare], right[spare]))
+        partial = None
+        if miner is not None:
+            partial = mine(
+                frames, people, targets=target_hit_rate, miner=miner, seed=seed, progress=lambda f, what: report(0.5 + 0.5 * f, what)
+            )
         report(1.0, "done")
         return replace_parts(
             draft,
             usual_score=float(np.median(usual)),
             calibrations=calibrations,
             least_confidence=least_confidence(target_hit_rate),
+            partial=partial,
             about={
                 "seed": seed,
                 "target_hit_rate": target_hit_rate,
@@ -222,9 +233,21 @@ class SolverEnsemble:
         """`label`, and how many features were evaluated for each frame: (T,)."""
         if rules not in RULES:
             raise AsterismError(f"there are no rules {rules!r}; choose from {', '.join(RULES)}.")
+        if rules != "whole-body":
+            return self._vote(clouds, rules)
         rows, confidence, counters = self._look_at(clouds, workers, progress)
         indices = np.where(confidence >= self.least_confidence, rows, NULL)
         return Labelling(indices, confidence, self.marker_set.names), counters[:, 0]
+
+    def _vote(self, clouds: Clouds, rules: str) -> tuple[Labelling, Ints]:
+        """Label by the partial solvers' proposals: the matrix of section 4.5.4 ("thesis"), or completed by the whole model."""
+        if self._partial is None:
+            raise AsterismError(f"this model holds no partial solvers for the rules {rules!r}; train it with a miner.")
+        votes = label_by_matrix(clouds, self._partial, complete=rules == "partial-solvers")
+        indices = np.full((len(clouds), len(self.marker_set)), NULL, dtype=np.int64)
+        confidence = np.zeros(indices.shape)
+        indices[:, self._markers], confidence[:, self._markers] = votes.indices, votes.votes
+        return Labelling(indices, confidence, self.marker_set.names), votes.evaluations
 
     def _look_at(self, clouds: Clouds, workers: int = 1, progress: Progress | None = None) -> tuple[Ints, Floats, Ints]:
         """The best labelling of each frame before doubtful labels are taken back: indices, confidence (T, M), counters (T, 4)."""
@@ -300,6 +323,8 @@ class SolverEnsemble:
             "anchor_low": self._anchors.low,
             "anchor_high": self._anchors.high,
         }
+        if self._partial is not None:
+            arrays |= {f"partial_{name}": array for name, array in self._partial.to_arrays().items()}
         for i, calibration in enumerate(self._calibrations):
             arrays[f"calibration_{i}"] = np.stack([calibration.margin, calibration.right])
         temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
@@ -338,9 +363,11 @@ class SolverEnsemble:
             anchors = Anchors(arrays["anchor_triples"], arrays["anchor_low"], arrays["anchor_high"])
             _check_shapes(len(marker_set), arrays["markers"], body, anchors)
             calibrations = tuple(Calibration(*_finite(arrays[f"calibration_{i}"])) for i in range(2))
+            partial = {name.removeprefix("partial_"): array for name, array in arrays.items() if name.startswith("partial_")}
             return cls(
                 marker_set, arrays["markers"], body, anchors, float(head["usual_score"]), (calibrations[0], calibrations[1]),
-                float(head["least_confidence"]), LookRules(**head["look"]), dict(head["about"]),
+                float(head["least_confidence"]), LookRules(**head["look"]),
+                PartialSolvers.from_arrays(partial) if partial else None, dict(head["about"]),
             )
         except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, NotImplementedError, MemoryError) as problem:
             raise AsterismError(f"{path} is damaged or no Asterism model ({type(problem).__name__}); train it again.") from problem
@@ -357,13 +384,14 @@ def replace_parts(ensemble: SolverEnsemble, **parts: Any) -> SolverEnsemble:
         "calibrations": ensemble._calibrations,
         "least_confidence": ensemble.least_confidence,
         "look": ensemble._look,
+        "partial": ensemble._partial,
         "about": ensemble.about,
     }
     return SolverEnsemble(**{**own, **parts})
 
 
 def least_confidence(target_hit_rate: float) -> float:
-    return 1.0 - (1.0 - target_hit_rate) ** 0.2
+    return 1.0 - (1.0 - target_hit_rate) ** 0.23
 
 
 def upright(points: Floats, vertical: Floats) -> Floats:

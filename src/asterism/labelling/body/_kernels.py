@@ -77,7 +77,7 @@ class LookSettings(NamedTuple):
     first_ghost  nats that the first ghost of a frame costs
     odd          nats that an oddly placed point earns, within `odd_radius` (m) of where its marker is expected
     far          squared distance of an anchor's own points beyond which it is not followed up
-    agree        anchors that must lead to the best labelling before the others are skipped, where points are left over
+    agree        anchors that must lead to the best labelling before the others are skipped, where markers or points are left over
     budget       feature evaluations per frame
     per_anchor   labellings of one anchor that are followed up
     least_found  share of the markers that a proposal must find at once to be followed up
@@ -620,7 +620,7 @@ class Board(NamedTuple):
     starts, start_final  (H, M) what anchors proposed, (H,) the final labelling that each led to
     finals               (H, M) refined labellings
     scores               (H,) nats
-    needs                (H,) anchors that must lead to it: one where it leaves no point over and fits like a usual body, more where not
+    needs                (H,) anchors that must lead to it: one where it labels all points as all markers and fits like a usual body, more where not
     votes, last_vote     (H,) anchors that led to it, and the last of them
     """
 
@@ -727,7 +727,7 @@ def find_labellings(points, order, solvers, anchors, body, settings, room, board
                     usual = settings.good * labelled - (settings.first_ghost if labelled < n else 0.0)
                     board.needs[final] = settings.enough
                     if score >= usual and 10 * labelled >= 6 * min(n, markers):
-                        board.needs[final] = 1 if labelled == n else settings.agree
+                        board.needs[final] = 1 if labelled == n and labelled == markers else settings.agree
                     board.votes[final], board.last_vote[final] = 0, -1
                     n_finals += 1
                 board.start_final[n_starts] = final
@@ -780,7 +780,8 @@ def nearest_changes(body, points, settings, room, rows, margins, counters):
                     swap = rows[m] >= 0 and local[o, rows[m]] > -settings.contest
                     if swap:
                         cost -= max(0.0, local[o, rows[m]])
-                    if cost < settings.contest:
+                    # a point that a hidden marker may own has drawn the body towards its present owner: the estimate is not to be trusted
+                    if cost < settings.contest or (rows[m] < 0 and local[m, c] > -4.0 * settings.contest):
                         trial[:] = rows
                         trial[m] = c
                         trial[o] = rows[m] if swap else -1
@@ -800,6 +801,27 @@ def nearest_changes(body, points, settings, room, rows, margins, counters):
         if not better:
             break
     return top
+
+
+@njit(cache=True, nogil=True, fastmath=SUMS)
+def second_look(body, points, top, settings, room, rows, margins, counters):
+    """Where markers and points are both left over, see whether a doubtful label keeps them apart: take it back and relabel.
+
+    IN top score of the labelling; IN/OUT rows (M,). Returns whether a better labelling was found.
+    """
+    trial, k = np.empty_like(rows), 0
+    room.odd[:] = False
+    k, _ = best_pose(body, points, rows, settings, room)
+    for m in range(len(rows)):
+        if rows[m] < 0 or margins[m] >= settings.contest:
+            continue
+        trial[:] = rows
+        trial[m] = -1
+        counters[2] += 1
+        if refine(body, k, points, trial, settings, room) > top + 1e-6:
+            rows[:] = trial
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True, fastmath=SUMS)
@@ -841,6 +863,13 @@ def label_frame(points, order, solvers, anchors, body, settings, room, board, ro
     rows[:] = board.finals[best]
     counters[3] = board.votes[best]
     top = nearest_changes(body, points, settings, room, rows, margins, counters)
+    for _ in range(3):
+        labelled = _count(rows)
+        if labelled == len(rows) or labelled == len(points):
+            break
+        if not second_look(body, points, top, settings, room, rows, margins, counters):
+            break
+        top = nearest_changes(body, points, settings, room, rows, margins, counters)
     for h in range(count):
         for m in range(len(rows)):
             if rows[m] >= 0 and board.finals[h, m] != rows[m]:
