@@ -49,7 +49,7 @@ def test_pool_sizes_of_five_markers(name, count):
 
 @pytest.mark.parametrize("feature", FEATURES, ids=lambda feature: feature.name)
 def test_arrangements_are_all_there_is_and_none_twice(feature):
-    """Over all orders of a subset's points, values differ in as many ways (up to sign and the angle's supplement) as there are arrangements."""
+    """Over all orders of a subset's points there are as many values, up to sign and the angle's supplement, as arrangements."""
     points = np.random.default_rng(1).normal(size=(4, 3))
 
     def essence(order):

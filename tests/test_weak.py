@@ -15,7 +15,7 @@ from asterism.labelling.weak import Spread, StrongClassifier, Trial, choose_wide
 def bodies(people=4, frames=60, markers=7, seed=0):
     """(N, M, 3) m random bodies: one shape, a size per person, jitter per frame, turned about z; and whose each frame is."""
     rng = np.random.default_rng(seed)
-    shape = rng.uniform(-0.5, 0.5, size=(markers, 3)) + [0, 0, 1]
+    shape = rng.uniform(-0.5, 0.5, size=(markers, 3)) + np.array([0.0, 0.0, 1.0])
     sizes = rng.uniform(0.85, 1.15, size=people)
     groups = np.repeat(np.arange(people), frames)
     out = shape[None] * sizes[groups, None, None] + rng.normal(scale=0.01, size=(people * frames, markers, 3))
@@ -40,7 +40,7 @@ def test_range_accepts_all_of_training_and_is_tight():
 
 def test_widened_moves_each_end_by_its_own_spread_over_people():
     plain, wide = SPREAD.weak("range"), SPREAD.weak("widened", 1.0)
-    lows = np.array([[np.linalg.norm(FRAMES[GROUPS == g][:, 0] - FRAMES[GROUPS == g][:, 1], axis=1).min() for g in range(4)]])
+    lows = np.array([[np.linalg.norm(FRAMES[g == GROUPS][:, 0] - FRAMES[g == GROUPS][:, 1], axis=1).min() for g in range(4)]])
     row = np.nonzero((plain.kinds == 1) & (plain.slots[:, 0] == 0) & (plain.slots[:, 1] == 1))[0][0]
     assert plain.low[row] - wide.low[row] == pytest.approx(lows.std(ddof=1))
     assert (SPREAD.weak("widened", 0.0).low == plain.low).all()
@@ -142,7 +142,7 @@ def test_missing_points_are_ignored():
 
 def test_widening_is_chosen_larger_when_people_differ_more():
     rows = np.arange(len(SPREAD.kinds))
-    alike = np.concatenate([FRAMES[GROUPS == 0]] * 2)
+    alike = np.tile(FRAMES[GROUPS == 0], (2, 1, 1))
     groups = np.repeat([0, 1], len(alike) // 2)
     same = choose_widening(Spread.measure(alike, groups), alike, groups, rows)
     assert choose_widening(SPREAD, FRAMES, GROUPS, rows) > same

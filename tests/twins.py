@@ -60,7 +60,7 @@ def labellings(weak, markers, points):
 
 
 def matrix(proposals, n_markers):
-    """The safe rules of section 4.5.4. proposals: list of dicts marker -> candidate, one per solver. Gives the candidate of each marker or -1."""
+    """The safe rules of section 4.5.4: of a dict marker -> candidate for each solver, the candidate of each marker or -1."""
     cells = Counter((marker, candidate) for proposal in proposals for marker, candidate in proposal.items())
     out = []
     for marker in range(n_markers):

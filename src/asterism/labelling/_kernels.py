@@ -659,14 +659,16 @@ def complete(whole, points, n, place, taken, levels, rounds, slack, least):
 
 
 @njit(cache=True, nogil=True)
-def label_by_matrix(solvers, pairs, trusted, whole, slack, least, xyz, offsets, budget, indices, votes, evaluations):
+def label_by_matrix(solvers, pairs, trusted, whole, outvote, slack, least, xyz, offsets, budget, indices, votes, evaluations):
     """Label frames with an ensemble of partial solvers through the labelling matrix and its safe rules (section 4.5.4).
 
     A solver proposes a point for a marker where all labellings that it found agree on it and it is trusted with the marker. A column
     with proposals of two points, and a row with proposals of two markers, give null.
 
     IN  solvers, pairs as in `search_by_pairs`; trusted (D,) bool whether the solver may propose the marker of this depth
-        whole, the strong classifier of the whole model: `complete` follows, slack and least are for it; one without markers: it does not
+        whole, the strong classifier of the whole model: a label then takes two solvers that propose it (where there are
+        two), or `outvote` times as many as propose otherwise, and `complete` has the last word (slack, least); a model without markers:
+        the thesis' rules alone
         xyz (P, 3) m, offsets (T + 1,); budget, feature evaluations per frame and solver, after which a solver proposes nothing
     OUT indices (T, M) -1 for none; votes (T, M) of the solvers trusted with the marker the share that propose the point given, or, for a
         null, the point most often proposed; evaluations (T,) feature evaluations
@@ -683,6 +685,7 @@ def label_by_matrix(solvers, pairs, trusted, whole, slack, least, xyz, offsets, 
         for k in range(solvers.first_depth[s], solvers.first_depth[s + 1]):
             able[solvers.markers[k]] += trusted[k]
     bench, matrix = make_bench(markers, most, deepest), np.empty((markers, most), dtype=np.int64)
+    lone = np.empty(markers, dtype=np.int64)
     place, taken, levels = np.empty(markers, dtype=np.int64), np.empty(most, dtype=np.bool_), np.empty((markers, most), dtype=np.int64)
     for t in range(frames):
         n = offsets[t + 1] - offsets[t]
@@ -703,23 +706,33 @@ def label_by_matrix(solvers, pairs, trusted, whole, slack, least, xyz, offsets, 
         place[:] = -1
         taken[:n] = False
         for m in range(markers):
-            votes[t, m] = 0.0
-            proposed, best = 0, -1
+            votes[t, m], lone[m] = 0.0, -1
+            best, rivals = -1, 0
             for c in range(n):
-                if matrix[m, c] > 0:
-                    proposed += 1
-                    if best < 0 or matrix[m, c] > matrix[m, best]:
-                        best = c
-            if proposed == 0:
+                rivals += matrix[m, c]
+                if matrix[m, c] > 0 and (best < 0 or matrix[m, c] > matrix[m, best]):
+                    best = c
+            if best < 0:
                 continue
-            votes[t, m] = matrix[m, best] / able[m]
-            shared = False
+            mine = matrix[m, best]
+            votes[t, m] = mine / able[m]
             for other in range(markers):
-                shared = shared or (other != m and matrix[other, best] > 0)
-            if proposed == 1 and not shared:
+                rivals += matrix[other, best]
+            rivals -= 2 * mine
+            if rivals == 0 and mine == 1 and able[m] > 1 and len(whole.first) > 1:
+                lone[m] = best
+            elif rivals == 0 or (len(whole.first) > 1 and mine > outvote * rivals):
                 place[m], taken[best] = best, True
         if len(whole.first) > 1:
             evaluations[t] += complete(whole, bench.points, n, place, taken, levels, 3, slack, least)
+            for m in range(markers):
+                if place[m] < 0 and lone[m] >= 0 and not taken[lone[m]]:
+                    place[m] = lone[m]
+                    level, made = fits(whole, m, place, bench.points, slack, least)
+                    evaluations[t] += made
+                    taken[lone[m]] = level == 2
+                    if level < 2:
+                        place[m] = -1
         for m in range(markers):
             indices[t, m] = bench.order[place[m]] if place[m] >= 0 else -1
 

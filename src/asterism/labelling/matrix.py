@@ -20,8 +20,8 @@ from asterism.recording import Clouds, Floats, Ints
 BUDGET = 20_000
 """Feature evaluations that a partial solver may spend on one frame."""
 
-SLACK, LEAST = 0.08, 20
-"""Completion: what misses an interval by up to this share of it is still a rival; so many classifiers must have had a say."""
+LEAST, OUTVOTE = 20, 5
+"""So many classifiers must have had a say before the whole model gives a label; so many times must a proposal outvote all others."""
 
 WHOLE = 1500
 """Classifiers of the whole model per marker, those that reject most."""
@@ -131,6 +131,12 @@ def nobody() -> Whole:
     return Whole(np.zeros(1, dtype=np.int64), none, np.empty((0, 4), dtype=np.int64), none, np.empty(0), np.empty(0))
 
 
+def slack_of(targets: Floats) -> float:
+    """The share of an interval by which a rival may miss it and still forbid a completion: the higher the target hit rate, the more."""
+    nines = -np.log10(np.maximum(1.0 - targets.mean(), 1e-7))
+    return float(np.clip(0.05 * (nines - 3.0), 0.0, 0.2))
+
+
 class Votes(NamedTuple):
     """What an ensemble says of each frame.
 
@@ -152,9 +158,11 @@ def label_by_matrix(clouds: Clouds, ensemble: PartialSolvers, budget: int = BUDG
     where the candidate is proposed for another marker too. `budget` is in feature evaluations per frame and solver: a solver that exhausts
     it proposes nothing, the same on every machine.
 
-    With `complete`, a step follows that the thesis has not, with its own means, the strong classifier of the whole model (a classifier
-    whose points are not all labelled is ignored, section 4.4.2): a marker still without a label gets the one free point that goes with the
-    labels given, if that point goes with no other marker.
+    Without `complete` these are the rules of the thesis. With it, a label takes two solvers that propose it, where there are two (on the
+    gait recordings all wrong labels had a single one); a proposal that outvotes all others by `OUTVOTE` stands; and the strong classifier
+    of the whole model has the last word (a classifier whose points are not all labelled is ignored, section 4.4.2): a marker still without
+    a label gets the one free point that goes with the labels given, if that point goes with no other marker, nearly (`slack_of`); then what
+    a single solver proposed counts where it goes with the others.
     """
     xyz = np.ascontiguousarray(upright(clouds.xyz, clouds.vertical))
     frames, markers = len(clouds), len(ensemble.targets)
@@ -163,6 +171,18 @@ def label_by_matrix(clouds: Clouds, ensemble: PartialSolvers, budget: int = BUDG
     whole = ensemble.whole if complete else nobody()
     solvers, pairs = share_pairs(ensemble.solvers, markers)
     _kernels.label_by_matrix(
-        solvers, pairs, ensemble.trusted, whole, SLACK, LEAST, xyz, clouds.offsets, budget, indices, votes, evaluations
+        solvers,
+        pairs,
+        ensemble.trusted,
+        whole,
+        OUTVOTE,
+        slack_of(ensemble.targets),
+        LEAST,
+        xyz,
+        clouds.offsets,
+        budget,
+        indices,
+        votes,
+        evaluations,
     )
     return Votes(indices, votes, evaluations)

@@ -177,13 +177,14 @@ class FullSolver:
         weak_classifiers: int = 40,
         features: Sequence[str] = THESIS,
         rule: str = "widened",
-        widen: float | None = None,
+        widen: float | None = 0.25,
         subjects: Sequence[str] | None = None,
         seed: int = 0,
     ) -> FullSolver:
         """Learn from labelled recordings with the same columns.
 
-        widen  factor of rule "widened" (see `weak.Spread.weak`); None: chosen on people left out
+        widen  factor of rule "widened" (see `weak.Spread.weak`): small for people that training has seen; None: chosen on people left out,
+               larger, which leaves more frames with more than one feasible labelling
         Raises AsterismError for recordings that differ, an unknown feature or rule, or fewer than three markers.
         """
         frames, groups = stack(recordings, subjects)
@@ -208,7 +209,7 @@ class FullSolver:
         weak_classifiers: int = 40,
         features: Sequence[str] = THESIS,
         rule: str = "widened",
-        widen: float | None = None,
+        widen: float | None = 0.25,
         seed: int = 0,
     ) -> FullSolver:
         """Learn from upright frames (N, M, 3) m; groups (N,) whose frame each is."""
