@@ -10,7 +10,6 @@ from scipy.optimize import isotonic_regression
 
 from asterism.recording import Floats
 
-
 LARGEST = 60.0
 """Margins beyond this (nats) are all the same: as sure as it gets."""
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.hiding import hide_and_haunt
-from asterism.labelling.ensemble import Progress, SolverEnsemble, subject_of
+from asterism.labelling.ensemble import Progress, SolverEnsemble
+from asterism.labelling.solver import person
 from asterism.recording import Clouds, Floats, Ints, Recording
 
 BINS = 20
@@ -89,8 +90,9 @@ def evaluate(
 ) -> Evaluation:
     """Hide labels, some markers and add ghosts; label; compare with the truth.
 
-    recordings: labelled, with the ensemble's markers as columns. In every frame exactly so many visible markers are hidden, and so many ghosts
-    put within 0.15 m of a marker; which, `seed` decides. Raises AsterismError where a recording's columns are not the ensemble's markers.
+    recordings: labelled, with the ensemble's markers as columns. In every frame exactly so many visible markers are hidden, and so many
+    ghosts put within 0.15 m of a marker; which, `seed` decides. Raises AsterismError where a recording's columns are not the ensemble's
+    markers, or more markers should be hidden than there are.
     """
     tallies = _try(ensemble, recordings, occlusions, ghosts, seed, rules, progress)
     return _evaluation(tallies, ensemble.marker_set.names, _subjects(recordings, None), rules)
@@ -109,21 +111,27 @@ def leave_one_subject_out(
 ) -> Evaluation:
     """Train on all people but one, label that one, for each in turn: how well people are labelled whom nobody trained on.
 
-    `fit_options` go to `SolverEnsemble.fit`. Raises AsterismError where there are fewer than two people.
+    `fit_options` go to `SolverEnsemble.fit`. Raises AsterismError where there are fewer than two people, or more markers should be hidden
+    than there are.
     """
     whose = _subjects(recordings, subjects)
     people = list(dict.fromkeys(whose))
     if len(people) < 2:
         raise AsterismError("leaving one subject out needs recordings of at least two; name them with `subjects`, or put each in a folder.")
+    _check_occlusions(occlusions, len(recordings[0].labels))
     total: dict[tuple[int, int], _Tally] = {}
     names: tuple[str, ...] = ()
-    for i, person in enumerate(people):
-        report = _part(progress, i, len(people), f"without {person}")
-        kept = [j for j, name in enumerate(whose) if name != person]
+    for i, out in enumerate(people):
+        report = _part(progress, i, len(people), f"without {out}")
+        kept = [j for j, name in enumerate(whose) if name != out]
         ensemble = SolverEnsemble.fit(
-            [recordings[j] for j in kept], subjects=[whose[j] for j in kept], seed=seed, progress=_part(report, 0, 2, "training"), **fit_options
+            [recordings[j] for j in kept],
+            subjects=[whose[j] for j in kept],
+            seed=seed,
+            progress=_part(report, 0, 2, "training"),
+            **fit_options,
         )
-        own = [recordings[j] for j, name in enumerate(whose) if name == person]
+        own = [recordings[j] for j, name in enumerate(whose) if name == out]
         for condition, tally in _try(ensemble, own, occlusions, ghosts, seed, rules, _part(report, 1, 2, "labelling")).items():
             if condition not in total:
                 total[condition] = tally
@@ -152,7 +160,13 @@ def expected_calibration_error(confidence: Floats, right: Any) -> tuple[float, l
 
 
 def _subjects(recordings: Sequence[Recording], subjects: Sequence[str] | None) -> list[str]:
-    return list(subjects) if subjects is not None else [subject_of(recording) for recording in recordings]
+    return list(subjects) if subjects is not None else [person(recording) for recording in recordings]
+
+
+def _check_occlusions(occlusions: Sequence[int], markers: int) -> None:
+    for k in occlusions:
+        if not 0 <= k <= markers:
+            raise AsterismError(f"cannot hide {k} of {markers} markers; ask for 0 to {markers} occlusions.")
 
 
 def _part(progress: Progress | None, index: int, count: int, what: str) -> Progress | None:
@@ -176,15 +190,16 @@ def _try(
     for recording in recordings:
         if recording.labels != names:
             raise AsterismError(
-                f"{recording.metadata.get('file', 'a recording')} has other columns than the model's {len(names)} markers; read it with the "
-                "model's marker set."
+                f"{recording.metadata.get('file', 'a recording')} has other columns than the model's {len(names)} markers; "
+                "read it with the model's marker set."
             )
+    _check_occlusions(occlusions, len(names))
     _warm_up(ensemble, recordings, rules)
     tallies = {(k, g): _Tally([], [], []) for g in ghosts for k in occlusions}
     done = 0
     for (k, g), tally in tallies.items():
         for r, recording in enumerate(recordings):
-            clouds, truth = hide_and_haunt(recording, min(k, len(names)), g, np.random.default_rng([seed, r, k, g]))
+            clouds, truth = hide_and_haunt(recording, k, g, np.random.default_rng([seed, r, k, g]))
             start = time.perf_counter()
             labelling, evaluations = ensemble.label_counted(clouds, rules=rules)
             tally.seconds += time.perf_counter() - start

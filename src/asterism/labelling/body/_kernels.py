@@ -78,6 +78,7 @@ class LookSettings(NamedTuple):
     odd          nats that an oddly placed point earns, within `odd_radius` (m) of where its marker is expected
     far          squared distance of an anchor's own points beyond which it is not followed up
     agree        anchors that must lead to the best labelling before the others are skipped, where markers or points are left over
+    ask          anchors on missing markers that are tried where two or more markers and points are left over
     budget       feature evaluations per frame
     per_anchor   labellings of one anchor that are followed up
     least_found  share of the markers that a proposal must find at once to be followed up
@@ -93,6 +94,7 @@ class LookSettings(NamedTuple):
     odd_radius: float
     far: float
     agree: int
+    ask: int
     budget: int
     per_anchor: int
     least_found: float
@@ -620,7 +622,7 @@ class Board(NamedTuple):
     starts, start_final  (H, M) what anchors proposed, (H,) the final labelling that each led to
     finals               (H, M) refined labellings
     scores               (H,) nats
-    needs                (H,) anchors that must lead to it: one where it labels all points as all markers and fits like a usual body, more where not
+    needs                (H,) anchors that must lead to it: one where all points are all markers and fit like a usual body, more where not
     votes, last_vote     (H,) anchors that led to it, and the last of them
     """
 
@@ -680,22 +682,28 @@ def find_labellings(points, order, solvers, anchors, body, settings, room, board
     OUT  board; counters, see `label_frame`. Returns the number of labellings found and the best one's place, -1 for none.
     """
     markers, n = body.load.shape[1], len(points)
-    n_starts, n_finals, best, most_labelled = 0, 0, -1, 0
+    n_starts, n_finals, best, most_labelled, asked = 0, 0, -1, 0, 0
     found = np.empty((max(64, n * n), 3), dtype=np.int64)
     pose_of = np.empty(len(found), dtype=np.int64)
     pick, pick_score = np.empty(settings.per_anchor, dtype=np.int64), np.empty(settings.per_anchor)
     trial, delta = np.empty(markers, dtype=np.int64), np.empty(9)
     evaluations = np.zeros(2, dtype=np.int64)
     for a in range(len(anchors.markers)):
-        if best >= 0 and board.votes[best] >= board.needs[best]:
+        shortfall = min(n, markers) - _count(board.finals[best]) if best >= 0 else 0
+        curious = shortfall >= 2 and asked < settings.ask
+        if best >= 0 and board.votes[best] >= board.needs[best] and not curious:
             break
         if n_starts + settings.per_anchor > len(board.starts) or evaluations[0] > settings.budget:
             break
         if best >= 0 and board.needs[best] < settings.enough:
-            # only an anchor that sees its markers can still agree
+            # only an anchor that sees its markers can still agree; one that does not may find what is missing
             one, two, three = anchors.markers[a]
-            if board.finals[best, one] < 0 or board.finals[best, two] < 0 or board.finals[best, three] < 0:
+            hidden = board.finals[best, one] < 0 or board.finals[best, two] < 0 or board.finals[best, three] < 0
+            if hidden and not curious:
                 continue
+            if not hidden and board.votes[best] >= board.needs[best]:
+                continue
+            asked += hidden
         counters[1] += 1
         solutions = search(solvers, a, points, order, settings.budget, found, evaluations)
         if solutions <= 0:
@@ -849,6 +857,7 @@ def label_frame(points, order, solvers, anchors, body, settings, room, board, ro
         settings.odd_radius,
         settings.far,
         settings.agree,
+        settings.ask,
         settings.budget,
         settings.per_anchor,
         settings.least_found,

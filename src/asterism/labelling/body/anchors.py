@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.labelling._kernels import G2, G4, G9, SolverArrays, feature_ranges, search
 from asterism.labelling.body._kernels import LOG_2PI, AnchorArrays
@@ -106,14 +107,14 @@ def choose_anchors(frames: Floats, people: Ints, body: BodyModel, rules: AnchorR
     seen = np.ones((patterns, markers), dtype=bool)
     for p in range(patterns):
         seen[p, rng.choice(markers, int(rng.uniform(0, rules.hidden) * markers), replace=False)] = False
-    covered = seen[:, triples].all(axis=2).T
+    covered: NDArray[np.bool_] = np.all(seen[:, triples], axis=2).T
     often_shown = (~np.isnan(frames[:, :, 0])).mean(axis=0)[triples].prod(axis=1)
     worth = often_shown / cost
-    times, chosen = np.zeros(patterns), []
-    free = np.ones(len(triples), dtype=bool)
+    times = np.zeros(patterns)
+    chosen: list[int] = []
+    free: NDArray[np.bool_] = np.ones(len(triples), dtype=np.bool_)
     while len(chosen) < rules.count and free.any():
-        gain = (covered @ rules.again**times) * worth
-        gain[~free] = -1.0
+        gain = np.where(free, (covered @ rules.again**times) * worth, -1.0)
         best = int(np.argmax(gain))
         free[best] = False
         chosen.append(best)
@@ -129,7 +130,9 @@ def _some_triples(frames: Floats, rules: AnchorRules, rng: np.random.Generator) 
     with np.errstate(invalid="ignore"):
         for m in range(markers):
             distance = np.linalg.norm(sample - sample[:, m : m + 1], axis=2)
-            spread = np.where(np.isfinite(distance).sum(axis=0) > 5, np.nanstd(np.where(np.isfinite(distance), distance, np.nan), axis=0), np.inf)
+            spread = np.where(
+                np.isfinite(distance).sum(axis=0) > 5, np.nanstd(np.where(np.isfinite(distance), distance, np.nan), axis=0), np.inf
+            )
             spread[m] = np.inf
             near = np.argsort(spread, kind="stable")[:7].tolist()
             picked |= {tuple(sorted((m, *pair))) for pair in combinations(near, 2)}
