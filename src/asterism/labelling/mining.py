@@ -236,7 +236,8 @@ def top_down(quarry: Mine, progress: Progress) -> list[Assessed]:
     """Algorithm 4.2: start with all markers, take markers out as long as a target is reached.
 
     A solver joins the result when none of its children reaches a target. (As printed, step 2d drops the child instead of keeping the
-    parent, which would return the solvers that fail.) A level keeps the `breadth` best, an equal share for every marker.
+    parent, which would return the solvers that fail.) A level keeps the `breadth` best, an equal share for every marker; what reaches a
+    target and is not followed further joins the result too.
     """
     whole = quarry.assess(range(quarry.n_markers))
     level = [] if whole is None else [whole]
@@ -262,7 +263,10 @@ def top_down(quarry: Mine, progress: Progress) -> list[Assessed]:
                     living = True
             if not living:
                 found.append(parent)
-        level = _best(quarry, [survivors[key] for key in sorted(survivors)], quarry.settings.breadth)
+        living_on = [survivors[key] for key in sorted(survivors)]
+        level = _best(quarry, living_on, quarry.settings.breadth)
+        kept = {id(assessed) for assessed in level}
+        found += [assessed for assessed in living_on if id(assessed) not in kept]
         last -= 1
     progress(1.0, "mined")
     return found + level
