@@ -20,9 +20,10 @@ class Miner(StrEnum):
 
 
 class Rules(StrEnum):
-    """How the partial solvers' answers become one labelling."""
+    """How a frame is labelled: by the whole body, by the partial solvers' votes and the whole model, or by the thesis' rules."""
 
     WHOLE_BODY = "whole-body"
+    PARTIAL_SOLVERS = "partial-solvers"
     THESIS = "thesis"
 
 
@@ -49,9 +50,9 @@ Json = Annotated[
 ]
 Report = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Write an HTML report.", show_default=False)]
 MinerOption = Annotated[Miner, typer.Option("--miner", help="How the partial solvers are chosen.")]
-RulesOption = Annotated[Rules, typer.Option("--rules", help="How partial answers become one: the best measured, or the thesis'.")]
+RulesOption = Annotated[Rules, typer.Option("--rules", help="How a frame is labelled: by the whole body, or by solvers' votes.")]
 HitRate = Annotated[
-    float, typer.Option("--target-hit-rate", metavar="SHARE", help="Share of frames in which a given label must be right, below 1.")
+    float, typer.Option("--target-hit-rate", metavar="SHARE", help="Share of the labels given that should be right, below 1.")
 ]
 
 
@@ -86,4 +87,4 @@ def numbers(given: str, option: str) -> tuple[int, ...]:
 def check_hit_rate(given: float) -> None:
     """Raise AsterismError where a target hit rate makes no sense."""
     if not 0.5 <= given < 1:
-        raise AsterismError(f"--target-hit-rate {given} is no share from 0.5 to below 1; give for example 0.9999.")
+        raise AsterismError(f"--target-hit-rate {given} is no share from 0.5 to below 1; give for example 0.999.")

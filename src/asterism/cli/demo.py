@@ -47,7 +47,7 @@ def demo(
     talk(f"Training on {len(known)} simulated walkers, {len(known[0].labels)} markers ...")
     started = time.perf_counter()
     with _console.progress("training") as progress:
-        ensemble = SolverEnsemble.fit(known, seed=seed, marker_set=MarkerSet.load(_MARKERS), progress=progress)
+        ensemble = SolverEnsemble.fit(known, seed=seed, miner=None, marker_set=MarkerSet.load(_MARKERS), progress=progress)
     talk(f"Trained in {time.perf_counter() - started:.0f} s. Labelling {len(strangers)} walkers that the model has not seen ...")
     model = output / "walkers.model"
     ensemble.save(model)

@@ -40,7 +40,7 @@ def evaluate(
     ghosts: Annotated[str, typer.Option(metavar="N N ...", help="How many ghost points to add to each frame.")] = "0",
     markers: Markers = None,
     rules: RulesOption = Rules.WHOLE_BODY,
-    target_hit_rate: HitRate = 0.9999,
+    target_hit_rate: HitRate = 0.999,
     miner: MinerOption = Miner.BOTTOM_UP,
     seed: Seed = 0,
     vertical: Vertical = None,
@@ -81,8 +81,10 @@ def evaluate(
         if ensemble is not None:
             evaluation = labelling.evaluate(ensemble, recordings, **settings, progress=progress)
         else:
+            # the whole-body rules need no partial solvers, and mining takes most of the training
+            mined = None if rules is Rules.WHOLE_BODY else miner.value
             evaluation = labelling.leave_one_subject_out(
-                recordings, **settings, progress=progress, target_hit_rate=target_hit_rate, miner=miner.value
+                recordings, **settings, progress=progress, target_hit_rate=target_hit_rate, miner=mined
             )
     if json != "-":
         _print(evaluation)

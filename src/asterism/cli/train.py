@@ -28,7 +28,7 @@ def train(
     files: Files,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The model to write.", show_default=False)],
     markers: Markers = None,
-    target_hit_rate: HitRate = 0.9999,
+    target_hit_rate: HitRate = 0.999,
     miner: MinerOption = Miner.BOTTOM_UP,
     seed: Seed = 0,
     vertical: Vertical = None,

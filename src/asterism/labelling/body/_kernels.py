@@ -78,7 +78,7 @@ class LookSettings(NamedTuple):
     odd          nats that an oddly placed point earns, within `odd_radius` (m) of where its marker is expected
     far          squared distance of an anchor's own points beyond which it is not followed up
     agree        anchors that must lead to the best labelling before the others are skipped, where markers or points are left over
-    ask          anchors on missing markers that are tried where two or more markers and points are left over
+    ask          anchors on missing markers that are tried where two points or a fifth of the markers are left over
     budget       feature evaluations per frame
     per_anchor   labellings of one anchor that are followed up
     least_found  share of the markers that a proposal must find at once to be followed up
@@ -689,8 +689,8 @@ def find_labellings(points, order, solvers, anchors, body, settings, room, board
     trial, delta = np.empty(markers, dtype=np.int64), np.empty(9)
     evaluations = np.zeros(2, dtype=np.int64)
     for a in range(len(anchors.markers)):
-        shortfall = min(n, markers) - _count(board.finals[best]) if best >= 0 else 0
-        curious = shortfall >= 2 and asked < settings.ask
+        labelled = _count(board.finals[best]) if best >= 0 else markers
+        curious = asked < settings.ask and (labelled <= min(n, markers) - 2 or labelled <= 0.8 * markers)
         if best >= 0 and board.votes[best] >= board.needs[best] and not curious:
             break
         if n_starts + settings.per_anchor > len(board.starts) or evaluations[0] > settings.budget:
