@@ -1,7 +1,7 @@
 """The heart: clouds in, labels with a calibrated confidence out."""
 
 from asterism.labelling.capturability import Capturability, Change, capturability
-from asterism.labelling.ensemble import SolverEnsemble
+from asterism.labelling.ensemble import SolverEnsemble, TrainingRules
 from asterism.labelling.evaluation import Condition, Evaluation, evaluate, leave_one_subject_out
 from asterism.labelling.solver import FullSolver
 
@@ -12,6 +12,7 @@ __all__ = [
     "Evaluation",
     "FullSolver",
     "SolverEnsemble",
+    "TrainingRules",
     "capturability",
     "evaluate",
     "leave_one_subject_out",

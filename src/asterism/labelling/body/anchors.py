@@ -146,16 +146,15 @@ def with_intervals(triples: Ints, frames: Floats, people: Ints, widen: float) ->
     count = people.max() + 1
     low, high = np.empty((len(kinds), count)), np.empty((len(kinds), count))
     feature_ranges(frames, people, count, kinds, slots, low, high)
-    shown = np.isfinite(low)
-    low, high = np.where(shown, low, np.nan), np.where(shown, high, np.nan)
-    with np.errstate(invalid="ignore"):
-        all_low, all_high = np.nanmin(low, axis=1), np.nanmax(high, axis=1)
-        slack = np.maximum(0.02 * (all_high - all_low), 1e-3)
-        all_low -= np.maximum(widen * np.nanstd(low, axis=1), slack)
-        all_high += np.maximum(widen * np.nanstd(high, axis=1), slack)
-    # a triple that is never seen together keeps NaN: comparisons with NaN reject nothing, so shut it out
-    never = np.isnan(all_low)
-    all_low[never], all_high[never] = np.inf, -np.inf
+    # a triple that is never seen together keeps an empty interval, which rejects everything
+    all_low, all_high = np.full(len(kinds), np.inf), np.full(len(kinds), -np.inf)
+    seen = np.isfinite(low).any(axis=1)
+    shown = np.isfinite(low[seen])
+    low, high = np.where(shown, low[seen], np.nan), np.where(shown, high[seen], np.nan)
+    least, most = np.nanmin(low, axis=1), np.nanmax(high, axis=1)
+    slack = np.maximum(0.02 * (most - least), 1e-3)
+    all_low[seen] = least - np.maximum(widen * np.nanstd(low, axis=1), slack)
+    all_high[seen] = most + np.maximum(widen * np.nanstd(high, axis=1), slack)
     return Anchors(triples, all_low.reshape(-1, len(CHECKS)), all_high.reshape(-1, len(CHECKS)))
 
 
