@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import multivariate_normal
 
+from asterism.labelling.body._kernels import REACH
+
 
 def placing(points, rows, mean, markers):
     """The rotation about z and the two centres that bring points[rows] best onto mean[markers] (Procrustes, by SVD in the plane)."""
@@ -77,8 +79,8 @@ def posterior(model, k, points, rows, odd):
     return conditional(joint, len(load) + np.arange(load.shape[1]), coordinates(markers), deviation)
 
 
-def score_all(model, k, points, rows, odd, settings, reach):
-    """Every point as every marker, each marker predicted from the others' points alone, `reach` (m) at most away from them: (M, n)."""
+def score_all(model, k, points, rows, odd, settings):
+    """Every point as every marker, each marker predicted from the others' points alone, at most `REACH` away: (M, n)."""
     aligned = align(points, rows, model.mean[k], range(len(rows)))
     out = np.empty((len(rows), len(points)))
     for m in range(len(rows)):
@@ -91,16 +93,28 @@ def score_all(model, k, points, rows, odd, settings, reach):
             score = settings.reward + log_density(away, spread)
             if np.linalg.norm(away) < settings.odd_radius:
                 score = max(score, settings.odd)
-            out[m, c] = score if np.linalg.norm(away) <= reach else -np.inf
+            out[m, c] = score if np.linalg.norm(away) <= REACH else -np.inf
     return out
 
 
-def predict(model, k, points, triple, rows3, settings):
-    """Every point as every marker, given the anchor's nine coordinates: (M, n); the anchor's own points are settled."""
+def placed_anchor(model, k, points, rows3, triple):
+    """All points, placed by an anchor's three, and how far these deviate from a key pose: (n, 3), (9,)."""
     aligned = align(points, rows3, model.mean[k], triple)
-    deviation = np.concatenate([aligned[row] - model.mean[k, m] for m, row in zip(triple, rows3, strict=True)])
-    out = np.full((len(model.mean[k]), len(points)), -np.inf)
-    out[triple, rows3] = 50.0
+    return aligned, np.concatenate([aligned[row] - model.mean[k, m] for m, row in zip(triple, rows3, strict=True)])
+
+
+def anchor_density(model, k, points, rows3, triple):
+    """Log density of an anchor's own three points under a key pose, with that pose's weight; and their squared distance."""
+    _, deviation = placed_anchor(model, k, points, rows3, triple)
+    at = coordinates(triple)
+    own = covariance(model, k)[np.ix_(at, at)]
+    return model.log_weight[k] + log_density(deviation, own), deviation @ np.linalg.solve(own, deviation)
+
+
+def predict(model, k, points, rows3, triple, settings):
+    """Every point as every marker that is not the anchor's, given the anchor's nine coordinates: (M, n), NaN for the anchor's own."""
+    aligned, deviation = placed_anchor(model, k, points, rows3, triple)
+    out = np.full((len(model.mean[k]), len(points)), np.nan)
     for m in set(range(len(out))) - set(triple.tolist()):
         centre, spread = conditional(covariance(model, k), coordinates([m]), coordinates(triple), deviation)
         for c, point in enumerate(aligned):
