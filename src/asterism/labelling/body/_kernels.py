@@ -1,6 +1,6 @@
 """Whole-body kernels: a frame's points, the body model and the anchors in; the best labelling and its margins out.
 
-The mathematics stands in `model.py`. All kernels take the vertical as +z. Their plain twins are in `tests/twins.py`.
+The mathematics stands in `model.py`. All kernels take the vertical as +z. Their plain twins are in `tests/twins_body.py`.
 """
 
 from __future__ import annotations
