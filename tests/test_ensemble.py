@@ -481,7 +481,6 @@ def test_a_missing_file_is_refused(tmp_path, name):
         SolverEnsemble.load(tmp_path / name)
 
 
-@pytest.mark.xfail(strict=True, reason="load lets zlib.error and RuntimeError (encrypted archive) through")
 @given(seed=st.integers(0, 2**31), flips=st.integers(1, 8), kept=st.one_of(st.just(1.0), st.floats(0.0, 1.0)))
 @settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_damaged_model_is_refused_or_labels_as_before(small, saved, few, tmp_path, seed, flips, kept):

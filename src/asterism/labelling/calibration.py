@@ -32,7 +32,7 @@ class Calibration:
     def fit(cls, margin: ArrayLike, right: ArrayLike, bins: int = 60) -> Calibration:
         """Isotonic regression of right (0 or 1) on margin, (n,) each, held in `bins` knots.
 
-        Each bin counts one right and one wrong label more than it saw, so that no confidence is exactly 0 or 1 (rule of succession).
+        Each bin counts one label more than it saw, as often right as the labels are on the whole, so that few labels prove little.
         """
         given, hit = np.clip(np.asarray(margin, dtype=np.float64), -LARGEST, LARGEST), np.asarray(right, dtype=np.float64)
         if len(given) == 0:

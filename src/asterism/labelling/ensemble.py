@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import zipfile
+import zlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -390,7 +391,7 @@ class SolverEnsemble:
                 PartialSolvers.from_arrays(partial) if partial else None,
                 dict(head["about"]),
             )
-        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, NotImplementedError, MemoryError) as problem:
+        except (OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, MemoryError) as problem:
             raise AsterismError(f"{path} is damaged or no Asterism model ({type(problem).__name__}); train it again.") from problem
 
 
