@@ -71,7 +71,7 @@ class AnchorArrays(NamedTuple):
 
 
 class LookSettings(NamedTuple):
-    """How the whole-body look decides; the numbers that `EnsembleSettings` names and explains.
+    """How the whole-body look decides; the numbers of `ensemble.LookRules`.
 
     reward       nats that a labelled point earns over an occlusion and a ghost
     first_ghost  nats that the first ghost of a frame costs
@@ -213,7 +213,6 @@ class Room(NamedTuple):
     latent: np.ndarray
     slope: np.ndarray
     odd: np.ndarray
-    fit: np.ndarray
     scores: np.ndarray
     everyone: np.ndarray
 
@@ -230,7 +229,6 @@ def make_room(n, markers, latents):
         np.empty(latents),
         np.empty((3, latents)),
         np.zeros(markers, dtype=np.bool_),
-        np.empty(1),
         np.empty((markers, n)),
         np.arange(markers),
     )
@@ -241,7 +239,7 @@ def evidence(body, k, points, rows, settings, room):
     """How likely the labelled points are all together, under one key pose.
 
     IN   body BodyArrays; k key pose; points (n, 3); rows (M,), -1 for none; settings LookSettings
-    OUT  room.aligned, residual, moment, information (its Cholesky factor), fit (mean squared residual, 1 where all is as expected)
+    OUT  room.aligned, residual, moment, information (its Cholesky factor)
     Markers flagged in room.odd count with `settings.odd` and say nothing of the body.
     Returns the labelling's score: log density of its points plus the rewards, in nats (0 is the empty labelling).
     O(M r^2 + r^3).
@@ -297,7 +295,6 @@ def evidence(body, k, points, rows, settings, room):
             total -= room.information[i, j] * room.latent[j]
         room.latent[i] = total / room.information[i, i]
         quadratic += room.latent[i] * room.latent[i]
-    room.fit[0] = (squares - quadratic) / max(1, 3 * labelled)
     return score + 0.5 * (quadratic - squares)
 
 
