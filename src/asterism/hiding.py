@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.recording import NULL, Clouds, Floats, Ints, Recording
@@ -50,6 +53,120 @@ def hide_and_haunt(recording: Recording, occlusions: int = 2, ghosts: int = 1, s
         columns=np.full(int(there.sum()), -1, dtype=np.int64),
     )
     return clouds, np.where(kept, _ranks(keys)[:, :markers], NULL)
+
+
+def hide_in_gaps(
+    recording: Recording,
+    hidden: int = 3,
+    ghosts: int = 0,
+    seed: int | np.random.Generator = 0,
+    *,
+    gap_seconds: tuple[float, float] = (0.1, 1.0),
+    ghost_seconds: tuple[float, float] = (0.05, 0.5),
+    number_tracks: bool = True,
+) -> tuple[Clouds, Ints]:
+    """Take the labels away as a camera system would: markers vanish for a while and come back under new track numbers, ghosts ride along.
+
+    At every moment exactly `hidden` markers that the recording shows are in a gap (all of them where fewer are shown). A gap lasts uniformly
+    `gap_seconds`, or until its marker leaves the recording; then another random marker's begins. At every moment `ghosts` ghost tracks are
+    there: each lasts uniformly `ghost_seconds` and keeps its offset, drawn uniformly in a ball of `GHOST_RADIUS`, from a random
+    marker of the recording, hidden ones included, as long as that is there. The first gaps and ghosts have begun before the recording does.
+
+    Returns the clouds (m), the points of each frame in random order, and the truth as `hide_and_haunt` gives it. The clouds' tracks number
+    every unbroken stretch of a marker, and every ghost, in random order; None without `number_tracks`. O(T (M + G) log(M + G)).
+    Raises AsterismError where `hidden` or `ghosts` is negative, or more markers should be hidden than there are columns.
+    """
+    frames, markers = recording.visible.shape
+    if not 0 <= hidden <= markers:
+        raise AsterismError(f"cannot hide {hidden} of {markers} markers; ask for 0 to {markers}.")
+    if ghosts < 0:
+        raise AsterismError(f"cannot add {ghosts} ghosts; ask for 0 or more.")
+    rng = np.random.default_rng(seed)
+    visible = recording.visible
+    in_gap = _gaps(visible, hidden, gap_seconds, recording.rate, rng)
+    kept = visible & ~in_gap
+    haunted, ghost_number = _rides(recording, ghosts, ghost_seconds, rng)
+    points = np.concatenate([recording.positions, haunted], axis=1)
+    there = np.concatenate([kept, ghost_number >= 0], axis=1)
+    begins = kept & ~np.concatenate([np.zeros((1, markers), dtype=np.bool_), kept[:-1]])
+    number = np.where(kept, np.cumsum(begins, axis=0) * markers + np.arange(markers), -1)
+    number = np.concatenate([number, np.where(ghost_number >= 0, ghost_number + (frames + 1) * markers, -1)], axis=1)
+
+    keys = np.where(there, rng.random(there.shape), np.inf)
+    order = np.argsort(keys, axis=1)
+    present = np.take_along_axis(there, order, axis=1)
+    tracks = None
+    if number_tracks:
+        names, tracks = np.unique(np.take_along_axis(number, order, axis=1)[present], return_inverse=True)
+        tracks = rng.permutation(len(names))[tracks].astype(np.int64)
+    clouds = Clouds(
+        xyz=np.ascontiguousarray(np.take_along_axis(points, order[:, :, None], axis=1)[present]),
+        offsets=np.concatenate([[0], np.cumsum(there.sum(axis=1))]).astype(np.int64),
+        rate=recording.rate,
+        vertical=recording.vertical,
+        columns=np.full(int(there.sum()), -1, dtype=np.int64),
+        tracks=tracks,
+    )
+    return clouds, np.where(kept, _ranks(keys)[:, :markers], NULL)
+
+
+def hide_a_few(
+    recording: Recording, gaps: int, seed: int | np.random.Generator = 0, *, gap_seconds: tuple[float, float] = (0.1, 1.0)
+) -> tuple[Clouds, Ints]:
+    """`hide_in_gaps` the way much of the literature does it: so many gaps in the whole recording, of random markers at random moments.
+
+    Raises AsterismError where `gaps` is negative.
+    """
+    if gaps < 0:
+        raise AsterismError(f"cannot make {gaps} gaps; ask for 0 or more.")
+    rng = np.random.default_rng(seed)
+    positions = recording.positions.copy()
+    for _ in range(gaps):
+        length = max(1, round(rng.uniform(*gap_seconds) * recording.rate))
+        start = int(rng.integers(max(1, len(positions) - length + 1)))
+        positions[start : start + length, rng.integers(positions.shape[1])] = np.nan
+    return hide_in_gaps(replace(recording, positions=positions), 0, 0, rng)
+
+
+def _gaps(
+    visible: NDArray[np.bool_], hidden: int, seconds: tuple[float, float], rate: float, rng: np.random.Generator
+) -> NDArray[np.bool_]:
+    """(T, M) whether a marker is in one of the gaps of which `hidden` are open at every moment."""
+    frames, markers = visible.shape
+    in_gap = np.zeros((frames, markers), dtype=np.bool_)
+    left = np.zeros(markers, dtype=np.int64)
+    for t in range(frames):
+        left = np.where(visible[t], np.maximum(left - 1, 0), 0)
+        while (left > 0).sum() < min(hidden, visible[t].sum()):
+            marker = rng.choice(np.nonzero(visible[t] & (left == 0))[0])
+            length = max(1, round(rng.uniform(*seconds) * rate))
+            left[marker] = length if t else rng.integers(1, length + 1)
+        in_gap[t] = left > 0
+    return in_gap
+
+
+def _rides(recording: Recording, ghosts: int, seconds: tuple[float, float], rng: np.random.Generator) -> tuple[Floats, Ints]:
+    """Positions (T, G, 3) of the ghosts that are there at every moment, and which ghost it is (T, G), -1 for none."""
+    frames = len(recording)
+    positions, number = np.full((frames, ghosts, 3), np.nan), np.full((frames, ghosts), -1, dtype=np.int64)
+    count = 0
+    for g in range(ghosts):
+        t = 0
+        while t < frames:
+            shown = np.nonzero(recording.visible[t])[0]
+            if len(shown) == 0:
+                t += 1
+                continue
+            host = rng.choice(shown)
+            length = max(1, round(rng.uniform(*seconds) * recording.rate))
+            length = length if t else int(rng.integers(1, length + 1))
+            gone = np.nonzero(~recording.visible[t : t + length, host])[0]
+            end = t + int(gone[0]) if len(gone) else min(t + length, frames)
+            positions[t:end, g] = recording.positions[t:end, host] + _in_ball((1, 1), rng)[0, 0] * GHOST_RADIUS
+            number[t:end, g] = count
+            count += 1
+            t = end
+    return positions, number
 
 
 def anonymous(clouds: Clouds) -> Recording:

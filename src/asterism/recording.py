@@ -176,6 +176,8 @@ class Clouds:
     rate      frames per second
     vertical  (3,) unit vector, up
     columns   (P,) int: the column of the recording that each point came from, -1 where it came from none
+    tracks    (P,) int: the track that the camera system put each point into, -1 for none; or None where it gave no tracks at all.
+              A track holds at most one point of a frame; it is a hint that may be wrong, never an identity
     """
 
     xyz: Floats
@@ -183,12 +185,20 @@ class Clouds:
     rate: float
     vertical: Floats
     columns: Ints
+    tracks: Ints | None = None
 
     @classmethod
-    def from_points(cls, points: Iterable[ArrayLike], rate: float, vertical: ArrayLike = (0.0, 0.0, 1.0)) -> Clouds:
+    def from_points(
+        cls,
+        points: Iterable[ArrayLike],
+        rate: float,
+        vertical: ArrayLike = (0.0, 0.0, 1.0),
+        tracks: Iterable[ArrayLike] | None = None,
+    ) -> Clouds:
         """Clouds from one (N_t, 3) array in metres per frame; N_t may be 0.
 
-        Raises AsterismError where an array has another shape or a coordinate is not finite.
+        tracks: one (N_t,) array of whole numbers per frame, the track that each point belongs to, -1 for none.
+        Raises AsterismError where an array has another shape, a coordinate is not finite, or two points of a frame share a track.
         """
         frames = []
         for t, given in enumerate(points):
@@ -202,7 +212,8 @@ class Clouds:
             frames.append(frame)
         counts = np.array([0, *map(len, frames)], dtype=np.int64)
         xyz = np.concatenate(frames) if frames else np.empty((0, 3))
-        return cls(xyz, np.cumsum(counts), _checked_rate(rate), as_vertical(vertical), np.full(len(xyz), -1, dtype=np.int64))
+        numbers = None if tracks is None else _checked_tracks(tracks, counts[1:])
+        return cls(xyz, np.cumsum(counts), _checked_rate(rate), as_vertical(vertical), np.full(len(xyz), -1, dtype=np.int64), numbers)
 
     def __len__(self) -> int:
         return len(self.offsets) - 1
@@ -302,6 +313,7 @@ class Recording:
             rate=self.rate,
             vertical=self.vertical,
             columns=np.nonzero(visible)[1].astype(np.int64),
+            tracks=np.nonzero(visible)[1].astype(np.int64),
         )
 
     def select(self, names: Sequence[str]) -> Recording:
@@ -406,6 +418,21 @@ def as_vertical(vertical: ArrayLike | str) -> Floats:
     if vector.shape != (3,) or not np.isfinite(vector).all() or np.linalg.norm(vector) == 0:
         raise AsterismError("the vertical must be three finite numbers, not all zero; it points up.")
     return vector / np.linalg.norm(vector)
+
+
+def _checked_tracks(tracks: Iterable[ArrayLike], counts: Ints) -> Ints:
+    frames = [np.asarray(given) for given in tracks]
+    if len(frames) != len(counts):
+        raise AsterismError(f"tracks for {len(frames)} frames, points for {len(counts)}; give one array of track numbers per frame.")
+    for t, (frame, count) in enumerate(zip(frames, counts, strict=True)):
+        if frame.shape != (count,) and not frame.size == count == 0:
+            raise AsterismError(f"frame {t}: track numbers have shape {frame.shape}, expected ({count},); give one per point.")
+        if frame.size and not np.issubdtype(frame.dtype, np.integer):
+            raise AsterismError(f"frame {t}: track numbers are {frame.dtype}, expected whole numbers; -1 is for none.")
+        numbered = frame[frame >= 0]
+        if len(np.unique(numbered)) < len(numbered):
+            raise AsterismError(f"frame {t}: two points have the same track number; a track holds one point of a frame.")
+    return np.concatenate([np.zeros(0, dtype=np.int64), *(frame.ravel().astype(np.int64) for frame in frames)])
 
 
 def _checked_rate(rate: float) -> float:

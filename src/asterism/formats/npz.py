@@ -74,7 +74,10 @@ def read_npz_clouds(path: Path) -> Clouds | None:
         rate = float(held["rate"])
         if not np.isfinite(rate) or rate <= 0:
             raise ValueError(f"frame rate {rate}")
-        return Clouds(xyz, offsets, rate, as_vertical(held["vertical"]), columns)
+        tracks = np.array(held["tracks"], dtype=np.int64) if "tracks" in held else None
+        if tracks is not None and tracks.shape != (len(xyz),):
+            raise ValueError("its points and tracks do not fit together")
+        return Clouds(xyz, offsets, rate, as_vertical(held["vertical"]), columns, tracks)
     except (KeyError, TypeError, ValueError, IndexError, OverflowError, AsterismError) as problem:
         raise AsterismError(f"{path} is damaged ({problem}); write it again.") from problem
 
@@ -108,7 +111,10 @@ def write_npz(path: Path, recording: Recording) -> list[str]:
 
 def write_npz_clouds(path: Path, clouds: Clouds) -> list[str]:
     """Write clouds as they are; nothing is lost."""
-    _save(path, kind="clouds", xyz=clouds.xyz, offsets=clouds.offsets, columns=clouds.columns, rate=clouds.rate, vertical=clouds.vertical)
+    held: dict[str, Any] = {"xyz": clouds.xyz, "offsets": clouds.offsets, "columns": clouds.columns, "vertical": clouds.vertical}
+    if clouds.tracks is not None:
+        held["tracks"] = clouds.tracks
+    _save(path, kind="clouds", rate=clouds.rate, **held)
     return []
 
 
