@@ -67,10 +67,11 @@ def hide_in_gaps(
 ) -> tuple[Clouds, Ints]:
     """Take the labels away as a camera system would: markers vanish for a while and come back under new track numbers, ghosts ride along.
 
-    At every moment exactly `hidden` markers that the recording shows are in a gap (all of them where fewer are shown). A gap lasts uniformly
-    `gap_seconds`, or until its marker leaves the recording; then another random marker's begins. At every moment `ghosts` ghost tracks are
-    there: each lasts uniformly `ghost_seconds` and keeps its offset, drawn uniformly in a ball of `GHOST_RADIUS`, from a random
-    marker of the recording, hidden ones included, as long as that is there. The first gaps and ghosts have begun before the recording does.
+    At every moment exactly `hidden` markers that the recording shows are in a gap (all of them where fewer are shown). A gap lasts
+    uniformly `gap_seconds`, or until its marker leaves the recording; then another random marker's begins. At every moment `ghosts`
+    ghost tracks are there: each lasts uniformly `ghost_seconds` and keeps its offset, drawn uniformly in a ball of `GHOST_RADIUS`, from
+    a random marker of the recording, hidden ones included, as long as that is there. The first gaps and ghosts have begun before the
+    recording does.
 
     Returns the clouds (m), the points of each frame in random order, and the truth as `hide_and_haunt` gives it. The clouds' tracks number
     every unbroken stretch of a marker, and every ghost, in random order; None without `number_tracks`. O(T (M + G) log(M + G)).
