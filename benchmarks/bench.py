@@ -46,7 +46,7 @@ class Bench:
         with ProcessPoolExecutor(self.jobs, mp_context=get_context("spawn")) as pool:
             yield from pool.map(partial(work, alone), items)
 
-    def fit(self, recordings: Sequence[Recording], people: Sequence[str], **options: float) -> asterism.SolverEnsemble:
+    def fit(self, recordings: Sequence[Recording], people: Sequence[str], **options: object) -> asterism.SolverEnsemble:
         """Train an ensemble, or take the one that the same code has trained from the same recordings in this or an earlier run."""
         key = _key(recordings, people, options)
         kept = self.models / f"{key}.model" if self.models else None
@@ -73,7 +73,7 @@ def frames_per_second(run: Callable[[], object], frames: int, repeats: int = 5) 
     return frames / median(times)
 
 
-def _key(recordings: Sequence[Recording], people: Sequence[str], options: dict[str, float]) -> str:
+def _key(recordings: Sequence[Recording], people: Sequence[str], options: dict[str, object]) -> str:
     digest = hashlib.sha256(repr((list(people), sorted(options.items()), recordings[0].labels)).encode())
     for source in sorted(Path(asterism.__file__).parent.joinpath("labelling").rglob("*.py")):
         digest.update(source.read_bytes())

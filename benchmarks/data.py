@@ -63,6 +63,11 @@ def gait(markers: str | tuple[str, ...] = "helen-hayes") -> dict[str, tuple[Reco
     }
 
 
+def file_of(recording: Recording) -> Path:
+    """The file that a recording was read from."""
+    return Path(recording.metadata["file"])
+
+
 def people_and_trials(trials: dict[str, tuple[Recording, ...]], leave_out: str | None = None) -> tuple[list[str], list[Recording]]:
     """One name per recording, and the recordings, of everyone but `leave_out`."""
     pairs = [(person, recording) for person, recordings in trials.items() if person != leave_out for recording in recordings]
@@ -124,6 +129,16 @@ OWN_TRIALS: dict[str, tuple[tuple[str, ...], ...]] = {
 }
 """Sets of one person with several trials: train on the other groups of trials."""
 
+DIRTY = (
+    "vicon53/nick_freeform_001",
+    "optitrack-wheelchair/racing_full",
+    "optitrack-wheelchair/sprintbasket",
+    "optitrack-wheelchair/walkingOptiTrack",
+    "clouthier62",
+    "mouse-qtm/MOS1aD_S2_M5_MC2",
+)
+"""Labels of the sets with real gaps, and real ghosts in the last."""
+
 ONE_TRIAL = (
     "vicon53/nick_freeform_001.c3d",
     "athlete-barbell70/athlete_barbell.c3d",
@@ -133,11 +148,14 @@ ONE_TRIAL = (
     "optitrack-wheelchair/walkingOptiTrack.c3d",
     "qtm-fullbody/running_0002.c3d",
 )
-"""One person, one trial: train on even blocks of ten frames, test on odd ones."""
+"""One person, one trial: train on even blocks of ten frames and test on odd ones, or on one half and test on the other."""
 
 
-def movement_folds(chosen: Sequence[str] | None = None) -> Iterator[Fold]:
-    """Every labelled set of the movement recordings, split by person where there are several; `chosen` keeps some sets."""
+def movement_folds(chosen: Sequence[str] | None = None, halves: bool = False) -> Iterator[Fold]:
+    """Every labelled set of the movement recordings, split by person where there are several; `chosen` keeps some sets.
+
+    A set of one trial is split into blocks of ten frames; with `halves` into its first and its second half, each tested with the other.
+    """
     for label, people in PEOPLE.items():
         if chosen is None or label in chosen:
             owners = [(person, file) for person, files in people.items() for file in files]
@@ -150,8 +168,17 @@ def movement_folds(chosen: Sequence[str] | None = None) -> Iterator[Fold]:
         label = f"{file.split('/')[0]}/{Path(file).stem.split('_T2')[0]}"
         if chosen is None or label in chosen:
             trial = _named(everything(file))
+            if halves:
+                yield from _halves(label, file, trial)
+                continue
             test = Test(file, trial, np.nonzero(_in_odd_block(trial))[0])
             yield Fold(label, "own other frames", False, (blocks(trial, odd=False),), (label,), (test,))
+
+
+def _halves(label: str, file: str, trial: Recording) -> Iterator[Fold]:
+    parts = np.array_split(np.arange(len(trial)), 2)
+    for train, test in (parts, parts[::-1]):
+        yield Fold(label, "own other half", False, (trial.frames(train),), (label,), (Test(file, trial, test),))
 
 
 def _leave_one_out(label: str, owners: list[tuple[str, str]], unseen: bool) -> Iterator[Fold]:

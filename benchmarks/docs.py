@@ -12,18 +12,23 @@ PAGE = Path(__file__).parents[1] / "docs" / "figures.md"
 
 INTRODUCTION = """# Figures
 
-Written by `python -m benchmarks docs` from `benchmarks/figures.json`; do not edit. Measure again with `python -m benchmarks labelling`
-(all rows), `--rows unseen` (some), `--quick` (a look, nothing is kept). The recordings are found through `ASTERISM_DATA`.
+Written by `python -m benchmarks docs` from `benchmarks/figures.json`; do not edit. Measure again with `python -m benchmarks` (all),
+`python -m benchmarks recordings` (one chapter), `--rows gaps` (some rows), `--quick` (a look, nothing is kept). The recordings are found
+through `ASTERISM_DATA`.
 
 - **FA**, false assignments: wrong labels among the labels given. **FO**, false occlusions: visible markers among the nulls given.
   **missed**: visible markers without a label, among the visible ones. **right**: visible markers with their own point. All are fractions.
 - *Subjects seen*: trained on even blocks of ten frames of each recording, tested on the odd ones. *Not seen*: one subject left out,
-  trained on the ten others. Exactly k visible markers of each frame are hidden; a ghost lies within 150 mm of a marker. Every frame
-  is labelled by itself.
-- *Peer*: `benchmarks/peer.py`, sixteen key poses from eight headings by ICP, optimal assignment, 200 mm limit; some of the same clouds.
+  trained on the ten others. In the first chapter exactly k visible markers of each frame are hidden, anew in each, a ghost lies within
+  150 mm of a marker, and every frame is labelled by itself.
+- Whole recordings, *k hidden*: k markers are in a gap of 0.1 to 1 s at every moment and come back under a new track number; *ghosts* are
+  tracks of 0.05 to 0.5 s that ride on a marker at a fixed offset of up to 150 mm, so many at every moment. Each walk is hidden three times.
+  *Frame by frame* is the first chapter's labelling of the same clouds. *Backwards in time* are the same clouds in reverse order.
+- *Tracking*: `benchmarks/tracking.py`, the true places of all markers in the first frame, then constant velocity and optimal assignment.
+- *Peer*, *key poses*: `benchmarks/peer.py`, sixteen key poses from eight headings by ICP, optimal assignment, 200 mm limit; some of the same clouds.
 - *As recorded*: with all points that nobody labelled. Some of them may be the very marker that is missing: FA is an upper bound there.
 - Gaps and ghosts are simulated; only vicon53, clouthier62, optitrack-wheelchair and mouse-qtm have real gaps besides, and rows
-  "as recorded" real ghosts.
+  "as recorded" real ghosts. Rows "dirt" hide nothing: hand labels found again, from one half of a trial to the other.
 
 Thesis: J. L. Jiménez Bascones, "Cloud Point Labelling in Optical Motion Capture Systems", 2019, chapters 4 and 5.
 Recordings (their licences lie beside them; none is part of this repository):
@@ -34,7 +39,20 @@ Recordings (their licences lie beside them; none is part of this repository):
 - conformance: the c3d.org samples, OpenSim, pyomeca, hmv-s16 and the diabolo-juggling recordings for Motive.
 """
 
+_METHOD = "(?P<column>(?:whole recording|frame by frame|tracking|key poses): \\w+)"
+
 SECTIONS = (
+    ("Walks with gaps, subjects not seen", "gaps, ", rf"gaps, (?P<line>.*?), {_METHOD}"),
+    ("Without track numbers, and backwards in time", "change, ", r"change, (?P<line>.*): (?P<column>.*)"),
+    ("Calibration of the confidence", "calibration error", None),
+    ("What carries it", "ablation, ", r"ablation, (?P<line>.*?), (?P<column>\d hidden.*: .*)"),
+    ("Swapped columns", "swap", None),
+    ("Streaming", "stream", None),
+    ("Temporal features", ("feature", "temporal"), None),
+    ("Speed", "speed, ", None),
+    ("Real gaps and ghosts", "dirt, ", None),
+    ("From one labelled trial to all subjects", "loop", None),
+    ("All physical markers", "59 markers, ", None),
     ("Subjects not seen", "subjects not seen", None),
     ("The peer on the same clouds", "peer, ", None),
     ("Subjects seen", "subjects seen", None),
@@ -43,7 +61,7 @@ SECTIONS = (
     (
         "Other people, laboratories and movements",
         "movement,",
-        r"movement, (?P<line>.*?(?: not seen|own other \w+)), (?P<column>(?:.* as recorded|\d occlusions): \w+)",
+        r"movement, (?P<line>.*?(?: not seen|own other \w+)), (?P<column>(?:.* as recorded|\d occlusions|\d hidden): \w+)",
     ),
     ("Table 5.4: FA by occlusions and target hit rate", "table 5.4", r"table 5.4, subjects seen, (?P<line>.*), (?P<column>target .*): FA"),
     ("Table 5.5: FO by occlusions and target hit rate", "table 5.5", r"table 5.5, subjects seen, (?P<line>.*), (?P<column>target .*): FO"),

@@ -87,11 +87,13 @@ class Tally:
 
 
 def some_frames(clouds: Clouds, truth: Ints, frames: NDArray[np.int64]) -> tuple[Clouds, Ints]:
-    """The clouds and the truth of these frames only."""
+    """The clouds and the truth of these frames only, in this order."""
     counts = clouds.counts[frames]
     offsets = np.concatenate([[0], np.cumsum(counts)])
     points = np.repeat(clouds.offsets[frames] - offsets[:-1], counts) + np.arange(offsets[-1])
-    return Clouds(clouds.xyz[points], offsets.astype(np.int64), clouds.rate, clouds.vertical, clouds.columns[points]), truth[frames]
+    tracks = None if clouds.tracks is None else clouds.tracks[points]
+    some = Clouds(clouds.xyz[points], offsets.astype(np.int64), clouds.rate, clouds.vertical, clouds.columns[points], tracks)
+    return some, truth[frames]
 
 
 def _share(part: float, whole: float) -> float:

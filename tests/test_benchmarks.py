@@ -13,12 +13,15 @@ import numpy as np
 import pytest
 
 from asterism.errors import AsterismError
-from asterism.hiding import hide_and_haunt
-from asterism.recording import NULL, Labelling, Recording
+from asterism.hiding import hide_and_haunt, hide_in_gaps
+from asterism.recording import NULL, Clouds, Labelling, Recording
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
-benchmark_data, docs, figures, peer, score = (import_module(f"benchmarks.{name}") for name in ("data", "docs", "figures", "peer", "score"))
+benchmark_data, docs, figures, peer, score, tracking, ablation, dirt, main = (
+    import_module(f"benchmarks.{name}")
+    for name in ("data", "docs", "figures", "peer", "score", "tracking", "recordings.ablation", "recordings.dirt", "__main__")
+)
 
 
 def test_kept_figures_have_the_agreed_form() -> None:
@@ -87,6 +90,78 @@ def test_some_frames_are_the_same_clouds_with_the_same_truth() -> None:
     for place, frame in enumerate(chosen):
         np.testing.assert_array_equal(few[place], clouds[frame])
         np.testing.assert_array_equal(few_truth[place], truth[frame])
+
+
+def test_frames_in_reverse_are_the_recording_backwards_with_its_tracks() -> None:
+    recording = Recording(np.random.default_rng(0).normal(size=(60, 5, 3)), tuple("abcde"), 100.0)
+    clouds, truth = hide_in_gaps(recording, 2, 1, seed=3)
+    back, back_truth = score.some_frames(clouds, truth, np.arange(60)[::-1])
+    np.testing.assert_array_equal(back_truth, truth[::-1])
+    for frame in range(60):
+        np.testing.assert_array_equal(back[frame], clouds[59 - frame])
+        there, here = (slice(c.offsets[f], c.offsets[f + 1]) for c, f in ((clouds, 59 - frame), (back, frame)))
+        np.testing.assert_array_equal(back.tracks[here], clouds.tracks[there])
+
+
+def _crossing(frames: int = 100) -> Recording:
+    """Three markers 0.2 m apart at 2 m/s; the third passes closely under the second, at right angles."""
+    t = np.arange(frames) / 100.0
+    straight = np.stack([2 * t, 0 * t, 0 * t + 1], axis=1)
+    across = np.stack([2 * t, 2 * (t - 0.5) + 0.2, 0 * t + 0.95], axis=1)
+    return Recording(np.stack([straight, straight + np.array([0, 0.2, 0]), across], axis=1), ("a", "b", "c"), 100.0)
+
+
+def test_tracking_keeps_its_velocity_over_a_crossing_and_a_short_gap_but_loses_who_turns_in_a_long_one() -> None:
+    recording = _crossing()
+    clouds, truth = hide_in_gaps(recording, 0, 0, seed=0)
+    assert (tracking.follow(recording.positions[0], clouds, recording.labels).indices == truth).all()
+    gone = recording.positions.copy()
+    gone[30:40, 0] = np.nan
+    clouds, truth = hide_in_gaps(Recording(gone, recording.labels, 100.0), 0, 0, seed=0)
+    assert (tracking.follow(recording.positions[0], clouds, recording.labels).indices == truth).all()
+    turned = recording.positions.copy()
+    turned[60:, 0, 0] = turned[60, 0, 0] - 5 * (turned[60:, 0, 0] - turned[60, 0, 0])
+    turned[30:80, 0] = np.nan
+    clouds, truth = hide_in_gaps(Recording(turned, recording.labels, 100.0), 0, 0, seed=0)
+    indices = tracking.follow(recording.positions[0], clouds, recording.labels).indices
+    assert (indices[80:, 0] != truth[80:, 0]).all() and (indices[:, 1:] == truth[:, 1:]).all()
+
+
+def test_tracks_vote_and_the_loser_of_a_marker_stays_null() -> None:
+    # Track 0 has four frames, three of them labelled a; track 1 has four frames, two labelled b and one a: no majority.
+    # Track 2 lives beside track 0 in its last two frames and claims a too, with fewer votes.
+    points = [np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((3, 3)), np.zeros((3, 3))]
+    clouds = Clouds.from_points(points, 100.0, tracks=[[0, 1], [1, 0], [0, 1, 2], [2, 1, 0]])
+    indices = np.array([[0, 1], [1, 0], [0, NULL], [0, 1]])
+    voted = ablation.by_majority(Labelling(indices, np.full((4, 2), 0.9), ("a", "b")), clouds)
+    np.testing.assert_array_equal(voted.indices[:, 0], [0, 1, 0, 2])
+    np.testing.assert_array_equal(voted.indices[:, 1], [1, 0, 1, 1])
+    doubtful = ablation.by_majority(Labelling(indices, np.full((4, 2), 0.6), ("a", "b")), clouds)
+    assert (doubtful.indices == NULL).all()
+
+
+def test_pieces_that_can_be_no_marker_are_counted_apart() -> None:
+    # Two markers, two pieces: the first piece lives while both markers are there, the second while marker b is gone.
+    truth = np.array([[0, 1, 2, NULL], [0, 1, 2, NULL], [0, NULL, NULL, 1], [0, NULL, NULL, 1]])
+    labelling = Labelling(np.array([[0, 1], [2, 1], [0, 1], [0, NULL]]), np.ones((4, 2)), ("a", "b"))
+    np.testing.assert_array_equal(dirt._pieces(labelling, truth), [4, 2, 2, 1])
+
+
+def test_halves_share_no_frame_and_lose_none() -> None:
+    trial = Recording(np.arange(31.0 * 3).reshape(31, 1, 3), ("a",), 100.0)
+    one, other = benchmark_data._halves("set", "file", trial)
+    for fold in (one, other):
+        tested = trial.positions[fold.test[0].frames]
+        assert sorted([*fold.train[0].positions[:, 0, 0], *tested[:, 0, 0]]) == sorted(trial.positions[:, 0, 0])
+        assert len(tested) in (15, 16) and (np.diff(fold.test[0].frames) == 1).all()
+
+
+def test_unknown_rows_are_refused_and_known_ones_belong_to_their_chapter(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main.main(["labelling", "--rows", "gaps"])
+    assert "there is no row 'gaps' in labelling" in capsys.readouterr().err
+    for chapter in main.CHAPTERS.values():
+        assert chapter.ISSUE and chapter.ROWS
 
 
 def _stick_figures(frames: int, seed: int) -> Recording:
@@ -165,8 +240,15 @@ def test_page_shows_cells_where_they_belong_and_what_was_missed() -> None:
             entry("table 5.4, subjects seen, 1 occlusion, target 99.9 %: FA", "< 0.01", 0.02),
             entry("movement, cmu41, 85 not seen, 3 occlusions: FA", "<= 0.005", 0.001),
             entry("movement, pig39, test not seen, test_movement as recorded: missed", "none", 0.5),
+            entry("gaps, 3 hidden, backwards in time, whole recording: right", "none", 0.99),
+            entry("gaps, 3 hidden + 3 ghosts, tracking: FA", "none", 0.25),
+            entry("change, 3 hidden, backwards in time: FA gained", "<= 0.001", -0.0002),
+            entry("ablation, + tracks, 3 hidden + 3 ghosts: right", "none", 0.5),
         ]
     )
     assert "| 1 occlusion | 1 % (asked < 8 %) | **2 % (asked < 1 %)** |" in page
     assert "| cmu41, 85 not seen | 0.1 % (asked <= 0.5 %) |  |" in page
-    assert "2 of 3 figures asked for are reached" in page
+    assert "| 3 hidden, backwards in time | 99 % |" in page and "| 3 hidden + 3 ghosts |  | 25 % |" in page
+    assert "| 3 hidden, backwards in time | -0.02 % (asked <= 0.1 %) |" in page
+    assert "| + tracks | 50 % |" in page
+    assert "3 of 4 figures asked for are reached" in page

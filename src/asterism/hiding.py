@@ -68,20 +68,23 @@ def hide_in_gaps(
     """Take the labels away as a camera system would: markers vanish for a while and come back under new track numbers, ghosts ride along.
 
     At every moment exactly `hidden` markers that the recording shows are in a gap (all of them where fewer are shown). A gap lasts
-    uniformly `gap_seconds`, or until its marker leaves the recording; then another random marker's begins. At every moment `ghosts`
-    ghost tracks are there: each lasts uniformly `ghost_seconds` and keeps its offset, drawn uniformly in a ball of `GHOST_RADIUS`, from
-    a random marker of the recording, hidden ones included, as long as that is there. The first gaps and ghosts have begun before the
-    recording does.
+    uniformly `gap_seconds`, or until its marker leaves the recording; then another random marker's begins (the same one's only where no
+    other is shown). At every moment `ghosts` ghost tracks are there: each lasts uniformly `ghost_seconds` and keeps its offset, drawn
+    uniformly in a ball of `GHOST_RADIUS`, from a random marker of the recording, hidden ones included, as long as that is there. The
+    first gaps and ghosts have begun before the recording does.
 
     Returns the clouds (m), the points of each frame in random order, and the truth as `hide_and_haunt` gives it. The clouds' tracks number
     every unbroken stretch of a marker, and every ghost, in random order; None without `number_tracks`. O(T (M + G) log(M + G)).
-    Raises AsterismError where `hidden` or `ghosts` is negative, or more markers should be hidden than there are columns.
+    Raises AsterismError where `hidden` or `ghosts` is negative, more markers should be hidden than there are columns, or a range of
+    seconds is none.
     """
     frames, markers = recording.visible.shape
     if not 0 <= hidden <= markers:
         raise AsterismError(f"cannot hide {hidden} of {markers} markers; ask for 0 to {markers}.")
     if ghosts < 0:
         raise AsterismError(f"cannot add {ghosts} ghosts; ask for 0 or more.")
+    _check_seconds("gaps", gap_seconds)
+    _check_seconds("ghosts", ghost_seconds)
     rng = np.random.default_rng(seed)
     visible = recording.visible
     in_gap = _gaps(visible, hidden, gap_seconds, recording.rate, rng)
@@ -116,10 +119,13 @@ def hide_a_few(
 ) -> tuple[Clouds, Ints]:
     """`hide_in_gaps` the way much of the literature does it: so many gaps in the whole recording, of random markers at random moments.
 
-    Raises AsterismError where `gaps` is negative.
+    Raises AsterismError where `gaps` is negative, the recording has no markers, or the range of seconds is none.
     """
     if gaps < 0:
         raise AsterismError(f"cannot make {gaps} gaps; ask for 0 or more.")
+    if not recording.labels:
+        raise AsterismError("the recording has no markers to make gaps in; choose one that has.")
+    _check_seconds("gaps", gap_seconds)
     rng = np.random.default_rng(seed)
     positions = recording.positions.copy()
     for _ in range(gaps):
@@ -127,6 +133,12 @@ def hide_a_few(
         start = int(rng.integers(max(1, len(positions) - length + 1)))
         positions[start : start + length, rng.integers(positions.shape[1])] = np.nan
     return hide_in_gaps(replace(recording, positions=positions), 0, 0, rng)
+
+
+def _check_seconds(what: str, seconds: tuple[float, float]) -> None:
+    shortest, longest = seconds
+    if not 0 < shortest <= longest < np.inf:
+        raise AsterismError(f"{what} of {shortest} to {longest} s make no sense; give the shortest and the longest, both above 0.")
 
 
 def _gaps(
@@ -139,7 +151,9 @@ def _gaps(
     for t in range(frames):
         left = np.where(visible[t], np.maximum(left - 1, 0), 0)
         while (left > 0).sum() < min(hidden, visible[t].sum()):
-            marker = rng.choice(np.nonzero(visible[t] & (left == 0))[0])
+            free = visible[t] & (left == 0)
+            rested = free & ~in_gap[t - 1] if t else free
+            marker = rng.choice(np.nonzero(rested if rested.any() else free)[0])
             length = max(1, round(rng.uniform(*seconds) * rate))
             left[marker] = length if t else rng.integers(1, length + 1)
         in_gap[t] = left > 0

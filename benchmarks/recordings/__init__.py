@@ -1,0 +1,28 @@
+"""The issue about whole recordings (tracks, time, the subject's own body, corrections that teach): one function per row of its table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from benchmarks.bench import Bench
+from benchmarks.figures import Figure
+from benchmarks.recordings.ablation import ablation
+from benchmarks.recordings.baselines import baselines
+from benchmarks.recordings.dirt import dirt
+from benchmarks.recordings.full_body import full_body
+from benchmarks.recordings.gaps import gaps
+from benchmarks.recordings.movement import movement
+from benchmarks.recordings.speed import speed
+
+ISSUE = "Label whole recordings: tracks, time, the subject's own body, and corrections that teach"
+
+ROWS: dict[str, Callable[[Bench], Iterator[Figure]]] = {
+    "speed-time": speed,
+    "baselines": baselines,
+    "gaps": gaps,
+    "ablation": ablation,
+    "dirt": dirt,
+    "full-body": full_body,
+    "movement-time": movement,
+}
+"""Cheap rows first: a run that is cut short has measured most of them."""

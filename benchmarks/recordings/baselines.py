@@ -1,0 +1,46 @@
+"""The peers on the very clouds of the row `gaps`: tracking from a hand-labelled first frame, and key poses frame by frame."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+
+from asterism.hiding import hide_a_few
+from benchmarks.bench import Bench
+from benchmarks.data import gait, spread
+from benchmarks.figures import Figure
+from benchmarks.peer import KeyPoses
+from benchmarks.recordings.gaps import FEW, Tallies, rates, summed
+from benchmarks.recordings.walks import CONDITIONS, SEEDS, unseen_training, walks, with_gaps
+from benchmarks.score import Tally, some_frames
+from benchmarks.tracking import follow
+
+TRACKING, POSES = "tracking", "key poses"
+POSES_FRAMES = 8
+"""Frames of each cloud that the slow peer gets, evenly spread; each frame stands alone for it."""
+
+
+def baselines(bench: Bench) -> Iterator[Figure]:
+    """Right, FA and missed of both peers by condition."""
+    subjects = list(gait())[: 1 if bench.quick else None]
+    for (condition, method), tally in summed(list(bench.each(_left_out, subjects))).items():
+        yield from rates(condition, method, tally, asked=False)
+
+
+def _left_out(bench: Bench, subject: str) -> Tallies:
+    tallies: Tallies = defaultdict(Tally)
+    poses = KeyPoses.fit(unseen_training(bench, subject)[1])
+    own = walks(subject)
+    repeats = 1 if bench.quick else SEEDS
+    for condition, (hidden, ghosts) in CONDITIONS.items():
+        for number, (clouds, truth) in enumerate(with_gaps(bench, subject, hidden, ghosts)):
+            first = own[number // repeats].positions[0]
+            tallies[condition, TRACKING].add(follow(first, clouds, poses.names), truth)
+            few, few_truth = some_frames(clouds, truth, spread(len(truth), POSES_FRAMES))
+            tallies[condition, POSES].add(poses.label(few), few_truth)
+    for number, walk in enumerate(own):
+        for seed in range(repeats):
+            clouds, truth = hide_a_few(walk, 5, seed=SEEDS * number + seed)
+            tallies[FEW, TRACKING].add(follow(walk.positions[0], clouds, walk.labels), truth)
+    bench.say(f"{subject} left out: {'; '.join(f'{c}, {m} {tally.right_share:.4f}' for (c, m), tally in tallies.items())}")
+    return dict(tallies)

@@ -1,0 +1,138 @@
+"""Recordings with real gaps and real ghosts, labelled by hand: how many of those labels are found again, and what is left alone.
+
+A model learns from one half of a trial and labels the other (clouthier62: from one trial, and labels the other). Every column is broken
+at its real gaps, each piece under a track number of its own; nothing is hidden besides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.errors import AsterismError
+from asterism.hiding import hide_in_gaps
+from asterism.recording import NULL, Floats, Ints, Labelling, Recording
+from benchmarks.bench import Bench
+from benchmarks.data import DIRTY, Fold, Test, everything, is_unnamed, movement_folds
+from benchmarks.figures import Figure
+from benchmarks.recordings.movement import silence
+from benchmarks.score import Tally
+
+RAW = "clouthier62/raw/S01_Pronetokneel01_mksrem.c3d"
+RIGID, NEAR = 0.01, 0.03
+"""Two markers are near-rigid where their distance spreads by less than the first (m, standard deviation); another recording agrees within
+the second (m)."""
+
+
+@dataclass
+class Found:
+    """Hand labels found again, and the samples of pieces that nobody named.
+
+    pieces  (4,) their samples; of these left null; those of pieces that can be no marker, since every marker is labelled elsewhere by
+            hand in at least one of the piece's frames; of these left null
+    """
+
+    tally: Tally = field(default_factory=Tally)
+    pieces: Ints = field(default_factory=lambda: np.zeros(4, dtype=np.int64))
+
+
+def dirt(bench: Bench) -> Iterator[Figure]:
+    """Hand labels found again and FA by set, what becomes of the pieces without a name, and what the raw trial shows."""
+    folds = _folds(bench.quick)
+    for label, group in groupby(zip(folds, bench.each(_tested, range(len(folds))), strict=True), key=lambda outcome: outcome[0].label):
+        total = Found()
+        for _, found in group:
+            total.tally += found.tally
+            total.pieces = total.pieces + found.pieces
+        tally, (samples, null, strange, strange_null) = total.tally, total.pieces
+        yield Figure(f"dirt, {label}: hand labels found again", ">= 0.995", tally.right_share, "fraction", tally.frames)
+        yield Figure(f"dirt, {label}: FA", "none", tally.false_assignments, "fraction", tally.frames)
+        if samples:
+            yield Figure(f"dirt, {label}: samples without a name, left null", "none", null / samples, "fraction", int(samples))
+        if strange:
+            row = f"dirt, {label}: samples of pieces that can be no marker, left null"
+            yield Figure(row, ">= 0.995", strange_null / strange, "fraction", int(strange))
+    if not bench.quick:
+        yield from _raw(bench)
+
+
+@cache
+def _folds(quick: bool) -> list[Fold]:
+    return list(movement_folds(("optitrack-wheelchair/racing_full",) if quick else DIRTY, halves=True))
+
+
+def _tested(bench: Bench, number: int) -> Found:
+    fold, found = _folds(bench.quick)[number], Found()
+    try:
+        ensemble = bench.fit(fold.train, fold.train_people)
+    except AsterismError as problem:
+        bench.say(f"{fold.label}: nothing learned, so every marker is missed: {problem}")
+        ensemble = None
+    for place, test in enumerate(fold.test):
+        markers = len(test.recording.labels)
+        clouds, truth = hide_in_gaps(_with_pieces(test), 0, 0, seed=place)
+        labelling = ensemble.label(clouds, time=True) if ensemble else silence(truth[:, :markers], test.recording.labels)
+        found.tally.add(labelling, truth[:, :markers])
+        found.pieces += _pieces(labelling, truth)
+    bench.say(f"{fold.label}: found again {found.tally.right_share:.5f}, FA {found.tally.false_assignments:.5f}, pieces {found.pieces}")
+    return found
+
+
+def _with_pieces(test: Test) -> Recording:
+    """The frames that are tested: the markers of the set, then every column of the file that has no name."""
+    whole = everything(test.file)
+    rest = [column for column, label in enumerate(whole.labels) if is_unnamed(label)]
+    positions = np.concatenate([test.recording.positions[test.frames], whole.positions[test.frames][:, rest]], axis=1)
+    labels = (*test.recording.labels, *(f"*{column}" for column in rest))
+    return Recording(positions, labels, whole.rate, whole.vertical)
+
+
+def _pieces(labelling: Labelling, truth: Ints) -> Ints:
+    """What became of the columns behind the markers; see `Found`."""
+    markers = labelling.indices.shape[1]
+    counts = np.zeros(4, dtype=np.int64)
+    for places in truth[:, markers:].T:
+        frames = np.nonzero(places != NULL)[0]
+        if len(frames):
+            null = int((labelling.indices[frames] != places[frames, None]).all(axis=1).sum())
+            strange = bool((truth[frames, :markers] != NULL).any(axis=0).all())
+            counts += np.array([len(frames), null, len(frames) * strange, null * strange])
+    return counts
+
+
+def _raw(bench: Bench) -> Iterator[Figure]:
+    """A trial that nobody labelled, with the model of both labelled ones: how much gets a label, and whether bodies agree."""
+    folds = [fold for fold in _folds(False) if fold.label == RAW.split("/")[0]]
+    labelled = [recording for fold in folds for recording in fold.train]
+    ensemble = bench.fit(labelled, [folds[0].label] * len(labelled))
+    clouds = everything(RAW).clouds()
+    positions = ensemble.label(clouds, time=True).positions(clouds)
+    given = ~np.isnan(positions[:, :, 0])
+    yield Figure("dirt, clouthier62 raw trial: points that got a label", "none", given.sum() / len(clouds.xyz), "fraction", len(clouds))
+    yield Figure("dirt, clouthier62 raw trial: markers that got a point", "none", float(given.mean()), "fraction", len(clouds))
+    rigid, usual = _near_rigid(np.concatenate([recording.positions for recording in labelled]))
+    apart = _distances(positions)[:, rigid]
+    there = ~np.isnan(apart)
+    agree = np.abs(apart - usual[rigid])[there] < NEAR
+    row = f"dirt, clouthier62 raw trial: distances of near-rigid pairs within {NEAR * 1000:.0f} mm of the labelled trials'"
+    yield Figure(row, "none", float(agree.mean()) if len(agree) else 0.0, "fraction", max(1, int(there.sum())))
+
+
+def _near_rigid(positions: Floats) -> tuple[NDArray[np.bool_], Floats]:
+    """(pairs,) whether two markers keep their distance, and their median distance in metres."""
+    apart = _distances(positions[::10])
+    often = (~np.isnan(apart)).mean(axis=0) > 0.5
+    middle, spread = np.full(apart.shape[1], np.nan), np.full(apart.shape[1], np.inf)
+    middle[often], spread[often] = np.nanmedian(apart[:, often], axis=0), np.nanstd(apart[:, often], axis=0)
+    return spread < RIGID, middle
+
+
+def _distances(positions: Floats) -> Floats:
+    """(T, pairs) m between every two markers."""
+    one, other = np.triu_indices(positions.shape[1], k=1)
+    return np.asarray(np.linalg.norm(positions[:, one] - positions[:, other], axis=2))

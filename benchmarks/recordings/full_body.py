@@ -1,0 +1,42 @@
+"""All physical markers of the gait subjects, every third subject left out in turn: what the row `gaps` measures with 15 markers."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+
+from benchmarks.bench import Bench
+from benchmarks.data import GAIT_BODY, gait
+from benchmarks.figures import Figure
+from benchmarks.recordings.gaps import FRAMEWISE, WHOLE, Tallies, summed
+from benchmarks.recordings.walks import unseen_ensemble, with_gaps
+from benchmarks.score import Tally
+
+CONDITIONS = {"3 hidden": (3, 0), "3 hidden + 3 ghosts": (3, 3)}
+ASKED = {("3 hidden", "right"): ">= 0.999", ("3 hidden", "FA"): "<= 0.0005"}
+
+
+def full_body(bench: Bench) -> Iterator[Figure]:
+    """Right, FA and missed; every subject by name. Not all subjects: learning one such model takes minutes."""
+    subjects = list(gait(GAIT_BODY))[:1] if bench.quick else list(gait(GAIT_BODY))[::3]
+    outcomes = dict(zip(subjects, bench.each(_left_out, subjects), strict=True))
+    for (condition, method), tally in summed(list(outcomes.values())).items():
+        for rate, measured in (("right", tally.right_share), ("FA", tally.false_assignments), ("missed", tally.missed_share)):
+            asked = ASKED.get((condition, rate), "none") if method == WHOLE else "none"
+            yield Figure(f"{len(GAIT_BODY)} markers, {condition}, {method}: {rate}", asked, measured, "fraction", tally.frames)
+    for subject, outcome in outcomes.items():
+        tally = outcome["3 hidden", WHOLE]
+        row = f"{len(GAIT_BODY)} markers, subject {subject} not seen, 3 hidden"
+        yield Figure(f"{row}: right", "none", tally.right_share, "fraction", tally.frames)
+        yield Figure(f"{row}: FA", "none", tally.false_assignments, "fraction", tally.frames)
+
+
+def _left_out(bench: Bench, subject: str) -> Tallies:
+    ensemble, tallies = unseen_ensemble(bench, subject, GAIT_BODY), defaultdict(Tally)
+    for condition, (hidden, ghosts) in CONDITIONS.items():
+        for clouds, truth in with_gaps(bench, subject, hidden, ghosts, GAIT_BODY, seeds=1):
+            tallies[condition, WHOLE].add(ensemble.label(clouds, time=True), truth)
+            tallies[condition, FRAMEWISE].add(ensemble.label(clouds), truth)
+    told = (f"{c}, {m} {t.right_share:.5f}, FA {t.false_assignments:.5f}" for (c, m), t in tallies.items())
+    bench.say(f"{subject} left out: {'; '.join(told)}")
+    return dict(tallies)

@@ -1,0 +1,104 @@
+"""Walks of people that training has not seen, markers gone in gaps, ghosts riding along: the whole recording labelled at once."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from asterism.hiding import hide_a_few, hide_in_gaps
+from benchmarks.bench import Bench
+from benchmarks.data import gait
+from benchmarks.figures import Figure
+from benchmarks.recordings.walks import CONDITIONS, SEEDS, standing, unseen_ensemble, walks, with_gaps
+from benchmarks.score import Tally, some_frames
+
+WHOLE, FRAMEWISE = "whole recording", "frame by frame"
+FEW = "5 gaps in the whole trial"
+STANDING = "standing, 3 hidden"
+VARIANTS = ("no track numbers", "backwards in time")
+ASKED = {
+    ("1 hidden", "right"): ">= 0.9999",
+    ("3 hidden", "right"): ">= 0.9998",
+    ("5 hidden", "right"): ">= 0.9995",
+    ("3 hidden + 3 ghosts", "right"): ">= 0.995",
+    ("1 hidden", "FA"): "<= 0.00005",
+    ("3 hidden", "FA"): "<= 0.0002",
+    ("5 hidden", "FA"): "<= 0.0003",
+    ("3 hidden + 3 ghosts", "FA"): "<= 0.001",
+    (FEW, "right"): ">= 0.9999",
+    (STANDING, "right"): ">= 0.999",
+}
+
+Tallies = dict[tuple[str, str], Tally]
+"""By condition and method."""
+
+
+def gaps(bench: Bench) -> Iterator[Figure]:
+    """Leave one subject out over all of them: right, FA and missed by condition, what is lost without track numbers and backwards, ECE."""
+    subjects = list(gait())[: 1 if bench.quick else None]
+    outcomes = dict(zip(subjects, bench.each(_left_out, subjects), strict=True))
+    total = summed(outcomes.values())
+    for (condition, method), tally in total.items():
+        yield from rates(condition, method, tally, asked=method == WHOLE)
+    for condition in CONDITIONS:
+        plain = total[condition, WHOLE]
+        for variant in VARIANTS:
+            other = total[f"{condition}, {variant}", WHOLE]
+            row = f"change, {condition}, {variant}"
+            yield Figure(f"{row}: right lost", "<= 0.001", plain.right_share - other.right_share, "fraction", other.frames)
+            yield Figure(f"{row}: FA gained", "<= 0.001", other.false_assignments - plain.false_assignments, "fraction", other.frames)
+    for method, bound in ((WHOLE, "<= 0.005"), (FRAMEWISE, "none")):
+        pooled = Tally()
+        for condition in CONDITIONS:
+            pooled += total[condition, method]
+        yield Figure(f"calibration error, subjects not seen, {method}", bound, pooled.calibration_error, "fraction", pooled.given)
+    for subject, outcome in outcomes.items():
+        for condition in (*CONDITIONS, FEW, STANDING):
+            tally = outcome.get((condition, WHOLE))
+            if tally:
+                yield Figure(f"subject {subject} not seen, {condition}: right", "none", tally.right_share, "fraction", tally.frames)
+                yield Figure(f"subject {subject} not seen, {condition}: FA", "none", tally.false_assignments, "fraction", tally.frames)
+
+
+def rates(condition: str, method: str, tally: Tally, asked: bool) -> Iterator[Figure]:
+    """Right, FA and missed of one condition and method."""
+    for rate, measured in (("right", tally.right_share), ("FA", tally.false_assignments), ("missed", tally.missed_share)):
+        bound = ASKED.get((condition, rate), "none") if asked else "none"
+        yield Figure(f"gaps, {condition}, {method}: {rate}", bound, measured, "fraction", tally.frames)
+
+
+def summed(outcomes: Iterator[Tallies] | list[Tallies]) -> Tallies:
+    """The tallies of all subjects together, in the order of the first that has them."""
+    total: Tallies = defaultdict(Tally)
+    for outcome in outcomes:
+        for key, tally in outcome.items():
+            total[key] += tally
+    return dict(total)
+
+
+def _left_out(bench: Bench, subject: str) -> Tallies:
+    ensemble, tallies = unseen_ensemble(bench, subject), defaultdict(Tally)
+    for condition, (hidden, ghosts) in CONDITIONS.items():
+        for clouds, truth in with_gaps(bench, subject, hidden, ghosts):
+            tallies[condition, WHOLE].add(ensemble.label(clouds, time=True), truth)
+            tallies[condition, FRAMEWISE].add(ensemble.label(clouds), truth)
+            bare = replace(clouds, tracks=None)
+            tallies[f"{condition}, {VARIANTS[0]}", WHOLE].add(ensemble.label(bare, time=True), truth)
+            reverse, reverse_truth = some_frames(clouds, truth, np.arange(len(truth))[::-1])
+            tallies[f"{condition}, {VARIANTS[1]}", WHOLE].add(ensemble.label(reverse, time=True), reverse_truth)
+    still = standing(subject)
+    for seed in range(1 if bench.quick else SEEDS):
+        for number, walk in enumerate(walks(subject)):
+            clouds, truth = hide_a_few(walk, 5, seed=SEEDS * number + seed)
+            tallies[FEW, WHOLE].add(ensemble.label(clouds, time=True), truth)
+            tallies[FEW, FRAMEWISE].add(ensemble.label(clouds), truth)
+        if still:
+            clouds, truth = hide_in_gaps(still, 3, 0, seed=seed)
+            tallies[STANDING, WHOLE].add(ensemble.label(clouds, time=True), truth)
+            tallies[STANDING, FRAMEWISE].add(ensemble.label(clouds), truth)
+    told = (f"{c} {tallies[c, WHOLE].right_share:.5f}, FA {tallies[c, WHOLE].false_assignments:.5f}" for c in CONDITIONS)
+    bench.say(f"{subject} left out: {'; '.join(told)}")
+    return dict(tallies)

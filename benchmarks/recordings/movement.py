@@ -1,0 +1,61 @@
+"""Other people, laboratories, vendors and movements, whole recordings with gaps: every labelled set, by person."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from itertools import groupby
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.hiding import hide_in_gaps
+from asterism.recording import NULL, Ints, Labelling
+from benchmarks.bench import Bench
+from benchmarks.data import DIRTY, Fold, movement_folds
+from benchmarks.figures import Figure
+from benchmarks.score import Tally
+
+LONGEST = 2000
+"""Frames of each recording that are labelled, from its middle."""
+
+
+def movement(bench: Bench) -> Iterator[Figure]:
+    """Right, FA and missed with three gaps open at every moment; what is asked of a person seen is not asked of real dirt besides."""
+    folds = _folds(bench.quick)
+    outcomes = zip(folds, bench.each(_tested, range(len(folds))), strict=True)
+    for (label, person), group in groupby(outcomes, key=lambda outcome: (outcome[0].label, outcome[0].person)):
+        tally, unseen = Tally(), False
+        for fold, found in group:
+            unseen = fold.unseen
+            tally += found
+        row = f"movement, {label}, {person}{' not seen' if unseen else ''}, 3 hidden"
+        own = "none" if label in DIRTY else ">= 0.999"
+        yield Figure(f"{row}: right", ">= 0.995" if unseen else own, tally.right_share, "fraction", tally.frames)
+        yield Figure(f"{row}: FA", "<= 0.001" if unseen else "none", tally.false_assignments, "fraction", tally.frames)
+        yield Figure(f"{row}: missed", "none", tally.missed_share, "fraction", tally.frames)
+
+
+@cache
+def _folds(quick: bool) -> list[Fold]:
+    return list(movement_folds(("clinical-lower",) if quick else None, halves=True))
+
+
+def _tested(bench: Bench, number: int) -> Tally:
+    fold, tally = _folds(bench.quick)[number], Tally()
+    try:
+        ensemble = bench.fit(fold.train, fold.train_people)
+    except AsterismError as problem:
+        bench.say(f"{fold.label}, {fold.person}: nothing learned, so every marker is missed: {problem}")
+        ensemble = None
+    for place, test in enumerate(fold.test):
+        spare = max(0, len(test.frames) - LONGEST) // 2
+        clouds, truth = hide_in_gaps(test.recording.frames(test.frames[spare : spare + LONGEST]), 3, 0, seed=place)
+        tally.add(ensemble.label(clouds, time=True) if ensemble else silence(truth, fold.train[0].labels), truth)
+    bench.say(f"{fold.label}, {fold.person}: right {tally.right_share:.5f}, FA {tally.false_assignments:.5f}")
+    return tally
+
+
+def silence(truth: Ints, names: tuple[str, ...]) -> Labelling:
+    """The labelling of whoever has learned nothing."""
+    return Labelling(np.full(truth.shape, NULL, dtype=np.int64), np.zeros(truth.shape), names)

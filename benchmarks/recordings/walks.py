@@ -1,0 +1,58 @@
+"""What the rows on gait recordings share: the conditions, one subject's trials, and the ensemble that has never seen the subject."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import asterism
+from asterism.hiding import hide_in_gaps
+from asterism.recording import Clouds, Ints, Recording
+from benchmarks.bench import Bench
+from benchmarks.data import file_of, gait, people_and_trials
+
+CONDITIONS = {
+    "1 hidden": (1, 0),
+    "3 hidden": (3, 0),
+    "5 hidden": (5, 0),
+    "3 hidden + 3 ghosts": (3, 3),
+}
+"""Markers hidden and ghost tracks there at every moment."""
+
+SEEDS = 3
+"""Times that each walk is hidden anew: the walks last 2 to 6 seconds."""
+
+Markers = str | tuple[str, ...]
+
+
+def walks(subject: str, markers: Markers = "helen-hayes") -> list[Recording]:
+    """The subject's straight walk and the one with a turn."""
+    return [trial for trial in gait(markers)[subject] if file_of(trial).stem != "static"]
+
+
+def standing(subject: str, markers: Markers = "helen-hayes") -> Recording | None:
+    """The subject's standing trial, which two of the eleven have not."""
+    return next((trial for trial in gait(markers)[subject] if file_of(trial).stem == "static"), None)
+
+
+def with_gaps(
+    bench: Bench, subject: str, hidden: int, ghosts: int, markers: Markers = "helen-hayes", seeds: int = SEEDS
+) -> Iterator[tuple[Clouds, Ints]]:
+    """The subject's walks with gaps and ghosts, the same ones for every method: clouds and the truth (T, M) about them."""
+    for number, walk in enumerate(walks(subject, markers)):
+        for seed in range(1 if bench.quick else seeds):
+            yield hide_in_gaps(walk, hidden, ghosts, seed=SEEDS * number + seed)
+
+
+def unseen_training(bench: Bench, subject: str, markers: Markers = "helen-hayes") -> tuple[list[str], list[Recording]]:
+    """Everyone's recordings but this subject's, with a name for each; a quick run takes the straight walks of three people."""
+    people, train = people_and_trials(gait(markers), leave_out=subject)
+    pairs = list(zip(people, train, strict=True))
+    if bench.quick:
+        pairs = [(person, trial) for person, trial in pairs if file_of(trial).stem == "straight"][:3]
+    return [person for person, _ in pairs], [trial for _, trial in pairs]
+
+
+def unseen_ensemble(bench: Bench, subject: str, markers: Markers = "helen-hayes") -> asterism.SolverEnsemble:
+    """An ensemble that has learned from all other subjects."""
+    people, train = unseen_training(bench, subject, markers)
+    return bench.fit(train, people)
