@@ -25,7 +25,8 @@ through `ASTERISM_DATA`.
   tracks of 0.05 to 0.5 s that ride on a marker at a fixed offset of up to 150 mm, so many at every moment. Each walk is hidden three times.
   *Frame by frame* is the first chapter's labelling of the same clouds. *Backwards in time* are the same clouds in reverse order.
 - *Tracking*: `benchmarks/tracking.py`, the true places of all markers in the first frame, then constant velocity and optimal assignment.
-- *Peer*, *key poses*: `benchmarks/peer.py`, sixteen key poses from eight headings by ICP, optimal assignment, 200 mm limit; some of the same clouds.
+- *Peer*, *key poses*: `benchmarks/peer.py`, sixteen key poses from eight headings by ICP, optimal assignment, 200 mm limit; some frames
+  of the same clouds.
 - *As recorded*: with all points that nobody labelled. Some of them may be the very marker that is missing: FA is an upper bound there.
 - Gaps and ghosts are simulated; only vicon53, clouthier62, optitrack-wheelchair and mouse-qtm have real gaps besides, and rows
   "as recorded" real ghosts. Rows "dirt" hide nothing: hand labels found again, from one half of a trial to the other.
