@@ -19,6 +19,7 @@ from asterism.cli.demo import demo
 from asterism.cli.evaluate import evaluate
 from asterism.cli.info import info
 from asterism.cli.label import label
+from asterism.cli.learn import learn
 from asterism.cli.train import train
 from asterism.errors import AsterismError
 
@@ -55,6 +56,7 @@ _EXAMPLES: dict[Callable[..., None], str] = {
     demo: "asterism demo",
     train: "asterism train labelled/*.c3d -o gait.model --markers helen-hayes",
     label: "asterism label raw/*.c3d --model gait.model -o labelled",
+    learn: "asterism learn gait.model corrected/*.c3d -o better.model",
     evaluate: "asterism evaluate --leave-one-subject-out labelled/*.c3d --markers helen-hayes --occlusions 0 2 4",
     capturability: "asterism capturability labelled/*.c3d --markers helen-hayes --report capturability.html",
     info: "asterism info walk.c3d",

@@ -1,0 +1,71 @@
+"""`asterism learn`: a model and corrected files in, a model that has learned them out."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asterism.cli import _console
+from asterism.cli._options import Json, Overwrite, Vertical
+from asterism.errors import AsterismError
+
+
+def learn(
+    model: Annotated[Path, typer.Argument(metavar="MODEL", help="The model to start from.", show_default=False)],
+    files: Annotated[list[Path], typer.Argument(metavar="FILES", help="Corrected recordings, points labelled.", show_default=False)],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The model to write.", show_default=False)],
+    subject: Annotated[
+        str | None,
+        typer.Option("--subject", metavar="NAME", help="Who moves in the files. Else what each says, or its folder.", show_default=False),
+    ] = None,
+    mine_again: Annotated[bool, typer.Option("--mine-again", help="Find the partial solvers anew, too; takes minutes.")] = False,
+    vertical: Vertical = None,
+    overwrite: Overwrite = False,
+    json: Json = None,
+) -> None:
+    """Teach a model corrected recordings, in seconds to a minute.
+
+    A model carries what it needs of its training, so the old files are not needed. With --overwrite the output may be the model itself.
+    A file that cannot be read stops the learning before it starts, and is named.
+    """
+    from asterism.cli._recordings import read_labelled
+    from asterism.labelling import SolverEnsemble
+
+    _console.check_new(output, overwrite)
+    _console.check_new(json, overwrite)
+    before = SolverEnsemble.load(model)
+    batch = _console.Batch("read")
+    recordings = read_labelled(files, before.marker_set, vertical, batch)
+    if batch.failed:
+        raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; mend them or leave them out.")
+    started = time.perf_counter()
+    with _console.progress("learning") as progress:
+        after = before.learn(
+            recordings, subjects=None if subject is None else [subject] * len(recordings), mine_again=mine_again, progress=progress
+        )
+    seconds = time.perf_counter() - started
+    after.save(output)
+    about = after.about
+    new_people = [name for name in about["subjects"] if name not in before.about["subjects"]]
+    known = len(recordings) - (about["recordings"] - before.about["recordings"])
+    if json != "-":
+        _console.say(
+            f"{output}: {about['recordings']} recordings of {len(about['subjects'])} subjects ({about['frames']:,} frames); "
+            f"{len(recordings)} learned in {seconds:.0f} s, {len(new_people)} new subjects{f', {known} known already' if known else ''}"
+        )
+    _console.write_json(
+        json,
+        {
+            "command": "learn",
+            "model": model,
+            "output": output,
+            "files": files,
+            "new_subjects": new_people,
+            "known_already": known,
+            **about,
+            "seconds": seconds,
+        },
+    )

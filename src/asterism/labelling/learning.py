@@ -1,0 +1,227 @@
+"""A sample of labelled frames in; a body model, its anchors and a confidence calibrated on people left out, out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.hiding import hide_and_haunt
+from asterism.labelling.body._kernels import best_pose, make_room
+from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors, with_intervals
+from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, subsample
+from asterism.labelling.calibration import Calibration
+from asterism.labelling.look import LookRules, Prepared, Progress
+from asterism.labelling.sample import Sample
+from asterism.labelling.solver import person
+from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording
+
+
+@dataclass(frozen=True)
+class TrainingRules:
+    """How an ensemble is learned.
+
+    carried_per_person frames of one person that a model carries, about, in clips of half a second
+    carried            frames of all people that a model carries, about
+    frames_per_person  of those, training frames of one person at most, evenly spread
+    folds              groups of people left out in turn to calibrate the confidence
+    trial_frames       frames on which each left-out person is tried
+    usually_hidden     share of the markers hidden when the usual score is taken
+    usual              share of the rightly labelled frames that score less than the "usual" score
+    solver_widen       intervals of the partial solvers move out by this many standard deviations over the people
+    trials             (occlusions, ghosts) of the trials, occlusions as a share of the markers
+    """
+
+    carried_per_person: int = 3000
+    carried: int = 40_000
+    frames_per_person: int = 1500
+    folds: int = 5
+    trial_frames: int = 300
+    usually_hidden: float = 0.25
+    usual: float = 0.05
+    solver_widen: float = 1.5
+    trials: tuple[tuple[float, int], ...] = ((0.0, 0), (0.07, 0), (0.14, 0), (0.2, 0), (0.27, 0), (0.34, 0), (0.0, 3), (0.2, 3))
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """All that a training depends on besides its recordings."""
+
+    seed: int = 0
+    target_hit_rate: float = 0.999
+    miner: str | None = "bottom-up"
+    body: BodyRules = field(default_factory=BodyRules)
+    look: LookRules = field(default_factory=LookRules)
+    training: TrainingRules = field(default_factory=TrainingRules)
+
+    def __post_init__(self) -> None:
+        if not 0.5 <= self.target_hit_rate < 1.0:
+            raise AsterismError(f"a target hit rate of {self.target_hit_rate} makes no sense; give one from 0.5 to below 1, such as 0.999.")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, plain: dict[str, Any]) -> Recipe:
+        """The inverse of `to_dict`, also after a round through JSON."""
+        training = TrainingRules(**plain["training"])
+        training = replace(training, trials=tuple((float(share), int(ghosts)) for share, ghosts in training.trials))
+        return cls(**{**plain, "body": BodyRules(**plain["body"]), "look": LookRules(**plain["look"]), "training": training})
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What a model keeps of its training, so that it can learn on: a sample of the recordings, and how it was learned."""
+
+    sample: Sample
+    recipe: Recipe
+
+    def with_recordings(self, recordings: Sequence[Recording], subjects: Sequence[str] | None, marker_set: MarkerSet) -> Memory:
+        """A memory of these recordings, too. Subjects by default as `person` says.
+
+        Raises AsterismError where there is no recording, or not one subject for each.
+        """
+        if not recordings:
+            raise AsterismError("there is no recording to learn from; give at least one labelled file.")
+        names = [person(recording) for recording in recordings] if subjects is None else list(subjects)
+        if len(names) != len(recordings):
+            raise AsterismError(f"{len(names)} subjects for {len(recordings)} recordings; give one name per recording.")
+        rules = self.recipe.training
+        sample = self.sample.with_recordings(recordings, names, marker_set, rules.carried_per_person, rules.carried)
+        return replace(self, sample=sample)
+
+    def training_frames(self) -> tuple[Ints, Floats, Ints]:
+        """What the body is learned from: markers that these frames show (M,), frames (N, M, 3) m, z up, whose each is (N,).
+
+        Frames that show less than half of the markers are left out. Raises AsterismError where too little remains.
+        """
+        if not self.sample.clips:
+            raise AsterismError("no frame shows three markers; check the marker set against the files' labels.")
+        frames, people = self.sample.frames()
+        shown = ~np.isnan(frames[:, :, 0])
+        seen = shown.any(axis=0)
+        usable = shown.sum(axis=1) >= max(3, 0.5 * seen.sum())
+        if seen.sum() < 4 or usable.sum() < 10:
+            raise AsterismError(
+                f"{int(seen.sum())} markers are ever seen and {int(usable.sum())} frames show at least half of them; "
+                "training needs 4 markers and 10 such frames: check the marker set against the files' labels."
+            )
+        frames, people = frames[usable], renumbered(people[usable])
+        rows = subsample(people, self.recipe.training.frames_per_person)
+        markers = np.nonzero(shown[usable][rows].any(axis=0))[0]
+        return markers, np.ascontiguousarray(frames[rows][:, markers]), people[rows]
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What labels: see `learn_body`."""
+
+    body: BodyModel
+    anchors: Anchors
+    usual_score: float
+    calibrations: tuple[Calibration, Calibration]
+
+
+def learn_body(frames: Floats, people: Ints, recipe: Recipe, progress: Progress) -> Learned:
+    """Learn from labelled frames: (N, M, 3) m, z up, NaN where missing; people (N,) whose each is.
+
+    The body and its anchors are learned from all. Then people are left out in turn, what is learned from the others is tried on them with
+    markers hidden and ghosts added, and all these trials together calibrate the confidence (frames without and with points left over).
+    """
+    rules, seed = recipe.training, recipe.seed
+    progress(0.0, "learning the body")
+    body = fit_body(frames, people, recipe.body, seed)
+    anchors = choose_anchors(frames, people, body, AnchorRules(), np.random.default_rng(seed))
+    outcomes, usual = [], []
+    folds = _folds(people, rules.folds)
+    for i, out in enumerate(folds):
+        progress(0.2 + 0.8 * i / len(folds), "trying it on people left out")
+        worn = np.nonzero(~np.isnan(frames[~out, :, 0]).all(axis=0))[0]
+        others, whose = frames[np.ix_(~out, worn)], renumbered(people[~out])
+        tested = frames[np.ix_(out, worn)]
+        own = fit_body(others, whose, recipe.body, seed)
+        scores = _scores_of_truth(own, tested, recipe.look, rules, np.random.default_rng([seed, i]))
+        if len(scores) == 0:
+            continue
+        usual.append(float(np.quantile(scores, rules.usual)))
+        own_anchors = with_intervals(_among(anchors.triples, worn), others, whose, AnchorRules().widen)
+        tried = Prepared.of(own, own_anchors, recipe.look.settings(usual[-1]))
+        outcomes.append(_trial(tried, tested, people[out], rules, seed + i))
+    margin, right, spare = (np.concatenate(parts) for parts in zip(*outcomes, strict=True))
+    calibrations = (Calibration.fit(margin[~spare], right[~spare]), Calibration.fit(margin[spare], right[spare]))
+    return Learned(body, anchors, float(np.median(usual)), calibrations)
+
+
+def least_confidence(target_hit_rate: float) -> float:
+    """The confidence below which a label is taken back, so that about `target_hit_rate` of the labels given are right: most are far surer.
+
+    A power law through what was measured on left-out people (docs/labelling.md): 0.80, 0.91, 0.96, 0.98 for 0.99 to 0.99999.
+    """
+    return 1.0 - (1.0 - target_hit_rate) ** 0.35
+
+
+def common_marker_set(recordings: Sequence[Recording]) -> MarkerSet:
+    """The labels that all recordings share, in one order. Raises AsterismError where they do not."""
+    if not recordings:
+        raise AsterismError("there is no recording to learn from; give at least one labelled file.")
+    labels = recordings[0].labels
+    for recording in recordings[1:]:
+        if recording.labels != labels:
+            raise AsterismError(
+                f"{recording.metadata.get('file', 'a recording')} has other markers than "
+                f"{recordings[0].metadata.get('file', 'the first one')}; read all of them with the same `markers`."
+            )
+    return MarkerSet(labels, title="the recordings' own labels")
+
+
+def renumbered(people: Ints) -> Ints:
+    """People numbered from 0 without a gap, in the same order."""
+    return np.unique(people, return_inverse=True)[1].astype(np.int64)
+
+
+def _folds(people: Ints, folds: int) -> list[Any]:
+    """Masks of the frames left out: by person, in at most `folds` groups; by blocks of ten frames where there is one person only."""
+    count = int(people.max()) + 1
+    if count > 1:
+        return [people % folds == i for i in range(min(folds, count))]
+    block = np.arange(len(people)) // 10
+    return [block % 2 == i for i in range(2)]
+
+
+def _among(triples: Ints, worn: Ints) -> Ints:
+    """The triples of markers that are all in `worn`, numbered as there."""
+    return np.searchsorted(worn, triples[np.isin(triples, worn).all(axis=1)]).astype(np.int64)
+
+
+def _scores_of_truth(body: BodyModel, frames: Floats, look: LookRules, rules: TrainingRules, rng: np.random.Generator) -> Floats:
+    """Score per label, in nats, of rightly labelled frames of people left out, some of their markers hidden."""
+    arrays, settings = body.arrays(), look.settings(0.0)
+    scores = []
+    for frame in frames[rng.choice(len(frames), min(300, len(frames)), replace=False)]:
+        shown = ~np.isnan(frame[:, 0]) & (rng.random(len(frame)) >= rules.usually_hidden)
+        if shown.sum() >= 3:
+            rows = np.where(shown, np.cumsum(shown) - 1, NULL)
+            room = make_room(int(shown.sum()), len(rows), arrays.load.shape[3])
+            scores.append(best_pose(arrays, np.ascontiguousarray(frame[shown]), rows, settings, room)[1] / shown.sum())
+    return np.array(scores)
+
+
+def _trial(tried: Prepared, frames: Floats, people: Ints, rules: TrainingRules, seed: int) -> tuple[Floats, Any, Any]:
+    """Hide and haunt left-out frames and label them: margins, rightness and whether points were left over, of all labels given."""
+    rng = np.random.default_rng(seed)
+    margins, rights, spares = [], [], []
+    rows_of = subsample(people, rules.trial_frames)
+    labels = tuple(str(m) for m in range(frames.shape[1]))
+    for share, ghosts in rules.trials:
+        recording = Recording(frames[rows_of], labels, 100.0)
+        clouds, truth = hide_and_haunt(recording, round(share * len(labels)), ghosts, rng)
+        rows, margin, _, spare = tried.margins(clouds)
+        given = rows >= 0
+        margins.append(margin[given])
+        rights.append((rows == truth)[given])
+        spares.append(np.repeat(spare, given.sum(axis=1)))
+    return np.concatenate(margins), np.concatenate(rights), np.concatenate(spares)

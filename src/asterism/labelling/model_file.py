@@ -1,0 +1,71 @@
+"""Plain arrays and a head in; one model file out, and back: an NPZ without pickle, damage refused with a sentence."""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asterism.errors import AsterismError
+
+FORMAT = "asterism-model"
+FORMAT_VERSION = 2
+"""1 kept no sample of the training, 2 does."""
+
+Contents = tuple[dict[str, Any], dict[str, Any]]
+
+
+def write_arrays(path: str | os.PathLike[str], head: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
+    """Write a model under a temporary name, then rename it. Raises AsterismError where the place cannot be written."""
+    path = Path(path)
+    text = json.dumps({"format": FORMAT, "version": FORMAT_VERSION, **head})
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with temporary.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, head=np.frombuffer(text.encode(), dtype=np.uint8), **arrays)
+        os.replace(temporary, path)
+    except OSError as problem:
+        raise AsterismError(f"{path} cannot be written ({problem.strerror}); choose another place.") from problem
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def reading(path: str | os.PathLike[str]) -> Iterator[Contents]:
+    """The head and the arrays of a model file, for as long as something is made of them.
+
+    Raises AsterismError where the file is missing, no model, of a later version or damaged, also where what it holds makes no sense to the
+    caller: any error of that kind inside the `with` block means so.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise AsterismError(f"{path} does not exist; train a model first (asterism train), or check the path.")
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        head = json.loads(arrays.pop("head").tobytes().decode())
+        if head["format"] != FORMAT:
+            raise AsterismError(f"{path} is no Asterism model; train one with asterism train.")
+        if head["version"] > FORMAT_VERSION:
+            raise AsterismError(f"{path} was written by a later Asterism (model format {head['version']}); update Asterism.")
+        yield head, arrays
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        IndexError,
+        TypeError,
+        EOFError,
+        RuntimeError,
+        zipfile.BadZipFile,
+        zlib.error,
+        MemoryError,
+    ) as problem:
+        raise AsterismError(f"{path} is damaged or no Asterism model ({type(problem).__name__}); train it again.") from problem

@@ -1,0 +1,294 @@
+"""Learning on: what a model learns from more recordings is what it would have learned from all at once, in whatever order they came."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from asterism import AsterismError, MarkerSet, Recording, SolverEnsemble, formats
+from asterism.cli import main
+from asterism.labelling.ensemble import TrainingRules
+from asterism.labelling.sample import GRID, Clip, Sample
+from asterism.simulation import hide_and_haunt, simulate_walks
+
+QUICK = {"miner": None, "training": TrainingRules(trial_frames=20, folds=2)}
+PEOPLE = ("Ann", "Ben", "Cem", "Dee", "Eva", "Fay")
+
+
+@pytest.fixture(scope="module")
+def walks():
+    return simulate_walks(subjects=6, frames=60, rate=20.0, seed=3)
+
+
+@pytest.fixture(scope="module")
+def first(walks):
+    """A model of three people."""
+    return SolverEnsemble.fit(walks[:3], subjects=PEOPLE[:3], **QUICK)
+
+
+@pytest.fixture(scope="module")
+def whole(walks):
+    """A model of five people, trained at once."""
+    return SolverEnsemble.fit(walks[:5], subjects=PEOPLE[:5], **QUICK)
+
+
+def content(model, folder, name="some.model"):
+    model.save(folder / name)
+    return (folder / name).read_bytes()
+
+
+def rates(labelling, truth):
+    given_ = labelling.indices >= 0
+    right = given_ & (labelling.indices == truth)
+    return right.sum() / (truth >= 0).sum(), 1.0 - right.sum() / max(1, given_.sum())
+
+
+def test_learning_in_any_order_is_training_on_all(first, whole, walks, tmp_path):
+    """One after the other, the other way round, both at once, from the files: the same model, bit for bit; and the old one is untouched."""
+    before = content(first, tmp_path)
+    d, e = walks[3], walks[4]
+    wanted = content(whole, tmp_path)
+    assert content(first.learn([d], subjects=["Dee"]).learn([e], subjects=["Eva"]), tmp_path) == wanted
+    assert content(first.learn([e], subjects=["Eva"]).learn([d], subjects=["Dee"]), tmp_path) == wanted
+    assert content(first.learn([e, d], subjects=["Eva", "Dee"]), tmp_path) == wanted
+    assert content(first, tmp_path) == before != wanted
+
+
+def test_a_model_read_back_learns_the_same(first, whole, walks, tmp_path):
+    first.save(tmp_path / "first.model")
+    again = SolverEnsemble.load(tmp_path / "first.model")
+    learned = again.learn(walks[3:5], subjects=PEOPLE[3:5])
+    assert content(learned, tmp_path) == content(whole, tmp_path)
+    assert content(SolverEnsemble.load(tmp_path / "some.model"), tmp_path, "other.model") == content(whole, tmp_path)
+
+
+def test_a_recording_given_twice_counts_once(first, walks, tmp_path):
+    assert content(first.learn([walks[1]], subjects=["Ben"]), tmp_path) == content(first, tmp_path)
+    assert content(first.learn([walks[1], walks[1]], subjects=["Zoe", "Zoe"]), tmp_path) == content(first, tmp_path), "the first name stays"
+
+
+def test_another_person_changes_the_model_and_is_counted(first, walks, tmp_path):
+    """The opposite of the above."""
+    learned = first.learn([walks[3]], subjects=["Dee"])
+    assert content(learned, tmp_path) != content(first, tmp_path)
+    assert learned.about["subjects"] == list(PEOPLE[:4])
+    assert learned.about["recordings"] == 4
+    assert first.about["recordings"] == 3
+
+
+def test_corrections_teach(walks):
+    """From one person's walk, other bodies are often unsure; with their corrected recordings learned, a body like them is labelled."""
+    one = SolverEnsemble.fit(walks[:1], **QUICK)
+    clouds, truth = hide_and_haunt(walks[5], 3, 0, seed=1)
+    learned = one.learn(walks[1:5], subjects=PEOPLE[1:5])
+    before, after = rates(one.label(clouds), truth), rates(learned.label(clouds), truth)
+    assert after[0] > before[0] + 0.02, f"{before[0]:.1%} right before, {after[0]:.1%} after"
+    assert after[0] > 0.9 and after[1] < 0.01
+
+
+def test_a_corrected_recording_may_lack_markers_and_wear_its_own_order(first, walks):
+    names = walks[3].labels
+    lacking = walks[3].select(names[::-1][:-2])
+    holed = replace(lacking, positions=np.where(np.arange(60)[:, None, None] % 7 == 0, np.nan, lacking.positions))
+    learned = first.learn([holed], subjects=["Dee"])
+    assert learned.marker_set == first.marker_set
+    assert learned.about["subjects"] == list(PEOPLE[:4])
+    clouds, truth = hide_and_haunt(walks[5], 0, 0)
+    right, wrong = rates(learned.label(clouds), truth)
+    assert right > 0.9 and wrong < 0.01
+
+
+def test_a_marker_that_only_the_new_person_wears_is_learned(walks):
+    """Nobody else shows it, so the trial without that person must do without it, too."""
+    bare = [walk.select(walk.labels[:-1]) for walk in walks[:3]]
+    marker_set = MarkerSet(walks[0].labels)
+    model = SolverEnsemble.fit(bare, subjects=PEOPLE[:3], marker_set=marker_set, **QUICK)
+    clouds, truth = hide_and_haunt(walks[3], 0, 0)
+    assert (model.label(clouds).indices[:, -1] == -1).all()
+    learned = model.learn([walks[3]], subjects=["Dee"])
+    assert (learned.label(clouds).indices[:, -1] == truth[:, -1]).mean() > 0.9
+
+
+def test_solvers_of_the_thesis_stay_unless_mined_again(walks, tmp_path):
+    """With four markers, mining is quick."""
+    rules = {"miner": "genetic", "training": replace(QUICK["training"], frames_per_person=20)}
+    few = [walk.select(walk.labels[:4]) for walk in walks]
+    model = SolverEnsemble.fit(few[:2], subjects=PEOPLE[:2], **rules)
+    learned = model.learn([few[2]], subjects=["Cem"])
+    assert (learned.about["mined_from"], learned.about["recordings"]) == (2, 3)
+    clouds = few[3].clouds()
+    np.testing.assert_array_equal(learned.label(clouds, rules="thesis").indices, model.label(clouds, rules="thesis").indices)
+    again = model.learn([few[2]], subjects=["Cem"], mine_again=True)
+    assert again.about["mined_from"] == 3
+    assert content(again, tmp_path) == content(SolverEnsemble.fit(few[:3], subjects=PEOPLE[:3], **rules), tmp_path)
+
+
+def test_progress_rises_to_one(first, walks):
+    told = []
+    first.learn([walks[3]], progress=lambda fraction, what: told.append(fraction))
+    assert told == sorted(told) and told[0] == 0.0 and told[-1] == 1.0
+
+
+# --- what is refused
+
+
+def test_a_model_of_an_earlier_asterism_labels_but_does_not_learn(first, walks, tmp_path):
+    first.save(tmp_path / "new.model")
+    with np.load(tmp_path / "new.model") as file:
+        arrays = {name: file[name] for name in file.files if not name.startswith("sample_")}
+    head = arrays["head"].tobytes().replace(b'"version": 2', b'"version": 1')
+    with (tmp_path / "old.model").open("wb") as file:
+        np.savez_compressed(file, **{**arrays, "head": np.frombuffer(head, dtype=np.uint8)})
+    old = SolverEnsemble.load(tmp_path / "old.model")
+    clouds = walks[4].clouds()
+    np.testing.assert_array_equal(old.label(clouds).indices, first.label(clouds).indices)
+    with pytest.raises(AsterismError, match="earlier Asterism and keeps nothing to learn on from; train it again"):
+        old.learn([walks[3]])
+
+
+def test_nothing_to_learn_is_refused(first, walks):
+    with pytest.raises(AsterismError, match="no recording to learn from"):
+        first.learn([])
+    with pytest.raises(AsterismError, match="2 subjects for 1 recordings"):
+        first.learn([walks[3]], subjects=["Dee", "Eva"])
+
+
+def test_a_recording_of_something_else_is_refused(first):
+    cube = Recording(np.zeros((10, 4, 3)), ("a", "b", "c", "d"), 100.0, metadata={"file": "cube.c3d"})
+    with pytest.raises(AsterismError, match=r"cube\.c3d has none of the model's markers"):
+        first.learn([cube])
+
+
+def test_millimetres_taken_for_metres_are_refused(first, walks):
+    huge = replace(walks[3], positions=walks[3].positions * 1e6, metadata={"file": "huge.trc"})
+    with pytest.raises(AsterismError, match=r"huge\.trc has positions beyond 10 km; check its unit"):
+        first.learn([huge])
+
+
+# --- the sample that a model carries
+
+SET = MarkerSet(("a", "b", "c"))
+
+
+def recording_of(number, frames, rate=10.0):
+    rng = np.random.default_rng(number)
+    positions = rng.normal(size=(frames, 3, 3)).cumsum(axis=0)
+    positions[rng.random((frames, 3)) < 0.1] = np.nan
+    return Recording(positions, SET.names, rate)
+
+
+parts = st.lists(st.tuples(st.integers(0, 8), st.integers(0, 90), st.sampled_from("xyz")), max_size=6)
+
+
+@given(one=parts, other=parts, per_person=st.integers(1, 120), in_all=st.integers(1, 200))
+@settings(max_examples=150, deadline=None, derandomize=True)
+def test_a_sample_of_a_sample_and_more_is_the_sample_of_all(one, other, per_person, in_all):
+    """Whatever a full sample drops, it would have dropped from the whole, too. (A recording is always given for the same person.)"""
+
+    def added(sample, parts_):
+        recordings = [recording_of(number, frames) for number, frames, _ in parts_]
+        subjects = ["xyz"[(number + frames) % 3] for number, frames, _ in parts_]
+        return sample.with_recordings(recordings, subjects, SET, per_person, in_all)
+
+    def same(a, b):
+        key = [(c.subject, c.recording, c.first, c.rank, c.rate, c.counts.tobytes()) for c in a.clips]
+        return key == [(c.subject, c.recording, c.first, c.rank, c.rate, c.counts.tobytes()) for c in b.clips]
+
+    at_once = added(Sample(), [*one, *other])
+    assert same(added(added(Sample(), one), other), at_once)
+    assert same(added(added(Sample(), other), one), at_once)
+    frames = sum(len(clip) for clip in at_once.clips)
+    longest = max((len(clip) for clip in at_once.clips), default=0)
+    assert frames <= in_all + 3 * longest
+    if at_once.clips:
+        restored = Sample.from_arrays(at_once.to_arrays(), 3)
+        assert same(restored, at_once)
+
+
+def test_a_full_sample_is_spread_over_people_recordings_and_time():
+    recordings = [recording_of(n, frames) for n, frames in ((0, 1000), (1, 300), (2, 50))]
+    sample = Sample().with_recordings(recordings, ["x", "x", "y"], SET, 200, 10_000)
+    mine = [clip for clip in sample.clips if clip.subject == "x"]
+    counts = [sum(len(clip) for clip in mine if clip.recording == r) for r in dict.fromkeys(clip.recording for clip in mine)]
+    assert 195 <= sum(counts) <= 205 and min(counts) >= 95, "both recordings of a person have their share"
+    longer = max(
+        ([clip for clip in mine if clip.recording == r] for r in sample.recordings), key=lambda clips: max([0, *(c.first for c in clips)])
+    )
+    gaps = np.diff([0, *(clip.first for clip in longer), 1000])
+    assert gaps.max() < 120, "no tenth of the recording is without a clip"
+    assert sum(len(clip) for clip in sample.clips if clip.subject == "y") == 50
+
+
+def test_positions_are_kept_to_the_grid():
+    recording = recording_of(5, 40)
+    sample = Sample().with_recordings([recording], ["x"], SET, 100, 100)
+    [stretch], [subject] = sample.stretches(SET.names)
+    assert subject == "x" and stretch.rate == 10.0
+    np.testing.assert_allclose(stretch.positions, recording.positions, atol=0.51 * GRID)
+
+
+def test_a_clip_tells_its_length():
+    assert len(Clip("x", "0", 0, 0, 1.0, np.zeros((7, 3, 3), dtype=np.int32))) == 7
+
+
+# --- real people
+
+
+def test_real_people_are_learned_without_the_old_files(data, tmp_path):
+    """Three gait subjects, then two more: the fourth's walk, never seen, with three markers hidden; and the model stays small."""
+    import asterism
+
+    def trials(subject):
+        return [
+            asterism.read(data / "gait" / subject / f"{trial}.c3d", markers="helen-hayes").frames(slice(None, None, 3))
+            for trial in ("straight", "turn")
+        ]
+
+    names = ("HC002", "HC031", "HC033")
+    model = SolverEnsemble.fit([r for n in names for r in trials(n)], subjects=[n for n in names for _ in range(2)], **QUICK)
+    learned = model.learn([*trials("HC039"), *trials("HC044")], subjects=["HC039"] * 2 + ["HC044"] * 2)
+    clouds, truth = hide_and_haunt(trials("HC050")[1], 3, 0, seed=2)
+    before, after = rates(model.label(clouds), truth), rates(learned.label(clouds), truth)
+    assert after[0] >= before[0] - 0.01 and after[0] > 0.9, f"{before[0]:.1%} right before, {after[0]:.1%} after"
+    assert len(content(learned, tmp_path)) < 1_000_000
+
+
+# --- the command
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, first, walks):
+    place = tmp_path_factory.mktemp("learn")
+    first.save(place / "first.model")
+    for i, walk in enumerate(walks):
+        formats.write(place / f"walk-{i}.c3d", walk)
+    (place / "broken.c3d").write_bytes(b"no file")
+    return place
+
+
+def test_the_command_learns_and_may_replace_its_own_model(folder, tmp_path, capsys):
+    own = tmp_path / "own.model"
+    own.write_bytes((folder / "first.model").read_bytes())
+    words = ["learn", own, folder / "walk-3.c3d", folder / "walk-4.c3d", "--subject", "Dee", "-o", own]
+    assert main([*map(str, words)]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert own.read_bytes() == (folder / "first.model").read_bytes()
+    assert main([*map(str, words), "--overwrite"]) == 0
+    assert "5 recordings of 4 subjects" in capsys.readouterr().out
+    assert SolverEnsemble.load(own).about["subjects"] == ["Ann", "Ben", "Cem", "Dee"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["own.model"]
+    assert main([*map(str, [*words, "--overwrite", "--json", "-"])]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["known_already"], told["new_subjects"], told["recordings"]) == (2, [], 5)
+
+
+@pytest.mark.parametrize(("files", "said"), [(["broken.c3d", "walk-3.c3d"], "1 of 2 files cannot be used"), (["absent.c3d"], "absent.c3d")])
+def test_the_command_learns_nothing_from_a_batch_with_a_bad_file(folder, tmp_path, capsys, files, said):
+    assert main(["learn", str(folder / "first.model"), *(str(folder / file) for file in files), "-o", str(tmp_path / "new.model")]) == 2
+    assert said in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
