@@ -1,0 +1,577 @@
+"""Linking kernels: points frame by frame in; which point continues which, and where a numbered track must be cut, out.
+
+The rules stand in `linking.LinkRules`. The plain twins are in `tests/twins_links.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+
+class LinkLimits(NamedTuple):
+    """`linking.LinkRules` at one frame rate: lengths in m per frame, see `LinkRules.limits`.
+
+    noise     error of a prediction that is always possible
+    soft      acceleration over one frame that is always possible; hard: the most that ever is
+    wild      residuals that a track has shown lately may grow so many times
+    clearer   a rival must be so many times farther, and `apart` more
+    strange   how far a new point may move unlike its nearest neighbours; spin: times the distance to them; unlike: times their disagreement
+    fastest   how far a point may move of whose neighbourhood nothing is known
+    quiet     a numbered track that misses less than that is never cut
+    jump      a numbered track that misses more than that may be cut without another claim on the point
+    """
+
+    noise: float
+    soft: float
+    hard: float
+    wild: float
+    clearer: float
+    apart: float
+    strange: float
+    spin: float
+    unlike: float
+    fastest: float
+    quiet: float
+    jump: float
+
+
+class Ends(NamedTuple):
+    """The tracks' last points, those of one frame; n of them.
+
+    position      (n, 3) m
+    velocity      (n, 3) m per frame, where age > 1
+    acceleration  (n, 3) m per frame^2, where age > 2
+    age           (n,) points of the track so far
+    spread        (n,) m, how far predictions have missed lately, where age > 2
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    age: np.ndarray
+    spread: np.ndarray
+
+
+@njit(cache=True, nogil=True)
+def make_ends(n):
+    """Room for the ends of n tracks."""
+    return Ends(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.ones(n, dtype=np.int64), np.zeros(n))
+
+
+class Bench(NamedTuple):
+    """Working arrays of one thread, for up to n tracks and points: see `make_bench`."""
+
+    at: np.ndarray
+    gate: np.ndarray
+    goes: np.ndarray
+    best_point: np.ndarray
+    best_miss: np.ndarray
+    next_miss: np.ndarray
+    best_track: np.ndarray
+    point_miss: np.ndarray
+    other_miss: np.ndarray
+    track: np.ndarray
+    point: np.ndarray
+    miss: np.ndarray
+
+
+@njit(cache=True, nogil=True)
+def make_bench(n):
+    """Working arrays for frames of up to n points."""
+    return Bench(
+        np.empty((n, 3)),
+        np.empty(n),
+        np.empty(n, dtype=np.int64),
+        np.empty(n, dtype=np.int64),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n, dtype=np.int64),
+        np.empty(n),
+        np.empty(n),
+        np.empty(8 * n, dtype=np.int64),
+        np.empty(8 * n, dtype=np.int64),
+        np.empty(8 * n),
+    )
+
+
+@njit(cache=True, nogil=True)
+def expect(ends, count, limits, at, gate):
+    """Where every track is expected in the next frame, and how far from there it may be.
+
+    A track of three points or more goes on with its velocity and half its acceleration; one of two with its velocity; a single point moves as
+    its three nearest neighbours that have a velocity, or stays where it is.
+    OUT at (count, 3) m; gate (count,) m. O(count), and O(count) more for each single point.
+    """
+    near, near2 = np.empty(3, dtype=np.int64), np.empty(3)
+    for a in range(count):
+        if ends.age[a] > 2:
+            for i in range(3):
+                at[a, i] = ends.position[a, i] + ends.velocity[a, i] + 0.5 * ends.acceleration[a, i]
+            gate[a] = min(limits.noise + limits.soft + limits.wild * ends.spread[a], limits.noise + limits.hard)
+            continue
+        if ends.age[a] == 2:
+            for i in range(3):
+                at[a, i] = ends.position[a, i] + ends.velocity[a, i]
+            gate[a] = limits.noise + 3.0 * limits.soft
+            continue
+        known = 0
+        for b in range(count):
+            if ends.age[b] < 2:
+                continue
+            far2 = 0.0
+            for i in range(3):
+                far2 += (ends.position[a, i] - ends.position[b, i]) ** 2
+            if known == 3 and far2 >= near2[2]:
+                continue
+            where = min(known, 2)
+            while where > 0 and near2[where - 1] > far2:
+                near2[where], near[where] = near2[where - 1], near[where - 1]
+                where -= 1
+            near2[where], near[where] = far2, b
+            known = min(known + 1, 3)
+        for i in range(3):
+            at[a, i] = ends.position[a, i]
+        gate[a] = limits.fastest
+        if known == 0:
+            continue
+        total = 0.0
+        for k in range(known):
+            total += 1.0 / (near2[k] + 1e-4)
+        for i in range(3):
+            for k in range(known):
+                at[a, i] += ends.velocity[near[k], i] / ((near2[k] + 1e-4) * total)
+        most2 = 0.0
+        for k in range(known):
+            off2 = 0.0
+            for i in range(3):
+                off2 += (at[a, i] - ends.position[a, i] - ends.velocity[near[k], i]) ** 2
+            most2 = max(most2, off2)
+        away = limits.strange + limits.spin * math.sqrt(near2[0]) + limits.unlike * math.sqrt(most2)
+        gate[a] = min(limits.noise + away, limits.fastest)
+
+
+@njit(cache=True, nogil=True)
+def begin(ends, count, points, limits, goes, previous):
+    """Where no track has a velocity yet, link what moves like its neighbours.
+
+    A point goes on where it is nearest, both ways, without a rival, if two of its three nearest neighbours do and move alike. A pattern that
+    moves by its own spacing might deceive one point, not its neighbourhood. OUT goes (count,), previous (n,). O(count (count + n)).
+    """
+    n = len(points)
+    nearest, back = np.full(count, -1, dtype=np.int64), np.full(n, -1, dtype=np.int64)
+    miss, rival = np.full(count, np.inf), np.full(count, np.inf)
+    point_miss, point_rival = np.full(n, np.inf), np.full(n, np.inf)
+    for a in range(count):
+        for b in range(n):
+            far = 0.0
+            for i in range(3):
+                far += (points[b, i] - ends.position[a, i]) ** 2
+            far = math.sqrt(far)
+            if far < miss[a]:
+                rival[a], miss[a], nearest[a] = miss[a], far, b
+            elif far < rival[a]:
+                rival[a] = far
+            if far < point_miss[b]:
+                point_rival[b], point_miss[b], back[b] = point_miss[b], far, a
+            elif far < point_rival[b]:
+                point_rival[b] = far
+    for a in range(count):
+        b = nearest[a]
+        clear = limits.clearer * miss[a] + limits.apart
+        if b >= 0 and (back[b] != a or miss[a] > limits.fastest or rival[a] <= clear or point_rival[b] <= clear):
+            nearest[a] = -1
+    near, near2 = np.empty(3, dtype=np.int64), np.empty(3)
+    for a in range(count):
+        if nearest[a] < 0:
+            continue
+        known = 0
+        for b in range(count):
+            far2 = 0.0
+            for i in range(3):
+                far2 += (ends.position[a, i] - ends.position[b, i]) ** 2
+            if b == a or (known == 3 and far2 >= near2[2]):
+                continue
+            where = min(known, 2)
+            while where > 0 and near2[where - 1] > far2:
+                near2[where], near[where] = near2[where - 1], near[where - 1]
+                where -= 1
+            near2[where], near[where] = far2, b
+            known = min(known + 1, 3)
+        alike = 0
+        for k in range(known):
+            b = near[k]
+            if nearest[b] < 0:
+                continue
+            off2 = 0.0
+            for i in range(3):
+                off2 += (points[nearest[a], i] - ends.position[a, i] - points[nearest[b], i] + ends.position[b, i]) ** 2
+            alike += math.sqrt(off2) <= limits.noise + limits.strange + limits.spin * math.sqrt(near2[k])
+        if alike >= 2:
+            goes[a] = nearest[a]
+            previous[nearest[a]] = a
+
+
+@njit(cache=True, nogil=True)
+def advance(ends, points, at, previous, following):
+    """Every point goes on with its track, or begins one. IN at (count, 3) where the tracks were expected. OUT following. O(n)."""
+    for b in range(len(points)):
+        a = previous[b]
+        age = ends.age[a] + 1 if a >= 0 else 1
+        change2, missed2 = 0.0, 0.0
+        following.age[b] = age
+        for i in range(3):
+            following.position[b, i] = points[b, i]
+            following.velocity[b, i] = points[b, i] - ends.position[a, i] if age > 1 else 0.0
+            following.acceleration[b, i] = following.velocity[b, i] - ends.velocity[a, i] if age > 2 else 0.0
+            change2 += following.acceleration[b, i] ** 2
+            missed2 += (points[b, i] - at[a, i]) ** 2 if age > 3 else 0.0
+        following.spread[b] = max(0.8 * ends.spread[a], math.sqrt(missed2)) if age > 3 else math.sqrt(change2)
+
+
+@njit(cache=True, nogil=True)
+def link_step(ends, count, points, limits, bench, previous, following):
+    """Which track goes on with which point of the next frame: where both are each other's nearest and no rival comes near.
+
+    IN   ends of `count` tracks; points (n, 3) m, sorted by x; bench with room for both
+    OUT  previous (n,) the track that a point continues, -1 for none; following: the tracks' ends in this frame
+    What is clear is linked first and is no rival afterwards; what never becomes clear begins a new track.
+    O((count + n) log n) and the pairs that come near; O(count (count + n)) where tracks begin.
+    """
+    n = len(points)
+    at, gate, goes = bench.at, bench.gate, bench.goes
+    best_point, best_miss, next_miss = bench.best_point, bench.best_miss, bench.next_miss
+    best_track, point_miss, other_miss = bench.best_track, bench.point_miss, bench.other_miss
+    track, point, miss = bench.track, bench.point, bench.miss
+    expect(ends, count, limits, at, gate)
+    previous[:] = -1
+    for a in range(count):
+        goes[a] = -1
+    moving = False
+    for a in range(count):
+        moving = moving or ends.age[a] > 1
+    if not moving:
+        begin(ends, count, points, limits, goes, previous)
+    pairs, room = 0, len(track)
+    for a in range(count):
+        # a single point takes only what nothing else in its gate rivals; the others' rivals may lie farther than their own gate
+        reach = gate[a] if ends.age[a] == 1 else limits.clearer * gate[a] + limits.apart
+        low, high = 0, n
+        while low < high:
+            middle = (low + high) // 2
+            if points[middle, 0] < at[a, 0] - reach:
+                low = middle + 1
+            else:
+                high = middle
+        for b in range(low, n):
+            dx = points[b, 0] - at[a, 0]
+            if dx > reach:
+                break
+            dy, dz = points[b, 1] - at[a, 1], points[b, 2] - at[a, 2]
+            far2 = dx * dx + dy * dy + dz * dz
+            if far2 > reach * reach:
+                continue
+            if pairs == room:
+                room *= 2
+                track, point, miss = _twice(track, room), _twice(point, room), _twice(miss, room)
+            track[pairs], point[pairs], miss[pairs] = a, b, math.sqrt(far2)
+            pairs += 1
+    while True:
+        for a in range(count):
+            best_point[a], best_miss[a], next_miss[a] = -1, np.inf, np.inf
+        for b in range(n):
+            best_track[b], point_miss[b], other_miss[b] = -1, np.inf, np.inf
+        kept = 0
+        for p in range(pairs):
+            a, b = track[p], point[p]
+            if goes[a] >= 0 or previous[b] >= 0:
+                continue
+            track[kept], point[kept], miss[kept] = a, b, miss[p]
+            kept += 1
+            far = miss[kept - 1]
+            if far < best_miss[a]:
+                next_miss[a], best_miss[a], best_point[a] = best_miss[a], far, b
+            elif far < next_miss[a]:
+                next_miss[a] = far
+            if far < point_miss[b]:
+                other_miss[b], point_miss[b], best_track[b] = point_miss[b], far, a
+            elif far < other_miss[b]:
+                other_miss[b] = far
+        pairs = kept
+        news = False
+        for a in range(count):
+            b = best_point[a]
+            if b < 0 or best_track[b] != a or best_miss[a] > gate[a]:
+                continue
+            rival = limits.clearer * best_miss[a] + limits.apart
+            if ends.age[a] == 1:
+                rival = max(rival, gate[a])
+            if next_miss[a] > rival and other_miss[b] > rival:
+                goes[a], previous[b] = b, a
+                news = True
+        if not news:
+            break
+    advance(ends, points, at, previous, following)
+
+
+@njit(cache=True, nogil=True)
+def _twice(array, room):
+    out = np.empty(room, dtype=array.dtype)
+    out[: len(array)] = array
+    return out
+
+
+@njit(cache=True, nogil=True)
+def link_through(xyz, offsets, limits, backwards, linked):
+    """`link_step` through all frames, from the first to the last or backwards.
+
+    IN xyz (P, 3) m, each frame's points sorted by x; offsets (T + 1,). OUT linked (P,) the point of the frame before (backwards: after) that a
+    point continues, -1 for none.
+    """
+    most, frames = 0, len(offsets) - 1
+    for t in range(frames):
+        most = max(most, offsets[t + 1] - offsets[t])
+    ends, following, bench = make_ends(most), make_ends(most), make_bench(most)
+    count, begins = 0, 0
+    for step in range(frames):
+        t = frames - 1 - step if backwards else step
+        first, last = offsets[t], offsets[t + 1]
+        link_step(ends, count, xyz[first:last], limits, bench, linked[first:last], following)
+        for p in range(first, last):
+            if linked[p] >= 0:
+                linked[p] += begins
+        ends, following = following, ends
+        count, begins = last - first, first
+
+
+@njit(cache=True, nogil=True)
+def sort_frames(xyz, offsets, order):
+    """A frame's points in an order of their own (by x, then y, then z). OUT order (P,), indices into xyz. O(n^2) a frame at worst."""
+    for t in range(len(offsets) - 1):
+        for p in range(offsets[t], offsets[t + 1]):
+            where = p
+            while where > offsets[t]:
+                q = order[where - 1]
+                if xyz[q, 0] < xyz[p, 0] or (
+                    xyz[q, 0] == xyz[p, 0] and (xyz[q, 1] < xyz[p, 1] or (xyz[q, 1] == xyz[p, 1] and xyz[q, 2] <= xyz[p, 2]))
+                ):
+                    break
+                order[where] = q
+                where -= 1
+            order[where] = p
+
+
+@njit(cache=True, nogil=True)
+def agree(forward, backward, previous, following):
+    """The links that either direction found, without those that the other contradicts.
+
+    IN forward (P,) previous point of each; backward (P,) next point of each. OUT previous, following (P,), -1 for none. O(P).
+    """
+    previous[:] = forward
+    following[:] = -1
+    bad = np.zeros(len(forward), dtype=np.bool_)
+    for p in range(len(forward)):
+        if forward[p] >= 0:
+            following[forward[p]] = p
+    for p in range(len(forward)):
+        q = backward[p]
+        if q < 0:
+            continue
+        if following[p] >= 0 and following[p] != q:
+            bad[p] = bad[q] = bad[following[p]] = True
+        if previous[q] >= 0 and previous[q] != p:
+            bad[p] = bad[q] = bad[previous[q]] = True
+    for p in range(len(forward)):
+        q = backward[p]
+        if q >= 0 and not bad[p] and not bad[q]:
+            following[p], previous[q] = q, p
+    for p in range(len(forward)):
+        q = following[p]
+        if q >= 0 and (bad[p] or bad[q]):
+            following[p], previous[q] = -1, -1
+
+
+@njit(cache=True, nogil=True)
+def departure(xyz, a, b, previous, following):
+    """How far point b of a frame is from going on smoothly from point a of the frame before: (m, and its x, y, z).
+
+    The least of three: by the mean of the velocities before a and after b; by that before a alone; by that after b alone (a swap that lasts a
+    frame or two spoils one side). Without any velocity: infinity.
+    """
+    c, d = previous[a], following[b]
+    least, vx, vy, vz = np.inf, 0.0, 0.0, 0.0
+    for before, after in ((1.0, 0.0), (0.0, 1.0), (0.5, 0.5)):
+        if (before > 0.0 and c < 0) or (after > 0.0 and d < 0):
+            continue
+        x, y, z = xyz[b, 0] - xyz[a, 0], xyz[b, 1] - xyz[a, 1], xyz[b, 2] - xyz[a, 2]
+        if before > 0.0:
+            x -= before * (xyz[a, 0] - xyz[c, 0])
+            y -= before * (xyz[a, 1] - xyz[c, 1])
+            z -= before * (xyz[a, 2] - xyz[c, 2])
+        if after > 0.0:
+            x -= after * (xyz[d, 0] - xyz[b, 0])
+            y -= after * (xyz[d, 1] - xyz[b, 1])
+            z -= after * (xyz[d, 2] - xyz[b, 2])
+        total = x * x + y * y + z * z
+        if total < least:
+            least, vx, vy, vz = total, x, y, z
+    return math.sqrt(least), vx, vy, vz
+
+
+@njit(cache=True, nogil=True)
+def misfit(xyz, a, b, previous, following):
+    """The length of `departure`, in m."""
+    return departure(xyz, a, b, previous, following)[0]
+
+
+@njit(cache=True, nogil=True)
+def claims(xyz, rival, miss, off, own_from, own_to, previous, following, limits):
+    """Whether a rival that misses by `rival` is right against a link that misses by `miss`, in the direction `off`.
+
+    It must be better by `clearer` than the link and than the rival point's own link (own_from, own_to), where it has one. Where that departs the
+    same way, the two move together, and closer than they move in a frame: then nothing has swapped.
+    """
+    rival *= limits.clearer
+    if rival >= miss:
+        return False
+    if own_from < 0 or own_to < 0:
+        return miss > 3.0 * limits.quiet
+    own, x, y, z = departure(xyz, own_from, own_to, previous, following)
+    return rival < own and x * off[0] + y * off[1] + z * off[2] < 0.5 * own * miss
+
+
+@njit(cache=True, nogil=True)
+def bend(xyz, p, previous, following):
+    """How far the point between two others is from going straight on, in m; 0 where there are not two."""
+    a, b = previous[p], following[p]
+    if a < 0 or b < 0:
+        return 0.0
+    total = 0.0
+    for i in range(3):
+        total += (xyz[b, i] - 2.0 * xyz[p, i] + xyz[a, i]) ** 2
+    return math.sqrt(total)
+
+
+@njit(cache=True, nogil=True)
+def restless(xyz, a, b, previous, following):
+    """How far the tracks that end in a and begin in b have strayed from straight on within three frames of it, in m."""
+    most = 0.0
+    p = a
+    for _ in range(3):
+        p = previous[p]
+        if p < 0:
+            break
+        most = max(most, bend(xyz, p, previous, following))
+    p = b
+    for _ in range(3):
+        p = following[p]
+        if p < 0:
+            break
+        most = max(most, bend(xyz, p, previous, following))
+    return most
+
+
+@njit(cache=True, nogil=True)
+def jumped(xyz, a, b, miss, previous, following, limits):
+    """Whether a track broke between a and b although nobody else claims either: it is offset, with the same velocity before and after."""
+    c, d = previous[a], following[b]
+    if c < 0 or d < 0 or miss < limits.jump:
+        return False
+    change2 = 0.0
+    for i in range(3):
+        change2 += (xyz[d, i] - xyz[b, i] - xyz[a, i] + xyz[c, i]) ** 2
+    return miss > 3.0 * math.sqrt(change2) and miss > 4.0 * restless(xyz, a, b, previous, following)
+
+
+@njit(cache=True, nogil=True)
+def find_cuts(xyz, offsets, previous, following, limits, cut):
+    """Where links of numbered tracks are wrong. IN links (P,) both ways. OUT cut (P,) whether the link to a point's previous one is wrong.
+
+    A link is wrong where another point goes on with its track, or another track with its point, and `claims` it; or where the track jumped.
+    O(P), and O(n) for each link that misses more than `quiet`.
+    """
+    for t in range(1, len(offsets) - 1):
+        before, first, last = offsets[t - 1], offsets[t], offsets[t + 1]
+        for b in range(first, last):
+            a = previous[b]
+            cut[b] = False
+            if a < 0:
+                continue
+            miss, x, y, z = departure(xyz, a, b, previous, following)
+            if miss <= limits.quiet or miss == np.inf:
+                continue
+            wrong, off = jumped(xyz, a, b, miss, previous, following, limits), (x, y, z)
+            for other in range(first, last):
+                if wrong:
+                    break
+                if other != b:
+                    rival = misfit(xyz, a, other, previous, following)
+                    wrong = claims(xyz, rival, miss, off, previous[other], other, previous, following, limits)
+            for other in range(before, first):
+                if wrong:
+                    break
+                if other != a:
+                    rival = misfit(xyz, other, b, previous, following)
+                    wrong = claims(xyz, rival, miss, off, other, following[other], previous, following, limits)
+            cut[b] = wrong
+
+
+@njit(cache=True, nogil=True)
+def mend(xyz, offsets, previous, following, barred, limits):
+    """Join a track that ends with one that begins in the next frame, where motion says so clearly and nothing rivals it.
+
+    IN barred (P,) the previous point that a point was cut from, -1 for none. IN/OUT links (P,) both ways. O(ends x beginnings) a frame.
+    """
+    most = 0
+    for t in range(len(offsets) - 1):
+        most = max(most, offsets[t + 1] - offsets[t])
+    from_, to = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
+    for t in range(1, len(offsets) - 1):
+        ends, starts = 0, 0
+        for a in range(offsets[t - 1], offsets[t]):
+            if following[a] < 0:
+                from_[ends] = a
+                ends += 1
+        for b in range(offsets[t], offsets[t + 1]):
+            if previous[b] < 0:
+                to[starts] = b
+                starts += 1
+        if ends == 0 or starts == 0:
+            continue
+        miss = np.empty((ends, starts))
+        for i in range(ends):
+            for j in range(starts):
+                miss[i, j] = misfit(xyz, from_[i], to[j], previous, following)
+        for i in range(ends):
+            j = np.argmin(miss[i])
+            a, b = from_[i], to[j]
+            # both sides must speak
+            if previous[a] < 0 or following[b] < 0 or barred[b] == a:
+                continue
+            gate = limits.noise + limits.soft + limits.wild * restless(xyz, a, b, previous, following)
+            if miss[i, j] > min(gate, limits.noise + limits.hard):
+                continue
+            rival = limits.clearer * miss[i, j] + limits.apart
+            clear = True
+            for other in range(starts):
+                clear = clear and (other == j or miss[i, other] > rival)
+            for other in range(ends):
+                clear = clear and (other == i or miss[other, j] > rival)
+            if clear:
+                following[a], previous[b] = b, a
+
+
+@njit(cache=True, nogil=True)
+def number_chains(previous, of_point):
+    """Number the chains of linked points, in the order of their first points. OUT of_point (P,). Returns how many. O(P)."""
+    count = 0
+    for p in range(len(previous)):
+        if previous[p] >= 0:
+            of_point[p] = of_point[previous[p]]
+        else:
+            of_point[p] = count
+            count += 1
+    return count

@@ -1,0 +1,280 @@
+"""Linking points to tracklets, against simulated truth, plain twins and hostile clouds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from twins_links import is_cut, link_forward
+
+from asterism.formats import read
+from asterism.hiding import hide_in_gaps
+from asterism.labelling.tracks._link_kernels import find_cuts, link_through, make_ends
+from asterism.labelling.tracks.linking import LinkRules, Tracklets, _along_numbers, find_tracklets
+from asterism.recording import Clouds, Recording
+from asterism.simulation import simulate_walks
+
+MOVEMENT = (
+    "cmu41/01_01_climb.c3d",
+    "cmu41/02_05_punch.c3d",
+    "cmu41/85_02.c3d",
+    "sprint53/run0700cms.trc",
+    "optitrack-lower/rizzoli24/jumping_jacks_001.c3d",
+    "running42/run300.trc",
+)
+
+
+@cache
+def walks(rate: float = 100.0, markers: str = "helen-hayes") -> list[Recording]:
+    return simulate_walks(subjects=3, frames=300, rate=rate, seed=5, markers=markers)
+
+
+def frame_of(clouds: Clouds) -> np.ndarray:
+    return np.repeat(np.arange(len(clouds)), clouds.counts)
+
+
+def links_of(tracklets: Tracklets, clouds: Clouds) -> tuple[np.ndarray, np.ndarray]:
+    """All pairs of points that a tracklet joins."""
+    order = np.lexsort((frame_of(clouds), tracklets.of_point))
+    same = tracklets.of_point[order[:-1]] == tracklets.of_point[order[1:]]
+    return order[:-1][same], order[1:][same]
+
+
+def score(tracklets: Tracklets, clouds: Clouds, truth: np.ndarray) -> tuple[int, int, int]:
+    """Wrong links, missing links, links that there are in truth."""
+    marker = np.full(len(clouds.xyz), -1)
+    frames, markers = np.nonzero(truth >= 0)
+    marker[clouds.offsets[frames] + truth[frames, markers]] = markers
+    before, after = links_of(tracklets, clouds)
+    right = (marker[before] == marker[after]) & (marker[before] >= 0)
+    there = int(((truth[1:] >= 0) & (truth[:-1] >= 0)).sum())
+    return int((marker[before] != marker[after]).sum()), there - int(right.sum()), there
+
+
+def check(tracklets: Tracklets, clouds: Clouds) -> None:
+    """What every answer must keep."""
+    assert tracklets.of_point.shape == (len(clouds.xyz),)
+    frames = frame_of(clouds)
+    for j in range(len(tracklets)):
+        own = np.sort(frames[tracklets.of_point == j])
+        assert own.tolist() == list(range(tracklets.first[j], tracklets.last[j] + 1))
+
+
+def columns(recording: Recording) -> np.ndarray:
+    """(T, M) tracklet of every sample, -1 where there is none."""
+    clouds = recording.clouds()
+    out = np.full(recording.visible.shape, -1)
+    out[frame_of(clouds), clouds.columns] = find_tracklets(clouds).of_point
+    return out
+
+
+def cuts(recording: Recording) -> int:
+    of = columns(recording)
+    return int(((of[1:] >= 0) & (of[:-1] >= 0) & (of[1:] != of[:-1])).sum())
+
+
+def swapped(recording: Recording, rng: np.random.Generator, length: int | None = None) -> tuple[Recording, int, int, int]:
+    """Two neighbouring columns exchanged from a frame on."""
+    positions = recording.positions.copy()
+    while True:
+        t = int(rng.integers(5, len(recording) - 10))
+        i = int(rng.integers(positions.shape[1]))
+        away = np.linalg.norm(positions[t] - positions[t, i], axis=1)
+        j = int(np.argsort(np.where(np.isnan(away), np.inf, away))[1 + rng.integers(2)])
+        if not np.isnan(positions[t - 1 : t + 1][:, [i, j]]).any():
+            break
+    until = len(recording) if length is None else t + length
+    positions[t:until, [i, j]] = positions[t:until, [j, i]]
+    return replace(recording, positions=positions), i, j, t
+
+
+@pytest.mark.parametrize("rate", [50.0, 100.0, 240.0])
+@pytest.mark.parametrize(("hidden", "ghosts"), [(0, 0), (3, 0), (5, 0), (3, 3)])
+def test_motion_links_walkers_without_a_wrong_link(rate: float, hidden: int, ghosts: int) -> None:
+    wrong, missing, there = 0, 0, 0
+    for i, walk in enumerate(walks(rate)):
+        clouds, truth = hide_in_gaps(walk, hidden, ghosts, i, number_tracks=False)
+        tracklets = find_tracklets(clouds)
+        check(tracklets, clouds)
+        parts = score(tracklets, clouds, truth)
+        wrong, missing, there = wrong + parts[0], missing + parts[1], there + parts[2]
+    assert wrong == 0, f"{wrong} of {there} links are wrong"
+    assert missing <= 0.005 * there, f"{missing} of {there} links are missing"
+
+
+def test_a_link_where_nothing_can_be_known_is_not_made() -> None:
+    """Two points that cross within a millimetre of each other: whichever way they went, no tracklet passes the place."""
+    t = np.arange(41)[:, None] / 100.0
+    one = np.concatenate([t, 0.0 * t, 0.0 * t], axis=1)
+    other = np.concatenate([t, 0.0 * t + 0.0005, 0.0 * t], axis=1)
+    clouds = Clouds.from_points(np.stack([one, other], axis=1), rate=100.0)
+    assert len(links_of(find_tracklets(clouds), clouds)[0]) == 0
+    apart = Clouds.from_points(np.stack([one, other + [0, 0.05, 0], one + [0, 0, 0.1]], axis=1), rate=100.0)
+    assert len(find_tracklets(apart)) == 3
+
+
+def test_numbered_gaps_are_followed_and_cut() -> None:
+    for i, walk in enumerate(walks()):
+        clouds, truth = hide_in_gaps(walk, 3, 3, i)
+        tracklets = find_tracklets(clouds)
+        check(tracklets, clouds)
+        assert score(tracklets, clouds, truth)[:2] == (0, 0)
+        before, after = links_of(tracklets, clouds)
+        assert clouds.tracks is not None
+        assert (clouds.tracks[before] == clouds.tracks[after]).all()
+
+
+@pytest.mark.parametrize("length", [None, 1, 2, 20])
+def test_swaps_are_cut_where_they_are_and_joined_again_across_columns(length: int | None) -> None:
+    rng = np.random.default_rng(3)
+    tried, cut, joined = 0, 0, 0
+    for walk in walks():
+        for _ in range(20):
+            recording, i, j, t = swapped(walk, rng, length)
+            of = columns(recording)
+            tried += 1
+            cut += of[t - 1, i] != of[t, i] and of[t - 1, j] != of[t, j]
+            joined += of[t - 1, i] == of[t, j] and of[t - 1, j] == of[t, i]
+    assert cut == tried, f"{cut} of {tried} swaps cut"
+    assert joined >= (0.9 * tried if length != 1 else 0), f"{joined} of {tried} joined"
+
+
+def test_a_jump_onto_a_ghost_is_cut_and_a_kick_is_not() -> None:
+    walk = walks()[0]
+    jumped = walk.positions.copy()
+    jumped[150:, 4] += [0.04, 0.03, 0.05]
+    of = columns(replace(walk, positions=jumped))
+    assert of[149, 4] != of[150, 4]
+    assert cuts(replace(walk, positions=jumped)) == 1
+    kicked = walk.positions.copy()
+    kicked[150:, 4] += np.arange(150)[:, None] * np.array([0.04, 0.03, 0.05])
+    assert cuts(replace(walk, positions=kicked)) == 0
+
+
+def test_clean_columns_are_whole() -> None:
+    for rate in (50.0, 100.0, 240.0):
+        assert sum(cuts(walk) for walk in walks(rate)) == 0
+
+
+def test_points_without_a_number_join_those_with_one() -> None:
+    """Every second half second of one column lost its number."""
+    clouds = walks()[0].clouds()
+    assert clouds.tracks is not None
+    lost = (clouds.columns == 3) & (frame_of(clouds) // 50 % 2 == 1)
+    tracklets = find_tracklets(replace(clouds, tracks=np.where(lost, -1, clouds.tracks)))
+    check(tracklets, clouds)
+    assert len(tracklets) == 15
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 10**6), st.booleans())
+def test_the_order_of_points_plays_no_part(seed: int, numbered: bool) -> None:
+    rng = np.random.default_rng(seed)
+    clouds, _ = hide_in_gaps(walks()[seed % 3].frames(np.arange(60)), 2, 2, rng, number_tracks=numbered)
+    order = np.lexsort((rng.random(len(clouds.xyz)), frame_of(clouds)))
+    shuffled = replace(clouds, xyz=clouds.xyz[order], tracks=None if clouds.tracks is None else clouds.tracks[order])
+    one, other = find_tracklets(clouds), find_tracklets(shuffled)
+    np.testing.assert_array_equal(one.of_point[order], other.of_point)
+    np.testing.assert_array_equal(one.first, other.first)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10**6))
+def test_backwards_and_moved_rigidly_it_is_the_same(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    clouds, _ = hide_in_gaps(walks()[seed % 3].frames(np.arange(80)), 2, 2, rng, number_tracks=False)
+    links = set(zip(*links_of(find_tracklets(clouds), clouds), strict=True))
+    last = len(clouds.xyz) - 1
+    backwards = replace(clouds, xyz=np.ascontiguousarray(clouds.xyz[::-1]), offsets=len(clouds.xyz) - clouds.offsets[::-1])
+    mirrored = {(last - b, last - a) for a, b in zip(*links_of(find_tracklets(backwards), backwards), strict=True)}
+    assert links == mirrored
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    moved = replace(clouds, xyz=np.ascontiguousarray(clouds.xyz @ turn.T + rng.normal(size=3)))
+    assert len(links ^ set(zip(*links_of(find_tracklets(moved), moved), strict=True))) <= 2
+
+
+def test_the_kernel_equals_its_twin() -> None:
+    limits = LinkRules().limits(100.0)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        clouds, _ = hide_in_gaps(walks()[seed].frames(np.arange(40)), 3, 3, rng, number_tracks=False)
+        frames = [np.array(sorted(map(tuple, frame))) for frame in clouds]
+        xyz, got = np.concatenate(frames), np.empty(len(clouds.xyz), dtype=np.int64)
+        link_through(xyz, clouds.offsets, limits, False, got)
+        wanted = link_forward(frames, limits)
+        for t in range(1, len(frames)):
+            own = got[clouds.offsets[t] : clouds.offsets[t + 1]]
+            np.testing.assert_array_equal(np.where(own >= 0, own - clouds.offsets[t - 1], -1), wanted[t])
+    assert make_ends(2).age.tolist() == [1, 1]
+
+
+def test_the_cuts_equal_their_twin() -> None:
+    limits = LinkRules().limits(100.0)._replace(jump=np.inf)
+    rng = np.random.default_rng(0)
+    for seed in range(4):
+        recording = swapped(swapped(walks()[seed % 3].frames(np.arange(40)), rng)[0], rng, 3)[0]
+        positions = recording.positions + rng.normal(scale=0.004, size=recording.positions.shape)
+        positions[rng.random(positions.shape[:2]) < 0.02] = np.nan
+        clouds = replace(recording, positions=positions).clouds()
+        previous, following = _along_numbers(clouds.columns, frame_of(clouds))
+        got = np.zeros(len(clouds.xyz), dtype=np.bool_)
+        find_cuts(clouds.xyz, clouds.offsets, previous, following, limits, got)
+        wanted = [
+            previous[p] >= 0 and is_cut(positions, t, m, limits)
+            for p, (t, m) in enumerate(zip(frame_of(clouds), clouds.columns, strict=True))
+        ]
+        np.testing.assert_array_equal(got, wanted)
+        assert got.any()
+
+
+@pytest.mark.parametrize("tracks", [False, True])
+@pytest.mark.parametrize("counts", [[], [0], [0, 0, 0], [1], [1, 1], [0, 3, 0], [2, 0, 2, 5, 0]])
+def test_small_and_empty_clouds(counts: list[int], tracks: bool) -> None:
+    rng = np.random.default_rng(0)
+    clouds = Clouds.from_points([rng.random((n, 3)) for n in counts], rate=100.0, tracks=[np.arange(n) for n in counts] if tracks else None)
+    check(find_tracklets(clouds), clouds)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.integers(0, 8), max_size=12), st.integers(0, 10**6), st.sampled_from([0.0, 0.001, 0.05, 100.0]))
+def test_any_cloud_gets_tracklets(counts: list[int], seed: int, size: float) -> None:
+    rng = np.random.default_rng(seed)
+    frames = [np.round(rng.normal(size=(n, 3)), 1) * size for n in counts]
+    check(find_tracklets(clouds := Clouds.from_points(frames, rate=100.0)), clouds)
+    numbers = [rng.permutation(10)[:n] - (rng.random(n) < 0.2) * 20 for n in counts]
+    numbers = [np.maximum(frame, -1) for frame in numbers]
+    check(find_tracklets(clouds := Clouds.from_points(frames, rate=100.0, tracks=numbers)), clouds)
+
+
+def test_real_gait_is_never_cut_and_its_swaps_always_are(data) -> None:
+    rng = np.random.default_rng(1)
+    false, tried, found = 0, 0, 0
+    for subject in ("HC002", "HC030", "HC044", "HC055"):
+        for path in sorted((data / "gait" / subject).glob("*.c3d")):
+            recording = read(path, markers="helen-hayes")
+            false += cuts(recording)
+            for _ in range(5):
+                broken, i, j, t = swapped(recording, rng)
+                of = columns(broken)
+                tried, found = tried + 1, found + (of[t - 3, i] != of[t + 3, i] and of[t - 3, j] != of[t + 3, j])
+    assert false == 0, f"{false} false cuts"
+    assert found >= 0.95 * tried, f"{found} of {tried} swaps cut"
+
+
+@pytest.mark.parametrize("file", MOVEMENT)
+def test_real_fast_movement_is_not_cut(data, file: str) -> None:
+    assert cuts(read(data / "movement" / file)) == 0
+
+
+def test_real_gait_is_linked_from_raw_clouds(data) -> None:
+    for i, subject in enumerate(("HC002", "HC044")):
+        recording = read(data / "gait" / subject / "turn.c3d", markers="helen-hayes")
+        for hidden, ghosts in ((0, 0), (3, 0), (3, 3)):
+            clouds, truth = hide_in_gaps(recording, hidden, ghosts, i, number_tracks=False)
+            wrong, missing, there = score(find_tracklets(clouds), clouds, truth)
+            assert wrong == 0
+            assert missing <= 0.001 * there

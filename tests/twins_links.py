@@ -1,0 +1,149 @@
+"""Plain twins of the linking kernels: the same rules, one point at a time, in the words of `linking.LinkRules`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def norm(vector):
+    return float(np.linalg.norm(vector))
+
+
+def begin(old, points, limits):
+    """Links of two frames in which nothing has a velocity yet: {track: point}."""
+    far = np.linalg.norm(old[:, None] - points[None], axis=2) if len(old) and len(points) else np.zeros((len(old), len(points)))
+    clear = {}
+    for a in range(len(old)):
+        for b in range(len(points)):
+            rival = limits.clearer * far[a, b] + limits.apart
+            rivals = np.concatenate([np.delete(far[a], b), np.delete(far[:, b], a)])
+            if far[a, b] <= limits.fastest and (rivals > rival).all():
+                clear[a] = b
+    links = {}
+    for a, b in clear.items():
+        away = np.linalg.norm(old - old[a], axis=1)
+        near = [k for k in np.argsort(away, kind="stable") if k != a][:3]
+        moved = points[b] - old[a]
+        alike = [
+            k in clear and norm(points[clear[k]] - old[k] - moved) <= limits.noise + limits.strange + limits.spin * away[k] for k in near
+        ]
+        if sum(alike) >= 2:
+            links[a] = b
+    return links
+
+
+def expected(paths, spread, limits):
+    """Where each track is expected and its gate, from its points so far."""
+    out = []
+    for a, path in enumerate(paths):
+        x = np.array(path)
+        if len(x) > 2:
+            out.append(
+                (
+                    x[-1] + (x[-1] - x[-2]) + 0.5 * (x[-1] - 2 * x[-2] + x[-3]),
+                    limits.noise + min(limits.soft + limits.wild * spread[a], limits.hard),
+                )
+            )
+        elif len(x) == 2:
+            out.append((2 * x[-1] - x[-2], limits.noise + 3 * limits.soft))
+        else:
+            known = [(norm(np.array(p[-1]) - x[-1]), k) for k, p in enumerate(paths) if len(p) > 1]
+            near = sorted(known)[:3]
+            if not near:
+                out.append((x[-1], limits.fastest))
+                continue
+            weight = np.array([1 / (d * d + 1e-4) for d, _ in near])
+            velocity = np.array([np.subtract(paths[k][-1], paths[k][-2]) for _, k in near])
+            mean = weight @ velocity / weight.sum()
+            unlike = max(norm(mean - v) for v in velocity)
+            gate = limits.noise + limits.strange + limits.spin * near[0][0] + limits.unlike * unlike
+            out.append((x[-1] + mean, min(gate, limits.fastest)))
+    return out
+
+
+def link_forward(frames, limits):
+    """For each frame, which point of the frame before each point continues, -1 for none."""
+    paths, spread, links = [], [], []
+    for points in frames:
+        goes = {}
+        if not any(len(path) > 1 for path in paths):
+            goes = begin(np.array([path[-1] for path in paths]).reshape(-1, 3), points, limits)
+        places = expected(paths, spread, limits)
+        reach = [gate if len(path) == 1 else limits.clearer * gate + limits.apart for path, (_, gate) in zip(paths, places, strict=True)]
+        far = {
+            (a, b): norm(points[b] - at) for a, (at, _) in enumerate(places) for b in range(len(points)) if norm(points[b] - at) <= reach[a]
+        }
+        while True:
+            open_ = {(a, b): d for (a, b), d in far.items() if a not in goes and b not in goes.values()}
+            news = {}
+            for (a, b), d in open_.items():
+                rival = limits.clearer * d + limits.apart
+                if len(paths[a]) == 1:
+                    rival = max(rival, places[a][1])
+                rivals = [e for (i, j), e in open_.items() if (i == a) != (j == b)]
+                if d <= places[a][1] and all(e > rival for e in rivals):
+                    news[a] = b
+            if not news:
+                break
+            goes |= news
+        back = {b: a for a, b in goes.items()}
+        links.append([back.get(b, -1) for b in range(len(points))])
+        new_paths, new_spread = [], []
+        for b, point in enumerate(points):
+            a = back.get(b, -1)
+            path = [*paths[a], point] if a >= 0 else [point]
+            new_paths.append(path)
+            if len(path) > 3:
+                new_spread.append(max(0.8 * spread[a], norm(point - places[a][0])))
+            else:
+                new_spread.append(norm(path[2] - 2 * path[1] + path[0]) if len(path) == 3 else 0.0)
+        paths, spread = new_paths, new_spread
+    return links
+
+
+def departure(before, a, b, after):
+    """How far b is from going on smoothly from a: before (3,) or None the point before a, after that after b."""
+    tries = []
+    if before is not None:
+        tries.append((b - a) - (a - before))
+    if after is not None:
+        tries.append((b - a) - (after - b))
+    if before is not None and after is not None:
+        tries.append((b - a) - 0.5 * (a - before + after - b))
+    return min(tries, key=norm) if tries else None
+
+
+def is_cut(positions, t, column, limits):
+    """Whether a recording's column is cut between frames t - 1 and t: (T, M, 3), NaN where missing; jumps without a rival are left out."""
+
+    def at(frame, k):
+        there = 0 <= frame < len(positions) and not np.isnan(positions[frame, k, 0])
+        return positions[frame, k] if there else None
+
+    def linked(k):
+        return at(t - 1, k) is not None and at(t, k) is not None
+
+    def miss(i, j):
+        """Column i up to t - 1 goes on in column j."""
+        before = at(t - 2, i)
+        after = at(t + 1, j)
+        return departure(before, at(t - 1, i), at(t, j), after)
+
+    own = miss(column, column)
+    if own is None or norm(own) <= limits.quiet:
+        return False
+    for k in range(positions.shape[1]):
+        if k == column:
+            continue
+        for pair in [(column, k)] * (at(t, k) is not None) + [(k, column)] * (at(t - 1, k) is not None):
+            rival = miss(*pair)
+            if rival is None or limits.clearer * norm(rival) >= norm(own):
+                continue
+            if not linked(k):
+                if norm(own) > 3 * limits.quiet:
+                    return True
+                continue
+            theirs = miss(k, k)
+            if limits.clearer * norm(rival) < norm(theirs) and theirs @ own < 0.5 * norm(theirs) * norm(own):
+                return True
+    return False
