@@ -24,7 +24,8 @@ through `ASTERISM_DATA`.
 - Whole recordings, *k hidden*: k markers are in a gap of 0.1 to 1 s at every moment and come back under a new track number; *ghosts* are
   tracks of 0.05 to 0.5 s that ride on a marker at a fixed offset of up to 150 mm, so many at every moment. Each walk is hidden three times.
   *Frame by frame* is the first chapter's labelling of the same clouds. *Backwards in time* are the same clouds in reverse order.
-- *Tracking*: `benchmarks/tracking.py`, the true places of all markers in the first frame, then constant velocity and optimal assignment.
+- *Tracking*: `benchmarks/tracking.py`, the true places of all markers in the first frame, then the given tracks; new tracks by constant
+  velocity and optimal assignment.
 - *Peer*, *key poses*: `benchmarks/peer.py`, sixteen key poses from eight headings by ICP, optimal assignment, 200 mm limit; some frames
   of the same clouds.
 - *As recorded*: with all points that nobody labelled. Some of them may be the very marker that is missing: FA is an upper bound there.
