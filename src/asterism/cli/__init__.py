@@ -20,6 +20,7 @@ from asterism.cli.evaluate import evaluate
 from asterism.cli.info import info
 from asterism.cli.label import label
 from asterism.cli.learn import learn
+from asterism.cli.review import review
 from asterism.cli.train import train
 from asterism.errors import AsterismError
 
@@ -56,6 +57,7 @@ _EXAMPLES: dict[Callable[..., None], str] = {
     demo: "asterism demo",
     train: "asterism train labelled/*.c3d -o gait.model --markers helen-hayes",
     label: "asterism label raw/*.c3d --model gait.model -o labelled",
+    review: "asterism review raw/*.c3d --model gait.model --report review.html",
     learn: "asterism learn gait.model corrected/*.c3d -o better.model",
     evaluate: "asterism evaluate --leave-one-subject-out labelled/*.c3d --markers helen-hayes --occlusions 0 2 4",
     capturability: "asterism capturability labelled/*.c3d --markers helen-hayes --report capturability.html",

@@ -10,7 +10,7 @@ from asterism import formats
 from asterism.cli import _console
 from asterism.cli._options import marker_names, vertical_axis
 from asterism.errors import AsterismError
-from asterism.recording import Clouds, Labelling, MarkerSet, Recording, is_unnamed
+from asterism.recording import Clouds, Labelling, MarkerSet, Recording, is_unnamed, keep_labels
 
 _FEWEST_MARKERS = 4
 
@@ -69,6 +69,14 @@ def _named(recording: Recording) -> dict[str, None]:
         for column, name in enumerate(recording.labels)
         if not is_unnamed(name) and recording.labels.count(name) == 1 and recording.visible[:, column].any()
     }
+
+
+def labels_kept(path: Path, labelling: Labelling, recording: Recording, clouds: Clouds, marker_set: MarkerSet) -> Labelling:
+    """The labelling with the labels that a file has already. Raises AsterismError, naming the file, where two columns claim one marker."""
+    try:
+        return keep_labels(labelling, recording, clouds, marker_set)
+    except AsterismError as problem:
+        raise AsterismError(f"{path}: {problem}") from None
 
 
 @dataclass(frozen=True)

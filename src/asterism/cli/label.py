@@ -15,7 +15,6 @@ from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
     from asterism.cli._console import Progress
-    from asterism.labelling import SolverEnsemble
     from asterism.recording import Clouds, Labelling, Recording
 
 
@@ -37,7 +36,7 @@ def label(
     else in it as it was. Points that no marker took become *1, *2, ... A line per file says which share of all markers in all
     frames was labelled, and which share is unsure: not labelled though the frame has points left.
     """
-    from asterism.cli._recordings import outcome
+    from asterism.cli._recordings import labels_kept, outcome
     from asterism.labelling import SolverEnsemble
 
     targets = _targets(files, output)
@@ -59,7 +58,7 @@ def label(
                 labelling = ensemble.label(clouds, rules=rules.value, workers=workers, progress=_share(progress, batch, len(files), path))
                 seconds = time.perf_counter() - started
                 if keep:
-                    labelling = _kept(path, labelling, recording, clouds, ensemble)
+                    labelling = labels_kept(path, labelling, recording, clouds, ensemble.marker_set)
                 lost = _write(target, recording.with_labelling(labelling, clouds, keep_names=keep))
                 summary = outcome(labelling, clouds)
                 row = {
@@ -132,15 +131,6 @@ def _first_frame(clouds: Clouds) -> Clouds:
     from asterism.recording import Clouds
 
     return Clouds.from_points([clouds[0]], clouds.rate, clouds.vertical)
-
-
-def _kept(path: Path, labelling: Labelling, recording: Recording, clouds: Clouds, ensemble: SolverEnsemble) -> Labelling:
-    from asterism.recording import keep_labels
-
-    try:
-        return keep_labels(labelling, recording, clouds, ensemble.marker_set)
-    except AsterismError as problem:
-        raise AsterismError(f"{path}: {problem}") from None
 
 
 def _write(target: Path, recording: Recording) -> list[str]:
