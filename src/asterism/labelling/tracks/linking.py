@@ -10,13 +10,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asterism.labelling.tracks._link_kernels import LinkLimits, agree, find_cuts, link_through, mend, number_chains, sort_frames
+from asterism.labelling.tracks._cut_kernels import find_cuts, mend
+from asterism.labelling.tracks._link_kernels import LinkLimits, agree, link_through, number_chains, sort_frames
 from asterism.recording import Clouds, Floats, Ints
 
 
 @dataclass(frozen=True)
 class LinkRules:
-    """When a point goes on with a track. Chosen on the gait recordings, thinned to 50 Hz too; the movement recordings were looked at for false cuts.
+    """When a point goes on with a track. Chosen on the gait recordings, thinned to 50 Hz too.
+
+    The movement recordings showed where cuts were false: jerks of markers close together, at 70 Hz.
 
     noise         m that a prediction may always miss
     soft          m/s2 that a marker's acceleration may always change by from one frame to the next
@@ -88,8 +91,8 @@ def find_tracklets(clouds: Clouds, rules: LinkRules | None = None) -> Tracklets:
     Points that carry a track number are linked along it, except where it has a gap, and where another point goes on with the track (or
     another track with the point) clearly better: there it swapped, or jumped, and is cut. Points without a number are linked by motion,
     from both ends of the recording: a track goes on where it is expected, where the two are each other's best and no rival comes near;
-    links that the two directions disagree about are dropped. At last ends and beginnings that motion joins clearly are joined, across numbers too.
-    The order of the points within their frames plays no part, but for coincident ones. O(P n) for n points a frame.
+    links that the two directions disagree about are dropped. At last ends and beginnings that motion joins clearly are joined, across
+    numbers too. The order of the points within their frames plays no part, but for coincident ones. O(P n) for n points a frame.
     """
     limits = (rules or LinkRules()).limits(clouds.rate)
     order = np.arange(len(clouds.xyz))
