@@ -129,10 +129,11 @@ def _crossed(entries: list[Entry], pattern: str) -> str:
 
 def _asked(entry: Entry) -> str:
     sign, bound = entry.asked.split()
-    return f"{sign} {float(bound) * 100:.4g} %" if entry.unit == "fraction" else entry.asked
+    return f"{sign} {float(bound) * 100:.6g} %" if entry.unit == "fraction" else entry.asked
 
 
 def _number(entry: Entry) -> str:
     if entry.unit == "fraction":
-        return f"{entry.measured * 100:.4g} %"
+        digits = 6 if entry.measured > 0.99 else 4
+        return f"{entry.measured * 100:.{digits}g} %"
     return f"{entry.measured:,.5g} {entry.unit}" if entry.measured < 1000 else f"{entry.measured:,.0f} {entry.unit}"

@@ -89,4 +89,4 @@ def save(entries: list[Entry], path: Path = FIGURES) -> None:
 
 
 def _rounded(value: float) -> float:
-    return float(f"{value:.5g}")
+    return float(f"{value:.7g}")

@@ -56,7 +56,7 @@ def gaps(bench: Bench) -> Iterator[Figure]:
             pooled += total[condition, method]
         yield Figure(f"calibration error, subjects not seen, {method}", bound, pooled.calibration_error, "fraction", pooled.given)
     for subject, outcome in outcomes.items():
-        for condition in (*CONDITIONS, FEW, STANDING):
+        for condition in (*CONDITIONS, STANDING):
             tally = outcome.get((condition, WHOLE))
             if tally:
                 yield Figure(f"subject {subject} not seen, {condition}: right", "none", tally.right_share, "fraction", tally.frames)
