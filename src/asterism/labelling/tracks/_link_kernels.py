@@ -366,32 +366,32 @@ def sort_frames(xyz, offsets, order):
 
 @njit(cache=True, nogil=True)
 def agree(forward, backward, previous, following):
-    """The links that either direction found, without those that the other contradicts.
+    """The links that both directions found, or that one found and the other could not judge: its track had fewer than three points yet.
 
     IN forward (P,) previous point of each; backward (P,) next point of each. OUT previous, following (P,), -1 for none. O(P).
     """
-    previous[:] = forward
-    following[:] = -1
-    bad = np.zeros(len(forward), dtype=np.bool_)
-    for p in range(len(forward)):
+    count = len(forward)
+    age, age_back = np.ones(count, dtype=np.int64), np.ones(count, dtype=np.int64)
+    previous[:], following[:] = -1, -1
+    continued = np.full(count, -1, dtype=np.int64)
+    for p in range(count):
         if forward[p] >= 0:
-            following[forward[p]] = p
-    for p in range(len(forward)):
-        q = backward[p]
-        if q < 0:
-            continue
-        if following[p] >= 0 and following[p] != q:
-            bad[p] = bad[q] = bad[following[p]] = True
-        if previous[q] >= 0 and previous[q] != p:
-            bad[p] = bad[q] = bad[previous[q]] = True
-    for p in range(len(forward)):
-        q = backward[p]
-        if q >= 0 and not bad[p] and not bad[q]:
+            continued[forward[p]] = p
+            age[p] = age[forward[p]] + 1
+    for p in range(count - 1, -1, -1):
+        if backward[p] >= 0:
+            age_back[p] = age_back[backward[p]] + 1
+    origin = np.full(count, -1, dtype=np.int64)
+    for p in range(count):
+        if backward[p] >= 0:
+            origin[backward[p]] = p
+    for q in range(count):
+        p = forward[q]
+        if p >= 0 and (backward[p] == q or (backward[p] < 0 and origin[q] < 0 and age_back[q] < 3)):
             following[p], previous[q] = q, p
-    for p in range(len(forward)):
-        q = following[p]
-        if q >= 0 and (bad[p] or bad[q]):
-            following[p], previous[q] = -1, -1
+        p = origin[q]
+        if p >= 0 and continued[p] < 0 and forward[q] < 0 and age[p] < 3:
+            following[p], previous[q] = q, p
 
 
 @njit(cache=True, nogil=True)

@@ -36,9 +36,9 @@ class LinkRules:
     """
 
     noise: float = 0.002
-    soft: float = 20.0
+    soft: float = 40.0
     hard: float = 250.0
-    wild: float = 4.0
+    wild: float = 2.0
     clearer: float = 2.5
     apart: float = 0.0015
     strange: float = 0.3
@@ -91,8 +91,9 @@ def find_tracklets(clouds: Clouds, rules: LinkRules | None = None) -> Tracklets:
     Points that carry a track number are linked along it, except where it has a gap, and where another point goes on with the track (or
     another track with the point) clearly better: there it swapped, or jumped, and is cut. Points without a number are linked by motion,
     from both ends of the recording: a track goes on where it is expected, where the two are each other's best and no rival comes near;
-    links that the two directions disagree about are dropped. At last ends and beginnings that motion joins clearly are joined, across
-    numbers too. The order of the points within their frames plays no part, but for coincident ones. O(P n) for n points a frame.
+    a link counts that both directions find, or one of which the other cannot judge, having no velocity yet. At last ends and beginnings
+    that motion joins clearly are joined, across numbers too. The order of the points within their frames plays no part, but for
+    coincident ones. O(P n) for n points a frame.
     """
     limits = (rules or LinkRules()).limits(clouds.rate)
     order = np.arange(len(clouds.xyz))
