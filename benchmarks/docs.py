@@ -63,7 +63,8 @@ SECTIONS = (
     (
         "Other people, laboratories and movements",
         "movement,",
-        r"movement, (?P<line>.*?(?: not seen|own other \w+)), (?P<column>(?:.* as recorded|\d occlusions|\d hidden): \w+)",
+        r"movement, (?P<line>.*?(?: not seen|own other \w+)), "
+        r"(?P<column>(?:.* as recorded|\d occlusions|\d hidden(?:, frame by frame)?): \w+)",
     ),
     ("Table 5.4: FA by occlusions and target hit rate", "table 5.4", r"table 5.4, subjects seen, (?P<line>.*), (?P<column>target .*): FA"),
     ("Table 5.5: FO by occlusions and target hit rate", "table 5.5", r"table 5.5, subjects seen, (?P<line>.*), (?P<column>target .*): FO"),

@@ -244,11 +244,12 @@ def test_page_shows_cells_where_they_belong_and_what_was_missed() -> None:
             entry("gaps, 3 hidden + 3 ghosts, tracking: FA", "none", 0.25),
             entry("change, 3 hidden, backwards in time: FA gained", "<= 0.001", -0.0002),
             entry("ablation, + tracks, 3 hidden + 3 ghosts: right", "none", 0.5),
+            entry("movement, cmu41, 02 not seen, 3 hidden, frame by frame: FA", "none", 0.03),
         ]
     )
     assert "| 1 occlusion | 1 % (asked < 8 %) | **2 % (asked < 1 %)** |" in page
     assert "| cmu41, 85 not seen | 0.1 % (asked <= 0.5 %) |  |" in page
     assert "| 3 hidden, backwards in time | 99 % |" in page and "| 3 hidden + 3 ghosts |  | 25 % |" in page
     assert "| 3 hidden, backwards in time | -0.02 % (asked <= 0.1 %) |" in page
-    assert "| + tracks | 50 % |" in page
+    assert "| + tracks | 50 % |" in page and "3 hidden, frame by frame: FA |" in page
     assert "3 of 4 figures asked for are reached" in page

@@ -25,15 +25,18 @@ def movement(bench: Bench) -> Iterator[Figure]:
     folds = _folds(bench.quick)
     outcomes = zip(folds, bench.each(_tested, range(len(folds))), strict=True)
     for (label, person), group in groupby(outcomes, key=lambda outcome: (outcome[0].label, outcome[0].person)):
-        tally, unseen = Tally(), False
+        tally, framewise, unseen = Tally(), Tally(), False
         for fold, found in group:
             unseen = fold.unseen
-            tally += found
+            tally += found[0]
+            framewise += found[1]
         row = f"movement, {label}, {person}{' not seen' if unseen else ''}, 3 hidden"
         own = "none" if label in DIRTY else ">= 0.999"
         yield Figure(f"{row}: right", ">= 0.995" if unseen else own, tally.right_share, "fraction", tally.frames)
         yield Figure(f"{row}: FA", "<= 0.001" if unseen else "none", tally.false_assignments, "fraction", tally.frames)
         yield Figure(f"{row}: missed", "none", tally.missed_share, "fraction", tally.frames)
+        yield Figure(f"{row}, frame by frame: right", "none", framewise.right_share, "fraction", framewise.frames)
+        yield Figure(f"{row}, frame by frame: FA", "none", framewise.false_assignments, "fraction", framewise.frames)
 
 
 @cache
@@ -41,8 +44,9 @@ def _folds(quick: bool) -> list[Fold]:
     return list(movement_folds(("clinical-lower",) if quick else None, halves=True))
 
 
-def _tested(bench: Bench, number: int) -> Tally:
-    fold, tally = _folds(bench.quick)[number], Tally()
+def _tested(bench: Bench, number: int) -> tuple[Tally, Tally]:
+    """The whole recordings, and the same frame by frame."""
+    fold, tally, framewise = _folds(bench.quick)[number], Tally(), Tally()
     try:
         ensemble = bench.fit(fold.train, fold.train_people)
     except AsterismError as problem:
@@ -51,9 +55,12 @@ def _tested(bench: Bench, number: int) -> Tally:
     for place, test in enumerate(fold.test):
         spare = max(0, len(test.frames) - LONGEST) // 2
         clouds, truth = hide_in_gaps(test.recording.frames(test.frames[spare : spare + LONGEST]), 3, 0, seed=place)
-        tally.add(ensemble.label(clouds, time=True) if ensemble else silence(truth, fold.train[0].labels), truth)
-    bench.say(f"{fold.label}, {fold.person}: right {tally.right_share:.5f}, FA {tally.false_assignments:.5f}")
-    return tally
+        nothing = silence(truth, fold.train[0].labels)
+        tally.add(ensemble.label(clouds, time=True) if ensemble else nothing, truth)
+        framewise.add(ensemble.label(clouds) if ensemble else nothing, truth)
+    told = f"right {tally.right_share:.5f}, FA {tally.false_assignments:.5f}, frame by frame {framewise.right_share:.5f}"
+    bench.say(f"{fold.label}, {fold.person}: {told}")
+    return tally, framewise
 
 
 def silence(truth: Ints, names: tuple[str, ...]) -> Labelling:
