@@ -55,7 +55,7 @@ def test_search_finds_what_trying_everything_finds(width, frame, drop, seed):
     assert counters[0] > 0
 
     rest, pairs = share_pairs(pack([solver]), 7)
-    bench = make_bench(7, len(points), 4)._replace(found=np.empty((2000, 4), dtype=np.int64))
+    bench = make_bench(7, len(points), 4, 3)._replace(found=np.empty((2000, 4), dtype=np.int64))
     lay_out(points, len(points), bench)
     solutions = search_by_pairs(rest, pairs, 0, len(points), 1, 10**7, bench)
     assert {by_marker(solver, bench.order[row]) for row in bench.found[:solutions]} == expected
@@ -81,7 +81,7 @@ def test_more_than_64_points():
     far = np.random.default_rng(0).uniform(10, 50, size=(90, 3))
     points = np.concatenate([far, frames[0]])
     rest, pairs = share_pairs(pack([solver]), 7)
-    bench = make_bench(7, len(points), 4)
+    bench = make_bench(7, len(points), 4, 3)
     lay_out(points, len(points), bench)
     assert search_by_pairs(rest, pairs, 0, len(points), 1, 10**7, bench) >= 1
     right = (90 + MARKERS).tolist()

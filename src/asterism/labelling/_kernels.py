@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from asterism.labelling.motion._kernels import moving_feature
+
 # Order of `features.FEATURES`: the registry and `feature` below agree, and a test holds them to it.
 G1, G2, G3, G4, G5, G6, G7, G8, G9 = range(9)
 
@@ -32,11 +34,12 @@ def _cosine(ux, uy, uz, vx, vy, vz):
 
 @njit(cache=True, nogil=True)
 def feature(kind, points, a, b, c, d):
-    """One feature of table 4.1 over the points at rows a, b, c, d (those that the kind does not need are ignored).
+    """One feature over the points at rows a, b, c, d (those that the kind does not need are ignored).
 
-    IN  kind, place in `features.FEATURES`; points (n, 3) m, z up; a, b, c, d rows
-    Gives m, m2, rad or a ratio; 0 where points coincide and the value is undefined; NaN where a point is missing. O(1).
-    Thesis table 4.1. Twin: tests/twins.py
+    IN  kind, place in `features.FEATURES`; points (n, 3) m, z up, or with their motion (n, WIDTH); a, b, c, d rows
+    Gives m, m2, rad, a ratio, m/s or m2/s2; 0 where points coincide and the value is undefined; NaN where a point is missing, or its motion
+    where the kind needs it. O(1).
+    Thesis table 4.1; `motion._kernels.moving_feature`. Twin: tests/twins.py
     """
     value = bare_feature(kind, points, a, b, c, d)
     if kind in (G1, G6, G7):
@@ -55,6 +58,8 @@ def bare_feature(kind, points, a, b, c, d):
         return _length(points, a, b)
     if kind == G4:
         return points[a, 2] - points[b, 2]
+    if kind > G9:
+        return moving_feature(kind, points, a, b, c)
     bx, by, bz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
     if kind == G7:
         return _cosine(bx, by, bz, 0.0, 0.0, 1.0)
@@ -362,18 +367,23 @@ class PairRules(NamedTuple):
 
     near, far     (M, M) m, distance; -inf and inf where nothing is known
     below, above  (M, M) m, height of the first marker over the second
+    kinds         (K,) features of two points' motion that the solvers use, none for a solver of single frames
+    low, high     (K, M, M) their intervals; a value that is not known (NaN) keeps to them
     """
 
     near: np.ndarray
     far: np.ndarray
     below: np.ndarray
     above: np.ndarray
+    kinds: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
 
 
 class Bench(NamedTuple):
     """The memory of `search_by_pairs` for frames of up to n points and solvers of up to D markers, W = ceil(n / 64).
 
-    points    (n, 3) m, the frame's points, highest first; order (n,) their rows in the frame
+    points    (n, 3) m, the frame's points, highest first, with their motion (n, WIDTH) where solvers need it; order (n,) their rows
     distance  (n, n) m
     rows      (M, M, n, W) bits: with marker a at point i, which points marker b may have; stamp (M, M, n) the frame they were made for
     mask      (D, W) points still to try at each depth; path (D,) point at each depth
@@ -394,11 +404,11 @@ class Bench(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def make_bench(markers, n, depths):
-    """Memory for M markers, n points, D depths."""
+def make_bench(markers, n, depths, width):
+    """Memory for M markers, n points of so many numbers, D depths."""
     words = (n + 63) // 64
     return Bench(
-        np.empty((n, 3)),
+        np.empty((n, width)),
         np.empty(n, dtype=np.int64),
         np.empty((n, n)),
         np.empty((markers, markers, n, words), dtype=np.uint64),
@@ -416,7 +426,7 @@ def lay_out(points, n, bench):
     """Put a frame's first n points on the bench, highest first, with their distances. O(n^2)."""
     highest_first(points, n, bench.order)
     for i in range(n):
-        for axis in range(3):
+        for axis in range(bench.points.shape[1]):
             bench.points[i, axis] = points[bench.order[i], axis]
     distances(bench.points, n, bench.distance)
 
@@ -427,7 +437,7 @@ def search_by_pairs(solvers, pairs, s, n, now, budget, bench):
 
     IN  solvers SolverArrays without the classifiers in `pairs`, angles by their cosines (`solver.share_pairs`)
         n points on the bench; now, a number of the frame that is new to the bench
-        budget, feature evaluations for this solver on this frame; a pair of points counts as one
+        budget, feature evaluations for this solver on this frame; distance and height of a pair of points count as one
     OUT bench.found points (rows of bench.points) by depth; bench.counters
     Returns the number of labellings found, or -1 where the budget or the room for labellings did not suffice.
     """
@@ -488,8 +498,7 @@ def search_by_pairs(solvers, pairs, s, n, now, budget, bench):
             a, i = solvers.markers[first + e], path[e]
             if bench.stamp[a, b, i] != now:
                 bench.stamp[a, b, i] = now
-                allowed_points(pairs, a, b, i, n, bench)
-                evaluations += n
+                evaluations += allowed_points(pairs, a, b, i, n, bench)
             living = np.uint64(0)
             for w in range(words):
                 mask[depth, w] &= bench.rows[a, b, i, w]
@@ -510,9 +519,9 @@ def everything(mask, depth, n):
 
 @njit(cache=True, nogil=True)
 def allowed_points(pairs, a, b, i, n, bench):
-    """OUT bench.rows[a, b, i]: the points that marker b may have while marker a has point i. O(n)."""
+    """OUT bench.rows[a, b, i]: the points that marker b may have while marker a has point i. Returns the evaluations made. O(n K)."""
     near, far, below, above = pairs.near[a, b], pairs.far[a, b], pairs.below[a, b], pairs.above[a, b]
-    height = bench.points[i, 2]
+    height, evaluations = bench.points[i, 2], n
     for w in range((n + 63) // 64):
         bits = np.uint64(0)
         for j in range(64 * w, min(n, 64 * w + 64)):
@@ -520,17 +529,29 @@ def allowed_points(pairs, a, b, i, n, bench):
             fits = (d >= near) & (d <= far) & (h >= below) & (h <= above) & (i != j)
             bits |= np.uint64(fits) << np.uint64(j - 64 * w)
         bench.rows[a, b, i, w] = bits
+    for k in range(len(pairs.kinds)):
+        low, high = pairs.low[k, a, b], pairs.high[k, a, b]
+        if low == -np.inf and high == np.inf:
+            continue
+        for j in range(n):
+            bit = np.uint64(1) << np.uint64(j & 63)
+            if bench.rows[a, b, i, j >> 6] & bit != 0:
+                evaluations += 1
+                value = moving_feature(pairs.kinds[k], bench.points, i, j, 0)
+                if value < low or value > high:
+                    bench.rows[a, b, i, j >> 6] ^= bit
+    return evaluations
 
 
 @njit(cache=True, nogil=True)
-def expose(solvers, pairs, s, frames, choice, hidden, budget, allowed, bench, now, hits, failures, silent):
+def expose(solvers, pairs, s, frames, choice, hidden, lost, budget, allowed, bench, now, hits, failures, silent):
     """Expose one solver to frames some of whose markers are hidden, and count against the truth (section 4.5.1, hit rates).
 
     A solver proposes a point for a marker where all labellings that it found agree on it. With the marker in sight a proposal of its
     point is a hit. A proposal of any other point is a failure. No proposal is silence.
 
-    IN  solvers, pairs as in `search_by_pairs`; frames (N, M, 3) m, NaN where missing
-        choice (E,) frame of each exposure; hidden (E, M) bool
+    IN  solvers, pairs as in `search_by_pairs`; frames (N, M, 3) m, NaN where missing, or (N, M, WIDTH)
+        choice (E,) frame of each exposure; hidden, lost (E, M) bool, markers hidden, and those whose motion is not known
         budget, evaluations per exposure
         allowed, failures after which a marker is hopeless, as it is after 50 silences that are four times its hits
         (where all are, the count stops)
@@ -541,7 +562,7 @@ def expose(solvers, pairs, s, frames, choice, hidden, budget, allowed, bench, no
     first = solvers.first_depth[s]
     depths = solvers.first_depth[s + 1] - first
     markers = frames.shape[1]
-    points, row = np.empty((markers, 3)), np.empty(markers, dtype=np.int64)
+    points, row = np.empty((markers, frames.shape[2])), np.empty(markers, dtype=np.int64)
     hits[:] = 0
     failures[:] = 0
     silent[:] = 0
@@ -551,6 +572,8 @@ def expose(solvers, pairs, s, frames, choice, hidden, budget, allowed, bench, no
             row[m] = -1
             if not hidden[e, m] and not np.isnan(frames[choice[e], m, 0]):
                 points[n] = frames[choice[e], m]
+                if lost[e, m]:
+                    points[n, 3:] = np.nan
                 row[m] = n
                 n += 1
         lay_out(points, n, bench)
@@ -598,8 +621,9 @@ def fits(whole, m, place, points, slack, least):
     IN  place (M,) row of `points` of each marker, -1 for none; slack, share of an interval by which a value may miss it and nearly fit
         least, classifiers that must have had a say
     Returns (2 where all accept, 1 where none is missed by more than the slack, else 0; evaluations made). O(classifiers that read m).
+    A value that is not known (NaN) has no say.
     """
-    evaluations, level = 0, 2
+    evaluations, said, level = 0, 0, 2
     for f in range(whole.first[m], whole.first[m + 1]):
         a, b, c, d = place[whole.slots[f, 0]], place[whole.slots[f, 1]], place[whole.slots[f, 2]], place[whole.slots[f, 3]]
         used = whole.points[f]
@@ -607,13 +631,14 @@ def fits(whole, m, place, points, slack, least):
             continue
         evaluations += 1
         value = bare_feature(whole.kinds[f], points, a, b, c, d)
+        said += value == value
         low, high = whole.low[f], whole.high[f]
         if value < low or value > high:
             level = 1
             room = slack * (high - low)
             if value < low - room or value > high + room:
                 return 0, evaluations
-    return level if evaluations >= least else min(level, 1), evaluations
+    return level if said >= least else min(level, 1), evaluations
 
 
 @njit(cache=True, nogil=True)
@@ -669,7 +694,8 @@ def label_by_matrix(solvers, pairs, trusted, whole, outvote, slack, least, xyz, 
         whole, the strong classifier of the whole model: a label then takes two solvers that propose it (where there are
         two), or `outvote` times as many as propose otherwise, and `complete` has the last word (slack, least); a model without markers:
         the thesis' rules alone
-        xyz (P, 3) m, offsets (T + 1,); budget, feature evaluations per frame and solver, after which a solver proposes nothing
+        xyz (P, 3) m, or (P, WIDTH) with their motion; offsets (T + 1,)
+        budget, feature evaluations per frame and solver, after which a solver proposes nothing
     OUT indices (T, M) -1 for none; votes (T, M) of the solvers trusted with the marker the share that propose the point given, or, for a
         null, the point most often proposed; evaluations (T,) feature evaluations
     No allocation per frame. O(T times solvers times a search).
@@ -684,7 +710,7 @@ def label_by_matrix(solvers, pairs, trusted, whole, outvote, slack, least, xyz, 
         deepest = max(deepest, solvers.first_depth[s + 1] - solvers.first_depth[s])
         for k in range(solvers.first_depth[s], solvers.first_depth[s + 1]):
             able[solvers.markers[k]] += trusted[k]
-    bench, matrix = make_bench(markers, most, deepest), np.empty((markers, most), dtype=np.int64)
+    bench, matrix = make_bench(markers, most, deepest, xyz.shape[1]), np.empty((markers, most), dtype=np.int64)
     lone = np.empty(markers, dtype=np.int64)
     place, taken, levels = np.empty(markers, dtype=np.int64), np.empty(most, dtype=np.bool_), np.empty((markers, most), dtype=np.int64)
     for t in range(frames):

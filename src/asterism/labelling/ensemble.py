@@ -65,6 +65,7 @@ class SolverEnsemble:
         seed: int = 0,
         target_hit_rate: float = 0.999,
         miner: str | None = "bottom-up",
+        features: Sequence[str] | None = None,
         subjects: Sequence[str] | None = None,
         marker_set: MarkerSet | None = None,
         body_rules: BodyRules | None = None,
@@ -76,11 +77,13 @@ class SolverEnsemble:
 
         subjects: whose recording each is; by default what the recordings' metadata says, else their folder. Confidence is
         calibrated on people left out in turn, so more people make it honest. `miner` finds the partial
-        solvers of the thesis' rules ("bottom-up", "top-down", "genetic"; None leaves them out and saves most of the time).
+        solvers of the thesis' rules ("bottom-up", "top-down", "genetic"; None leaves them out and saves most of the time), of the
+        `features` named (`features.FEATURES`; those of motion among them), by default `mining.FEATURES`, of single frames.
         The same recordings and seed give the same model, bit for bit.
         Raises AsterismError where there is nothing to learn from, or the recordings' labels differ.
         """
-        recipe = Recipe(seed, target_hit_rate, miner, body_rules or BodyRules(), look or LookRules(), training or TrainingRules())
+        named = None if features is None else tuple(features)
+        recipe = Recipe(seed, target_hit_rate, miner, body_rules or BodyRules(), look or LookRules(), training or TrainingRules(), named)
         marker_set = marker_set or common_marker_set(recordings)
         memory = Memory(Sample(), recipe).with_recordings(recordings, subjects, marker_set)
         return cls._from_memory(marker_set, memory, progress or _silent)
@@ -115,7 +118,8 @@ class SolverEnsemble:
     ) -> SolverEnsemble:
         """All that follows from a memory; partial solvers are taken over from `mined_before`, where given."""
         recipe = memory.recipe
-        markers, frames, people = memory.training_frames()
+        markers, mined, people = memory.training_frames()
+        frames = np.ascontiguousarray(mined[..., :3])
         mining = recipe.miner is not None and mined_before is None
         share = 0.5 if mining else 1.0
         learned = learn_body(frames, people, recipe, lambda fraction, what: progress(share * fraction, what))
@@ -123,6 +127,7 @@ class SolverEnsemble:
             "seed": recipe.seed,
             "target_hit_rate": recipe.target_hit_rate,
             "miner": recipe.miner,
+            "features": None if recipe.features is None else list(recipe.features),
             "subjects": list(memory.sample.subjects),
             "recordings": len(memory.sample.recordings),
             "frames": len(frames),
@@ -130,8 +135,9 @@ class SolverEnsemble:
         partial = None
         if mining:
             partial = mine(
-                frames,
+                mined,
                 people,
+                features=recipe.features,
                 targets=recipe.target_hit_rate,
                 miner=str(recipe.miner),
                 widen=recipe.training.solver_widen,

@@ -1,7 +1,7 @@
-"""Geometric features (thesis table 4.1): the registry, and the pool of all of them over all subsets of a marker set.
+"""Features of points (thesis table 4.1) and of their motion (6.1, 6.2): the registry, and the pool of all over all subsets of a marker set.
 
-A tenth feature is one more `if kind == G10` in `_kernels.feature` and one more line at the end of `FEATURES` here, with a constant G10
-beside the others; the pool, the training, the search and the files that models are saved in take it from there.
+One more feature is one more `if kind == G19` in `motion._kernels.moving_feature` and one more line at the end of `FEATURES` here, with a
+constant G19 beside the others; the pool, the training, the search and the files that models are saved in take it from there.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ class Feature:
                   difference, moves the interval but not what it accepts, so such orders are left out
     unit          of its values
     source        where it comes from
+    moving        whether it reads the points' motion (`motion.points.motion_of`); where that is not known, every interval accepts
     """
 
     name: str
@@ -48,7 +49,10 @@ class Feature:
     arrangements: tuple[tuple[int, ...], ...]
     unit: str
     source: str
+    moving: bool = False
 
+
+_NEIGHBOURS, _DERIVATIVES = "thesis eq. 6.1, over the frames 0.2 s before and after", "thesis eq. 6.2"
 
 FEATURES: tuple[Feature, ...] = (
     Feature("g1", "angle at a point between two others", 3, APEX, "rad", "thesis table 4.1"),
@@ -67,11 +71,26 @@ FEATURES: tuple[Feature, ...] = (
         "m2",
         "thesis table 4.1; signed here: the bars printed there would lose the sign, by which a body differs from its mirror image",
     ),
+    Feature("g10", "relative speed", 2, PAIR, "m/s", _DERIVATIVES, True),
+    Feature("g11", "rate at which a distance changes, without sign", 2, PAIR, "m/s", _DERIVATIVES, True),
+    Feature("g12", "half the second rate of change of a squared distance", 2, PAIR, "m2/s2", _DERIVATIVES, True),
+    Feature("g13", "mean distance over three frames", 2, PAIR, "m", _NEIGHBOURS, True),
+    Feature("g14", "mean height difference over three frames", 2, PAIR, "m", _NEIGHBOURS, True),
+    Feature("g15", "range of a distance over three frames", 2, PAIR, "m", _NEIGHBOURS, True),
+    Feature("g16", "range of a height difference over three frames", 2, PAIR, "m", _NEIGHBOURS, True),
+    Feature("g17", "mean distance between one point before and the other after", 2, PAIR, "m", _NEIGHBOURS, True),
+    Feature("g18", "mean of g9 over three frames", 3, TRIPLE, "m2", _NEIGHBOURS, True),
 )
-"""The registry; its order is that of the constants G1.. in `_kernels`."""
+"""The registry; its order is that of the constants G1.. in `_kernels` and `motion._kernels`.
+
+None of them changes when the recording is turned about the vertical or shifted, nor when it is played backwards.
+"""
 
 THESIS = ("g2", "g4", "g9")
 """The features of the thesis' experiment (section 5.2)."""
+
+TEMPORAL = tuple(feature.name for feature in FEATURES if feature.moving)
+"""The features of motion."""
 
 
 def kinds_of(names: Sequence[str]) -> Ints:
@@ -108,6 +127,17 @@ def pool(n_markers: int, features: Sequence[str] = THESIS, seed: int | np.random
         kinds.append(np.full(len(listed), kind, dtype=np.int64))
         slots.append(padded)
     return np.concatenate(kinds), np.concatenate(slots)
+
+
+def needs_motion(kinds: Ints) -> bool:
+    """Whether any of the features (places in `FEATURES`) reads the points' motion."""
+    return bool(np.array([feature.moving for feature in FEATURES])[kinds].any())
+
+
+def check_motion(kinds: Ints, frames: Floats) -> None:
+    """Raise AsterismError where features read a motion that the frames (..., 3 or more) do not carry."""
+    if frames.shape[-1] == 3 and needs_motion(kinds):
+        raise AsterismError("features of motion need frames that carry their motion; make them with asterism.labelling.motion.points.")
 
 
 def members(kinds: Ints, slots: Ints, n_markers: int) -> NDArray[np.bool_]:

@@ -14,7 +14,9 @@ from asterism.labelling.body._kernels import best_pose, make_room
 from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors, with_intervals
 from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, subsample
 from asterism.labelling.calibration import Calibration
+from asterism.labelling.features import kinds_of, needs_motion
 from asterism.labelling.look import LookRules, Prepared, Progress
+from asterism.labelling.motion.points import frames_with_motion
 from asterism.labelling.sample import Sample
 from asterism.labelling.solver import person
 from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording
@@ -56,10 +58,18 @@ class Recipe:
     body: BodyRules = field(default_factory=BodyRules)
     look: LookRules = field(default_factory=LookRules)
     training: TrainingRules = field(default_factory=TrainingRules)
+    features: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
+        if self.features is not None:
+            kinds_of(self.features)
         if not 0.5 <= self.target_hit_rate < 1.0:
             raise AsterismError(f"a target hit rate of {self.target_hit_rate} makes no sense; give one from 0.5 to below 1, such as 0.999.")
+
+    @property
+    def reads_motion(self) -> bool:
+        """Whether partial solvers of this recipe look at the points' motion."""
+        return self.features is not None and needs_motion(kinds_of(self.features))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values."""
@@ -68,9 +78,10 @@ class Recipe:
     @classmethod
     def from_dict(cls, plain: dict[str, Any]) -> Recipe:
         """The inverse of `to_dict`, also after a round through JSON."""
+        features = None if plain.get("features") is None else tuple(plain["features"])
         training = TrainingRules(**plain["training"])
         training = replace(training, trials=tuple((float(share), int(ghosts)) for share, ghosts in training.trials))
-        return cls(**{**plain, "body": BodyRules(**plain["body"]), "look": LookRules(**plain["look"]), "training": training})
+        return cls(**{**plain, "body": BodyRules(**plain["body"]), "look": LookRules(**plain["look"]), "training": training, "features": features})
 
 
 @dataclass(frozen=True)
@@ -97,11 +108,15 @@ class Memory:
     def training_frames(self) -> tuple[Ints, Floats, Ints]:
         """What the body is learned from: markers that these frames show (M,), frames (N, M, 3) m, z up, whose each is (N,).
 
+        The frames carry their motion, (N, M, WIDTH), where the recipe reads it.
         Frames that show less than half of the markers are left out. Raises AsterismError where too little remains.
         """
         if not self.sample.clips:
             raise AsterismError("no frame shows three markers; check the marker set against the files' labels.")
         frames, people = self.sample.frames()
+        if self.recipe.reads_motion:
+            stretches, _ = self.sample.stretches([str(marker) for marker in range(frames.shape[1])])
+            frames = np.concatenate([frames_with_motion(stretch) for stretch in stretches])
         shown = ~np.isnan(frames[:, :, 0])
         seen = shown.any(axis=0)
         usable = shown.sum(axis=1) >= max(3, 0.5 * seen.sum())

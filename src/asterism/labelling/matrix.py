@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from asterism.errors import AsterismError
 from asterism.labelling import _kernels
 from asterism.labelling._kernels import SolverArrays, Whole
-from asterism.labelling.features import FEATURES, members, upright
+from asterism.labelling.features import FEATURES, members, needs_motion
+from asterism.labelling.motion.points import with_motion
 from asterism.labelling.solver import angles_by_cosine, share_pairs
 from asterism.labelling.weak import Bits, Weak
 from asterism.recording import Clouds, Floats, Ints
@@ -48,6 +49,11 @@ class PartialSolvers:
 
     def __len__(self) -> int:
         return len(self.solvers.first_depth) - 1
+
+    @property
+    def reads_motion(self) -> bool:
+        """Whether any of its classifiers reads the points' motion."""
+        return needs_motion(self.solvers.kinds) or needs_motion(self.whole.kinds)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything as plain arrays, for a file."""
@@ -156,7 +162,8 @@ def label_by_matrix(clouds: Clouds, ensemble: PartialSolvers, budget: int = BUDG
 
     A marker gets the candidate on which all proposals for it agree; none where there is no proposal, where two candidates are proposed, or
     where the candidate is proposed for another marker too. `budget` is in feature evaluations per frame and solver: a solver that exhausts
-    it proposes nothing, the same on every machine.
+    it proposes nothing, the same on every machine. Where classifiers read motion, it is taken once from the tracks of the clouds; of points
+    without a known motion those classifiers say nothing.
 
     Without `complete` these are the rules of the thesis. With it, a label takes two solvers that propose it, where there are two (on the
     gait recordings all wrong labels had a single one); a proposal that outvotes all others by `OUTVOTE` stands; and the strong classifier
@@ -164,7 +171,7 @@ def label_by_matrix(clouds: Clouds, ensemble: PartialSolvers, budget: int = BUDG
     a label gets the one free point that goes with the labels given, if that point goes with no other marker, nearly (`slack_of`); then what
     a single solver proposed counts where it goes with the others.
     """
-    xyz = np.ascontiguousarray(upright(clouds.xyz, clouds.vertical))
+    xyz = with_motion(clouds, ensemble.reads_motion)
     frames, markers = len(clouds), len(ensemble.targets)
     indices, votes = np.empty((frames, markers), dtype=np.int64), np.empty((frames, markers))
     evaluations = np.empty(frames, dtype=np.int64)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
 from asterism.labelling._kernels import expose, make_bench
+from asterism.labelling.features import FEATURES as REGISTRY
 from asterism.labelling.features import MANY_MARKERS, members
 from asterism.labelling.matrix import BUDGET, PartialSolvers, whole_model
 from asterism.labelling.solver import Solver, pack, plant, replacements, share_pairs
@@ -25,6 +26,9 @@ FEATURES_OF_MANY = ("g2", "g4", "g7", "g9")
 Progress = Callable[[float, str], None]
 Subset = tuple[int, ...]
 
+LOST, MOST_LOST = 0.08, 0.5
+"""In an exposure, the share of the points whose motion is not known per hidden marker, and at most: ends of tracks beside the gaps."""
+
 MINERS = ("bottom-up", "top-down", "genetic")
 
 
@@ -36,7 +40,8 @@ ANSWERS = 0.3
 class Mining:
     """How a mine is worked.
 
-    weak_classifiers  most classifiers of a solver, boosted from those over its markers (a small subset has fewer, and takes all)
+    weak_classifiers  most classifiers of a solver, boosted from those over its markers (a small subset has fewer, and takes all); those of
+                      two points' motion come on top
     glance, exposures frames on which every subset is tried, and those on which a promising one is judged
     proof             frames on which those finally chosen are judged once more
     most_hidden       exposures hide 0 to so many markers
@@ -88,7 +93,7 @@ class Mine:
         settings: Mining | None = None,
         seed: int | np.random.Generator = 0,
     ) -> None:
-        """Upright frames (N, M, 3) m, groups (N,) whose frame each is; targets a number or one per marker."""
+        """Upright frames (N, M, 3) m, or (N, M, WIDTH) with their motion, groups (N,) whose each is; targets one or one per marker."""
         self.settings = Mining() if settings is None else settings
         self.rng = np.random.default_rng(seed)
         self.frames = np.ascontiguousarray(frames)
@@ -102,13 +107,18 @@ class Mine:
         self.weak = weak.take(np.isfinite(weak.low))
         self.reads = members(self.weak.kinds, self.weak.slots, self.n_markers)
         self.points = self.reads.sum(axis=1)
+        self.moving = np.array([feature.moving for feature in REGISTRY])[self.weak.kinds]
         self.spread = self.weak.high - self.weak.low
         self.table = replacements(self.frames, self.weak, self.rng)
         self.trial = Trial.draw(self.frames, self.weak, self.rng, 2048)
         s = self.settings
         self.choice = self.rng.integers(len(self.frames), size=max(s.exposures, s.proof))
         self.hidden = hide(len(self.choice), self.n_markers, s.most_hidden, self.rng)
-        self.bench, self.now = make_bench(self.n_markers, self.n_markers, self.n_markers), 0
+        self.lost = self.hidden
+        if self.frames.shape[2] > 3:
+            share = np.minimum(LOST * self.hidden.sum(axis=1), MOST_LOST)
+            self.lost = self.rng.random(self.hidden.shape) < share[:, None]
+        self.bench, self.now = make_bench(self.n_markers, self.n_markers, self.n_markers, self.frames.shape[2]), 0
         self.known: dict[Subset, Assessed] = {}
 
     def build(self, markers: Subset) -> Solver | None:
@@ -120,7 +130,8 @@ class Mine:
         most = self.settings.weak_classifiers
         if len(rows) > most:
             pairs = self.points[rows] == 2
-            rows = np.concatenate([rows[pairs], self.trial.boost(rows[~pairs], own, max(1, most - int(pairs.sum())))[0]])
+            left = most - int((pairs & ~self.moving[rows]).sum())
+            rows = np.concatenate([rows[pairs], self.trial.boost(rows[~pairs], own, max(1, left))[0]])
         table = self.table[rows]
         bits = np.unpackbits(np.ascontiguousarray(table[:, own]).view(np.uint8), axis=2).sum(axis=(0, 2))
         return plant(self.weak.take(rows), table, own, int(own[np.argmax(bits)]))
@@ -147,7 +158,7 @@ class Mine:
         allowed = max(2 if exposures > self.settings.glance else 8, int((1 - self.targets.min()) * exposures * 2))
         arrays, pairs = share_pairs(pack([solver]), self.n_markers)
         now, self.now = self.now, self.now + exposures
-        sample = (self.frames, self.choice[:exposures], self.hidden[:exposures])
+        sample = (self.frames, self.choice[:exposures], self.hidden[:exposures], self.lost[:exposures])
         expose(arrays, pairs, 0, *sample, BUDGET, allowed, self.bench, now, hits, failures, silent)
         own = np.zeros(self.n_markers, dtype=np.bool_)
         own[solver.markers] = True
@@ -183,9 +194,9 @@ def mine(
 ) -> PartialSolvers:
     """Find partial solvers that reach the target hit rates and together cover the markers.
 
-    frames (N, M, 3) m, z up, NaN where missing; groups (N,) whose frame each is; targets a number or (M,); miner one of `MINERS`;
-    features by name, or None for `FEATURES` (`FEATURES_OF_MANY`); rule and widen as in `weak.Spread.weak`. On the gait recordings a factor
-    of 0.1 measured best for people in training, 1.5 for people that are not.
+    frames (N, M, 3) m, z up, NaN where missing, for features of motion (N, M, WIDTH); groups (N,) whose frame each is; targets a number or
+    (M,); miner one of `MINERS`; features by name, or None for `FEATURES` (`FEATURES_OF_MANY`), all of single frames; rule and widen as in
+    `weak.Spread.weak`. On the gait recordings a factor of 0.1 measured best for people in training, 1.5 for people that are not.
 
     A hit rate is measured on frames of the ground truth with 0 to 5 markers hidden: of the points that the solver proposes for a marker,
     the share that is right. The thesis exposes its solvers to whole frames; with markers hidden, a solver that takes a stranger's point
@@ -331,7 +342,7 @@ def _nearest(quarry: Mine, subsets: list[Subset], limit: int) -> list[Subset]:
     """Of many subsets those whose pairs of markers keep the steadiest distances: rigid neighbours are told apart best."""
     if len(subsets) <= limit:
         return subsets
-    pairs = quarry.reads.sum(axis=1) == 2
+    pairs = (quarry.points == 2) & ~quarry.moving
     steady = np.full((quarry.n_markers, quarry.n_markers), np.inf)
     for row in np.nonzero(pairs)[0]:
         a, b = np.nonzero(quarry.reads[row])[0]

@@ -8,10 +8,13 @@ from itertools import product
 from pathlib import PurePath
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.labelling._kernels import G1, G2, G4, G6, G7, PairRules, SolverArrays, arrange, label_whole, rejections, search
-from asterism.labelling.features import FEATURES, THESIS, members, upright
+from asterism.labelling.features import FEATURES, THESIS, kinds_of, members, needs_motion, upright
+from asterism.labelling.motion._kernels import G14
+from asterism.labelling.motion.points import frames_with_motion, with_motion
 from asterism.labelling.weak import Bits, Spread, StrongClassifier, Trial, Weak, choose_widening, readable
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
 
@@ -68,14 +71,17 @@ def unpack(arrays: SolverArrays) -> list[Solver]:
 
 
 def share_pairs(arrays: SolverArrays, n_markers: int) -> tuple[SolverArrays, PairRules]:
-    """Solvers without their classifiers of distance and height, and these as rules for pairs of markers that all the solvers share.
+    """Solvers without their classifiers of distance, height and two points' motion, and these as rules for pairs that all solvers share.
 
     The intervals of angles become those of their cosines, as `search_by_pairs` reads them.
     A solver out of `mining` has all such classifiers over its markers, with the same intervals as the others, so that nothing changes but
     speed.
     """
     shape = (n_markers, n_markers)
-    rules = PairRules(np.full(shape, -np.inf), np.full(shape, np.inf), np.full(shape, -np.inf), np.full(shape, np.inf))
+    moving = np.array([feature.moving and feature.points == 2 for feature in FEATURES])[arrays.kinds]
+    used = np.unique(arrays.kinds[moving])
+    low, high = np.full((len(used), *shape), -np.inf), np.full((len(used), *shape), np.inf)
+    rules = PairRules(np.full(shape, -np.inf), np.full(shape, np.inf), np.full(shape, -np.inf), np.full(shape, np.inf), used, low, high)
     depth_of = np.repeat(np.arange(len(arrays.markers)), np.diff(arrays.first_feature))
     start = np.repeat(arrays.first_depth[:-1], np.diff(arrays.first_depth))[depth_of]
     a, b = arrays.markers[start + arrays.slots[:, 0]], arrays.markers[start + arrays.slots[:, 1]]
@@ -87,11 +93,21 @@ def share_pairs(arrays: SolverArrays, n_markers: int) -> tuple[SolverArrays, Pai
     np.minimum.at(rules.above, (a[above], b[above]), arrays.high[above])
     np.maximum.at(rules.below, (b[above], a[above]), -arrays.high[above])
     np.minimum.at(rules.above, (b[above], a[above]), -arrays.low[above])
-    rest = ~(far | above)
+    place = np.searchsorted(used, arrays.kinds)
+    turned = moving & (arrays.kinds == G14)
+    for one, other, low_end, high_end in ((a, b, arrays.low, arrays.high), (b, a, *_either_way(turned, arrays.low, arrays.high))):
+        np.maximum.at(rules.low, (place[moving], one[moving], other[moving]), low_end[moving])
+        np.minimum.at(rules.high, (place[moving], one[moving], other[moving]), high_end[moving])
+    rest = ~(far | above | moving)
     first = np.concatenate([[0], np.cumsum(rest)])[arrays.first_feature]
     low, high = angles_by_cosine(arrays.kinds, arrays.low, arrays.high)
     own = (arrays.kinds[rest], arrays.slots[rest], low[rest], high[rest])
     return SolverArrays(arrays.first_depth, arrays.markers, first.astype(np.int64), *own), rules
+
+
+def _either_way(turned: NDArray[np.bool_], low: Floats, high: Floats) -> tuple[Floats, Floats]:
+    """Intervals with the points exchanged: of those `turned`, the value changes its sign."""
+    return np.where(turned, -high, low), np.where(turned, -low, high)
 
 
 def angles_by_cosine(kinds: Ints, low: Floats, high: Floats) -> tuple[Floats, Floats]:
@@ -129,8 +145,8 @@ def plant(weak: Weak, table: Bits, markers: Ints, start: int) -> Solver:
     return Solver(order, Weak(ordered.kinds, np.where(unused, 0, depth_of[ordered.slots]), ordered.low, ordered.high), first)
 
 
-def stack(recordings: Sequence[Recording], subjects: Sequence[str] | None = None) -> tuple[Floats, Ints]:
-    """Labelled recordings as upright frames (N, M, 3) m, and whose each frame is (N,).
+def stack(recordings: Sequence[Recording], subjects: Sequence[str] | None = None, *, motion: bool = False) -> tuple[Floats, Ints]:
+    """Labelled recordings as upright frames (N, M, 3) m, with `motion` (N, M, WIDTH), and whose each frame is (N,).
 
     Without `subjects`, one name per recording, the person is `metadata["subject"]`, else the folder of the file.
     Raises AsterismError where there is nothing, the labels differ, or the number of subjects does.
@@ -145,7 +161,7 @@ def stack(recordings: Sequence[Recording], subjects: Sequence[str] | None = None
         raise AsterismError(f"{len(subjects)} subjects for {len(recordings)} recordings; give one name per recording.")
     names = [person(recording) for recording in recordings] if subjects is None else list(subjects)
     number = {name: i for i, name in enumerate(dict.fromkeys(names))}
-    frames = np.concatenate([upright(recording.positions, recording.vertical) for recording in recordings])
+    frames = np.concatenate([frames_with_motion(r) if motion else upright(r.positions, r.vertical) for r in recordings])
     return frames, np.repeat([number[name] for name in names], [len(recording) for recording in recordings]).astype(np.int64)
 
 
@@ -187,7 +203,7 @@ class FullSolver:
                larger, which leaves more frames with more than one feasible labelling
         Raises AsterismError for recordings that differ, an unknown feature or rule, or fewer than three markers.
         """
-        frames, groups = stack(recordings, subjects)
+        frames, groups = stack(recordings, subjects, motion=needs_motion(kinds_of(features)))
         return cls.fit_frames(
             frames,
             groups,
@@ -212,7 +228,7 @@ class FullSolver:
         widen: float | None = 0.25,
         seed: int = 0,
     ) -> FullSolver:
-        """Learn from upright frames (N, M, 3) m; groups (N,) whose frame each is."""
+        """Learn from upright frames (N, M, 3) m, for features of motion (N, M, WIDTH); groups (N,) whose frame each is."""
         if frames.shape[1] < 3:
             raise AsterismError(
                 f"{frames.shape[1]} markers cannot be told apart by distances and heights; a marker set needs at least three."
@@ -257,7 +273,7 @@ class FullSolver:
         label_whole(
             pack([self.solver]),
             self.solver.lowest_first,
-            upright(clouds.xyz, clouds.vertical),
+            with_motion(clouds, needs_motion(self.solver.weak.kinds)),
             clouds.offsets,
             BUDGET,
             indices,
@@ -271,7 +287,7 @@ class FullSolver:
 
     def accuracy(self, recordings: Sequence[Recording], *, wrong: int = 10**7, seed: int = 0) -> float:
         """Share of wrong labellings of the recordings' frames, from two to all labels permuted, that the strong classifier rejects."""
-        return self.strong.accuracy(stack(recordings)[0], wrong, seed)
+        return self.strong.accuracy(stack(recordings, motion=needs_motion(self.strong.weak.kinds))[0], wrong, seed)
 
 
 def _label(solver: Solver, frames: Floats, given: Ints) -> tuple[Ints, Ints, Ints]:
@@ -304,7 +320,7 @@ def _wrong_that_pass(solver: Solver, sample: Floats) -> tuple[Ints, Ints]:
     found, counters = np.empty((64, depths), dtype=np.int64), np.zeros(2, dtype=np.int64)
     passed, labels = [], []
     for number, points in enumerate(sample):
-        if np.isnan(points).any():
+        if np.isnan(points[:, :3]).any():
             continue
         counters[0] = 0
         solutions = search(arrays, 0, points, np.argsort(-points[:, 2], kind="stable"), BUDGET, found, counters)

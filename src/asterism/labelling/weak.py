@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.labelling._kernels import cover, feature_ranges, rejected, rejections
-from asterism.labelling.features import THESIS, members, pool
+from asterism.labelling.features import THESIS, check_motion, members, pool
 from asterism.recording import Floats, Ints
 
 Bits = NDArray[np.uint64]
@@ -61,8 +61,12 @@ class Spread:
 
     @classmethod
     def measure(cls, frames: Floats, groups: Ints, features: Sequence[str] = THESIS, seed: int | np.random.Generator = 0) -> Spread:
-        """Features over all subsets of the columns of upright frames (N, M, 3) m; groups (N,) whose frame each is. O(F N)."""
+        """Features over all subsets of the columns of upright frames (N, M, 3) m; groups (N,) whose frame each is. O(F N).
+
+        Features of motion take frames (N, M, WIDTH) as `motion.points.frames_with_motion` makes them; an unknown motion does not count.
+        """
         kinds, slots = pool(frames.shape[1], features, seed)
+        check_motion(kinds, frames)
         people, group = np.unique(groups, return_inverse=True)
         low, high = np.empty((len(kinds), len(people))), np.empty((len(kinds), len(people)))
         feature_ranges(np.ascontiguousarray(frames), group.astype(np.int64), len(people), kinds, slots, low, high)
@@ -196,8 +200,10 @@ class StrongClassifier:
     def score(self, frames: Floats, labels: Ints) -> Floats:
         """(N,) phi in [0, 1]: the weighted share of weak classifiers that accept.
 
-        frames (N, n, 3) m, z up; labels (N, M) row of the point that each marker is given. A classifier whose points are missing accepts.
+        frames (N, n, 3) m, z up, or with their motion (N, n, WIDTH); labels (N, M) row of the point that each marker is given. A classifier
+        whose points, or the motion that it reads, are missing accepts.
         """
+        check_motion(self.weak.kinds, frames)
         table = np.zeros((len(self.weak), -(-len(labels) // 64)), dtype=np.uint64)
         weak = self.weak
         rejections(
@@ -217,6 +223,7 @@ class StrongClassifier:
 
         O(wrong), about a microsecond each. Raises AsterismError where no frame shows all markers.
         """
+        check_motion(self.weak.kinds, frames)
         complete = np.ascontiguousarray(frames[~np.isnan(frames[:, :, 0]).any(axis=1)])
         if not len(complete):
             raise AsterismError("no frame shows all markers, so no wrong labelling can be made; give frames without gaps.")
