@@ -108,6 +108,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         (["info"], "FILES"),
         (["train", "a.c3d", "-o", "m", "--miner", "sideways"], "sideways"),
         (["train", "a.c3d", "-o", "m", "--target-hit-rate", "99.9"], "--target-hit-rate 99.9"),
+        (["train", "a.c3d", "-o", "m", "--features", "g2,g77"], "g77"),
         (["train", "a.c3d", "-o", "no/such/m"], "folder"),
         (["evaluate", "a.c3d"], "--leave-one-subject-out"),
         (["evaluate", "a.c3d", "--model", "m", "--leave-one-subject-out"], "one of them"),

@@ -12,23 +12,29 @@ from hypothesis import strategies as st
 
 from asterism import AsterismError
 from asterism.labelling import _kernels
-from asterism.labelling.features import FEATURES, describe, members, pool, upright
+from asterism.labelling.features import FEATURES, TEMPORAL, describe, members, needs_motion, pool, upright
+from asterism.labelling.motion._kernels import G10, G18, WIDTH
 
 coordinates = st.floats(-2.0, 2.0, allow_nan=False).map(lambda x: round(x, 3))
+four_moving_points = st.integers(0, 10**6).map(lambda seed: np.round(np.random.default_rng(seed).uniform(-2, 2, (4, WIDTH)), 3))
 four_points = st.lists(st.tuples(coordinates, coordinates, coordinates), min_size=4, max_size=4, unique=True).map(np.array)
 
 
 def test_registry_is_in_the_kernels_order():
     assert [feature.name for feature in FEATURES] == [f"g{i}" for i in range(1, 19)]
-    assert (_kernels.G1, _kernels.G2, _kernels.G9) == (0, 1, 8)
+    assert (_kernels.G1, _kernels.G2, _kernels.G9, G10, G18) == (0, 1, 8, 9, 17)
+    assert tuple(f"g{i}" for i in range(10, 19)) == TEMPORAL
+    assert [needs_motion(np.array([kind])) for kind in range(18)] == [False] * 9 + [True] * 9
 
 
 @pytest.mark.parametrize("kind", range(len(FEATURES)), ids=[feature.name for feature in FEATURES])
-@given(points=four_points)
+@given(points=four_points, moving=four_moving_points)
 @settings(max_examples=60, deadline=None)
-def test_kernel_equals_twin(kind, points):
+def test_kernel_equals_twin(kind, points, moving):
     if np.linalg.norm(points[:, None] - points[None], axis=2)[np.triu_indices(4, 1)].min() < 1e-2:
         return
+    if FEATURES[kind].moving:
+        points = np.concatenate([points, moving[:, 3:]], axis=1)
     expected = twins.feature(FEATURES[kind].name, list(points))
     # Near 0 and pi an angle is only as good as the root of the cosine's rounding.
     assert _kernels.feature(kind, points, 0, 1, 2, 3) == pytest.approx(expected, abs=1e-6)
@@ -41,7 +47,8 @@ def test_pool_of_the_thesis_has_665():
 
 
 @pytest.mark.parametrize(
-    ("name", "count"), [("g1", 30), ("g2", 10), ("g3", 15), ("g4", 10), ("g5", 30), ("g6", 15), ("g7", 10), ("g8", 10)]
+    ("name", "count"),
+    [("g1", 30), ("g2", 10), ("g3", 15), ("g4", 10), ("g5", 30), ("g6", 15), ("g7", 10), ("g8", 10), ("g13", 10), ("g18", 10)],
 )
 def test_pool_sizes_of_five_markers(name, count):
     assert len(pool(5, (name,))[0]) == count
@@ -50,7 +57,7 @@ def test_pool_sizes_of_five_markers(name, count):
 @pytest.mark.parametrize("feature", FEATURES, ids=lambda feature: feature.name)
 def test_arrangements_are_all_there_is_and_none_twice(feature):
     """Over all orders of a subset's points there are as many values, up to sign and the angle's supplement, as arrangements."""
-    points = np.random.default_rng(1).normal(size=(4, 3))
+    points = np.random.default_rng(1).normal(size=(4, WIDTH))
 
     def essence(order):
         value = twins.feature(feature.name, [points[i] for i in order])
@@ -82,15 +89,15 @@ def test_g9_tells_a_body_from_its_mirror_image():
 
 @pytest.mark.parametrize("kind", range(len(FEATURES)), ids=[feature.name for feature in FEATURES])
 def test_missing_point_gives_nan_and_coincident_points_a_number(kind):
-    points = np.random.default_rng(0).normal(size=(4, 3))
+    points = np.random.default_rng(0).normal(size=(4, WIDTH))
     points[1] = np.nan
     assert np.isnan(_kernels.feature(kind, points, 0, 1, 2, 3))
-    assert np.isfinite(_kernels.feature(kind, np.ones((4, 3)), 0, 1, 2, 3))
+    assert np.isfinite(_kernels.feature(kind, np.ones((4, WIDTH)), 0, 1, 2, 3))
 
 
 def test_unknown_or_repeated_feature_is_refused():
-    with pytest.raises(AsterismError, match="g10"):
-        pool(5, ("g2", "g10"))
+    with pytest.raises(AsterismError, match="g19"):
+        pool(5, ("g2", "g19"))
     with pytest.raises(AsterismError, match="once"):
         pool(5, ("g2", "g2"))
 

@@ -11,8 +11,8 @@ from asterism.labelling.features import FEATURES
 
 
 def feature(name, points):
-    """Table 4.1 by its formulas; points: a list of 3-vectors A, B, C, D."""
-    a, b, c, d = (*points, None, None, None, None)[:4]
+    """Table 4.1 by its formulas, and the features of motion; points: a list of rows A, B, C, D, 3 numbers or with their motion 15."""
+    a, b, c, d = (*(np.asarray(point)[:3] for point in points), None, None, None, None)[:4]
     up = np.array([0.0, 0.0, 1.0])
 
     def angle(u, v):
@@ -38,6 +38,45 @@ def feature(name, points):
             return np.linalg.norm(np.cross(b - a, c - a)) / 2
         case "g9":
             return np.cross(b - a, c - a) @ up
+    frames = [[np.asarray(point)[at : at + 3] for point in points] for at in (0, 3, 6)]
+    _, before, after = frames
+    velocity, acceleration = (np.asarray(points[1])[at : at + 3] - np.asarray(points[0])[at : at + 3] for at in (9, 12))
+    match name:
+        case "g10":
+            return np.linalg.norm(velocity)
+        case "g11":
+            return abs((b - a) @ velocity) / np.linalg.norm(b - a)
+        case "g12":
+            return velocity @ velocity + (b - a) @ acceleration
+        case "g13":
+            return np.mean([feature("g2", three) for three in frames])
+        case "g14":
+            return np.mean([feature("g4", three) for three in frames])
+        case "g15":
+            return np.ptp([feature("g2", three) for three in frames])
+        case "g16":
+            return np.ptp([feature("g4", three) for three in frames])
+        case "g17":
+            return (np.linalg.norm(after[1] - before[0]) + np.linalg.norm(before[1] - after[0])) / 2
+        case "g18":
+            return np.mean([feature("g9", three) for three in frames])
+
+
+def motion(positions, rate):
+    """Of one marker's positions (T, 3), gaps NaN: what each frame tells of its motion (T, 15), by fitting parabolas one by one."""
+    away, reach = round(0.2 * rate), max(2, round(0.05 * rate))
+    out = np.full((len(positions), 15), np.nan)
+    for t, here in enumerate(positions):
+        out[t, :3] = here
+        window = range(t - away, t + away + 1)
+        if window[0] >= 0 and window[-1] < len(positions) and not np.isnan(positions[window]).any():
+            out[t, 3:6], out[t, 6:9] = positions[window[0]], positions[window[-1]]
+        window = range(t - reach, t + reach + 1)
+        if window[0] >= 0 and window[-1] < len(positions) and not np.isnan(positions[window]).any():
+            seconds = (np.array(window) - t) / rate
+            bend, slope, _ = np.polyfit(seconds, positions[window], 2)
+            out[t, 9:12], out[t, 12:15] = slope, 2 * bend
+    return out
 
 
 def rejects(weak, row, points_of_slots):

@@ -50,6 +50,15 @@ Json = Annotated[
 ]
 Report = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Write an HTML report.", show_default=False)]
 MinerOption = Annotated[Miner, typer.Option("--miner", help="How the partial solvers are chosen.")]
+Features = Annotated[
+    str | None,
+    typer.Option(
+        "--features",
+        metavar="NAMES",
+        help="What the partial solvers look at, such as g2,g4,g9,g13: docs/labelling.md lists all. Else what single frames show.",
+        show_default=False,
+    ),
+]
 RulesOption = Annotated[Rules, typer.Option("--rules", help="How a frame is labelled: by the whole body, or by solvers' votes.")]
 HitRate = Annotated[
     float, typer.Option("--target-hit-rate", metavar="SHARE", help="Share of the labels given that should be right, below 1.")
@@ -82,6 +91,17 @@ def numbers(given: str, option: str) -> tuple[int, ...]:
     if not listed or min(listed) < 0:
         raise AsterismError(f"{option} {given} is no list of numbers; give for example {option} 0 1 2 3.")
     return listed
+
+
+def feature_names(given: str | None) -> tuple[str, ...] | None:
+    """What --features means to `SolverEnsemble.fit`. Raises AsterismError for a name that is not known, before any file is read."""
+    if given is None:
+        return None
+    from asterism.labelling.features import kinds_of
+
+    names = tuple(name.strip() for name in given.split(",") if name.strip())
+    kinds_of(names)
+    return names
 
 
 def check_hit_rate(given: float) -> None:

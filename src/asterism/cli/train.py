@@ -10,6 +10,7 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._options import (
+    Features,
     Files,
     HitRate,
     Json,
@@ -20,6 +21,7 @@ from asterism.cli._options import (
     Seed,
     Vertical,
     check_hit_rate,
+    feature_names,
 )
 from asterism.errors import AsterismError
 
@@ -30,6 +32,7 @@ def train(
     markers: Markers = None,
     target_hit_rate: HitRate = 0.999,
     miner: MinerOption = Miner.BOTTOM_UP,
+    features: Features = None,
     seed: Seed = 0,
     vertical: Vertical = None,
     overwrite: Overwrite = False,
@@ -43,6 +46,7 @@ def train(
     from asterism.cli._recordings import marker_set_of, read_labelled
 
     check_hit_rate(target_hit_rate)
+    chosen = feature_names(features)
     _console.check_new(output, overwrite)
     _console.check_new(json, overwrite)
     marker_set = marker_set_of(markers)
@@ -55,7 +59,13 @@ def train(
     started = time.perf_counter()
     with _console.progress("training") as progress:
         ensemble = SolverEnsemble.fit(
-            recordings, seed=seed, target_hit_rate=target_hit_rate, miner=miner.value, marker_set=marker_set, progress=progress
+            recordings,
+            seed=seed,
+            target_hit_rate=target_hit_rate,
+            miner=miner.value,
+            features=chosen,
+            marker_set=marker_set,
+            progress=progress,
         )
     seconds = time.perf_counter() - started
     ensemble.save(output)
