@@ -15,6 +15,7 @@ from asterism import AsterismError, Clouds, Recording
 from asterism.hiding import hide_and_haunt
 from asterism.labelling._kernels import lay_out, make_bench, search, search_by_pairs
 from asterism.labelling.features import FEATURES as REGISTRY
+from asterism.labelling.motion._kernels import WIDTH
 from asterism.labelling.solver import FullSolver, pack, plant, replacements, share_pairs, stack, unpack
 from asterism.labelling.weak import Spread, Weak
 from asterism.simulation import simulate_walks
@@ -24,8 +25,15 @@ MARKERS = np.array([1, 2, 4, 5])
 
 
 def solver_and_rules(width, seed=0):
-    """A solver of four of seven markers, with intervals so wide (by `width` of their range) that some wrong labellings pass."""
+    """A solver of four of seven markers, with intervals so wide (by `width` of their range) that some wrong labellings pass.
+
+    The motion of a tenth of the points is unknown.
+    """
     frames, groups = bodies(people=2, frames=30, seed=seed)
+    rng = np.random.default_rng(seed)
+    around = np.tile(frames, (1, 1, 2)) + rng.normal(scale=0.02, size=(*frames.shape[:2], 6))
+    frames = np.concatenate([frames, around, rng.normal(scale=0.2, size=(*frames.shape[:2], 6))], axis=2)
+    frames[rng.random(frames.shape[:2]) < 0.1, 3:] = np.nan
     weak = Spread.measure(frames, groups, ALL).weak("range")
     outside = np.setdiff1d(np.arange(7), MARKERS)
     points = np.array([feature.points for feature in REGISTRY])[weak.kinds]
@@ -55,8 +63,8 @@ def test_search_finds_what_trying_everything_finds(width, frame, drop, seed):
     assert counters[0] > 0
 
     rest, pairs = share_pairs(pack([solver]), 7)
-    bench = make_bench(7, len(points), 4, 3)._replace(found=np.empty((2000, 4), dtype=np.int64))
-    lay_out(points, len(points), bench)
+    bench = make_bench(7, len(points), 4, WIDTH, len(pairs.kinds))._replace(found=np.empty((2000, 4), dtype=np.int64))
+    lay_out(points, len(points), pairs.kinds, bench)
     solutions = search_by_pairs(rest, pairs, 0, len(points), 1, 10**7, bench)
     assert {by_marker(solver, bench.order[row]) for row in bench.found[:solutions]} == expected
 
@@ -78,11 +86,11 @@ def test_too_few_points_have_no_labelling():
 
 def test_more_than_64_points():
     frames, _, solver = solver_and_rules(0.0)
-    far = np.random.default_rng(0).uniform(10, 50, size=(90, 3))
+    far = np.random.default_rng(0).uniform(10, 50, size=(90, WIDTH))
     points = np.concatenate([far, frames[0]])
     rest, pairs = share_pairs(pack([solver]), 7)
-    bench = make_bench(7, len(points), 4, 3)
-    lay_out(points, len(points), bench)
+    bench = make_bench(7, len(points), 4, WIDTH, len(pairs.kinds))
+    lay_out(points, len(points), pairs.kinds, bench)
     assert search_by_pairs(rest, pairs, 0, len(points), 1, 10**7, bench) >= 1
     right = (90 + MARKERS).tolist()
     assert right in [bench.order[row][np.argsort(solver.markers)].tolist() for row in bench.found[:1]]

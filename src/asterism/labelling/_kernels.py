@@ -41,6 +41,8 @@ def feature(kind, points, a, b, c, d):
     where the kind needs it. O(1).
     Thesis table 4.1; `motion._kernels.moving_feature`. Twin: tests/twins.py
     """
+    if kind > G9:
+        return moving_feature(kind, points, a, b, c)
     value = bare_feature(kind, points, a, b, c, d)
     if kind in (G1, G6, G7):
         if value >= 1.0:
@@ -53,13 +55,14 @@ def feature(kind, points, a, b, c, d):
 
 @njit(cache=True, nogil=True)
 def bare_feature(kind, points, a, b, c, d):
-    """`feature`, but of angles the cosine: as good for a comparison, and quicker. O(1)."""
+    """`feature` up to G9, but of angles the cosine: as good for a comparison, and quicker. O(1).
+
+    The caller sends the others to `moving_feature` itself: with that call in here this would be too large to be inlined.
+    """
     if kind == G2:
         return _length(points, a, b)
     if kind == G4:
         return points[a, 2] - points[b, 2]
-    if kind > G9:
-        return moving_feature(kind, points, a, b, c)
     bx, by, bz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
     if kind == G7:
         return _cosine(bx, by, bz, 0.0, 0.0, 1.0)
@@ -384,7 +387,7 @@ class Bench(NamedTuple):
     """The memory of `search_by_pairs` for frames of up to n points and solvers of up to D markers, W = ceil(n / 64).
 
     points    (n, 3) m, the frame's points, highest first, with their motion (n, WIDTH) where solvers need it; order (n,) their rows
-    distance  (n, n) m
+    distance  (n, n) m; motion (K, n, n) the features of two points' motion
     rows      (M, M, n, W) bits: with marker a at point i, which points marker b may have; stamp (M, M, n) the frame they were made for
     mask      (D, W) points still to try at each depth; path (D,) point at each depth
     found     (32, D) labellings; agreed (D,) where they agree
@@ -394,6 +397,7 @@ class Bench(NamedTuple):
     points: np.ndarray
     order: np.ndarray
     distance: np.ndarray
+    motion: np.ndarray
     rows: np.ndarray
     stamp: np.ndarray
     mask: np.ndarray
@@ -404,13 +408,14 @@ class Bench(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def make_bench(markers, n, depths, width):
-    """Memory for M markers, n points of so many numbers, D depths."""
+def make_bench(markers, n, depths, width, motions):
+    """Memory for M markers, n points of so many numbers, D depths, K features of two points' motion."""
     words = (n + 63) // 64
     return Bench(
         np.empty((n, width)),
         np.empty(n, dtype=np.int64),
         np.empty((n, n)),
+        np.empty((motions, n, n)),
         np.empty((markers, markers, n, words), dtype=np.uint64),
         np.full((markers, markers, n), -1, dtype=np.int64),
         np.empty((depths, words), dtype=np.uint64),
@@ -422,20 +427,24 @@ def make_bench(markers, n, depths, width):
 
 
 @njit(cache=True, nogil=True)
-def lay_out(points, n, bench):
-    """Put a frame's first n points on the bench, highest first, with their distances. O(n^2)."""
+def lay_out(points, n, kinds, bench):
+    """Put a frame's first n points on the bench, highest first, with their distances and features (K,) of their motion. O(n^2 K)."""
     highest_first(points, n, bench.order)
     for i in range(n):
         for axis in range(bench.points.shape[1]):
             bench.points[i, axis] = points[bench.order[i], axis]
     distances(bench.points, n, bench.distance)
+    for k in range(len(kinds)):
+        for i in range(n):
+            for j in range(n):
+                bench.motion[k, i, j] = moving_feature(kinds[k], bench.points, i, j, 0)
 
 
 @njit(cache=True, nogil=True)
 def search_by_pairs(solvers, pairs, s, n, now, budget, bench):
     """`search` for an ensemble: what pairs of points allow is looked up as bits, made when first needed and shared by the frame's solvers.
 
-    IN  solvers SolverArrays without the classifiers in `pairs`, angles by their cosines (`solver.share_pairs`)
+    IN  solvers SolverArrays without the classifiers in `pairs`, angles by their cosines, motion behind all others (`solver.share_pairs`)
         n points on the bench; now, a number of the frame that is new to the bench
         budget, feature evaluations for this solver on this frame; distance and height of a pair of points count as one
     OUT bench.found points (rows of bench.points) by depth; bench.counters
@@ -463,7 +472,11 @@ def search_by_pairs(solvers, pairs, s, n, now, budget, bench):
             continue
         path[depth] = row
         accepted = True
-        for f in range(solvers.first_feature[first + depth], solvers.first_feature[first + depth + 1]):
+        moving = end = solvers.first_feature[first + depth + 1]
+        for f in range(solvers.first_feature[first + depth], end):
+            if solvers.kinds[f] > G9:
+                moving = f
+                break
             evaluations += 1
             value = bare_feature(
                 solvers.kinds[f],
@@ -476,6 +489,9 @@ def search_by_pairs(solvers, pairs, s, n, now, budget, bench):
             if value < solvers.low[f] or value > solvers.high[f]:
                 accepted = False
                 break
+        if accepted and moving < end:
+            accepted, made = moves_as_learned(solvers, moving, end, points, path)
+            evaluations += made
         if evaluations > budget:
             bench.counters[0] = evaluations
             return -1
@@ -499,6 +515,8 @@ def search_by_pairs(solvers, pairs, s, n, now, budget, bench):
             if bench.stamp[a, b, i] != now:
                 bench.stamp[a, b, i] = now
                 evaluations += allowed_points(pairs, a, b, i, n, bench)
+                if len(pairs.kinds) > 0:
+                    evaluations += forbid_by_motion(pairs, a, b, i, n, bench)
             living = np.uint64(0)
             for w in range(words):
                 mask[depth, w] &= bench.rows[a, b, i, w]
@@ -507,6 +525,17 @@ def search_by_pairs(solvers, pairs, s, n, now, budget, bench):
                 break
     bench.counters[0] = evaluations
     return solutions
+
+
+@njit(cache=True, nogil=True)
+def moves_as_learned(solvers, begin, end, points, path):
+    """Whether classifiers begin to end, all of motion, accept the points of a path; and how many were evaluated. O(end - begin)."""
+    for f in range(begin, end):
+        slots = solvers.slots[f]
+        value = moving_feature(solvers.kinds[f], points, path[slots[0]], path[slots[1]], path[slots[2]])
+        if value < solvers.low[f] or value > solvers.high[f]:
+            return False, f + 1 - begin
+    return True, end - begin
 
 
 @njit(cache=True, inline="always")
@@ -519,9 +548,9 @@ def everything(mask, depth, n):
 
 @njit(cache=True, nogil=True)
 def allowed_points(pairs, a, b, i, n, bench):
-    """OUT bench.rows[a, b, i]: the points that marker b may have while marker a has point i. Returns the evaluations made. O(n K)."""
+    """OUT bench.rows[a, b, i]: the points that marker b may have while marker a has point i. Returns the evaluations made. O(n)."""
     near, far, below, above = pairs.near[a, b], pairs.far[a, b], pairs.below[a, b], pairs.above[a, b]
-    height, evaluations = bench.points[i, 2], n
+    height = bench.points[i, 2]
     for w in range((n + 63) // 64):
         bits = np.uint64(0)
         for j in range(64 * w, min(n, 64 * w + 64)):
@@ -529,15 +558,23 @@ def allowed_points(pairs, a, b, i, n, bench):
             fits = (d >= near) & (d <= far) & (h >= below) & (h <= above) & (i != j)
             bits |= np.uint64(fits) << np.uint64(j - 64 * w)
         bench.rows[a, b, i, w] = bits
+    return n
+
+
+@njit(cache=True, nogil=True)
+def forbid_by_motion(pairs, a, b, i, n, bench):
+    """OUT bench.rows[a, b, i]: without the points whose motion does not go with that of point i. Returns the evaluations made. O(n K).
+
+    Apart from `allowed_points`, whose loop would be slower with it.
+    """
+    evaluations = 0
     for k in range(len(pairs.kinds)):
         low, high = pairs.low[k, a, b], pairs.high[k, a, b]
-        if low == -np.inf and high == np.inf:
-            continue
         for j in range(n):
             bit = np.uint64(1) << np.uint64(j & 63)
             if bench.rows[a, b, i, j >> 6] & bit != 0:
                 evaluations += 1
-                value = moving_feature(pairs.kinds[k], bench.points, i, j, 0)
+                value = bench.motion[k, i, j]
                 if value < low or value > high:
                     bench.rows[a, b, i, j >> 6] ^= bit
     return evaluations
@@ -576,7 +613,7 @@ def expose(solvers, pairs, s, frames, choice, hidden, lost, budget, allowed, ben
                     points[n, 3:] = np.nan
                 row[m] = n
                 n += 1
-        lay_out(points, n, bench)
+        lay_out(points, n, pairs.kinds, bench)
         complete = True
         for k in range(depths):
             complete = complete and row[solvers.markers[first + k]] >= 0
@@ -630,7 +667,8 @@ def fits(whole, m, place, points, slack, least):
         if a < 0 or b < 0 or (used > 2 and c < 0) or (used > 3 and d < 0):
             continue
         evaluations += 1
-        value = bare_feature(whole.kinds[f], points, a, b, c, d)
+        kind = whole.kinds[f]
+        value = bare_feature(kind, points, a, b, c, d) if kind <= G9 else moving_feature(kind, points, a, b, c)
         said += value == value
         low, high = whole.low[f], whole.high[f]
         if value < low or value > high:
@@ -710,12 +748,12 @@ def label_by_matrix(solvers, pairs, trusted, whole, outvote, slack, least, xyz, 
         deepest = max(deepest, solvers.first_depth[s + 1] - solvers.first_depth[s])
         for k in range(solvers.first_depth[s], solvers.first_depth[s + 1]):
             able[solvers.markers[k]] += trusted[k]
-    bench, matrix = make_bench(markers, most, deepest, xyz.shape[1]), np.empty((markers, most), dtype=np.int64)
+    bench, matrix = make_bench(markers, most, deepest, xyz.shape[1], len(pairs.kinds)), np.empty((markers, most), dtype=np.int64)
     lone = np.empty(markers, dtype=np.int64)
     place, taken, levels = np.empty(markers, dtype=np.int64), np.empty(most, dtype=np.bool_), np.empty((markers, most), dtype=np.int64)
     for t in range(frames):
         n = offsets[t + 1] - offsets[t]
-        lay_out(xyz[offsets[t] : offsets[t + 1]], n, bench)
+        lay_out(xyz[offsets[t] : offsets[t + 1]], n, pairs.kinds, bench)
         matrix[:, :n] = 0
         evaluations[t] = 0
         for s in range(count):

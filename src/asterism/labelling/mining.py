@@ -118,7 +118,8 @@ class Mine:
         if self.frames.shape[2] > 3:
             share = np.minimum(LOST * self.hidden.sum(axis=1), MOST_LOST)
             self.lost = self.rng.random(self.hidden.shape) < share[:, None]
-        self.bench, self.now = make_bench(self.n_markers, self.n_markers, self.n_markers, self.frames.shape[2]), 0
+        n, moving = self.n_markers, len(np.unique(self.weak.kinds[self.moving & (self.points == 2)]))
+        self.bench, self.now = make_bench(n, n, n, self.frames.shape[2], moving), 0
         self.known: dict[Subset, Assessed] = {}
 
     def build(self, markers: Subset) -> Solver | None:

@@ -73,7 +73,8 @@ def unpack(arrays: SolverArrays) -> list[Solver]:
 def share_pairs(arrays: SolverArrays, n_markers: int) -> tuple[SolverArrays, PairRules]:
     """Solvers without their classifiers of distance, height and two points' motion, and these as rules for pairs that all solvers share.
 
-    The intervals of angles become those of their cosines, as `search_by_pairs` reads them.
+    The intervals of angles become those of their cosines, and classifiers of three points' motion come last at their depth, as
+    `search_by_pairs` reads them.
     A solver out of `mining` has all such classifiers over its markers, with the same intervals as the others, so that nothing changes but
     speed.
     """
@@ -101,7 +102,9 @@ def share_pairs(arrays: SolverArrays, n_markers: int) -> tuple[SolverArrays, Pai
     rest = ~(far | above | moving)
     first = np.concatenate([[0], np.cumsum(rest)])[arrays.first_feature]
     low, high = angles_by_cosine(arrays.kinds, arrays.low, arrays.high)
-    own = (arrays.kinds[rest], arrays.slots[rest], low[rest], high[rest])
+    moving_last = np.lexsort((np.array([feature.moving for feature in FEATURES])[arrays.kinds[rest]], depth_of[rest]))
+    kept = np.nonzero(rest)[0][moving_last]
+    own = (arrays.kinds[kept], arrays.slots[kept], low[kept], high[kept])
     return SolverArrays(arrays.first_depth, arrays.markers, first.astype(np.int64), *own), rules
 
 
