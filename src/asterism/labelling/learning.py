@@ -81,7 +81,9 @@ class Recipe:
         features = None if plain.get("features") is None else tuple(plain["features"])
         training = TrainingRules(**plain["training"])
         training = replace(training, trials=tuple((float(share), int(ghosts)) for share, ghosts in training.trials))
-        return cls(**{**plain, "body": BodyRules(**plain["body"]), "look": LookRules(**plain["look"]), "training": training, "features": features})
+        return cls(
+            **{**plain, "body": BodyRules(**plain["body"]), "look": LookRules(**plain["look"]), "training": training, "features": features}
+        )
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,8 @@ import numpy as np
 
 from asterism.labelling.features import upright
 from asterism.labelling.motion._kernels import WIDTH, follow
-from asterism.recording import Clouds, Floats, Recording
+from asterism.labelling.tracks.linking import find_tracklets
+from asterism.recording import Clouds, Floats, Ints, Recording
 
 NEIGHBOUR = 0.2
 """Seconds from a frame to its neighbours before and after."""
@@ -18,18 +19,19 @@ SLOWEST = 20.0
 """Frames per second below which frames lie too far apart to say how a point moves: then all motion is unknown."""
 
 
-def motion_of(clouds: Clouds) -> Floats:
+def motion_of(clouds: Clouds, tracks: Ints | None = None) -> Floats:
     """The upright points of clouds with their motion: (P, WIDTH), in the order of `clouds.xyz`.
 
     Columns 0:3 the position, 3:6 and 6:9 the positions `NEIGHBOUR` seconds before and after (m), 9:12 the velocity (m/s), 12:15 the
     acceleration (m/s2) of the parabola fitted to `REACH` seconds on each side. All are turned so that the vertical is +z.
-    They come from the point's track. Where that has not enough frames without a gap on both sides they are NaN: half a window would give
-    another number. Played backwards, the positions before and after change places, and the velocity its sign. O(P).
+    They come from the point's track: `tracks` (P,) that are known to be right, by default the tracklets that `find_tracklets` makes of the
+    clouds. Where a track has not enough frames without a gap on both sides they are NaN: half a window would give another number. Played
+    backwards, the positions before and after change places, and the velocity its sign. O(P).
     """
     out = np.full((len(clouds.xyz), WIDTH), np.nan)
     out[:, :3] = clouds.xyz
-    tracks = clouds.tracks
-    if clouds.rate >= SLOWEST and tracks is not None:
+    if clouds.rate >= SLOWEST:
+        tracks = find_tracklets(clouds).of_point if tracks is None else tracks
         frame = np.repeat(np.arange(len(clouds)), clouds.counts)
         order = np.lexsort((frame, tracks))
         away, reach = round(NEIGHBOUR * clouds.rate), max(2, round(REACH * clouds.rate))
@@ -41,7 +43,7 @@ def frames_with_motion(recording: Recording) -> Floats:
     """A labelled recording as upright frames with their motion: (T, M, WIDTH), NaN where a marker is missing. A column is a track."""
     clouds = recording.clouds()
     out = np.full((*recording.visible.shape, WIDTH), np.nan)
-    out[recording.visible] = motion_of(clouds)
+    out[recording.visible] = motion_of(clouds, clouds.columns)
     return out
 
 
