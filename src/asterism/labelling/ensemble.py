@@ -245,6 +245,7 @@ class SolverEnsemble:
             "body_load": self._body.load,
             "body_noise": self._body.noise,
             "body_log_weight": self._body.log_weight,
+            **({} if self._body.within is None else {"body_within": self._body.within, "body_between": self._body.between}),
             "anchor_triples": self._anchors.triples,
             "anchor_low": self._anchors.low,
             "anchor_high": self._anchors.high,
@@ -269,7 +270,8 @@ class SolverEnsemble:
                 tuple((left, right) for left, right in given["pairs"]),
                 {name: tuple(members) for name, members in given["segments"].items()},
             )
-            body = BodyModel(*(_finite(arrays[f"body_{part}"]) for part in ("mean", "load", "noise", "log_weight")))
+            parts = ("mean", "load", "noise", "log_weight", "within", "between")
+            body = BodyModel(*(_finite(arrays[f"body_{part}"]) for part in parts if f"body_{part}" in arrays))
             anchors = Anchors(arrays["anchor_triples"], arrays["anchor_low"], arrays["anchor_high"])
             _check_shapes(len(marker_set), arrays["markers"], body, anchors)
             calibrations = tuple(Calibration(*_finite(arrays[f"calibration_{i}"])) for i in range(2))

@@ -54,12 +54,16 @@ class BodyModel:
     load        (K, M, 3, r) m per latent
     noise       (K, M, 3, 3) m2
     log_weight  (K,) log share of the training frames
+    within      (K, 3M, 3M) m2, how one person's placed body moves within a key pose; None in models of format 1
+    between     (K, 3M, 3M) m2, how people's mean bodies differ, placement of the markers included; None in models of format 1
     """
 
     mean: Floats
     load: Floats
     noise: Floats
     log_weight: Floats
+    within: Floats | None = None
+    between: Floats | None = None
 
     def arrays(self) -> BodyArrays:
         """The model as the kernels read it."""
@@ -113,8 +117,8 @@ def fit_body(frames: Floats, people: Ints, rules: BodyRules, seed: int) -> BodyM
         own = pose_of == k
         centre = _mean_over_people(placed[own], people[own])
         poses.append((*_pose(_fill(place_onto(frames[own], centre), centre), people[own], rules), np.log(own.mean())))
-    means, loads, noises, weights = zip(*poses, strict=True)
-    return BodyModel(np.stack(means), np.stack(loads), np.stack(noises), np.array(weights))
+    means, loads, noises, within, between, weights = zip(*poses, strict=True)
+    return BodyModel(np.stack(means), np.stack(loads), np.stack(noises), np.array(weights), np.stack(within), np.stack(between))
 
 
 def _mean_over_people(frames: Floats, people: Ints) -> Floats:
@@ -162,27 +166,34 @@ def _key_poses(centred: Floats, people: Ints, rules: BodyRules, seed: int) -> In
     return np.argmin(((scaled[:, None] - centres[None]) ** 2).sum(axis=2), axis=1)
 
 
-def _pose(placed: Floats, people: Ints, rules: BodyRules) -> tuple[Floats, Floats, Floats]:
-    """Mean (M, 3), load (M, 3, r) and noise (M, 3, 3) of one key pose."""
+def _pose(placed: Floats, people: Ints, rules: BodyRules) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Mean (M, 3), load (M, 3, r), noise (M, 3, 3), within and between (3M, 3M) of one key pose."""
     markers = placed.shape[1]
     groups = [placed[people == person].reshape(-1, 3 * markers) for person in np.unique(people)]
     own = np.stack([group.mean(axis=0) for group in groups])
     centre = own.mean(axis=0)
-    covariance = sum(((group - centre).T @ (group - centre) / len(group) for group in groups), np.zeros((3 * markers, 3 * markers)))
-    covariance /= len(groups)
-    covariance += (own - centre).T @ (own - centre) / len(groups) * (rules.person_extra / len(groups))
+    within = sum(((group - centre).T @ (group - centre) / len(group) for group in groups), np.zeros((3 * markers, 3 * markers)))
+    within = within / len(groups) - (own - centre).T @ (own - centre) / len(groups)
+    between = (own - centre).T @ (own - centre) / len(groups) * (1.0 + rules.person_extra / len(groups))
     mean = centre.reshape(markers, 3)
     size = (mean - mean.mean(axis=0)).ravel() * rules.size_std
-    covariance += np.outer(size, size)
+    between += np.outer(size, size)
+    load, noise = factors(mean, within + between, rules)
+    noise += rules.placement_std**2 * np.eye(3)
+    return mean, load, noise, within, between + rules.placement_std**2 * np.eye(3 * markers)
+
+
+def factors(mean: Floats, covariance: Floats, rules: BodyRules) -> tuple[Floats, Floats]:
+    """Latent directions (M, 3, r) of a placed body's covariance (3M, 3M), small moves included, and what they leave over: (M, 3, 3)."""
+    markers = len(mean)
     values, vectors = np.linalg.eigh(covariance)
     main = vectors[:, ::-1][:, : rules.latents] * np.sqrt(np.maximum(values[::-1][: rules.latents], 0.0))
     rest = covariance - main @ main.T
     noise = np.stack([rest[3 * m : 3 * m + 3, 3 * m : 3 * m + 3] for m in range(markers)])
-    noise += rules.placement_std**2 * np.eye(3)
     moves = np.zeros((markers, 3, 4))
     moves[:, :, :3] = rules.shift_std * np.eye(3)
     moves[:, 0, 3], moves[:, 1, 3] = -rules.turn_std * mean[:, 1], rules.turn_std * mean[:, 0]
-    return mean, np.concatenate([main.reshape(markers, 3, -1), moves], axis=2), noise
+    return np.concatenate([main.reshape(markers, 3, -1), moves], axis=2), noise
 
 
 def subsample(people: Ints, per_person: int) -> Ints:

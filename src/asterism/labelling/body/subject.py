@@ -1,0 +1,95 @@
+"""The subject's own body: a body model learned from many people and labelled frames of one in; the model of this one out.
+
+A person's mean body in a key pose is a draw from how people differ, a frame a draw from how one person moves:
+
+    mean body ~ N(mean_k, between_k),     placed frame ~ N(mean body, within_k)
+
+so labelled frames give the mean body's posterior in closed form (a Kalman update), and the person's frames follow N(posterior mean,
+within_k + posterior covariance). Frames of other key poses tell of it too, less surely: a marker's offset turns with its segment.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asterism.labelling.body.model import BodyModel, BodyRules, factors, place_onto
+from asterism.recording import Floats, Ints
+
+
+@dataclass(frozen=True)
+class SubjectRules:
+    """How a body is learned from one person's frames.
+
+    independent  seconds after which the person's next frame tells something new
+    across       how much a person's difference from the mean body varies from key pose to key pose, as a share of `between`
+    noise_std    where a marker sits in one frame beyond what the model explains (m)
+    """
+
+    independent: float = 0.2
+    across: float = 0.2
+    noise_std: float = 0.004
+
+
+def adapt_body(body: BodyModel, frames: Floats, poses: Ints, weight: Floats, rules: SubjectRules, body_rules: BodyRules) -> BodyModel:
+    """The body model of one person, from labelled frames.
+
+    frames (N, M, 3) m, z up, NaN where missing; poses (N,) key pose of each; weight (N,) how many independent frames each counts for.
+    O(K^2 M^3 + N M^2).
+    """
+    if body.within is None or body.between is None:
+        raise ValueError("the model does not say how people differ")
+    count = body.mean.shape[1]
+    noise = rules.noise_std**2 * np.eye(3 * count)
+    seen = [_seen(body, k, frames[poses == k], weight[poses == k]) for k in range(len(body.mean))]
+    means, loads, noises, betweens = [], [], [], []
+    for k in range(len(body.mean)):
+        centre, spread = np.zeros(3 * count), body.between[k].copy()
+        for other, (deviation, shown, share) in enumerate(seen):
+            if not shown.any():
+                continue
+            rows = np.nonzero(np.repeat(shown, 3))[0]
+            error = (body.within[other] + noise)[np.ix_(rows, rows)] * np.kron(share[np.ix_(shown, shown)], np.ones((3, 3)))
+            if other != k:
+                error = error + rules.across * body.between[k][np.ix_(rows, rows)]
+            gain = np.linalg.solve(spread[np.ix_(rows, rows)] + error, spread[rows]).T
+            centre = centre + gain @ (deviation[rows] - centre[rows])
+            spread = spread - gain @ spread[rows]
+            spread = 0.5 * (spread + spread.T)
+        mean = body.mean[k] + centre.reshape(count, 3)
+        load, rest = factors(mean, body.within[k] + spread, body_rules)
+        means.append(mean)
+        loads.append(load)
+        noises.append(rest + rules.noise_std**2 * np.eye(3))
+        betweens.append(spread)
+    return BodyModel(np.stack(means), np.stack(loads), np.stack(noises), body.log_weight, body.within, np.stack(betweens))
+
+
+def _seen(body: BodyModel, k: int, frames: Floats, weight: Floats) -> tuple[Floats, np.ndarray, Floats]:
+    """Mean deviation (3M,) of the placed frames from a key pose, which markers were seen (M,), and the variance factor (M, M) of that mean.
+
+    Missing markers are first filled in with what the others let expect, so that every frame is placed by its whole body.
+    """
+    count = body.mean.shape[1]
+    if not len(frames):
+        return np.zeros(3 * count), np.zeros(count, dtype=np.bool_), np.zeros((count, count))
+    shown = ~np.isnan(frames[:, :, 0])
+    covariance = body.covariance(k)
+    placed = place_onto(frames, body.mean[k])
+    patterns, which = np.unique(shown, axis=0, return_inverse=True)
+    for p, pattern in enumerate(patterns):
+        if pattern.all():
+            continue
+        here = np.repeat(pattern, 3)
+        own = np.nonzero(which == p)[0]
+        deviation = (placed[own] - body.mean[k]).reshape(len(own), -1)[:, here]
+        expected = deviation @ np.linalg.solve(covariance[np.ix_(here, here)], covariance[np.ix_(here, ~here)])
+        placed[np.ix_(own, np.nonzero(~pattern)[0])] = expected.reshape(len(own), -1, 3) + body.mean[k][~pattern]
+    placed = place_onto(placed, body.mean[k])
+    heavy = weight[:, None] * shown
+    total = heavy.sum(axis=0)
+    seen = total > 0
+    deviation = (heavy[:, :, None] * (placed - body.mean[k])).sum(axis=0) / np.maximum(total, 1e-12)[:, None]
+    share = (heavy.T @ shown) / np.maximum(np.outer(total, total), 1e-12)
+    return deviation.ravel(), seen, share

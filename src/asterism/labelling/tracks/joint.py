@@ -1,0 +1,296 @@
+"""Whole recordings: clouds with their tracklets in; one labelling of all tracklets together, and how sure it is of each, out.
+
+Some frames are looked at one by one; what the frame-wise look finds there votes for the tracklets' first labels. Then, in turn,
+
+1. every point of every frame looked at is scored as every marker, given the labels of all other points of its frame (leave one out);
+2. a tracklet's gain for a marker is the mean of its frames' scores times the number of independent looks that they amount to;
+3. the labels of the greatest total gain are taken, one marker once per frame (`assignment.py`), until they no longer change.
+
+The steps climb: each is the best answer to the others' labels, together they reach a labelling that no relabelling of tracklets improves
+as long as the scores stand. Then the surely labelled tracklets teach the model this subject's own body, and the steps are taken again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from asterism.labelling.body._kernels import AnchorArrays, BodyArrays, LookSettings, label_clouds
+from asterism.labelling.body.model import BodyModel, BodyRules
+from asterism.labelling.body.subject import SubjectRules, adapt_body
+from asterism.labelling.features import upright
+from asterism.labelling._kernels import SolverArrays
+from asterism.labelling.tracks._kernels import gather, score_frames
+from asterism.labelling.tracks.assignment import assign_tracklets, margins_of
+from asterism.labelling.tracks.linking import Tracklets
+from asterism.recording import NULL, Clouds, Floats, Ints
+
+
+@dataclass(frozen=True)
+class TimeRules:
+    """How a whole recording is labelled. Chosen on the gait subjects, each left out in turn (docs/recordings.md).
+
+    look         seconds between the frames that are looked at
+    rounds       relabellings after which the labels are taken as they are
+    least_score  nats that one frame can say against a label (negative)
+    most_score   nats that one frame can say for a label
+    alike        correlation of two looks at one tracklet: many looks are worth 1 / alike independent ones at most
+    long_track   seconds from which a tracklet is too long for a ghost, where the recording shows no long ghosts
+    ghosts_cost  nats that it costs to take a recording for one with ghosts, and again for one with long ghosts
+    vote_limit   nats that one frame-wise look can say for a label
+    sure         nats from which a tracklet's label teaches the model the subject's own body
+    calibrate    how often the model is adapted to the subject's own body; 0 for never
+    """
+
+    look: float = 0.1
+    rounds: int = 4
+    least_score: float = -4.0
+    most_score: float = 15.0
+    alike: float = 0.3
+    long_track: float = 0.9
+    ghosts_cost: float = 30.0
+    vote_limit: float = 10.0
+    sure: float = 6.0
+    calibrate: int = 2
+
+
+@dataclass(frozen=True)
+class Looker:
+    """One body to be found: what its frames are looked at with."""
+
+    solvers: SolverArrays
+    anchors: AnchorArrays
+    arrays: BodyArrays
+    settings: LookSettings
+    body: BodyModel
+
+
+@dataclass
+class Scene:
+    """A recording laid out for the kernels.
+
+    xyz (P, 3) m, z up; offsets (T + 1,); place (P,) each point's place in its frame of the clouds; track (P,); first, last (J,) frames
+    looked (E,) the frames looked at, and their points: seen_xyz (Q, 3), seen_offsets (E + 1,), seen_track (Q,), seen_frame (Q,) of 0..E-1
+    independent (J,) independent looks at each tracklet
+    """
+
+    xyz: Floats
+    offsets: Ints
+    place: Ints
+    track: Ints
+    first: Ints
+    last: Ints
+    rate: float
+    looked: Ints
+    seen_xyz: Floats
+    seen_offsets: Ints
+    seen_track: Ints
+    seen_frame: Ints
+    independent: Floats
+
+
+@dataclass
+class Outcome:
+    """Labels of the tracklets of a recording: label (J,) column of all bodies' markers one after the other, -1 for none; margin (J,) nats;
+    rival (J,) the next best column, gain (J, L) nats; bodies: the models as adapted to the subjects; stages: labels by the way.
+    """
+
+    scene: Scene
+    label: Ints
+    margin: Floats
+    rival: Ints
+    gain: Floats
+    bodies: list[BodyModel]
+    stages: dict[str, Ints] = field(default_factory=dict)
+
+
+def lay_out(clouds: Clouds, tracklets: Tracklets, rules: TimeRules) -> Scene:
+    """Order the points of every frame, whatever order they came in, number the tracklets likewise, and choose the frames to look at."""
+    frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
+    xyz = upright(clouds.xyz, clouds.vertical)
+    order = np.lexsort((xyz[:, 1], xyz[:, 0], -xyz[:, 2], frame_of))
+    xyz = np.ascontiguousarray(xyz[order])
+    _, begins, track = np.unique(tracklets.of_point[order], return_index=True, return_inverse=True)
+    rank = np.empty(len(begins), dtype=np.int64)
+    by_first_point = np.argsort(begins)
+    rank[by_first_point] = np.arange(len(begins))
+    track = rank[track]
+    first, last = np.full(len(begins), len(clouds)), np.full(len(begins), -1)
+    np.minimum.at(first, track, frame_of)
+    np.maximum.at(last, track, frame_of)
+
+    step = max(1, round(rules.look * clouds.rate))
+    look = np.zeros(len(clouds), dtype=np.bool_)
+    look[step // 2 :: step] = True
+    if len(look) and not look.any():
+        look[len(look) // 2] = True
+    seen_before = np.concatenate([[0], np.cumsum(look)])
+    unseen = np.nonzero(seen_before[last + 1] == seen_before[first])[0]
+    for j in unseen[np.argsort(last[unseen], kind="stable")]:
+        if not look[first[j] : last[j] + 1].any():
+            look[(first[j] + last[j]) // 2] = True
+    looked = np.nonzero(look)[0]
+    seen = look[frame_of]
+    seen_track = track[seen]
+    looks = np.bincount(seen_track, minlength=len(begins))
+    return Scene(
+        xyz,
+        clouds.offsets,
+        order - clouds.offsets[frame_of],
+        track,
+        first,
+        last,
+        clouds.rate,
+        looked,
+        np.ascontiguousarray(xyz[seen]),
+        np.concatenate([[0], np.cumsum(clouds.counts[looked])]).astype(np.int64),
+        seen_track,
+        np.repeat(np.arange(len(looked)), clouds.counts[looked]),
+        looks / (1.0 + rules.alike * (looks - 1.0)),
+    )
+
+
+def label_scene(
+    lookers: Sequence[Looker],
+    scene: Scene,
+    rules: TimeRules,
+    subject_rules: SubjectRules,
+    body_rules: BodyRules,
+    workers: int = 1,
+    progress: Callable[[float, str], None] | None = None,
+) -> Outcome:
+    """Label all tracklets of a recording together; see the module's head."""
+    report = progress or (lambda fraction, what: None)
+    label = assign_tracklets(_votes(lookers, scene, rules, workers, report), scene.first, scene.last)
+    starts, bodies = _starts(lookers), [looker.body for looker in lookers]
+    stages = {"votes": label}
+    label, gain, poses = _climb(lookers, [looker.arrays for looker in lookers], scene, label, rules)
+    stages["tracks"] = label
+    margin, rival = margins_of(gain, label, scene.first, scene.last, np.argsort(scene.first, kind="stable"))
+    for turn in range(rules.calibrate):
+        report(0.7 + 0.3 * turn / rules.calibrate, "the subject's own body")
+        bodies = [
+            _adapted(looker, scene, _own(label, starts, number), margin, poses[number], rules, subject_rules, body_rules)
+            for number, looker in enumerate(lookers)
+        ]
+        label, gain, poses = _climb(lookers, [body.arrays() for body in bodies], scene, label, rules)
+        margin, rival = margins_of(gain, label, scene.first, scene.last, np.argsort(scene.first, kind="stable"))
+        stages[f"calibrated {turn + 1}"] = label
+    report(1.0, "labelled")
+    return Outcome(scene, label, margin, rival, gain, bodies, stages)
+
+
+def _starts(lookers: Sequence[Looker]) -> Ints:
+    """Where each body's markers begin among the columns of all bodies, and their number at the end."""
+    return np.concatenate([[0], np.cumsum([looker.arrays.mean.shape[1] for looker in lookers])]).astype(np.int64)
+
+
+def _own(label: Ints, starts: Ints, number: int) -> Ints:
+    """The labels (J,) as one body's markers, -1 for those of others."""
+    return np.where((label >= starts[number]) & (label < starts[number + 1]), label - starts[number], NULL)
+
+
+def _votes(lookers: Sequence[Looker], scene: Scene, rules: TimeRules, workers: int, report: Callable[[float, str], None]) -> Floats:
+    """What the frame-wise look says for each tracklet: (J, L) nats."""
+    starts = _starts(lookers)
+    votes = np.zeros((len(scene.first), starts[-1]))
+    frames = len(scene.looked)
+    for number, looker in enumerate(lookers):
+        shape = (frames, looker.arrays.mean.shape[1])
+        rows, margins = np.full(shape, NULL, dtype=np.int64), np.zeros(shape)
+        counters = np.zeros((frames, 4), dtype=np.int64)
+
+        def work(span: tuple[int, int], looker: Looker = looker, out: tuple[Ints, Floats, Ints] = (rows, margins, counters)) -> int:
+            label_clouds(
+                scene.seen_xyz, scene.seen_offsets, *span, looker.solvers, looker.anchors, looker.arrays, looker.settings, *out
+            )
+            return span[1]
+
+        step = max(1, min(50, -(-frames // max(1, workers))))
+        spans = [(start, min(start + step, frames)) for start in range(0, frames, step)]
+        with ThreadPoolExecutor(max(1, workers)) as pool:
+            for done in pool.map(work, spans) if workers > 1 else map(work, spans):
+                report(0.7 * (number + done / frames) / len(lookers), "looking at frames")
+        frame, marker = np.nonzero(rows != NULL)
+        track = scene.seen_track[scene.seen_offsets[frame] + rows[frame, marker]]
+        np.add.at(votes, (track, starts[number] + marker), np.clip(margins[frame, marker], 0.1, rules.vote_limit))
+    return votes
+
+
+def _climb(
+    lookers: Sequence[Looker], arrays: Sequence[BodyArrays], scene: Scene, label: Ints, rules: TimeRules
+) -> tuple[Ints, Floats, list[Ints]]:
+    """Relabel until nothing changes: labels (J,), gains (J, L), and the key pose of each frame looked at, by body."""
+    for _ in range(rules.rounds):
+        gain, poses = _gains(lookers, arrays, scene, label, rules)
+        gain, found = _with_credit(gain, scene, lookers, rules)
+        if np.array_equal(found, label):
+            break
+        label = found
+    return label, gain, poses
+
+
+def _gains(
+    lookers: Sequence[Looker], arrays: Sequence[BodyArrays], scene: Scene, label: Ints, rules: TimeRules
+) -> tuple[Floats, list[Ints]]:
+    starts = _starts(lookers)
+    gain, poses = np.zeros((len(scene.first), starts[-1])), []
+    for number, (looker, body) in enumerate(zip(lookers, arrays, strict=True)):
+        markers = body.mean.shape[1]
+        scores, totals = np.empty((len(scene.seen_xyz), markers)), np.empty(len(scene.looked))
+        pose = np.empty(len(scene.looked), dtype=np.int64)
+        own = _own(label, starts, number)
+        score_frames(scene.seen_xyz, scene.seen_offsets, scene.seen_track, own, body, looker.settings, scores, totals, pose)
+        sums, counts = np.zeros((len(scene.first), markers)), np.zeros(len(scene.first))
+        gather(scene.seen_track, scores, rules.least_score, rules.most_score, sums, counts)
+        gain[:, starts[number] : starts[number + 1]] = sums * (scene.independent / np.maximum(counts, 1.0))[:, None]
+        poses.append(pose)
+    return gain, poses
+
+
+def _with_credit(gain: Floats, scene: Scene, lookers: Sequence[Looker], rules: TimeRules) -> tuple[Floats, Ints]:
+    """The gains with what a tracklet earns for being a marker rather than a ghost, and the best labels.
+
+    A recording without ghosts, with short ones only, and with ghosts of any length are three explanations: where ghosts are allowed they
+    cost nothing each, where they are not each costs `first_ghost`, and to allow them costs `ghosts_cost`. The best explanation counts.
+    """
+    full = max(looker.settings.first_ghost for looker in lookers) * scene.independent * rules.alike
+    long = (scene.last - scene.first + 1) / scene.rate >= rules.long_track
+    best = -np.inf
+    for allowed, costly in ((0, np.ones(len(long), dtype=np.bool_)), (1, long), (2, np.zeros(len(long), dtype=np.bool_))):
+        credited = gain + (full * costly)[:, None]
+        label = assign_tracklets(credited, scene.first, scene.last)
+        taken = label != NULL
+        total = credited[taken, label[taken]].sum() - (full * costly).sum() - rules.ghosts_cost * allowed
+        if total > best:
+            best, chosen, found = total, credited, label
+        if not ((label == NULL) & costly).any():
+            break
+    return chosen, found
+
+
+def _adapted(
+    looker: Looker,
+    scene: Scene,
+    label: Ints,
+    margin: Floats,
+    poses: Ints,
+    rules: TimeRules,
+    subject_rules: SubjectRules,
+    body_rules: BodyRules,
+) -> BodyModel:
+    """A body model as the surely labelled tracklets show it."""
+    markers = looker.arrays.mean.shape[1]
+    sure = (label >= 0) & (margin >= rules.sure)
+    frames = np.full((len(scene.looked), markers, 3), np.nan)
+    points = np.nonzero(sure[scene.seen_track])[0]
+    frames[scene.seen_frame[points], label[scene.seen_track[points]]] = scene.seen_xyz[points]
+    usable = (~np.isnan(frames[:, :, 0])).sum(axis=1) >= max(3, 0.4 * markers)
+    if looker.body.within is None or not usable.any():
+        return looker.body
+    apart = np.diff(scene.looked, prepend=scene.looked[0] - subject_rules.independent * scene.rate) / scene.rate
+    weight = np.minimum(1.0, apart / subject_rules.independent)
+    return adapt_body(looker.body, frames[usable], poses[usable], weight[usable], subject_rules, body_rules)
