@@ -12,6 +12,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.labelling.body.anchors import Anchors
 from asterism.labelling.body.model import BodyModel, BodyRules
+from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.calibration import Calibration
 from asterism.labelling.learning import Memory, Recipe, TrainingRules, common_marker_set, learn_body, least_confidence
 from asterism.labelling.look import LookRules, Prepared, Progress
@@ -19,6 +20,8 @@ from asterism.labelling.matrix import PartialSolvers, label_by_matrix
 from asterism.labelling.mining import mine
 from asterism.labelling.model_file import reading, write_arrays
 from asterism.labelling.sample import Sample
+from asterism.labelling.tracks.joint import Looker, TimeRules
+from asterism.labelling.tracks.whole import Member, label_whole
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording
 
 RULES = ("whole-body", "partial-solvers", "thesis")
@@ -43,6 +46,8 @@ class SolverEnsemble:
         partial: PartialSolvers | None,
         about: dict[str, Any],
         memory: Memory | None = None,
+        time_calibration: Calibration | None = None,
+        general: BodyModel | None = None,
     ) -> None:
         self.marker_set = marker_set
         self.about = about
@@ -55,6 +60,8 @@ class SolverEnsemble:
         self._look = look
         self._partial = partial
         self._memory = memory
+        self._time_calibration = time_calibration or calibrations[1]
+        self._general = general
         self._prepared: Prepared | None = None
 
     @classmethod
@@ -118,11 +125,11 @@ class SolverEnsemble:
     ) -> SolverEnsemble:
         """All that follows from a memory; partial solvers are taken over from `mined_before`, where given."""
         recipe = memory.recipe
-        markers, mined, people = memory.training_frames()
+        markers, mined, people, stretches = memory.training_frames()
         frames = np.ascontiguousarray(mined[..., :3])
         mining = recipe.miner is not None and mined_before is None
         share = 0.5 if mining else 1.0
-        learned = learn_body(frames, people, recipe, lambda fraction, what: progress(share * fraction, what))
+        learned = learn_body(frames, people, stretches, recipe, lambda fraction, what: progress(share * fraction, what))
         about = {
             "seed": recipe.seed,
             "target_hit_rate": recipe.target_hit_rate,
@@ -162,22 +169,30 @@ class SolverEnsemble:
             partial,
             about,
             memory,
+            learned.time_calibration,
         )
 
     def label(
         self,
         clouds: Clouds,
         *,
+        time: bool = False,
         rules: str = "whole-body",
         workers: int = 1,
         progress: Progress | None = None,
     ) -> Labelling:
         """Say of every frame which candidate is which marker.
 
-        clouds: T frames. Gives indices (T, M), -1 where it does not know, and confidence (T, M). Each frame stands alone. The result does
-        not depend on the order of the points, nor on `workers`. O(T); a frame of n points costs O(n M) beyond the search, which has
-        a budget.
+        clouds: T frames. Gives indices (T, M), -1 where it does not know, and confidence (T, M). Without `time` each frame stands alone.
+        With it the recording is labelled as a whole: its points are linked to tracklets (`clouds.tracks` help, and are cut where they
+        swap), the tracklets are labelled together, and the surely labelled ones adapt the model to the body at hand
+        (`labelling/tracks`). The result does not depend on the order of the points, nor on `workers`. O(T); a frame of n points costs
+        O(n M) beyond the search, which has a budget. Raises AsterismError where `time` is asked of other rules than "whole-body".
         """
+        if time:
+            if rules != "whole-body":
+                raise AsterismError(f"whole recordings are labelled by the rules whole-body, not {rules}; leave out time or the rules.")
+            return label_together([self], clouds, workers=workers, progress=progress)[0]
         return self.label_counted(clouds, rules=rules, workers=workers, progress=progress)[0]
 
     def label_counted(
@@ -241,11 +256,7 @@ class SolverEnsemble:
         }
         arrays: dict[str, Any] = {
             "markers": self._markers,
-            "body_mean": self._body.mean,
-            "body_load": self._body.load,
-            "body_noise": self._body.noise,
-            "body_log_weight": self._body.log_weight,
-            **({} if self._body.within is None else {"body_within": self._body.within, "body_between": self._body.between}),
+            **{f"body_{name}": array for name, array in self._body.to_arrays().items()},
             "anchor_triples": self._anchors.triples,
             "anchor_low": self._anchors.low,
             "anchor_high": self._anchors.high,
@@ -254,6 +265,9 @@ class SolverEnsemble:
             arrays |= {f"partial_{name}": array for name, array in self._partial.to_arrays().items()}
         for i, calibration in enumerate(self._calibrations):
             arrays[f"calibration_{i}"] = np.stack([calibration.margin, calibration.right])
+        arrays["calibration_time"] = np.stack([self._time_calibration.margin, self._time_calibration.right])
+        if self._general is not None:
+            arrays |= {f"general_{name}": array for name, array in self._general.to_arrays().items()}
         if self._memory is not None:
             arrays |= {f"sample_{name}": array for name, array in self._memory.sample.to_arrays().items()}
         write_arrays(path, head, arrays)
@@ -270,8 +284,9 @@ class SolverEnsemble:
                 tuple((left, right) for left, right in given["pairs"]),
                 {name: tuple(members) for name, members in given["segments"].items()},
             )
-            parts = ("mean", "load", "noise", "log_weight", "within", "between")
-            body = BodyModel(*(_finite(arrays[f"body_{part}"]) for part in parts if f"body_{part}" in arrays))
+            body = _body(arrays, "body_")
+            general = _body(arrays, "general_") if "general_mean" in arrays else None
+            in_time = Calibration(*_finite(arrays["calibration_time"])) if "calibration_time" in arrays else None
             anchors = Anchors(arrays["anchor_triples"], arrays["anchor_low"], arrays["anchor_high"])
             _check_shapes(len(marker_set), arrays["markers"], body, anchors)
             calibrations = tuple(Calibration(*_finite(arrays[f"calibration_{i}"])) for i in range(2))
@@ -292,6 +307,8 @@ class SolverEnsemble:
                 PartialSolvers.from_arrays(partial) if partial else None,
                 dict(head["about"]),
                 memory,
+                in_time,
+                general,
             )
 
 
@@ -309,8 +326,30 @@ def replace_parts(ensemble: SolverEnsemble, **parts: Any) -> SolverEnsemble:
         "partial": ensemble._partial,
         "about": ensemble.about,
         "memory": ensemble._memory,
+        "time_calibration": ensemble._time_calibration,
+        "general": ensemble._general,
     }
     return SolverEnsemble(**{**own, **parts})
+
+
+def label_together(
+    ensembles: Sequence[SolverEnsemble], clouds: Clouds, *, workers: int = 1, progress: Progress | None = None
+) -> list[Labelling]:
+    """Label a recording with several bodies in it: one labelling per ensemble, each point given to one of them at most.
+
+    clouds: T frames. An ensemble may be given twice, for two people who wear the same markers. Whole recordings only: see
+    `SolverEnsemble.label` with `time`.
+    """
+    members = [
+        Member(Looker(e._parts(), e._body), e.marker_set.names, e._markers, e._time_calibration, e.least_confidence) for e in ensembles
+    ]
+    body_rules = next((e._memory.recipe.body for e in ensembles if e._memory is not None), BodyRules())
+    return label_whole(members, clouds, TimeRules(), SubjectRules(), body_rules, workers, progress)[0]
+
+
+def _body(arrays: dict[str, Any], prefix: str) -> BodyModel:
+    parts = {name.removeprefix(prefix): _finite(array) for name, array in arrays.items() if name.startswith(prefix)}
+    return BodyModel(**parts)
 
 
 def _silent(fraction: float, what: str) -> None:
@@ -332,6 +371,8 @@ def _check_shapes(names: int, markers: Ints, body: BodyModel, anchors: Anchors) 
         and markers.shape == (count,)
         and axes == 3
         and latents > 0
+        and (body.within is None or body.within.shape == (poses, 3 * count, 3 * count))
+        and (body.between is None or body.between.shape == (poses, 3 * count, 3 * count))
         and anchors.triples.ndim == 2
         and anchors.triples.shape[1] == 3
         and anchors.low.shape == anchors.high.shape == (len(anchors.triples), 6)

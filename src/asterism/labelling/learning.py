@@ -13,12 +13,15 @@ from asterism.hiding import hide_and_haunt
 from asterism.labelling.body._kernels import best_pose, make_room
 from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors, with_intervals
 from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, subsample
+from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.calibration import Calibration
 from asterism.labelling.features import kinds_of, needs_motion
 from asterism.labelling.look import LookRules, Prepared, Progress
 from asterism.labelling.motion.points import frames_with_motion
 from asterism.labelling.sample import Sample
 from asterism.labelling.solver import person
+from asterism.labelling.tracks.joint import Looker, TimeRules
+from asterism.labelling.tracks.whole import trial
 from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording
 
 
@@ -35,6 +38,9 @@ class TrainingRules:
     usual              share of the rightly labelled frames that score less than the "usual" score
     solver_widen       intervals of the partial solvers move out by this many standard deviations over the people
     trials             (occlusions, ghosts) of the trials, occlusions as a share of the markers
+    time_trials        the same for whole stretches of recordings, with gaps and ghosts that last
+    stretch            frames of one stretch that is tried, at most
+    stretches          stretches of each left-out person that are tried, at most
     """
 
     carried_per_person: int = 3000
@@ -46,6 +52,9 @@ class TrainingRules:
     usual: float = 0.05
     solver_widen: float = 1.5
     trials: tuple[tuple[float, int], ...] = ((0.0, 0), (0.07, 0), (0.14, 0), (0.2, 0), (0.27, 0), (0.34, 0), (0.0, 3), (0.2, 3))
+    time_trials: tuple[tuple[float, int], ...] = ((0.07, 0), (0.2, 0), (0.34, 0), (0.2, 3))
+    stretch: int = 300
+    stretches: int = 2
 
 
 @dataclass(frozen=True)
@@ -80,7 +89,10 @@ class Recipe:
         """The inverse of `to_dict`, also after a round through JSON."""
         features = None if plain.get("features") is None else tuple(plain["features"])
         training = TrainingRules(**plain["training"])
-        training = replace(training, trials=tuple((float(share), int(ghosts)) for share, ghosts in training.trials))
+        trials, time_trials = (
+            tuple((float(share), int(ghosts)) for share, ghosts in listed) for listed in (training.trials, training.time_trials)
+        )
+        training = replace(training, trials=trials, time_trials=time_trials)
         return cls(
             **{**plain, "body": BodyRules(**plain["body"]), "look": LookRules(**plain["look"]), "training": training, "features": features}
         )
@@ -107,18 +119,20 @@ class Memory:
         sample = self.sample.with_recordings(recordings, names, marker_set, rules.carried_per_person, rules.carried)
         return replace(self, sample=sample)
 
-    def training_frames(self) -> tuple[Ints, Floats, Ints]:
+    def training_frames(self) -> tuple[Ints, Floats, Ints, list[tuple[int, Recording]]]:
         """What the body is learned from: markers that these frames show (M,), frames (N, M, 3) m, z up, whose each is (N,).
 
-        The frames carry their motion, (N, M, WIDTH), where the recipe reads it.
+        The frames carry their motion, (N, M, WIDTH), where the recipe reads it. And the stretches of the recordings that they are
+        from, with the person's number.
+
         Frames that show less than half of the markers are left out. Raises AsterismError where too little remains.
         """
         if not self.sample.clips:
             raise AsterismError("no frame shows three markers; check the marker set against the files' labels.")
         frames, people = self.sample.frames()
         if self.recipe.reads_motion:
-            stretches, _ = self.sample.stretches([str(marker) for marker in range(frames.shape[1])])
-            frames = np.concatenate([frames_with_motion(stretch) for stretch in stretches])
+            whole, _ = self.sample.stretches([str(marker) for marker in range(frames.shape[1])])
+            frames = np.concatenate([frames_with_motion(stretch) for stretch in whole])
         shown = ~np.isnan(frames[:, :, 0])
         seen = shown.any(axis=0)
         usable = shown.sum(axis=1) >= max(3, 0.5 * seen.sum())
@@ -127,10 +141,17 @@ class Memory:
                 f"{int(seen.sum())} markers are ever seen and {int(usable.sum())} frames show at least half of them; "
                 "training needs 4 markers and 10 such frames: check the marker set against the files' labels."
             )
-        frames, people = frames[usable], renumbered(people[usable])
+        frames, people = frames[usable], people[usable]
         rows = subsample(people, self.recipe.training.frames_per_person)
         markers = np.nonzero(shown[usable][rows].any(axis=0))[0]
-        return markers, np.ascontiguousarray(frames[rows][:, markers]), people[rows]
+        number = {self.sample.subjects[person]: i for i, person in enumerate(np.unique(people))}
+        labels = tuple(str(m) for m in range(frames.shape[1]))
+        stretches = [
+            (number[name], stretch.select([labels[m] for m in markers]))
+            for stretch, name in zip(*self.sample.stretches(labels), strict=True)
+            if name in number
+        ]
+        return markers, np.ascontiguousarray(frames[rows][:, markers]), renumbered(people)[rows], stretches
 
 
 @dataclass(frozen=True)
@@ -141,10 +162,11 @@ class Learned:
     anchors: Anchors
     usual_score: float
     calibrations: tuple[Calibration, Calibration]
+    time_calibration: Calibration
 
 
-def learn_body(frames: Floats, people: Ints, recipe: Recipe, progress: Progress) -> Learned:
-    """Learn from labelled frames: (N, M, 3) m, z up, NaN where missing; people (N,) whose each is.
+def learn_body(frames: Floats, people: Ints, stretches: Sequence[tuple[int, Recording]], recipe: Recipe, progress: Progress) -> Learned:
+    """Learn from labelled frames: (N, M, 3) m, z up, NaN where missing; people (N,) whose each is; stretches of (person, recording).
 
     The body and its anchors are learned from all. Then people are left out in turn, what is learned from the others is tried on them with
     markers hidden and ghosts added, and all these trials together calibrate the confidence (frames without and with points left over).
@@ -153,7 +175,7 @@ def learn_body(frames: Floats, people: Ints, recipe: Recipe, progress: Progress)
     progress(0.0, "learning the body")
     body = fit_body(frames, people, recipe.body, seed)
     anchors = choose_anchors(frames, people, body, AnchorRules(), np.random.default_rng(seed))
-    outcomes, usual = [], []
+    outcomes, in_time, usual = [], [], []
     folds = _folds(people, rules.folds)
     for i, out in enumerate(folds):
         progress(0.2 + 0.8 * i / len(folds), "trying it on people left out")
@@ -168,9 +190,12 @@ def learn_body(frames: Floats, people: Ints, recipe: Recipe, progress: Progress)
         own_anchors = with_intervals(_among(anchors.triples, worn), others, whose, AnchorRules().widen)
         tried = Prepared.of(own, own_anchors, recipe.look.settings(usual[-1]))
         outcomes.append(_trial(tried, tested, people[out], rules, seed + i))
+        others_stretches = _some_stretches(stretches, np.unique(people[out]), worn, rules)
+        in_time.append(trial(Looker(tried, own), others_stretches, rules.time_trials, TimeRules(), SubjectRules(), recipe.body, seed + i))
     margin, right, spare = (np.concatenate(parts) for parts in zip(*outcomes, strict=True))
     calibrations = (Calibration.fit(margin[~spare], right[~spare]), Calibration.fit(margin[spare], right[spare]))
-    return Learned(body, anchors, float(np.median(usual)), calibrations)
+    time_margin, time_right = (np.concatenate(parts) for parts in zip(*in_time, strict=True))
+    return Learned(body, anchors, float(np.median(usual)), calibrations, Calibration.fit(time_margin, time_right))
 
 
 def least_confidence(target_hit_rate: float) -> float:
@@ -207,6 +232,15 @@ def _folds(people: Ints, folds: int) -> list[Any]:
         return [people % folds == i for i in range(min(folds, count))]
     block = np.arange(len(people)) // 10
     return [block % 2 == i for i in range(2)]
+
+
+def _some_stretches(stretches: Sequence[tuple[int, Recording]], people: Ints, worn: Ints, rules: TrainingRules) -> list[Recording]:
+    """The longest stretches of these people, cut to length, with the markers that the model knows."""
+    chosen = []
+    for someone in people:
+        own = sorted((stretch for who, stretch in stretches if who == someone), key=len, reverse=True)[: rules.stretches]
+        chosen += [stretch.select([stretch.labels[m] for m in worn]).frames(slice(0, rules.stretch)) for stretch in own]
+    return chosen
 
 
 def _among(triples: Ints, worn: Ints) -> Ints:

@@ -65,6 +65,10 @@ class BodyModel:
     within: Floats | None = None
     between: Floats | None = None
 
+    def to_arrays(self) -> dict[str, Floats]:
+        """The fields that are there, by name: `BodyModel(**arrays)` is the model again."""
+        return {name: array for name, array in vars(self).items() if array is not None}
+
     def arrays(self) -> BodyArrays:
         """The model as the kernels read it."""
         lower = np.linalg.cholesky(self.noise)

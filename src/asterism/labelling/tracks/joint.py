@@ -12,19 +12,19 @@ as long as the scores stand. Then the surely labelled tracklets teach the model 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from asterism.labelling.body._kernels import AnchorArrays, BodyArrays, LookSettings, label_clouds
+from asterism.labelling.body._kernels import BodyArrays, label_clouds
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules, adapt_body
 from asterism.labelling.features import upright
-from asterism.labelling._kernels import SolverArrays
-from asterism.labelling.tracks._kernels import gather, score_frames
-from asterism.labelling.tracks.assignment import assign_tracklets, margins_of
+from asterism.labelling.look import Prepared, Progress
+from asterism.labelling.tracks._kernels import gather, margins_of, score_frames
+from asterism.labelling.tracks.assignment import assign_tracklets
 from asterism.labelling.tracks.linking import Tracklets
 from asterism.recording import NULL, Clouds, Floats, Ints
 
@@ -59,16 +59,13 @@ class TimeRules:
 
 @dataclass(frozen=True)
 class Looker:
-    """One body to be found: what its frames are looked at with."""
+    """One body to be found, and what frames are looked at with to find it."""
 
-    solvers: SolverArrays
-    anchors: AnchorArrays
-    arrays: BodyArrays
-    settings: LookSettings
+    parts: Prepared
     body: BodyModel
 
 
-@dataclass
+@dataclass(frozen=True)
 class Scene:
     """A recording laid out for the kernels.
 
@@ -92,17 +89,16 @@ class Scene:
     independent: Floats
 
 
-@dataclass
+@dataclass(frozen=True)
 class Outcome:
     """Labels of the tracklets of a recording: label (J,) column of all bodies' markers one after the other, -1 for none; margin (J,) nats;
-    rival (J,) the next best column, gain (J, L) nats; bodies: the models as adapted to the subjects; stages: labels by the way.
+    rival (J,) the next best column; bodies: the models as adapted to the subjects; stages: labels by the way.
     """
 
     scene: Scene
     label: Ints
     margin: Floats
     rival: Ints
-    gain: Floats
     bodies: list[BodyModel]
     stages: dict[str, Ints] = field(default_factory=dict)
 
@@ -160,53 +156,63 @@ def label_scene(
     subject_rules: SubjectRules,
     body_rules: BodyRules,
     workers: int = 1,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Outcome:
     """Label all tracklets of a recording together; see the module's head."""
     report = progress or (lambda fraction, what: None)
-    label = assign_tracklets(_votes(lookers, scene, rules, workers, report), scene.first, scene.last)
     starts, bodies = _starts(lookers), [looker.body for looker in lookers]
-    stages = {"votes": label}
-    label, gain, poses = _climb(lookers, [looker.arrays for looker in lookers], scene, label, rules)
-    stages["tracks"] = label
-    margin, rival = margins_of(gain, label, scene.first, scene.last, np.argsort(scene.first, kind="stable"))
+    label = assign_tracklets(_votes(lookers, scene, rules, workers, report), scene.first, scene.last)
+    state = _climb(lookers, bodies, scene, label, rules)
+    stages = {"votes": label, "tracks": state.label}
     for turn in range(rules.calibrate):
         report(0.7 + 0.3 * turn / rules.calibrate, "the subject's own body")
-        bodies = [
-            _adapted(looker, scene, _own(label, starts, number), margin, poses[number], rules, subject_rules, body_rules)
+        adapted = [
+            _adapted(looker, scene, own_labels(state.label, starts, number), state, state.poses[number], rules, subject_rules, body_rules)
             for number, looker in enumerate(lookers)
         ]
-        label, gain, poses = _climb(lookers, [body.arrays() for body in bodies], scene, label, rules)
-        margin, rival = margins_of(gain, label, scene.first, scene.last, np.argsort(scene.first, kind="stable"))
-        stages[f"calibrated {turn + 1}"] = label
+        tried = _climb(lookers, adapted, scene, state.label, rules)
+        sure = (state.label != NULL) & (state.margin >= rules.sure)
+        if tried.total < state.total or not np.array_equal(tried.label[sure], state.label[sure]):
+            break
+        state, bodies = tried, adapted
+        stages[f"calibrated {turn + 1}"] = state.label
     report(1.0, "labelled")
-    return Outcome(scene, label, margin, rival, gain, bodies, stages)
+    return Outcome(scene, state.label, state.margin, state.rival, bodies, stages)
+
+
+@dataclass(frozen=True)
+class _State:
+    """Labels that no longer change, what they rest on, and their total gain in nats."""
+
+    label: Ints
+    margin: Floats
+    rival: Ints
+    poses: list[Ints]
+    total: float
 
 
 def _starts(lookers: Sequence[Looker]) -> Ints:
     """Where each body's markers begin among the columns of all bodies, and their number at the end."""
-    return np.concatenate([[0], np.cumsum([looker.arrays.mean.shape[1] for looker in lookers])]).astype(np.int64)
+    return np.concatenate([[0], np.cumsum([looker.parts.body.mean.shape[1] for looker in lookers])]).astype(np.int64)
 
 
-def _own(label: Ints, starts: Ints, number: int) -> Ints:
+def own_labels(label: Ints, starts: Ints, number: int) -> Ints:
     """The labels (J,) as one body's markers, -1 for those of others."""
     return np.where((label >= starts[number]) & (label < starts[number + 1]), label - starts[number], NULL)
 
 
-def _votes(lookers: Sequence[Looker], scene: Scene, rules: TimeRules, workers: int, report: Callable[[float, str], None]) -> Floats:
+def _votes(lookers: Sequence[Looker], scene: Scene, rules: TimeRules, workers: int, report: Progress) -> Floats:
     """What the frame-wise look says for each tracklet: (J, L) nats."""
     starts = _starts(lookers)
     votes = np.zeros((len(scene.first), starts[-1]))
     frames = len(scene.looked)
     for number, looker in enumerate(lookers):
-        shape = (frames, looker.arrays.mean.shape[1])
+        shape = (frames, looker.parts.body.mean.shape[1])
         rows, margins = np.full(shape, NULL, dtype=np.int64), np.zeros(shape)
         counters = np.zeros((frames, 4), dtype=np.int64)
 
-        def work(span: tuple[int, int], looker: Looker = looker, out: tuple[Ints, Floats, Ints] = (rows, margins, counters)) -> int:
-            label_clouds(
-                scene.seen_xyz, scene.seen_offsets, *span, looker.solvers, looker.anchors, looker.arrays, looker.settings, *out
-            )
+        def work(span: tuple[int, int], parts: Prepared = looker.parts, out: tuple[Ints, Floats, Ints] = (rows, margins, counters)) -> int:
+            label_clouds(scene.seen_xyz, scene.seen_offsets, *span, parts.solvers, parts.anchors, parts.body, parts.settings, *out)
             return span[1]
 
         step = max(1, min(50, -(-frames // max(1, workers))))
@@ -220,17 +226,17 @@ def _votes(lookers: Sequence[Looker], scene: Scene, rules: TimeRules, workers: i
     return votes
 
 
-def _climb(
-    lookers: Sequence[Looker], arrays: Sequence[BodyArrays], scene: Scene, label: Ints, rules: TimeRules
-) -> tuple[Ints, Floats, list[Ints]]:
-    """Relabel until nothing changes: labels (J,), gains (J, L), and the key pose of each frame looked at, by body."""
+def _climb(lookers: Sequence[Looker], bodies: Sequence[BodyModel], scene: Scene, label: Ints, rules: TimeRules) -> _State:
+    """Relabel until nothing changes."""
+    arrays = [looker.parts.body if body is looker.body else body.arrays() for looker, body in zip(lookers, bodies, strict=True)]
     for _ in range(rules.rounds):
         gain, poses = _gains(lookers, arrays, scene, label, rules)
-        gain, found = _with_credit(gain, scene, lookers, rules)
+        gain, found, total = _with_credit(gain, scene, lookers, rules)
         if np.array_equal(found, label):
             break
         label = found
-    return label, gain, poses
+    margin, rival = margins_of(gain, found, scene.first, scene.last, np.argsort(scene.first, kind="stable"))
+    return _State(found, margin, rival, poses, total)
 
 
 def _gains(
@@ -242,8 +248,8 @@ def _gains(
         markers = body.mean.shape[1]
         scores, totals = np.empty((len(scene.seen_xyz), markers)), np.empty(len(scene.looked))
         pose = np.empty(len(scene.looked), dtype=np.int64)
-        own = _own(label, starts, number)
-        score_frames(scene.seen_xyz, scene.seen_offsets, scene.seen_track, own, body, looker.settings, scores, totals, pose)
+        own = own_labels(label, starts, number)
+        score_frames(scene.seen_xyz, scene.seen_offsets, scene.seen_track, own, body, looker.parts.settings, scores, totals, pose)
         sums, counts = np.zeros((len(scene.first), markers)), np.zeros(len(scene.first))
         gather(scene.seen_track, scores, rules.least_score, rules.most_score, sums, counts)
         gain[:, starts[number] : starts[number + 1]] = sums * (scene.independent / np.maximum(counts, 1.0))[:, None]
@@ -251,13 +257,13 @@ def _gains(
     return gain, poses
 
 
-def _with_credit(gain: Floats, scene: Scene, lookers: Sequence[Looker], rules: TimeRules) -> tuple[Floats, Ints]:
-    """The gains with what a tracklet earns for being a marker rather than a ghost, and the best labels.
+def _with_credit(gain: Floats, scene: Scene, lookers: Sequence[Looker], rules: TimeRules) -> tuple[Floats, Ints, float]:
+    """The gains with what a tracklet earns for being a marker rather than a ghost, the best labels, and their total.
 
     A recording without ghosts, with short ones only, and with ghosts of any length are three explanations: where ghosts are allowed they
     cost nothing each, where they are not each costs `first_ghost`, and to allow them costs `ghosts_cost`. The best explanation counts.
     """
-    full = max(looker.settings.first_ghost for looker in lookers) * scene.independent * rules.alike
+    full = max(looker.parts.settings.first_ghost for looker in lookers) * scene.independent * rules.alike
     long = (scene.last - scene.first + 1) / scene.rate >= rules.long_track
     best = -np.inf
     for allowed, costly in ((0, np.ones(len(long), dtype=np.bool_)), (1, long), (2, np.zeros(len(long), dtype=np.bool_))):
@@ -266,25 +272,25 @@ def _with_credit(gain: Floats, scene: Scene, lookers: Sequence[Looker], rules: T
         taken = label != NULL
         total = credited[taken, label[taken]].sum() - (full * costly).sum() - rules.ghosts_cost * allowed
         if total > best:
-            best, chosen, found = total, credited, label
+            best, chosen, found = float(total), credited, label
         if not ((label == NULL) & costly).any():
             break
-    return chosen, found
+    return chosen, found, best
 
 
 def _adapted(
     looker: Looker,
     scene: Scene,
     label: Ints,
-    margin: Floats,
+    state: _State,
     poses: Ints,
     rules: TimeRules,
     subject_rules: SubjectRules,
     body_rules: BodyRules,
 ) -> BodyModel:
     """A body model as the surely labelled tracklets show it."""
-    markers = looker.arrays.mean.shape[1]
-    sure = (label >= 0) & (margin >= rules.sure)
+    markers = looker.parts.body.mean.shape[1]
+    sure = (label != NULL) & (state.margin >= rules.sure)
     frames = np.full((len(scene.looked), markers, 3), np.nan)
     points = np.nonzero(sure[scene.seen_track])[0]
     frames[scene.seen_frame[points], label[scene.seen_track[points]]] = scene.seen_xyz[points]
