@@ -24,6 +24,7 @@ def label(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where the labelled files go.", show_default=False)],
     keep: Annotated[bool, typer.Option("--keep", help="Labels that a file already has stay; only points without a name get one.")] = False,
     rules: RulesOption = Rules.WHOLE_BODY,
+    frame_wise: Annotated[bool, typer.Option("--frame-wise", help="Each frame by itself, without time and tracks.")] = False,
     workers: Workers = 1,
     vertical: Vertical = None,
     overwrite: Overwrite = False,
@@ -34,11 +35,13 @@ def label(
 
     Whatever names the points have now. Each file goes to FOLDER under its own name and format, with everything
     else in it as it was. Points that no marker took become *1, *2, ... A line per file says which share of all markers in all
-    frames was labelled, and which share is unsure: not labelled though the frame has points left.
+    frames was labelled, and which share is unsure: not labelled though the frame has points left. The rules whole-body label a
+    recording as a whole, by its tracks; --frame-wise turns that off.
     """
     from asterism.cli._recordings import labels_kept, outcome
     from asterism.labelling import SolverEnsemble
 
+    in_time = rules is Rules.WHOLE_BODY and not frame_wise
     targets = _targets(files, output)
     _console.check_new(report, overwrite)
     _console.check_new(json, overwrite)
@@ -53,9 +56,12 @@ def label(
                 _check_target(path, target, overwrite)
                 recording, clouds = _read(path, axis)
                 if not batch.done and len(clouds):
-                    ensemble.label(_first_frame(clouds), rules=rules.value)  # compiles, so that the rate below is that of the work
+                    ensemble.label(
+                        _first_frame(clouds), time=in_time, rules=rules.value
+                    )  # compiles, so that the rate below is that of the work
                 started = time.perf_counter()
-                labelling = ensemble.label(clouds, rules=rules.value, workers=workers, progress=_share(progress, batch, len(files), path))
+                share = _share(progress, batch, len(files), path)
+                labelling = ensemble.label(clouds, time=in_time, rules=rules.value, workers=workers, progress=share)
                 seconds = time.perf_counter() - started
                 if keep:
                     labelling = labels_kept(path, labelling, recording, clouds, ensemble.marker_set)
