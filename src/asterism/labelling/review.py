@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.labelling.tracks.linking import find_tracklets
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 
 _NEAR = 0.1
@@ -46,8 +47,8 @@ class Item:
 def review(labelling: Labelling, clouds: Clouds, *, top: int | None = None, least_gain: float = 0.1) -> list[Item]:
     """What a person should look at first: the pieces of tracks by expected gain, those that gain at least `least_gain` samples.
 
-    top: at most so many. A piece is a track without its gaps, in which one touch holds for all frames; without track numbers every column
-    is a track, and a point of no column is one by itself. A given label gains 1 - confidence per frame, or, where its piece bears another
+    top: at most so many. A piece is a tracklet (`find_tracklets`): one marker's path between two gaps, in which one touch holds for all
+    frames. A given label gains 1 - confidence per frame, or, where its piece bears another
     label more often, the weight of that one. A point without a label gains the confidence of the markers that are missing in its
     frame, shared among the frame's free points: the nearer to where the marker was last and next seen, the more.
     Raises AsterismError where the labelling is not one of these clouds, `top` is below 1, or `least_gain` is negative. O(P M).
@@ -57,7 +58,7 @@ def review(labelling: Labelling, clouds: Clouds, *, top: int | None = None, leas
         raise AsterismError(f"a list of the top {top} is empty; ask for 1 or more.")
     if not least_gain >= 0:
         raise AsterismError(f"a least gain of {least_gain} makes no sense; give 0 or more samples.")
-    piece_of = pieces(clouds)
+    piece_of = find_tracklets(clouds).of_point
     frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
     marker_of, confidence = labels_of_points(labelling, clouds)
     votes = _votes(piece_of, marker_of, confidence, len(labelling.names))
@@ -111,19 +112,6 @@ def settle(labelling: Labelling, clouds: Clouds, answers: Iterable[tuple[Item, s
             marker = labelling.names.index(name)
             indices[frames, marker], confidence[frames, marker] = places, 1.0
     return replace(labelling, indices=indices, confidence=confidence)
-
-
-def pieces(clouds: Clouds) -> Ints:
-    """(P,) the piece that each point belongs to: a track, or else a column, without its gaps; a point of neither is one by itself."""
-    track_of = clouds.columns if clouds.tracks is None else clouds.tracks
-    frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
-    order = np.lexsort((frame_of, track_of))
-    track, frame = track_of[order], frame_of[order]
-    new = np.ones(len(order), dtype=np.bool_)
-    new[1:] = (track[1:] != track[:-1]) | (frame[1:] != frame[:-1] + 1) | (track[1:] < 0)
-    out = np.empty(len(order), dtype=np.int64)
-    out[order] = np.cumsum(new) - 1
-    return out
 
 
 def labels_of_points(labelling: Labelling, clouds: Clouds) -> tuple[Ints, Floats]:
