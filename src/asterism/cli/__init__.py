@@ -20,6 +20,7 @@ from asterism.cli.evaluate import evaluate
 from asterism.cli.info import info
 from asterism.cli.label import label
 from asterism.cli.learn import learn
+from asterism.cli.name import name
 from asterism.cli.review import review
 from asterism.cli.train import train
 from asterism.errors import AsterismError
@@ -55,6 +56,7 @@ def _asterism(
 
 _EXAMPLES: dict[Callable[..., None], str] = {
     demo: "asterism demo",
+    name: "asterism name first.c3d --report numbers.html",
     train: "asterism train labelled/*.c3d -o gait.model --markers helen-hayes",
     label: "asterism label raw/*.c3d --model gait.model -o labelled",
     review: "asterism review raw/*.c3d --model gait.model --report review.html",

@@ -3,6 +3,7 @@
 from asterism.labelling.capturability import Capturability, Change, capturability
 from asterism.labelling.ensemble import SolverEnsemble, TrainingRules
 from asterism.labelling.evaluation import Condition, Evaluation, evaluate, leave_one_subject_out
+from asterism.labelling.naming import Groups, name_groups, own_tracks
 from asterism.labelling.review import Item, review, settle
 from asterism.labelling.solver import FullSolver
 
@@ -12,12 +13,15 @@ __all__ = [
     "Condition",
     "Evaluation",
     "FullSolver",
+    "Groups",
     "Item",
     "SolverEnsemble",
     "TrainingRules",
     "capturability",
     "evaluate",
     "leave_one_subject_out",
+    "name_groups",
+    "own_tracks",
     "review",
     "settle",
 ]

@@ -3,6 +3,7 @@
 from asterism.report.capturability import capturability_report
 from asterism.report.evaluation import evaluation_report
 from asterism.report.label import label_report
+from asterism.report.naming import naming_report
 from asterism.report.review import review_report
 
-__all__ = ["capturability_report", "evaluation_report", "label_report", "review_report"]
+__all__ = ["capturability_report", "evaluation_report", "label_report", "naming_report", "review_report"]

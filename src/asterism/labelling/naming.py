@@ -1,0 +1,353 @@
+"""A recording without any label or model in; its tracklets joined to one group per marker, and the names a person gives them, out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+from scipy.special import gammaln
+
+from asterism.errors import AsterismError
+from asterism.labelling.features import upright
+from asterism.labelling.tracks.linking import find_tracklets
+from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording, is_unnamed
+
+Bools = NDArray[np.bool_]
+
+_SMOOTH_SECONDS = 0.15
+_WALKS = 0.2
+
+
+@dataclass(frozen=True)
+class JoinRules:
+    """When two tracklets are held to be one marker. Chosen on the gait subjects HC003, HC031, HC042, HC044, HC050, checked on the others.
+
+    enough      nats by which "one marker" must beat "two markers"
+    clear       nats by which it must beat every join that would rule it out
+    neighbours  tracklets at most beside which the two are seen
+    shared      share of a tracklet's frames in which a neighbour must be seen
+    noise       m, how far a marker strays from where its neighbours say it is
+    offset      m, how far apart neighbours may be
+    slope       how much a marker may follow one neighbour against the others
+    step        s between the frames that are looked at
+    least       s that a tracklet lasts, else it stays alone
+    """
+
+    enough: float = 8.0
+    clear: float = 5.0
+    neighbours: int = 4
+    shared: float = 0.6
+    noise: float = 0.016
+    offset: float = 0.5
+    slope: float = 0.5
+    step: float = 0.08
+    least: float = 0.08
+
+
+@dataclass(frozen=True)
+class Groups:
+    """Which points of a recording are one marker, as far as that can be told without knowing any marker.
+
+    of_point  (P,) int: the group of each point of the clouds; every point has one
+    frames    (G,) int: how many frames show each
+
+    Groups seen in a tenth of the frames or more come first, numbered from the head down; then the others, the longest first.
+    """
+
+    of_point: Ints
+    frames: Ints
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a group sits on the body, medians over its frames.
+
+    height       m above the lowest point of the recording
+    left, ahead  m from the middle of the body, to its left and in the direction of its way; NaN where nobody goes anywhere
+    nearest      (group, distance in m) of the groups that are nearest to it when both are seen, the nearest first
+    """
+
+    height: float
+    left: float
+    ahead: float
+    nearest: tuple[tuple[int, float], ...]
+
+
+def own_tracks(clouds: Clouds, rules: JoinRules | None = None) -> Groups:
+    """Join a recording's tracklets (`find_tracklets`) to one group per marker, without any model, label or first frame.
+
+    Two tracklets that never share a frame are one marker if their places among their near-rigid neighbours are better told by one rule than
+    by two: the marker's place is a linear function of its neighbours' places, in axes that turn with the body, and the two hypotheses
+    are compared by their Bayesian evidence (normal-inverse-gamma), which weighs by itself how much a short or a far tracklet can say.
+    The best join is made first, the evidence of all that it touches is taken anew, until no join is both sure and clearly better than those
+    that it would rule out. A doubtful tracklet stays a group of its own: a wrong join costs a person more than one more name.
+    O(J^2) comparisons for J tracklets.
+    """
+    rules = rules or JoinRules()
+    of_tracklet = find_tracklets(clouds).of_point
+    joined = _Joining(_body_frame(clouds, of_tracklet), clouds.rate, rules).run()
+    return _numbered(clouds, joined[of_tracklet])
+
+
+def places(clouds: Clouds, groups: Groups, nearest: int = 3) -> list[Place]:
+    """Where each group sits on the body. Raises AsterismError where the groups are not of these clouds."""
+    _check(groups, clouds)
+    body = _body_frame(clouds, groups.of_point)
+    seen = ~np.isnan(body[:, :, 0])
+    centred = body - _middle(body, seen)[:, None]
+    ahead = _way(body, seen, clouds.rate)
+    floor = np.nanmin(body[:, :, 2]) if seen.any() else 0.0
+    out = []
+    for group in range(len(groups)):
+        own = centred[seen[:, group], group]
+        apart = np.linalg.norm(body[seen[:, group]] - body[seen[:, group], group][:, None], axis=2)
+        both = ~np.isnan(apart)
+        median = np.array([np.median(apart[both[:, k], k]) if both[:, k].any() else np.inf for k in range(len(groups))])
+        median[group] = np.inf
+        order = [int(k) for k in np.argsort(median, kind="stable")[:nearest] if np.isfinite(median[k])]
+        out.append(
+            Place(
+                height=float(np.median(body[seen[:, group], group, 2]) - floor),
+                left=float(np.median(own[:, 1] * ahead[0] - own[:, 0] * ahead[1])),
+                ahead=float(np.median(own[:, :2] @ ahead)),
+                nearest=tuple((k, float(median[k])) for k in order),
+            )
+        )
+    return out
+
+
+def name_groups(recording: Recording, groups: Groups, names: Mapping[int, str], clouds: Clouds | None = None) -> Recording:
+    """The recording with the names that a person gave its groups: {group: marker}; points without a name become *1, *2, ...
+
+    clouds: the clouds that were grouped, by default `recording.clouds()`. Several groups may bear one name where they never share a frame:
+    a marker that `own_tracks` left in pieces. Raises AsterismError where a group does not exist, a name is none, or two groups of one
+    name meet.
+    """
+    clouds = recording.clouds() if clouds is None else clouds
+    _check(groups, clouds)
+    markers = tuple(dict.fromkeys(names.values()))
+    if not markers:
+        raise AsterismError("no group has a name; give at least one.")
+    indices = np.full((len(clouds), len(markers)), NULL, dtype=np.int64)
+    frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
+    owner = np.full(indices.shape, -1, dtype=np.int64)
+    for group, name in names.items():
+        if not 0 <= group < len(groups):
+            raise AsterismError(f"there is no group {group + 1}; the recording has groups 1 to {len(groups)}.")
+        if is_unnamed(name):
+            raise AsterismError(f"{name!r} is no name for group {group + 1}; give one such as LKNE, or leave the group out.")
+        marker = markers.index(name)
+        points = np.nonzero(groups.of_point == group)[0]
+        frames = frame_of[points]
+        taken = indices[frames, marker] >= 0
+        if taken.any():
+            frame = int(frames[np.argmax(taken)])
+            raise AsterismError(
+                f"groups {owner[frame, marker] + 1} and {group + 1} are both named {name} and both there in frame {frame}; rename one."
+            )
+        indices[frames, marker], owner[frames, marker] = points - clouds.offsets[frames], group
+    labelling = Labelling(indices, np.where(indices >= 0, 1.0, 0.0), markers)
+    return recording.with_labelling(labelling, clouds)
+
+
+class _Joining:
+    """The state of the joins: groups' paths (T, J, 3), NaN where not seen, in axes that turn with the body."""
+
+    def __init__(self, body: Floats, rate: float, rules: JoinRules) -> None:
+        self.rules = rules
+        self.path = body.copy()
+        self.seen = ~np.isnan(body[:, :, 0])
+        self.group = np.arange(body.shape[1])
+        self.alive = self.seen.sum(axis=0) >= max(2, round(rules.least * rate))
+        self.step = max(1, round(rules.step * rate))
+        count = body.shape[1]
+        self.slack = np.full((count, count), np.inf)
+        self.evidence = np.full((count, count), -np.inf)
+
+    def run(self) -> Ints:
+        """(J,) the group of each tracklet."""
+        stale: set[int] = set(np.nonzero(self.alive)[0].tolist())
+        for one in sorted(stale):
+            self._measure_slack(one)
+        while True:
+            self._weigh(stale)
+            a, b = self._best()
+            if a >= 0:
+                self._join(a, b)
+                stale = {a}
+            elif len(stale) == int(self.alive.sum()):
+                return self.group
+            else:
+                stale = set(np.nonzero(self.alive)[0].tolist())
+
+    def _measure_slack(self, a: int) -> None:
+        """How little rigid each other group is with group a: the spread of their distance, and a little of the distance itself."""
+        apart = np.linalg.norm(self.path - self.path[:, a : a + 1], axis=2)
+        both = ~np.isnan(apart)
+        number = np.maximum(both.sum(axis=0), 1)
+        mean = np.where(both, apart, 0.0).sum(axis=0) / number
+        spread = np.sqrt(np.where(both, (apart - mean) ** 2, 0.0).sum(axis=0) / number)
+        slack = np.where(self.alive & (both.sum(axis=0) >= 3), spread + 0.03 * mean, np.inf)
+        slack[a] = np.inf
+        self.slack[a], self.slack[:, a] = slack, slack
+
+    def _weigh(self, stale: set[int]) -> None:
+        """Take the evidence anew for all pairs with a stale group."""
+        alive = np.nonzero(self.alive)[0]
+        meets = self._meets()
+        for a in alive:
+            for b in alive:
+                if a < b and (int(a) in stale or int(b) in stale):
+                    value = -np.inf if meets[a, b] else self._evidence(int(a), int(b))
+                    self.evidence[a, b] = self.evidence[b, a] = value
+
+    def _meets(self) -> Bools:
+        """(J, J) whether two groups share a frame, as every group does with itself."""
+        seen = self.seen.astype(np.float64)
+        return np.asarray(seen.T @ seen > 0)
+
+    def _best(self) -> tuple[int, int]:
+        """The surest join that beats all joins that it rules out; (-1, -1) where there is none."""
+        meets = self._meets()
+        found, best = (-1, -1), self.rules.enough
+        for a, b in np.argwhere(np.triu(self.evidence) >= self.rules.enough):
+            value = float(self.evidence[a, b])
+            rivals = [self.evidence[a, x] for x in np.nonzero(meets[b])[0] if x != b] + [
+                self.evidence[x, b] for x in np.nonzero(meets[a])[0] if x != a
+            ]
+            if value >= best and value - max(rivals, default=-np.inf) >= self.rules.clear:
+                found, best = (int(a), int(b)), value
+        return found
+
+    def _join(self, a: int, b: int) -> None:
+        self.path[self.seen[:, b], a] = self.path[self.seen[:, b], b]
+        self.seen[:, a] |= self.seen[:, b]
+        self.path[:, b], self.seen[:, b] = np.nan, False
+        self.alive[b] = False
+        self.group[self.group == b] = a
+        self.slack[b], self.slack[:, b] = np.inf, np.inf
+        self.evidence[b], self.evidence[:, b] = -np.inf, -np.inf
+        self._measure_slack(a)
+
+    def _evidence(self, a: int, b: int) -> float:
+        """Nats by which the two groups are one marker rather than two; minus infinity where they have no neighbours in common."""
+        in_a, in_b = self.seen[:, a], self.seen[:, b]
+        if in_a.sum() < in_b.sum():
+            a, b, in_a, in_b = b, a, in_b, in_a
+        rules, chosen = self.rules, list[int]()
+        for other in np.argsort(self.slack[a], kind="stable"):
+            if other == b or not np.isfinite(self.slack[a, other]) or len(chosen) == rules.neighbours:
+                continue
+            with_a, with_b = in_a & self.seen[:, other], in_b & self.seen[:, other]
+            if with_a.sum() >= max(5, rules.shared * in_a.sum()) and with_b.sum() >= max(3, rules.shared * in_b.sum()):
+                in_a, in_b = with_a, with_b
+                chosen.append(int(other))
+        if len(chosen) < 2:
+            return -np.inf
+        base, place = self._beside(a, chosen, in_a)
+        other_base, other_place = self._beside(b, chosen, in_b)
+        both, both_places = np.concatenate([base, other_base]), np.concatenate([place, other_place])
+        middle = both.mean(axis=0)
+        alone = self._log_evidence(base - middle, place) + self._log_evidence(other_base - middle, other_place)
+        return self._log_evidence(both - middle, both_places) - alone
+
+    def _beside(self, group: int, neighbours: list[int], frames: Bools) -> tuple[Floats, Floats]:
+        """The neighbours' and the group's own places from the first neighbour: (N, 3 (K - 1)) and (N, 3) m, every few frames."""
+        every = np.nonzero(frames)[0]
+        some = every[:: self.step if len(every) > 8 * self.step else max(1, len(every) // 8)]
+        origin = self.path[some, neighbours[0]]
+        others = self.path[some][:, neighbours[1:]] - origin[:, None]
+        return others.reshape(len(some), -1), self.path[some, group] - origin
+
+    def _log_evidence(self, design: Floats, places: Floats) -> float:
+        """Log of the marginal likelihood of a Bayesian linear regression of places (N, 3) on an offset and the design (N, D)."""
+        rules, shape = self.rules, 3.0
+        scale = (shape - 1.0) * rules.noise**2
+        design = np.concatenate([np.ones((len(design), 1)), design], axis=1)
+        prior = np.full(design.shape[1], (rules.slope / rules.noise) ** 2)
+        prior[0] = (rules.offset / rules.noise) ** 2
+        root = np.linalg.cholesky(np.diag(1.0 / prior) + design.T @ design)
+        told = np.linalg.solve(root, design.T @ places)
+        shape_after = shape + 1.5 * len(places)
+        scale_after = scale + 0.5 * ((places**2).sum() - (told**2).sum())
+        return float(
+            -3.0 * (np.log(np.diag(root)).sum() + 0.5 * np.log(prior).sum())
+            + shape * np.log(scale)
+            - shape_after * np.log(scale_after)
+            + gammaln(shape_after)
+            - gammaln(shape)
+            - 1.5 * len(places) * np.log(2 * np.pi)
+        )
+
+
+def _body_frame(clouds: Clouds, of_point: Ints) -> Floats:
+    """(T, J, 3) m the paths of J tracklets or groups, NaN where not seen, z up, in axes that turn with the body about the vertical."""
+    frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
+    path = np.full((len(clouds), int(of_point.max(initial=-1)) + 1, 3), np.nan)
+    path[frame_of, of_point] = upright(clouds.xyz, clouds.vertical)
+    turn = _turn(path, clouds.rate)
+    cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    x, y = path[:, :, 0].copy(), path[:, :, 1].copy()
+    path[:, :, 0], path[:, :, 1] = cos * x + sin * y, cos * y - sin * x
+    return path
+
+
+def _turn(path: Floats, rate: float) -> Floats:
+    """(T,) rad, how far the body has turned about the vertical since the first frame: best rotations from frame to frame, smoothed."""
+    steps = np.zeros(len(path))
+    for t in range(1, len(path)):
+        both = ~np.isnan(path[t, :, 0]) & ~np.isnan(path[t - 1, :, 0])
+        if both.sum() >= 3:
+            before, after = (path[at, both, :2] - path[at, both, :2].mean(axis=0) for at in (t - 1, t))
+            steps[t] = np.arctan2((before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]).sum(), (before * after).sum())
+    if len(path) == 0:
+        return steps
+    return np.asarray(gaussian_filter1d(np.cumsum(steps), _SMOOTH_SECONDS * rate, mode="nearest"))
+
+
+def _middle(body: Floats, seen: Bools) -> Floats:
+    """(T, 3) the middle of what is seen of the body, a straight line in time."""
+    some = np.nonzero(seen.any(axis=1))[0]
+    if len(some) == 0:
+        return np.zeros((len(body), 3))
+    middle = np.array([np.median(body[t, seen[t]], axis=0) for t in some])
+    every = np.arange(len(body))
+    filled = np.stack([np.interp(every, some, middle[:, axis]) for axis in range(3)], axis=1)
+    return np.asarray(gaussian_filter1d(filled, max(1.0, 0.1 * len(body)), axis=0, mode="nearest"))
+
+
+def _way(body: Floats, seen: Bools, rate: float) -> Floats:
+    """(2,) the horizontal unit vector in which the body goes, in its own axes; NaN where it stays."""
+    middle = _middle(body, seen)[:, :2]
+    if len(middle) < 2:
+        return np.full(2, np.nan)
+    velocity = np.diff(middle, axis=0).mean(axis=0) * rate
+    speed = float(np.linalg.norm(velocity))
+    return velocity / speed if speed >= _WALKS else np.full(2, np.nan)
+
+
+def _numbered(clouds: Clouds, raw: Ints) -> Groups:
+    """Groups in the order in which a person names them."""
+    _, of_point, frames = np.unique(raw, return_inverse=True, return_counts=True)
+    of_point = of_point.ravel()
+    height = upright(clouds.xyz, clouds.vertical)[:, 2]
+    order = np.argsort(of_point, kind="stable")
+    ends = np.searchsorted(of_point[order], np.arange(len(frames) + 1))
+    median = np.array([np.median(height[order[a:b]]) for a, b in pairwise(ends)])
+    often = frames >= 0.1 * len(clouds)
+    ranked = np.lexsort((np.where(often, -median, -frames), ~often)) if len(frames) else np.zeros(0, dtype=np.int64)
+    place = np.empty(len(frames), dtype=np.int64)
+    place[ranked] = np.arange(len(frames))
+    return Groups(place[of_point].astype(np.int64), frames[ranked].astype(np.int64))
+
+
+def _check(groups: Groups, clouds: Clouds) -> None:
+    if len(groups.of_point) != len(clouds.xyz):
+        raise AsterismError(f"the groups are of {len(groups.of_point)} points, the clouds have {len(clouds.xyz)}; group these clouds.")
