@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from asterism.cli import _console
+from asterism.cli.audit import audit
 from asterism.cli.capturability import capturability
 from asterism.cli.convert import convert
 from asterism.cli.demo import demo
@@ -62,6 +63,7 @@ _EXAMPLES: dict[Callable[..., None], str] = {
     review: "asterism review raw/*.c3d --model gait.model --report review.html",
     learn: "asterism learn gait.model corrected/*.c3d -o better.model",
     evaluate: "asterism evaluate --leave-one-subject-out labelled/*.c3d --markers helen-hayes --occlusions 0 2 4",
+    audit: "asterism audit labelled/*.c3d --markers helen-hayes",
     capturability: "asterism capturability labelled/*.c3d --markers helen-hayes --report capturability.html",
     info: "asterism info walk.c3d",
     convert: "asterism convert walk.c3d walk.trc",

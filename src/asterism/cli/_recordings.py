@@ -36,6 +36,22 @@ def read_labelled(
     return recordings if marker_set is not None else _with_common_markers(batch.done, recordings)
 
 
+def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | None, batch: _console.Batch) -> list[Recording]:
+    """The files of a batch that can be read, each with the markers of a set; without a set, with all its own named physical points.
+
+    Raises AsterismError where none is left.
+    """
+    axis = vertical_axis(vertical)
+    recordings = []
+    for path in files:
+        with batch.file(path):
+            recording = formats.read(path, markers=marker_set, vertical=axis)
+            recordings.append(recording if marker_set is not None else recording.select(list(_named(recording))))
+    if not recordings:
+        raise AsterismError("none of the files can be used; see above.")
+    return recordings
+
+
 def marker_set_of(markers: str | None) -> MarkerSet | None:
     """The set that --markers names, or None where it was not given."""
     return None if markers is None else MarkerSet.load(marker_names(markers) or ())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -34,6 +35,9 @@ def train(
     miner: MinerOption = Miner.BOTTOM_UP,
     features: Features = None,
     seed: Seed = 0,
+    leave_out_damaged: Annotated[
+        bool, typer.Option("--leave-out-damaged", help="Look through the files first, and leave out what cannot be right.")
+    ] = False,
     vertical: Vertical = None,
     overwrite: Overwrite = False,
     json: Json = None,
@@ -54,8 +58,16 @@ def train(
     recordings = read_labelled(files, marker_set, vertical, batch, complete=True)
     if batch.failed:
         raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; mend them or leave them out.")
-    from asterism.labelling import SolverEnsemble
+    from asterism.labelling import SolverEnsemble, audit, without
 
+    findings = []
+    if leave_out_damaged:
+        with _console.progress("auditing") as progress:
+            findings = [finding for finding in audit(recordings, seed=seed, progress=progress) if finding.damage]
+        for finding in findings:
+            span = f"frames {finding.first_frame} to {finding.last_frame}"
+            _console.complain(f"{files[finding.recording]}, {span}: left out, {finding.description}.")
+        recordings = without(recordings, findings)
     started = time.perf_counter()
     with _console.progress("training") as progress:
         ensemble = SolverEnsemble.fit(
@@ -75,4 +87,15 @@ def train(
             f"{output}: {len(names)} markers, from {len(recordings)} recordings of {len(about['subjects'])} subjects "
             f"({about['frames']:,} frames) in {seconds:.0f} s"
         )
-    _console.write_json(json, {"command": "train", "model": output, "markers": names, "files": files, **about, "seconds": seconds})
+    _console.write_json(
+        json,
+        {
+            "command": "train",
+            "model": output,
+            "markers": names,
+            "files": files,
+            **about,
+            "left_out": [asdict(finding) for finding in findings],
+            "seconds": seconds,
+        },
+    )

@@ -1,5 +1,6 @@
 """The heart: clouds in, labels with a calibrated confidence out."""
 
+from asterism.labelling.audit import Finding, audit, without
 from asterism.labelling.capturability import Capturability, Change, capturability
 from asterism.labelling.ensemble import SolverEnsemble, TrainingRules
 from asterism.labelling.evaluation import Condition, Evaluation, evaluate, leave_one_subject_out
@@ -12,11 +13,13 @@ __all__ = [
     "Change",
     "Condition",
     "Evaluation",
+    "Finding",
     "FullSolver",
     "Groups",
     "Item",
     "SolverEnsemble",
     "TrainingRules",
+    "audit",
     "capturability",
     "evaluate",
     "leave_one_subject_out",
@@ -24,4 +27,5 @@ __all__ = [
     "own_tracks",
     "review",
     "settle",
+    "without",
 ]

@@ -1,0 +1,166 @@
+"""Kernels of the audit: how well an exchange of two markers explains their paths, or a frame. Twins: tests/twins_audit.py."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from asterism.labelling.body._kernels import SUMS, best_pose, evidence, look_again, make_room
+
+FREEDOM = 3.0
+"""Degrees of freedom of the heavy-tailed steps: impacts and the like are no wonders."""
+
+
+@njit(cache=True, nogil=True)
+def surprise(before, at, after, early, late, scale):
+    """Log density (nats, up to a constant) of a step: how far a point lies from where its last two let expect it.
+
+    IN  before, at, after (3,) m; early, late frames between them; scale m, usual miss where both are 1
+    """
+    ratio = late / early
+    square = 0.0
+    for i in range(3):
+        miss = after[i] - at[i] - ratio * (at[i] - before[i])
+        square += miss * miss
+    usual = scale * 0.5 * late * (late + early)
+    return -0.5 * (FREEDOM + 3.0) * math.log(1.0 + square / (FREEDOM * usual * usual))
+
+
+@njit(cache=True, nogil=True)
+def path_score(paths, times, scales, emission, switch, states):
+    """How well two paths are explained if their points are exchanged where `states` says so, in nats.
+
+    IN  paths (n, 2, 3) m; times (n,) frames, rising; scales (2,) m; emission (n,) nats for each exchanged frame;
+        switch nats for each change; states (n,) 0 or 1
+    """
+    score = 0.0
+    for i in range(len(times)):
+        score += states[i] * emission[i]
+        if i >= 1 and states[i] != states[i - 1]:
+            score -= switch
+        if i >= 2:
+            early, late = times[i - 1] - times[i - 2], times[i] - times[i - 1]
+            for who in range(2):
+                one, two, three = paths[i - 2, who ^ states[i - 2]], paths[i - 1, who ^ states[i - 1]], paths[i, who ^ states[i]]
+                score += surprise(one, two, three, early, late, scales[who])
+    return score
+
+
+@njit(cache=True, nogil=True)
+def exchange_path(paths, times, scales, emission, switch, states):
+    """Where two markers' points are best taken as exchanged: the most likely path of a two-state chain (Viterbi over pairs of frames).
+
+    IN  as `path_score`. OUT states (n,). Returns by how much it beats "never", in nats (0 where it is never).
+    O(8 n), 8 n bytes of memory.
+    """
+    n = len(times)
+    states[:] = 0
+    if n < 3:
+        return 0.0
+    # score[2 * s + r]: best so far with state s in the frame before last and r in the last
+    score, fresh = np.empty(4), np.empty(4)
+    origin = np.zeros((n, 4), dtype=np.int8)
+    for s in range(2):
+        for r in range(2):
+            score[2 * s + r] = s * emission[0] + r * emission[1] - (switch if s != r else 0.0)
+    never = 0.0
+    for i in range(2, n):
+        early, late = times[i - 1] - times[i - 2], times[i] - times[i - 1]
+        fresh[:] = -np.inf
+        for q in range(2):
+            for s in range(2):
+                for r in range(2):
+                    step = 0.0
+                    for who in range(2):
+                        step += surprise(paths[i - 2, who ^ q], paths[i - 1, who ^ s], paths[i, who ^ r], early, late, scales[who])
+                    if q == 0 and s == 0 and r == 0:
+                        never += step
+                    step += score[2 * q + s] + r * emission[i] - (switch if s != r else 0.0)
+                    if step > fresh[2 * s + r]:
+                        fresh[2 * s + r] = step
+                        origin[i, 2 * s + r] = q
+        score[:] = fresh
+    best = int(np.argmax(score))
+    top = score[best]
+    if top <= never:
+        return 0.0
+    for i in range(n - 1, 1, -1):
+        states[i] = best & 1
+        best = 2 * origin[i, best] + (best >> 1)
+    states[1] = best & 1
+    states[0] = best >> 1
+    return top - never
+
+
+@njit(cache=True, nogil=True)
+def all_exchanges(positions, scales, emission, switch, pairs, gains):
+    """`exchange_path` of many pairs of markers over the frames that show both.
+
+    A pair's wider scale counts for both, so that an exchange from the start to a frame and one from there to the end gain the same.
+
+    IN  positions (T, M, 3) m, NaN where missing; scales (M,) m; emission (P, T) nats; pairs (P, 2)
+    OUT gains (P,) nats
+    """
+    frames = len(positions)
+    paths, times, states = np.empty((frames, 2, 3)), np.empty(frames), np.empty(frames, dtype=np.int64)
+    own, ends = np.empty(frames), np.empty(2)
+    for p in range(len(pairs)):
+        a, b = pairs[p]
+        n = 0
+        for t in range(frames):
+            if not (np.isnan(positions[t, a, 0]) or np.isnan(positions[t, b, 0])):
+                paths[n, 0], paths[n, 1], times[n], own[n] = positions[t, a], positions[t, b], t, emission[p, t]
+                n += 1
+        ends[:] = max(scales[a], scales[b])
+        gains[p] = exchange_path(paths[:n], times[:n], ends, own[:n], switch, states[:n])
+
+
+@njit(cache=True, nogil=True, fastmath=SUMS)
+def exchange_gains(frames, body, settings, pairs, look, most, gains, own):
+    """By how many nats each frame is explained better with two markers exchanged.
+
+    IN   frames (N, M, 3) m, z up, NaN where missing; body BodyArrays; settings LookSettings; pairs (P, 2);
+         look nats: an exchange that the leave-one-out scores put farther behind is not computed exactly; most nats that count
+    OUT  gains (P, N), within -most and most, 0 where a marker is missing; own (N, M) each point's score as its own marker,
+         given all others, NaN where missing
+    O(N (M r^2 + r^3 + P)) and O(M r^2 + r^3) for each exchange computed exactly.
+    """
+    markers, latents = body.load.shape[1], body.load.shape[3]
+    rows, trial = np.empty(markers, dtype=np.int64), np.empty(markers, dtype=np.int64)
+    for t in range(len(frames)):
+        n = 0
+        points = np.empty((markers, 3))
+        for m in range(markers):
+            rows[m] = -1
+            if not np.isnan(frames[t, m, 0]):
+                points[n] = frames[t, m]
+                rows[m] = n
+                n += 1
+        gains[:, t] = 0.0
+        own[t] = np.nan
+        if n < 4:
+            continue
+        room = make_room(n, markers, latents)
+        k, _ = best_pose(body, points[:n], rows, settings, room)
+        look_again(body, k, points[:n], rows, settings, room)
+        scores = room.scores.copy()
+        for m in range(markers):
+            if rows[m] >= 0:
+                own[t, m] = scores[m, rows[m]]
+        room.odd[:] = False
+        top = -np.inf
+        for p in range(len(pairs)):
+            a, b = pairs[p]
+            if rows[a] < 0 or rows[b] < 0:
+                continue
+            estimate = scores[a, rows[b]] + scores[b, rows[a]] - max(scores[a, rows[a]], -most) - max(scores[b, rows[b]], -most)
+            gain = -most
+            if estimate > -look:
+                if top == -np.inf:
+                    top = evidence(body, k, points[:n], rows, settings, room)
+                trial[:] = rows
+                trial[a], trial[b] = rows[b], rows[a]
+                gain = evidence(body, k, points[:n], trial, settings, room) - top
+            gains[p, t] = min(max(gain, -most), most)

@@ -1,0 +1,86 @@
+"""What an audit finds: a recording, its frames and markers, and what is wrong with them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+EXCHANGED = "exchanged"
+ALWAYS = "consistently exchanged against the others"
+JUMP = "jump"
+MISPLACED = "misplaced"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Labels of a recording that cannot be right.
+
+    recording    its place among those given
+    file         its file, or "recording 3" where it came from none
+    subject      who moves in it
+    first_frame  first frame concerned, counted from 0
+    last_frame   last frame concerned
+    markers      markers concerned
+    kind         "exchanged": their points carry each other's names for a while, as their paths say, the body, or both;
+                 "consistently exchanged against the others": in all recordings of this person, as other people's bodies say;
+                 "jump": the marker leaves its path and is elsewhere;
+                 "misplaced": it sits throughout where nobody else wears it. A hint: it may be worn so
+    gain         nats by which the mended labels explain the frames better
+    description  a sentence for people
+    """
+
+    recording: int
+    file: str
+    subject: str
+    first_frame: int
+    last_frame: int
+    markers: tuple[str, ...]
+    kind: str
+    gain: float
+    description: str
+
+    @property
+    def damage(self) -> bool:
+        """Whether training is better off without these samples; a hint leaves them in."""
+        return self.kind != MISPLACED
+
+
+@dataclass(frozen=True)
+class Run:
+    """Frames first..last in which markers' points carry each other's names, or one marker is elsewhere; gain in nats."""
+
+    first: int
+    last: int
+    markers: tuple[int, ...]
+    kind: str
+    gain: float
+
+
+def joined(runs: Sequence[Run]) -> list[Run]:
+    """Exchanges of the same frames that share a marker are one exchange among more markers."""
+    out: list[Run] = []
+    for run in sorted(runs, key=lambda run: (run.first, run.last, run.markers)):
+        for i, known in enumerate(out):
+            if run.kind == known.kind == EXCHANGED and (run.first, run.last) == (known.first, known.last):
+                if set(run.markers) == set(known.markers):
+                    continue
+                if set(run.markers) & set(known.markers):
+                    out[i] = replace(known, markers=tuple(sorted({*known.markers, *run.markers})), gain=known.gain + run.gain)
+                    break
+        else:
+            out.append(run)
+    return out
+
+
+def sentence(kind: str, names: Sequence[str], seconds: float, frames: int, whole: bool, subject: str) -> str:
+    """What a finding looks like, in words."""
+    listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    among = "exchanged" if len(names) == 2 else "exchanged among themselves"
+    spell = "in the whole recording" if whole else f"for {frames} frame{'s' if frames > 1 else ''} ({seconds:.2f} s)"
+    if kind == EXCHANGED:
+        return f"{listed} {among} {spell}"
+    if kind == ALWAYS:
+        return f"{listed} {among} against all other people, in every recording of {subject}"
+    if kind == JUMP:
+        return f"{listed} leaves its path {spell}"
+    return f"{listed} sits {spell} where nobody else wears it"

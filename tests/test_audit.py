@@ -1,0 +1,341 @@
+"""The audit: damage put into clean recordings is found where it is, clean ones are left in peace, and what is found can be left out."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import twins_audit as twins
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import asterism
+from asterism import AsterismError, Recording, SolverEnsemble, formats
+from asterism.cli import main
+from asterism.labelling import TrainingRules, audit, without
+from asterism.labelling.audit import _kernels as kernels
+from asterism.labelling.body import _kernels as body_kernels
+from asterism.labelling.body.model import BodyRules, fit_body
+from asterism.labelling.look import LookRules
+from asterism.simulation import simulate_walks
+
+PEOPLE = ("Ann", "Ben", "Cem", "Dee", "Eva")
+FRAMES = 150
+
+
+@pytest.fixture(scope="module")
+def walks():
+    return simulate_walks(subjects=5, frames=FRAMES, rate=100.0, seed=6)
+
+
+@pytest.fixture(scope="module")
+def labels(walks):
+    return walks[0].labels
+
+
+def exchanged(recording, first, last, *names):
+    """The points of the named markers pass to the next name, the last one's to the first."""
+    columns = [recording.labels.index(name) for name in names]
+    positions = recording.positions.copy()
+    span = slice(first, last + 1)
+    positions[span, columns] = recording.positions[span, np.roll(columns, 1)]
+    return replace(recording, positions=positions)
+
+
+def moved(recording, first, last, name, by):
+    positions = recording.positions.copy()
+    positions[first : last + 1, recording.labels.index(name)] += by
+    return replace(recording, positions=positions)
+
+
+def among(walks, number, damaged):
+    return [*walks[:number], damaged, *walks[number + 1 :]]
+
+
+def told(findings):
+    return [(f.recording, f.first_frame, f.last_frame, set(f.markers), f.kind) for f in findings if f.damage]
+
+
+# --- what is found
+
+
+def test_clean_recordings_are_left_in_peace(walks):
+    assert told(audit(walks, subjects=PEOPLE)) == []
+
+
+@pytest.mark.parametrize(
+    ("first", "last"), [(40, 40), (40, 42), (1, 3), (60, 110), (50, FRAMES - 1), (120, FRAMES - 1), (0, 90), (0, 5)], ids=str
+)
+@pytest.mark.parametrize("pair", [("LTHI", "LKNE"), ("LANK", "LHEE"), ("LASI", "RTOE")], ids="-".join)
+def test_two_exchanged_markers_are_found_where_they_are(walks, first, last, pair):
+    findings = audit(among(walks, 2, exchanged(walks[2], first, last, *pair)), subjects=PEOPLE)
+    assert told(findings) == [(2, first, last, set(pair), "exchanged")]
+    assert findings[0].subject == "Cem" and findings[0].gain > 10.0
+    assert all(name in findings[0].description for name in (*pair, "exchanged"))
+
+
+def test_exchanges_in_several_recordings_are_all_found(walks):
+    damaged = [exchanged(walks[0], 10, 12, "LTHI", "LKNE"), walks[1], exchanged(walks[2], 100, 130, "RANK", "RTOE"), *walks[3:]]
+    damaged[0] = exchanged(damaged[0], 80, 95, "RASI", "SACR")
+    found = told(audit(damaged, subjects=PEOPLE))
+    assert found == [
+        (0, 10, 12, {"LTHI", "LKNE"}, "exchanged"),
+        (0, 80, 95, {"RASI", "SACR"}, "exchanged"),
+        (2, 100, 130, {"RANK", "RTOE"}, "exchanged"),
+    ]
+
+
+def test_three_markers_that_change_places_are_one_finding(walks):
+    damaged = exchanged(walks[1], 70, 80, "LTHI", "LKNE", "LTIB")
+    findings = audit(among(walks, 1, damaged), subjects=PEOPLE)
+    assert told(findings) == [(1, 70, 80, {"LTHI", "LKNE", "LTIB"}, "exchanged")]
+    assert "exchanged among themselves for 11 frames (0.11 s)" in findings[0].description
+
+
+def test_a_recording_exchanged_throughout_is_told_by_the_others_bodies(walks):
+    """A person's only recording, in which nothing ever leaps; then one of two, of which the other is right."""
+    damaged = exchanged(walks[3], 0, FRAMES - 1, "LKNE", "LANK")
+    found = told(audit(among(walks, 3, damaged), subjects=PEOPLE))
+    assert found == [(3, 0, FRAMES - 1, {"LKNE", "LANK"}, "consistently exchanged against the others")]
+    found = told(audit([*walks, damaged], subjects=[*PEOPLE, "Dee"]))
+    assert found == [(5, 0, FRAMES - 1, {"LKNE", "LANK"}, "exchanged")]
+
+
+def test_an_exchange_across_a_gap_is_found_by_the_body(walks):
+    """Both markers vanish for half a second and come back with each other's names: no leap tells."""
+    damaged = exchanged(walks[4], 100, FRAMES - 1, "RKNE", "RTIB")
+    for name in ("RKNE", "RTIB"):
+        damaged.positions[50:100, damaged.labels.index(name)] = np.nan
+    assert told(audit(among(walks, 4, damaged), subjects=PEOPLE)) == [(4, 100, FRAMES - 1, {"RKNE", "RTIB"}, "exchanged")]
+
+
+@pytest.mark.parametrize(("first", "last"), [(30, 30), (30, 36), (90, 140)])
+def test_a_label_that_leaps_away_and_back_is_found(walks, first, last):
+    damaged = moved(walks[1], first, last, "RKNE", [0.08, -0.05, 0.02])
+    findings = audit(among(walks, 1, damaged), subjects=PEOPLE)
+    assert told(findings) == [(1, first, last, {"RKNE"}, "jump")]
+    assert "RKNE leaves its path" in findings[0].description
+
+
+def test_a_marker_worn_elsewhere_is_a_hint_that_leaves_its_frames_in(walks):
+    """A shank marker 15 cm forward, moving with the body: nobody's label is wrong."""
+    forward = np.nanmean(walks[0].positions[-1] - walks[0].positions[0], axis=0)
+    damaged = moved(walks[0], 0, FRAMES - 1, "LTIB", 0.25 * forward / np.linalg.norm(forward))
+    given_ = among(walks, 0, damaged)
+    findings = audit(given_, subjects=PEOPLE)
+    assert told(findings) == []
+    assert ("LTIB",) in [f.markers for f in findings if f.kind == "misplaced" and f.recording == 0]
+    np.testing.assert_array_equal(without(given_, findings)[0].positions, damaged.positions)
+
+
+# --- with less to go by
+
+
+def test_one_recording_is_judged_by_its_paths(walks):
+    damaged = exchanged(walks[0], 70, 72, "LTHI", "LKNE")
+    assert told(audit([damaged])) == [(0, 70, 72, {"LTHI", "LKNE"}, "exchanged")]
+    late = exchanged(walks[0], 100, FRAMES - 1, "LTHI", "LKNE")
+    assert told(audit([late])) == [(0, 100, FRAMES - 1, {"LTHI", "LKNE"}, "exchanged")], "the shorter side is called wrong"
+    assert told(audit([walks[0]])) == []
+
+
+def test_recordings_of_one_person_are_judged_by_each_other(walks):
+    parts = [walks[0].frames(slice(start, start + 75)) for start in (0, 75)] + [simulate_walks(5, 75, 100.0, seed=6)[0]]
+    damaged = exchanged(parts[1], 20, 74, "RKNE", "RTIB")
+    assert told(audit([parts[0], damaged, parts[2]], subjects=["Ann"] * 3)) == [(1, 20, 74, {"RKNE", "RTIB"}, "exchanged")]
+
+
+def test_gaps_are_no_damage(walks):
+    rng = np.random.default_rng(0)
+    holed = []
+    for walk in walks:
+        positions = walk.positions.copy()
+        for _ in range(12):
+            start, m = rng.integers(FRAMES), rng.integers(positions.shape[1])
+            positions[start : start + rng.integers(1, 40), m] = np.nan
+        holed.append(replace(walk, positions=positions))
+    assert told(audit(holed, subjects=PEOPLE)) == []
+    damaged = exchanged(holed[1], 60, 64, "LTHI", "LKNE")
+    found = told(audit(among(holed, 1, damaged), subjects=PEOPLE))
+    assert all(markers == {"LTHI", "LKNE"} and 60 <= first <= last <= 64 for _, first, last, markers, _ in found)
+
+
+def test_recordings_may_wear_different_markers(walks, labels):
+    some = [walks[0], walks[1].select(labels[::-1]), walks[2].select(labels[:10]), walks[3], walks[4]]
+    some[1] = exchanged(some[1], 20, 22, labels[0], labels[3])
+    assert told(audit(some, subjects=PEOPLE)) == [(1, 20, 22, {labels[0], labels[3]}, "exchanged")]
+
+
+@pytest.mark.parametrize("frames", [0, 1, 2, 5])
+def test_next_to_nothing_holds_no_findings(walks, frames):
+    assert audit([walk.frames(slice(0, frames)) for walk in walks], subjects=PEOPLE) == []
+
+
+def test_odd_recordings_hold_no_findings(walks):
+    empty = replace(walks[0], positions=np.full_like(walks[0].positions, np.nan))
+    point = Recording(np.zeros((20, 1, 3)), ("one",), 100.0)
+    heap = Recording(np.zeros((20, 6, 3)), tuple("abcdef"), 100.0)
+    assert audit([empty]) == audit([point]) == audit([heap]) == audit([Recording(np.zeros((20, 0, 3)), (), 100.0)]) == []
+
+
+def test_a_cut_in_the_recording_is_nobodys_label(walks):
+    """From one frame to the next the whole body is elsewhere, and comes back."""
+    positions = walks[0].positions.copy()
+    positions[60:70] += [1.0, 0.5, 0.0]
+    assert told(audit([replace(walks[0], positions=positions)])) == []
+
+
+def test_nothing_to_look_through_is_refused(walks):
+    with pytest.raises(AsterismError, match="no recording to look through"):
+        audit([])
+    with pytest.raises(AsterismError, match="1 subjects for 2 recordings"):
+        audit(walks[:2], subjects=["Ann"])
+
+
+def test_the_vertical_and_the_place_do_not_matter(walks):
+    damaged = among(walks, 2, exchanged(walks[2], 40, 60, "LTHI", "LKNE"))
+    turned = [replace(r, positions=r.positions[:, :, [1, 2, 0]] + [5.0, 0.0, -3.0], vertical=np.array([0.0, 1.0, 0.0])) for r in damaged]
+    assert told(audit(turned, subjects=PEOPLE)) == told(audit(damaged, subjects=PEOPLE)) != []
+
+
+def test_progress_rises_to_one(walks):
+    fractions = []
+    audit(walks, subjects=PEOPLE, progress=lambda fraction, what: fractions.append(fraction))
+    assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] == 1.0
+
+
+# --- leaving it out
+
+
+def test_what_is_found_can_be_left_out(walks, labels):
+    damaged = among(walks, 2, exchanged(walks[2], 40, 60, "LTHI", "LKNE"))
+    before = damaged[2].positions.copy()
+    kept = without(damaged, audit(damaged, subjects=PEOPLE))
+    gone = np.isnan(kept[2].positions[:, :, 0])
+    wanted = np.zeros_like(gone)
+    wanted[40:61, [labels.index("LTHI"), labels.index("LKNE")]] = True
+    np.testing.assert_array_equal(gone, wanted)
+    np.testing.assert_array_equal(damaged[2].positions, before)
+    for i in (0, 1, 3, 4):
+        np.testing.assert_array_equal(kept[i].positions, walks[i].positions)
+
+
+# --- kernels and twins
+
+
+@given(seed=st.integers(0, 2**31), n=st.integers(0, 8))
+@settings(max_examples=60, deadline=None, derandomize=True)
+def test_the_best_path_is_the_best_of_all(seed, n):
+    rng = np.random.default_rng(seed)
+    paths = rng.normal(0.0, 0.05, (n, 2, 3)).cumsum(axis=0)
+    times = np.cumsum(rng.integers(1, 4, n)).astype(np.float64)
+    scales, emission, switch = rng.uniform(0.01, 0.1, 2), rng.normal(0.0, 4.0, n), rng.uniform(0.0, 5.0)
+    states = np.zeros(n, dtype=np.int64)
+    gain = kernels.exchange_path(paths, times, scales, emission, switch, states)
+    if n < 3:
+        assert gain == 0.0 and not states.any()
+        return
+    best, most = twins.exchange_path(paths, times, scales, emission, switch)
+    assert gain == pytest.approx(most, abs=1e-9)
+    np.testing.assert_array_equal(states, best)
+    score = kernels.path_score(paths, times, scales, emission, switch, states)
+    assert score == pytest.approx(twins.path_score(paths, times, scales, emission, switch, states), abs=1e-9)
+
+
+def test_an_exchange_gains_what_its_evidence_gains(walks):
+    """Against whole labellings scored in full, where the kernel says it computed exactly; and what it skips is far behind."""
+    frames = np.concatenate([walk.positions for walk in walks[:4]])
+    body = fit_body(frames, np.repeat(np.arange(4), FRAMES), BodyRules(), 0).arrays()
+    tried = exchanged(walks[4], 0, FRAMES - 1, "LTHI", "LKNE").positions[::30].copy()
+    tried[1, 3] = np.nan
+    pairs = np.array([(a, b) for a in range(15) for b in range(a + 1, 15)])
+    gains, own = np.zeros((len(pairs), len(tried))), np.zeros((len(tried), 15))
+    rules = LookRules().settings(0.0)
+    kernels.exchange_gains(tried, body, rules, pairs, 30.0, 50.0, gains, own)
+    for t, frame in enumerate(tried):
+        shown = ~np.isnan(frame[:, 0])
+        points, rows = np.ascontiguousarray(frame[shown]), np.where(shown, np.cumsum(shown) - 1, -1)
+        room = body_kernels.make_room(len(points), 15, body.load.shape[3])
+        k, _ = body_kernels.best_pose(body, points, rows, rules, room)
+        top = body_kernels.evidence(body, k, points, rows, rules, room)
+        for p, (a, b) in enumerate(pairs):
+            other = rows.copy()
+            other[[a, b]] = rows[[b, a]]
+            wanted = body_kernels.evidence(body, k, points, other, rules, room) - top
+            if not shown[[a, b]].all():
+                assert gains[p, t] == 0.0
+            elif gains[p, t] > -50.0:
+                assert gains[p, t] == pytest.approx(np.clip(wanted, -50.0, 50.0), abs=1e-6)
+            else:
+                assert wanted < 0.0
+    labels = list(walks[0].labels)
+    swap = pairs.tolist().index(sorted((labels.index("LTHI"), labels.index("LKNE"))))
+    assert gains[swap].min() > 10.0
+    assert np.isnan(own[1, 3]) and np.isfinite(np.delete(own, 1, axis=0)).any()
+
+
+# --- the command
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, walks):
+    place = tmp_path_factory.mktemp("audit")
+    for person, walk in zip(PEOPLE, walks, strict=True):
+        (place / person).mkdir()
+        formats.write(place / person / "walk.c3d", walk)
+    formats.write(place / "Ben" / "damaged.c3d", exchanged(walks[1], 70, 72, "LTHI", "LKNE"))
+    return place
+
+
+def files(folder, damaged):
+    return [str(folder / person / ("damaged.c3d" if damaged and person == "Ben" else "walk.c3d")) for person in PEOPLE]
+
+
+def test_the_command_says_where_and_leaves_with_1(folder, capsys):
+    assert main(["audit", *files(folder, True)]) == 1
+    shown = capsys.readouterr().out
+    assert "damaged.c3d" in shown and "LTHI and LKNE exchanged for 3 frames (0.03 s)" in shown
+    assert "5 files: 1 finding" in shown
+    assert main(["audit", *files(folder, True), "--json", "-"]) == 1
+    [finding] = json.loads(capsys.readouterr().out)["findings"]
+    assert finding["file"].endswith("damaged.c3d")
+    assert (finding["first_frame"], finding["last_frame"], finding["markers"]) == (70, 72, ["LTHI", "LKNE"])
+
+
+def test_the_command_leaves_with_0_where_nothing_is_wrong(folder, capsys):
+    assert main(["audit", *files(folder, False), "--markers", "helen-hayes"]) == 0
+    assert "nothing is wrong" in capsys.readouterr().out
+    assert main(["audit", str(folder / "nowhere.c3d")]) == 2
+
+
+def test_training_can_leave_the_damage_out(folder, tmp_path, capsys, monkeypatch):
+    """Trained on damaged files with their damage left out: the model that learns what `without` leaves."""
+    quick = TrainingRules(trial_frames=20, folds=2)
+    plain = SolverEnsemble.fit
+    monkeypatch.setattr(SolverEnsemble, "fit", lambda recordings, **given: plain(recordings, **{**given, "miner": None, "training": quick}))
+    words = ["--markers", "helen-hayes", "-o", str(tmp_path / "a.model"), "--leave-out-damaged", "--json", str(tmp_path / "a.json")]
+    assert main(["train", *files(folder, True), *words]) == 0
+    shown = capsys.readouterr()
+    assert "damaged.c3d, frames 70 to 72: left out, LTHI and LKNE exchanged" in shown.err
+    assert len(json.loads((tmp_path / "a.json").read_text())["left_out"]) == 1
+    recordings = [asterism.read(file, markers="helen-hayes") for file in files(folder, True)]
+    kept = without(recordings, audit(recordings))
+    marker_set = asterism.MarkerSet.load("helen-hayes")
+    plain(kept, miner=None, training=quick, marker_set=marker_set).save(tmp_path / "b.model")
+    assert (tmp_path / "a.model").read_bytes()[-500:] == (tmp_path / "b.model").read_bytes()[-500:]
+
+
+# --- real people
+
+
+def test_real_recordings(data):
+    """Eight people's walks hold no damage; three frames of one exchanged are found."""
+    paths = [
+        data / "gait" / subject / "straight.c3d" for subject in ("HC002", "HC003", "HC030", "HC031", "HC033", "HC039", "HC040", "HC044")
+    ]
+    recordings = [asterism.read(path, markers="helen-hayes") for path in paths]
+    assert told(audit(recordings)) == []
+    recordings[3] = exchanged(recordings[3], 100, 102, "LHEE", "LANK")
+    assert told(audit(recordings)) == [(3, 100, 102, {"LHEE", "LANK"}, "exchanged")]
