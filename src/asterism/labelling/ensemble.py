@@ -47,7 +47,6 @@ class SolverEnsemble:
         about: dict[str, Any],
         memory: Memory | None = None,
         time_calibration: Calibration | None = None,
-        general: BodyModel | None = None,
     ) -> None:
         self.marker_set = marker_set
         self.about = about
@@ -61,7 +60,6 @@ class SolverEnsemble:
         self._partial = partial
         self._memory = memory
         self._time_calibration = time_calibration or calibrations[1]
-        self._general = general
         self._prepared: Prepared | None = None
 
     @classmethod
@@ -266,8 +264,6 @@ class SolverEnsemble:
         for i, calibration in enumerate(self._calibrations):
             arrays[f"calibration_{i}"] = np.stack([calibration.margin, calibration.right])
         arrays["calibration_time"] = np.stack([self._time_calibration.margin, self._time_calibration.right])
-        if self._general is not None:
-            arrays |= {f"general_{name}": array for name, array in self._general.to_arrays().items()}
         if self._memory is not None:
             arrays |= {f"sample_{name}": array for name, array in self._memory.sample.to_arrays().items()}
         write_arrays(path, head, arrays)
@@ -285,7 +281,6 @@ class SolverEnsemble:
                 {name: tuple(members) for name, members in given["segments"].items()},
             )
             body = _body(arrays, "body_")
-            general = _body(arrays, "general_") if "general_mean" in arrays else None
             in_time = Calibration(*_finite(arrays["calibration_time"])) if "calibration_time" in arrays else None
             anchors = Anchors(arrays["anchor_triples"], arrays["anchor_low"], arrays["anchor_high"])
             _check_shapes(len(marker_set), arrays["markers"], body, anchors)
@@ -308,7 +303,6 @@ class SolverEnsemble:
                 dict(head["about"]),
                 memory,
                 in_time,
-                general,
             )
 
 
@@ -327,7 +321,6 @@ def replace_parts(ensemble: SolverEnsemble, **parts: Any) -> SolverEnsemble:
         "about": ensemble.about,
         "memory": ensemble._memory,
         "time_calibration": ensemble._time_calibration,
-        "general": ensemble._general,
     }
     return SolverEnsemble(**{**own, **parts})
 
