@@ -52,9 +52,9 @@ class TrainingRules:
     usual: float = 0.05
     solver_widen: float = 1.5
     trials: tuple[tuple[float, int], ...] = ((0.0, 0), (0.07, 0), (0.14, 0), (0.2, 0), (0.27, 0), (0.34, 0), (0.0, 3), (0.2, 3))
-    time_trials: tuple[tuple[float, int], ...] = ((0.07, 0), (0.2, 0), (0.34, 0), (0.2, 3))
-    stretch: int = 300
-    stretches: int = 2
+    time_trials: tuple[tuple[float, int], ...] = ((0.2, 0), (0.2, 3))
+    stretch: int = 150
+    stretches: int = 1
 
 
 @dataclass(frozen=True)
