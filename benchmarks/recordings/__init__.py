@@ -9,6 +9,7 @@ from benchmarks.figures import Figure
 from benchmarks.recordings.ablation import ablation
 from benchmarks.recordings.baselines import baselines
 from benchmarks.recordings.dirt import dirt
+from benchmarks.recordings.features import features
 from benchmarks.recordings.full_body import full_body
 from benchmarks.recordings.gaps import gaps
 from benchmarks.recordings.movement import movement
@@ -22,6 +23,7 @@ ROWS: dict[str, Callable[[Bench], Iterator[Figure]]] = {
     "gaps": gaps,
     "ablation": ablation,
     "dirt": dirt,
+    "features": features,
     "full-body": full_body,
     "movement-time": movement,
 }

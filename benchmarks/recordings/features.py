@@ -1,0 +1,127 @@
+"""What features of motion add to the pool of single frames (thesis 6.1, 6.2): the same training and clouds, with and without them."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from asterism.labelling import FullSolver
+from asterism.labelling.features import TEMPORAL, THESIS, kinds_of
+from asterism.labelling.matrix import PartialSolvers, label_by_matrix
+from asterism.labelling.mining import FEATURES, Mining, mine
+from asterism.labelling.solver import stack
+from asterism.recording import Clouds, Labelling, Recording
+from benchmarks.bench import Bench
+from benchmarks.data import gait
+from benchmarks.figures import Figure
+from benchmarks.recordings.walks import CONDITIONS, unseen_training, walks, with_gaps
+from benchmarks.score import Tally
+
+NEIGHBOURS, DERIVATIVES = TEMPORAL[3:], TEMPORAL[:3]
+
+POOLS = {
+    "single frames": FEATURES,
+    "+ derivatives": FEATURES + DERIVATIVES,
+    "+ neighbouring frames": FEATURES + NEIGHBOURS,
+    "+ both": FEATURES + TEMPORAL,
+}
+"""What partial solvers may look at."""
+
+SUBJECTS = slice(2, None, 4)
+"""Three of the eleven subjects, each left out in turn: a miner takes minutes for each pool."""
+
+MINING = Mining(glance=200, exposures=1000, proof=4000, breadth=100, most_solvers=80)
+"""A third of the usual search, for every pool alike."""
+
+WIDEN = 1.5
+WRONG = 10**6
+
+
+@dataclass
+class Outcome:
+    """Of one pool: labels by rules and condition, feature evaluations, and what was mined."""
+
+    tallies: dict[str, Tally] = field(default_factory=lambda: defaultdict(Tally))
+    evaluations: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+    solvers: int = 0
+    weak: int = 0
+    markers: int = 0
+    of_motion: int = 0
+    hit_rates: list[float] = field(default_factory=list)
+    accuracies: list[float] = field(default_factory=list)
+
+    def __iadd__(self, other: Outcome) -> Outcome:
+        for key, tally in other.tallies.items():
+            self.tallies[key] += tally
+            self.evaluations[key] += other.evaluations[key]
+        for name in ("solvers", "weak", "markers", "of_motion", "hit_rates", "accuracies"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        return self
+
+
+def features(bench: Bench) -> Iterator[Figure]:
+    """Right, FA and evaluations of the partial solvers under both rules, and how sure a full solver is, by pool."""
+    subjects = list(gait())[SUBJECTS][: 1 if bench.quick else None]
+    pools = ("single frames", "+ both") if bench.quick else tuple(POOLS)
+    outcomes: dict[str, Outcome] = defaultdict(Outcome)
+    for pool, outcome in bench.each(_left_out, [(subject, pool) for pool in pools for subject in subjects]):
+        outcomes[pool] += outcome
+    for pool, outcome in outcomes.items():
+        for case, tally in outcome.tallies.items():
+            row = f"features, {pool}, {case}"
+            yield Figure(f"{row}: right", "none", tally.right_share, "fraction", tally.frames)
+            yield Figure(f"{row}: FA", "none", tally.false_assignments, "fraction", tally.frames)
+            yield Figure(f"{row}: evaluations", "none", outcome.evaluations[case] / tally.frames, "per frame", tally.frames)
+        row, n = f"features, {pool}, partial solvers", outcome.solvers
+        yield Figure(f"{row}: markers of a solver", "none", outcome.markers / n, "markers", n)
+        yield Figure(f"{row}: weak classifiers of a solver", "none", outcome.weak / n, "classifiers", n)
+        yield Figure(f"{row}: of them of motion", "none", outcome.of_motion / outcome.weak, "fraction", outcome.weak)
+        yield Figure(f"{row}: hit rate in training", "none", float(np.mean(outcome.hit_rates)), "fraction", len(outcome.hit_rates))
+        wrong = len(outcome.accuracies) * _wrong(bench)
+        row = f"features, {pool}, full solver: accuracy over wrong labellings"
+        yield Figure(row, "none", float(np.mean(outcome.accuracies)), "fraction", wrong)
+
+
+def _left_out(bench: Bench, item: tuple[str, str]) -> tuple[str, Outcome]:
+    subject, pool = item
+    people, train = unseen_training(bench, subject)
+    outcome = Outcome()
+    solvers = _mined(people, train, pool)
+    outcome.solvers, outcome.weak, outcome.markers = len(solvers), len(solvers.solvers.kinds), len(solvers.solvers.markers)
+    outcome.of_motion = int(np.isin(solvers.solvers.kinds, kinds_of(TEMPORAL)).sum())
+    outcome.hit_rates = solvers.hit_rates[np.isfinite(solvers.hit_rates)].tolist()
+    names = train[0].labels
+    for condition, (hidden, ghosts) in CONDITIONS.items():
+        for clouds, truth in with_gaps(bench, subject, hidden, ghosts, seeds=1):
+            for rules in ("thesis", "partial-solvers"):
+                labelling, made = _labelled(clouds, solvers, rules, names)
+                outcome.tallies[f"{rules}, {condition}"].add(labelling, truth)
+                outcome.evaluations[f"{rules}, {condition}"] += made
+    own = tuple(name for name in POOLS[pool] if name in TEMPORAL)
+    full = FullSolver.fit(train, features=THESIS + own, subjects=people, seed=0)
+    outcome.accuracies.append(full.accuracy(walks(subject), wrong=_wrong(bench), seed=0))
+    for clouds, truth in with_gaps(bench, subject, 0, 0, seeds=1):
+        outcome.tallies["full solver, none hidden"].add(full.label(clouds), truth)
+        outcome.evaluations["full solver, none hidden"] += round(full.evaluations_in_all * len(clouds))
+    told = "; ".join(f"{case} {tally.right_share:.4f} {tally.false_assignments:.5f}" for case, tally in outcome.tallies.items())
+    bench.say(f"{subject} left out, {pool}: {told}")
+    return pool, outcome
+
+
+def _wrong(bench: Bench) -> int:
+    return 10**4 if bench.quick else WRONG
+
+
+def _mined(people: list[str], train: list[Recording], pool: str) -> PartialSolvers:
+    moving = any(name in TEMPORAL for name in POOLS[pool])
+    frames, groups = stack(train, people, motion=moving)
+    usable = (~np.isnan(frames[:, :, 0])).sum(axis=1) >= 0.5 * frames.shape[1]
+    return mine(frames[usable], groups[usable], targets=0.999, features=POOLS[pool], widen=WIDEN, settings=MINING, seed=0)
+
+
+def _labelled(clouds: Clouds, solvers: PartialSolvers, rules: str, names: tuple[str, ...]) -> tuple[Labelling, int]:
+    votes = label_by_matrix(clouds, solvers, complete=rules == "partial-solvers")
+    return Labelling(votes.indices, votes.votes, names), int(votes.evaluations.sum())
