@@ -50,7 +50,12 @@ SECTIONS = (
     ("What carries it", "ablation, ", r"ablation, (?P<line>.*?), (?P<column>\d hidden.*: .*)"),
     ("Swapped columns", "swap", None),
     ("Streaming", "stream", None),
-    ("Temporal features", ("feature", "temporal"), None),
+    (
+        "Features of motion: the thesis' rules by pool, three subjects not seen",
+        "features, ",
+        r"features, (?P<column>single frames|\+ [a-z ]+), (?P<line>.*)",
+    ),
+    ("Features of motion: solvers by pool", "feature pool", None),
     ("Speed", "speed, ", None),
     ("Real gaps and ghosts", "dirt, ", None),
     ("From one labelled trial to all subjects", "loop", None),

@@ -75,13 +75,13 @@ def features(bench: Bench) -> Iterator[Figure]:
             yield Figure(f"{row}: right", "none", tally.right_share, "fraction", tally.frames)
             yield Figure(f"{row}: FA", "none", tally.false_assignments, "fraction", tally.frames)
             yield Figure(f"{row}: evaluations", "none", outcome.evaluations[case] / tally.frames, "per frame", tally.frames)
-        row, n = f"features, {pool}, partial solvers", outcome.solvers
+        row, n = f"feature pool {pool}, partial solvers", outcome.solvers
         yield Figure(f"{row}: markers of a solver", "none", outcome.markers / n, "markers", n)
         yield Figure(f"{row}: weak classifiers of a solver", "none", outcome.weak / n, "classifiers", n)
         yield Figure(f"{row}: of them of motion", "none", outcome.of_motion / outcome.weak, "fraction", outcome.weak)
         yield Figure(f"{row}: hit rate in training", "none", float(np.mean(outcome.hit_rates)), "fraction", len(outcome.hit_rates))
         wrong = len(outcome.accuracies) * _wrong(bench)
-        row = f"features, {pool}, full solver: accuracy over wrong labellings"
+        row = f"feature pool {pool}, full solver: accuracy over wrong labellings"
         yield Figure(row, "none", float(np.mean(outcome.accuracies)), "fraction", wrong)
 
 
