@@ -14,11 +14,15 @@ from benchmarks.recordings.full_body import full_body
 from benchmarks.recordings.gaps import gaps
 from benchmarks.recordings.movement import movement
 from benchmarks.recordings.speed import speed
+from benchmarks.recordings.stream import stream
+from benchmarks.recordings.swaps import swaps
 
 ISSUE = "Label whole recordings: tracks, time, the subject's own body, and corrections that teach"
 
 ROWS: dict[str, Callable[[Bench], Iterator[Figure]]] = {
+    "swaps": swaps,
     "speed-time": speed,
+    "stream": stream,
     "baselines": baselines,
     "gaps": gaps,
     "ablation": ablation,

@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
 from asterism.labelling.body.anchors import Anchors
@@ -23,6 +24,9 @@ from asterism.labelling.sample import Sample
 from asterism.labelling.tracks.joint import Looker, TimeRules
 from asterism.labelling.tracks.whole import Member, label_whole
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording
+
+if TYPE_CHECKING:
+    from asterism.labelling.stream import Stream
 
 RULES = ("whole-body", "partial-solvers", "thesis")
 
@@ -235,6 +239,16 @@ class SolverEnsemble:
         if self._prepared is None:
             self._prepared = Prepared.of(self._body, self._anchors, self._look.settings(self._usual_score))
         return self._prepared
+
+    def stream(self, rate: float, delay: int = 0, vertical: ArrayLike | str = "z") -> Stream:
+        """A labeller for live points: `stream.push(points)` gives the labels of the frame `delay` pushes ago.
+
+        rate: frames per second; delay: frames to wait for, which make the labels surer; vertical: the axis that points up.
+        Raises AsterismError where one of them makes no sense.
+        """
+        from asterism.labelling.stream import Stream
+
+        return Stream(self._parts(), self._markers, len(self.marker_set), self._calibrations, self.least_confidence, rate, delay, vertical)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model: one NPZ file of plain arrays and a JSON text, no pickle. Written under a temporary name, then renamed."""

@@ -1,0 +1,191 @@
+"""Live points: labels with a fixed delay, against walkers whose truth is known."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+import asterism
+from asterism.hiding import hide_in_gaps
+from asterism.labelling.stream import FrameLabels, Stream, _assign, _margins
+from asterism.recording import Clouds, Recording
+from asterism.simulation import simulate_walks
+
+
+@pytest.fixture(scope="module")
+def walks() -> list[Recording]:
+    return simulate_walks(subjects=6, frames=200, seed=11)
+
+
+@pytest.fixture(scope="module")
+def ensemble(walks: list[Recording]) -> asterism.SolverEnsemble:
+    return asterism.SolverEnsemble.fit(walks[:5], miner=None, subjects=list("abcde"))
+
+
+def run(stream: Stream, clouds: Clouds) -> list[FrameLabels]:
+    out = [frame for points in clouds if (frame := stream.push(points)) is not None]
+    return out + stream.flush()
+
+
+def indices(frames: list[FrameLabels]) -> np.ndarray:
+    return np.array([frame.indices for frame in frames])
+
+
+@pytest.mark.parametrize("delay", [0, 1, 20])
+def test_labels_come_for_every_frame_with_the_stated_delay(walks, ensemble, delay: int) -> None:
+    clouds = walks[5].frames(slice(50)).clouds()
+    stream = ensemble.stream(100.0, delay)
+    for t, points in enumerate(clouds):
+        frame = stream.push(points)
+        assert (frame is None) == (t < delay)
+        assert frame is None or frame.frame == t - delay
+    assert [frame.frame for frame in stream.flush()] == list(range(50 - delay, 50))
+    assert stream.flush() == []
+
+
+@pytest.mark.parametrize(("hidden", "ghosts", "right", "wrong"), [(0, 0, 0.999, 0.0), (3, 0, 0.99, 0.002), (3, 3, 0.96, 0.02)])
+def test_someone_unseen_is_labelled_live(walks, ensemble, hidden: int, ghosts: int, right: float, wrong: float) -> None:
+    clouds, truth = hide_in_gaps(walks[5], hidden, ghosts, 2, number_tracks=False)
+    shares = []
+    for delay in (0, 20):
+        got = indices(run(ensemble.stream(100.0, delay), clouds))
+        given = got >= 0
+        assert (got == truth).mean() >= right, f"delay {delay}: {(got == truth).mean():.4f} right"
+        assert (got != truth)[given].mean() <= wrong, f"delay {delay}: {(got != truth)[given].mean():.4f} wrong"
+        shares.append((got == truth).mean())
+    assert shares[1] >= shares[0] - 0.002
+
+
+def test_no_point_is_two_markers_and_confidence_is_a_probability(walks, ensemble) -> None:
+    clouds, _ = hide_in_gaps(walks[5], 2, 3, 0)
+    for frame in run(ensemble.stream(100.0, 5), clouds):
+        given = frame.indices[frame.indices >= 0]
+        assert len(set(given.tolist())) == len(given)
+        assert ((frame.confidence >= 0) & (frame.confidence <= 1)).all()
+        assert (frame.confidence[frame.indices >= 0] >= ensemble.least_confidence).all()
+
+
+def test_the_order_of_points_and_a_second_run_change_nothing(walks, ensemble) -> None:
+    rng = np.random.default_rng(0)
+    clouds, _ = hide_in_gaps(walks[5].frames(slice(80)), 3, 2, 1)
+    one = run(ensemble.stream(100.0, 3), clouds)
+    again = run(ensemble.stream(100.0, 3), clouds)
+    orders = [rng.permutation(n) for n in clouds.counts]
+    shuffled = Clouds.from_points([points[order] for points, order in zip(clouds, orders, strict=True)], rate=100.0)
+    for first, second, other, order in zip(one, again, run(ensemble.stream(100.0, 3), shuffled), orders, strict=True):
+        np.testing.assert_array_equal(first.indices, second.indices)
+        np.testing.assert_array_equal(first.confidence, second.confidence)
+        np.testing.assert_array_equal(first.indices, np.where(other.indices >= 0, order[other.indices], -1))
+        np.testing.assert_array_equal(first.confidence, other.confidence)
+
+
+def test_another_vertical_gives_the_same_labels(walks, ensemble) -> None:
+    clouds = walks[5].frames(slice(40)).clouds()
+    lying = [points[:, [1, 2, 0]] for points in clouds]  # x, y, z become z, x, y: what was z is y
+    got = indices(run(ensemble.stream(100.0), clouds))
+    other = ensemble.stream(100.0, vertical="y")
+    np.testing.assert_array_equal(got, [other.push(points).indices for points in lying])
+
+
+def test_a_stream_begins_anew_after_everybody_left_and_after_a_flush(walks, ensemble) -> None:
+    clouds = walks[5].frames(slice(40)).clouds()
+    stream = ensemble.stream(100.0)
+    first = indices([stream.push(points) for points in clouds])
+    assert (stream.push([]).indices == -1).all()
+    assert (stream.push(np.zeros((2, 3))).indices == -1).all()
+    backwards = [stream.push(points).indices for points in list(clouds)[::-1]][::-1]
+    assert (np.array(backwards)[:-15] == first[:-15]).mean() > 0.99
+    stream.flush()
+    np.testing.assert_array_equal(indices([stream.push(points) for points in clouds]), first)
+
+
+def test_memory_does_not_grow_with_time(walks, ensemble) -> None:
+    clouds, _ = hide_in_gaps(walks[5], 3, 5, 0)
+    stream = ensemble.stream(100.0, 10)
+    for points in clouds:
+        stream.push(points)
+    size = len(stream._weight)
+    tracemalloc.start()
+    before = tracemalloc.get_traced_memory()[0]
+    for _ in range(3):
+        for points in clouds:
+            stream.push(points)
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert len(stream._weight) <= 2 * size
+    assert grown < 200_000, f"{grown} bytes more after 600 frames"
+
+
+def test_bad_input_is_named_and_the_stream_goes_on(walks, ensemble) -> None:
+    for rate in (0, -1.0, np.nan, np.inf):
+        with pytest.raises(asterism.AsterismError, match="frame rate"):
+            ensemble.stream(rate)
+    for delay in (-1, 0.5, True):
+        with pytest.raises(asterism.AsterismError, match="delay"):
+            ensemble.stream(100.0, delay)
+    with pytest.raises(asterism.AsterismError, match="vertical"):
+        ensemble.stream(100.0, vertical="up")
+    clouds = walks[5].frames(slice(20)).clouds()
+    stream, calm = ensemble.stream(100.0), ensemble.stream(100.0)
+    for points in clouds:
+        with pytest.raises(asterism.AsterismError, match=r"frame .*shape"):
+            stream.push(points.T)
+        with pytest.raises(asterism.AsterismError, match="NaN or infinite"):
+            stream.push(np.full((3, 3), np.nan))
+        np.testing.assert_array_equal(stream.push(points).indices, calm.push(points).indices)
+
+
+def test_coincident_points_and_ghosts_alone_are_nobody(ensemble) -> None:
+    stream = ensemble.stream(100.0, 2)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        stream.push(np.zeros((40, 3)))
+    for _ in range(20):
+        frame = stream.push(rng.normal(size=(150, 3)) * 3)
+        assert frame is not None
+    frames = [stream.push(rng.normal(size=(10, 3)) * 3) for _ in range(20)]
+    assert np.mean([frame.indices >= 0 for frame in frames[5:]]) < 0.05
+
+
+def test_margins_are_those_of_all_labellings_of_a_small_frame() -> None:
+    """Against every labelling that moves one marker, or exchanges two."""
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        scores = rng.normal(scale=4.0, size=(4, 3))
+        rows = _assign(scores)
+        margins = _margins(scores, scores, rows)
+
+        def value(labels, scores=scores):
+            return sum(scores[c, m] for m, c in enumerate(labels) if c >= 0)
+
+        for m in np.nonzero(rows >= 0)[0]:
+            best = -np.inf
+            for c in [-1, *range(4)]:
+                if c == rows[m]:
+                    continue
+                other = rows.copy()
+                other[m] = c
+                holder = np.nonzero((rows == c) & (c >= 0))[0]
+                if len(holder):
+                    for instead in (-1, rows[m]):
+                        other[holder[0]] = instead
+                        best = max(best, value(other))
+                else:
+                    best = max(best, value(other))
+            # a hidden marker may take the point, too
+            for hidden in np.nonzero(rows < 0)[0]:
+                other = rows.copy()
+                other[hidden], other[m] = rows[m], -1
+                best = max(best, value(other))
+            for k in np.nonzero(rows >= 0)[0]:
+                other = rows.copy()
+                if k != m:
+                    other[k], other[m] = rows[m], -1
+                    best = max(best, value(other))
+                    other[m] = rows[k]
+                    best = max(best, value(other))
+            takes_free = margins[m] - (value(rows) - best)
+            assert takes_free >= -1e-9
+            assert margins[m] <= scores[rows[m], m] + 1e-9
