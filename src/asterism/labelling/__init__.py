@@ -2,7 +2,7 @@
 
 from asterism.labelling.audit import Finding, audit, without
 from asterism.labelling.capturability import Capturability, Change, capturability
-from asterism.labelling.ensemble import SolverEnsemble, TrainingRules
+from asterism.labelling.ensemble import SolverEnsemble, TrainingRules, label_together
 from asterism.labelling.evaluation import Condition, Evaluation, evaluate, leave_one_subject_out
 from asterism.labelling.naming import Groups, name_groups, own_tracks
 from asterism.labelling.review import Item, review, settle
@@ -22,6 +22,7 @@ __all__ = [
     "audit",
     "capturability",
     "evaluate",
+    "label_together",
     "leave_one_subject_out",
     "name_groups",
     "own_tracks",

@@ -25,6 +25,7 @@ from asterism.labelling.features import upright
 from asterism.labelling.look import Prepared, Progress
 from asterism.labelling.tracks._kernels import gather, margins_of, score_frames
 from asterism.labelling.tracks.assignment import assign_tracklets
+from asterism.labelling.tracks.bodies import body_votes, find_bodies, follow_bodies
 from asterism.labelling.tracks.linking import Tracklets
 from asterism.recording import NULL, Clouds, Floats, Ints
 
@@ -161,7 +162,8 @@ def label_scene(
     """Label all tracklets of a recording together; see the module's head."""
     report = progress or (lambda fraction, what: None)
     starts, bodies = _starts(lookers), [looker.body for looker in lookers]
-    label = assign_tracklets(_votes(lookers, scene, rules, workers, report), scene.first, scene.last)
+    votes = _votes if len(lookers) == 1 else _votes_of_several
+    label = assign_tracklets(votes(lookers, scene, rules, workers, report), scene.first, scene.last)
     state = _climb(lookers, bodies, scene, label, rules)
     stages = {"votes": label, "tracks": state.label}
     for turn in range(rules.calibrate):
@@ -224,6 +226,15 @@ def _votes(lookers: Sequence[Looker], scene: Scene, rules: TimeRules, workers: i
         track = scene.seen_track[scene.seen_offsets[frame] + rows[frame, marker]]
         np.add.at(votes, (track, starts[number] + marker), np.clip(margins[frame, marker], 0.1, rules.vote_limit))
     return votes
+
+
+def _votes_of_several(lookers: Sequence[Looker], scene: Scene, rules: TimeRules, workers: int, report: Progress) -> Floats:
+    """`_votes` where there are several bodies, each followed through time."""
+    parts = [looker.parts for looker in lookers]
+    bodies = find_bodies(
+        parts, scene.seen_xyz, scene.seen_offsets, rules.vote_limit, workers, lambda fraction, what: report(0.7 * fraction, what)
+    )
+    return body_votes(parts, bodies, follow_bodies(bodies, scene.seen_track), scene.seen_track)
 
 
 def _climb(lookers: Sequence[Looker], bodies: Sequence[BodyModel], scene: Scene, label: Ints, rules: TimeRules) -> _State:
