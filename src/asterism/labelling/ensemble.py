@@ -15,14 +15,17 @@ from asterism.labelling.body.anchors import Anchors
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.calibration import Calibration
+from asterism.labelling.features import upright
 from asterism.labelling.learning import Memory, Recipe, TrainingRules, common_marker_set, learn_body, least_confidence
 from asterism.labelling.look import LookRules, Prepared, Progress
 from asterism.labelling.matrix import PartialSolvers, label_by_matrix
 from asterism.labelling.mining import mine
 from asterism.labelling.model_file import reading, write_arrays
 from asterism.labelling.sample import Sample
+from asterism.labelling.solver import person
+from asterism.labelling.tracks.certainty import Certainty
 from asterism.labelling.tracks.joint import Looker, TimeRules
-from asterism.labelling.tracks.whole import Member, label_whole
+from asterism.labelling.tracks.whole import Member, label_whole, subject_body
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording
 
 if TYPE_CHECKING:
@@ -50,7 +53,7 @@ class SolverEnsemble:
         partial: PartialSolvers | None,
         about: dict[str, Any],
         memory: Memory | None = None,
-        time_calibration: Calibration | None = None,
+        in_time: Certainty | None = None,
     ) -> None:
         self.marker_set = marker_set
         self.about = about
@@ -63,7 +66,7 @@ class SolverEnsemble:
         self._look = look
         self._partial = partial
         self._memory = memory
-        self._time_calibration = time_calibration or calibrations[1]
+        self._in_time = in_time or Certainty(calibrations, least_confidence)
         self._prepared: Prepared | None = None
 
     @classmethod
@@ -171,8 +174,25 @@ class SolverEnsemble:
             partial,
             about,
             memory,
-            learned.time_calibration,
+            learned.in_time,
         )
+
+    def adapt(self, static: Recording) -> SolverEnsemble:
+        """A new ensemble for one subject: its body model narrowed to this person's by one recording, usually of the person standing.
+
+        static: labelled with at least half of the model's markers, else it is labelled first, as a whole recording. Markers may be
+        missing. Raises AsterismError where too little is seen or the labels fit no body that the model knows.
+        """
+        columns = self.marker_set.columns_of(static.labels)[self._markers]
+        if (columns >= 0).sum() >= 0.5 * len(columns):
+            frames = np.where(columns[:, None] >= 0, static.positions[:, columns], np.nan)
+        else:
+            clouds = static.clouds()
+            frames = self.label(clouds, time=True).positions(clouds)[:, self._markers]
+        looker = Looker(self._parts(), self._body)
+        body_rules = BodyRules() if self._memory is None else self._memory.recipe.body
+        body = subject_body(looker, upright(frames, static.vertical), static.rate, SubjectRules(), body_rules)
+        return replace_parts(self, body=body, about={**self.about, "adapted_to": person(static)})
 
     def label(
         self,
@@ -262,6 +282,7 @@ class SolverEnsemble:
             },
             "usual_score": self._usual_score,
             "least_confidence": self.least_confidence,
+            "least_confidence_in_time": self._in_time.least_confidence,
             "look": asdict(self._look),
             "about": self.about,
             "recipe": None if self._memory is None else self._memory.recipe.to_dict(),
@@ -277,7 +298,8 @@ class SolverEnsemble:
             arrays |= {f"partial_{name}": array for name, array in self._partial.to_arrays().items()}
         for i, calibration in enumerate(self._calibrations):
             arrays[f"calibration_{i}"] = np.stack([calibration.margin, calibration.right])
-        arrays["calibration_time"] = np.stack([self._time_calibration.margin, self._time_calibration.right])
+        for i, calibration in enumerate(self._in_time.calibrations):
+            arrays[f"time_calibration_{i}"] = np.stack([calibration.margin, calibration.right])
         if self._memory is not None:
             arrays |= {f"sample_{name}": array for name, array in self._memory.sample.to_arrays().items()}
         write_arrays(path, head, arrays)
@@ -295,10 +317,12 @@ class SolverEnsemble:
                 {name: tuple(members) for name, members in given["segments"].items()},
             )
             body = _body(arrays, "body_")
-            in_time = Calibration(*_finite(arrays["calibration_time"])) if "calibration_time" in arrays else None
             anchors = Anchors(arrays["anchor_triples"], arrays["anchor_low"], arrays["anchor_high"])
             _check_shapes(len(marker_set), arrays["markers"], body, anchors)
-            calibrations = tuple(Calibration(*_finite(arrays[f"calibration_{i}"])) for i in range(2))
+            calibrations = _two_curves(arrays, "calibration")
+            in_time = None
+            if "time_calibration_0" in arrays:
+                in_time = Certainty(_two_curves(arrays, "time_calibration"), float(head["least_confidence_in_time"]))
             partial, sample = (
                 {name.removeprefix(part): array for name, array in arrays.items() if name.startswith(part)}
                 for part in ("partial_", "sample_")
@@ -310,7 +334,7 @@ class SolverEnsemble:
                 body,
                 anchors,
                 float(head["usual_score"]),
-                (calibrations[0], calibrations[1]),
+                calibrations,
                 float(head["least_confidence"]),
                 LookRules(**head["look"]),
                 PartialSolvers.from_arrays(partial) if partial else None,
@@ -334,7 +358,7 @@ def replace_parts(ensemble: SolverEnsemble, **parts: Any) -> SolverEnsemble:
         "partial": ensemble._partial,
         "about": ensemble.about,
         "memory": ensemble._memory,
-        "time_calibration": ensemble._time_calibration,
+        "in_time": ensemble._in_time,
     }
     return SolverEnsemble(**{**own, **parts})
 
@@ -347,9 +371,7 @@ def label_together(
     clouds: T frames. An ensemble may be given twice, for two people who wear the same markers. Whole recordings only: see
     `SolverEnsemble.label` with `time`.
     """
-    members = [
-        Member(Looker(e._parts(), e._body), e.marker_set.names, e._markers, e._time_calibration, e.least_confidence) for e in ensembles
-    ]
+    members = [Member(Looker(e._parts(), e._body), e.marker_set.names, e._markers, e._in_time) for e in ensembles]
     body_rules = next((e._memory.recipe.body for e in ensembles if e._memory is not None), BodyRules())
     return label_whole(members, clouds, TimeRules(), SubjectRules(), body_rules, workers, progress)[0]
 
@@ -357,6 +379,10 @@ def label_together(
 def _body(arrays: dict[str, Any], prefix: str) -> BodyModel:
     parts = {name.removeprefix(prefix): _finite(array) for name, array in arrays.items() if name.startswith(prefix)}
     return BodyModel(**parts)
+
+
+def _two_curves(arrays: dict[str, Any], name: str) -> tuple[Calibration, Calibration]:
+    return Calibration(*_finite(arrays[f"{name}_0"])), Calibration(*_finite(arrays[f"{name}_1"]))
 
 
 def _silent(fraction: float, what: str) -> None:

@@ -20,6 +20,7 @@ from asterism.labelling.look import LookRules, Prepared, Progress
 from asterism.labelling.motion.points import frames_with_motion
 from asterism.labelling.sample import Sample
 from asterism.labelling.solver import person
+from asterism.labelling.tracks.certainty import Certainty, Tried
 from asterism.labelling.tracks.joint import Looker, TimeRules
 from asterism.labelling.tracks.whole import trial
 from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording
@@ -53,8 +54,8 @@ class TrainingRules:
     solver_widen: float = 1.5
     trials: tuple[tuple[float, int], ...] = ((0.0, 0), (0.07, 0), (0.14, 0), (0.2, 0), (0.27, 0), (0.34, 0), (0.0, 3), (0.2, 3))
     time_trials: tuple[tuple[float, int], ...] = ((0.2, 0), (0.2, 3))
-    stretch: int = 150
-    stretches: int = 1
+    stretch: int = 300
+    stretches: int = 2
 
 
 @dataclass(frozen=True)
@@ -162,7 +163,7 @@ class Learned:
     anchors: Anchors
     usual_score: float
     calibrations: tuple[Calibration, Calibration]
-    time_calibration: Calibration
+    in_time: Certainty
 
 
 def learn_body(frames: Floats, people: Ints, stretches: Sequence[tuple[int, Recording]], recipe: Recipe, progress: Progress) -> Learned:
@@ -194,8 +195,8 @@ def learn_body(frames: Floats, people: Ints, stretches: Sequence[tuple[int, Reco
         in_time.append(trial(Looker(tried, own), others_stretches, rules.time_trials, TimeRules(), SubjectRules(), recipe.body, seed + i))
     margin, right, spare = (np.concatenate(parts) for parts in zip(*outcomes, strict=True))
     calibrations = (Calibration.fit(margin[~spare], right[~spare]), Calibration.fit(margin[spare], right[spare]))
-    time_margin, time_right = (np.concatenate(parts) for parts in zip(*in_time, strict=True))
-    return Learned(body, anchors, float(np.median(usual)), calibrations, Calibration.fit(time_margin, time_right))
+    certainty = Certainty.fit(Tried.together(in_time), recipe.target_hit_rate)
+    return Learned(body, anchors, float(np.median(usual)), calibrations, certainty)
 
 
 def least_confidence(target_hit_rate: float) -> float:

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asterism.errors import AsterismError
 from asterism.hiding import hide_in_gaps
-from asterism.labelling.body.model import BodyRules
-from asterism.labelling.body.subject import SubjectRules
-from asterism.labelling.calibration import Calibration
+from asterism.labelling.body.model import BodyModel, BodyRules
+from asterism.labelling.body.subject import SubjectRules, adapt_body
 from asterism.labelling.look import Progress
+from asterism.labelling.tracks._kernels import score_frames
+from asterism.labelling.tracks.certainty import Certainty, Tried, beside_spare
 from asterism.labelling.tracks.joint import Looker, Outcome, TimeRules, label_scene, lay_out, own_labels
 from asterism.labelling.tracks.linking import find_tracklets
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
@@ -21,17 +23,15 @@ from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
 class Member:
     """A model as one of the bodies in a recording.
 
-    looker            what finds the body
-    names, markers    all names of its marker set, and which of them (M,) the body has learned
-    calibration       from a tracklet's margin to the confidence of its label
-    least_confidence  below which a label is taken back
+    looker          what finds the body
+    names, markers  all names of its marker set, and which of them (M,) the body has learned
+    certainty       how sure a tracklet's label is, and when it is taken back
     """
 
     looker: Looker
     names: tuple[str, ...]
     markers: Ints
-    calibration: Calibration
-    least_confidence: float
+    certainty: Certainty
 
 
 def label_whole(
@@ -50,13 +50,14 @@ def label_whole(
     outcome = label_scene([member.looker for member in members], scene, rules, subject_rules, body_rules, workers, progress)
     labellings = []
     frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
+    beside = beside_spare(outcome.label, scene.first, scene.last)
     starts = np.concatenate([[0], np.cumsum([len(member.markers) for member in members])])
     for number, member in enumerate(members):
         label, rival = own_labels(outcome.label, starts, number), own_labels(outcome.rival, starts, number)
         blank = _nothing(member, clouds)
         indices, confidence = blank.indices, blank.confidence
-        sure = member.calibration.confidence(outcome.margin)
-        kept = (label != NULL) & (sure >= member.least_confidence)
+        sure = member.certainty.confidence(outcome.margin, beside)
+        kept = (label != NULL) & (sure >= member.certainty.least_confidence)
         # a marker without a point: how likely its best candidate was it, never above one half unless a label was taken back
         candidate = np.where(label != NULL, label, np.where(outcome.label == NULL, rival, NULL))
         chance = np.where(label != NULL, sure, 0.5 * np.exp(np.minimum(outcome.margin, 0.0)))
@@ -71,6 +72,28 @@ def label_whole(
     return labellings, outcome
 
 
+def subject_body(looker: Looker, frames: Floats, rate: float, rules: SubjectRules, body_rules: BodyRules) -> BodyModel:
+    """The body model of the one person whose labelled frames these are: (T, M, 3) m, z up, NaN where missing.
+
+    Raises AsterismError where the model cannot be adapted, no frame shows three markers, or the labels fit no body that the model knows.
+    """
+    if looker.body.within is None:
+        raise AsterismError("this model was written by an earlier Asterism and cannot be adapted to a subject; train it again.")
+    shown = ~np.isnan(frames[:, :, 0])
+    looked = np.nonzero(shown.sum(axis=1) >= max(3, 0.4 * shown.shape[1]))[0][:: max(1, round(rules.independent * rate))]
+    if not len(looked):
+        raise AsterismError("no frame of the subject's recording shows enough labelled markers; give a standing trial with all of them.")
+    seen = shown[looked]
+    offsets = np.concatenate([[0], np.cumsum(seen.sum(axis=1))]).astype(np.int64)
+    xyz, marker = np.ascontiguousarray(frames[looked][seen]), np.nonzero(seen)[1].astype(np.int64)
+    scores, totals, poses = np.empty((len(xyz), seen.shape[1])), np.empty(len(looked)), np.empty(len(looked), dtype=np.int64)
+    everyone = np.arange(seen.shape[1])
+    score_frames(xyz, offsets, marker, everyone, looker.parts.body, looker.parts.settings, scores, totals, poses)
+    if np.median(scores[np.arange(len(xyz)), marker]) <= looker.parts.settings.odd:
+        raise AsterismError("the subject's labelled markers fit no body that the model knows; check the labels, or train on such bodies.")
+    return adapt_body(looker.body, frames[looked], poses, np.ones(len(looked)), rules, body_rules)
+
+
 def trial(
     looker: Looker,
     stretches: Sequence[Recording],
@@ -79,13 +102,13 @@ def trial(
     subject_rules: SubjectRules,
     body_rules: BodyRules,
     seed: int,
-) -> tuple[Floats, Floats]:
-    """Label stretches of recordings whose truth is known, markers hidden in gaps and ghosts added: margin and rightness of labels given.
+) -> Tried:
+    """Label stretches of recordings whose truth is known, markers hidden in gaps and ghosts added.
 
     trials: (share of the markers hidden at every moment, ghosts). One entry for each label in each frame that was looked at.
     """
     rng = np.random.default_rng(seed)
-    margins, rights = [np.empty(0)], [np.empty(0)]
+    parts = []
     for stretch in stretches:
         for share, ghosts in trials:
             clouds, truth = hide_in_gaps(stretch, round(share * len(stretch.labels)), ghosts, rng)
@@ -93,12 +116,13 @@ def trial(
                 continue
             scene = lay_out(clouds, find_tracklets(clouds), rules)
             outcome = label_scene([looker], scene, rules, subject_rules, body_rules)
-            label = outcome.label[scene.track]
+            label, beside = outcome.label[scene.track], beside_spare(outcome.label, scene.first, scene.last)
             frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
             looked = np.isin(frame_of, scene.looked) & (label != NULL)
-            margins.append(outcome.margin[scene.track[looked]])
-            rights.append((truth[frame_of[looked], label[looked]] == scene.place[looked]).astype(np.float64))
-    return np.concatenate(margins), np.concatenate(rights)
+            right = truth[frame_of[looked], label[looked]] == scene.place[looked]
+            track = scene.track[looked]
+            parts.append(Tried(outcome.margin[track], right.astype(np.float64), beside[track]))
+    return Tried.together(parts)
 
 
 def _nothing(member: Member, clouds: Clouds) -> Labelling:
