@@ -20,7 +20,7 @@ from asterism.recording import Recording
 from asterism.simulation import simulate_walks
 
 ROOT = Path(__file__).parent.parent
-VERBS = ("demo", "name", "train", "label", "review", "learn", "evaluate", "capturability", "info", "convert")
+VERBS = ("demo", "name", "audit", "train", "label", "review", "learn", "evaluate", "capturability", "info", "convert")
 MARKERS = "helen-hayes"
 
 

@@ -1,29 +1,37 @@
-"""From one labelled trial to all subjects: label, let a person settle what review flags, learn, go on to whom the model doubts least."""
+"""From one trial to all subjects: label, let a person settle what review flags, learn, go on to what is least in doubt.
+
+The one trial is labelled, or its markers are named once (`own_tracks`). The model sees the truth through the person's answers only. A label
+is *touched* where an answer changed it, on the piece looked at or on a point that had its marker; *given by name* where a named group of
+tracks covers it; *looked at* where the piece was flagged, right or not. All are shares of all samples to be labelled.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, field
 
 import numpy as np
 
 import asterism
-from asterism.hiding import hide_in_gaps
-from asterism.labelling import Item, review, settle
-from asterism.recording import Clouds, Ints, Labelling, Recording
+from asterism.hiding import anonymous, hide_in_gaps
+from asterism.labelling import Item, name_groups, own_tracks, review, settle
+from asterism.recording import NULL, Clouds, Ints, Labelling, MarkerSet, Recording
 from benchmarks.bench import Bench
 from benchmarks.data import file_of, gait
 from benchmarks.figures import Figure
+from benchmarks.recordings.loop_picture import PICTURE, Line, picture
 from benchmarks.score import Tally
 
-PICTURE = Path(__file__).parents[2] / "docs" / "loop.svg"
-CONDITIONS = {"as recorded": (0, 0), "3 hidden": (3, 0)}
+CONDITIONS = {"as recorded": 0, "3 hidden": 3}
+"""Markers hidden in gaps at every moment."""
+STARTS = 3
+"""Subjects whose straight walk is the one trial, each in turn, evenly spread."""
 WORTH = 1.0
 """Samples that a look must be expected to mend, else the piece is not looked at."""
-BUDGETS: dict[str, int | None] = {"nothing": 0, "3 pieces per recording": 3, "all that is flagged": None}
-STARTS = 6
-"""Subjects whose straight walk is the one labelled trial, each in turn: every second one."""
+OFTEN = 0.1
+"""Share of the frames that show a group of tracks, from which the person names it."""
+HASTE = 2
+"""So many trials are done for one that is taken on before the model learns again."""
 
 
 @dataclass(frozen=True)
@@ -35,11 +43,23 @@ class Trial:
     clouds: Clouds
     truth: Ints
 
-    def answer(self, item: Item) -> str | None:
+    @property
+    def samples(self) -> int:
+        """Markers in view, over all frames."""
+        return int((self.truth >= 0).sum())
+
+    def marker_of_points(self, labels: Ints) -> Ints:
+        """(P,) the marker of each point by labels (T, M), -1 for none."""
+        marker_of = np.full(len(self.clouds.xyz), NULL, dtype=np.int64)
+        frames, markers = np.nonzero(labels >= 0)
+        marker_of[self.clouds.offsets[frames] + labels[frames, markers]] = markers
+        return marker_of
+
+    def answer(self, points: Ints) -> str | None:
         """What a person says of a piece: the marker that most of its points are, None for a ghost."""
-        frames = np.searchsorted(self.clouds.offsets, item.points, side="right") - 1
-        at, markers = np.nonzero(self.truth[frames] == (item.points - self.clouds.offsets[frames])[:, None])
-        return self.recording.labels[int(np.bincount(markers).argmax())] if 2 * len(at) > len(frames) else None
+        own = self.marker_of_points(self.truth)[points]
+        known = own[own >= 0]
+        return self.recording.labels[int(np.bincount(known).argmax())] if 2 * len(known) > len(own) else None
 
     def labelled(self, labelling: Labelling) -> Recording:
         """The recording as it is handed on to be learned."""
@@ -48,166 +68,146 @@ class Trial:
 
 @dataclass
 class Course:
-    """What a whole loop took and gave. Looked at: flagged; touched: flagged, and the person changed a label."""
+    """What a whole loop took and gave; before: by the one trial's model alone; line: the errors of all trials as the hand work grew."""
 
-    start: str
-    condition: str
-    budget: str
-    before: Tally
-    after: Tally
-    worst: tuple[float, str] = (1.0, "")
-    pieces: int = 0
-    looked_pieces: int = 0
-    looked_samples: int = 0
-    touched_pieces: int = 0
-    touched_samples: int = 0
-    samples: int = 0
+    task: tuple[str, str, bool]
+    samples: int
+    before: Tally = field(default_factory=Tally)
+    after: dict[str, Tally] = field(default_factory=dict)
+    line: list[tuple[float, float]] = field(default_factory=list)
+    names: int = 0
+    by_name: int = 0
+    looks: int = 0
+    looked_at: int = 0
+    touches: int = 0
+    touched: int = 0
 
     @property
-    def error(self) -> float:
-        """Markers in view that are not right at the end, and wrong labels of hidden ones, among all samples."""
-        return (self.after.missed + self.after.given - self.after.right) / max(1, self.samples)
+    def worst(self) -> float:
+        """Share right of the subject that came off worst."""
+        return min(tally.right_share for tally in self.after.values())
 
 
 def loop(bench: Bench) -> Iterator[Figure]:
     """The loop from each start; draws docs/loop.svg in a full run."""
-    starts = list(gait())[:: 11 // STARTS + 1][: 1 if bench.quick else None]
-    tasks = [
-        (start, condition, budget)
-        for condition in CONDITIONS
-        for budget in (BUDGETS if condition == "3 hidden" else list(BUDGETS)[-1:])
-        for start in starts
-    ]
+    people = list(gait())
+    starts = people[:: max(1, len(people) // STARTS)][: 1 if bench.quick else STARTS]
+    tasks = [(start, condition, named) for condition in CONDITIONS for named in (False, True) for start in starts]
     courses = list(bench.each(run, tasks))
     for condition in CONDITIONS:
-        whole = [c for c in courses if c.condition == condition and c.budget == list(BUDGETS)[-1]]
-        samples = sum(c.samples for c in whole)
-        row = f"loop, {condition}"
-        for course in whole:
-            own = f"{row}, from {course.start}"
-            yield Figure(f"{own}: right, the worst subject", ">= 0.999", course.worst[0], "fraction", course.samples)
-            yield Figure(f"{own}: samples touched by hand", "< 0.005", course.touched_samples / course.samples, "fraction", course.samples)
-            yield Figure(f"{own}: samples looked at", "none", course.looked_samples / course.samples, "fraction", course.samples)
-            yield Figure(f"{own}: labels touched by hand, one per piece", "none", course.touched_pieces, "labels", course.pieces)
-        first = Tally()
-        last = Tally()
-        for course in whole:
-            first += course.before
-            last += course.after
-        yield Figure(f"{row}: right, by the one trial's model alone", "none", first.right_share, "fraction", first.frames)
-        yield Figure(f"{row}: right, all starts", "none", last.right_share, "fraction", last.frames)
-        yield Figure(f"{row}: FA, all starts", "none", last.false_assignments, "fraction", last.frames)
-        touched, looked = (sum(getattr(c, name) for c in whole) / samples for name in ("touched_samples", "looked_samples"))
-        yield Figure(f"{row}: samples touched by hand, all starts", "< 0.005", touched, "fraction", samples)
-        yield Figure(f"{row}: samples looked at, all starts", "none", looked, "fraction", samples)
+        for named in (False, True):
+            some = [course for course in courses if course.task[1:] == (condition, named)]
+            yield from _figures(f"loop, {condition}, one trial {'named' if named else 'labelled'}", some)
     if not bench.quick:
-        PICTURE.write_text(picture([c for c in courses if c.condition == "3 hidden"]), encoding="utf-8")
+        hidden = [course for course in courses if course.task[1] == "3 hidden"]
+        lines = [Line(f"{course.task[0]}{', named' if course.task[2] else ''}", course.task[2], course.line) for course in hidden]
+        PICTURE.write_text(picture(lines, len(people)), encoding="utf-8")
 
 
-def run(bench: Bench, task: tuple[str, str, str]) -> Course:
-    """One loop: start with the subject's straight walk, end with all trials of all subjects labelled."""
-    start, condition, budget = task
-    first = next(trial for trial in gait()[start] if file_of(trial).stem == "straight")
-    waiting = _trials(bench, first, CONDITIONS[condition])
-    ensemble = asterism.SolverEnsemble.fit([first], subjects=[start], miner=None)
-    course = Course(start, condition, budget, Tally(), Tally())
-    for trial in (trial for trials in waiting.values() for trial in trials):
-        course.before.add(ensemble.label(trial.clouds, time=True), trial.truth)
-    done = 0
+def _figures(row: str, courses: Sequence[Course]) -> Iterator[Figure]:
+    first, last = Tally(), Tally()
+    for course in courses:
+        first += course.before
+        for tally in course.after.values():
+            last += tally
+    samples = sum(course.samples for course in courses)
+    yield Figure(f"{row}: right, by its model alone", "none", first.right_share, "fraction", first.frames)
+    yield Figure(f"{row}: right at the end", "none", last.right_share, "fraction", last.frames)
+    yield Figure(f"{row}: FA at the end", "none", last.false_assignments, "fraction", last.frames)
+    yield Figure(f"{row}: right, the worst subject of all starts", ">= 0.999", min(c.worst for c in courses), "fraction", last.frames)
+    yield Figure(f"{row}: labels touched by hand", "< 0.005", sum(c.touched for c in courses) / samples, "fraction", samples)
+    yield Figure(f"{row}: touches for a start", "none", sum(c.touches for c in courses) / len(courses), "touches", len(courses))
+    yield Figure(f"{row}: labels looked at", "none", sum(c.looked_at for c in courses) / samples, "fraction", samples)
+    yield Figure(f"{row}: looks for a start", "none", sum(c.looks for c in courses) / len(courses), "looks", len(courses))
+    if any(course.names for course in courses):
+        yield Figure(f"{row}: labels given by name", "none", sum(c.by_name for c in courses) / samples, "fraction", samples)
+        yield Figure(f"{row}: names for a start", "none", sum(c.names for c in courses) / len(courses), "names", len(courses))
+
+
+def run(bench: Bench, task: tuple[str, str, bool]) -> Course:
+    """One loop: (subject, condition, whether the subject's straight walk is named, not labelled); it ends with all trials labelled."""
+    start, condition, named = task
+    trials = _trials(bench, CONDITIONS[condition])
+    one = next(trial for trial in trials if trial.subject == start and file_of(trial.recording).stem == "straight")
+    waiting = trials if named else [trial for trial in trials if trial is not one]
+    course = Course(task, sum(trial.samples for trial in waiting))
+    first = _named(one, course) if named else one.recording
+    ensemble = asterism.SolverEnsemble.fit([first], subjects=[start], miner=None, marker_set=MarkerSet(one.recording.labels))
+    done: list[Trial] = []
+    errors = 0
     while waiting:
-        looks = {subject: [_look(ensemble, trial) for trial in trials] for subject, trials in waiting.items()}
-        doubts = {subject: sum(item.gain for _, items in found for item in items) for subject, found in looks.items()}
-        ranked = sorted(waiting, key=lambda subject: (doubts[subject] / sum(len(trial.clouds.xyz) for trial in waiting[subject]), subject))
-        corrected: list[Recording] = []
-        people: list[str] = []
-        for subject in ranked[: max(1, done // 2)]:
-            own = Tally()
-            for trial, (labelling, items) in zip(waiting.pop(subject), looks[subject], strict=True):
-                settled = _corrected(trial, labelling, items, BUDGETS[budget], course)
-                own.add(settled, trial.truth)
-                corrected.append(trial.labelled(settled))
-                people.append(subject)
-            course.after += own
-            course.worst = min(course.worst, (own.right_share, subject))
-            done += 1
-        if waiting:
-            ensemble = ensemble.learn(corrected, subjects=people)
+        looks = [_look(ensemble, trial) for trial in waiting]
+        if not done:
+            for trial, (labelling, _) in zip(waiting, looks, strict=True):
+                course.before.add(labelling, trial.truth)
+        course.line.append((course.touched / course.samples, (errors + _errors(waiting, looks)) / course.samples))
+        # first what takes the least work: it teaches the model before the hard ones come
+        work = [sum(item.samples for item in items) for _, items in looks]
+        chosen = sorted(range(len(waiting)), key=work.__getitem__)[: max(1, len(done) // HASTE) if any(work) else None]
+        corrected = []
+        for i in chosen:
+            trial = waiting[i]
+            settled = _settled(trial, *looks[i], course)
+            course.after.setdefault(trial.subject, Tally()).add(settled, trial.truth)
+            errors += _errors([trial], [(settled, [])])
+            corrected.append(trial.labelled(settled))
+            done.append(trial)
+        if len(chosen) < len(waiting):
+            ensemble = ensemble.learn(corrected, subjects=[waiting[i].subject for i in chosen])
+        waiting = [trial for i, trial in enumerate(waiting) if i not in chosen]
+    course.line.append((course.touched / course.samples, errors / course.samples))
+    right = sum(tally.right for tally in course.after.values())
     bench.say(
-        f"from {start}, {condition}, {budget}: right {course.before.right_share:.5f} then {course.after.right_share:.5f}, "
-        f"worst {course.worst[0]:.5f} {course.worst[1]}; touched {course.touched_samples / course.samples:.5f} of the samples, "
-        f"{course.touched_pieces} of {course.pieces} pieces; looked at {course.looked_samples / course.samples:.5f}, {course.looked_pieces}"
+        f"{start}, {condition}{', named' if named else ''}: right {course.before.right_share:.5f}, then {right / course.samples:.5f}, "
+        f"worst {course.worst:.5f}; touched {course.touched / course.samples:.5f} by {course.touches} of {course.looks} looks; "
+        f"{course.names} names for {course.by_name / course.samples:.5f}"
     )
     return course
 
 
-def _trials(bench: Bench, first: Recording, hidden_and_ghosts: tuple[int, int]) -> dict[str, list[Trial]]:
-    """Everyone's trials without their labels, but for the one that is labelled."""
-    out: dict[str, list[Trial]] = {}
+def _trials(bench: Bench, hidden: int) -> list[Trial]:
+    """Everyone's trials without their labels."""
+    out = []
     for subject, recordings in list(gait().items())[: 3 if bench.quick else None]:
         for number, recording in enumerate(recordings):
-            if recording is not first:
-                clouds, truth = hide_in_gaps(recording, *hidden_and_ghosts, seed=1000 + number)
-                out.setdefault(subject, []).append(Trial(subject, recording, clouds, truth))
+            clouds, truth = hide_in_gaps(recording, hidden, 0, seed=1000 + number)
+            out.append(Trial(subject, recording, clouds, truth))
     return out
 
 
+def _named(trial: Trial, course: Course) -> Recording:
+    """The trial as a person names it once: the groups of its own tracks that are there often, each by what most of it is."""
+    groups = own_tracks(trial.clouds)
+    names = {}
+    for group in np.nonzero(groups.frames >= OFTEN * len(trial.clouds))[0].tolist():
+        answer = trial.answer(np.nonzero(groups.of_point == group)[0])
+        if answer is not None:
+            names[group] = answer
+            course.by_name += int(groups.frames[group])
+    course.names = len(names)
+    recording = anonymous(trial.clouds)
+    return name_groups(recording, groups, names)
+
+
 def _look(ensemble: asterism.SolverEnsemble, trial: Trial) -> tuple[Labelling, list[Item]]:
+    """The trial's labels and what a person should look at."""
     labelling = ensemble.label(trial.clouds, time=True)
-    return labelling, review(labelling, trial.clouds, least_gain=0.0)
+    return labelling, review(labelling, trial.clouds, least_gain=WORTH)
 
 
-def _corrected(trial: Trial, labelling: Labelling, items: Sequence[Item], budget: int | None, course: Course) -> Labelling:
-    """The labelling after a person has looked at what is flagged, within the budget; the course counts it."""
-    settled = labelling
-    course.samples += int((trial.truth >= 0).sum())
-    course.pieces += len(np.unique(trial.clouds.tracks))
-    for item in [item for item in items if item.gain >= WORTH][:budget]:
-        after = settle(settled, trial.clouds, [(item, trial.answer(item))])
-        course.looked_pieces += 1
-        course.looked_samples += item.samples
-        if (after.indices != settled.indices).any():
-            course.touched_pieces += 1
-            course.touched_samples += item.samples
-        settled = after
-    return settled
+def _errors(trials: Sequence[Trial], looks: Sequence[tuple[Labelling, list[Item]]]) -> int:
+    """Markers in view without their own point, and points given to markers that are not in view."""
+    return sum(int((labelling.indices != trial.truth).sum()) for trial, (labelling, _) in zip(trials, looks, strict=True))
 
 
-def picture(courses: Sequence[Course]) -> str:
-    """Error against the samples touched by hand, one line per start, as SVG text; both scales are roots, so that small shares show."""
-    width, height, left, low, right, top = 720, 400, 84, 348, 700, 48
-    colors = ("#0f7b8a", "#d1495b", "#e09f3e", "#5b5f97", "#3a9d5d", "#8d5a97")
-    widest = max([0.01, *(c.touched_samples / c.samples for c in courses)])
-    highest = max([0.01, *(c.error for c in courses)])
-
-    def at(touched: float, error: float) -> tuple[float, float]:
-        return left + (right - left) * np.sqrt(touched / widest), low - (low - top) * np.sqrt(error / highest)
-
-    out = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="Helvetica, Arial, sans-serif" font-size="12">',
-        "<title>Labels touched by hand against error, from one labelled trial to all subjects</title>",
-        f'<rect width="{width}" height="{height}" rx="12" fill="#ffffff"/>',
-        f'<text x="{left}" y="26" fill="#16213a" font-size="14">From one labelled walk to 11 subjects, 3 of 15 markers hidden: what hand '
-        "work does to the error</text>",
-    ]
-    for share in (0.0, 0.001, 0.005, 0.02, 0.05, 0.1, 0.2, 0.4):
-        if share <= widest:
-            x = at(share, 0.0)[0]
-            out.append(f'<path d="M{x:.1f} {top}V{low}" stroke="#e6ebf2"/>')
-            out.append(f'<text x="{x:.1f}" y="{low + 18}" fill="#5b6780" text-anchor="middle">{100 * share:g} %</text>')
-        if share <= highest:
-            y = at(0.0, share)[1]
-            out.append(f'<path d="M{left} {y:.1f}H{right}" stroke="#e6ebf2"/>')
-            out.append(f'<text x="{left - 8}" y="{y + 4:.1f}" fill="#5b6780" text-anchor="end">{100 * share:g} %</text>')
-    out.append(f'<text x="{(left + right) / 2}" y="{height - 10}" fill="#16213a" text-anchor="middle">samples touched by hand</text>')
-    out.append(
-        f'<text x="20" y="{(low + top) / 2}" fill="#16213a" text-anchor="middle" transform="rotate(-90 20 {(low + top) / 2})">'
-        "samples wrong or missing at the end</text>"
-    )
-    for number, start in enumerate(dict.fromkeys(c.start for c in courses)):
-        color = colors[number % len(colors)]
-        points = [at(c.touched_samples / c.samples, c.error) for c in courses if c.start == start]
-        out.append(f'<polyline points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in points)}" fill="none" stroke="{color}" stroke-width="2"/>')
-        out += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4.5" fill="{color}"/>' for x, y in points]
-        out.append(f'<circle cx="{right - 120}" cy="{top + 14 + 18 * number}" r="4.5" fill="{color}"/>')
-        out.append(f'<text x="{right - 108}" y="{top + 18 + 18 * number}" fill="#16213a">from {start}</text>')
-    return "\n".join([*out, "</svg>", ""])
+def _settled(trial: Trial, labelling: Labelling, items: Sequence[Item], course: Course) -> Labelling:
+    """The labelling after a person has looked at all that is flagged; the course counts it."""
+    for item in items:
+        after = settle(labelling, trial.clouds, [(item, trial.answer(item.points))])
+        changed = int((trial.marker_of_points(after.indices) != trial.marker_of_points(labelling.indices)).sum())
+        course.looks += 1
+        course.looked_at += item.samples
+        course.touches += changed > 0
+        course.touched += changed
+        labelling = after
+    return labelling

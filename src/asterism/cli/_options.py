@@ -60,6 +60,7 @@ Features = Annotated[
     ),
 ]
 RulesOption = Annotated[Rules, typer.Option("--rules", help="How a frame is labelled: by the whole body, or by solvers' votes.")]
+FrameWise = Annotated[bool, typer.Option("--frame-wise", help="Each frame by itself, without time and tracks.")]
 HitRate = Annotated[
     float, typer.Option("--target-hit-rate", metavar="SHARE", help="Share of the labels given that should be right, below 1.")
 ]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from asterism.cli import _console
-from asterism.cli._options import Files, Json, Model, Overwrite, Report, Rules, RulesOption, Vertical, Workers, vertical_axis
+from asterism.cli._options import Files, FrameWise, Json, Model, Overwrite, Report, Rules, RulesOption, Vertical, Workers, vertical_axis
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def label(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where the labelled files go.", show_default=False)],
     keep: Annotated[bool, typer.Option("--keep", help="Labels that a file already has stay; only points without a name get one.")] = False,
     rules: RulesOption = Rules.WHOLE_BODY,
-    frame_wise: Annotated[bool, typer.Option("--frame-wise", help="Each frame by itself, without time and tracks.")] = False,
+    frame_wise: FrameWise = False,
     workers: Workers = 1,
     vertical: Vertical = None,
     overwrite: Overwrite = False,

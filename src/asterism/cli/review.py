@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from asterism.cli import _console
-from asterism.cli._options import Files, Json, Model, Overwrite, Report, Vertical, Workers, vertical_axis
+from asterism.cli._options import Files, FrameWise, Json, Model, Overwrite, Report, Vertical, Workers, vertical_axis
 
 if TYPE_CHECKING:
     from asterism.labelling import Item
@@ -21,6 +21,7 @@ def review(
     model: Model,
     top: Annotated[int, typer.Option("--top", metavar="N", min=1, help="How many lines to list, of all files together.")] = 20,
     keep: Annotated[bool, typer.Option("--keep", help="Labels that a file has already are right; only the others are in doubt.")] = False,
+    frame_wise: FrameWise = False,
     workers: Workers = 1,
     vertical: Vertical = None,
     overwrite: Overwrite = False,
@@ -29,9 +30,9 @@ def review(
 ) -> None:
     """List what a person should look at first.
 
-    The files are labelled by the model, whatever names their points have now, and nothing is written to them. A line is a piece of a
-    track between two gaps: saying once which marker it is settles all its frames. The gain is how many of its samples are probably
-    wrong or missing; the list begins where a look mends most.
+    The files are labelled as `asterism label` does it, whatever names their points have now, and nothing is written to them. A line is
+    a piece of a track between two gaps: saying once which marker it is settles all its frames. The gain is how many of its samples are
+    probably wrong or missing; the list begins where a look mends most.
     """
     from asterism import formats
     from asterism.cli._recordings import labels_kept
@@ -52,7 +53,7 @@ def review(
                     progress((len(batch.done) + len(batch.failed)) / len(files), path.name)
                 recording = formats.read(path, vertical=axis)
                 clouds = recording.clouds()
-                labelling = ensemble.label(clouds, workers=workers)
+                labelling = ensemble.label(clouds, time=not frame_wise, workers=workers)
                 if keep:
                     labelling = labels_kept(path, labelling, recording, clouds, ensemble.marker_set)
                 items = review_labelling(labelling, clouds)
@@ -79,6 +80,7 @@ def review(
             "command": "review",
             "model": model,
             "keep": keep,
+            "frame_wise": frame_wise,
             "files": batch.done,
             "failed": batch.failed,
             "pieces": pieces,
