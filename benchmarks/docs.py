@@ -28,6 +28,9 @@ through `ASTERISM_DATA`.
   velocity and optimal assignment.
 - *Peer*, *key poses*: `benchmarks/peer.py`, sixteen key poses from eight headings by ICP, optimal assignment, 200 mm limit; some frames
   of the same clouds.
+- *From one trial to all subjects*: `benchmarks/recordings/loop.py`. A walk of one subject is labelled, or its own tracks are named once;
+  then label all trials, settle what `review` flags in those that take the least work, learn, and go on. *Touched*: samples whose label an
+  answer changed; *looked at*: samples of the pieces flagged, right or not; *given by name*: samples of the tracks named.
 - *As recorded*: with all points that nobody labelled. Some of them may be the very marker that is missing: FA is an upper bound there.
 - Gaps and ghosts are simulated; only vicon53, clouthier62, optitrack-wheelchair and mouse-qtm have real gaps besides, and rows
   "as recorded" real ghosts. Rows "dirt" hide nothing: hand labels found again, from one half of a trial to the other.
@@ -58,7 +61,7 @@ SECTIONS = (
     ("Features of motion: solvers by pool", "feature pool", None),
     ("Speed", "speed, ", None),
     ("Real gaps and ghosts", "dirt, ", None),
-    ("From one labelled trial to all subjects", "loop", None),
+    ("From one trial to all subjects", "loop, ", r"loop, (?P<column>.*?, one trial \w+): (?P<line>.*)"),
     ("All physical markers", "59 markers, ", None),
     ("Subjects not seen", "subjects not seen", None),
     ("The peer on the same clouds", "peer, ", None),

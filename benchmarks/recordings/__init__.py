@@ -12,6 +12,7 @@ from benchmarks.recordings.dirt import dirt
 from benchmarks.recordings.features import features
 from benchmarks.recordings.full_body import full_body
 from benchmarks.recordings.gaps import gaps
+from benchmarks.recordings.loop import loop
 from benchmarks.recordings.movement import movement
 from benchmarks.recordings.speed import speed
 from benchmarks.recordings.stream import stream
@@ -23,6 +24,7 @@ ROWS: dict[str, Callable[[Bench], Iterator[Figure]]] = {
     "swaps": swaps,
     "speed-time": speed,
     "stream": stream,
+    "loop": loop,
     "baselines": baselines,
     "gaps": gaps,
     "ablation": ablation,

@@ -46,7 +46,6 @@ def picture(lines: Sequence[Line], people: int) -> str:
         "Dashed: the first walk was named, not labelled.</text>",
         f'<rect x="{_LEFT}" y="{up(_ASKED_WRONG):.1f}" width="{across(_ASKED_TOUCHED) - _LEFT:.1f}" '
         f'height="{_LOW - up(_ASKED_WRONG):.1f}" fill="#e3f4ea"/>',
-        f'<text x="{across(_ASKED_TOUCHED) - 6:.1f}" y="{up(_ASKED_WRONG) + 16:.1f}" fill="#3a7d55" text-anchor="end">asked</text>',
     ]
     last_x, last_y = float("-inf"), float("inf")
     for share in _SHARES:
@@ -59,6 +58,7 @@ def picture(lines: Sequence[Line], people: int) -> str:
             out.append(f'<path d="M{_LEFT} {y:.1f}H{_RIGHT}" stroke="#e6ebf2"/>')
             out.append(f'<text x="{_LEFT - 8}" y="{y + 4:.1f}" fill="#5b6780" text-anchor="end">{100 * share:g} %</text>')
             last_y = y
+    out.append(f'<text x="{across(_ASKED_TOUCHED) - 6:.1f}" y="{_LOW - 6}" fill="#3a7d55" text-anchor="end">asked</text>')
     middle = (_LEFT + _RIGHT) / 2
     out.append(f'<text x="{middle}" y="{_HEIGHT - 16}" fill="#16213a" text-anchor="middle">labels touched by hand, of all</text>')
     middle = (_LOW + _TOP) / 2
