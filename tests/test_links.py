@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from twins_links import is_cut, link_forward
+from twins_links import is_cut, link_forward, strays
 
 from asterism.formats import read
-from asterism.hiding import hide_in_gaps
-from asterism.labelling.tracks._cut_kernels import find_cuts
+from asterism.hiding import anonymous, hide_in_gaps
+from asterism.labelling.tracks._cut_kernels import count_strays, find_cuts
 from asterism.labelling.tracks._link_kernels import link_through
 from asterism.labelling.tracks.linking import LinkRules, Tracklets, _along_numbers, find_tracklets
 from asterism.recording import Clouds, Recording
@@ -229,6 +229,30 @@ def test_the_cuts_equal_their_twin() -> None:
         ]
         np.testing.assert_array_equal(got, wanted)
         assert got.any()
+
+
+def test_the_strays_equal_their_twin() -> None:
+    rng = np.random.default_rng(0)
+    for share in (0.0, 0.1, 1.0):
+        positions = walks()[0].positions[:40].copy()
+        for t in np.nonzero(rng.random(len(positions)) < share)[0]:
+            positions[t] = positions[t][rng.permutation(positions.shape[1])]
+        positions[rng.random(positions.shape[:2]) < 0.1] = np.nan
+        clouds = Recording(positions, walks()[0].labels, 100.0).clouds()
+        following = _along_numbers(clouds.columns, frame_of(clouds))[1]
+        assert count_strays(clouds.xyz, clouds.offsets, following, 3.0, 0.03) == strays(positions, 3.0, 0.03)
+
+
+@pytest.mark.parametrize("ghosts", [0, 3])
+def test_columns_that_only_count_the_points_of_a_frame_are_not_followed(ghosts: int) -> None:
+    clouds, truth = hide_in_gaps(walks()[1], 3, ghosts, 0, number_tracks=False)
+    file = anonymous(clouds).clouds()  # its columns are places in an order that changes with every frame
+    assert file.tracks is not None
+    tracklets = find_tracklets(file)
+    np.testing.assert_array_equal(tracklets.of_point, find_tracklets(clouds).of_point)
+    wrong, missing, there = score(tracklets, file, truth)
+    assert wrong == 0
+    assert missing < 0.01 * there
 
 
 @pytest.mark.parametrize("tracks", [False, True])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 
@@ -147,3 +149,16 @@ def is_cut(positions, t, column, limits):
             if limits.clearer * norm(rival) < norm(theirs) and theirs @ own < 0.5 * norm(theirs) * norm(own):
                 return True
     return False
+
+
+def strays(positions, farther, least):
+    """Links between frames of (T, M, 3) positions, NaN where missing, and those that pass by a point `farther` times nearer."""
+    links = wrong = 0
+    for here, then in pairwise(positions):
+        for a, b in zip(here, then, strict=True):
+            if np.isnan(a[0]) or np.isnan(b[0]):
+                continue
+            links += 1
+            length, nearest = norm(b - a), np.nanmin(np.linalg.norm(then - a, axis=1))
+            wrong += length > least and farther * nearest < length
+    return links, wrong

@@ -137,6 +137,31 @@ def find_cuts(xyz, offsets, previous, following, limits, cut):
 
 
 @njit(cache=True, nogil=True)
+def count_strays(xyz, offsets, following, farther, least):
+    """How many links there are, and how many of them lead past a point that lies `farther` times nearer: (links, strays).
+
+    IN  xyz (P, 3) m; offsets (T + 1,); following (P,) the next frame's point on the same track, -1 for none; least (m): shorter links are
+        none to worry about. O(P), and O(n) for each link that is longer.
+    """
+    links, strays = 0, 0
+    for t in range(len(offsets) - 2):
+        for a in range(offsets[t], offsets[t + 1]):
+            b = following[a]
+            if b < 0:
+                continue
+            links += 1
+            length2 = (xyz[b, 0] - xyz[a, 0]) ** 2 + (xyz[b, 1] - xyz[a, 1]) ** 2 + (xyz[b, 2] - xyz[a, 2]) ** 2
+            if length2 <= least * least:
+                continue
+            for c in range(offsets[t + 1], offsets[t + 2]):
+                near2 = (xyz[c, 0] - xyz[a, 0]) ** 2 + (xyz[c, 1] - xyz[a, 1]) ** 2 + (xyz[c, 2] - xyz[a, 2]) ** 2
+                if near2 * farther * farther < length2:
+                    strays += 1
+                    break
+    return links, strays
+
+
+@njit(cache=True, nogil=True)
 def mend(xyz, offsets, previous, following, barred, limits):
     """Join a track that ends with one that begins in the next frame, where motion says so clearly and nothing rivals it.
 

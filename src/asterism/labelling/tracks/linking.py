@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asterism.labelling.tracks._cut_kernels import find_cuts, mend
+from asterism.labelling.tracks._cut_kernels import count_strays, find_cuts, mend
 from asterism.labelling.tracks._link_kernels import LinkLimits, agree, link_through, number_chains, sort_frames
 from asterism.recording import Clouds, Floats, Ints
 
@@ -33,6 +33,8 @@ class LinkRules:
     fastest       m/s of a point of whose surroundings nothing is known
     quiet         m that a numbered track misses where it cannot have swapped
     jump          m that a numbered track may be offset by in one frame without being cut for that alone
+    stray         a numbered track strays that passes by a point so many times nearer than its own next one
+    strays        share of the links that may: of more, numbers are no tracks (the n-th point of each frame, say) and say nothing
     """
 
     noise: float = 0.002
@@ -47,6 +49,8 @@ class LinkRules:
     fastest: float = 8.0
     quiet: float = 0.006
     jump: float = 0.03
+    stray: float = 3.0
+    strays: float = 0.1
 
     def limits(self, rate: float) -> LinkLimits:
         """The rules in metres per frame, as the kernels read them."""
@@ -93,18 +97,20 @@ def find_tracklets(clouds: Clouds, rules: LinkRules | None = None) -> Tracklets:
     from both ends of the recording: a track goes on where it is expected, where the two are each other's best and no rival comes near;
     a link counts that both directions find, or one of which the other cannot judge, having no velocity yet. At last ends and beginnings
     that motion joins clearly are joined, across numbers too. The order of the points within their frames plays no part, but for
-    coincident ones. O(P n) for n points a frame.
+    coincident ones. Numbers that are no tracks, but the places of points in an order that changes from frame to frame, are told by their
+    links and not used. O(P n) for n points a frame.
     """
-    limits = (rules or LinkRules()).limits(clouds.rate)
+    rules = rules or LinkRules()
+    limits = rules.limits(clouds.rate)
     order = np.arange(len(clouds.xyz))
     sort_frames(clouds.xyz, clouds.offsets, order)
     xyz = np.ascontiguousarray(clouds.xyz[order])
     frame = np.repeat(np.arange(len(clouds)), clouds.counts)
     barred = np.full(len(xyz), -1, dtype=np.int64)
-    if clouds.tracks is None:
+    numbers = _true_numbers(clouds, xyz, frame, order, rules)
+    if numbers is None:
         previous, following = _by_motion(xyz, clouds.offsets, limits)
     else:
-        numbers = clouds.tracks[order]
         previous, following = _along_numbers(numbers, frame)
         cut = np.zeros(len(xyz), dtype=np.bool_)
         find_cuts(xyz, clouds.offsets, previous, following, limits, cut)
@@ -126,6 +132,15 @@ def find_tracklets(clouds: Clouds, rules: LinkRules | None = None) -> Tracklets:
     first[sorted_numbers[previous < 0]] = frame[previous < 0]
     last[sorted_numbers[following < 0]] = frame[following < 0]
     return Tracklets(of_point, first, last)
+
+
+def _true_numbers(clouds: Clouds, xyz: Floats, frame: Ints, order: Ints, rules: LinkRules) -> Ints | None:
+    """The track numbers (P,) in the order of the sorted points, None where there are none or they are no tracks."""
+    if clouds.tracks is None:
+        return None
+    numbers = clouds.tracks[order]
+    links, strays = count_strays(xyz, clouds.offsets, _along_numbers(numbers, frame)[1], rules.stray, rules.jump)
+    return None if strays > rules.strays * links else numbers
 
 
 def _along_numbers(numbers: Ints, frame: Ints) -> tuple[Ints, Ints]:
