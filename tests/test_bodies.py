@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import asterism
-from asterism.hiding import hide_in_gaps
-from asterism.labelling import label_together
+from asterism import formats
+from asterism.cli import main
+from asterism.hiding import anonymous, hide_in_gaps
+from asterism.labelling import SeveralBodies, join_labellings, label_together
 from asterism.labelling.tracks.bodies import Bodies, follow_bodies
-from asterism.recording import Labelling, Recording
+from asterism.recording import Labelling, MarkerSet, Recording
 from asterism.simulation import simulate_walks
 
 BOX = np.array([[0.0, 0.0, 0.0], [0.25, 0.0, 0.0], [0.0, 0.18, 0.0], [0.05, 0.07, 0.2], [-0.12, 0.04, 0.09]])
@@ -112,3 +116,89 @@ def test_a_body_is_followed_by_its_tracklets_whichever_is_found_better() -> None
     assert set(who.ravel().tolist()) == {0, 1}
     lost = replace(bodies, rows=np.where(rng.random(rows.shape) < 0.3, -1, rows))
     assert len(set((follow_bodies(lost, track.ravel()) == order).ravel().tolist())) == 1
+
+
+@pytest.mark.parametrize("away", [(0.8, 0.3, 0.0), (0.3, 0.0, 0.0)])
+@pytest.mark.parametrize(("hidden", "ghosts"), [(0, 0), (6, 0), (4, 6)])
+def test_two_people_for_one_model_are_said_and_never_mixed(walks, walker, away, hidden: int, ghosts: int) -> None:
+    clouds, _ = hide_in_gaps(beside(walks[5], walks[6], away), hidden, ghosts, 3)
+    with pytest.raises(SeveralBodies, match=r"two bodies that wear the model's 15 markers .* once for each"):
+        walker.label(clouds, time=True)
+
+
+@pytest.mark.parametrize(("hidden", "ghosts"), [(0, 0), (0, 15), (2, 30)])
+def test_one_person_among_ghosts_is_no_crowd(walks, walker, hidden: int, ghosts: int) -> None:
+    walker.label(hide_in_gaps(walks[5].frames(slice(60)), hidden, ghosts, 3)[0], time=True)
+
+
+def test_a_passer_by_of_a_moment_is_no_second_person(walks, walker) -> None:
+    both = beside(walks[5], walks[6], (0.8, 0.3, 0.0))
+    positions = both.positions.copy()
+    positions[15:, 15:] = np.nan
+    labelling = walker.label(replace(both, positions=positions).clouds(), time=True)
+    assert (labelling.indices[30:] == np.arange(15)).mean() > 0.99
+
+
+def test_one_person_with_more_markers_than_the_model_knows_is_one(data: Path) -> None:
+    people = [formats.read(data / f"gait/{name}/straight.c3d", markers="helen-hayes") for name in ("HC003", "HC030", "HC031", "HC033")]
+    model = asterism.SolverEnsemble.fit(people, miner=None)
+    for name, trial in (("HC039", "static"), ("HC055", "straight")):  # where what is left looks most like somebody
+        path = data / f"gait/{name}/{trial}.c3d"
+        more = formats.read(path).frames(slice(60))
+        assert len(more.labels) > 50
+        model.label(more.clouds(), time=True)  # not SeveralBodies
+
+
+def test_joined_labellings_have_a_name_for_every_marker() -> None:
+    sets = [
+        MarkerSet(("LASI", "RASI"), aliases={"LASI": ("LASIS",)}, pairs=(("LASI", "RASI"),)),
+        MarkerSet(("LASIS",)),
+        MarkerSet(("box",)),
+    ]
+    parts = [Labelling(np.full((2, len(s)), i), np.full((2, len(s)), 0.5), s.names) for i, s in enumerate(sets)]
+    labelling, everyone = join_labellings(parts, sets, ["ann", "ben", "box"])
+    assert labelling.names == everyone.names == ("ann:LASI", "ann:RASI", "ben:LASIS", "box")
+    assert everyone.pairs == (("ann:LASI", "ann:RASI"),)
+    assert labelling.indices.tolist() == [[0, 0, 1, 2]] * 2
+    assert join_labellings(parts[:2], sets[:2])[0].names == ("1:LASI", "1:RASI", "2:LASIS")
+    with pytest.raises(asterism.AsterismError, match="do not fit"):
+        join_labellings(parts, sets[:2])
+
+
+def test_the_command_labels_two_walkers_and_a_box(walks, walker, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(0)
+    box = asterism.SolverEnsemble.fit([tumbling_box(rng) for _ in range(4)], miner=None, subjects=list("abcd"))
+    walker.save(tmp_path / "gait.model")
+    box.save(tmp_path / "box.model")
+    three = beside(beside(walks[5], walks[6], (0.8, 0.3, 0.0)), tumbling_box(rng), (0.0, 1.5, 0.2))
+    clouds, truth = hide_in_gaps(three, 3, 0, 1)
+    formats.write(tmp_path / "three.c3d", anonymous(clouds))
+    models = ["-m", str(tmp_path / "gait.model"), "-m", str(tmp_path / "box.model"), "-m", str(tmp_path / "gait.model")]
+    told = ["--json", str(tmp_path / "told.json"), "--report", str(tmp_path / "page.html")]
+    assert main(["label", str(tmp_path / "three.c3d"), *models, "-o", str(tmp_path / "out"), *told]) == 0
+    names = walker.marker_set.names
+    found = formats.read(tmp_path / "out" / "three.c3d")
+    right = []
+    for order in ("13", "31"):
+        expected = [f"{who}:{name}" for who in order for name in names] + list(box.marker_set.names)
+        got, there = found.select(expected), truth >= 0
+        gone = np.linalg.norm(got.positions - three.positions, axis=2)
+        right.append((got.visible & there & (gone < 1e-3)).sum() / there.sum())
+    assert max(right) > 0.97, f"{max(right):.4f} right"
+    assert json.loads((tmp_path / "told.json").read_text())["model"] == models[1::2]
+    assert main(["label", str(tmp_path / "three.c3d"), *models, "-o", str(tmp_path / "other"), "--frame-wise"]) == 2
+    assert "leave out --frame-wise" in capsys.readouterr().err
+
+
+def test_the_command_says_that_there_are_two_and_labels_one(walks, walker, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    walker.save(tmp_path / "gait.model")
+    both = beside(walks[5], walks[6], (0.8, 0.3, 0.0))
+    formats.write(tmp_path / "two.c3d", anonymous(both.clouds()))
+    assert main(["label", str(tmp_path / "two.c3d"), "-m", str(tmp_path / "gait.model"), "-o", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "two.c3d shows two bodies" in said
+    positions = formats.read(tmp_path / "out" / "two.c3d").select(walker.marker_set.names).positions
+    shares = [(np.linalg.norm(positions - both.positions[:, part], axis=2) < 1e-3).mean() for part in (slice(15), slice(15, 30))]
+    assert max(shares) > 0.99
+    assert min(shares) == 0.0

@@ -29,6 +29,12 @@ class Rules(StrEnum):
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILES", help="Recordings: C3D, TRC, CSV, TSV, MAT or NPZ.", show_default=False)]
 Model = Annotated[Path, typer.Option("--model", "-m", metavar="FILE", help="The model that `asterism train` wrote.", show_default=False)]
+Models = Annotated[
+    list[Path],
+    typer.Option(
+        "--model", "-m", metavar="FILE", help="The model that `asterism train` wrote; once for each body in the room.", show_default=False
+    ),
+]
 Markers = Annotated[
     str | None,
     typer.Option(

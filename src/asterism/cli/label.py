@@ -10,17 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from asterism.cli import _console
-from asterism.cli._options import Files, FrameWise, Json, Model, Overwrite, Report, Rules, RulesOption, Vertical, Workers, vertical_axis
+from asterism.cli._options import Files, FrameWise, Json, Models, Overwrite, Report, Rules, RulesOption, Vertical, Workers, vertical_axis
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
     from asterism.cli._console import Progress
-    from asterism.recording import Clouds, Labelling, Recording
+    from asterism.labelling import SolverEnsemble
+    from asterism.recording import Clouds, Labelling, MarkerSet, Recording
 
 
 def label(
     files: Files,
-    model: Model,
+    model: Models,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where the labelled files go.", show_default=False)],
     keep: Annotated[bool, typer.Option("--keep", help="Labels that a file already has stay; only points without a name get one.")] = False,
     rules: RulesOption = Rules.WHOLE_BODY,
@@ -36,35 +37,42 @@ def label(
     Whatever names the points have now. Each file goes to FOLDER under its own name and format, with everything
     else in it as it was. Points that no marker took become *1, *2, ... A line per file says which share of all markers in all
     frames was labelled, and which share is unsure: not labelled though the frame has points left. The rules whole-body label a
-    recording as a whole, by its tracks; --frame-wise turns that off.
+    recording as a whole, by its tracks; --frame-wise turns that off. Where several people or objects are in the room, give
+    --model once for each of them; names that two of them share become 1:LASI and 2:LASI.
     """
     from asterism.cli._recordings import labels_kept, outcome
-    from asterism.labelling import SolverEnsemble
 
     in_time = rules is Rules.WHOLE_BODY and not frame_wise
+    if len(model) > 1 and not in_time:
+        raise AsterismError("several bodies are told apart by time and tracks; leave out --frame-wise and --rules, or give one --model.")
     targets = _targets(files, output)
     _console.check_new(report, overwrite)
     _console.check_new(json, overwrite)
     axis = vertical_axis(vertical)
-    ensemble = SolverEnsemble.load(model)
+    ensembles, subjects = _ensembles(model)
+    crowded = False
     batch = _console.Batch("labelled")
     rows: list[dict[str, Any]] = []
-    shown: tuple[Recording, Labelling, Clouds] | None = None
+    shown: tuple[Recording, Labelling, Clouds, MarkerSet] | None = None
     with _console.progress("labelling") as progress:
         for path, target in zip(files, targets, strict=True):
             with batch.file(path):
                 _check_target(path, target, overwrite)
                 recording, clouds = _read(path, axis)
-                if not batch.done and len(clouds):
-                    ensemble.label(
-                        _first_frame(clouds), time=in_time, rules=rules.value
-                    )  # compiles, so that the rate below is that of the work
+                if not batch.done and len(clouds):  # compiles, so that the rate below is that of the work
+                    _label(ensembles, subjects, _first_frame(clouds), in_time, rules, 1, None)
                 started = time.perf_counter()
                 share = _share(progress, batch, len(files), path)
-                labelling = ensemble.label(clouds, time=in_time, rules=rules.value, workers=workers, progress=share)
+                labelling, marker_set, one_of_two = _label(ensembles, subjects, clouds, in_time, rules, workers, share)
                 seconds = time.perf_counter() - started
+                if one_of_two:
+                    crowded = True
+                    _console.complain(
+                        f"{path} shows two bodies that wear the model's markers, and only one of them was labelled; "
+                        "give --model once for each of them."
+                    )
                 if keep:
-                    labelling = labels_kept(path, labelling, recording, clouds, ensemble.marker_set)
+                    labelling = labels_kept(path, labelling, recording, clouds, marker_set)
                 lost = _write(target, recording.with_labelling(labelling, clouds, keep_names=keep))
                 summary = outcome(labelling, clouds)
                 row = {
@@ -78,7 +86,7 @@ def label(
                     "not_carried": lost,
                 }
                 rows.append(row)
-                shown = shown or (recording, labelling, clouds)
+                shown = shown or (recording, labelling, clouds, marker_set)
                 if json != "-":
                     _console.say(_line(row))
     if report is not None and shown is not None:
@@ -91,13 +99,47 @@ def label(
             recording=shown[0],
             labelling=shown[1],
             clouds=shown[2],
-            model_info={"model": str(model), "rules": rules.value, "keep": keep, **ensemble.about},
-            marker_set=ensemble.marker_set,
+            model_info={"model": ", ".join(map(str, model)), "rules": rules.value, "keep": keep, **ensembles[0].about},
+            marker_set=shown[3],
         )
+    used = model if len(model) > 1 else model[0]
     _console.write_json(
-        json, {"command": "label", "model": model, "rules": rules.value, "keep": keep, "files": rows, "failed": batch.failed}
+        json, {"command": "label", "model": used, "rules": rules.value, "keep": keep, "files": rows, "failed": batch.failed}
     )
-    raise typer.Exit(batch.close())
+    raise typer.Exit(max(batch.close(), int(crowded)))
+
+
+def _ensembles(models: Sequence[Path]) -> tuple[list[SolverEnsemble], list[str]]:
+    """The model of each body, one given twice read once, and what the body is called: its file's name, or a number where two have one."""
+    from asterism.labelling import SolverEnsemble
+
+    loaded = {path: SolverEnsemble.load(path) for path in dict.fromkeys(models)}
+    names = [path.stem for path in models]
+    distinct = len(set(names)) == len(names)
+    return [loaded[path] for path in models], names if distinct else [str(i + 1) for i in range(len(names))]
+
+
+def _label(
+    ensembles: Sequence[SolverEnsemble],
+    subjects: Sequence[str],
+    clouds: Clouds,
+    in_time: bool,
+    rules: Rules,
+    workers: int,
+    progress: Progress | None,
+) -> tuple[Labelling, MarkerSet, bool]:
+    """A file's labelling, its marker set, and whether it is that of one of two bodies only, because one was expected."""
+    from asterism.labelling import SeveralBodies, join_labellings, label_together
+
+    if len(ensembles) > 1:
+        found = label_together(ensembles, clouds, workers=workers, progress=progress)
+        return *join_labellings(found, [ensemble.marker_set for ensemble in ensembles], subjects), False
+    one = ensembles[0]
+    try:
+        return one.label(clouds, time=in_time, rules=rules.value, workers=workers, progress=progress), one.marker_set, False
+    except SeveralBodies:
+        both = label_together([one, one], clouds, workers=workers, progress=progress)
+        return max(both, key=lambda labelling: int((labelling.indices >= 0).sum())), one.marker_set, True
 
 
 def _share(progress: Progress | None, batch: _console.Batch, files: int, path: Path) -> Progress | None:

@@ -7,6 +7,8 @@ from asterism.labelling.evaluation import Condition, Evaluation, evaluate, leave
 from asterism.labelling.naming import Groups, name_groups, own_tracks
 from asterism.labelling.review import Item, review, settle
 from asterism.labelling.solver import FullSolver
+from asterism.labelling.together import join_labellings
+from asterism.labelling.tracks.bodies import SeveralBodies
 
 __all__ = [
     "Capturability",
@@ -17,11 +19,13 @@ __all__ = [
     "FullSolver",
     "Groups",
     "Item",
+    "SeveralBodies",
     "SolverEnsemble",
     "TrainingRules",
     "audit",
     "capturability",
     "evaluate",
+    "join_labellings",
     "label_together",
     "leave_one_subject_out",
     "name_groups",

@@ -23,6 +23,7 @@ from asterism.labelling.mining import mine
 from asterism.labelling.model_file import reading, write_arrays
 from asterism.labelling.sample import Sample
 from asterism.labelling.solver import person
+from asterism.labelling.tracks.bodies import check_for_one
 from asterism.labelling.tracks.certainty import Certainty
 from asterism.labelling.tracks.joint import Looker, TimeRules
 from asterism.labelling.tracks.whole import Member, label_whole, subject_body
@@ -209,11 +210,13 @@ class SolverEnsemble:
         With it the recording is labelled as a whole: its points are linked to tracklets (`clouds.tracks` help, and are cut where they
         swap), the tracklets are labelled together, and the surely labelled ones adapt the model to the body at hand
         (`labelling/tracks`). The result does not depend on the order of the points, nor on `workers`. O(T); a frame of n points costs
-        O(n M) beyond the search, which has a budget. Raises AsterismError where `time` is asked of other rules than "whole-body".
+        O(n M) beyond the search, which has a budget. Raises AsterismError where `time` is asked of other rules than "whole-body", and its
+        kind SeveralBodies where whole recordings surely show two people with these markers: see `label_together`.
         """
         if time:
             if rules != "whole-body":
                 raise AsterismError(f"whole recordings are labelled by the rules whole-body, not {rules}; leave out time or the rules.")
+            check_for_one(self._parts(), clouds)
             return label_together([self], clouds, workers=workers, progress=progress)[0]
         return self.label_counted(clouds, rules=rules, workers=workers, progress=progress)[0]
 

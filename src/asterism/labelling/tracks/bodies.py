@@ -14,12 +14,36 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from asterism.errors import AsterismError
 from asterism.labelling.body._kernels import label_clouds
+from asterism.labelling.features import upright
 from asterism.labelling.look import Prepared, Progress
-from asterism.recording import NULL, Floats, Ints
+from asterism.recording import NULL, Clouds, Floats, Ints
 
 SWEEPS = 3
 """How often, at most, the bodies of each frame are matched with those of the other frames."""
+
+
+class SeveralBodies(AsterismError):
+    """A recording that shows more bodies than it was said to."""
+
+
+@dataclass(frozen=True)
+class CrowdRules:
+    """When a recording shows two bodies of one model. Chosen on pairs of gait subjects, and on single ones who wear more markers.
+
+    frames  how many frames are looked at
+    found   share of the markers that each of the two must show
+    sure    nats of a label that counts
+    apart   share of the body's height that their middles are apart by, seen from above
+    share   share of the recording's frames that show two, from which it is too much for one labelling
+    """
+
+    frames: int = 12
+    found: float = 0.6
+    sure: float = 3.0
+    apart: float = 0.2
+    share: float = 0.2
 
 
 @dataclass(frozen=True)
@@ -135,3 +159,34 @@ def body_votes(parts: Sequence[Prepared], bodies: Bodies, who: Ints, track: Ints
     b, e, marker = np.nonzero(counted)
     np.add.at(votes, (track[bodies.rows[b, e, marker]], starts[member[b, e]] + marker), bodies.votes[b, e, marker])
     return votes
+
+
+def check_for_one(model: Prepared, clouds: Clouds, rules: CrowdRules | None = None) -> None:
+    """Raise SeveralBodies where a recording surely shows two bodies of a model, in too large a share of its frames.
+
+    A few frames are looked at, of those that have points enough for two: 2 looks each. What is left of one person who wears more markers
+    than the model knows is no second one: it does not stand apart.
+    """
+    rules = rules or CrowdRules()
+    markers = model.body.mean.shape[1]
+    crowded = np.nonzero(clouds.counts >= 2 * rules.found * markers)[0]
+    if len(crowded) < rules.share * len(clouds) or not len(crowded):
+        return
+    some = crowded[np.unique(np.linspace(0, len(crowded) - 1, rules.frames).round().astype(np.int64))]
+    points = [upright(clouds[t], clouds.vertical) for t in some]
+    xyz = np.concatenate([frame[np.lexsort((frame[:, 1], frame[:, 0], -frame[:, 2]))] for frame in points])
+    offsets = np.concatenate([[0], np.cumsum(clouds.counts[some])]).astype(np.int64)
+    bodies = find_bodies([model, model], xyz, offsets, rules.sure)
+    # where two stand there alike, nobody knows which of them is the first: the second one's labels are what is sure
+    both = ((bodies.rows[0] != NULL).sum(axis=1) >= rules.found * markers) & (
+        (bodies.votes[1] >= rules.sure).sum(axis=1) >= rules.found * markers
+    )
+    there = bodies.rows[:, both, :, None] != NULL
+    middle = (there * xyz[bodies.rows[:, both], :2]).sum(axis=2) / there.sum(axis=2)
+    height = np.ptp(model.body.mean[:, :, 2], axis=1).max()
+    apart = int((np.linalg.norm(middle[0] - middle[1], axis=1) >= rules.apart * height).sum())
+    if apart / len(some) * len(crowded) >= rules.share * len(clouds):
+        raise SeveralBodies(
+            f"two bodies that wear the model's {markers} markers are there in {apart} of {len(some)} frames looked at; "
+            "give the model once for each of them."
+        )
