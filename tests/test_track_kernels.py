@@ -1,0 +1,102 @@
+"""The kernels of whole recordings against their plain twins, on random bodies, tracklets and gains."""
+
+from __future__ import annotations
+
+import numpy as np
+import twins_tracks as twins
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from asterism.labelling.body.model import BodyModel
+from asterism.labelling.look import LookRules
+from asterism.labelling.tracks import _kernels as kernels
+
+SETTINGS = LookRules().settings(1.0)
+MARKERS, LATENTS, POSES = 6, 4, 2
+races = settings(max_examples=25, deadline=None, derandomize=True)
+seeds = st.integers(0, 2**31)
+
+
+def random_body(rng: np.random.Generator) -> BodyModel:
+    """Two key poses of six markers, each of which varies by some centimetres."""
+    noise = rng.normal(0.0, 0.03, (POSES, MARKERS, 3, 3))
+    return BodyModel(
+        mean=rng.normal(0.0, 0.4, (POSES, MARKERS, 3)),
+        load=rng.normal(0.0, 0.04, (POSES, MARKERS, 3, LATENTS)),
+        noise=noise @ noise.transpose(0, 1, 3, 2) + 0.01**2 * np.eye(3),
+        log_weight=np.log(rng.dirichlet(np.ones(POSES))),
+    )
+
+
+def random_tracklets(rng: np.random.Generator, tracklets: int, frames: int = 30) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """First and last frames (J,), and labels (J,) that give one marker to one tracklet at a time."""
+    first = rng.integers(0, frames, tracklets)
+    last = np.minimum(first + rng.integers(0, frames // 2, tracklets), frames - 1)
+    label = rng.integers(-1, MARKERS, tracklets)
+    for j in range(tracklets):
+        if any(label[i] == label[j] and twins.together(first, last, i, j) for i in range(j)):
+            label[j] = -1
+    return first, last, label
+
+
+@given(seeds)
+@races
+def test_scores_of_frames(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    model = random_body(rng)
+    label = np.concatenate([rng.permutation(MARKERS), [-1, -1, -1]])
+    label[rng.random(len(label)) < 0.25] = -1
+    frames, tracks = [], []
+    for _ in range(4):
+        body = rng.multivariate_normal(model.mean[0].reshape(-1), model.covariance(0)).reshape(-1, 3)
+        track = rng.permutation(len(label))[: rng.integers(0, len(label) + 1)]
+        points = [body[label[j]] if label[j] >= 0 and rng.random() < 0.9 else rng.normal(0.0, 0.3, 3) for j in track]
+        frames.append(np.array(points).reshape(-1, 3))
+        tracks.append(track)
+    offsets = np.concatenate([[0], np.cumsum([len(points) for points in frames])])
+    xyz, track = np.concatenate(frames), np.concatenate(tracks)
+    scores, totals, poses = np.empty((len(xyz), MARKERS)), np.empty(4), np.empty(4, dtype=np.int64)
+    kernels.score_frames(xyz, offsets, track, label, model.arrays(), SETTINGS, scores, totals, poses)
+    wanted, sums, chosen = twins.score_frames(model, frames, tracks, label, SETTINGS)
+    np.testing.assert_allclose(scores, wanted, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(totals, sums, rtol=1e-6, atol=1e-6)
+    np.testing.assert_array_equal(poses, chosen)
+
+
+@given(seeds)
+@races
+def test_sums_over_tracklets(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    track, scores = rng.integers(0, 5, 40), rng.normal(0.0, 20.0, (40, MARKERS))
+    scores[rng.random(scores.shape) < 0.2] = -np.inf
+    sums, counts = np.zeros((6, MARKERS)), np.zeros(6)
+    kernels.gather(track, scores, -4.0, 15.0, sums, counts)
+    wanted, points = twins.gather(track, scores, -4.0, 15.0, 6)
+    np.testing.assert_allclose(sums, wanted)
+    np.testing.assert_array_equal(counts, points)
+
+
+@given(seeds, st.integers(0, 12))
+@races
+def test_tracklets_that_may_conflict(seed: int, tracklets: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, last, _ = random_tracklets(rng, tracklets)
+    gain = rng.normal(-1.0, 1.0, (tracklets, MARKERS))
+    pairs = kernels.overlaps(gain, first, last, np.argsort(first, kind="stable"))
+    assert len({frozenset(pair) for pair in pairs.tolist()}) == len(pairs)
+    assert {frozenset(pair) for pair in pairs.tolist()} == twins.overlaps(gain, first, last)
+
+
+@given(seeds, st.integers(0, 12))
+@races
+def test_margins_and_rivals(seed: int, tracklets: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, last, label = random_tracklets(rng, tracklets)
+    gain = rng.normal(0.0, 8.0, (tracklets, MARKERS))
+    gain[rng.random(gain.shape) < 0.1] = -np.inf
+    labelled = np.nonzero(label >= 0)[0]
+    gain[labelled, label[labelled]] = np.abs(rng.normal(10.0, 5.0, len(labelled)))
+    margin, rival = kernels.margins_of(gain, label, first, last, np.argsort(first, kind="stable"))
+    wanted, rivals = twins.margins(gain, label, first, last)
+    np.testing.assert_allclose(margin, wanted, rtol=1e-12, atol=1e-9)
+    np.testing.assert_array_equal(rival, rivals)

@@ -1,0 +1,83 @@
+"""Plain twins of the kernels of whole recordings: every pair of tracklets, every marker, one at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+import twins_body
+
+
+def score_frames(model, frames, tracks, label, settings):
+    """Scores of all points of all frames (P, M), each frame's labelling's score (E,) and key pose (E,)."""
+    markers, scores, totals, poses = len(model.mean[0]), [], [], []
+    for points, track in zip(frames, tracks, strict=True):
+        rows = np.full(markers, -1)
+        for c, j in enumerate(track):
+            if label[j] >= 0:
+                rows[label[j]] = c
+        if (rows >= 0).sum() < 3:
+            scores.append(np.zeros((len(points), markers)))
+            totals.append(np.nan)
+            poses.append(0)
+            continue
+        crowd = np.log(1 + max(0, len(points) - markers))
+        own = settings._replace(reward=settings.reward - crowd, odd=settings.odd - crowd, good=settings.good - crowd)
+        none = np.zeros(markers, dtype=bool)
+        k = int(np.argmax([twins_body.evidence(model, k, points, rows, none, own) for k in range(len(model.mean))]))
+        found = twins_body.score_all(model, k, points, rows, none, own)
+        odd = np.array([rows[m] >= 0 and found[m, rows[m]] <= own.odd for m in range(markers)])
+        if odd.any():
+            found = twins_body.score_all(model, k, points, rows, odd, own)
+        scores.append(found.T)
+        totals.append(twins_body.evidence(model, k, points, rows, odd, own))
+        poses.append(k)
+    return np.concatenate(scores), np.array(totals), np.array(poses)
+
+
+def gather(track, scores, least, most, tracklets):
+    """Sums of each tracklet's clipped scores (J, M), and its points (J,)."""
+    own = [np.clip(scores[track == j], least, most) for j in range(tracklets)]
+    return np.array([part.sum(axis=0) for part in own]), np.array([len(part) for part in own])
+
+
+def together(first, last, i, j):
+    """Whether two tracklets share a frame."""
+    return len(set(range(first[i], last[i] + 1)) & set(range(first[j], last[j] + 1))) > 0
+
+
+def overlaps(gain, first, last):
+    """Pairs of tracklets that are there at the same time and could both be one marker."""
+    everyone = range(len(gain))
+    return {
+        frozenset((i, j))
+        for i in everyone
+        for j in everyone
+        if i < j and together(first, last, i, j) and ((gain[i] > 0) & (gain[j] > 0)).any()
+    }
+
+
+def margins(gain, label, first, last):
+    """How much each tracklet's label is worth over its best other one, and that one."""
+    tracklets, markers = gain.shape
+    margin, rival = np.empty(tracklets), np.full(tracklets, -1)
+    for j in range(tracklets):
+        beside = [i for i in range(tracklets) if i != j and together(first, last, i, j)]
+
+        def instead(m, j=j, beside=beside):
+            """The gain of being m; whoever is m loses its own, or takes the label that becomes free where that is worth something."""
+            free = label[j]
+            lost = [gain[i, m] - (max(0.0, gain[i, free]) if free >= 0 else 0.0) for i in beside if label[i] == m]
+            return gain[j, m] - sum(lost)
+
+        others = [m for m in range(markers) if m != label[j]]
+        worth = [instead(m) for m in others]
+        best = max(worth, default=-np.inf)
+        if np.isfinite(best):
+            rival[j] = others[int(np.argmax(worth))]
+        if label[j] < 0:
+            margin[j] = min(0.0, best)
+            continue
+        margin[j] = gain[j, label[j]] - max(0.0, best)
+        for i in beside:
+            if label[i] < 0:
+                margin[j] = min(margin[j], max(0.0, gain[j, label[j]] - max(0.0, gain[i, label[j]])))
+    return margin, rival
