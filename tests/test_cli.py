@@ -225,6 +225,22 @@ def test_label_names_the_points_of_a_stranger(
     assert "</html>" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
+def test_a_trial_of_the_subject_helps_and_one_of_someone_else_is_said(
+    folder: Path, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    walk, told = folder / "walk-4.c3d", tmp_path / "label.json"
+    assert run("label", walk, "--model", model, "-o", tmp_path / "own", "--subject", folder / "nameless.c3d") == 0
+    capsys.readouterr()
+    assert run("label", walk, "--model", model, "-o", tmp_path / "other", "--subject", folder / "walk-0.c3d", "--json", told) == 1
+    assert "walk-0.c3d is not of this body" in capsys.readouterr().err
+    assert json.loads(told.read_text())["doubted"] == [str(walk)]
+    assert run("label", walk, "--model", model, "-o", tmp_path / "plain") == 0
+    assert (tmp_path / "other" / "walk-4.c3d").read_bytes() == (tmp_path / "plain" / "walk-4.c3d").read_bytes()
+    assert run("label", walk, "--model", model, "--model", model, "-o", tmp_path / "two", "--subject", folder / "walk-0.c3d") == 2
+    assert run("label", walk, "--model", model, "-o", tmp_path / "none", "--subject", folder / "broken.c3d") == 2
+    assert "broken.c3d" in capsys.readouterr().err
+
+
 def test_label_goes_on_after_a_bad_file(folder: Path, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     files = (folder / "walk-3.c3d", folder / "broken.c3d", folder / "walk-4.c3d")

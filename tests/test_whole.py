@@ -9,6 +9,7 @@ import pytest
 
 import asterism
 from asterism.hiding import hide_in_gaps
+from asterism.labelling.ensemble import ANOTHER_PERSON
 from asterism.recording import Clouds
 from asterism.simulation import simulate_walks
 
@@ -64,3 +65,43 @@ def test_a_saved_model_labels_whole_recordings_alike(
     one, other = ensemble.label(clouds, time=True), asterism.SolverEnsemble.load(path).label(clouds, time=True)
     assert np.array_equal(one.indices, other.indices)
     assert np.array_equal(one.confidence, other.confidence)
+
+
+def test_a_trial_of_the_person_makes_single_frames_surer(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+    adapted = ensemble.adapt(walks[4].frames(slice(0, 60)))
+    clouds, truth = hide_in_gaps(walks[4].frames(slice(60, 120)), 3, 0, seed=5)
+    own, general = adapted.label(clouds), ensemble.label(clouds)
+    assert (own.indices == truth)[own.indices >= 0].all()
+    assert own.confidence[truth >= 0].mean() > general.confidence[truth >= 0].mean()
+
+
+def test_an_unlabelled_trial_with_markers_missing_adapts_too(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+    anonymous = asterism.Recording(walks[4].positions[:60, 2:], tuple(f"*{i}" for i in range(13)), walks[4].rate)
+    clouds, truth = hide_in_gaps(walks[4].frames(slice(60, 120)), 3, 0, seed=5)
+    labelling = ensemble.adapt(anonymous).label(clouds, time=True)
+    given = labelling.indices >= 0
+    assert (labelling.indices == truth)[given].all()
+    assert given.sum() > 0.97 * (truth >= 0).sum()
+
+
+def test_the_body_of_someone_else_is_told_apart(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording], tmp_path: Path) -> None:
+    clouds = walks[4].frames(slice(60, 120)).clouds()
+    fits = []
+    for person in range(5):
+        adapted = ensemble.adapt(walks[person].frames(slice(0, 60)))
+        adapted.save(tmp_path / "one.model")
+        again = asterism.SolverEnsemble.load(tmp_path / "one.model")
+        labelling = again.label(clouds, time=True)
+        fits.append(again.subject_fit(clouds, labelling))
+        assert fits[-1] == adapted.subject_fit(clouds, labelling)
+    assert fits[4] > ANOTHER_PERSON > max(fits[:4])
+    assert np.isnan(ensemble.subject_fit(clouds, labelling))
+
+
+def test_trials_that_show_no_body_are_refused(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+    mixed = asterism.Recording(walks[4].positions, tuple(reversed(walks[4].labels)), walks[4].rate)
+    with pytest.raises(asterism.AsterismError, match="fit no body"):
+        ensemble.adapt(mixed)
+    nothing = asterism.Recording(np.full((10, 15, 3), np.nan), walks[4].labels, 100.0)
+    with pytest.raises(asterism.AsterismError, match="no frame"):
+        ensemble.adapt(nothing)

@@ -107,6 +107,7 @@ class Batch:
         self.verb = verb
         self.done: list[Path] = []
         self.failed: list[Path] = []
+        self.doubted: list[Path] = []
 
     @contextmanager
     def file(self, path: Path) -> Iterator[None]:
@@ -120,10 +121,15 @@ class Batch:
         else:
             self.done.append(path)
 
+    def doubt(self, path: Path, sentence: str) -> None:
+        """Say what was found about a file that was done all the same."""
+        complain(f"{path}: {sentence}")
+        self.doubted.append(path)
+
     @property
     def status(self) -> int:
-        """0 all files done, 1 some, 2 none."""
-        return 0 if not self.failed else 1 if self.done else 2
+        """0 all files done and nothing found, 1 some, 2 none done."""
+        return 2 if self.failed and not self.done else 1 if self.failed or self.doubted else 0
 
     def close(self) -> int:
         """Name the failed files once more where the batch was longer than one; returns the status."""

@@ -26,6 +26,10 @@ def label(
     keep: Annotated[bool, typer.Option("--keep", help="Labels that a file already has stay; only points without a name get one.")] = False,
     rules: RulesOption = Rules.WHOLE_BODY,
     frame_wise: FrameWise = False,
+    subject: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A trial of the person, best standing: narrows the model to this body.", show_default=False),
+    ] = None,
     workers: Workers = 1,
     vertical: Vertical = None,
     overwrite: Overwrite = False,
@@ -38,19 +42,25 @@ def label(
     else in it as it was. Points that no marker took become *1, *2, ... A line per file says which share of all markers in all
     frames was labelled, and which share is unsure: not labelled though the frame has points left. The rules whole-body label a
     recording as a whole, by its tracks; --frame-wise turns that off. Where several people or objects are in the room, give
-    --model once for each of them; names that two of them share become 1:LASI and 2:LASI.
+    --model once for each of them; names that two of them share become 1:LASI and 2:LASI. The trial given as --subject may be
+    labelled or not.
     """
     from asterism.cli._recordings import labels_kept, outcome
+    from asterism.labelling.ensemble import ANOTHER_PERSON
 
     in_time = rules is Rules.WHOLE_BODY and not frame_wise
     if len(model) > 1 and not in_time:
         raise AsterismError("several bodies are told apart by time and tracks; leave out --frame-wise and --rules, or give one --model.")
+    if len(model) > 1 and subject is not None:
+        raise AsterismError("a trial of the subject narrows one model; leave out --subject, or give one --model.")
     targets = _targets(files, output)
     _console.check_new(report, overwrite)
     _console.check_new(json, overwrite)
     axis = vertical_axis(vertical)
     ensembles, subjects = _ensembles(model)
-    crowded = False
+    general = ensembles[0]
+    if subject is not None:
+        ensembles = [_adapted(general, subject, axis)]
     batch = _console.Batch("labelled")
     rows: list[dict[str, Any]] = []
     shown: tuple[Recording, Labelling, Clouds, MarkerSet] | None = None
@@ -64,12 +74,14 @@ def label(
                 started = time.perf_counter()
                 share = _share(progress, batch, len(files), path)
                 labelling, marker_set, one_of_two = _label(ensembles, subjects, clouds, in_time, rules, workers, share)
+                if ensembles[0].subject_fit(clouds, labelling) < ANOTHER_PERSON:
+                    batch.doubt(path, f"{subject} is not of this body, or its markers were placed anew; labelled without it.")
+                    labelling, marker_set, one_of_two = _label([general], subjects, clouds, in_time, rules, workers, share)
                 seconds = time.perf_counter() - started
                 if one_of_two:
-                    crowded = True
-                    _console.complain(
-                        f"{path} shows two bodies that wear the model's markers, and only one of them was labelled; "
-                        "give --model once for each of them."
+                    batch.doubt(
+                        path,
+                        "two bodies wear the model's markers, and only one of them was labelled; give --model once for each of them.",
                     )
                 if keep:
                     labelling = labels_kept(path, labelling, recording, clouds, marker_set)
@@ -104,9 +116,19 @@ def label(
         )
     used = model if len(model) > 1 else model[0]
     _console.write_json(
-        json, {"command": "label", "model": used, "rules": rules.value, "keep": keep, "files": rows, "failed": batch.failed}
+        json,
+        {
+            "command": "label",
+            "model": used,
+            "subject": subject,
+            "rules": rules.value,
+            "keep": keep,
+            "files": rows,
+            "failed": batch.failed,
+            "doubted": batch.doubted,
+        },
     )
-    raise typer.Exit(max(batch.close(), int(crowded)))
+    raise typer.Exit(batch.close())
 
 
 def _ensembles(models: Sequence[Path]) -> tuple[list[SolverEnsemble], list[str]]:
@@ -173,6 +195,14 @@ def _read(path: Path, axis: str | list[float] | None) -> tuple[Recording, Clouds
 
     recording = formats.read(path, vertical=axis)
     return recording, recording.clouds()
+
+
+def _adapted(ensemble: SolverEnsemble, subject: Path, axis: str | list[float] | None) -> SolverEnsemble:
+    try:
+        return ensemble.adapt(_read(subject, axis)[0])
+    except AsterismError as problem:
+        sentence = str(problem)
+        raise AsterismError(sentence if subject.name in sentence else f"{subject}: {sentence}") from problem
 
 
 def _first_frame(clouds: Clouds) -> Clouds:

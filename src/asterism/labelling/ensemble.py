@@ -26,11 +26,14 @@ from asterism.labelling.solver import person
 from asterism.labelling.tracks.bodies import check_for_one
 from asterism.labelling.tracks.certainty import Certainty
 from asterism.labelling.tracks.joint import Looker, TimeRules
-from asterism.labelling.tracks.whole import Member, label_whole, subject_body
+from asterism.labelling.tracks.whole import Member, label_whole, own_body_gain, subject_body
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording
 
 if TYPE_CHECKING:
     from asterism.labelling.stream import Stream
+
+ANOTHER_PERSON = 0.15
+"""`subject_fit` of walks was 0.24 to 0.31 with the person's own standing trial, -0.51 to 0.16 with another's (gait subjects)."""
 
 RULES = ("whole-body", "partial-solvers", "thesis")
 
@@ -55,6 +58,7 @@ class SolverEnsemble:
         about: dict[str, Any],
         memory: Memory | None = None,
         in_time: Certainty | None = None,
+        general: BodyModel | None = None,
     ) -> None:
         self.marker_set = marker_set
         self.about = about
@@ -68,6 +72,7 @@ class SolverEnsemble:
         self._partial = partial
         self._memory = memory
         self._in_time = in_time or Certainty(calibrations, least_confidence)
+        self._general = general
         self._prepared: Prepared | None = None
 
     @classmethod
@@ -190,10 +195,25 @@ class SolverEnsemble:
         else:
             clouds = static.clouds()
             frames = self.label(clouds, time=True).positions(clouds)[:, self._markers]
-        looker = Looker(self._parts(), self._body)
+        frames = upright(frames, static.vertical)
         body_rules = BodyRules() if self._memory is None else self._memory.recipe.body
-        body = subject_body(looker, upright(frames, static.vertical), static.rate, SubjectRules(), body_rules)
-        return replace_parts(self, body=body, about={**self.about, "adapted_to": person(static)})
+        settings = self._parts().settings
+        body = subject_body(settings, self._body, frames, static.rate, SubjectRules(), body_rules)
+        gain = own_body_gain(settings, body, self._body, frames, static.rate, SubjectRules())
+        return replace_parts(self, body=body, general=self._body, about={**self.about, "adapted_to": person(static), "adapted_gain": gain})
+
+    def subject_fit(self, clouds: Clouds, labelling: Labelling) -> float:
+        """How far these labels speak for the subject that this ensemble was adapted to.
+
+        1 if the subject's body explains them as much better than people at large do as it explains the recording that it was adapted
+        by; below `ANOTHER_PERSON` it is someone else, or the markers were placed anew. NaN where the ensemble is not adapted, or no
+        frame shows enough labelled markers.
+        """
+        if self._general is None:
+            return float("nan")
+        frames = upright(labelling.positions(clouds)[:, self._markers], clouds.vertical)
+        gain = own_body_gain(self._parts().settings, self._body, self._general, frames, clouds.rate, SubjectRules())
+        return gain / max(float(self.about["adapted_gain"]), 1.0)
 
     def label(
         self,
@@ -303,6 +323,8 @@ class SolverEnsemble:
             arrays[f"calibration_{i}"] = np.stack([calibration.margin, calibration.right])
         for i, calibration in enumerate(self._in_time.calibrations):
             arrays[f"time_calibration_{i}"] = np.stack([calibration.margin, calibration.right])
+        if self._general is not None:
+            arrays |= {f"general_{name}": array for name, array in self._general.to_arrays().items()}
         if self._memory is not None:
             arrays |= {f"sample_{name}": array for name, array in self._memory.sample.to_arrays().items()}
         write_arrays(path, head, arrays)
@@ -344,6 +366,7 @@ class SolverEnsemble:
                 dict(head["about"]),
                 memory,
                 in_time,
+                _body(arrays, "general_") if "general_mean" in arrays else None,
             )
 
 
@@ -362,6 +385,7 @@ def replace_parts(ensemble: SolverEnsemble, **parts: Any) -> SolverEnsemble:
         "about": ensemble.about,
         "memory": ensemble._memory,
         "in_time": ensemble._in_time,
+        "general": ensemble._general,
     }
     return SolverEnsemble(**{**own, **parts})
 

@@ -32,6 +32,7 @@ class BodyRules:
     size_std        how much bodies differ in size beyond the people of the training set, as a share of the size
     placement_std   how far a marker sits from where the model expects it, beyond what was seen (m)
     person_extra    people's own mean bodies count (1 + person_extra / people) times: few people show too little variety
+    other_std       how far one person's frames move beyond what one other person's did (m); falls with the root of the number of people
     shift_std       first placing of the body, error of the position (m)
     turn_std        first placing of the body, error of the heading (rad)
     """
@@ -42,6 +43,7 @@ class BodyRules:
     size_std: float = 0.06
     placement_std: float = 0.012
     person_extra: float = 2.0
+    other_std: float = 0.025
     shift_std: float = 0.1
     turn_std: float = 0.3
 
@@ -54,7 +56,7 @@ class BodyModel:
     load        (K, M, 3, r) m per latent
     noise       (K, M, 3, 3) m2
     log_weight  (K,) log share of the training frames
-    within      (K, 3M, 3M) m2, how one person's placed body moves within a key pose; None in models of format 1
+    within      (K, 3M, 3M) m2, how a stranger's placed body moves within a key pose; None in models of format 1
     between     (K, 3M, 3M) m2, how people's mean bodies differ, placement of the markers included; None in models of format 1
     """
 
@@ -184,6 +186,7 @@ def _pose(placed: Floats, people: Ints, rules: BodyRules) -> tuple[Floats, Float
     between += np.outer(size, size)
     load, noise = factors(mean, within + between, rules)
     noise += rules.placement_std**2 * np.eye(3)
+    within = within + rules.other_std**2 / len(groups) * np.eye(3 * markers)
     return mean, load, noise, within, between + rules.placement_std**2 * np.eye(3 * markers)
 
 

@@ -24,12 +24,10 @@ class SubjectRules:
 
     independent  seconds after which the person's next frame tells something new
     across       how much a person's difference from the mean body varies from key pose to key pose, as a share of `between`
-    noise_std    where a marker sits in one frame beyond what the model explains (m)
     """
 
     independent: float = 0.2
-    across: float = 0.2
-    noise_std: float = 0.004
+    across: float = 0.5
 
 
 def adapt_body(body: BodyModel, frames: Floats, poses: Ints, weight: Floats, rules: SubjectRules, body_rules: BodyRules) -> BodyModel:
@@ -41,7 +39,6 @@ def adapt_body(body: BodyModel, frames: Floats, poses: Ints, weight: Floats, rul
     if body.within is None or body.between is None:
         raise ValueError("the model does not say how people differ")
     count = body.mean.shape[1]
-    noise = rules.noise_std**2 * np.eye(3 * count)
     seen = [_seen(body, k, frames[poses == k], weight[poses == k]) for k in range(len(body.mean))]
     means, loads, noises, betweens = [], [], [], []
     for k in range(len(body.mean)):
@@ -50,7 +47,7 @@ def adapt_body(body: BodyModel, frames: Floats, poses: Ints, weight: Floats, rul
             if not shown.any():
                 continue
             rows = np.nonzero(np.repeat(shown, 3))[0]
-            error = (body.within[other] + noise)[np.ix_(rows, rows)] * np.kron(share[np.ix_(shown, shown)], np.ones((3, 3)))
+            error = body.within[other][np.ix_(rows, rows)] * np.kron(share[np.ix_(shown, shown)], np.ones((3, 3)))
             if other != k:
                 error = error + rules.across * body.between[k][np.ix_(rows, rows)]
             gain = np.linalg.solve(spread[np.ix_(rows, rows)] + error, spread[rows]).T
@@ -61,7 +58,7 @@ def adapt_body(body: BodyModel, frames: Floats, poses: Ints, weight: Floats, rul
         load, rest = factors(mean, body.within[k] + spread, body_rules)
         means.append(mean)
         loads.append(load)
-        noises.append(rest + rules.noise_std**2 * np.eye(3))
+        noises.append(rest)
         betweens.append(spread)
     return BodyModel(np.stack(means), np.stack(loads), np.stack(noises), body.log_weight, body.within, np.stack(betweens))
 
@@ -92,4 +89,8 @@ def _seen(body: BodyModel, k: int, frames: Floats, weight: Floats) -> tuple[Floa
     seen = total > 0
     deviation = (heavy[:, :, None] * (placed - body.mean[k])).sum(axis=0) / np.maximum(total, 1e-12)[:, None]
     share = (heavy.T @ shown) / np.maximum(np.outer(total, total), 1e-12)
-    return deviation.ravel(), seen, share
+    # frames that differ among themselves less than the person's frames do are looks at one moment: standing tells no more in ten seconds
+    within = body.covariance(k) if body.within is None else body.within[k]
+    apart = (heavy[:, :, None] * (placed - body.mean[k] - deviation) ** 2).sum()
+    usual = (total[:, None] * np.diagonal(within).reshape(-1, 3)).sum()
+    return deviation.ravel(), seen, np.maximum(share, 1.0 - apart / usual)

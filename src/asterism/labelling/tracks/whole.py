@@ -9,6 +9,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.hiding import hide_in_gaps
+from asterism.labelling.body._kernels import LookSettings
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules, adapt_body
 from asterism.labelling.look import Progress
@@ -72,26 +73,42 @@ def label_whole(
     return labellings, outcome
 
 
-def subject_body(looker: Looker, frames: Floats, rate: float, rules: SubjectRules, body_rules: BodyRules) -> BodyModel:
+def subject_body(
+    settings: LookSettings, body: BodyModel, frames: Floats, rate: float, rules: SubjectRules, body_rules: BodyRules
+) -> BodyModel:
     """The body model of the one person whose labelled frames these are: (T, M, 3) m, z up, NaN where missing.
 
     Raises AsterismError where the model cannot be adapted, no frame shows three markers, or the labels fit no body that the model knows.
     """
-    if looker.body.within is None:
+    if body.within is None:
         raise AsterismError("this model was written by an earlier Asterism and cannot be adapted to a subject; train it again.")
-    shown = ~np.isnan(frames[:, :, 0])
-    looked = np.nonzero(shown.sum(axis=1) >= max(3, 0.4 * shown.shape[1]))[0][:: max(1, round(rules.independent * rate))]
+    looked, scores, _, poses = _scored(settings, body, frames, rate, rules)
     if not len(looked):
         raise AsterismError("no frame of the subject's recording shows enough labelled markers; give a standing trial with all of them.")
+    if np.median(scores) <= settings.odd:
+        raise AsterismError("the subject's labelled markers fit no body that the model knows; check the labels, or train on such bodies.")
+    return adapt_body(body, frames[looked], poses, np.ones(len(looked)), rules, body_rules)
+
+
+def own_body_gain(settings: LookSettings, own: BodyModel, general: BodyModel, frames: Floats, rate: float, rules: SubjectRules) -> float:
+    """Nats per frame by which a subject's body explains labelled frames (T, M, 3) better than the body of people at large.
+
+    NaN where no frame shows enough markers.
+    """
+    ours, theirs = (_scored(settings, body, frames, rate, rules)[2] for body in (own, general))
+    return float(np.mean(ours - theirs)) if len(ours) else float("nan")
+
+
+def _scored(settings: LookSettings, body: BodyModel, frames: Floats, rate: float, rules: SubjectRules) -> tuple[Ints, Floats, Floats, Ints]:
+    """Frames that tell something new and show enough markers (n,), the score of each label there, and the frames' totals and key poses."""
+    shown = ~np.isnan(frames[:, :, 0])
+    looked = np.nonzero(shown.sum(axis=1) >= max(3, 0.4 * shown.shape[1]))[0][:: max(1, round(rules.independent * rate))]
     seen = shown[looked]
     offsets = np.concatenate([[0], np.cumsum(seen.sum(axis=1))]).astype(np.int64)
     xyz, marker = np.ascontiguousarray(frames[looked][seen]), np.nonzero(seen)[1].astype(np.int64)
     scores, totals, poses = np.empty((len(xyz), seen.shape[1])), np.empty(len(looked)), np.empty(len(looked), dtype=np.int64)
-    everyone = np.arange(seen.shape[1])
-    score_frames(xyz, offsets, marker, everyone, looker.parts.body, looker.parts.settings, scores, totals, poses)
-    if np.median(scores[np.arange(len(xyz)), marker]) <= looker.parts.settings.odd:
-        raise AsterismError("the subject's labelled markers fit no body that the model knows; check the labels, or train on such bodies.")
-    return adapt_body(looker.body, frames[looked], poses, np.ones(len(looked)), rules, body_rules)
+    score_frames(xyz, offsets, marker, np.arange(seen.shape[1]), body.arrays(), settings, scores, totals, poses)
+    return looked, scores[np.arange(len(xyz)), marker], totals, poses
 
 
 def trial(
