@@ -173,6 +173,10 @@ def test_next_to_nothing_holds_no_findings(walks, frames):
     assert audit([walk.frames(slice(0, frames)) for walk in walks], subjects=PEOPLE) == []
 
 
+def test_an_empty_recording_among_others_holds_no_findings(walks):
+    assert audit([walks[0].frames(slice(0, 0)), *walks[1:]], subjects=PEOPLE) == []
+
+
 def test_odd_recordings_hold_no_findings(walks):
     empty = replace(walks[0], positions=np.full_like(walks[0].positions, np.nan))
     point = Recording(np.zeros((20, 1, 3)), ("one",), 100.0)
@@ -301,7 +305,7 @@ def test_the_command_says_where_and_leaves_with_1(folder, capsys):
     assert main(["audit", *files(folder, True), "--json", "-"]) == 1
     [finding] = json.loads(capsys.readouterr().out)["findings"]
     assert finding["file"].endswith("damaged.c3d")
-    assert (finding["first_frame"], finding["last_frame"], finding["markers"]) == (70, 72, ["LTHI", "LKNE"])
+    assert (finding["first_frame"], finding["last_frame"], finding["markers"]) == (71, 73, ["LTHI", "LKNE"])
 
 
 def test_the_command_leaves_with_0_where_nothing_is_wrong(folder, capsys):
@@ -318,7 +322,7 @@ def test_training_can_leave_the_damage_out(folder, tmp_path, capsys, monkeypatch
     words = ["--markers", "helen-hayes", "-o", str(tmp_path / "a.model"), "--leave-out-damaged", "--json", str(tmp_path / "a.json")]
     assert main(["train", *files(folder, True), *words]) == 0
     shown = capsys.readouterr()
-    assert "damaged.c3d, frames 70 to 72: left out, LTHI and LKNE exchanged" in shown.err
+    assert "damaged.c3d, frames 71 to 73: left out, LTHI and LKNE exchanged" in shown.err
     assert len(json.loads((tmp_path / "a.json").read_text())["left_out"]) == 1
     recordings = [asterism.read(file, markers="helen-hayes") for file in files(folder, True)]
     kept = without(recordings, audit(recordings))

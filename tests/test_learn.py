@@ -164,6 +164,12 @@ def test_a_recording_of_something_else_is_refused(first):
         first.learn([cube])
 
 
+def test_a_recording_that_shows_nothing_is_refused(first, walks):
+    for nothing in (walks[3].frames(slice(0, 0)), walks[3].select(walks[3].labels[:2])):
+        with pytest.raises(AsterismError, match=r"bare\.c3d has no frame that shows 3 labelled points"):
+            first.learn([replace(nothing, metadata={"file": "bare.c3d"})])
+
+
 def test_millimetres_taken_for_metres_are_refused(first, walks):
     huge = replace(walks[3], positions=walks[3].positions * 1e6, metadata={"file": "huge.trc"})
     with pytest.raises(AsterismError, match=r"huge\.trc has positions beyond 10 km; check its unit"):

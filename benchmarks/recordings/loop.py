@@ -34,6 +34,9 @@ HASTE = 2
 """So many trials are done for one that is taken on before the model learns again."""
 
 
+Answer = tuple[Item, str | None]
+
+
 @dataclass(frozen=True)
 class Trial:
     """One recording without labels, and the truth (T, M) about its clouds; the person asked knows it, the model never."""
@@ -125,7 +128,10 @@ def _figures(row: str, courses: Sequence[Course]) -> Iterator[Figure]:
 
 
 def run(bench: Bench, task: tuple[str, str, bool]) -> Course:
-    """One loop: (subject, condition, whether the subject's straight walk is named, not labelled); it ends with all trials labelled."""
+    """One loop: (subject, condition, whether the subject's straight walk is named, not labelled); it ends with all trials labelled.
+
+    At its end all are labelled once more by the model that has seen most, the answers stand, and what is flagged anew is settled.
+    """
     start, condition, named = task
     trials = _trials(bench, CONDITIONS[condition])
     one = next(trial for trial in trials if trial.subject == start and file_of(trial.recording).stem == "straight")
@@ -133,7 +139,7 @@ def run(bench: Bench, task: tuple[str, str, bool]) -> Course:
     course = Course(task, sum(trial.samples for trial in waiting))
     first = _named(one, course) if named else one.recording
     ensemble = asterism.SolverEnsemble.fit([first], subjects=[start], miner=None, marker_set=MarkerSet(one.recording.labels))
-    done: list[Trial] = []
+    done: list[tuple[Trial, list[Answer]]] = []
     errors = 0
     while waiting:
         looks = [_look(ensemble, trial) for trial in waiting]
@@ -147,15 +153,22 @@ def run(bench: Bench, task: tuple[str, str, bool]) -> Course:
         corrected = []
         for i in chosen:
             trial = waiting[i]
-            settled = _settled(trial, *looks[i], course)
-            course.after.setdefault(trial.subject, Tally()).add(settled, trial.truth)
+            settled, answers = _settled(trial, *looks[i], course)
+            done.append((trial, answers))
             errors += _errors([trial], [(settled, [])])
             corrected.append(trial.labelled(settled))
-            done.append(trial)
         if len(chosen) < len(waiting):
             ensemble = ensemble.learn(corrected, subjects=[waiting[i].subject for i in chosen])
         waiting = [trial for i, trial in enumerate(waiting) if i not in chosen]
     course.line.append((course.touched / course.samples, errors / course.samples))
+    for trial, given in done:
+        labelling = settle(ensemble.label(trial.clouds, time=True), trial.clouds, given)
+        answered = {int(item.points[0]) for item, _ in given}
+        items = [item for item in review(labelling, trial.clouds, least_gain=WORTH) if int(item.points[0]) not in answered]
+        settled, _ = _settled(trial, labelling, items, course)
+        course.after.setdefault(trial.subject, Tally()).add(settled, trial.truth)
+    wrong = sum(tally.missed + tally.given - tally.right for tally in course.after.values())
+    course.line.append((course.touched / course.samples, wrong / course.samples))
     right = sum(tally.right for tally in course.after.values())
     bench.say(
         f"{start}, {condition}{', named' if named else ''}: right {course.before.right_share:.5f}, then {right / course.samples:.5f}, "
@@ -200,14 +213,16 @@ def _errors(trials: Sequence[Trial], looks: Sequence[tuple[Labelling, list[Item]
     return sum(int((labelling.indices != trial.truth).sum()) for trial, (labelling, _) in zip(trials, looks, strict=True))
 
 
-def _settled(trial: Trial, labelling: Labelling, items: Sequence[Item], course: Course) -> Labelling:
-    """The labelling after a person has looked at all that is flagged; the course counts it."""
+def _settled(trial: Trial, labelling: Labelling, items: Sequence[Item], course: Course) -> tuple[Labelling, list[Answer]]:
+    """The labelling after a person has looked at all that is flagged, and the answers; the course counts it."""
+    answers: list[Answer] = []
     for item in items:
-        after = settle(labelling, trial.clouds, [(item, trial.answer(item.points))])
+        answers.append((item, trial.answer(item.points)))
+        after = settle(labelling, trial.clouds, answers[-1:])
         changed = int((trial.marker_of_points(after.indices) != trial.marker_of_points(labelling.indices)).sum())
         course.looks += 1
         course.looked_at += item.samples
         course.touches += changed > 0
         course.touched += changed
         labelling = after
-    return labelling
+    return labelling, answers

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +14,7 @@ from asterism.cli._options import Files, Json, Markers, Overwrite, Seed, Vertica
 
 if TYPE_CHECKING:
     from asterism.labelling.audit import Finding
+    from asterism.recording import Recording
 
 
 def audit(
@@ -42,12 +44,21 @@ def audit(
     recordings = read_some(files, marker_set_of(markers), vertical, batch)
     with _console.progress("auditing") as progress:
         findings = look_through(recordings, subjects=None if subject is None else [subject] * len(recordings), seed=seed, progress=progress)
+    findings = [as_numbered(finding, recordings) for finding in findings]
     if json != "-":
         show(findings, batch.done)
     rows = [{**asdict(finding), "file": str(batch.done[finding.recording]), "damage": finding.damage} for finding in findings]
     _console.write_json(json, {"command": "audit", "files": batch.done, "failed": batch.failed, "findings": rows})
     status = batch.close()
     raise typer.Exit(status or int(any(finding.damage for finding in findings)))
+
+
+def as_numbered(finding: Finding, recordings: Sequence[Recording]) -> Finding:
+    """The finding with frames numbered as its file numbers them."""
+    from asterism.cli._recordings import first_frame_of
+
+    first = first_frame_of(recordings[finding.recording])
+    return replace(finding, first_frame=finding.first_frame + first, last_frame=finding.last_frame + first)
 
 
 def show(findings: list[Finding], files: list[Path]) -> None:

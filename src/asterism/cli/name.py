@@ -15,6 +15,7 @@ from asterism.errors import AsterismError
 if TYPE_CHECKING:
     from asterism.labelling import Groups
     from asterism.labelling.naming import Place
+    from asterism.recording import Recording
 
 
 def name(
@@ -35,6 +36,7 @@ def name(
     train` learns.
     """
     from asterism import formats
+    from asterism.cli._recordings import first_frame_of
     from asterism.labelling import own_tracks
     from asterism.labelling.naming import places
 
@@ -61,7 +63,7 @@ def name(
             groups,
             where,
             names=given,
-            first_frame=int(recording.metadata.get("first_frame", 1)),
+            first_frame=first_frame_of(recording),
             title=f"{file.name}: which marker is which?",
             facts={"file": str(file)},
         )
@@ -97,7 +99,7 @@ def _read_names(path: Path) -> dict[int, str]:
     return out
 
 
-def _write(file: Path, output: Path, recording: Any, groups: Groups, given: dict[int, str]) -> list[str]:
+def _write(file: Path, output: Path, recording: Recording, groups: Groups, given: dict[int, str]) -> list[str]:
     from asterism import formats
     from asterism.labelling import name_groups
 

@@ -104,7 +104,9 @@ class _Listed:
     @property
     def first(self) -> int:
         """The number that the file gives its first frame."""
-        return int(self.recording.metadata.get("first_frame", 1))
+        from asterism.cli._recordings import first_frame_of
+
+        return first_frame_of(self.recording)
 
     @property
     def column(self) -> str:

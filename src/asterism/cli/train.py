@@ -24,6 +24,7 @@ from asterism.cli._options import (
     check_hit_rate,
     feature_names,
 )
+from asterism.cli.audit import as_numbered
 from asterism.errors import AsterismError
 
 
@@ -60,11 +61,12 @@ def train(
         raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; mend them or leave them out.")
     from asterism.labelling import SolverEnsemble, audit, without
 
-    findings = []
+    told = []
     if leave_out_damaged:
         with _console.progress("auditing") as progress:
             findings = [finding for finding in audit(recordings, seed=seed, progress=progress) if finding.damage]
-        for finding in findings:
+        told = [as_numbered(finding, recordings) for finding in findings]
+        for finding in told:
             span = f"frames {finding.first_frame} to {finding.last_frame}"
             _console.complain(f"{files[finding.recording]}, {span}: left out, {finding.description}.")
         recordings = without(recordings, findings)
@@ -95,7 +97,7 @@ def train(
             "markers": names,
             "files": files,
             **about,
-            "left_out": [asdict(finding) for finding in findings],
+            "left_out": [asdict(finding) for finding in told],
             "seconds": seconds,
         },
     )

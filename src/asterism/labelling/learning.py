@@ -18,7 +18,7 @@ from asterism.labelling.calibration import Calibration
 from asterism.labelling.features import kinds_of, needs_motion
 from asterism.labelling.look import LookRules, Prepared, Progress
 from asterism.labelling.motion.points import frames_with_motion
-from asterism.labelling.sample import Sample
+from asterism.labelling.sample import FEWEST_SHOWN, Sample
 from asterism.labelling.solver import person
 from asterism.labelling.tracks.certainty import Certainty, Tried
 from asterism.labelling.tracks.joint import Looker, TimeRules
@@ -109,13 +109,18 @@ class Memory:
     def with_recordings(self, recordings: Sequence[Recording], subjects: Sequence[str] | None, marker_set: MarkerSet) -> Memory:
         """A memory of these recordings, too. Subjects by default as `person` says.
 
-        Raises AsterismError where there is no recording, or not one subject for each.
+        Raises AsterismError where there is no recording, one shows nothing, or there is not one subject for each.
         """
         if not recordings:
             raise AsterismError("there is no recording to learn from; give at least one labelled file.")
         names = [person(recording) for recording in recordings] if subjects is None else list(subjects)
         if len(names) != len(recordings):
             raise AsterismError(f"{len(names)} subjects for {len(recordings)} recordings; give one name per recording.")
+        for recording in recordings:
+            if (recording.visible.sum(axis=1) < FEWEST_SHOWN).all():
+                raise AsterismError(
+                    f"{recording.metadata.get('file', 'a recording')} has no frame that shows {FEWEST_SHOWN} labelled points; leave it out."
+                )
         rules = self.recipe.training
         sample = self.sample.with_recordings(recordings, names, marker_set, rules.carried_per_person, rules.carried)
         return replace(self, sample=sample)

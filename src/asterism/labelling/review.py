@@ -51,7 +51,8 @@ def review(labelling: Labelling, clouds: Clouds, *, top: int | None = None, leas
     frames. A given label gains 1 - confidence per frame, or, where its piece bears another
     label more often, the weight of that one. A point without a label gains the confidence of the markers that are missing in its
     frame, shared among the frame's free points: the nearer to where the marker was last and next seen, the more.
-    Raises AsterismError where the labelling is not one of these clouds, `top` is below 1, or `least_gain` is negative. O(P M).
+    Raises AsterismError where the labelling is not one of these clouds, `top` is below 1, or `least_gain` is negative.
+    O(P) and O(M) for each point without a label.
     """
     _check(labelling, clouds)
     if top is not None and top < 1:
@@ -63,6 +64,7 @@ def review(labelling: Labelling, clouds: Clouds, *, top: int | None = None, leas
     marker_of, confidence = labels_of_points(labelling, clouds)
     votes = _votes(piece_of, marker_of, confidence, len(labelling.names))
     chance = _chances_of_free_points(labelling, clouds, marker_of, piece_of, votes)
+    free_before = np.concatenate([[0], np.cumsum(marker_of == NULL)])
     doubt = _doubt(piece_of, marker_of, confidence, chance, votes)
     gain = np.bincount(piece_of, weights=doubt, minlength=len(votes))
     track_of = clouds.columns if clouds.tracks is None else clouds.tracks
@@ -74,7 +76,8 @@ def review(labelling: Labelling, clouds: Clouds, *, top: int | None = None, leas
     for piece in ranked:
         points = order[ends[piece] : ends[piece + 1]]
         worst = points[int(np.argmax(doubt[points]))]
-        said, sure, perhaps = _told(labelling.names, marker_of[points], confidence[points], chance[points])
+        free = free_before[points[marker_of[points] == NULL]]
+        said, sure, perhaps = _told(labelling.names, marker_of[points], confidence[points], chance[free])
         items.append(
             Item(
                 first_frame=int(frame_of[points[0]]),
@@ -131,8 +134,7 @@ def _check(labelling: Labelling, clouds: Clouds) -> None:
 
 
 def _chances_of_free_points(labelling: Labelling, clouds: Clouds, marker_of: Ints, piece_of: Ints, votes: Floats) -> Floats:
-    """(P, M) for points without a label the chance to be each of the markers that are missing in their frame; 0 for all others."""
-    chance = np.zeros((len(marker_of), len(labelling.names)))
+    """(F, M) for the F points without a label, in order, the chance to be each of the markers that are missing in their frame."""
     free = np.nonzero(marker_of == NULL)[0]
     frames = np.repeat(np.arange(len(clouds)), clouds.counts)[free]
     missing = labelling.indices[frames] == NULL
@@ -141,8 +143,7 @@ def _chances_of_free_points(labelling: Labelling, clouds: Clouds, marker_of: Int
     shared = labelling.confidence[frames] * near / np.maximum(_sum_in_frame(near, frames, len(clouds)), 1e-300)
     own = np.where(missing, np.maximum(shared, votes[piece_of[free]]), 0.0)
     own /= np.maximum(_sum_in_frame(own, frames, len(clouds)), 1.0)
-    chance[free] = own / np.maximum(own.sum(axis=1, keepdims=True), 1.0)
-    return chance
+    return np.asarray(own / np.maximum(own.sum(axis=1, keepdims=True), 1.0))
 
 
 def _sum_in_frame(values: Floats, frames: Ints, count: int) -> Floats:
@@ -177,7 +178,8 @@ def _votes(piece_of: Ints, marker_of: Ints, confidence: Floats, markers: int) ->
 def _doubt(piece_of: Ints, marker_of: Ints, confidence: Floats, chance: Floats, votes: Floats) -> Floats:
     """(P,) the probability that the point's label is wrong, or missing."""
     given = marker_of >= 0
-    doubt = np.where(given, 1.0 - confidence, chance.sum(axis=1))
+    doubt = 1.0 - confidence
+    doubt[~given] = chance.sum(axis=1)
     another = given & (marker_of != votes.argmax(axis=1)[piece_of])
     doubt[another] = np.maximum(doubt, votes.max(axis=1, initial=0.0)[piece_of])[another]
     return np.clip(doubt, 0.0, 1.0)
@@ -186,7 +188,7 @@ def _doubt(piece_of: Ints, marker_of: Ints, confidence: Floats, chance: Floats, 
 def _told(
     names: tuple[str, ...], markers: Ints, confidence: Floats, chance: Floats
 ) -> tuple[str | None, float, tuple[tuple[str, float], ...]]:
-    """What most of a piece is labelled, how surely, and what else it could be."""
+    """What most of a piece is labelled, how surely, and what else it could be; chance (F, M) of its points without a label."""
     weight = chance.sum(axis=0)
     given = markers >= 0
     np.add.at(weight, markers[given], confidence[given])
@@ -195,7 +197,7 @@ def _told(
         own = markers == said
         sure = float(confidence[own].sum() / given.sum())
     else:
-        said, sure = NULL, float(1.0 - min(1.0, chance[~given].sum() / (~given).sum()))
+        said, sure = NULL, float(1.0 - min(1.0, chance.sum() / len(chance)))
     weight /= len(markers)
     likeliest = [int(m) for m in np.argsort(-weight, kind="stable") if m != said and weight[m] >= _LEAST_CHANCE]
     return (names[said] if said >= 0 else None), sure, tuple((names[m], float(weight[m])) for m in likeliest[:_CANDIDATES])

@@ -145,7 +145,7 @@ def audit(
         others = np.nonzero(groups != number)[0].tolist()
         report(len(runs) / len(frames), "comparing bodies")
         witness = _witness([frames[i] for i in others], people[others], rules, seed)
-        opinions = {i: witness.ask(frames[i]) for i in own} if witness else {}
+        opinions = {i: witness.ask(frames[i]) for i in own if len(frames[i])} if witness else {}
         usual = {i: opinion.usual_gains() for i, opinion in opinions.items()}
         for i in own:
             report(len(runs) / len(frames), "following the paths")
