@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from asterism.labelling.body.model import BodyModel
 from asterism.labelling.look import LookRules
 from asterism.labelling.tracks import _kernels as kernels
+from asterism.labelling.tracks import assignment
+from asterism.labelling.tracks.assignment import assign_tracklets
 
 SETTINGS = LookRules().settings(1.0)
 MARKERS, LATENTS, POSES = 6, 4, 2
@@ -100,3 +102,18 @@ def test_margins_and_rivals(seed: int, tracklets: int) -> None:
     wanted, rivals = twins.margins(gain, label, first, last)
     np.testing.assert_allclose(margin, wanted, rtol=1e-12, atol=1e-9)
     np.testing.assert_array_equal(rival, rivals)
+
+
+@given(seeds)
+@races
+def test_the_best_assignment(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    first = rng.integers(0, 30, rng.integers(1, 25))
+    last = first + rng.integers(0, 20, len(first))
+    gain = rng.normal(0.0, 5.0, (len(first), rng.integers(1, 6)))
+    label, by_highs = assign_tracklets(gain, first, last), assignment._solve_by_highs(gain, first, last)
+    for frame in range(60):
+        there = label[(first <= frame) & (frame <= last) & (label >= 0)]
+        assert len(np.unique(there)) == len(there)
+    total, wanted = (gain[found >= 0, found[found >= 0]].sum() for found in (label, by_highs))
+    assert np.isclose(total, wanted)

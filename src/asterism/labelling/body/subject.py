@@ -24,10 +24,12 @@ class SubjectRules:
 
     independent  seconds after which the person's next frame tells something new
     across       how much a person's difference from the mean body varies from key pose to key pose, as a share of `between`
+    noise_std    where a marker sits in one frame beyond what the adapted model explains (m)
     """
 
     independent: float = 0.2
     across: float = 0.5
+    noise_std: float = 0.004
 
 
 def adapt_body(body: BodyModel, frames: Floats, poses: Ints, weight: Floats, rules: SubjectRules, body_rules: BodyRules) -> BodyModel:
@@ -58,7 +60,7 @@ def adapt_body(body: BodyModel, frames: Floats, poses: Ints, weight: Floats, rul
         load, rest = factors(mean, body.within[k] + spread, body_rules)
         means.append(mean)
         loads.append(load)
-        noises.append(rest)
+        noises.append(rest + rules.noise_std**2 * np.eye(3))
         betweens.append(spread)
     return BodyModel(np.stack(means), np.stack(loads), np.stack(noises), body.log_weight, body.within, np.stack(betweens))
 

@@ -126,6 +126,64 @@ def overlaps(gain, first, last, order):
 
 
 @njit(cache=True, nogil=True)
+def branch_and_bound(gain, first, last, steps, label):
+    """The labels of the greatest total gain, one marker once at a time, depth first: a tracklet's markers from the best to none.
+
+    IN  gain (J, L), of which only what is above 0 is taken; first, last (J,) frames; steps: after so many it gives up
+    OUT label (J,), -1 for none. Returns whether it came to its end; at worst O(L^J).
+    """
+    tracks, markers = gain.shape
+    ranked = np.empty((tracks, markers + 1), dtype=np.int64)
+    options = np.empty(tracks, dtype=np.int64)
+    rest = np.zeros(tracks + 1)
+    for j in range(tracks - 1, -1, -1):
+        options[j] = 0
+        for m in np.argsort(-gain[j], kind="mergesort"):
+            if gain[j, m] > 0.0:
+                ranked[j, options[j]] = m
+                options[j] += 1
+        rest[j] = rest[j + 1] + (gain[j, ranked[j, 0]] if options[j] > 0 else 0.0)
+        ranked[j, options[j]] = -1
+        options[j] += 1
+    tried = np.zeros(tracks + 1, dtype=np.int64)
+    now = np.full(tracks, -1, dtype=np.int64)
+    value = np.zeros(tracks + 1)
+    best = -1.0
+    j = 0
+    for _ in range(steps):
+        if j < 0:
+            return True
+        if j == tracks:
+            if value[j] > best:
+                best = value[j]
+                label[:] = now
+            j -= 1
+            continue
+        if tried[j] == options[j]:
+            tried[j] = 0
+            j -= 1
+            continue
+        m = ranked[j, tried[j]]
+        tried[j] += 1
+        step = gain[j, m] if m >= 0 else 0.0
+        if value[j] + step + rest[j + 1] <= best:
+            tried[j] = 0
+            j -= 1
+            continue
+        held = False
+        if m >= 0:
+            for i in range(j):
+                if now[i] == m and first[i] <= last[j] and last[i] >= first[j]:
+                    held = True
+                    break
+        if not held:
+            now[j] = m
+            value[j + 1] = value[j] + step
+            j += 1
+    return j < 0
+
+
+@njit(cache=True, nogil=True)
 def margins_of(gain, label, first, last, order):
     """By how much each tracklet's label beats what it or its neighbours in time could have been instead.
 

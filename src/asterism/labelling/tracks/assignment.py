@@ -5,8 +5,10 @@ The problem is an integer program: choose for every tracklet j at most one marke
     maximise  sum of gain[j, m] x[j, m]    over x[j, m] in {0, 1},
     sum over m of x[j, m] <= 1,            sum of x[j, m] over the tracklets that are there at time t <= 1  for every m and t.
 
-Where each tracklet's own best marker is free of conflicts, taking it is optimal. Else the tracklets that conflict, with all that they
-could push aside, are solved exactly (HiGHS; the constraints of one marker are those of intervals, so relaxations are nearly always whole).
+Where each tracklet's own best marker is free of conflicts, taking it is optimal. Else the tracklets in conflict are solved by themselves,
+exactly, as if all others kept their best markers and did not mind sharing them: no labelling gains more than that. Where the solution
+takes a marker that another tracklet has, too, that one joins, and it is solved again; where none does, it is the best labelling of all.
+Few tracklets are solved by branch and bound, many by HiGHS.
 """
 
 from __future__ import annotations
@@ -16,8 +18,11 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from asterism.labelling.tracks._kernels import overlaps
+from asterism.labelling.tracks._kernels import branch_and_bound, overlaps
 from asterism.recording import NULL, Floats, Ints
+
+BRANCHES = 20_000
+"""Steps of the branch and bound, some milliseconds, after which HiGHS takes over."""
 
 
 def assign_tracklets(gain: Floats, first: Ints, last: Ints) -> Ints:
@@ -30,20 +35,37 @@ def assign_tracklets(gain: Floats, first: Ints, last: Ints) -> Ints:
     label = np.where(gain[np.arange(len(gain)), best] > 0, best, NULL).astype(np.int64) if gain.shape[1] else np.full(len(gain), NULL)
     order = np.argsort(first, kind="stable")
     pairs = overlaps(gain, first, last, order)
-    clash = pairs[label[pairs[:, 0]] == label[pairs[:, 1]]]
-    clash = clash[label[clash[:, 0]] != NULL]
-    if not len(clash):
-        return label
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(gain), len(gain)))
-    _, part = connected_components(links, directed=False)
-    for p in np.unique(part[clash[:, 0]]):
-        own = np.nonzero(part == p)[0]
-        label[own] = _solve(gain[own], first[own], last[own])
-    return label
+    free = np.zeros(len(gain), dtype=np.bool_)
+    solved: dict[bytes, Ints] = {}
+    while True:
+        clash = pairs[(label[pairs[:, 0]] == label[pairs[:, 1]]) & (label[pairs[:, 0]] != NULL)]
+        if not len(clash):
+            return label
+        free[clash.ravel()] = True
+        inside = pairs[free[pairs].all(axis=1)]
+        links = coo_array((np.ones(len(inside)), (inside[:, 0], inside[:, 1])), shape=(len(gain), len(gain)))
+        part = connected_components(links, directed=False)[1]
+        for p in np.unique(part[free]):
+            own = np.nonzero((part == p) & free)[0]
+            if own.tobytes() not in solved:
+                solved[own.tobytes()] = _solve(gain[own], first[own], last[own])
+            label[own] = solved[own.tobytes()]
 
 
 def _solve(gain: Floats, first: Ints, last: Ints) -> Ints:
     """The integer program itself."""
+    label = np.empty(len(gain), dtype=np.int64)
+    order = np.argsort(-gain.max(axis=1), kind="stable")
+    done = branch_and_bound(gain[order], first[order], last[order], BRANCHES, label)
+    if not done:
+        return _solve_by_highs(gain, first, last)
+    found = np.empty_like(label)
+    found[order] = label
+    return found
+
+
+def _solve_by_highs(gain: Floats, first: Ints, last: Ints) -> Ints:
+    """The integer program with every variable and constraint written out."""
     track, marker = np.nonzero(gain > 0)
     rows, columns, count = [], [], 0
     for j in np.unique(track):

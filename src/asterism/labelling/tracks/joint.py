@@ -43,6 +43,7 @@ class TimeRules:
     ghosts_cost  nats that it costs to take a recording for one with ghosts, and again for one with long ghosts
     vote_limit   nats that one frame-wise look can say for a label
     sure         nats from which a tracklet's label teaches the model the subject's own body
+    clear        nats; where every tracklet's label has more, the model is not adapted: there is nothing to win
     calibrate    how often the model is adapted to the subject's own body; 0 for never
     """
 
@@ -55,6 +56,7 @@ class TimeRules:
     ghosts_cost: float = 30.0
     vote_limit: float = 10.0
     sure: float = 6.0
+    clear: float = 15.0
     calibrate: int = 2
 
 
@@ -167,6 +169,8 @@ def label_scene(
     state = _climb(lookers, bodies, scene, label, rules)
     stages = {"votes": label, "tracks": state.label}
     for turn in range(rules.calibrate):
+        if ((state.label != NULL) & (state.margin > rules.clear)).all():
+            break
         report(0.7 + 0.3 * turn / rules.calibrate, "the subject's own body")
         adapted = [
             _adapted(looker, scene, own_labels(state.label, starts, number), state, state.poses[number], rules, subject_rules, body_rules)
