@@ -1,4 +1,4 @@
-"""The kept figures in; `docs/figures.md` out, whose tables are never typed by hand."""
+"""The kept figures in; `docs/figures.md`, and the tables in `docs/recordings.md`, out: none is ever typed by hand."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from benchmarks.figures import Entry, load, reached
 
 PAGE = Path(__file__).parents[1] / "docs" / "figures.md"
+RECORDINGS = PAGE.with_name("recordings.md")
 
 INTRODUCTION = """# Figures
 
@@ -81,6 +82,17 @@ SECTIONS = (
 )
 """Title, how its rows begin, and for a table in two directions what names the line and what the column."""
 
+ABLATIONS = {
+    "ablation, ": "Walks of people not seen, each line with all that the lines above it have. *right*: markers in view with their own "
+    "point; *FA*: wrong labels among those given.\n",
+    "features, ": "Features over neighbouring frames, velocities and accelerations, added to the pool of the thesis' rules, which label "
+    "frame by frame:\n",
+    "feature pool": "The solvers that were mined from these pools:\n",
+}
+"""The sections that stand in `docs/recordings.md`, too: how their rows begin, and what is said before them."""
+
+_BEGINS, _ENDS = "<!-- ablation: written by `python -m benchmarks docs`, do not edit -->", "<!-- end of ablation -->"
+
 
 def text(entries: list[Entry]) -> str:
     """The whole page."""
@@ -103,11 +115,26 @@ def text(entries: list[Entry]) -> str:
     return "\n".join(parts)
 
 
+def with_ablation(page: str, entries: list[Entry]) -> str:
+    """The page about whole recordings with its tables as measured; nothing stands there as long as nothing was measured."""
+    tables = []
+    for starts, words in ABLATIONS.items():
+        some = [entry for entry in entries if entry.row.startswith(starts)]
+        if some:
+            pattern = next(pattern for _, start, pattern in SECTIONS if start == starts)
+            tables += [words, _crossed(some, pattern)] if pattern else [words, _table(some)]
+    before, rest = page.split(_BEGINS)
+    _, after = rest.split(_ENDS)
+    return before + _BEGINS + "\n" + "".join(f"{part}\n" for part in tables) + _ENDS + after
+
+
 def write() -> None:
-    """Write the page from the kept figures, under a temporary name first."""
-    temporary = PAGE.with_name(PAGE.name + ".part")
-    temporary.write_text(text(load()), encoding="utf-8")
-    os.replace(temporary, PAGE)
+    """Write the pages from the kept figures, each under a temporary name first."""
+    entries = load()
+    for page, content in ((PAGE, text(entries)), (RECORDINGS, with_ablation(RECORDINGS.read_text(encoding="utf-8"), entries))):
+        temporary = page.with_name(page.name + ".part")
+        temporary.write_text(content, encoding="utf-8")
+        os.replace(temporary, page)
 
 
 def _table(entries: list[Entry]) -> str:

@@ -35,9 +35,25 @@ def test_kept_figures_have_the_agreed_form() -> None:
     assert len({(entry["issue"], entry["row"]) for entry in entries}) == len(entries)
 
 
-def test_page_of_tables_is_up_to_date() -> None:
+def test_pages_with_tables_are_up_to_date() -> None:
     written = (ROOT / "docs" / "figures.md").read_text(encoding="utf-8")
     assert written == docs.text(figures.load()), "run `python -m benchmarks docs`"
+    written = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")
+    assert written == docs.with_ablation(written, figures.load()), "run `python -m benchmarks docs`"
+
+
+def test_the_ablation_stands_in_the_page_about_recordings_once_it_is_measured() -> None:
+    page = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")
+
+    def entry(row: str, measured: float) -> figures.Entry:
+        return figures.Entry("issue", row, "none", measured, "fraction", 100, "run", "2026-01-01")
+
+    bare = docs.with_ablation(page, [])
+    assert "| frame only |" not in bare and docs.with_ablation(bare, []) == bare
+    rows = ("ablation, frame only, 3 hidden: right", "ablation, + tracks, 3 hidden: right", "ablation, + own calibration, 3 hidden: right")
+    full = docs.with_ablation(bare, [entry(row, 0.5) for row in rows])
+    assert "| frame only | 50 % |\n| + tracks | 50 % |\n| + own calibration | 50 % |\n" in full
+    assert docs.with_ablation(full, []) == bare
 
 
 def test_a_run_replaces_what_it_measured_and_keeps_the_rest(tmp_path: Path) -> None:

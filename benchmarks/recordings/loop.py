@@ -148,7 +148,7 @@ def run(bench: Bench, task: tuple[str, str, bool]) -> Course:
                 course.before.add(labelling, trial.truth)
         course.line.append((course.touched / course.samples, (errors + _errors(waiting, looks)) / course.samples))
         # first what takes the least work: it teaches the model before the hard ones come
-        work = [sum(item.samples for item in items) for _, items in looks]
+        work = [sum(item.gain for item in items) for _, items in looks]
         chosen = sorted(range(len(waiting)), key=work.__getitem__)[: max(1, len(done) // HASTE) if any(work) else None]
         corrected = []
         for i in chosen:
