@@ -24,7 +24,7 @@ from benchmarks.score import Tally
 
 CONDITIONS = {"as recorded": 0, "3 hidden": 3}
 """Markers hidden in gaps at every moment."""
-STARTS = 2
+STARTS = 3
 """Subjects whose straight walk is the one trial, each in turn, evenly spread."""
 WORTH = 1.0
 """Samples that a look must be expected to mend, else the piece is not looked at."""
