@@ -28,8 +28,6 @@ STARTS = 3
 """Subjects whose straight walk is the one trial, each in turn, evenly spread."""
 WORTH = 1.0
 """Samples that a look must be expected to mend, else the piece is not looked at."""
-OFTEN = 0.1
-"""Share of the frames that show a group of tracks, from which the person names it."""
 HASTE = 2
 """So many trials are done for one that is taken on before the model learns again."""
 
@@ -192,7 +190,7 @@ def _named(trial: Trial, course: Course) -> Recording:
     """The trial as a person names it once: the groups of its own tracks that are there often, each by what most of it is."""
     groups = own_tracks(trial.clouds)
     names = {}
-    for group in np.nonzero(groups.frames >= OFTEN * len(trial.clouds))[0].tolist():
+    for group in range(groups.often):
         answer = trial.answer(np.nonzero(groups.of_point == group)[0])
         if answer is not None:
             names[group] = answer

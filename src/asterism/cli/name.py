@@ -116,7 +116,6 @@ def _write(file: Path, output: Path, recording: Recording, groups: Groups, given
 def _print(file: Path, groups: Groups, where: list[Place], given: dict[int, str], frames: int) -> None:
     from asterism.report.naming import beside, side
 
-    often = [g for g in range(len(groups)) if groups.frames[g] >= 0.1 * frames]
     rows = [
         [
             str(g + 1),
@@ -127,15 +126,15 @@ def _print(file: Path, groups: Groups, where: list[Place], given: dict[int, str]
             _console.count(int(groups.frames[g])),
             _console.percent(groups.frames[g] / frames, 1),
         ]
-        for g in sorted({*often, *given})
+        for g in sorted({*range(groups.often), *given})
     ]
     if rows:
         columns = ["group", "name", "side", "nearest groups", "height m", "frames", "of all"]
         _console.table(f"{file}: what moves as one marker, from the head down", columns, rows, left=4)
     samples = max(1, int(groups.frames.sum()))
     named = sum(int(groups.frames[g]) for g in given)
-    rest = len(groups) - len(often)
-    told = f"{len(often)} groups hold {_console.percent(groups.frames[often].sum() / samples)} of all samples; {rest} more are seldom seen."
+    share = _console.percent(groups.frames[: groups.often].sum() / samples)
+    told = f"{groups.often} groups hold {share} of all samples; {len(groups) - groups.often} more are seldom seen."
     _console.say(f"{told} Named: {_console.percent(named / samples)}." if given else told)
 
 

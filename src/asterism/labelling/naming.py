@@ -20,6 +20,7 @@ Bools = NDArray[np.bool_]
 
 _SMOOTH_SECONDS = 0.15
 _WALKS = 0.2
+_OFTEN = 0.1
 
 
 @dataclass(frozen=True)
@@ -54,12 +55,14 @@ class Groups:
 
     of_point  (P,) int: the group of each point of the clouds; every point has one
     frames    (G,) int: how many frames show each
+    often     how many are seen in a tenth of the frames or more: those that a person names
 
-    Groups seen in a tenth of the frames or more come first, numbered from the head down; then the others, the longest first.
+    The often seen groups come first, numbered from the head down; then the others, the longest first.
     """
 
     of_point: Ints
     frames: Ints
+    often: int
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -341,11 +344,11 @@ def _numbered(clouds: Clouds, raw: Ints) -> Groups:
     order = np.argsort(of_point, kind="stable")
     ends = np.searchsorted(of_point[order], np.arange(len(frames) + 1))
     median = np.array([np.median(height[order[a:b]]) for a, b in pairwise(ends)])
-    often = frames >= 0.1 * len(clouds)
+    often = frames >= _OFTEN * len(clouds)
     ranked = np.lexsort((np.where(often, -median, -frames), ~often)) if len(frames) else np.zeros(0, dtype=np.int64)
     place = np.empty(len(frames), dtype=np.int64)
     place[ranked] = np.arange(len(frames))
-    return Groups(place[of_point].astype(np.int64), frames[ranked].astype(np.int64))
+    return Groups(place[of_point].astype(np.int64), frames[ranked].astype(np.int64), int(often.sum()))
 
 
 def _check(groups: Groups, clouds: Clouds) -> None:

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 _MIDDLE = 0.03
 _PICTURES = 4
-_OFTEN = 0.1
 _LEFT, _RIGHT, _BETWEEN, _SMALL = "#2563c9", "#d1495b", "#23304d", "#9aa4b5"
 
 
@@ -41,15 +40,14 @@ def naming_report(
     the file cannot be written.
     """
     names = names or {}
-    often = [g for g in range(len(groups)) if groups.frames[g] >= _OFTEN * len(clouds)]
-    share = float(groups.frames[often].sum() / max(1, groups.frames.sum()))
+    share = float(groups.frames[: groups.often].sum() / max(1, groups.frames.sum()))
     sections = [
         Section(
             f"Frame {frame + first_frame}",
             "Left and right are the subject's own, as long as it walks forwards. Small grey points are groups that are seldom seen.",
             figure=_picture(clouds, groups, places, names, frame),
         )
-        for frame in _telling_frames(clouds, groups, often)
+        for frame in _telling_frames(clouds, groups)
     ]
     sections.append(
         Section(
@@ -60,12 +58,12 @@ def naming_report(
         )
     )
     merits = [
-        (count(len(often)), "groups seen in a tenth of the frames or more", ""),
+        (count(groups.often), "groups seen in a tenth of the frames or more", ""),
         (percent(share, 1), "of all samples are in them", "good" if share >= 0.98 else ""),
-        (count(len(groups) - len(often)), "more, seldom seen", ""),
+        (count(len(groups) - groups.often), "more, seldom seen", ""),
         (count(len(clouds)), "frames", ""),
     ]
-    write_page(path, Page(title, f"Name {len(often)} groups once, and the whole recording is labelled.", facts or {}, merits, sections))
+    write_page(path, Page(title, f"Name {groups.often} groups once, and the whole recording is labelled.", facts or {}, merits, sections))
 
 
 def side(place: Place) -> str:
@@ -80,12 +78,12 @@ def beside(place: Place) -> str:
     return ", ".join(f"{group + 1} ({100 * distance:.0f} cm)" for group, distance in place.nearest)
 
 
-def _telling_frames(clouds: Clouds, groups: Groups, wanted: Sequence[int]) -> list[int]:
-    """Frames that together show all wanted groups: each shows most of those that the others before it do not."""
+def _telling_frames(clouds: Clouds, groups: Groups) -> list[int]:
+    """Frames that together show all groups that are seen often: each shows most of those that the others before it do not."""
     frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
     shown = np.zeros((len(clouds), len(groups)), dtype=np.bool_)
     shown[frame_of, groups.of_point] = True
-    left, frames = set(wanted), list[int]()
+    left, frames = set(range(groups.often)), list[int]()
     while left and len(frames) < _PICTURES:
         new = shown[:, sorted(left)].sum(axis=1)
         best = np.nonzero(new == new.max())[0]
@@ -101,7 +99,7 @@ def _picture(clouds: Clouds, groups: Groups, places: Sequence[Place], names: Map
     looks = {"left": (_LEFT, 9), "right": (_RIGHT, 9), "middle": (_BETWEEN, 9), "seldom seen": (_SMALL, 6)}
     kinds: dict[str, list[int]] = {kind: [] for kind in looks}
     for at, group in enumerate(own):
-        seldom = groups.frames[group] < _OFTEN * len(clouds)
+        seldom = group >= groups.often
         where = side(places[int(group)])
         kinds["seldom seen" if seldom else "middle" if where == NOTHING else where].append(at)
     dots = [
