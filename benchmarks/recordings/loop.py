@@ -24,12 +24,12 @@ from benchmarks.score import Tally
 
 CONDITIONS = {"as recorded": 0, "3 hidden": 3}
 """Markers hidden in gaps at every moment."""
-STARTS = 3
+STARTS = 4
 """Subjects whose straight walk is the one trial, each in turn, evenly spread."""
 WORTH = 1.0
 """Samples that a look must be expected to mend, else the piece is not looked at."""
 HASTE = 2
-"""So many trials are done for one that is taken on before the model learns again."""
+"""So many trials are done for one with flagged pieces that is taken on before the model learns again."""
 
 
 Answer = tuple[Item, str | None]
@@ -145,9 +145,10 @@ def run(bench: Bench, task: tuple[str, str, bool]) -> Course:
             for trial, (labelling, _) in zip(waiting, looks, strict=True):
                 course.before.add(labelling, trial.truth)
         course.line.append((course.touched / course.samples, (errors + _errors(waiting, looks)) / course.samples))
-        # first what takes the least work: it teaches the model before the hard ones come
+        # all in which nothing is flagged, else what takes the least work: it teaches the model before the hard ones come
         work = [sum(item.gain for item in items) for _, items in looks]
-        chosen = sorted(range(len(waiting)), key=work.__getitem__)[: max(1, len(done) // HASTE) if any(work) else None]
+        chosen = [i for i, much in enumerate(work) if not much]
+        chosen = chosen or sorted(range(len(waiting)), key=work.__getitem__)[: max(1, len(done) // HASTE)]
         corrected = []
         for i in chosen:
             trial = waiting[i]

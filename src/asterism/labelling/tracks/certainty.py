@@ -10,6 +10,9 @@ import numpy as np
 from asterism.labelling.calibration import Calibration
 from asterism.recording import NULL, Floats, Ints
 
+LEAST_TRUST = 0.1
+"""Share of what a margin itself says that trials can never take away."""
+
 
 @dataclass(frozen=True)
 class Tried:
@@ -39,9 +42,14 @@ class Certainty:
     least_confidence: float
 
     def confidence(self, margin: Floats, beside: Ints) -> Floats:
-        """The probability that labels are right: (J,). Never more than their margins themselves say: trials of small ones are few."""
+        """The probability that labels are right: (J,).
+
+        Never more than their margins themselves say, for trials of small ones are few; and never less than a tenth of it, for where a few
+        people tried were all labelled wrong (one person stood, the other walked) that does not prove the next one wrong.
+        """
         alone, crowded = (calibration.confidence(margin) for calibration in self.calibrations)
-        return np.minimum(np.where(beside > 0, crowded, alone), 1.0 / (1.0 + np.exp(-np.minimum(margin, 700.0))))
+        by_margin = 1.0 / (1.0 + np.exp(-np.minimum(margin, 700.0)))
+        return np.clip(np.where(beside > 0, crowded, alone), LEAST_TRUST * by_margin, by_margin)
 
     @classmethod
     def fit(cls, tried: Tried, target: float) -> Certainty:
