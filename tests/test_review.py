@@ -16,6 +16,7 @@ from asterism.cli import main
 from asterism.errors import AsterismError
 from asterism.hiding import anonymous, hide_in_gaps
 from asterism.labelling import Item, SolverEnsemble, review, settle
+from asterism.labelling.tracks.certainty import Certainty, Tried
 from asterism.recording import Clouds, Ints, Labelling, Recording
 from asterism.report import review_report
 from asterism.simulation import simulate_walks
@@ -141,6 +142,18 @@ def test_items_are_disjoint_ranked_and_never_promise_more_than_they_hold(seed: i
     doubted = np.where(indices >= 0, 1.0, 0.0).sum() + min(free, missing)
     assert sum(gains) <= doubted + 1e-6
     assert review(labelling, clouds, top=2, least_gain=0.0) == items[:2]
+
+
+def test_where_all_trials_failed_a_tracklet_is_still_offered() -> None:
+    """Two people, one stands and one walks: tried on each other every label is wrong, which proves little about the third."""
+    failed = Tried(np.linspace(0.0, 30.0, 200), np.zeros(200), np.zeros(200, dtype=np.int64))
+    margin = np.array([-20.0, 0.0, 20.0])
+    sure = Certainty.fit(failed, 0.999).confidence(margin, np.zeros(3, dtype=np.int64))
+    assert sure[2] == pytest.approx(0.1, abs=0.01) and sure[0] < 1e-6 and (np.diff(sure) > 0).all()
+    points = np.zeros((50, 1, 3))
+    clouds = Clouds.from_points(list(points), 100.0)
+    [item] = review(Labelling(np.full((50, 1), -1), np.full((50, 1), sure[2]), ("A",)), clouds)
+    assert item.gain == pytest.approx(50 * sure[2]) and item.perhaps[0][0] == "A"
 
 
 def test_bad_input_is_named(walks: list[Recording]) -> None:
