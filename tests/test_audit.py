@@ -312,6 +312,10 @@ def test_the_command_leaves_with_0_where_nothing_is_wrong(folder, capsys):
     assert main(["audit", *files(folder, False), "--markers", "helen-hayes"]) == 0
     assert "nothing is wrong" in capsys.readouterr().out
     assert main(["audit", str(folder / "nowhere.c3d")]) == 2
+    formats.write(folder / "bare.npz", Recording(np.zeros((9, 2, 3)), ("*1", "*2"), 100.0))
+    assert main(["audit", str(folder / "bare.npz")]) == 2
+    shown = capsys.readouterr()
+    assert "bare.npz has no labelled point" in shown.err and "nothing is wrong" not in shown.out
 
 
 def test_training_can_leave_the_damage_out(folder, tmp_path, capsys, monkeypatch):

@@ -222,6 +222,13 @@ def test_names_that_make_no_sense(text: str, said: str, first: Path, capsys: pyt
     assert not (first.parent / "out.c3d").exists()
 
 
+def test_a_file_without_points_has_nothing_to_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    formats.write(tmp_path / "none.npz", Recording(np.full((9, 2, 3), np.nan), ("A", "B"), 100.0))
+    assert run("name", tmp_path / "none.npz") == 2
+    shown = capsys.readouterr()
+    assert "none.npz shows no point in any frame" in shown.err and shown.out == ""
+
+
 def test_names_need_an_output_that_is_new(first: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (first.parent / "names.csv").write_text("1,LKNE\n")
     assert run("name", first, "--names", first.parent / "names.csv") == 2

@@ -218,6 +218,8 @@ def test_a_batch_goes_on_after_a_bad_file(folder: Path, capsys: pytest.CaptureFi
     shown = capsys.readouterr()
     assert [Path(path).name for path in json.loads(shown.out)["failed"]] == ["broken.c3d"]
     assert "1 failed" in shown.err
+    assert run("review", folder / "broken.c3d", "-m", folder / "two.model") == 2
+    assert capsys.readouterr().out == "", "of a file that cannot be read nobody knows what is in doubt"
 
 
 def test_frames_are_counted_as_the_file_counts(folder: Path, walks: list[Recording], capsys: pytest.CaptureFixture[str]) -> None:

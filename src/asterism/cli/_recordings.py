@@ -39,14 +39,18 @@ def read_labelled(
 def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | None, batch: _console.Batch) -> list[Recording]:
     """The files of a batch that can be read, each with the markers of a set; without a set, with all its own named physical points.
 
-    Raises AsterismError where none is left.
+    A file without a labelled sample counts as one that cannot be used. Raises AsterismError where none is left.
     """
     axis = vertical_axis(vertical)
     recordings = []
     for path in files:
         with batch.file(path):
             recording = formats.read(path, markers=marker_set, vertical=axis)
-            recordings.append(recording if marker_set is not None else recording.select(list(_named(recording))))
+            if marker_set is None:
+                recording = recording.select(list(_named(recording)))
+            if not recording.visible.any():
+                raise AsterismError(f"{path} has no labelled point; label it first, or name its markers with --markers.")
+            recordings.append(recording)
     if not recordings:
         raise AsterismError("none of the files can be used; see above.")
     return recordings

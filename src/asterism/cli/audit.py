@@ -79,4 +79,6 @@ def show(findings: list[Finding], files: list[Path]) -> None:
         _console.table("Labels that cannot be right", ("file", "kind", "what it looks like", "first frame", "last", "nats"), rows, left=3)
     hints = len(findings) - damage
     few = f"{damage} finding{'s' if damage != 1 else ''}" if damage else "nothing is wrong"
-    _console.say(f"{len(files)} files: {few}{f', {hints} hint' + ('s' if hints > 1 else '') if hints else ''}")
+    _console.say(
+        f"{len(files)} file{'s' if len(files) != 1 else ''}: {few}{f', {hints} hint' + ('s' if hints > 1 else '') if hints else ''}"
+    )

@@ -47,6 +47,8 @@ def name(
     given = {} if names is None else _read_names(names)
     recording = formats.read(file, vertical=vertical_axis(vertical))
     clouds = recording.clouds()
+    if not len(clouds.xyz):
+        raise AsterismError(f"{file} shows no point in any frame; there is nothing to name.")
     groups = own_tracks(clouds)
     where = places(clouds, groups)
     lost: list[str] = []

@@ -60,7 +60,7 @@ def review(
                 pieces, gain = pieces + len(items), gain + sum(item.gain for item in items)
                 listed += [_Listed(path, item, recording, labelling, clouds) for item in items[:top]]
                 listed = sorted(listed, key=lambda entry: -entry.item.gain)[:top]
-    if json != "-":
+    if json != "-" and batch.done:
         _print(listed, pieces, gain)
     if report is not None:
         from asterism.report import review_report

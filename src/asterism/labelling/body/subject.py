@@ -91,8 +91,9 @@ def _seen(body: BodyModel, k: int, frames: Floats, weight: Floats) -> tuple[Floa
     seen = total > 0
     deviation = (heavy[:, :, None] * (placed - body.mean[k])).sum(axis=0) / np.maximum(total, 1e-12)[:, None]
     share = (heavy.T @ shown) / np.maximum(np.outer(total, total), 1e-12)
-    # frames that differ among themselves less than the person's frames do are looks at one moment: standing tells no more in ten seconds
+    # frames that differ among themselves less than the person's frames do repeat each other: standing tells no more in ten seconds
     within = body.covariance(k) if body.within is None else body.within[k]
     apart = (heavy[:, :, None] * (placed - body.mean[k] - deviation) ** 2).sum()
     usual = (total[:, None] * np.diagonal(within).reshape(-1, 3)).sum()
-    return deviation.ravel(), seen, np.maximum(share, 1.0 - apart / usual)
+    alike = max(0.0, 1.0 - apart / usual)
+    return deviation.ravel(), seen, (1.0 - alike) * share + alike
