@@ -95,5 +95,7 @@ def _seen(body: BodyModel, k: int, frames: Floats, weight: Floats) -> tuple[Floa
     within = body.covariance(k) if body.within is None else body.within[k]
     apart = (heavy[:, :, None] * (placed - body.mean[k] - deviation) ** 2).sum()
     usual = (total[:, None] * np.diagonal(within).reshape(-1, 3)).sum()
-    alike = max(0.0, 1.0 - apart / usual)
-    return deviation.ravel(), seen, (1.0 - alike) * share + alike
+    fewest = 1.0 / max(1.0, float(weight.sum()))
+    repeated = max(0.0, 1.0 - apart / usual - fewest) / max(1.0 - fewest, 1e-12)
+    # a mix of two covariances is one; the larger of them element by element need not be
+    return deviation.ravel(), seen, (1.0 - repeated) * share + repeated
