@@ -306,7 +306,7 @@ def test_key_poses_are_told_apart():
 def test_anchors_never_miss_the_right_triple_of_a_training_frame(people):
     frames, whose, _ = people
     triples = np.array([[0, 1, 2], [4, 2, 6], [5, 3, 0]])
-    solvers = with_intervals(triples, frames, whose, widen=0.3).solvers()
+    solvers = with_intervals(triples, frames, whose, AnchorRules()).solvers()
     found = np.empty((64, 3), dtype=np.int64)
     for frame in frames[::10]:
         for a, triple in enumerate(triples):
@@ -320,7 +320,7 @@ def test_a_triple_never_seen_together_finds_nothing(people):
     apart = frames.copy()
     apart[::2, 0] = np.nan
     apart[1::2, 1] = np.nan
-    anchors = with_intervals(np.array([[0, 1, 2]]), apart, whose, widen=0.3)
+    anchors = with_intervals(np.array([[0, 1, 2]]), apart, whose, AnchorRules())
     found = np.empty((64, 3), dtype=np.int64)
     assert search(anchors.solvers(), 0, frames[0], np.arange(7), 10**6, found, np.zeros(2, dtype=np.int64)) == 0
 

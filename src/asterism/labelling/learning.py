@@ -193,7 +193,7 @@ def learn_body(frames: Floats, people: Ints, stretches: Sequence[tuple[int, Reco
         if len(scores) == 0:
             continue
         usual.append(float(np.quantile(scores, rules.usual)))
-        own_anchors = with_intervals(_among(anchors.triples, worn), others, whose, AnchorRules().widen)
+        own_anchors = with_intervals(_among(anchors.triples, worn), others, whose, AnchorRules())
         tried = Prepared.of(own, own_anchors, recipe.look.settings(usual[-1]))
         outcomes.append(_trial(tried, tested, people[out], rules, seed + i))
         others_stretches = _some_stretches(stretches, np.unique(people[out]), worn, rules)

@@ -29,6 +29,7 @@ class AnchorRules:
     count      anchors kept
     considered triples that are tried out, about
     widen      each end of an interval moves out by this many standard deviations of that end over the people
+    few        beyond that, by this share of what they limit, where one person was seen; falls with the square of the number of people
     hidden     up to this share of the markers may be hidden in the patterns that the anchors must cover
     again      a pattern that an earlier anchor sees already counts this much, for each of them
     """
@@ -36,6 +37,7 @@ class AnchorRules:
     count: int = 40
     considered: int = 1500
     widen: float = 0.3
+    few: float = 0.3
     hidden: float = 0.4
     again: float = 0.25
 
@@ -101,7 +103,7 @@ def choose_anchors(frames: Floats, people: Ints, body: BodyModel, rules: AnchorR
         triples = triples[np.argsort(-told, kind="stable")[: max(60, len(triples) // 2)]]
     else:
         triples = _some_triples(frames, rules, rng)
-    anchors = with_intervals(triples, frames, people, rules.widen)
+    anchors = with_intervals(triples, frames, people, rules)
     cost = _cost(anchors, frames, rng)
     patterns = 3000
     seen = np.ones((patterns, markers), dtype=bool)
@@ -139,8 +141,8 @@ def _some_triples(frames: Floats, rules: AnchorRules, rng: np.random.Generator) 
     return np.array(sorted(picked), dtype=np.int64)
 
 
-def with_intervals(triples: Ints, frames: Floats, people: Ints, widen: float) -> Anchors:
-    """Intervals of every check: the people's range, each end widened by how much the people differ there."""
+def with_intervals(triples: Ints, frames: Floats, people: Ints, rules: AnchorRules) -> Anchors:
+    """Intervals of every check: the people's range, each end widened by how much the people differ there, and how few they are."""
     kinds = np.tile([kind for kind, _, _ in CHECKS], len(triples))
     slots = np.stack([triples[:, (*points, 0, 0, 0)[:4]] for _, points, _ in CHECKS], axis=1).reshape(-1, 4)
     count = people.max() + 1
@@ -153,8 +155,9 @@ def with_intervals(triples: Ints, frames: Floats, people: Ints, widen: float) ->
     low, high = np.where(shown, low[seen], np.nan), np.where(shown, high[seen], np.nan)
     least, most = np.nanmin(low, axis=1), np.nanmax(high, axis=1)
     slack = np.maximum(0.02 * (most - least), 1e-3)
-    all_low[seen] = least - np.maximum(widen * np.nanstd(low, axis=1), slack)
-    all_high[seen] = most + np.maximum(widen * np.nanstd(high, axis=1), slack)
+    strange = rules.few / count**2 * np.maximum(np.abs(least), np.abs(most))
+    all_low[seen] = least - np.maximum(rules.widen * np.nanstd(low, axis=1), slack) - strange
+    all_high[seen] = most + np.maximum(rules.widen * np.nanstd(high, axis=1), slack) + strange
     return Anchors(triples, all_low.reshape(-1, len(CHECKS)), all_high.reshape(-1, len(CHECKS)))
 
 

@@ -31,6 +31,7 @@ class BodyRules:
     latents         directions in which pose and person vary within a key pose
     size_std        how much bodies differ in size beyond the people of the training set, as a share of the size
     placement_std   how far a marker sits from where the model expects it, beyond what was seen (m)
+    few_std         the same beyond that, where one person was seen (m); falls with the number of people
     person_extra    people's own mean bodies count (1 + person_extra / people) times: few people show too little variety
     other_std       how far one person's frames move beyond what one other person's did (m); falls with the root of the number of people
     shift_std       first placing of the body, error of the position (m)
@@ -42,6 +43,7 @@ class BodyRules:
     latents: int = 16
     size_std: float = 0.06
     placement_std: float = 0.012
+    few_std: float = 0.06
     person_extra: float = 2.0
     other_std: float = 0.025
     shift_std: float = 0.1
@@ -183,7 +185,7 @@ def _pose(placed: Floats, people: Ints, rules: BodyRules) -> tuple[Floats, Float
     between = (own - centre).T @ (own - centre) / len(groups) * (1.0 + rules.person_extra / len(groups))
     mean = centre.reshape(markers, 3)
     size = (mean - mean.mean(axis=0)).ravel() * rules.size_std
-    between += np.outer(size, size)
+    between += np.outer(size, size) + (rules.few_std / len(groups)) ** 2 * np.eye(3 * markers)
     load, noise = factors(mean, within + between, rules)
     noise += rules.placement_std**2 * np.eye(3)
     within = within + rules.other_std**2 / len(groups) * np.eye(3 * markers)
