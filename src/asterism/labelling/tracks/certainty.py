@@ -13,6 +13,9 @@ from asterism.recording import NULL, Floats, Ints
 LEAST_TRUST = 0.1
 """Share of what a margin itself says that trials can never take away."""
 
+LOW = 2.0
+"""Nats: the log odds that a label without any margin is right are no more than that, whatever the trials say."""
+
 
 @dataclass(frozen=True)
 class Tried:
@@ -44,12 +47,12 @@ class Certainty:
     def confidence(self, margin: Floats, beside: Ints) -> Floats:
         """The probability that labels are right: (J,).
 
-        Never more than their margins themselves say, for trials of small ones are few; and never less than a tenth of it, for where a few
-        people tried were all labelled wrong (one person stood, the other walked) that does not prove the next one wrong.
+        Small margins were seldom tried, so `LOW` bounds what the trials say there; and it is never less than a tenth of that bound, for
+        where a few people tried were all labelled wrong (one person stood, the other walked) that does not prove the next one wrong.
         """
         alone, crowded = (calibration.confidence(margin) for calibration in self.calibrations)
-        by_margin = 1.0 / (1.0 + np.exp(-np.minimum(margin, 700.0)))
-        return np.clip(np.where(beside > 0, crowded, alone), LEAST_TRUST * by_margin, by_margin)
+        bound = 1.0 / (1.0 + np.exp(-LOW - np.minimum(margin, 700.0)))
+        return np.clip(np.where(beside > 0, crowded, alone), LEAST_TRUST * bound, bound)
 
     @classmethod
     def fit(cls, tried: Tried, target: float) -> Certainty:
