@@ -197,7 +197,7 @@ def test_the_command_says_that_there_are_two_and_labels_one(walks, walker, tmp_p
     assert main(["label", str(tmp_path / "two.c3d"), "-m", str(tmp_path / "gait.model"), "-o", str(tmp_path / "out")]) == 1
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert "two.c3d shows two bodies" in said
+    assert "two.c3d: two bodies wear the model's markers, and only one" in said
     positions = formats.read(tmp_path / "out" / "two.c3d").select(walker.marker_set.names).positions
     shares = [(np.linalg.norm(positions - both.positions[:, part], axis=2) < 1e-3).mean() for part in (slice(15), slice(15, 30))]
     assert max(shares) > 0.99

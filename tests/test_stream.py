@@ -9,6 +9,10 @@ import pytest
 
 import asterism
 from asterism.hiding import hide_in_gaps
+from asterism.labelling.body._kernels import best_pose, make_room
+from asterism.labelling.body.model import BodyRules, factors
+from asterism.labelling.body.subject import SubjectRules, adapt_body
+from asterism.labelling.live_body import LiveBody, LiveRules
 from asterism.labelling.stream import FrameLabels, Stream, _assign, _margins
 from asterism.recording import Clouds, Recording
 from asterism.simulation import simulate_walks
@@ -102,20 +106,22 @@ def test_a_stream_begins_anew_after_everybody_left_and_after_a_flush(walks, ense
 
 
 def test_memory_does_not_grow_with_time(walks, ensemble) -> None:
-    clouds, _ = hide_in_gaps(walks[5], 3, 5, 0)
+    clouds, _ = hide_in_gaps(walks[5], 2, 3, 0)
     stream = ensemble.stream(100.0, 10)
-    for points in clouds:
-        stream.push(points)
-    size = len(stream._weight)
+
+    def walk_on(times: int) -> int:
+        for _ in range(times):
+            for points in clouds:
+                stream.push(points)
+        return tracemalloc.get_traced_memory()[0]
+
     tracemalloc.start()
-    before = tracemalloc.get_traced_memory()[0]
-    for _ in range(3):
-        for points in clouds:
-            stream.push(points)
-    grown = tracemalloc.get_traced_memory()[0] - before
+    before = walk_on(4)
+    size = len(stream._weight)
+    grown = walk_on(4) - before
     tracemalloc.stop()
     assert len(stream._weight) <= 2 * size
-    assert grown < 200_000, f"{grown} bytes more after 600 frames"
+    assert grown < 100_000, f"{grown} bytes more after 800 frames more"
 
 
 def test_bad_input_is_named_and_the_stream_goes_on(walks, ensemble) -> None:
@@ -147,6 +153,73 @@ def test_coincident_points_and_ghosts_alone_are_nobody(ensemble) -> None:
         assert frame is not None
     frames = [stream.push(rng.normal(size=(10, 3)) * 3) for _ in range(20)]
     assert np.mean([frame.indices >= 0 for frame in frames[5:]]) < 0.05
+
+
+def test_who_comes_after_somebody_else_is_labelled_too(walks, ensemble) -> None:
+    """One walks off and another one, of another size, is there in the next frame."""
+    stream = ensemble.stream(100.0)
+    first, second = walks[5], max(walks[:5], key=lambda walk: abs(walk.positions[..., 2].max() - walks[5].positions[..., 2].max()))
+    moved = second.positions + np.array([1.5, 0.5, 0.0])
+    got = indices([stream.push(points) for points in np.concatenate([first.positions, moved])])
+    right = (got == np.arange(15)).mean(axis=1)
+    assert right[:200].mean() > 0.99
+    assert right[240:].mean() > 0.99, f"{right[240:].mean():.3f} right after 0.4 s"
+    assert ((got[200:] >= 0) & (got[200:] != np.arange(15))).mean() < 0.01
+
+
+def test_the_body_that_a_stream_learns_is_the_one_that_is_there(walks, ensemble) -> None:
+    walk, model = walks[5].positions, ensemble._body
+    live = LiveBody(model, BodyRules(), 100.0, LiveRules(counts=(3, 6)))
+    settings, found, steps = ensemble._parts().settings, [], 0
+    rng = np.random.default_rng(0)
+
+    def look(body, t: int) -> tuple[int, float]:
+        room = make_room(15, *model.load.shape[1::2])
+        return best_pose(body, np.ascontiguousarray(walk[t]), np.arange(15), settings, room)
+
+    for t in range(0, 160, 2):
+        if live.wants(t):
+            shown = np.where(rng.random((15, 1)) < 0.2, np.nan, walk[t])
+            live.see(t, shown, look(model.arrays(), t)[0])
+        steps += live._steps is not None
+        if (body := live.step()) is not None:
+            found.append(body)
+    assert len(found) == 2
+    assert steps > 10  # the work came in small pieces
+    assert not live.wants(1000)
+
+    def score(body) -> float:
+        return sum(look(body, t)[1] for t in range(165, 200, 5))
+
+    assert score(found[0]) > score(model.arrays()) + 5.0
+    assert score(found[1]) > score(found[0])
+    live.restart()
+    assert live.wants(0)
+
+
+def test_a_body_learned_from_a_few_frames_of_whatever_markers_is_a_body(ensemble, walks) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        frames = walks[5].positions[rng.integers(0, 200, 6)] + rng.normal(scale=0.002, size=(6, 15, 3))
+        frames[rng.random((6, 15)) < rng.uniform(0.0, 0.6)] = np.nan
+        poses = rng.integers(0, len(ensemble._body.mean), 6)
+        body = adapt_body(ensemble._body, frames, poses, np.ones(6), SubjectRules(), BodyRules())
+        assert body.between is not None
+        assert min(np.linalg.eigvalsh(between).min() for between in body.between) > -1e-9
+        body.arrays()  # refuses what is no covariance
+
+
+def test_near_factors_leave_over_hardly_more(ensemble) -> None:
+    body = ensemble._body
+    covariance = body.within[0] + body.between[0]
+    left = []
+    for near in (False, True):
+        load, noise = factors(body.mean[0], covariance, BodyRules(), near=near)
+        main = load[:, :, :-4].reshape(len(covariance), -1)
+        rest = covariance - main @ main.T
+        np.testing.assert_allclose(noise[3], rest[9:12, 9:12])
+        left.append(np.trace(rest))
+    assert 0 < left[0] <= left[1] < 1.1 * left[0]
 
 
 def test_margins_are_those_of_all_labellings_of_a_small_frame() -> None:

@@ -289,9 +289,13 @@ class SolverEnsemble:
         rate: frames per second; delay: frames to wait for, which make the labels surer; vertical: the axis that points up.
         Raises AsterismError where one of them makes no sense.
         """
+        from asterism.labelling.live_body import LiveBody, LiveRules
         from asterism.labelling.stream import Stream
 
-        return Stream(self._parts(), self._markers, len(self.marker_set), self._calibrations, self.least_confidence, rate, delay, vertical)
+        body_rules = BodyRules() if self._memory is None else self._memory.recipe.body
+        live = None if self._body.within is None else LiveBody(self._body, body_rules, rate, LiveRules())
+        model = (self._parts(), live, self._markers, len(self.marker_set))
+        return Stream(*model, self._calibrations, self.least_confidence, rate, delay, vertical)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model: one NPZ file of plain arrays and a JSON text, no pickle. Written under a temporary name, then renamed."""

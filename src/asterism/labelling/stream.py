@@ -29,6 +29,7 @@ from asterism.labelling.body._kernels import (
 )
 from asterism.labelling.calibration import Calibration
 from asterism.labelling.features import upright
+from asterism.labelling.live_body import LiveBody
 from asterism.labelling.look import Prepared
 from asterism.labelling.tracks._link_kernels import link_step, make_bench, make_ends
 from asterism.labelling.tracks.linking import LinkRules
@@ -47,6 +48,8 @@ class StreamRules:
     budget      feature evaluations of one such search
     effort      markers times labellings that one search of a large marker set follows up: what it costs at most
     riding      times that a track at most tells anew whether it is a marker or a ghost that rides along
+    doubt       nats that a margin is worth less where points are left over: ghosts that ride along fit in frame after frame
+    dull        and how many nats of what then remains are one of log odds
     lead        nats by which a labelling that a search found must lead, over frames that say something new, to take over
     """
 
@@ -58,6 +61,8 @@ class StreamRules:
     budget: int = 20_000
     effort: int = 450
     riding: float = 3.0
+    doubt: float = 3.0
+    dull: float = 3.3
     lead: float = 5.0
 
 
@@ -93,6 +98,7 @@ class Stream:
     def __init__(
         self,
         model: Prepared,
+        live: LiveBody | None,
         markers: Ints,
         count: int,
         calibrations: tuple[Calibration, Calibration],
@@ -108,6 +114,7 @@ class Stream:
             raise AsterismError(f"a delay of {delay!r} frames makes no sense; give a whole number, 0 for none.")
         self.rate, self.delay = float(rate), int(delay)
         self._model, self._markers, self._count = model, markers, count
+        self._live, self._body = live, model.body
         self._calibrations, self._least_confidence = calibrations, least_confidence
         self._vertical = as_vertical(vertical)
         self._rules = rules or StreamRules()
@@ -126,6 +133,7 @@ class Stream:
         self._restart()
 
     def _restart(self) -> None:
+        self._forget_person()
         size, markers = 16, len(self._markers)
         self._ends, self._following, self._bench = make_ends(size), make_ends(size), make_bench(size)
         self._evidence, self._weight = np.zeros((size, markers)), np.zeros(size)
@@ -207,7 +215,9 @@ class Stream:
     def _look(self, xyz: Floats, rival: Ints) -> None:
         """See what labelling the frame has, and let it speak for every track."""
         model, rules = self._model, self._rules
-        markers, latents = model.body.load.shape[1], model.body.load.shape[3]
+        if self._live is not None:
+            self._body = self._live.step() or self._body
+        markers, latents = self._body.load.shape[1], self._body.load.shape[3]
         self._evidence[self._track] *= self._forget
         self._weight[self._track] *= self._forget
         self._rival = np.full(len(xyz), NULL, dtype=np.int64)
@@ -235,6 +245,8 @@ class Stream:
             if np.array_equal(challenge, rows) or lead < -rules.lead:
                 lead = 0.0
             elif lead > rules.lead or hopeless:
+                if (challenge == rows).sum() < 0.5 * labelled or labelled < 3:
+                    self._forget_person()
                 changed = _marker_of(challenge, len(xyz)) != _marker_of(rows, len(xyz))
                 self._evidence[self._track[changed]], self._weight[self._track[changed]] = 0.0, 0.0
                 rows, pose, lead, self._age = challenge, other_pose, 0.0, 0
@@ -243,13 +255,32 @@ class Stream:
         self._lead = lead
         if (rows >= 0).sum() < 3:
             return
-        look_again(model.body, pose, xyz, rows, settings, room)
+        look_again(self._body, pose, xyz, rows, settings, room)
         self._evidence[self._track] += np.clip(room.scores.T, -rules.most, rules.most)
         self._weight[self._track] += 1.0
+        if self._live is not None and not young and self._live.wants(self._pushed):
+            self._learn(xyz, self._live, room, settings)
+
+    def _learn(self, xyz: Floats, live: LiveBody, room: Room, settings: LookSettings) -> None:
+        """Let the frame teach what this body is like, where enough of it is labelled surely."""
+        scores = self._totals(self._track)
+        rows = _assign(scores)
+        sure = (rows >= 0) & (_margins(scores, self._totals(self._track, self._rules.riding), rows) >= live.rules.sure)
+        if sure.sum() < live.rules.share * len(rows):
+            return
+        room.odd[:] = False
+        pose = best_pose(self._model.body, xyz, np.where(sure, rows, NULL), settings, room)[0]
+        live.see(self._pushed, np.where(sure[:, None], xyz[rows], np.nan), int(pose))
+
+    def _forget_person(self) -> None:
+        """Whoever comes is not who was there."""
+        self._body = self._model.body
+        if self._live is not None:
+            self._live.restart()
 
     def _refine(self, xyz: Floats, rows: Ints, settings: LookSettings, room: Room) -> tuple[float, int]:
         """Mend and complete a labelling of the frame, in place: its score in nats, and the key pose."""
-        body = self._model.body
+        body = self._body
         if (rows >= 0).sum() < 3:
             return -np.inf, 0
         room.odd[:] = False
@@ -289,14 +320,18 @@ class Stream:
         rows = _assign(scores)
         margins = _margins(scores, self._totals(seen.track, self._rules.riding), rows)
         given = rows >= 0
-        calibration = self._calibrations[int(given.sum() < len(seen.track))]
-        own = np.where(given, calibration.confidence(margins), 0.5 * np.exp(np.minimum(margins, 0.0)))
+        own = np.where(given, self._confidence(margins, given.sum() < len(seen.track)), 0.5 * np.exp(np.minimum(margins, 0.0)))
         kept = given & (own >= self._least_confidence)
         indices, confidence = np.full(self._count, NULL, dtype=np.int64), np.zeros(self._count)
         indices[self._markers[kept]] = seen.place[rows[kept]]
         confidence[self._markers] = own
         self._release(np.setdiff1d(seen.track, self._track, assume_unique=True))
         return FrameLabels(seen.frame, indices, confidence)
+
+    def _confidence(self, margins: Floats, spare: bool) -> Floats:
+        """The probability that labels with such margins are right; `spare` says whether points are left over in their frame."""
+        single = self._calibrations[int(spare)].confidence(margins)
+        return np.minimum(single, 1.0 / (1.0 + np.exp((self._rules.doubt - margins) / self._rules.dull))) if spare else single
 
 
 def _crowded(settings: LookSettings, points: int, markers: int) -> LookSettings:

@@ -192,10 +192,21 @@ def _pose(placed: Floats, people: Ints, rules: BodyRules) -> tuple[Floats, Float
     return mean, load, noise, within, between + rules.placement_std**2 * np.eye(3 * markers)
 
 
-def factors(mean: Floats, covariance: Floats, rules: BodyRules) -> tuple[Floats, Floats]:
-    """Latent directions (M, 3, r) of a placed body's covariance (3M, 3M), small moves included, and what they leave over: (M, 3, 3)."""
+def factors(mean: Floats, covariance: Floats, rules: BodyRules, *, near: bool = False) -> tuple[Floats, Floats]:
+    """Latent directions (M, 3, r) of a placed body's covariance (3M, 3M), small moves included, and what they leave over: (M, 3, 3).
+
+    near: the main directions as a few power steps find them, for those who cannot wait; what they miss is left over. O(M^2 r) then.
+    """
     markers = len(mean)
-    values, vectors = np.linalg.eigh(covariance)
+    if near:
+        start = np.unique(np.linspace(0, len(covariance) - 1, rules.latents).astype(np.int64))
+        basis = np.linalg.qr(covariance[:, start])[0]
+        for _ in range(4):
+            basis = np.linalg.qr(covariance @ basis)[0]
+        values, vectors = np.linalg.eigh(basis.T @ covariance @ basis)
+        vectors = basis @ vectors
+    else:
+        values, vectors = np.linalg.eigh(covariance)
     main = vectors[:, ::-1][:, : rules.latents] * np.sqrt(np.maximum(values[::-1][: rules.latents], 0.0))
     rest = covariance - main @ main.T
     noise = np.stack([rest[3 * m : 3 * m + 3, 3 * m : 3 * m + 3] for m in range(markers)])

@@ -10,6 +10,7 @@ within_k + posterior covariance). Frames of other key poses tell of it too, less
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,10 +39,24 @@ def adapt_body(body: BodyModel, frames: Floats, poses: Ints, weight: Floats, rul
     frames (N, M, 3) m, z up, NaN where missing; poses (N,) key pose of each; weight (N,) how many independent frames each counts for.
     O(K^2 M^3 + N M^2).
     """
+    steps = adapt_in_steps(body, frames, poses, weight, rules, body_rules, near=False)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as done:
+            return done.value
+
+
+def adapt_in_steps(
+    body: BodyModel, frames: Floats, poses: Ints, weight: Floats, rules: SubjectRules, body_rules: BodyRules, *, near: bool = True
+) -> Generator[None, None, BodyModel]:
+    """`adapt_body` for those who cannot wait: each step is O(M^3), and the last one returns the body; `near`: see `factors`."""
     if body.within is None or body.between is None:
         raise ValueError("the model does not say how people differ")
     count = body.mean.shape[1]
-    seen = [_seen(body, k, frames[poses == k], weight[poses == k]) for k in range(len(body.mean))]
+    seen = []
+    for k in range(len(body.mean)):
+        seen.append((yield from _seen(body, k, frames[poses == k], weight[poses == k])))
     means, loads, noises, betweens = [], [], [], []
     for k in range(len(body.mean)):
         centre, spread = np.zeros(3 * count), body.between[k].copy()
@@ -56,16 +71,18 @@ def adapt_body(body: BodyModel, frames: Floats, poses: Ints, weight: Floats, rul
             centre = centre + gain @ (deviation[rows] - centre[rows])
             spread = spread - gain @ spread[rows]
             spread = 0.5 * (spread + spread.T)
+            yield
         mean = body.mean[k] + centre.reshape(count, 3)
-        load, rest = factors(mean, body.within[k] + spread, body_rules)
+        load, rest = factors(mean, body.within[k] + spread, body_rules, near=near)
         means.append(mean)
         loads.append(load)
         noises.append(rest + rules.noise_std**2 * np.eye(3))
         betweens.append(spread)
+        yield
     return BodyModel(np.stack(means), np.stack(loads), np.stack(noises), body.log_weight, body.within, np.stack(betweens))
 
 
-def _seen(body: BodyModel, k: int, frames: Floats, weight: Floats) -> tuple[Floats, np.ndarray, Floats]:
+def _seen(body: BodyModel, k: int, frames: Floats, weight: Floats) -> Generator[None, None, tuple[Floats, np.ndarray, Floats]]:
     """Mean deviation (3M,) of the placed frames from a key pose, which markers were seen (M,), and the variance factor (M, M) of that mean.
 
     Missing markers are first filled in with what the others let expect, so that every frame is placed by its whole body.
@@ -85,6 +102,7 @@ def _seen(body: BodyModel, k: int, frames: Floats, weight: Floats) -> tuple[Floa
         deviation = (placed[own] - body.mean[k]).reshape(len(own), -1)[:, here]
         expected = deviation @ np.linalg.solve(covariance[np.ix_(here, here)], covariance[np.ix_(here, ~here)])
         placed[np.ix_(own, np.nonzero(~pattern)[0])] = expected.reshape(len(own), -1, 3) + body.mean[k][~pattern]
+        yield
     placed = place_onto(placed, body.mean[k])
     heavy = weight[:, None] * shown
     total = heavy.sum(axis=0)
