@@ -106,3 +106,8 @@ def test_trials_that_show_no_body_are_refused(ensemble: asterism.SolverEnsemble,
     nothing = asterism.Recording(np.full((10, 15, 3), np.nan), walks[4].labels, 100.0)
     with pytest.raises(asterism.AsterismError, match="no frame"):
         ensemble.adapt(nothing)
+
+
+def test_two_points_tell_no_body(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+    labelling = ensemble.label(walks[4].select(walks[4].labels[:2]).clouds(), time=True)
+    assert (labelling.indices == -1).all()

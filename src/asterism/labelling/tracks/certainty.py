@@ -13,8 +13,8 @@ from asterism.recording import NULL, Floats, Ints
 LEAST_TRUST = 0.1
 """Share of what a margin itself says that trials can never take away."""
 
-LOW = 2.0
-"""Nats: the log odds that a label without any margin is right are no more than that, whatever the trials say."""
+STEEP = 5.0
+"""Log odds per nat of margin that a label is right, at most: one without any margin is a coin toss, whatever the trials say."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +47,11 @@ class Certainty:
     def confidence(self, margin: Floats, beside: Ints) -> Floats:
         """The probability that labels are right: (J,).
 
-        Small margins were seldom tried, so `LOW` bounds what the trials say there; and it is never less than a tenth of that bound, for
+        Small margins were seldom tried, so `STEEP` bounds what the trials say there; and it is never less than a tenth of that bound, for
         where a few people tried were all labelled wrong (one person stood, the other walked) that does not prove the next one wrong.
         """
         alone, crowded = (calibration.confidence(margin) for calibration in self.calibrations)
-        bound = 1.0 / (1.0 + np.exp(-LOW - np.minimum(margin, 700.0)))
+        bound = 1.0 / (1.0 + np.exp(-STEEP * np.minimum(margin, 100.0)))
         return np.clip(np.where(beside > 0, crowded, alone), LEAST_TRUST * bound, bound)
 
     @classmethod
