@@ -48,7 +48,7 @@ Vertical = Annotated[
     typer.Option(metavar="AXIS", help="What points up: x, y, z, -x, -y, -z or three numbers. Else as the file says.", show_default=False),
 ]
 Seed = Annotated[int, typer.Option(metavar="N", min=0, help="Start of all random choices: same seed, same result.")]
-Workers = Annotated[int, typer.Option(metavar="N", min=1, help="Processes to share the work; the result is the same.")]
+Workers = Annotated[int, typer.Option(metavar="N", min=1, help="Threads that share the work; the result is the same.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
 Json = Annotated[
     str | None,
