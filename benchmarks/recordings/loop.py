@@ -22,14 +22,14 @@ from benchmarks.figures import Figure
 from benchmarks.recordings.loop_picture import PICTURE, Line, picture
 from benchmarks.score import Tally
 
-CONDITIONS = {"as recorded": 0, "3 hidden": 3}
-"""Markers hidden in gaps at every moment."""
-STARTS = 4
+CONDITIONS = {"as recorded": (0, 0), "3 hidden": (3, 0), "3 hidden + 3 ghosts": (3, 3)}
+"""Markers hidden in gaps, and ghost tracks there, at every moment."""
+STARTS = 2
 """Subjects whose straight walk is the one trial, each in turn, evenly spread."""
 WORTH = 1.0
 """Samples that a look must be expected to mend, else the piece is not looked at."""
-HASTE = 2
-"""So many trials are done for one with flagged pieces that is taken on before the model learns again."""
+HASTE = 1
+"""So many trials are done for each one with flagged pieces that is taken on before the model learns again."""
 
 
 Answer = tuple[Item, str | None]
@@ -100,8 +100,8 @@ def loop(bench: Bench) -> Iterator[Figure]:
             some = [course for course in courses if course.task[1:] == (condition, named)]
             yield from _figures(f"loop, {condition}, one trial {'named' if named else 'labelled'}", some)
     if not bench.quick:
-        hidden = [course for course in courses if course.task[1] == "3 hidden"]
-        lines = [Line(f"{course.task[0]}{', named' if course.task[2] else ''}", course.task[2], course.line) for course in hidden]
+        haunted = [course for course in courses if course.task[1] == list(CONDITIONS)[-1]]
+        lines = [Line(f"{course.task[0]}{', named' if course.task[2] else ''}", course.task[2], course.line) for course in haunted]
         PICTURE.write_text(picture(lines, len(people)), encoding="utf-8")
 
 
@@ -131,7 +131,7 @@ def run(bench: Bench, task: tuple[str, str, bool]) -> Course:
     At its end all are labelled once more by the model that has seen most, the answers stand, and what is flagged anew is settled.
     """
     start, condition, named = task
-    trials = _trials(bench, CONDITIONS[condition])
+    trials = _trials(bench, *CONDITIONS[condition])
     one = next(trial for trial in trials if trial.subject == start and file_of(trial.recording).stem == "straight")
     waiting = trials if named else [trial for trial in trials if trial is not one]
     course = Course(task, sum(trial.samples for trial in waiting))
@@ -145,10 +145,10 @@ def run(bench: Bench, task: tuple[str, str, bool]) -> Course:
             for trial, (labelling, _) in zip(waiting, looks, strict=True):
                 course.before.add(labelling, trial.truth)
         course.line.append((course.touched / course.samples, (errors + _errors(waiting, looks)) / course.samples))
-        # all in which nothing is flagged, else what takes the least work: it teaches the model before the hard ones come
-        work = [sum(item.gain for item in items) for _, items in looks]
-        chosen = [i for i, much in enumerate(work) if not much]
-        chosen = chosen or sorted(range(len(waiting)), key=work.__getitem__)[: max(1, len(done) // HASTE)]
+        # all in which nothing is flagged, else those least in doubt: they teach the model before the hard ones come
+        doubt = [sum(item.gain for item in items) / trial.samples for trial, (_, items) in zip(waiting, looks, strict=True)]
+        chosen = [i for i, much in enumerate(doubt) if not much]
+        chosen = chosen or sorted(range(len(waiting)), key=doubt.__getitem__)[: max(1, len(done) // HASTE)]
         corrected = []
         for i in chosen:
             trial = waiting[i]
@@ -177,12 +177,12 @@ def run(bench: Bench, task: tuple[str, str, bool]) -> Course:
     return course
 
 
-def _trials(bench: Bench, hidden: int) -> list[Trial]:
+def _trials(bench: Bench, hidden: int, ghosts: int) -> list[Trial]:
     """Everyone's trials without their labels."""
     out = []
     for subject, recordings in list(gait().items())[: 3 if bench.quick else None]:
         for number, recording in enumerate(recordings):
-            clouds, truth = hide_in_gaps(recording, hidden, 0, seed=1000 + number)
+            clouds, truth = hide_in_gaps(recording, hidden, ghosts, seed=1000 + number)
             out.append(Trial(subject, recording, clouds, truth))
     return out
 
