@@ -30,7 +30,8 @@ through `ASTERISM_DATA`.
 - *Peer*, *key poses*: `benchmarks/peer.py`, sixteen key poses from eight headings by ICP, optimal assignment, 200 mm limit; some frames
   of the same clouds.
 - *From one trial to all subjects*: `benchmarks/recordings/loop.py`. A walk of one subject is labelled, or its own tracks are named once;
-  then label all trials, accept those in which `review` flags nothing or settle what it flags in those least in doubt, learn, and go on. *Touched*: samples whose label an
+  then label all trials, accept those in which `review` flags nothing, or settle what it flags in those least in doubt,
+  learn, and go on. *Touched*: samples whose label an
   answer changed; *looked at*: samples of the pieces flagged, right or not; *given by name*: samples of the tracks named.
 - *As recorded*: with all points that nobody labelled. Some of them may be the very marker that is missing: FA is an upper bound there.
 - Gaps and ghosts are simulated; only vicon53, clouthier62, optitrack-wheelchair and mouse-qtm have real gaps besides, and rows

@@ -93,12 +93,11 @@ def loop(bench: Bench) -> Iterator[Figure]:
     """The loop from each start; draws docs/loop.svg in a full run."""
     people = list(gait())
     starts = people[:: max(1, len(people) // STARTS)][: 1 if bench.quick else STARTS]
-    tasks = [(start, condition, named) for condition in CONDITIONS for named in (False, True) for start in starts]
-    courses = list(bench.each(run, tasks))
-    for condition in CONDITIONS:
-        for named in (False, True):
-            some = [course for course in courses if course.task[1:] == (condition, named)]
-            yield from _figures(f"loop, {condition}, one trial {'named' if named else 'labelled'}", some)
+    kinds = [(condition, named) for condition, (hidden, _) in CONDITIONS.items() for named in ((False, True) if hidden else (False,))]
+    courses = list(bench.each(run, [(start, *kind) for kind in kinds for start in starts]))
+    for condition, named in kinds:
+        some = [course for course in courses if course.task[1:] == (condition, named)]
+        yield from _figures(f"loop, {condition}, one trial {'named' if named else 'labelled'}", some)
     if not bench.quick:
         haunted = [course for course in courses if course.task[1] == list(CONDITIONS)[-1]]
         lines = [Line(f"{course.task[0]}{', named' if course.task[2] else ''}", course.task[2], course.line) for course in haunted]
@@ -128,7 +127,7 @@ def _figures(row: str, courses: Sequence[Course]) -> Iterator[Figure]:
 def run(bench: Bench, task: tuple[str, str, bool]) -> Course:
     """One loop: (subject, condition, whether the subject's straight walk is named, not labelled); it ends with all trials labelled.
 
-    At its end all are labelled once more by the model that has seen most, the answers stand, and what is flagged anew is settled.
+    At its end all are labelled once more by the model that has seen all, the answers stand, and what is flagged anew is settled.
     """
     start, condition, named = task
     trials = _trials(bench, *CONDITIONS[condition])
@@ -156,8 +155,7 @@ def run(bench: Bench, task: tuple[str, str, bool]) -> Course:
             done.append((trial, answers))
             errors += _errors([trial], [(settled, [])])
             corrected.append(trial.labelled(settled))
-        if len(chosen) < len(waiting):
-            ensemble = ensemble.learn(corrected, subjects=[waiting[i].subject for i in chosen])
+        ensemble = ensemble.learn(corrected, subjects=[waiting[i].subject for i in chosen])
         waiting = [trial for i, trial in enumerate(waiting) if i not in chosen]
     course.line.append((course.touched / course.samples, errors / course.samples))
     for trial, given in done:
