@@ -8,6 +8,7 @@ import sys
 from datetime import date
 from importlib import import_module
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -18,9 +19,12 @@ from asterism.recording import NULL, Clouds, Labelling, Recording
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
-benchmark_data, docs, figures, peer, score, tracking, ablation, dirt, main = (
+benchmark_data, docs, figures, peer, score, tracking, ablation, dirt, loop_picture, main = (
     import_module(f"benchmarks.{name}")
-    for name in ("data", "docs", "figures", "peer", "score", "tracking", "recordings.ablation", "recordings.dirt", "__main__")
+    for name in (
+        *("data", "docs", "figures", "peer", "score", "tracking"),
+        *("recordings.ablation", "recordings.dirt", "recordings.loop_picture", "__main__"),
+    )
 )
 
 
@@ -269,3 +273,16 @@ def test_page_shows_cells_where_they_belong_and_what_was_missed() -> None:
     assert "| 3 hidden, backwards in time | -0.02 % (asked <= 0.1 %) |" in page
     assert "| + tracks | 50 % |" in page and "3 hidden, frame by frame: FA |" in page
     assert "3 of 4 figures asked for are reached" in page
+
+
+def test_the_picture_of_the_loop_shows_every_round() -> None:
+    line, picture = loop_picture.Line, loop_picture.picture
+    lines = [line("Ann", False, [(0.0, 0.1), (0.001, 0.01), (0.004, 0.0)]), line("Ben, named", True, [(0.0, 0.05), (0.0, 0.0)])]
+    drawn = ElementTree.fromstring(picture(lines, 11))
+    space = "{http://www.w3.org/2000/svg}"
+    dots = [(float(dot.get("cx", "")), float(dot.get("cy", ""))) for dot in drawn.iter(f"{space}circle")]
+    assert len(dots) == 5
+    assert dots[0][0] < dots[1][0] < dots[2][0] and dots[0][1] < dots[1][1] < dots[2][1], "more hand work to the right, fewer errors below"
+    words = [text.text or "" for text in drawn.iter(f"{space}text")]
+    assert {"from Ann", "from Ben, named"} <= set(words) and any("11 people" in word for word in words)
+    picture([line("nobody", False, [(0.0, 0.0)])], 1)
