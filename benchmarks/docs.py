@@ -54,6 +54,8 @@ SECTIONS = (
     ("Calibration of the confidence", "calibration error", None),
     ("What carries it", "ablation, ", r"ablation, (?P<line>.*?), (?P<column>\d hidden.*: .*)"),
     ("Swapped columns", "swap", None),
+    ("Links by motion", "links by motion", None),
+    ("Two people in one volume", ("two people", "one person"), None),
     ("Streaming", "stream", None),
     (
         "Features of motion: the thesis' rules by pool, three subjects not seen",

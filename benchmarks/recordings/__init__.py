@@ -8,6 +8,7 @@ from benchmarks.bench import Bench
 from benchmarks.figures import Figure
 from benchmarks.recordings.ablation import ablation
 from benchmarks.recordings.baselines import baselines
+from benchmarks.recordings.bodies import bodies
 from benchmarks.recordings.dirt import dirt
 from benchmarks.recordings.features import features
 from benchmarks.recordings.full_body import full_body
@@ -23,6 +24,7 @@ ISSUE = "Label whole recordings: tracks, time, the subject's own body, and corre
 ROWS: dict[str, Callable[[Bench], Iterator[Figure]]] = {
     "swaps": swaps,
     "speed-time": speed,
+    "bodies": bodies,
     "stream": stream,
     "loop": loop,
     "baselines": baselines,
