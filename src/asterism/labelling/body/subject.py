@@ -29,7 +29,7 @@ class SubjectRules:
     """
 
     independent: float = 0.2
-    across: float = 0.5
+    across: float = 1.0
     noise_std: float = 0.004
 
 

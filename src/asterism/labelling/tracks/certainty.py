@@ -51,7 +51,7 @@ class Certainty:
         where a few people tried were all labelled wrong (one person stood, the other walked) that does not prove the next one wrong.
         """
         alone, crowded = (calibration.confidence(margin) for calibration in self.calibrations)
-        bound = 1.0 / (1.0 + np.exp(-STEEP * np.minimum(margin, 100.0)))
+        bound = 1.0 / (1.0 + np.exp(-STEEP * np.clip(margin, -100.0, 100.0)))
         return np.clip(np.where(beside > 0, crowded, alone), LEAST_TRUST * bound, bound)
 
     @classmethod
