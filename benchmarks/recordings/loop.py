@@ -31,7 +31,6 @@ WORTH = 1.0
 HASTE = 1
 """So many trials are done for each one with flagged pieces that is taken on before the model learns again."""
 
-
 Answer = tuple[Item, str | None]
 
 
@@ -145,7 +144,7 @@ def run(bench: Bench, task: tuple[str, str, bool]) -> Course:
                 course.before.add(labelling, trial.truth)
         course.line.append((course.touched / course.samples, (errors + _errors(waiting, looks)) / course.samples))
         # all in which nothing is flagged, else those least in doubt: they teach the model before the hard ones come
-        doubt = [sum(item.gain for item in items) / trial.samples for trial, (_, items) in zip(waiting, looks, strict=True)]
+        doubt = [sum(item.gain for item in items) / len(trial.clouds.xyz) for trial, (_, items) in zip(waiting, looks, strict=True)]
         chosen = [i for i, much in enumerate(doubt) if not much]
         chosen = chosen or sorted(range(len(waiting)), key=doubt.__getitem__)[: max(1, len(done) // HASTE)]
         corrected = []
