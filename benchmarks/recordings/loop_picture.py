@@ -41,7 +41,7 @@ def picture(lines: Sequence[Line], people: int) -> str:
         "<title>Labels touched by hand against labels wrong or missing, from one trial to all subjects</title>",
         f'<rect width="{_WIDTH}" height="{_HEIGHT}" rx="12" fill="#ffffff"/>',
         f'<text x="{_LEFT}" y="26" fill="#16213a" font-size="14">From one walk to {people} people, 3 of 15 markers hidden, 3 ghosts: '
-        "what is still wrong as hand work grows</text>",
+        "errors as hand work grows</text>",
         f'<text x="{_LEFT}" y="44" fill="#5b6780">A dot is a round: label, settle what is flagged, learn. '
         "Dashed: the first walk was named, not labelled.</text>",
         f'<rect x="{_LEFT}" y="{up(_ASKED_WRONG):.1f}" width="{across(_ASKED_TOUCHED) - _LEFT:.1f}" '
