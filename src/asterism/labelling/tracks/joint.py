@@ -7,7 +7,8 @@ Some frames are looked at one by one; what the frame-wise look finds there votes
 3. the labels of the greatest total gain are taken, one marker once per frame (`assignment.py`), until they no longer change.
 
 The steps climb: each is the best answer to the others' labels, together they reach a labelling that no relabelling of tracklets improves
-as long as the scores stand. Then the surely labelled tracklets teach the model this subject's own body, and the steps are taken again.
+as long as the scores stand. Then the surely labelled tracklets teach the model this subject's own body, and the steps are taken again. At
+last tracklets are doubted whose distances to near-rigid neighbours are not those that their marker has elsewhere in the recording.
 """
 
 from __future__ import annotations
@@ -23,9 +24,11 @@ from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules, adapt_body
 from asterism.labelling.features import upright
 from asterism.labelling.look import Prepared, Progress
+from asterism.labelling.tracks._distance_kernels import misfits
 from asterism.labelling.tracks._kernels import gather, margins_of, score_frames
 from asterism.labelling.tracks.assignment import assign_tracklets
 from asterism.labelling.tracks.bodies import body_votes, find_bodies, follow_bodies
+from asterism.labelling.tracks.certainty import beside_spare
 from asterism.labelling.tracks.linking import Tracklets
 from asterism.recording import NULL, Clouds, Floats, Ints
 
@@ -44,6 +47,10 @@ class TimeRules:
     vote_limit   nats that one frame-wise look can say for a label
     sure         nats from which a tracklet's label teaches the model the subject's own body
     clear        nats; where every tracklet's label has more, the model is not adapted: there is nothing to win
+    rigid        m; two markers are near-rigid where their distance spreads by less in this recording
+    rigid_noise  m that such a distance varies at least
+    misfit       standard deviations that a tracklet's near-rigid distances may be off without being doubted
+    misfit_cost  nats of margin lost for each square of what is beyond that
     calibrate    how often the model is adapted to the subject's own body; 0 for never
     """
 
@@ -57,6 +64,10 @@ class TimeRules:
     vote_limit: float = 10.0
     sure: float = 6.0
     clear: float = 15.0
+    rigid: float = 0.02
+    rigid_noise: float = 0.006
+    misfit: float = 1.2
+    misfit_cost: float = 12.0
     calibrate: int = 2
 
 
@@ -183,7 +194,26 @@ def label_scene(
         state, bodies = tried, adapted
         stages[f"calibrated {turn + 1}"] = state.label
     report(1.0, "labelled")
-    return Outcome(scene, state.label, state.margin, state.rival, bodies, stages)
+    return Outcome(scene, state.label, state.margin - _doubts(scene, state.label, starts, rules), state.rival, bodies, stages)
+
+
+def _doubts(scene: Scene, label: Ints, starts: Ints, rules: TimeRules) -> Floats:
+    """Nats of margin (J,) that tracklets lose whose near-rigid distances are not those that their markers have elsewhere in the recording.
+
+    A ghost that rides along where a marker is hidden can have the right pose, but hardly the right distances of this very body. Only
+    recordings with points that nobody claims are suspected of ghosts.
+    """
+    off, one = np.zeros(len(label)), np.zeros(len(label))
+    spare = beside_spare(label, scene.first, scene.last)
+    if not spare.any():
+        return off
+    for number in range(len(starts) - 1):
+        own = own_labels(label, starts, number)
+        markers = int(starts[number + 1] - starts[number])
+        frames = len(scene.looked)
+        misfits(scene.seen_xyz, scene.seen_frame, scene.seen_track, own, frames, markers, rules.rigid_noise, rules.rigid, 5, 6, 8.0, one)
+        off = np.maximum(off, one)
+    return rules.misfit_cost * np.maximum(off - rules.misfit, 0.0) ** 2 * (spare > 0)
 
 
 @dataclass(frozen=True)
