@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from asterism.labelling.body.model import BodyModel
 from asterism.labelling.look import LookRules
+from asterism.labelling.tracks import _distance_kernels as kernels_of_distances
 from asterism.labelling.tracks import _kernels as kernels
 from asterism.labelling.tracks import assignment
 from asterism.labelling.tracks.assignment import assign_tracklets
@@ -117,3 +118,25 @@ def test_the_best_assignment(seed: int) -> None:
         assert len(np.unique(there)) == len(there)
     total, wanted = (gain[found >= 0, found[found >= 0]].sum() for found in (label, by_highs))
     assert np.isclose(total, wanted)
+
+
+@given(seeds)
+@races
+def test_misfits_of_near_rigid_distances(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    body = rng.normal(0.0, 0.3, (MARKERS, 3))
+    label = np.concatenate([np.arange(MARKERS), rng.integers(-1, MARKERS, 6)])
+    points, frames, tracks = [], [], []
+    for t in range(24):
+        taken = set()
+        for j in rng.permutation(len(label)):
+            if label[j] in taken or rng.random() < 0.4:
+                continue
+            taken |= {label[j]} - {-1}
+            points.append(body[label[j]] + rng.normal(0.0, 0.004, 3) + (0.03 if j == MARKERS else 0.0))
+            frames.append(t)
+            tracks.append(j)
+    xyz, frame, track = np.array(points), np.array(frames), np.array(tracks)
+    out = np.empty(len(label))
+    kernels_of_distances.misfits(xyz, frame, track, label, 24, MARKERS, 0.006, 0.02, 5, 3, 8.0, out)
+    np.testing.assert_allclose(out, twins.misfits(xyz, frame, track, label, MARKERS, 0.006, 0.02, 5, 3, 8.0))

@@ -111,3 +111,16 @@ def test_trials_that_show_no_body_are_refused(ensemble: asterism.SolverEnsemble,
 def test_two_points_tell_no_body(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
     labelling = ensemble.label(walks[4].select(walks[4].labels[:2]).clouds(), time=True)
     assert (labelling.indices == -1).all()
+
+
+def test_a_ghost_in_a_hidden_markers_stead_is_not_given(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+    walk, marker = walks[4], walks[4].labels.index("LTIB")
+    positions = walk.positions.copy()
+    positions[40:70, marker] = np.nan
+    frames = [frame[~np.isnan(frame[:, 0])] for frame in positions]
+    for t in range(40, 70):  # it rides along 8 cm beside the hidden marker; another, seen apart, says that there are ghosts
+        beside, apart = walk.positions[t, marker] + np.array([[0.0, 0.05, 0.06], [0.0, 0.55, 0.86]])
+        frames[t] = np.concatenate([frames[t], [beside, apart]])
+    labelling = ensemble.label(Clouds.from_points(frames, walk.rate), time=True)
+    assert (labelling.indices[40:70, marker] == -1).all()
+    assert (labelling.indices[:40, marker] >= 0).mean() > 0.9

@@ -81,3 +81,29 @@ def margins(gain, label, first, last):
             if label[i] < 0:
                 margin[j] = min(margin[j], max(0.0, gain[j, label[j]] - max(0.0, gain[i, label[j]])))
     return margin, rival
+
+
+def misfits(xyz, frame, track, label, markers, noise, rigid, least, partners, most):
+    """Mean deviation (J,) of each labelled tracklet's near-rigid distances from those of the other tracklets of its marker."""
+    frames = int(frame.max()) + 1
+    at = {(t, label[j]): (place, j) for place, t, j in zip(xyz, frame, track, strict=True) if label[j] >= 0}
+    out = np.zeros(len(label))
+    for j, m in enumerate(label):
+        shown = [t for t in range(frames) if m >= 0 and (t, m) in at]
+        own = [t for t in shown if at[t, m][1] == j]
+        others = [t for t in shown if at[t, m][1] != j]
+        if not own or len(others) < max(least, len(own)):
+            continue
+        told = []
+        for o in range(markers):
+            apart = [[np.linalg.norm(at[t, m][0] - at[t, o][0]) for t in some if o != m and (t, o) in at] for some in (own, others)]
+            if not apart[0] or len(apart[1]) < least:
+                continue
+            middle = np.median(apart[1])
+            std = 1.4826 * np.median(np.abs(apart[1] - middle))
+            if std < rigid:
+                spread = np.sqrt(std**2 + noise**2)
+                told.append((spread, o, min(most, abs(np.median(apart[0]) - middle) / spread)))
+        if len(told) >= 2:
+            out[j] = np.mean([deviation for _, _, deviation in sorted(told)[:partners]])
+    return out
