@@ -58,11 +58,11 @@ class Certainty:
     def fit(cls, tried: Tried, target: float) -> Certainty:
         """Calibrate on trials. `target` is the share of the labels given that shall be right, where ghosts are near.
 
-        How sure a label must be for that: a power law through what was measured on people left out (docs/recordings.md): 0.72, 0.85, 0.92
+        How sure a label must be for that: a power law through what was measured on people left out (docs/recordings.md): 0.70, 0.83, 0.91
         for 0.99, 0.999, 0.9999. Solved from the trials of each training it would hang on the one or two wrong tracklets that it saw.
         """
         one, other = (Calibration.fit(tried.margin[tried.beside == side], tried.right[tried.beside == side]) for side in (0, 1))
-        return cls((one, other), 1.0 - (1.0 - target) ** 0.275)
+        return cls((one, other), 1.0 - (1.0 - target) ** 0.26)
 
 
 def beside_spare(label: Ints, first: Ints, last: Ints) -> Ints:

@@ -65,7 +65,7 @@ class TimeRules:
     sure: float = 6.0
     clear: float = 15.0
     rigid: float = 0.02
-    rigid_noise: float = 0.006
+    rigid_noise: float = 0.004
     misfit: float = 1.2
     misfit_cost: float = 12.0
     calibrate: int = 2
