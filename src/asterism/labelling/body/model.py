@@ -34,6 +34,7 @@ class BodyRules:
     few_std         the same beyond that, where one person was seen (m); falls with the number of people
     person_extra    people's own mean bodies count (1 + person_extra / people) times: few people show too little variety
     other_std       how far one person's frames move beyond what one other person's did (m); falls with the root of the number of people
+    human           m, root mean square from the body's middle: smaller bodies, such as a mouse's, get that much smaller lengths above
     shift_std       first placing of the body, error of the position (m)
     turn_std        first placing of the body, error of the heading (rad)
     """
@@ -46,6 +47,7 @@ class BodyRules:
     few_std: float = 0.06
     person_extra: float = 2.0
     other_std: float = 0.025
+    human: float = 0.25
     shift_std: float = 0.1
     turn_std: float = 0.3
 
@@ -184,12 +186,15 @@ def _pose(placed: Floats, people: Ints, rules: BodyRules) -> tuple[Floats, Float
     within = within / len(groups) - (own - centre).T @ (own - centre) / len(groups)
     between = (own - centre).T @ (own - centre) / len(groups) * (1.0 + rules.person_extra / len(groups))
     mean = centre.reshape(markers, 3)
-    size = (mean - mean.mean(axis=0)).ravel() * rules.size_std
-    between += np.outer(size, size) + (rules.few_std / len(groups)) ** 2 * np.eye(3 * markers)
+    apart = mean - mean.mean(axis=0)
+    scale = min(1.0, float(np.sqrt((apart**2).sum(axis=1).mean())) / rules.human)
+    placement, few, other = scale * rules.placement_std, scale * rules.few_std, scale * rules.other_std
+    size = apart.ravel() * rules.size_std
+    between += np.outer(size, size) + (few / len(groups)) ** 2 * np.eye(3 * markers)
     load, noise = factors(mean, within + between, rules)
-    noise += rules.placement_std**2 * np.eye(3)
-    within = within + rules.other_std**2 / len(groups) * np.eye(3 * markers)
-    return mean, load, noise, within, between + rules.placement_std**2 * np.eye(3 * markers)
+    noise += placement**2 * np.eye(3)
+    within = within + other**2 / len(groups) * np.eye(3 * markers)
+    return mean, load, noise, within, between + placement**2 * np.eye(3 * markers)
 
 
 def factors(mean: Floats, covariance: Floats, rules: BodyRules, *, near: bool = False) -> tuple[Floats, Floats]:
