@@ -9,6 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 import asterism
+from asterism.labelling.body.model import BodyRules
+from asterism.labelling.body.subject import SubjectRules
+from asterism.labelling.tracks.joint import Looker, TimeRules
+from asterism.labelling.tracks.whole import Member, label_whole
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 from benchmarks.bench import Bench
 from benchmarks.data import gait
@@ -26,10 +30,18 @@ class Case:
     adapted: asterism.SolverEnsemble
 
 
+def uncalibrated(case: Case, clouds: Clouds) -> Labelling:
+    """The whole recording with the model as it was trained: neither its body nor its distances are learned from the recording."""
+    one = case.ensemble
+    member = Member(Looker(one._parts(), one._body), one.marker_set.names, one._markers, one._in_time)
+    return label_whole([member], clouds, TimeRules(calibrate=0, misfit_cost=0.0), SubjectRules(), BodyRules())[0][0]
+
+
 METHODS: tuple[tuple[str, Callable[[Case, Clouds], Labelling]], ...] = (
     ("frame only", lambda case, clouds: case.ensemble.label(clouds)),
     ("+ tracks", lambda case, clouds: by_majority(case.ensemble.label(clouds), clouds)),
-    ("+ time", lambda case, clouds: case.ensemble.label(clouds, time=True)),
+    ("+ all tracks at once", uncalibrated),
+    ("+ own calibration", lambda case, clouds: case.ensemble.label(clouds, time=True)),
     ("+ static trial", lambda case, clouds: case.adapted.label(clouds, time=True)),
 )
 """Each does what the one above it does, and more."""
