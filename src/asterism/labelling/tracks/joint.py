@@ -216,9 +216,7 @@ def _strange(lookers: Sequence[Looker], bodies: Sequence[BodyModel], scene: Scen
         if not len(points):
             continue
         score, frame, track = scores[points, own[scene.seen_track[points]]], scene.seen_frame[points], scene.seen_track[points]
-        # the more points there are, the less one more that lies well tells; see `frame_settings`
-        crowd = np.log1p(np.maximum(np.diff(scene.seen_offsets) - scores.shape[1], 0))
-        poor = _medians(score, frame, len(scene.looked)) < looker.parts.settings.good - crowd
+        poor = _medians(score, frame, len(scene.looked)) < looker.parts.settings.good
         looks = np.bincount(track, minlength=len(label))
         strange |= np.bincount(track, weights=poor[frame], minlength=len(label)) > 0.5 * np.maximum(looks, 1)
     return strange
