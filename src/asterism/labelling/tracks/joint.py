@@ -18,7 +18,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asterism.labelling.body._kernels import BodyArrays, label_clouds
 from asterism.labelling.body.model import BodyModel, BodyRules
@@ -195,42 +194,7 @@ def label_scene(
         state, bodies = tried, adapted
         stages[f"calibrated {turn + 1}"] = state.label
     report(1.0, "labelled")
-    margin = state.margin - _doubts(scene, state.label, starts, rules)
-    strange = _strange(lookers, bodies, scene, state.label)
-    return Outcome(scene, state.label, np.where(strange, np.minimum(margin, 0.0), margin), state.rival, bodies, stages)
-
-
-def _strange(lookers: Sequence[Looker], bodies: Sequence[BodyModel], scene: Scene, label: Ints) -> NDArray[np.bool_]:
-    """Labelled tracklets (J,) most of whose frames explain their labels worse than nearly every frame of people left out did.
-
-    A movement or a body that the model knows nothing of: its labels may be right, but nobody tried.
-    """
-    starts, strange = _starts(lookers), np.zeros(len(label), dtype=np.bool_)
-    for number, (looker, body) in enumerate(zip(lookers, bodies, strict=True)):
-        own = own_labels(label, starts, number)
-        scores, totals = np.empty((len(scene.seen_xyz), int(starts[number + 1] - starts[number]))), np.empty(len(scene.looked))
-        arrays = looker.parts.body if body is looker.body else body.arrays()
-        poses = np.empty(len(scene.looked), dtype=np.int64)
-        score_frames(scene.seen_xyz, scene.seen_offsets, scene.seen_track, own, arrays, looker.parts.settings, scores, totals, poses)
-        points = np.nonzero(own[scene.seen_track] != NULL)[0]
-        if not len(points):
-            continue
-        score, frame, track = scores[points, own[scene.seen_track[points]]], scene.seen_frame[points], scene.seen_track[points]
-        poor = _medians(score, frame, len(scene.looked)) < looker.parts.settings.good
-        looks = np.bincount(track, minlength=len(label))
-        strange |= np.bincount(track, weights=poor[frame], minlength=len(label)) > 0.5 * np.maximum(looks, 1)
-    return strange
-
-
-def _medians(values: Floats, group: Ints, groups: int) -> Floats:
-    """The (lower) median of the values of each group, NaN for one that is empty: (groups,)."""
-    order = np.lexsort((values, group))
-    counts = np.bincount(group, minlength=groups)
-    begins = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    out = np.full(groups, np.nan)
-    some = counts > 0
-    out[some] = values[order][begins[some] + (counts[some] - 1) // 2]
-    return out
+    return Outcome(scene, state.label, state.margin - _doubts(scene, state.label, starts, rules), state.rival, bodies, stages)
 
 
 def _doubts(scene: Scene, label: Ints, starts: Ints, rules: TimeRules) -> Floats:
