@@ -84,6 +84,17 @@ def gather(track, scores, least, most, sums, counts):
 
 
 @njit(cache=True, nogil=True)
+def still_there(there, count, last, frame):
+    """Keep those of the first `count` tracklets in `there` that last until `frame`, in their order, in place; returns how many."""
+    kept = 0
+    for s in range(count):
+        if last[there[s]] >= frame:
+            there[kept] = there[s]
+            kept += 1
+    return kept
+
+
+@njit(cache=True, nogil=True)
 def overlaps(gain, first, last, order):
     """Pairs (n, 2) of tracklets that are there at the same time and both gain by a common marker.
 
@@ -103,12 +114,7 @@ def overlaps(gain, first, last, order):
                 break
         if not any_gain:
             continue
-        kept = 0
-        for s in range(n_there):
-            if last[there[s]] >= first[j]:
-                there[kept] = there[s]
-                kept += 1
-        n_there = kept
+        n_there = still_there(there, n_there, last, first[j])
         for s in range(n_there):
             i = there[s]
             for m in range(markers):
@@ -201,12 +207,7 @@ def margins_of(gain, label, first, last, order):
     n_there = 0
     for o in range(tracks):
         j = order[o]
-        kept = 0
-        for s in range(n_there):
-            if last[there[s]] >= first[j]:
-                there[kept] = there[s]
-                kept += 1
-        n_there = kept
+        n_there = still_there(there, n_there, last, first[j])
         for s in range(n_there):
             i = there[s]
             if label[i] >= 0 and label[i] != label[j]:
@@ -227,12 +228,7 @@ def margins_of(gain, label, first, last, order):
     n_there = 0
     for o in range(tracks):
         j = order[o]
-        kept = 0
-        for s in range(n_there):
-            if last[there[s]] >= first[j]:
-                there[kept] = there[s]
-                kept += 1
-        n_there = kept
+        n_there = still_there(there, n_there, last, first[j])
         for s in range(n_there):
             i = there[s]
             if label[i] >= 0 and label[j] < 0:

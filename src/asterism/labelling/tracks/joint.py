@@ -174,7 +174,7 @@ def label_scene(
 ) -> Outcome:
     """Label all tracklets of a recording together; see the module's head."""
     report = progress or (lambda fraction, what: None)
-    starts, bodies = _starts(lookers), [looker.body for looker in lookers]
+    starts, bodies = marker_starts(lookers), [looker.body for looker in lookers]
     votes = _votes if len(lookers) == 1 else _votes_of_several
     label = assign_tracklets(votes(lookers, scene, rules, workers, report), scene.first, scene.last)
     state = _climb(lookers, bodies, scene, label, rules)
@@ -209,9 +209,20 @@ def _doubts(scene: Scene, label: Ints, starts: Ints, rules: TimeRules) -> Floats
         return off
     for number in range(len(starts) - 1):
         own = own_labels(label, starts, number)
-        markers = int(starts[number + 1] - starts[number])
-        frames = len(scene.looked)
-        misfits(scene.seen_xyz, scene.seen_frame, scene.seen_track, own, frames, markers, rules.rigid_noise, rules.rigid, 5, 6, 8.0, one)
+        misfits(
+            scene.seen_xyz,
+            scene.seen_frame,
+            scene.seen_track,
+            own,
+            frames=len(scene.looked),
+            markers=int(starts[number + 1] - starts[number]),
+            noise=rules.rigid_noise,
+            rigid=rules.rigid,
+            least=5,
+            partners=6,
+            most=8.0,
+            out=one,
+        )
         off = np.maximum(off, one)
     return rules.misfit_cost * np.maximum(off - rules.misfit, 0.0) ** 2 * (spare > 0)
 
@@ -227,7 +238,7 @@ class _State:
     total: float
 
 
-def _starts(lookers: Sequence[Looker]) -> Ints:
+def marker_starts(lookers: Sequence[Looker]) -> Ints:
     """Where each body's markers begin among the columns of all bodies, and their number at the end."""
     return np.concatenate([[0], np.cumsum([looker.parts.body.mean.shape[1] for looker in lookers])]).astype(np.int64)
 
@@ -239,7 +250,7 @@ def own_labels(label: Ints, starts: Ints, number: int) -> Ints:
 
 def _votes(lookers: Sequence[Looker], scene: Scene, rules: TimeRules, workers: int, report: Progress) -> Floats:
     """What the frame-wise look says for each tracklet: (J, L) nats."""
-    starts = _starts(lookers)
+    starts = marker_starts(lookers)
     votes = np.zeros((len(scene.first), starts[-1]))
     frames = len(scene.looked)
     for number, looker in enumerate(lookers):
@@ -287,7 +298,7 @@ def _climb(lookers: Sequence[Looker], bodies: Sequence[BodyModel], scene: Scene,
 def _gains(
     lookers: Sequence[Looker], arrays: Sequence[BodyArrays], scene: Scene, label: Ints, rules: TimeRules
 ) -> tuple[Floats, list[Ints]]:
-    starts = _starts(lookers)
+    starts = marker_starts(lookers)
     gain, poses = np.zeros((len(scene.first), starts[-1])), []
     for number, (looker, body) in enumerate(zip(lookers, arrays, strict=True)):
         markers = body.mean.shape[1]

@@ -15,7 +15,7 @@ from asterism.labelling.body.subject import SubjectRules, adapt_body
 from asterism.labelling.look import Progress
 from asterism.labelling.tracks._kernels import score_frames
 from asterism.labelling.tracks.certainty import Certainty, Tried, beside_spare
-from asterism.labelling.tracks.joint import Looker, Outcome, TimeRules, label_scene, lay_out, own_labels
+from asterism.labelling.tracks.joint import Looker, Outcome, TimeRules, label_scene, lay_out, marker_starts, own_labels
 from asterism.labelling.tracks.linking import find_tracklets
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
 
@@ -48,11 +48,12 @@ def label_whole(
     if not len(clouds.xyz):
         return [_nothing(member, clouds) for member in members], None
     scene = lay_out(clouds, find_tracklets(clouds), rules)
-    outcome = label_scene([member.looker for member in members], scene, rules, subject_rules, body_rules, workers, progress)
+    lookers = [member.looker for member in members]
+    outcome = label_scene(lookers, scene, rules, subject_rules, body_rules, workers, progress)
     labellings = []
     frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
     beside = beside_spare(outcome.label, scene.first, scene.last)
-    starts = np.concatenate([[0], np.cumsum([len(member.markers) for member in members])])
+    starts = marker_starts(lookers)
     for number, member in enumerate(members):
         label, rival = own_labels(outcome.label, starts, number), own_labels(outcome.rival, starts, number)
         blank = _nothing(member, clouds)
