@@ -84,21 +84,33 @@ class Prepared:
         order = np.lexsort((xyz[:, 1], xyz[:, 0], -xyz[:, 2], frame_of))
         xyz = np.ascontiguousarray(xyz[order])
         place = order - clouds.offsets[frame_of]
-        shape = (len(clouds), self.body.mean.shape[1])
-        rows, margins = np.full(shape, NULL, dtype=np.int64), np.zeros(shape)
-        counters = np.zeros((len(clouds), 4), dtype=np.int64)
-
-        def work(span: tuple[int, int]) -> int:
-            label_clouds(xyz, clouds.offsets, *span, self.solvers, self.anchors, self.body, self.settings, rows, margins, counters)
-            return span[1]
-
-        step = max(1, min(500, -(-len(clouds) // max(1, workers))))
-        spans = [(start, min(start + step, len(clouds))) for start in range(0, len(clouds), step)]
-        with ThreadPoolExecutor(max(1, workers)) as pool:
-            for done in pool.map(work, spans) if workers > 1 else map(work, spans):
-                if progress:
-                    progress(done / len(clouds), "labelling")
+        rows, margins, counters = self.look(xyz, clouds.offsets, workers, progress and (lambda fraction: progress(fraction, "labelling")))
         spare = (rows >= 0).sum(axis=1) < clouds.counts
         given = rows >= 0
         rows[given] = place[(clouds.offsets[:-1, None] + rows)[given]]
         return rows, margins, counters, spare
+
+    def look(
+        self, xyz: Floats, offsets: Ints, workers: int = 1, report: Callable[[float], None] | None = None, at_once: int = 500
+    ) -> tuple[Ints, Floats, Ints]:
+        """`margins` of frames laid out for the kernels: rows, margins (E, M), counters (E, 4).
+
+        xyz (Q, 3) m, z up, from the highest to the lowest point of each frame; offsets (E + 1,); report: told after each `at_once` frames
+        which share is done.
+        """
+        frames = len(offsets) - 1
+        shape = (frames, self.body.mean.shape[1])
+        rows, margins = np.full(shape, NULL, dtype=np.int64), np.zeros(shape)
+        counters = np.zeros((frames, 4), dtype=np.int64)
+
+        def work(span: tuple[int, int]) -> int:
+            label_clouds(xyz, offsets, *span, self.solvers, self.anchors, self.body, self.settings, rows, margins, counters)
+            return span[1]
+
+        step = max(1, min(at_once, -(-frames // max(1, workers))))
+        spans = [(start, min(start + step, frames)) for start in range(0, frames, step)]
+        with ThreadPoolExecutor(max(1, workers)) as pool:
+            for done in pool.map(work, spans) if workers > 1 else map(work, spans):
+                if report:
+                    report(done / frames)
+        return rows, margins, counters

@@ -23,6 +23,7 @@ from asterism.labelling.body._kernels import (
     Room,
     best_pose,
     find_labellings,
+    frame_settings,
     look_again,
     make_room,
     refine,
@@ -223,7 +224,7 @@ class Stream:
         self._rival = np.full(len(xyz), NULL, dtype=np.int64)
         if len(xyz) < 3:
             return
-        settings = _crowded(model.settings, len(xyz), markers)
+        settings = frame_settings(model.settings, len(xyz), markers)
         room = make_room(len(xyz), markers, latents)
         rows = _assign(self._totals(self._track))
         score, pose = self._refine(xyz, rows, settings, room)
@@ -332,12 +333,6 @@ class Stream:
         """The probability that labels with such margins are right; `spare` says whether points are left over in their frame."""
         single = self._calibrations[int(spare)].confidence(margins)
         return np.minimum(single, 1.0 / (1.0 + np.exp((self._rules.doubt - margins) / self._rules.dull))) if spare else single
-
-
-def _crowded(settings: LookSettings, points: int, markers: int) -> LookSettings:
-    """The more points there are than markers, the likelier a ghost lies anywhere."""
-    crowd = math.log(1.0 + max(0, points - markers))
-    return settings._replace(reward=settings.reward - crowd, odd=settings.odd - crowd, good=settings.good - crowd)
 
 
 def _marker_of(rows: Ints, points: int) -> Ints:

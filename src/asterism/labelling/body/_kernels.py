@@ -829,6 +829,28 @@ def second_look(body, points, top, settings, room, rows, margins, counters):
     return False
 
 
+@njit(cache=True, nogil=True)
+def frame_settings(settings, points, markers):
+    """The settings for a frame of so many points: the more points there are than markers, the likelier a ghost lies anywhere."""
+    crowd = math.log(1.0 + max(0, points - markers))
+    return LookSettings(
+        settings.reward - crowd,
+        settings.first_ghost,
+        settings.odd - crowd,
+        settings.odd_radius,
+        settings.far,
+        settings.agree,
+        settings.ask,
+        settings.budget,
+        settings.per_anchor,
+        settings.least_found,
+        settings.clear,
+        settings.contest,
+        settings.good - crowd,
+        settings.enough,
+    )
+
+
 @njit(cache=True, nogil=True, fastmath=SUMS)
 def label_frame(points, order, solvers, anchors, body, settings, room, board, rows, margins, counters):
     """The best labelling of one frame and by how much it beats the next one, marker by marker.
@@ -845,24 +867,7 @@ def label_frame(points, order, solvers, anchors, body, settings, room, board, ro
     counters[:] = 0
     if len(points) < 3:
         return
-    # the more points there are than markers, the likelier a ghost lies anywhere
-    crowd = math.log(1.0 + max(0, len(points) - len(rows)))
-    settings = LookSettings(
-        settings.reward - crowd,
-        settings.first_ghost,
-        settings.odd - crowd,
-        settings.odd_radius,
-        settings.far,
-        settings.agree,
-        settings.ask,
-        settings.budget,
-        settings.per_anchor,
-        settings.least_found,
-        settings.clear,
-        settings.contest,
-        settings.good - crowd,
-        settings.enough,
-    )
+    settings = frame_settings(settings, len(points), len(rows))
     count, best = find_labellings(points, order, solvers, anchors, body, settings, room, board, counters)
     if best < 0 or board.scores[best] == -np.inf:
         return

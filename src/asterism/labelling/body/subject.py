@@ -56,7 +56,7 @@ def adapt_in_steps(
     count = body.mean.shape[1]
     seen = []
     for k in range(len(body.mean)):
-        seen.append((yield from _seen(body, k, frames[poses == k], weight[poses == k])))
+        seen.append((yield from _seen(body, k, body.within[k], frames[poses == k], weight[poses == k])))
     means, loads, noises, betweens = [], [], [], []
     for k in range(len(body.mean)):
         centre, spread = np.zeros(3 * count), body.between[k].copy()
@@ -82,7 +82,9 @@ def adapt_in_steps(
     return BodyModel(np.stack(means), np.stack(loads), np.stack(noises), body.log_weight, body.within, np.stack(betweens))
 
 
-def _seen(body: BodyModel, k: int, frames: Floats, weight: Floats) -> Generator[None, None, tuple[Floats, np.ndarray, Floats]]:
+def _seen(
+    body: BodyModel, k: int, within: Floats, frames: Floats, weight: Floats
+) -> Generator[None, None, tuple[Floats, np.ndarray, Floats]]:
     """Mean deviation (3M,) of the placed frames from a key pose, which markers were seen (M,), and the variance factor (M, M) of that mean.
 
     Missing markers are first filled in with what the others let expect, so that every frame is placed by its whole body.
@@ -110,7 +112,6 @@ def _seen(body: BodyModel, k: int, frames: Floats, weight: Floats) -> Generator[
     deviation = (heavy[:, :, None] * (placed - body.mean[k])).sum(axis=0) / np.maximum(total, 1e-12)[:, None]
     share = (heavy.T @ shown) / np.maximum(np.outer(total, total), 1e-12)
     # frames that differ among themselves less than the person's frames do repeat each other: standing tells no more in ten seconds
-    within = body.covariance(k) if body.within is None else body.within[k]
     apart = (heavy[:, :, None] * (placed - body.mean[k] - deviation) ** 2).sum()
     usual = (total[:, None] * np.diagonal(within).reshape(-1, 3)).sum()
     fewest = 1.0 / max(1.0, float(weight.sum()))

@@ -5,29 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from asterism.labelling.body._kernels import LookSettings, best_pose, look_again, make_room
-
-
-@njit(cache=True, nogil=True)
-def frame_settings(settings, points, markers):
-    """The settings for a frame of so many points: the more points there are than markers, the likelier a ghost lies anywhere."""
-    crowd = np.log(1.0 + max(0, points - markers))
-    return LookSettings(
-        settings.reward - crowd,
-        settings.first_ghost,
-        settings.odd - crowd,
-        settings.odd_radius,
-        settings.far,
-        settings.agree,
-        settings.ask,
-        settings.budget,
-        settings.per_anchor,
-        settings.least_found,
-        settings.clear,
-        settings.contest,
-        settings.good - crowd,
-        settings.enough,
-    )
+from asterism.labelling.body._kernels import best_pose, frame_settings, look_again, make_room
 
 
 @njit(cache=True, nogil=True)

@@ -7,7 +7,6 @@ tied together by the tracklets that they share, for a tracklet is a piece of one
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from asterism.errors import AsterismError
-from asterism.labelling.body._kernels import label_clouds
 from asterism.labelling.features import upright
 from asterism.labelling.look import Prepared, Progress
 from asterism.recording import NULL, Clouds, Floats, Ints
@@ -99,17 +97,7 @@ def _look(
     frame_of = np.repeat(np.arange(len(chosen)), np.diff(offsets))
     points = np.nonzero(free & chosen[frame_of])[0]
     own = np.concatenate([[0], np.cumsum(np.bincount(frame_of[points], minlength=len(chosen))[which])]).astype(np.int64)
-    shape = (len(which), model.body.mean.shape[1])
-    rows, margins = np.full(shape, NULL, dtype=np.int64), np.zeros(shape)
-    counters, some = np.zeros((len(which), 4), dtype=np.int64), np.ascontiguousarray(xyz[points])
-
-    def work(first: int) -> None:
-        last = min(first + step, len(which))
-        label_clouds(some, own, first, last, model.solvers, model.anchors, model.body, model.settings, rows, margins, counters)
-
-    step = max(1, min(50, -(-len(which) // max(1, workers))))
-    with ThreadPoolExecutor(max(1, workers)) as pool:
-        list(pool.map(work, range(0, len(which), step)))
+    rows, margins, _ = model.look(np.ascontiguousarray(xyz[points]), own, workers, at_once=50)
     given = rows != NULL
     rows[given] = points[(own[:-1, None] + rows)[given]]
     return rows, np.where(given, np.clip(margins, 0.1, vote_limit), 0.0)

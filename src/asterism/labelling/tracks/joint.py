@@ -14,12 +14,11 @@ last tracklets are doubted whose distances to near-rigid neighbours are not thos
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from asterism.labelling.body._kernels import BodyArrays, label_clouds
+from asterism.labelling.body._kernels import BodyArrays
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules, adapt_body
 from asterism.labelling.features import upright
@@ -175,8 +174,11 @@ def label_scene(
     """Label all tracklets of a recording together; see the module's head."""
     report = progress or (lambda fraction, what: None)
     starts, bodies = marker_starts(lookers), [looker.body for looker in lookers]
-    votes = _votes if len(lookers) == 1 else _votes_of_several
-    label = assign_tracklets(votes(lookers, scene, rules, workers, report), scene.first, scene.last)
+    if len(lookers) == 1:
+        votes = _votes_of_one(lookers[0], scene, rules, workers, report)
+    else:
+        votes = _votes_of_several(lookers, scene, rules, workers, report)
+    label = assign_tracklets(votes, scene.first, scene.last)
     state = _climb(lookers, bodies, scene, label, rules)
     stages = {"votes": label, "tracks": state.label}
     for turn in range(rules.calibrate):
@@ -248,33 +250,20 @@ def own_labels(label: Ints, starts: Ints, number: int) -> Ints:
     return np.where((label >= starts[number]) & (label < starts[number + 1]), label - starts[number], NULL)
 
 
-def _votes(lookers: Sequence[Looker], scene: Scene, rules: TimeRules, workers: int, report: Progress) -> Floats:
-    """What the frame-wise look says for each tracklet: (J, L) nats."""
-    starts = marker_starts(lookers)
-    votes = np.zeros((len(scene.first), starts[-1]))
-    frames = len(scene.looked)
-    for number, looker in enumerate(lookers):
-        shape = (frames, looker.parts.body.mean.shape[1])
-        rows, margins = np.full(shape, NULL, dtype=np.int64), np.zeros(shape)
-        counters = np.zeros((frames, 4), dtype=np.int64)
-
-        def work(span: tuple[int, int], parts: Prepared = looker.parts, out: tuple[Ints, Floats, Ints] = (rows, margins, counters)) -> int:
-            label_clouds(scene.seen_xyz, scene.seen_offsets, *span, parts.solvers, parts.anchors, parts.body, parts.settings, *out)
-            return span[1]
-
-        step = max(1, min(50, -(-frames // max(1, workers))))
-        spans = [(start, min(start + step, frames)) for start in range(0, frames, step)]
-        with ThreadPoolExecutor(max(1, workers)) as pool:
-            for done in pool.map(work, spans) if workers > 1 else map(work, spans):
-                report(0.7 * (number + done / frames) / len(lookers), "looking at frames")
-        frame, marker = np.nonzero(rows != NULL)
-        track = scene.seen_track[scene.seen_offsets[frame] + rows[frame, marker]]
-        np.add.at(votes, (track, starts[number] + marker), np.clip(margins[frame, marker], 0.1, rules.vote_limit))
+def _votes_of_one(looker: Looker, scene: Scene, rules: TimeRules, workers: int, report: Progress) -> Floats:
+    """What the frame-wise look says for each tracklet: (J, M) nats."""
+    rows, margins, _ = looker.parts.look(
+        scene.seen_xyz, scene.seen_offsets, workers, lambda done: report(0.7 * done, "looking at frames"), at_once=50
+    )
+    votes = np.zeros((len(scene.first), rows.shape[1]))
+    frame, marker = np.nonzero(rows != NULL)
+    track = scene.seen_track[scene.seen_offsets[frame] + rows[frame, marker]]
+    np.add.at(votes, (track, marker), np.clip(margins[frame, marker], 0.1, rules.vote_limit))
     return votes
 
 
 def _votes_of_several(lookers: Sequence[Looker], scene: Scene, rules: TimeRules, workers: int, report: Progress) -> Floats:
-    """`_votes` where there are several bodies, each followed through time."""
+    """`_votes_of_one` where there are several bodies, each followed through time."""
     parts = [looker.parts for looker in lookers]
     bodies = find_bodies(
         parts, scene.seen_xyz, scene.seen_offsets, rules.vote_limit, workers, lambda fraction, what: report(0.7 * fraction, what)
