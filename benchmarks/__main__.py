@@ -1,4 +1,4 @@
-"""`python -m benchmarks [labelling | recordings] [--quick] [--rows ...]` measures; `python -m benchmarks docs` writes the tables."""
+"""`python -m benchmarks [labelling | recordings | cameras] [--quick] [--rows ...]` measures; `python -m benchmarks docs` writes the tables."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from asterism.errors import AsterismError
-from benchmarks import docs, figures, labelling, recordings
+from benchmarks import cameras, docs, figures, labelling, recordings
 from benchmarks.bench import Bench
 from benchmarks.data import folder
 
-CHAPTERS = {"labelling": labelling, "recordings": recordings}
+CHAPTERS = {"labelling": labelling, "recordings": recordings, "cameras": cameras}
 
 
 def main(arguments: list[str] | None = None) -> int:

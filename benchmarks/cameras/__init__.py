@@ -1,0 +1,13 @@
+"""The issue about cameras (calibrate, detect, compose, merge): one function per row of its table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from benchmarks.bench import Bench
+from benchmarks.figures import Figure
+
+ISSUE = "From cameras to points: calibrate, detect, compose, merge"
+
+ROWS: dict[str, Callable[[Bench], Iterator[Figure]]] = {}
+"""Cheap rows first: a run that is cut short has measured most of them."""

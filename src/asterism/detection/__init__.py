@@ -1,0 +1,1 @@
+"""Marker blobs from images and video."""

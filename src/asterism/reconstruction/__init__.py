@@ -1,0 +1,1 @@
+"""3D clouds from the blobs of calibrated cameras."""

@@ -1,0 +1,25 @@
+"""The nouns of the house: arrays in; recordings, clouds, blobs, labellings and marker sets out."""
+
+from asterism.recording.arrays import Floats, Ints, as_vertical
+from asterism.recording.blobs import Blobs
+from asterism.recording.clouds import NULL, Clouds, Labelling
+from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, without_subject
+from asterism.recording.trajectories import Event, Recording, keep_labels
+
+__all__ = [
+    "NULL",
+    "Blobs",
+    "Clouds",
+    "Event",
+    "Floats",
+    "Ints",
+    "Labelling",
+    "MarkerSet",
+    "Recording",
+    "as_vertical",
+    "canonical",
+    "is_unnamed",
+    "keep_labels",
+    "shipped_marker_sets",
+    "without_subject",
+]

@@ -1,0 +1,38 @@
+"""What all nouns share: array types, the frame rate and the vertical."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from asterism.errors import AsterismError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def as_vertical(vertical: ArrayLike | str) -> Floats:
+    """The unit vector that points up, from a vector or an axis name ("z", "-y").
+
+    Raises AsterismError for anything else.
+    """
+    if isinstance(vertical, str):
+        match = re.fullmatch(r"([+-]?)([xyz])", vertical.strip().casefold())
+        if not match:
+            raise AsterismError(f"vertical {vertical!r} is no axis; give x, y, z, -x, -y or -z.")
+        vector = np.zeros(3)
+        vector["xyz".index(match[2])] = -1.0 if match[1] == "-" else 1.0
+        return vector
+    vector = np.asarray(vertical, dtype=np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or np.linalg.norm(vector) == 0:
+        raise AsterismError("the vertical must be three finite numbers, not all zero; it points up.")
+    return vector / np.linalg.norm(vector)
+
+
+def checked_rate(rate: float) -> float:
+    """A frame rate as a float. Raises AsterismError where it is no positive number."""
+    if not np.isfinite(rate) or rate <= 0:
+        raise AsterismError(f"frame rate {rate} is not a positive number of frames per second; pass the right one.")
+    return float(rate)

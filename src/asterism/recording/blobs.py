@@ -1,0 +1,99 @@
+"""Marker images: where synchronised cameras saw something bright, in pixels, without any identity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from asterism.errors import AsterismError
+from asterism.recording.arrays import Floats, Ints, checked_rate
+
+
+@dataclass(frozen=True)
+class Blobs:
+    """2D points per frame and camera, in one flat array.
+
+    xy       (P, 2) px, OpenCV's axes: the centre of the top left pixel is (0, 0), x to the right, y down; all finite
+    offsets  (T * C + 1,) int: frame t of camera c owns xy[offsets[t * C + c]:offsets[t * C + c + 1]]
+    cameras  (C,) camera names
+    rate     frames per second
+    sizes    (P,) px, diameter of each blob, NaN where unknown
+    times    (T, C) s, when each camera took each frame, NaN where it took none; None where all are triggered together
+    """
+
+    xy: Floats
+    offsets: Ints
+    cameras: tuple[str, ...]
+    rate: float
+    sizes: Floats
+    times: Floats | None = None
+
+    @classmethod
+    def from_rows(
+        cls,
+        frame: ArrayLike,
+        camera: ArrayLike,
+        xy: ArrayLike,
+        cameras: Sequence[str],
+        *,
+        rate: float = 100.0,
+        sizes: ArrayLike | None = None,
+        frames: int | None = None,
+        times: ArrayLike | None = None,
+    ) -> Blobs:
+        """Blobs from one row per blob, in any order; blobs of one camera and frame keep their order.
+
+        frame (P,) int from 0, camera (P,) int place in `cameras`, xy (P, 2) px, sizes (P,) px; frames: how many there are in all (T),
+        by default up to the last one with a blob; times (T, C) s. Raises AsterismError where shapes differ, a number is out of range or
+        a position is not finite.
+        """
+        frame, camera = np.asarray(frame, dtype=np.int64).ravel(), np.asarray(camera, dtype=np.int64).ravel()
+        xy = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
+        sizes = np.full(len(xy), np.nan) if sizes is None else np.asarray(sizes, dtype=np.float64).ravel()
+        if not len(frame) == len(camera) == len(xy) == len(sizes):
+            raise AsterismError(f"{len(frame)} frame numbers, {len(camera)} cameras, {len(xy)} positions; give one of each per blob.")
+        if not cameras or len(set(cameras)) < len(cameras):
+            raise AsterismError(f"cameras are named {', '.join(cameras) or '(none)'}; give each camera a name of its own.")
+        if not np.isfinite(xy).all():
+            row = int(np.argmax(~np.isfinite(xy).all(axis=1)))
+            raise AsterismError(f"frame {frame[row]}, camera {camera[row]}: a blob's position is NaN or infinite; leave it out.")
+        if len(camera) and (camera.min() < 0 or camera.max() >= len(cameras)):
+            raise AsterismError(f"a blob belongs to camera number {int(camera.max())}, but there are {len(cameras)} cameras; count from 0.")
+        total = int(frame.max(initial=-1)) + 1 if frames is None else frames
+        if len(frame) and (frame.min() < 0 or frame.max() >= total):
+            raise AsterismError(f"frame numbers run from {frame.min()} to {frame.max()}, expected 0 to {total - 1}; renumber them.")
+        when = None if times is None else np.asarray(times, dtype=np.float64)
+        if when is not None and when.shape != (total, len(cameras)):
+            raise AsterismError(f"times have shape {when.shape}, expected ({total}, {len(cameras)}): frames, cameras.")
+        cell = frame * len(cameras) + camera
+        order = np.argsort(cell, kind="stable")
+        offsets = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=total * len(cameras)))]).astype(np.int64)
+        return cls(np.ascontiguousarray(xy[order]), offsets, tuple(cameras), checked_rate(rate), sizes[order], when)
+
+    def __len__(self) -> int:
+        return (len(self.offsets) - 1) // len(self.cameras)
+
+    def of(self, frame: int, camera: int) -> Floats:
+        """The blobs of one camera in one frame, (N, 2) px."""
+        if not (0 <= frame < len(self) and 0 <= camera < len(self.cameras)):
+            raise IndexError(f"frame {frame} of {len(self)}, camera {camera} of {len(self.cameras)}")
+        cell = frame * len(self.cameras) + camera
+        return self.xy[self.offsets[cell] : self.offsets[cell + 1]]
+
+    @property
+    def counts(self) -> Ints:
+        """(T, C) blobs per frame and camera."""
+        return np.diff(self.offsets).reshape(len(self), len(self.cameras))
+
+    @property
+    def frame_of(self) -> Ints:
+        """(P,) the frame of each blob."""
+        return np.repeat(np.arange(len(self)), self.counts.sum(axis=1))
+
+    @property
+    def camera_of(self) -> Ints:
+        """(P,) the camera of each blob, its place in `cameras`."""
+        return np.repeat(np.tile(np.arange(len(self.cameras)), len(self)), self.counts.ravel())

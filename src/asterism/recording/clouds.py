@@ -1,0 +1,118 @@
+"""Unlabelled points, and the labels that they are given."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from asterism.errors import AsterismError
+from asterism.recording.arrays import Floats, Ints, as_vertical, checked_rate
+
+NULL = -1
+"""The null candidate: this marker has no point in this frame (the thesis' label 0)."""
+
+
+@dataclass(frozen=True)
+class Clouds:
+    """Unlabelled points, frame by frame, in one flat array.
+
+    xyz       (P, 3) m, all points of all frames one after the other, all finite
+    offsets   (T + 1,) int: frame t owns xyz[offsets[t]:offsets[t + 1]]
+    rate      frames per second
+    vertical  (3,) unit vector, up
+    columns   (P,) int: the column of the recording that each point came from, -1 where it came from none
+    tracks    (P,) int: the track that the camera system put each point into, -1 for none; or None where it gave no tracks at all.
+              A track holds at most one point of a frame; it is a hint that may be wrong, never an identity
+    """
+
+    xyz: Floats
+    offsets: Ints
+    rate: float
+    vertical: Floats
+    columns: Ints
+    tracks: Ints | None = None
+
+    @classmethod
+    def from_points(
+        cls,
+        points: Iterable[ArrayLike],
+        rate: float,
+        vertical: ArrayLike = (0.0, 0.0, 1.0),
+        tracks: Iterable[ArrayLike] | None = None,
+    ) -> Clouds:
+        """Clouds from one (N_t, 3) array in metres per frame; N_t may be 0.
+
+        tracks: one (N_t,) array of whole numbers per frame, the track that each point belongs to, -1 for none.
+        Raises AsterismError where an array has another shape, a coordinate is not finite, or two points of a frame share a track.
+        """
+        frames = []
+        for t, given in enumerate(points):
+            frame = np.asarray(given, dtype=np.float64)
+            if frame.size == 0:
+                frame = frame.reshape(0, 3)
+            if frame.ndim != 2 or frame.shape[1] != 3:
+                raise AsterismError(f"frame {t}: points have shape {frame.shape}, expected (points, 3); transpose or split them.")
+            if not np.isfinite(frame).all():
+                raise AsterismError(f"frame {t}: a point is NaN or infinite; leave missing points out of the cloud.")
+            frames.append(frame)
+        counts = np.array([0, *map(len, frames)], dtype=np.int64)
+        xyz = np.concatenate(frames) if frames else np.empty((0, 3))
+        numbers = None if tracks is None else _checked_tracks(tracks, counts[1:])
+        return cls(xyz, np.cumsum(counts), checked_rate(rate), as_vertical(vertical), np.full(len(xyz), -1, dtype=np.int64), numbers)
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+    def __getitem__(self, frame: int) -> Floats:
+        """The points of one frame, (N_t, 3) m."""
+        if not -len(self) <= frame < len(self):
+            raise IndexError(f"frame {frame} of {len(self)}")
+        frame %= len(self)
+        return self.xyz[self.offsets[frame] : self.offsets[frame + 1]]
+
+    def __iter__(self) -> Iterator[Floats]:
+        return (self[t] for t in range(len(self)))
+
+    @property
+    def counts(self) -> Ints:
+        """(T,) points per frame."""
+        return np.diff(self.offsets)
+
+
+@dataclass(frozen=True)
+class Labelling:
+    """Which candidate of its frame's cloud each marker is (the thesis' L, section 4.1).
+
+    indices     (T, M) int, the candidate's place in the frame, -1 for none ("I do not know" or occluded)
+    confidence  (T, M) in [0, 1]: the probability that this entry is right; for -1, the confidence of the best candidate that was not given
+    names       (M,) marker names
+    """
+
+    indices: Ints
+    confidence: Floats
+    names: tuple[str, ...]
+
+    def positions(self, clouds: Clouds) -> Floats:
+        """The labelled trajectories: (T, M, 3) m, NaN where a marker has no candidate."""
+        out = np.full((*self.indices.shape, 3), np.nan)
+        frames, markers = np.nonzero(self.indices >= 0)
+        out[frames, markers] = clouds.xyz[clouds.offsets[frames] + self.indices[frames, markers]]
+        return out
+
+
+def _checked_tracks(tracks: Iterable[ArrayLike], counts: Ints) -> Ints:
+    frames = [np.asarray(given) for given in tracks]
+    if len(frames) != len(counts):
+        raise AsterismError(f"tracks for {len(frames)} frames, points for {len(counts)}; give one array of track numbers per frame.")
+    for t, (frame, count) in enumerate(zip(frames, counts, strict=True)):
+        if frame.shape != (count,) and not frame.size == count == 0:
+            raise AsterismError(f"frame {t}: track numbers have shape {frame.shape}, expected ({count},); give one per point.")
+        if frame.size and not np.issubdtype(frame.dtype, np.integer):
+            raise AsterismError(f"frame {t}: track numbers are {frame.dtype}, expected whole numbers; -1 is for none.")
+        numbered = frame[frame >= 0]
+        if len(np.unique(numbered)) < len(numbered):
+            raise AsterismError(f"frame {t}: two points have the same track number; a track holds one point of a frame.")
+    return np.concatenate([np.zeros(0, dtype=np.int64), *(frame.ravel().astype(np.int64) for frame in frames)])

@@ -1,0 +1,147 @@
+"""Marker sets: which markers a body wears, what laboratories call them, and which labels name nothing."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.recording.arrays import Ints
+
+_UNNAMED = re.compile(
+    r"|\*.*|\d+|u\d+|x\d{2,}|(?:uname|unnamed|noname|unl|unlab|unlabel|unlabell?ed|unk|unknown|unid|unident|unidentified|ghost)[\s_:#-]*\d*\*?\d*",
+    re.IGNORECASE,
+)
+
+
+@dataclass(frozen=True)
+class MarkerSet:
+    """Which markers a body wears, and what laboratories call them.
+
+    names     marker names in order: the columns of every `Labelling` made with this set
+    aliases   for each name its other spellings; case, punctuation and a subject prefix never matter
+    pairs     (left, right) names that mirror each other
+    segments  segment name -> names of the markers on it
+    """
+
+    names: tuple[str, ...]
+    title: str = ""
+    aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    pairs: tuple[tuple[str, str], ...] = ()
+    segments: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.names:
+            raise AsterismError(f"marker set {self.title or '(unnamed)'} has no markers; list them under `markers`.")
+        spelled: dict[str, str] = {}
+        for name in self.names:
+            for spelling in (name, *self.aliases.get(name, ())):
+                known = spelled.setdefault(canonical(spelling), name)
+                if known != name:
+                    raise AsterismError(
+                        f"marker set {self.title or '(unnamed)'}: {spelling!r} stands for both {known} and {name}; keep it for one."
+                    )
+        if len(set(self.names)) != len(self.names):
+            twice = next(name for name in self.names if self.names.count(name) > 1)
+            raise AsterismError(f"marker set {self.title or '(unnamed)'}: {twice} is listed twice; keep it once.")
+        strangers = {m for pair in self.pairs for m in pair} | {m for ms in self.segments.values() for m in ms}
+        strangers = (strangers | set(self.aliases)) - set(self.names)
+        if strangers:
+            raise AsterismError(
+                f"marker set {self.title or '(unnamed)'}: {sorted(strangers)[0]} is named in aliases, pairs or segments "
+                "but not among the markers; add it there or drop it here."
+            )
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @cached_property
+    def _name_of_spelling(self) -> dict[str, str]:
+        return {canonical(s): name for name in self.names for s in (name, *self.aliases.get(name, ()))}
+
+    def name_of(self, label: str) -> str | None:
+        """The marker that a file's label means, or None. A subject prefix ("Ann:LKNE", "Ann_LKNE:") is looked through."""
+        return self._name_of_spelling.get(canonical(label)) or self._name_of_spelling.get(canonical(without_subject(label)))
+
+    def columns_of(self, labels: Sequence[str]) -> Ints:
+        """For each marker the column that carries its label: (M,), -1 where there is none.
+
+        Raises AsterismError where two columns claim one marker: it would be a guess which of them is right.
+        """
+        columns = np.full(len(self.names), -1, dtype=np.int64)
+        index = {name: i for i, name in enumerate(self.names)}
+        for column, label in enumerate(labels):
+            name = self.name_of(label)
+            if name is None:
+                continue
+            if columns[index[name]] >= 0:
+                raise AsterismError(
+                    f"points {columns[index[name]] + 1} and {column + 1} are both labelled {name}; rename or remove one of them."
+                )
+            columns[index[name]] = column
+        return columns
+
+    @classmethod
+    def load(cls, source: str | Path | MarkerSet | Sequence[str]) -> MarkerSet:
+        """A shipped set by name ("helen-hayes"), a TOML file by path, a list of names, or a set as it is.
+
+        Raises AsterismError where the name is not shipped, or the file is missing or not a marker set.
+        """
+        if isinstance(source, MarkerSet):
+            return source
+        if not isinstance(source, str | Path):
+            return cls(tuple(source), title="given names")
+        if isinstance(source, str) and source in shipped_marker_sets():
+            text = resources.files("asterism").joinpath("marker_sets", f"{source}.toml").read_text(encoding="utf-8")
+            return cls.from_toml(text, origin=source)
+        path = Path(source)
+        if not path.is_file():
+            raise AsterismError(
+                f"marker set {str(source)!r} is neither shipped ({', '.join(shipped_marker_sets())}) nor a TOML file that exists."
+            )
+        return cls.from_toml(path.read_text(encoding="utf-8", errors="replace"), origin=str(path))
+
+    @classmethod
+    def from_toml(cls, text: str, origin: str) -> MarkerSet:
+        """A marker set from its TOML text; `origin` names it in messages."""
+        try:
+            table = tomllib.loads(text)
+            return cls(
+                names=tuple(str(name) for name in table["markers"]),
+                title=str(table.get("title", origin)),
+                aliases={k: tuple(v) for k, v in table.get("aliases", {}).items()},
+                pairs=tuple((str(left), str(right)) for left, right in table.get("pairs", [])),
+                segments={k: tuple(v) for k, v in table.get("segments", {}).items()},
+            )
+        except (tomllib.TOMLDecodeError, KeyError, TypeError, ValueError) as problem:
+            raise AsterismError(
+                f"{origin} is not a marker set ({problem}); it is TOML with a list `markers`, perhaps `aliases`, `pairs` and `segments`."
+            ) from problem
+
+
+def shipped_marker_sets() -> tuple[str, ...]:
+    """Names of the marker sets that come with Asterism."""
+    folder = resources.files("asterism").joinpath("marker_sets")
+    return tuple(sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml")))
+
+
+def canonical(label: str) -> str:
+    """A label without case and punctuation: R.ASIS, r_asis and RASIS are one."""
+    return re.sub(r"[^\w*]|_", "", label.casefold())
+
+
+def is_unnamed(label: str) -> bool:
+    """Whether a label only counts points that nobody named: *12, uname*3, U7, Unlabeled:108, 20100, Unidentified, or nothing at all."""
+    return _UNNAMED.fullmatch(without_subject(label).strip()) is not None
+
+
+def without_subject(label: str) -> str:
+    """A label without the subject's name before the last colon."""
+    return label.rsplit(":", 1)[-1]
