@@ -1,4 +1,4 @@
-"""`python -m benchmarks [labelling | recordings | cameras] [--quick] [--rows ...]` measures; `python -m benchmarks docs` writes the tables."""
+"""`python -m benchmarks [CHAPTER] [--quick] [--rows ...]` measures; `python -m benchmarks docs` writes the tables."""
 
 from __future__ import annotations
 
