@@ -1,0 +1,122 @@
+"""A rig in; out comes a wand waved through what it sees: three markers in line, with the truth about them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
+
+from asterism.cameras import Rig
+from asterism.errors import AsterismError
+from asterism.recording import Blobs, Floats, Ints
+from asterism.simulation.cameras.images import images_of
+
+STEP = 0.6
+"""Seconds between the places and directions that a hand aims at."""
+
+
+@dataclass(frozen=True)
+class WandTruth:
+    """What a simulated wand did.
+
+    positions  (T, K, 3) m, its markers
+    identity   (P,) int for each blob: which wand marker it is, -1 for a stray or an outlier, -2 for several markers in one
+    """
+
+    positions: Floats
+    identity: Ints
+
+
+def wave_wand(
+    rig: Rig,
+    lengths: Sequence[float] = (0.0, 0.2, 0.6),
+    frames: int = 2000,
+    *,
+    rng: np.random.Generator,
+    rate: float = 100.0,
+    noise: float = 0.2,
+    outliers: float = 0.0,
+    missed: float = 0.0,
+    strays: float = 0.0,
+    dropped: float = 0.0,
+    reflections: int = 0,
+    merging: bool = True,
+    delays: ArrayLike | None = None,
+) -> tuple[Blobs, WandTruth]:
+    """A wand waved by hand through the volume that the rig sees: 1 to 2 m/s, turning all the while.
+
+    lengths  m, where its markers sit along it (any number of them, increasing)
+    rate     frames per second; few frames cover the volume only at a low rate
+    The other arguments are those of `images_of`; outliers 0.05 puts 5 % of the blobs elsewhere. Raises AsterismError as it does, and
+    where no place is seen by two cameras.
+    """
+    along = np.asarray(lengths, dtype=np.float64)
+    if len(along) < 1 or frames < 1 or not rate > 0 or np.any(np.diff(along) <= 0):
+        raise AsterismError("a wand needs increasing lengths, at least one frame and a positive rate.")
+    steps = int(np.ceil(frames / rate / STEP)) + 2
+    places = _tour(*_seen(rig, 0.5 * float(along[-1] - along[0]) + 0.05, rng), steps, rng)
+    directions = rng.normal(size=(steps, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    time = np.arange(frames) / rate / STEP
+    middle = CubicSpline(np.arange(steps), places)(time)
+    direction = CubicSpline(np.arange(steps), directions)(time)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    positions = middle[:, None] + direction[:, None] * (along - along.mean())[:, None]
+    blobs, identity = images_of(
+        rig,
+        positions,
+        noise,
+        None,
+        strays,
+        dropped,
+        rng=rng,
+        rate=rate,
+        missed=missed,
+        outliers=outliers,
+        reflections=reflections,
+        merging=merging,
+        delays=delays,
+    )
+    return blobs, WandTruth(positions, identity)
+
+
+def _seen(rig: Rig, margin: float, rng: np.random.Generator, tries: int = 4000) -> tuple[Floats, NDArray[np.bool_]]:
+    """Places (N, 3) m, `margin` m above the floor or more, that at least two cameras see, and which cameras see them, (C, N)."""
+    eyes = np.stack([camera.position for camera in rig])
+    ahead = np.stack([camera.rotation[2] for camera in rig])
+    # where the lines of sight pass each other, in the sense of least squares
+    aside = np.eye(3) - ahead[:, :, None] * ahead[:, None, :]
+    middle = np.linalg.lstsq(aside.sum(axis=0), np.einsum("cij,cj->i", aside, eyes), rcond=None)[0]
+    reach = float(np.median(np.linalg.norm(eyes - middle, axis=1)))
+    points = middle + rng.uniform(-0.6, 0.6, (tries, 3)) * reach
+    if rig.vertical is not None:
+        height = points @ rig.vertical
+        floor = min(0.0, float((eyes @ rig.vertical).min()))
+        points = points[(height > floor + margin) & (height < floor + 2.3)]
+    sizes = np.array([camera.size or (0, 0) for camera in rig])[:, None]
+    xy = rig.project(points)
+    sees: NDArray[np.bool_] = np.all((xy > 0) & (xy < sizes - 1), axis=2)
+    common = sees.sum(axis=0) >= 2
+    if not common.any():
+        raise AsterismError("no volume is seen by two cameras of the rig at once; turn them to one place.")
+    return points[common], sees[:, common]
+
+
+def _tour(places: Floats, sees: NDArray[np.bool_], steps: int, rng: np.random.Generator) -> Floats:
+    """(steps, 3) m: places one after the other, each about 0.9 m from the one before.
+
+    A hand goes where it has not been yet, where many cameras look, and most of all before cameras that have seen little so far.
+    """
+    at = int(rng.integers(len(places)))
+    tour, visited, shown = [places[at]], np.zeros(len(places)), sees[:, at].astype(np.float64)
+    for _ in range(steps - 1):
+        away = np.linalg.norm(places - tour[-1], axis=1)
+        visited += np.exp(-0.5 * (away / 0.3) ** 2)
+        wanted = (sees / (1.0 + shown)[:, None]).sum(axis=0) / (1.0 / (1.0 + shown)).sum()
+        at = int(np.argmin(visited + 8.0 * (away - 0.9) ** 2 + 0.3 * rng.random(len(places)) - 3.0 * wanted))
+        tour.append(places[at])
+        shown += sees[:, at]
+    return np.array(tour)
