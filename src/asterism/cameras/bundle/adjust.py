@@ -1,0 +1,340 @@
+"""Levenberg-Marquardt over cameras and objects: cameras and sightings in, better cameras, their residuals and their covariance out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from asterism.cameras.bundle import _kernels as kernels
+from asterism.cameras.bundle.sightings import PARAMETERS, Bools, Sightings
+from asterism.cameras.camera import Camera
+from asterism.errors import AsterismError
+from asterism.recording import Floats
+
+_GROUPS = {
+    "pose": slice(0, 6),
+    "focal": slice(6, 7),
+    "aspect": slice(7, 8),
+    "centre": slice(8, 10),
+    "k1": slice(10, 11),
+    "k2": slice(11, 12),
+    "k3": slice(12, 13),
+    "tangential": slice(13, 15),
+}
+_RAISED, _LOWERED, _HOPELESS = 5.0, 0.15, 1e10
+
+
+@dataclass(frozen=True)
+class Adjustment:
+    """What a bundle adjustment gives.
+
+    cameras       (C,) adjusted, each with the RMS of its residuals as `error`
+    rotations     (T, 3, 3), translations (T, 3) m: world from object, per frame
+    residuals     (n, 2) px, seen minus projected, per sighting; NaN where the point came to lie behind the camera
+    weights       (n,) what the robust loss left of each sighting, 1 within its scale
+    free          (C, 15) bool: which parameters were adjusted, in the order of PARAMETERS
+    covariance    (free, free) of the free parameters, row by row of `free`, in px, m and rad, for a pixel noise of `noise`
+    noise         px, standard deviation of one coordinate, from the weighted residuals and the redundancy
+    cost          px2, half the sum of squares where all residuals are within the scale of the loss, priors included
+    steps         how many steps were tried
+    converged     whether the last step no longer changed the cost
+    """
+
+    cameras: tuple[Camera, ...]
+    rotations: Floats
+    translations: Floats
+    residuals: Floats
+    weights: Floats
+    free: Bools
+    covariance: Floats
+    noise: float
+    cost: float
+    steps: int
+    converged: bool
+
+    @property
+    def sigma(self) -> Floats:
+        """(C, 15) standard deviation of each camera parameter, NaN where it was fixed."""
+        sigma = np.full(self.free.shape, np.nan)
+        sigma[self.free] = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return sigma
+
+    @property
+    def rms(self) -> float:
+        """px, the reprojection error over all sightings: root of the mean squared distance."""
+        return rms(self.residuals)
+
+
+def rms(residuals: Floats) -> float:
+    """The root of the mean squared length of residuals (n, 2), px; rows with NaN do not count."""
+    square = np.square(residuals).sum(axis=1)
+    square = square[np.isfinite(square)]
+    return float(np.sqrt(square.mean())) if len(square) else float("nan")
+
+
+def free_parameters(cameras: int, *groups: str) -> Bools:
+    """(cameras, 15) bool: these groups freed for every camera: pose, focal, aspect, centre, k1, k2, k3, tangential."""
+    free = np.zeros((cameras, len(PARAMETERS)), dtype=bool)
+    for group in groups:
+        free[:, _GROUPS[group]] = True
+    return free
+
+
+def adjust(
+    cameras: Sequence[Camera],
+    template: ArrayLike,
+    sightings: Sightings,
+    rotations: Floats,
+    translations: Floats,
+    *,
+    free: ArrayLike | None = None,
+    prior: tuple[Floats, Floats] | None = None,
+    loss: Literal["huber", "cauchy"] = "huber",
+    scale: float = 1.0,
+    tolerance: float = 1e-8,
+    steps: int = 60,
+    covariance: bool = True,
+) -> Adjustment:
+    """Fit cameras and the object's placement in each frame together to what was seen, by least squares of reprojection errors.
+
+    cameras       (C,) where to begin
+    template      (K, 3) m, the object's points in its own axes; in a line, or a single one, are fine
+    sightings     frames are rows of `rotations`; each frame should give at least as many coordinates as its object has freedoms
+    rotations     (T, 3, 3), translations (T, 3) m: world from object, where to begin
+    free          (C, 15) bool in the order of PARAMETERS, by default poses and focal lengths. Where no camera's pose is fixed the first
+                  one's is, since images do not tell where the world begins; for a template of one point the scale is held, too
+    prior         expected values and their standard deviations (C, 15), the latter in px, m, rad per px of noise; inf where nothing is
+                  expected. The expected turns and shifts are those of `cameras` whatever the values say
+    loss, scale   robust loss and where it begins, px: huber grows linearly, cauchy forgets
+    tolerance     ends when a step lowers the cost by less than this share
+
+    Analytic Jacobians, objects eliminated (Schur complement), Marquardt's damping. Cost of a step: O(n + T D^2 F + T D F^2) for F free
+    camera parameters and D freedoms of the object. Raises AsterismError where a frame number is out of range or nothing was seen.
+    """
+    if not len(sightings):
+        raise AsterismError("a bundle adjustment was given no sightings.")
+    if sightings.frame[-1] >= len(rotations) or len(rotations) != len(translations):
+        raise AsterismError(f"sightings name frame {int(sightings.frame[-1])}, but only {len(rotations)} placements were given.")
+    model, turn_back, axes = _own_axes(np.asarray(template, dtype=np.float64).reshape(-1, 3))
+    wanted: Bools = free_parameters(len(cameras), "pose", "focal") if free is None else np.array(free, dtype=bool)
+    state = _State.of(cameras, rotations @ turn_back, translations)
+    _hold_the_world(wanted, state, single=len(axes) == 3)
+    problem = _Problem(model, sightings, wanted, axes, (kernels.HUBER, kernels.CAUCHY)[loss == "cauchy"], float(scale), prior)
+    state, cost, done, converged = _descend(problem, state, tolerance, steps)
+    residuals, weights = problem.miss(state)[:2]
+    redundancy = 2.0 * weights.sum() - wanted.sum() - len(axes) * len(np.unique(sightings.frame))
+    noise = float(np.sqrt(np.nansum(weights * np.square(residuals).sum(axis=1)) / max(redundancy, 1.0)))
+    spread: Floats = np.empty((0, 0))
+    if covariance and problem.unknowns:
+        spread = noise**2 * np.linalg.pinv(problem.normal(state, residuals, weights, 0.0).matrix, hermitian=True)
+    errors = [rms(residuals[sightings.camera == c]) for c in range(len(cameras))]
+    return Adjustment(
+        state.cameras(cameras, errors),
+        state.turned @ turn_back.T,
+        state.placed,
+        residuals,
+        weights,
+        wanted,
+        spread,
+        noise,
+        cost,
+        done,
+        converged,
+    )
+
+
+@dataclass
+class _State:
+    """Cameras and objects as arrays, the adjustment's working copy."""
+
+    lens: Floats
+    rotation: Floats
+    translation: Floats
+    turned: Floats
+    placed: Floats
+
+    @classmethod
+    def of(cls, cameras: Sequence[Camera], turned: Floats, placed: Floats) -> _State:
+        radial = max(3, *(len(camera.radial) for camera in cameras)) if len(cameras) > 1 else max(3, len(cameras[0].radial))
+        lens = np.zeros((len(cameras), 9 + radial))
+        for c, camera in enumerate(cameras):
+            lens[c, : len(camera.lens)] = camera.lens
+        turns, shifts = (np.array([getattr(camera, name) for camera in cameras]) for name in ("rotation", "translation"))
+        return cls(lens, turns, shifts, np.ascontiguousarray(turned), np.array(placed))
+
+    def copy(self) -> _State:
+        return _State(self.lens.copy(), self.rotation.copy(), self.translation.copy(), self.turned.copy(), self.placed.copy())
+
+    def values(self) -> Floats:
+        """(C, 15) in the order of PARAMETERS, turns and shifts 0."""
+        lens = self.lens
+        zero = np.zeros((len(lens), 6))
+        return np.column_stack([zero, lens[:, 0], lens[:, 1] / lens[:, 0], lens[:, 2:4], lens[:, 9:12], lens[:, 4:6]])
+
+    def move_cameras(self, step: Floats) -> None:
+        for c, part in enumerate(step):
+            kernels.turn_by(self.rotation[c], part[0], part[1], part[2], False)
+        self.translation += step[:, 3:6]
+        aspect = self.lens[:, 1] / self.lens[:, 0] + step[:, 7]
+        self.lens[:, 0] += step[:, 6]
+        self.lens[:, 1] = aspect * self.lens[:, 0]
+        self.lens[:, 2:4] += step[:, 8:10]
+        self.lens[:, 9:12] += step[:, 10:13]
+        self.lens[:, 4:6] += step[:, 13:15]
+
+    def cameras(self, before: Sequence[Camera], errors: Sequence[float]) -> tuple[Camera, ...]:
+        u, _, vt = np.linalg.svd(self.rotation)
+        turned = u @ vt
+        return tuple(
+            replace(
+                camera,
+                focal=(float(lens[0]), float(lens[1])),
+                centre=(float(lens[2]), float(lens[3])),
+                rotation=turned[c],
+                translation=self.translation[c],
+                radial=tuple(lens[9 : 9 + max(len(camera.radial), _last_radial(lens))]),
+                tangential=(float(lens[4]), float(lens[5])),
+                error=errors[c],
+                posed=True,
+            )
+            for c, (camera, lens) in enumerate(zip(before, self.lens, strict=True))
+        )
+
+
+@dataclass(frozen=True)
+class _Normal:
+    """The reduced normal equations, and what takes the cameras' step back to the objects."""
+
+    matrix: Floats
+    gradient: Floats
+    reduced: Floats
+    factors: Floats
+    shifted: Floats
+
+
+class _Problem:
+    """What stays the same from step to step."""
+
+    def __init__(
+        self, model: Floats, seen: Sightings, wanted: Bools, axes: Any, kind: int, scale: float, prior: tuple[Floats, Floats] | None
+    ) -> None:
+        self.model, self.seen, self.axes, self.kind, self.scale, self.wanted = model, seen, axes, kind, scale, wanted
+        self.unknowns = int(wanted.sum())
+        self.columns = np.where(wanted, np.cumsum(wanted.ravel()).reshape(wanted.shape) - 1, -1)
+        self.expected = None if prior is None else prior[0]
+        self.stiffness: Floats = np.zeros(wanted.shape) if prior is None else 1.0 / np.square(prior[1])
+
+    def off(self, state: _State, moved: Floats) -> Floats:
+        """(C, 15) how far the cameras are from what was expected; of turns and shifts, how far they have moved."""
+        off: Floats = moved.copy()
+        if self.expected is not None:
+            off[:, 6:] = state.values()[:, 6:] - self.expected[:, 6:]
+        return off
+
+    def miss(self, state: _State) -> tuple[Floats, Floats, float]:
+        """Residuals (n, 2) px, weights (n,), and their cost."""
+        seen = self.seen
+        residuals, weights = np.empty((len(seen), 2)), np.empty(len(seen))
+        cost = kernels.residuals_and_cost(
+            state.lens, state.rotation, state.translation, state.turned, state.placed, self.model,
+            seen.frame, seen.camera, seen.point, seen.xy, self.kind, self.scale, residuals, weights,
+        )  # fmt: skip
+        return residuals, weights, cost
+
+    def prior_cost(self, off: Floats) -> float:
+        return 0.5 * float((self.stiffness * np.square(off))[self.wanted].sum())
+
+    def normal(self, state: _State, residuals: Floats, weights: Floats, damping: float) -> _Normal:
+        """Gauss-Newton's equations, damped; without the gradient of the priors."""
+        seen, dof, frames = self.seen, len(self.axes), len(state.placed)
+        blocks = np.zeros((len(state.lens), len(PARAMETERS), len(PARAMETERS)))
+        gradient = np.zeros(self.unknowns)
+        reduced, factors, shifted = np.zeros((frames, dof, self.unknowns)), np.zeros((frames, dof, dof)), np.zeros((frames, dof))
+        starts = np.searchsorted(seen.frame, np.arange(frames + 1))
+        kernels.linearise(
+            state.lens, state.rotation, state.translation, state.turned, state.placed, self.model, starts, seen.camera, seen.point,
+            residuals, weights, self.columns, self.axes, damping, blocks, gradient, reduced, factors, shifted,
+        )  # fmt: skip
+        flat = reduced.reshape(frames * dof, self.unknowns)
+        matrix = -(flat.T @ flat)
+        for c, own in enumerate(self.wanted):
+            at = self.columns[c, own]
+            block = blocks[c][np.ix_(own, own)] + np.diag(self.stiffness[c, own])
+            matrix[np.ix_(at, at)] += block + damping * np.diag(np.diag(block))
+        return _Normal(matrix, gradient - flat.T @ shifted.ravel(), reduced, factors, shifted)
+
+
+def _descend(problem: _Problem, state: _State, tolerance: float, steps: int) -> tuple[_State, float, int, bool]:
+    """Levenberg-Marquardt until a step changes nothing."""
+    damping, moved = 1e-3, np.zeros(problem.wanted.shape)
+    residuals, weights, cost = problem.miss(state)
+    off = problem.off(state, moved)
+    cost += problem.prior_cost(off)
+    done = 0
+    while done < steps and damping < _HOPELESS:
+        done += 1
+        normal = problem.normal(state, residuals, weights, damping)
+        try:
+            move = (
+                np.linalg.solve(normal.matrix, normal.gradient - (problem.stiffness * off)[problem.wanted])
+                if problem.unknowns
+                else np.zeros(0)
+            )
+        except np.linalg.LinAlgError:
+            damping *= _RAISED
+            continue
+        step = np.zeros(problem.wanted.shape)
+        step[problem.wanted] = move
+        trial = state.copy()
+        trial.move_cameras(step)
+        kernels.move_objects(trial.turned, trial.placed, normal.factors, normal.shifted - normal.reduced @ move, problem.axes)
+        if not (np.isfinite(step).all() and (trial.lens[:, :2] > 1.0).all()):
+            damping *= _RAISED
+            continue
+        new_residuals, new_weights, new_cost = problem.miss(trial)
+        new_off = problem.off(trial, moved + step)
+        new_cost += problem.prior_cost(new_off)
+        if not new_cost <= cost:
+            if new_cost - cost <= tolerance * cost:
+                return state, cost, done, True
+            damping *= _RAISED
+            continue
+        gain, moved = cost - new_cost, moved + step
+        state, residuals, weights, cost, off = trial, new_residuals, new_weights, new_cost, new_off
+        if gain <= tolerance * cost:
+            return state, cost, done, True
+        damping = max(damping * _LOWERED, 1e-12)
+    return state, cost, done, False
+
+
+def _hold_the_world(wanted: Bools, state: _State, single: bool) -> None:
+    """Fix what no image tells: where the world begins and how it is turned, and its size where the object is a single point."""
+    if not wanted[:, :6].any(axis=1).all():
+        return
+    wanted[0, :6] = False
+    if single and len(wanted) > 1:
+        places = -np.einsum("cji,cj->ci", state.rotation, state.translation)
+        baseline = np.einsum("cij,cj->ci", state.rotation, places - places[0])
+        c, axis = np.unravel_index(np.argmax(np.abs(baseline)), baseline.shape)
+        wanted[c, 3 + axis] = False
+
+
+def _own_axes(template: Floats) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    """The template turned so that a line lies along x: its points, the rotation (3, 3) back, and which of its six parameters show."""
+    spread = template - template.mean(axis=0)
+    _, sizes, vt = np.linalg.svd(spread, full_matrices=True)
+    if len(template) == 1 or sizes[0] < 1e-12:
+        return template, np.eye(3), np.array([3, 4, 5])
+    if len(template) > 2 and sizes[1] > 1e-9 * sizes[0]:
+        return template, np.eye(3), np.arange(6)
+    axes = vt if np.linalg.det(vt) > 0 else vt * np.array([[1.0], [1.0], [-1.0]])
+    return template @ axes.T, np.ascontiguousarray(axes.T), np.array([1, 2, 3, 4, 5])
+
+
+def _last_radial(lens: Floats) -> int:
+    there = np.nonzero(lens[9:])[0]
+    return int(there[-1]) + 1 if len(there) else 0
