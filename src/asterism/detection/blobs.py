@@ -1,0 +1,208 @@
+"""A grey image in; the bright blobs in it out: places, sizes, shapes, and what is doubtful about each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import IntFlag
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from asterism.detection import _kernels
+from asterism.errors import AsterismError
+from asterism.recording import Floats
+
+Grey = NDArray[np.unsignedinteger[Any]]
+
+
+class Flag(IntFlag):
+    """What may be wrong with a blob."""
+
+    AT_BORDER = _kernels.AT_BORDER
+    """Touches the image's border: part of it is missing, its centroid is drawn inwards."""
+    SATURATED = _kernels.SATURATED
+    """Has pixels at the end of the grey scale."""
+    OVERLAPPING = _kernels.OVERLAPPING
+    """Split from a neighbour that it overlaps."""
+    UNROUND = _kernels.UNROUND
+    """Longer than round markers are: two that overlap without a valley between them, one that moves fast, or no marker."""
+
+
+@dataclass(frozen=True)
+class Spots:
+    """The blobs of one image, in the order of their first pixel.
+
+    xy         (N, 2) px, intensity-weighted centroids; the centre of the top left pixel is (0, 0)
+    size       (N,) px, diameter of the circle of as many pixels as are above the threshold
+    roundness  (N,) shorter over longer axis, by second moments: 1 is a disc
+    peak       (N,) grey value of the brightest pixel
+    weight     (N,) sum of the grey values above the base
+    flags      (N,) sums of `Flag`
+    """
+
+    xy: Floats
+    size: Floats
+    roundness: Floats
+    peak: Floats
+    weight: Floats
+    flags: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+
+def find_blobs(
+    image: ArrayLike,
+    *,
+    threshold: float | None = None,
+    background: ArrayLike | int | None = None,
+    mask: ArrayLike | None = None,
+    weigh_from: str = "threshold",
+    connectivity: int = 8,
+    min_size: float = 2.0,
+    max_size: float = 64.0,
+    min_roundness: float = 0.0,
+    round_from: float = 0.6,
+    split: float = 0.2,
+) -> Spots:
+    """Bright blobs of a grey image: pixels above a threshold that touch, their weighted centroids, shapes and doubts.
+
+    image          (H, W) uint8 or uint16
+    threshold      grey values above the background that a pixel must exceed; None: `automatic_threshold`
+    background     what is dark: an image of the empty scene, or an odd number of pixels: then it is the mean of so many by so many pixels
+                   around each; None: 0 everywhere
+    mask           (H, W) bool, True where nothing is looked for (see `static_mask`)
+    weigh_from     pixels weigh their grey value above the "threshold" (least noise) or above the "background"
+    connectivity   8: pixels that share a corner belong together; 4: a side
+    min_size       px, smaller blobs are left out; so are those larger than max_size, such as windows and lamps
+    min_roundness  blobs less round than this are left out, those less round than round_from flagged
+    split          two peaks in one blob are two blobs where the saddle between them lies this share of the lower peak below it; 1: never
+
+    Raises AsterismError for colour or other kinds of image, and for settings out of range.
+    """
+    grey = as_grey(image)
+    _check(connectivity, min_size, max_size, split, weigh_from)
+    level, base = _levels(grey, threshold, background)
+    if mask is not None:
+        hidden = np.asarray(mask, dtype=bool)
+        if hidden.shape != grey.shape:
+            raise AsterismError(f"the mask is {_shape(hidden)}, the image {_shape(grey)}; learn it from images of this camera.")
+        level[hidden] = np.iinfo(grey.dtype).max
+    height, width = grey.shape
+    capacity = height * ((width + 1) // 2)
+    rows, firsts, lasts, parents = (np.empty(capacity, np.int32) for _ in range(4))
+    count = _kernels.find_runs(grey, level, int(connectivity == 8), rows, firsts, lasts, parents)
+    order, starts = _kernels.by_component(parents, count)
+    bound = int((lasts[:count] - firsts[:count]).sum()) + count
+    out, flags = np.empty((bound, _kernels.COLUMNS)), np.empty(bound, np.uint8)
+    limits = np.array([min_size, max_size]) ** 2 * np.pi / 4
+    base = base if weigh_from == "background" else level
+    top = np.iinfo(grey.dtype).max
+    found = _kernels.measure(grey, base, rows, firsts, lasts, order, starts, limits, split, top, out, flags)
+    return _spots(out[:found], flags[:found], min_roundness, round_from)
+
+
+def automatic_threshold(image: ArrayLike) -> float:
+    """The grey value that stands out from an image's dark: six times its noise above the median, and above 97 of 100 pixels.
+
+    The noise is told from the pixels below the median, which markers do not touch. Every fourth pixel of every fourth row is looked at.
+    """
+    shares = np.cumsum(np.bincount(as_grey(image)[::4, ::4].ravel()))
+    quarter, middle, bright = (float(np.searchsorted(shares, share * shares[-1], side="right")) for share in (0.25, 0.5, 0.97))
+    return max(middle + 6.0 * max((middle - quarter) / 0.6745, 1.0), bright)
+
+
+def static_mask(images: Iterable[ArrayLike], *, threshold: float | None = None, share: float = 0.9, margin: int = 2) -> NDArray[np.bool_]:
+    """Where reflections stand still: True (H, W) within `margin` px of pixels that are above the threshold in this share of the images.
+
+    Markers must move between the images: one that rests in nearly all of them is masked too. Threshold as in `find_blobs`, for each image
+    by itself where None. Raises AsterismError where there is no image, or where their sizes differ.
+    """
+    import cv2
+
+    above: NDArray[np.int64] | None = None
+    total = 0
+    for image in images:
+        grey = as_grey(image)
+        bright = grey > (automatic_threshold(grey) if threshold is None else threshold)
+        if above is not None and above.shape != bright.shape:
+            raise AsterismError(f"an image is {_shape(grey)}, the first one {_shape(above)}; give images of one camera.")
+        above = bright.astype(np.int64) if above is None else above + bright
+        total += 1
+    if above is None:
+        raise AsterismError("there is no image to learn static reflections from; give some of this camera.")
+    around = np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)
+    return cv2.dilate((above >= share * total).astype(np.uint8), around).astype(bool)
+
+
+def as_grey(image: ArrayLike) -> Grey:
+    """The image as rows of uint8 or uint16. Raises AsterismError for anything else; colour images whose channels agree are grey."""
+    grey = np.asarray(image)
+    if grey.ndim == 3 and grey.shape[2] in (3, 4) and (grey[..., 0] == grey[..., 1]).all() and (grey[..., 0] == grey[..., 2]).all():
+        grey = grey[..., 0]
+    if grey.ndim != 2 or not grey.size:
+        raise AsterismError(f"an image of shape {grey.shape} is no grey image; give rows and columns of grey values.")
+    if grey.dtype not in (np.uint8, np.uint16):
+        raise AsterismError(f"an image of {grey.dtype} values; give 8 or 16 bit grey values without sign.")
+    return np.ascontiguousarray(grey)
+
+
+def _check(connectivity: int, min_size: float, max_size: float, split: float, weigh_from: str) -> None:
+    if connectivity not in (4, 8):
+        raise AsterismError(f"connectivity {connectivity} is not known; choose 4 or 8.")
+    if not 0 <= min_size <= max_size:
+        raise AsterismError(f"blobs of {min_size} to {max_size} px cannot be; give a smallest size not above the largest.")
+    if not split > 0:
+        raise AsterismError(f"split {split} is not positive; give a share such as 0.2, or 1 to leave overlapping blobs as they are.")
+    if weigh_from not in ("threshold", "background"):
+        raise AsterismError(f"pixels cannot weigh from {weigh_from!r}; choose 'threshold' or 'background'.")
+
+
+def _levels(grey: Grey, threshold: float | None, background: ArrayLike | int | None) -> tuple[Grey, Grey]:
+    """Per pixel the grey value that must be exceeded, and the background, both of the image's type."""
+    if background is None:
+        base = np.zeros_like(grey)
+    elif isinstance(background, int | np.integer):
+        if background < 3 or background % 2 == 0:
+            raise AsterismError(f"a background of {background} pixels; give an odd number from 3 on.")
+        import cv2
+
+        base = cv2.blur(grey, (int(background), int(background)))
+    else:
+        base = as_grey(background)
+        if base.shape != grey.shape or base.dtype != grey.dtype:
+            raise AsterismError(
+                f"the background is {_shape(base)} {base.dtype}, the image {_shape(grey)} {grey.dtype}; give one of this camera."
+            )
+    most = int(np.iinfo(grey.dtype).max)
+    if threshold is None:
+        threshold = automatic_threshold(grey if background is None else np.where(grey > base, grey - base, 0).astype(grey.dtype))
+        threshold = min(threshold, most - 1)
+    if not 0 <= threshold < most:
+        raise AsterismError(f"threshold {threshold} is outside the grey scale; give 0 to {most - 1} for images of {grey.dtype}.")
+    if background is None:
+        return np.full_like(grey, int(threshold)), base
+    return np.minimum(base.astype(np.uint32) + int(threshold), most).astype(grey.dtype), base
+
+
+def _spots(rows: Floats, flags: NDArray[np.uint8], min_roundness: float, round_from: float) -> Spots:
+    """Blobs from the kernel's rows: axes from second moments, to which each pixel's own extent adds 1/12 px2."""
+    xx, yy, xy = rows[:, _kernels.XX] + 1 / 12, rows[:, _kernels.YY] + 1 / 12, rows[:, _kernels.XY]
+    half, apart = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    roundness = np.sqrt(np.maximum(half - apart, 0.0) / (half + apart))
+    keep = roundness >= min_roundness
+    flags = flags | np.where(roundness < round_from, np.uint8(Flag.UNROUND), np.uint8(0))
+    return Spots(
+        rows[keep][:, [_kernels.X, _kernels.Y]],
+        2.0 * np.sqrt(rows[keep, _kernels.AREA] / np.pi),
+        roundness[keep],
+        rows[keep, _kernels.PEAK],
+        rows[keep, _kernels.WEIGHT],
+        flags[keep],
+    )
+
+
+def _shape(image: NDArray[Any]) -> str:
+    return f"{image.shape[1]} x {image.shape[0]}"

@@ -1,0 +1,176 @@
+"""Blobs in images: the kernel against OpenCV, centroids against rendered truth, and images that are none."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from asterism.detection import Flag, automatic_threshold, find_blobs, static_mask
+from asterism.errors import AsterismError
+
+
+def discs(places: np.ndarray, diameter: float = 8.0, shape: tuple[int, int] = (240, 320), **light: float) -> np.ndarray:
+    """An image of soft-edged discs (y down, x right) on a dark noisy ground; light: peak, dark, noise, seed, top."""
+    ys, xs = np.mgrid[: shape[0], : shape[1]]
+    image = np.zeros(shape)
+    for x, y in places:
+        away = np.hypot(xs - x, ys - y) - diameter / 2
+        image = np.maximum(image, light.get("peak", 180.0) / (1 + np.exp(np.clip(away / 0.4, -50, 50))))
+    rng = np.random.default_rng(int(light.get("seed", 0)))
+    image += light.get("dark", 10.0) + rng.normal(0, light.get("noise", 2.0), shape)
+    top = light.get("top", 255.0)
+    return np.clip(np.rint(image), 0, top).astype(np.uint8 if top <= 255 else np.uint16)
+
+
+def apart(count: int, seed: int, distance: float = 20.0, shape: tuple[int, int] = (240, 320)) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    places: list[np.ndarray] = []
+    while len(places) < count:
+        place = rng.uniform(15, np.array(shape[::-1]) - 15)
+        if all(np.hypot(*(place - other)) > distance for other in places):
+            places.append(place)
+    return np.array(places)
+
+
+def off(found: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """How far the nearest found blob is from each place, px."""
+    return np.linalg.norm(places[:, None] - found[None], axis=2).min(axis=1)
+
+
+@given(
+    st.integers(0, 10_000), st.integers(1, 40), st.integers(1, 200), st.floats(0.02, 0.7), st.sampled_from([4, 8]), st.sampled_from([8, 16])
+)
+@settings(max_examples=80, deadline=None)
+def test_components_equal_opencv(seed: int, height: int, width: int, share: float, connectivity: int, bits: int) -> None:
+    rng = np.random.default_rng(seed)
+    image = (rng.integers(0, 2**bits, (height, width)) * (rng.random((height, width)) < share)).astype(f"uint{bits}")
+    threshold = 2 ** (bits - 2)
+    found = find_blobs(image, threshold=threshold, connectivity=connectivity, min_size=0, max_size=1e4, split=1.0)
+
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((image > threshold).astype(np.uint8), connectivity=connectivity)
+    weights = np.maximum(image.astype(float) - threshold, 0).ravel()
+    ys, xs = (axis.ravel() for axis in np.indices(image.shape))
+    total, x, y = (np.bincount(labels.ravel(), weights * w, count)[1:] for w in (1.0, xs, ys))
+    expected = np.column_stack([x / total, y / total, stats[1:, cv2.CC_STAT_AREA], total])
+    measured = np.column_stack([found.xy, np.pi * found.size**2 / 4, found.weight])
+    assert len(found) == count - 1
+    assert np.allclose(np.sort(measured, axis=0), np.sort(expected, axis=0), rtol=1e-9, atol=1e-9)
+    assert np.allclose(measured[np.lexsort(measured.T)], expected[np.lexsort(expected.T)], rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("top", [255.0, 65535.0])
+def test_centroids_of_rendered_markers(top: float) -> None:
+    places = apart(40, 1)
+    grey = top / 255
+    found = find_blobs(discs(places, top=top, peak=180 * grey, dark=10 * grey, noise=2 * grey))
+    rms = np.sqrt((off(found.xy, places) ** 2).mean() / 2)
+    assert len(found) == 40
+    assert rms < 0.02, f"{rms:.3f} px RMS per axis, allowed 0.02"
+    assert np.abs(found.size - 8.0).max() < 1.5
+    assert found.roundness.min() > 0.9
+    assert not found.flags.any()
+
+
+def test_a_shifted_image_has_shifted_blobs() -> None:
+    """The other way round too: what is found follows the image, it is not made up."""
+    image = discs(apart(10, 2))
+    before, after = find_blobs(image, threshold=60), find_blobs(np.roll(image, (3, -2), axis=(0, 1)), threshold=60)
+    assert np.allclose(after.xy, before.xy + np.array([-2, 3]), atol=1e-12)
+
+
+@pytest.mark.parametrize("distance", [7.2, 8.0, 10.0])
+def test_overlapping_markers_are_split(distance: float) -> None:
+    """Discs of 8 px that overlap or touch, in all directions: both are found and said to overlap."""
+    for turn in np.linspace(0, np.pi, 7):
+        places = 100 + 0.5 * distance * np.array([[np.cos(turn), np.sin(turn)], [-np.cos(turn), -np.sin(turn)]])
+        found = find_blobs(discs(places, seed=int(100 * turn)), threshold=20)
+        assert len(found) == 2, f"{len(found)} blobs at {np.degrees(turn):.0f} degrees"
+        assert off(found.xy, places).max() < 0.5, f"{off(found.xy, places)} px"
+        assert distance > 8.0 or (found.flags & Flag.OVERLAPPING).all()
+
+
+def test_a_streak_is_flagged_not_split() -> None:
+    streak = discs(100 + np.linspace(-6, 6, 40)[:, None] * [1.0, 0.3])
+    found = find_blobs(streak)
+    assert len(found) == 1
+    assert found.flags[0] & Flag.UNROUND
+    assert len(find_blobs(streak, min_roundness=0.6)) == 0
+
+
+def test_flags_say_what_is_doubtful() -> None:
+    image = discs(np.array([[1.0, 100.0], [100.0, 100.0], [200.0, 100.0]]))
+    image[95:106, 195:206] = np.where(image[95:106, 195:206] > 100, 255, image[95:106, 195:206])
+    found = find_blobs(image)
+    flags = {round(float(x), -1): Flag(int(flag)) & ~Flag.UNROUND for (x, _), flag in zip(found.xy, found.flags, strict=True)}
+    assert flags == {0.0: Flag.AT_BORDER, 100.0: Flag(0), 200.0: Flag.SATURATED}
+
+
+def test_windows_and_hot_pixels_are_left_out() -> None:
+    places = apart(5, 3)
+    places = places[(places[:, 0] < 200)]
+    image = discs(places)
+    image[20:220, 230:310] = 200
+    image[3, 3] = 255
+    assert off(find_blobs(image, threshold=60).xy, places).max() < 0.1
+    assert len(find_blobs(image, threshold=60)) == len(places)
+
+
+def test_uneven_light_is_taken_off() -> None:
+    places = apart(15, 4)
+    image = discs(places, peak=60).astype(float) + np.linspace(0, 120, 320)[None]
+    image = np.clip(image, 0, 255).astype(np.uint8)
+    found = find_blobs(image, background=31, threshold=20)
+    assert len(found) == 15
+    assert off(found.xy, places).max() < 0.3
+    empty = np.broadcast_to(10 + np.linspace(0, 120, 320), (240, 320)).astype(np.uint8)
+    assert off(find_blobs(image, background=empty, threshold=20).xy, places).max() < 0.15
+
+
+def test_static_reflections_are_masked() -> None:
+    still = np.array([[50.0, 60.0], [250.0, 180.0]])
+    frames = [discs(np.concatenate([still, [[20.0 + 14 * k, 120.0]]]), seed=k) for k in range(20)]
+    mask = static_mask(frames)
+    for k, frame in enumerate(frames):
+        found = find_blobs(frame, mask=mask)
+        assert len(found) == 1, f"frame {k}: {len(found)} blobs"
+        assert off(found.xy, np.array([[20.0 + 14 * k, 120.0]])).max() < 0.1
+    assert len(find_blobs(frames[0])) == 3
+
+
+def test_automatic_threshold_stands_between_dark_and_markers() -> None:
+    image = discs(apart(30, 5), dark=30, noise=4)
+    assert 45 < automatic_threshold(image) < 90
+
+
+def test_dark_flat_and_full_images_have_no_blobs() -> None:
+    for value in (0, 7, 255):
+        assert len(find_blobs(np.full((50, 70), value, np.uint8))) == 0
+    assert len(find_blobs(np.zeros((1, 1), np.uint16))) == 0
+
+
+@pytest.mark.parametrize(
+    ("image", "settings", "message"),
+    [
+        (np.zeros((4, 4)), {}, "8 or 16 bit"),
+        (np.zeros((4, 4), np.int16), {}, "8 or 16 bit"),
+        (np.zeros(4, np.uint8), {}, "no grey image"),
+        (np.zeros((0, 4), np.uint8), {}, "no grey image"),
+        (np.dstack([np.eye(4, dtype=np.uint8), *2 * [np.zeros((4, 4), np.uint8)]]), {}, "no grey image"),
+        (np.zeros((4, 4), np.uint8), {"threshold": 255}, "grey scale"),
+        (np.zeros((4, 4), np.uint8), {"threshold": -1}, "grey scale"),
+        (np.zeros((4, 4), np.uint8), {"threshold": np.nan}, "grey scale"),
+        (np.zeros((4, 4), np.uint8), {"connectivity": 6}, "4 or 8"),
+        (np.zeros((4, 4), np.uint8), {"min_size": 5, "max_size": 4}, "smallest"),
+        (np.zeros((4, 4), np.uint8), {"split": 0}, "split"),
+        (np.zeros((4, 4), np.uint8), {"mask": np.zeros((4, 5))}, "mask"),
+        (np.zeros((4, 4), np.uint8), {"background": 4}, "odd"),
+        (np.zeros((4, 4), np.uint8), {"background": np.zeros((5, 4), np.uint8)}, "background"),
+        (np.zeros((4, 4), np.uint8), {"weigh_from": "peak"}, "weigh"),
+    ],
+)
+def test_images_and_settings_that_cannot_be_are_refused(image: np.ndarray, settings: dict, message: str) -> None:
+    with pytest.raises(AsterismError, match=message):
+        find_blobs(image, **settings)
