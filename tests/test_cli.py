@@ -78,7 +78,7 @@ def test_help_loads_no_heavy_room() -> None:
 
 
 def _options(verb: str, capsys: pytest.CaptureFixture[str]) -> set[str]:
-    assert run(verb, "--help") == 0
+    assert run(*verb.split(), "--help") == 0
     text = capsys.readouterr().out
     assert f"Example: asterism {verb}" in text
     return set(re.findall(r"^  (?:-\w, )?(--[a-z-]+)", text, re.MULTILINE)) - {"--help"}

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from asterism.cli import _console
+from asterism.cli import _console, calibrate
 from asterism.cli.audit import audit
 from asterism.cli.capturability import capturability
 from asterism.cli.convert import convert
@@ -70,12 +70,26 @@ _EXAMPLES: dict[Callable[..., None], str] = {
 }
 
 
+_GROUPS: dict[str, tuple[str, dict[Callable[..., None], str]]] = {
+    "calibrate": ("Make the rig of a set of cameras, and mend it.", calibrate.VERBS),
+}
+"""The first words of verbs of two words: their help, their verbs."""
+
+
 def _paragraphs(text: str) -> str:
     return re.sub(r"(?<!\n)\n(?!\n)", " ", cleandoc(text))
 
 
-for _verb, _example in _EXAMPLES.items():
-    app.command(help=_paragraphs(_verb.__doc__ or ""), epilog=f"Example: {_example}")(_verb)
+def _register(group: typer.Typer, verbs: dict[Callable[..., None], str]) -> None:
+    for verb, example in verbs.items():
+        group.command(help=_paragraphs(verb.__doc__ or ""), epilog=f"Example: {example}")(verb)
+
+
+_register(app, _EXAMPLES)
+for _name, (_help, _verbs) in _GROUPS.items():
+    _group = typer.Typer(name=_name, help=_help, rich_markup_mode=None)
+    _register(_group, _verbs)
+    app.add_typer(_group)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -1,8 +1,9 @@
-"""Files in, recordings out, and back: C3D, TRC, CSV, QTM's TSV and MAT, MOT and STO, NPZ; chosen by content and suffix."""
+"""Files in, recordings out and back: C3D, TRC, CSV, QTM's TSV and MAT, MOT and STO, NPZ; chosen by content and suffix. Blobs as 2D CSV."""
 
 from __future__ import annotations
 
 from asterism.formats._dispatch import convert, describe, read, read_clouds, write
+from asterism.formats.csv_blobs import read_blobs, write_blobs
 from asterism.formats.storage import Table, read_table, write_table
 
-__all__ = ["Table", "convert", "describe", "read", "read_clouds", "read_table", "write", "write_table"]
+__all__ = ["Table", "convert", "describe", "read", "read_blobs", "read_clouds", "read_table", "write", "write_blobs", "write_table"]

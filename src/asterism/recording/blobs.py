@@ -22,6 +22,7 @@ class Blobs:
     rate     frames per second
     sizes    (P,) px, diameter of each blob, NaN where unknown
     times    (T, C) s, when each camera took each frame, NaN where it took none; None where all are triggered together
+    first_frame  the number that the file gives frame 0
     """
 
     xy: Floats
@@ -30,6 +31,7 @@ class Blobs:
     rate: float
     sizes: Floats
     times: Floats | None = None
+    first_frame: int = 0
 
     @classmethod
     def from_rows(

@@ -1,0 +1,280 @@
+"""2D CSV, one row per blob (frame, camera, x, y, perhaps size and time): in and out."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.formats._text import cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes, some_of, write_atomically
+from asterism.recording import Blobs, Floats, Ints
+from asterism.recording.arrays import checked_rate
+
+_COLUMNS = {
+    "frame": r"frame([_ ]?(no|number|id|index))?|sync_index",
+    "camera": r"cam(era)?([_ ]?(no|number|id|name|index))?",
+    "x": r"x([_ ]?\(?px\)?)?",
+    "y": r"y([_ ]?\(?px\)?)?",
+    "size": r"(size|diameter)([_ ]?\(?px\)?)?",
+    "time": r"(time|t|frame_time)([_ ]?\(?s\)?)?",
+}
+_WANTED = ("frame", "camera", "x", "y")
+_DEFAULT_RATE = 100.0
+_MOST_EMPTY, _MOST_SPREAD = 5_000_000, 50
+_CLOCK_JITTER = 1e-6
+
+
+def read_blobs(path: str | Path, cameras: Sequence[str] | None = None, rate: float | None = None) -> Blobs:
+    """The blobs of a 2D CSV file with the columns frame, camera, x, y (px) and perhaps size (px) and time (s).
+
+    cameras  names in the rig's order, which the column `camera` calls by name or by number; else the cameras are those that the
+             file mentions
+    rate     frames per second; else what the file's comments say, else what its times tell, else 100
+
+    Frames may start anywhere and be left out: `first_frame` has the first one's number. A row without x and y says that the camera
+    saw nothing. Raises AsterismError, naming file and line, where a column is missing, a cell is no number, a camera is
+    unknown or its number ambiguous, one camera took one frame at two times, or the file breaks off.
+    """
+    path = Path(path)
+    lines = lines_of(decoded(path, read_bytes(path)))
+    comments = dict(re.findall(r"^#\s*(\w+)\s*=\s*(.*?)[\s,;]*$", "\n".join(lines[:20]), re.MULTILINE))
+    start = next((i for i, line in enumerate(lines) if line.strip(" ,;\t") and not line.startswith("#")), len(lines))
+    sheet = _Sheet.opened(path, lines, start)
+    values, names = sheet.values()
+    told = tuple(name for name in comments.get("cameras", "").split("|") if name)
+    order, camera = _cameras(path, names, values[:, 1], told if cameras is None else tuple(cameras), strict=cameras is not None)
+    _refuse(sheet, values[:, 0] != np.round(values[:, 0]), "the frame is no whole number; correct it")
+    _refuse(sheet, np.abs(values[:, 0]) > 2**53, "the frame number is too large; correct it")
+    there = ~np.isnan(values[:, 2:4])
+    said = _whole(comments.get("blobs"), int(there[:, 0].sum()))
+    if said != there[:, 0].sum():
+        raise AsterismError(f"{path} says that it has {said} blobs and has {there[:, 0].sum()}; it was cut off or joined, write it again.")
+    _refuse(sheet, there[:, 0] != there[:, 1], "only one of x and y is given; give both, or neither where the camera saw nothing")
+    _refuse(sheet, np.isinf(values[:, 2:4]).any(axis=1), "a position is infinite; leave the row out")
+    _refuse(sheet, values[:, 4] < 0, "a size is negative; correct it")
+    frames = values[:, 0].astype(np.int64)
+    declared = _whole(comments.get("first_frame"), int(frames.min()) if len(frames) else 0)
+    first = int(frames.min(initial=declared))
+    total = max(int(frames.max(initial=first - 1)) - first + 1, _whole(comments.get("frames"), 0))
+    if total * len(order) > _MOST_SPREAD * len(values) + _MOST_EMPTY:
+        raise AsterismError(f"{path}: frame numbers run from {first} to {first + total - 1} for {len(values)} rows; mend the column frame.")
+    times = _times(sheet, values[:, 5], frames - first, camera, total, len(order))
+    seen = there.all(axis=1)
+    blobs = Blobs.from_rows(
+        frames[seen] - first,
+        camera[seen],
+        values[seen, 2:4],
+        order,
+        rate=checked_rate(rate) if rate is not None else _rate(comments.get("rate"), times),
+        sizes=values[seen, 4],
+        frames=total,
+        times=times,
+    )
+    return replace(blobs, first_frame=first)
+
+
+def write_blobs(blobs: Blobs, path: str | Path) -> None:
+    """Write blobs as 2D CSV, 17 digits: they come back as they were. Raises AsterismError where the file cannot be written."""
+    path = Path(path)
+    spoilt = next((name for name in blobs.cameras if re.search(r'[,;\t"|\r\n]', name) or name != name.strip()), None)
+    if spoilt is not None:
+        raise AsterismError(f"{path}: the camera {spoilt!r} has a comma, bar, quote or blank in its name that CSV cannot carry; rename it.")
+    sized = bool(np.isfinite(blobs.sizes).any())
+    head = [f"# rate={blobs.rate!r}", f"# frames={len(blobs)}", f"# first_frame={blobs.first_frame}", f"# blobs={len(blobs.xy)}"]
+    head += [f"# cameras={'|'.join(blobs.cameras)}"]
+    head += [",".join(["frame", "camera", "x", "y", *(["size"] if sized else []), *(["time"] if blobs.times is not None else [])])]
+    names = [blobs.cameras[c] for c in blobs.camera_of]
+    frame, camera = blobs.frame_of, blobs.camera_of
+    cells = [(frame + blobs.first_frame).tolist(), names, blobs.xy[:, 0].tolist(), blobs.xy[:, 1].tolist()]
+    pattern = "%d,%s,%.17g,%.17g"
+    if sized:
+        cells.append(["" if size != size else repr(size) for size in blobs.sizes.tolist()])
+        pattern += ",%s"
+    if blobs.times is not None:
+        cells.append([_time(time) for time in blobs.times[frame, camera].tolist()])
+        pattern += ",%s"
+    rows = [pattern % row for row in zip(*cells, strict=True)]
+    if blobs.times is not None:
+        empty = np.argwhere((blobs.counts == 0) & np.isfinite(blobs.times))
+        gap = ",,,," if sized else ",,,"
+        rows += [f"{t + blobs.first_frame},{blobs.cameras[c]}{gap}{_time(float(blobs.times[t, c]))}" for t, c in empty.tolist()]
+    write_atomically(path, ("\n".join([*head, *rows]) + "\n").encode())
+
+
+def is_blobs(lines: Sequence[str]) -> bool:
+    """Whether a header has one column each for frame, camera, x and y."""
+    header = next((line for line in lines if line.strip(" ,;\t") and not line.startswith("#")), "")
+    return set(_WANTED) <= set(_columns(cells_of(header, delimiter_of(header))))
+
+
+def _columns(names: Sequence[str]) -> list[str]:
+    return [next((key for key, pattern in _COLUMNS.items() if re.fullmatch(pattern, name.casefold())), "") for name in names]
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """The rows of one file below its header; `place` is the column of each of our six, -1 where there is none."""
+
+    path: Path
+    lines: list[str]
+    header: int
+    delimiter: str | None
+    place: tuple[int, ...]
+    width: int
+
+    @classmethod
+    def opened(cls, path: Path, lines: list[str], header: int) -> _Sheet:
+        if header >= len(lines):
+            raise AsterismError(f"{path} ends before its column names; export it again.")
+        delimiter = delimiter_of(lines[header])
+        names = cells_of(lines[header], delimiter)
+        kinds = _columns(names)
+        missing = [key for key in _WANTED if key not in kinds]
+        if missing:
+            raise AsterismError(f"{path}, line {header + 1}: no column {', '.join(missing)} among {some_of(names)}; add it to the header.")
+        twice = next((key for key in _COLUMNS if kinds.count(key) > 1), None)
+        if twice:
+            raise AsterismError(f"{path}, line {header + 1}: two columns are the {twice}; rename or remove one.")
+        place = tuple(kinds.index(key) if key in kinds else -1 for key in _COLUMNS)
+        return cls(path, lines, header, delimiter, place, len(names))
+
+    def values(self) -> tuple[Floats, list[str]]:
+        """(rows, 6): frame, camera (its place among the names that the file uses), x, y, size, time, NaN where blank; and these names."""
+        try:
+            return self._fast()
+        except (ValueError, UnicodeDecodeError):
+            return self._careful()
+
+    def _fast(self) -> tuple[Floats, list[str]]:
+        """All cells at once, where each is blank, a number or a camera's name; else ValueError."""
+        known: dict[str, int] = {}
+        used = [column for column in self.place if column >= 0]
+        body = [line for line in self.lines[self.header + 1 :] if line]
+        text = "\n".join(body)
+        mark = self.delimiter
+        if '"' in text or (mark is not None and text.count(mark) != len(body) * (self.width - 1)):
+            raise ValueError
+        if mark is not None:
+            text = text.replace(",", ".") if mark == ";" else text
+            for _ in range(2):
+                text = text.replace(mark + mark, f"{mark}nan{mark}")
+            text = f"{text}\n".replace(f"{mark}\n", f"{mark}nan\n")
+        out = np.full((len(body), 6), np.nan)
+        if len(out):
+            out[:, [i for i, column in enumerate(self.place) if column >= 0]] = np.loadtxt(
+                io.StringIO(text),
+                delimiter=mark,
+                usecols=used,
+                comments=None,
+                ndmin=2,
+                encoding="utf-8",
+                converters={self.place[1]: lambda cell: known.setdefault(cell.strip(), len(known))},
+            )
+        if "nan" in known or not np.isfinite(out[:, 0]).all():
+            raise ValueError
+        return out, list(known)
+
+    def _careful(self) -> tuple[Floats, list[str]]:
+        """Row by row, with blanks; every cell that cannot be is named."""
+        known: dict[str, int] = {}
+        rows = []
+        header = _columns(cells_of(self.lines[self.header], self.delimiter))
+        for i in self.rows():
+            line = self.lines[i]
+            cells = cells_of(line.replace(",", ".") if self.delimiter == ";" else line, self.delimiter)
+            where = f"{self.path}, line {i + 1}"
+            if len(cells) <= max(self.place):
+                raise AsterismError(f"{where}: {len(cells)} cells, {self.width} in the header; the file breaks off, write it again.")
+            if any(cells[self.width :]):
+                raise AsterismError(f"{where}: {len(cells)} cells where the header has {self.width}; mend this line or the header.")
+            row = [number_of(cells[k]) if k >= 0 else float("nan") for k in self.place]
+            name = cells[self.place[1]]
+            row[1] = known.setdefault(name, len(known))
+            wrong = next((k for k, value in enumerate(row) if value is None or (k == 0 and value != value) or (k == 1 and not name)), None)
+            if wrong is not None and _columns(cells) == header:
+                raise AsterismError(f"{where}: the header comes a second time, two files were joined; give them one after the other.")
+            if wrong is not None:
+                what = cells[self.place[wrong]]
+                raise AsterismError(
+                    f"{where}: {what[:30]!r} is no {'camera' if wrong == 1 else 'number'} ({list(_COLUMNS)[wrong]}); correct it."
+                )
+            rows.append(row)
+        return np.array(rows, dtype=np.float64).reshape(-1, 6), list(known)
+
+    def rows(self) -> list[int]:
+        """The places of the lines that hold a row."""
+        return [i for i in range(self.header + 1, len(self.lines)) if self.lines[i].strip(" ,;\t")]
+
+
+def _refuse(sheet: _Sheet, wrong: Any, why: str) -> None:
+    if wrong.any():
+        raise AsterismError(f"{sheet.path}, line {sheet.rows()[int(np.argmax(wrong))] + 1}: {why}.")
+
+
+def _cameras(path: Path, used: list[str], place: Floats, names: tuple[str, ...], strict: bool) -> tuple[tuple[str, ...], Ints]:
+    """The cameras' names in order, and for each row its camera; `strict`: the names are all that there are."""
+    plain = [str(int(float(name))) if re.fullmatch(r"\d{1,9}(\.0*)?", name) else name for name in used]
+    if not strict:
+        named = [name for name in plain if name not in names]
+        names = (*names, *sorted(dict.fromkeys(named), key=lambda name: [(len(d), d) if d.isdigit() else (0, d) for d in _pieces(name)]))
+    elif not all(name in names for name in plain):
+        strangers = [name for name in plain if name not in names]
+        numbers = [int(name) for name in plain if name.isdigit()]
+        if len(numbers) < len(plain) or max(numbers) > len(names):
+            unknown = next((name for name in strangers if not name.isdigit()), strangers[0])
+            raise AsterismError(f"{path}: there is no camera {unknown[:40]}; the rig has {some_of(names, 12)}.")
+        if 0 in numbers and len(names) in numbers:
+            raise AsterismError(f"{path}: cameras are numbered 0 to {len(names)}, one more than the rig has ({some_of(names, 12)}).")
+        if 0 not in numbers and len(names) not in numbers:
+            raise AsterismError(
+                f"{path}: cameras are numbered {min(numbers)} to {max(numbers)} and the rig has {len(names)}: it cannot be told whether "
+                "they count from 0 or from 1; name them as the rig does."
+            )
+        plain = [names[number - (0 not in numbers)] for number in numbers]
+    if not names:
+        raise AsterismError(f"{path} has no rows; record or detect again.")
+    index = {name: i for i, name in enumerate(names)}
+    lookup = np.array([index[name] for name in plain], dtype=np.int64)
+    return names, lookup[place.astype(np.int64)] if len(place) else np.empty(0, dtype=np.int64)
+
+
+def _pieces(name: str) -> list[str]:
+    return [piece for piece in re.split(r"(\d+)", name) if piece]
+
+
+def _times(sheet: _Sheet, stamps: Floats, frame: Ints, camera: Ints, frames: int, cameras: int) -> Floats | None:
+    if not np.isfinite(stamps).any():
+        return None
+    times = np.full(frames * cameras, np.nan)
+    cell, told = frame * cameras + camera, np.isfinite(stamps)
+    times[cell[told][::-1]] = stamps[told][::-1]
+    differs = told & (np.abs(times[cell] - stamps) > _CLOCK_JITTER)
+    _refuse(sheet, differs, "the camera took this frame at two different times; mend the column time")
+    return times.reshape(frames, cameras)
+
+
+def _rate(said: str | None, times: Floats | None) -> float:
+    number = number_of(said or "")
+    if number is not None and 0 < number < 1e6:
+        return float(number)
+    if times is not None:
+        with np.errstate(invalid="ignore"):
+            steps = np.diff(times, axis=0)
+            steps = steps[steps > 0]
+        if len(steps):
+            return float(f"{1.0 / np.median(steps):.6g}")
+    return _DEFAULT_RATE
+
+
+def _whole(text: str | None, otherwise: int) -> int:
+    return int(text) if text is not None and re.fullmatch(r"-?\d{1,9}", text) else otherwise
+
+
+def _time(time: float) -> str:
+    return "" if time != time else repr(time)
