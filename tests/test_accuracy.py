@@ -130,8 +130,9 @@ def test_a_ring_meets_and_covers_the_middle() -> None:
     assert (volume.high > [1, 1, 1.5]).all()
     result = map_rig(rig)
     assert result.coverage(3) > 0.6
-    # 0.3 px are 1.1 mm in one camera 4 m away; eight of them, each blind along its line of sight, leave 1.1 sqrt(3 / (8 * 2 / 3)) = 0.8 mm
-    assert np.abs(map_rig(rig, Volume.parse("0.5x0.5x1.5"), noise=0.3).median_error - 0.0008) < 0.0001
+    # level cameras around: height from all 8, each horizontal axis from half of them; 0.3 px are 1.1 mm in one camera 4.1 m away
+    level = map_rig(ring_rig(8, radius=4.1, height=0.9, distortion=False), Volume.parse("-0.1:0.1,-0.1:0.1,0.8:1"), noise=0.3)
+    assert np.isclose(level.median_error, 0.3 * 4.1 / (0.86 * 1280) * np.sqrt(1 / 8 + 2 / 4), rtol=0.01)
     assert result.grid(result.seen_by).shape == tuple(len(axis) for axis in result.axes)
 
 
