@@ -2,6 +2,7 @@
 
 from asterism.recording.arrays import Floats, Ints, as_vertical
 from asterism.recording.blobs import Blobs
+from asterism.recording.clock import to_common_clock
 from asterism.recording.clouds import NULL, Clouds, Labelling
 from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, without_subject
 from asterism.recording.trajectories import Event, Recording, keep_labels
@@ -21,5 +22,6 @@ __all__ = [
     "is_unnamed",
     "keep_labels",
     "shipped_marker_sets",
+    "to_common_clock",
     "without_subject",
 ]
