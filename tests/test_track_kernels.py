@@ -120,9 +120,8 @@ def test_the_best_assignment(seed: int) -> None:
     assert np.isclose(total, wanted)
 
 
-@given(seeds)
-@races
-def test_misfits_of_near_rigid_distances(seed: int) -> None:
+def _tracklets_of_one_body(seed):
+    """A rigid body in 24 frames whose tracklets come and go, one of them 3 cm aside: body, xyz, frame, track, label."""
     rng = np.random.default_rng(seed)
     body = rng.normal(0.0, 0.3, (MARKERS, 3))
     label = np.concatenate([np.arange(MARKERS), rng.integers(-1, MARKERS, 6)])
@@ -136,7 +135,24 @@ def test_misfits_of_near_rigid_distances(seed: int) -> None:
             points.append(body[label[j]] + rng.normal(0.0, 0.004, 3) + (0.03 if j == MARKERS else 0.0))
             frames.append(t)
             tracks.append(j)
-    xyz, frame, track = np.array(points), np.array(frames), np.array(tracks)
+    return body, np.array(points), np.array(frames), np.array(tracks), label
+
+
+@given(seeds)
+@races
+def test_misfits_of_near_rigid_distances(seed: int) -> None:
+    _, *scene, label = _tracklets_of_one_body(seed)
     out = np.empty(len(label))
-    kernels_of_distances.misfits(xyz, frame, track, label, 24, MARKERS, 0.006, 0.02, 5, 3, 8.0, out)
-    np.testing.assert_allclose(out, twins.misfits(xyz, frame, track, label, MARKERS, 0.006, 0.02, 5, 3, 8.0))
+    kernels_of_distances.misfits(*scene, label, 24, MARKERS, 0.006, 0.02, 5, 3, 8.0, out)
+    np.testing.assert_allclose(out, twins.misfits(*scene, label, MARKERS, 0.006, 0.02, 5, 3, 8.0))
+
+
+@given(seeds, st.floats(0.8, 1.2))
+@races
+def test_distances_that_are_not_those_of_the_training(seed: int, larger: float) -> None:
+    body, *scene, label = _tracklets_of_one_body(seed)
+    apart = np.linalg.norm(body[:, None] - body[None], axis=2) / larger
+    low, high = 0.98 * apart, 1.02 * apart
+    out = np.empty(len(label))
+    kernels_of_distances.foreign_distances(*scene, label, 24, low, high, 0.01, 0.06, 0.02, 5, 3, 8.0, out)
+    np.testing.assert_allclose(out, twins.foreign_distances(*scene, label, 24, low, high, 0.01, 0.06, 0.02, 5, 3, 8.0))

@@ -107,3 +107,39 @@ def misfits(xyz, frame, track, label, markers, noise, rigid, least, partners, mo
         if len(told) >= 2:
             out[j] = np.mean([deviation for _, _, deviation in sorted(told)[:partners]])
     return out
+
+
+def foreign_distances(xyz, frame, track, label, frames, low, high, noise, size, rigid, least, partners, most):
+    """Mean deviation (J,) of each labelled tracklet's near-rigid distances from the training's, for a person of the recording's size."""
+    markers = len(low)
+    at = {(t, label[j]): (place, j) for place, t, j in zip(xyz, frame, track, strict=True) if label[j] >= 0}
+
+    def middle_and_std(m, o, only=None):
+        apart = [
+            np.linalg.norm(at[t, m][0] - at[t, o][0])
+            for t in range(frames)
+            if (t, m) in at and (t, o) in at and (only is None or at[t, m][1] == only)
+        ]
+        if len(apart) < least:
+            return None
+        return np.median(apart), 1.4826 * np.median(np.abs(apart - np.median(apart)))
+
+    ratios = []
+    for m in range(markers):
+        for o in range(m):
+            known = middle_and_std(m, o)
+            if known and high[m, o] - low[m, o] < rigid and known[1] < rigid and known[0] > 5 * rigid:
+                ratios.append(2 * known[0] / (low[m, o] + high[m, o]))
+    scale = np.median(ratios) if len(ratios) >= least else 1.0
+    out = np.full(len(label), np.nan)
+    for j, m in enumerate(label):
+        told = []
+        for o in range(markers if m >= 0 else 0):
+            known = middle_and_std(m, o, j if (track == j).sum() >= least else None) if o != m else None
+            if known and known[1] < rigid:
+                spread = np.sqrt(known[1] ** 2 + noise**2 + (size * known[0]) ** 2)
+                excess = max(scale * low[m, o] - known[0], known[0] - scale * high[m, o], 0.0)
+                told.append((spread, o, min(most, excess / spread)))
+        if len(told) >= 2:
+            out[j] = np.mean([deviation for _, _, deviation in sorted(told)[:partners]])
+    return out

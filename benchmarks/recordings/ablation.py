@@ -11,7 +11,7 @@ import numpy as np
 import asterism
 from asterism.labelling.body.model import BodyRules
 from asterism.labelling.body.subject import SubjectRules
-from asterism.labelling.tracks.joint import Looker, TimeRules
+from asterism.labelling.tracks.scene import Looker, TimeRules
 from asterism.labelling.tracks.whole import Member, label_whole
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 from benchmarks.bench import Bench

@@ -25,7 +25,7 @@ from asterism.labelling.sample import Sample
 from asterism.labelling.solver import person
 from asterism.labelling.tracks.bodies import check_for_one
 from asterism.labelling.tracks.certainty import Certainty
-from asterism.labelling.tracks.joint import Looker, TimeRules
+from asterism.labelling.tracks.scene import Looker, TimeRules
 from asterism.labelling.tracks.whole import Member, label_whole, own_body_gain, subject_body
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording
 

@@ -21,7 +21,7 @@ from asterism.labelling.motion.points import frames_with_motion
 from asterism.labelling.sample import FEWEST_SHOWN, Sample
 from asterism.labelling.solver import person
 from asterism.labelling.tracks.certainty import Certainty, Tried
-from asterism.labelling.tracks.joint import Looker, TimeRules
+from asterism.labelling.tracks.scene import Looker, TimeRules
 from asterism.labelling.tracks.whole import trial
 from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording
 

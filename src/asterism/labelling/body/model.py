@@ -187,7 +187,7 @@ def _pose(placed: Floats, people: Ints, rules: BodyRules) -> tuple[Floats, Float
     between = (own - centre).T @ (own - centre) / len(groups) * (1.0 + rules.person_extra / len(groups))
     mean = centre.reshape(markers, 3)
     apart = mean - mean.mean(axis=0)
-    scale = min(1.0, float(np.sqrt((apart**2).sum(axis=1).mean())) / rules.human)
+    scale = length_scale(mean, rules)
     placement, few, other = scale * rules.placement_std, scale * rules.few_std, scale * rules.other_std
     size = apart.ravel() * rules.size_std
     between += np.outer(size, size) + (few / len(groups)) ** 2 * np.eye(3 * markers)
@@ -195,6 +195,12 @@ def _pose(placed: Floats, people: Ints, rules: BodyRules) -> tuple[Floats, Float
     noise += placement**2 * np.eye(3)
     within = within + other**2 / len(groups) * np.eye(3 * markers)
     return mean, load, noise, within, between + placement**2 * np.eye(3 * markers)
+
+
+def length_scale(mean: Floats, rules: BodyRules) -> float:
+    """What lengths chosen on people are to be multiplied with for a body (M, 3) m: 1, or less where it is smaller."""
+    apart = mean - mean.mean(axis=0)
+    return min(1.0, float(np.sqrt((apart**2).sum(axis=1).mean())) / rules.human)
 
 
 def factors(mean: Floats, covariance: Floats, rules: BodyRules, *, near: bool = False) -> tuple[Floats, Floats]:

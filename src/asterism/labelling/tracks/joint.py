@@ -8,7 +8,7 @@ Some frames are looked at one by one; what the frame-wise look finds there votes
 
 The steps climb: each is the best answer to the others' labels, together they reach a labelling that no relabelling of tracklets improves
 as long as the scores stand. Then the surely labelled tracklets teach the model this subject's own body, and the steps are taken again. At
-last tracklets are doubted whose distances to near-rigid neighbours are not those that their marker has elsewhere in the recording.
+last labels are doubted that do not go with the rest (`doubts.py`).
 """
 
 from __future__ import annotations
@@ -21,85 +21,13 @@ import numpy as np
 from asterism.labelling.body._kernels import BodyArrays
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules, adapt_body
-from asterism.labelling.features import upright
-from asterism.labelling.look import Prepared, Progress
-from asterism.labelling.tracks._distance_kernels import misfits
+from asterism.labelling.look import Progress
 from asterism.labelling.tracks._kernels import gather, margins_of, score_frames
 from asterism.labelling.tracks.assignment import assign_tracklets
 from asterism.labelling.tracks.bodies import body_votes, find_bodies, follow_bodies
-from asterism.labelling.tracks.certainty import beside_spare
-from asterism.labelling.tracks.linking import Tracklets
-from asterism.recording import NULL, Clouds, Floats, Ints
-
-
-@dataclass(frozen=True)
-class TimeRules:
-    """How a whole recording is labelled. Chosen on the gait subjects, each left out in turn (docs/recordings.md).
-
-    look         seconds between the frames that are looked at
-    rounds       relabellings after which the labels are taken as they are
-    least_score  nats that one frame can say against a label (negative)
-    most_score   nats that one frame can say for a label
-    alike        correlation of two looks at one tracklet: many looks are worth 1 / alike independent ones at most
-    long_track   seconds from which a tracklet is too long for a ghost, where the recording shows no long ghosts
-    ghosts_cost  nats that it costs to take a recording for one with ghosts, and again for one with long ghosts
-    vote_limit   nats that one frame-wise look can say for a label
-    sure         nats from which a tracklet's label teaches the model the subject's own body
-    clear        nats; where every tracklet's label has more, the model is not adapted: there is nothing to win
-    rigid        m; two markers are near-rigid where their distance spreads by less in this recording
-    rigid_noise  m that such a distance varies at least
-    misfit       standard deviations that a tracklet's near-rigid distances may be off without being doubted
-    misfit_cost  nats of margin lost for each square of what is beyond that
-    calibrate    how often the model is adapted to the subject's own body; 0 for never
-    """
-
-    look: float = 0.1
-    rounds: int = 4
-    least_score: float = -4.0
-    most_score: float = 15.0
-    alike: float = 0.3
-    long_track: float = 0.9
-    ghosts_cost: float = 30.0
-    vote_limit: float = 10.0
-    sure: float = 6.0
-    clear: float = 15.0
-    rigid: float = 0.02
-    rigid_noise: float = 0.004
-    misfit: float = 1.2
-    misfit_cost: float = 12.0
-    calibrate: int = 2
-
-
-@dataclass(frozen=True)
-class Looker:
-    """One body to be found, and what frames are looked at with to find it."""
-
-    parts: Prepared
-    body: BodyModel
-
-
-@dataclass(frozen=True)
-class Scene:
-    """A recording laid out for the kernels.
-
-    xyz (P, 3) m, z up; offsets (T + 1,); place (P,) each point's place in its frame of the clouds; track (P,); first, last (J,) frames
-    looked (E,) the frames looked at, and their points: seen_xyz (Q, 3), seen_offsets (E + 1,), seen_track (Q,), seen_frame (Q,) of 0..E-1
-    independent (J,) independent looks at each tracklet
-    """
-
-    xyz: Floats
-    offsets: Ints
-    place: Ints
-    track: Ints
-    first: Ints
-    last: Ints
-    rate: float
-    looked: Ints
-    seen_xyz: Floats
-    seen_offsets: Ints
-    seen_track: Ints
-    seen_frame: Ints
-    independent: Floats
+from asterism.labelling.tracks.doubts import riding_along, strange
+from asterism.labelling.tracks.scene import Looker, Scene, TimeRules, marker_starts, own_labels
+from asterism.recording import NULL, Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -114,52 +42,6 @@ class Outcome:
     rival: Ints
     bodies: list[BodyModel]
     stages: dict[str, Ints] = field(default_factory=dict)
-
-
-def lay_out(clouds: Clouds, tracklets: Tracklets, rules: TimeRules) -> Scene:
-    """Order the points of every frame, whatever order they came in, number the tracklets likewise, and choose the frames to look at."""
-    frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
-    xyz = upright(clouds.xyz, clouds.vertical)
-    order = np.lexsort((xyz[:, 1], xyz[:, 0], -xyz[:, 2], frame_of))
-    xyz = np.ascontiguousarray(xyz[order])
-    _, begins, track = np.unique(tracklets.of_point[order], return_index=True, return_inverse=True)
-    rank = np.empty(len(begins), dtype=np.int64)
-    by_first_point = np.argsort(begins)
-    rank[by_first_point] = np.arange(len(begins))
-    track = rank[track]
-    first, last = np.full(len(begins), len(clouds)), np.full(len(begins), -1)
-    np.minimum.at(first, track, frame_of)
-    np.maximum.at(last, track, frame_of)
-
-    step = max(1, round(rules.look * clouds.rate))
-    look = np.zeros(len(clouds), dtype=np.bool_)
-    look[step // 2 :: step] = True
-    if len(look) and not look.any():
-        look[len(look) // 2] = True
-    seen_before = np.concatenate([[0], np.cumsum(look)])
-    unseen = np.nonzero(seen_before[last + 1] == seen_before[first])[0]
-    for j in unseen[np.argsort(last[unseen], kind="stable")]:
-        if not look[first[j] : last[j] + 1].any():
-            look[(first[j] + last[j]) // 2] = True
-    looked = np.nonzero(look)[0]
-    seen = look[frame_of]
-    seen_track = track[seen]
-    looks = np.bincount(seen_track, minlength=len(begins))
-    return Scene(
-        xyz,
-        clouds.offsets,
-        order - clouds.offsets[frame_of],
-        track,
-        first,
-        last,
-        clouds.rate,
-        looked,
-        np.ascontiguousarray(xyz[seen]),
-        np.concatenate([[0], np.cumsum(clouds.counts[looked])]).astype(np.int64),
-        seen_track,
-        np.repeat(np.arange(len(looked)), clouds.counts[looked]),
-        looks / (1.0 + rules.alike * (looks - 1.0)),
-    )
 
 
 def label_scene(
@@ -196,37 +78,11 @@ def label_scene(
         state, bodies = tried, adapted
         stages[f"calibrated {turn + 1}"] = state.label
     report(1.0, "labelled")
-    return Outcome(scene, state.label, state.margin - _doubts(scene, state.label, starts, rules), state.rival, bodies, stages)
-
-
-def _doubts(scene: Scene, label: Ints, starts: Ints, rules: TimeRules) -> Floats:
-    """Nats of margin (J,) that tracklets lose whose near-rigid distances are not those that their markers have elsewhere in the recording.
-
-    A ghost that rides along where a marker is hidden can have the right pose, but hardly the right distances of this very body. Only
-    recordings with points that nobody claims are suspected of ghosts.
-    """
-    off, one = np.zeros(len(label)), np.zeros(len(label))
-    spare = beside_spare(label, scene.first, scene.last)
-    if not spare.any():
-        return off
-    for number in range(len(starts) - 1):
-        own = own_labels(label, starts, number)
-        misfits(
-            scene.seen_xyz,
-            scene.seen_frame,
-            scene.seen_track,
-            own,
-            frames=len(scene.looked),
-            markers=int(starts[number + 1] - starts[number]),
-            noise=rules.rigid_noise,
-            rigid=rules.rigid,
-            least=5,
-            partners=6,
-            most=8.0,
-            out=one,
-        )
-        off = np.maximum(off, one)
-    return rules.misfit_cost * np.maximum(off - rules.misfit, 0.0) ** 2 * (spare > 0)
+    margin = state.margin - riding_along(scene, state.label, starts, rules)
+    for number, (looker, body) in enumerate(zip(lookers, bodies, strict=True)):
+        doubted = strange(looker, body, scene, own_labels(state.label, starts, number), rules, body_rules)
+        margin[doubted] = np.minimum(margin[doubted], -rules.clear)
+    return Outcome(scene, state.label, margin, state.rival, bodies, stages)
 
 
 @dataclass(frozen=True)
@@ -238,16 +94,6 @@ class _State:
     rival: Ints
     poses: list[Ints]
     total: float
-
-
-def marker_starts(lookers: Sequence[Looker]) -> Ints:
-    """Where each body's markers begin among the columns of all bodies, and their number at the end."""
-    return np.concatenate([[0], np.cumsum([looker.parts.body.mean.shape[1] for looker in lookers])]).astype(np.int64)
-
-
-def own_labels(label: Ints, starts: Ints, number: int) -> Ints:
-    """The labels (J,) as one body's markers, -1 for those of others."""
-    return np.where((label >= starts[number]) & (label < starts[number + 1]), label - starts[number], NULL)
 
 
 def _votes_of_one(looker: Looker, scene: Scene, rules: TimeRules, workers: int, report: Progress) -> Floats:

@@ -15,8 +15,9 @@ from asterism.labelling.body.subject import SubjectRules, adapt_body
 from asterism.labelling.look import Progress
 from asterism.labelling.tracks._kernels import score_frames
 from asterism.labelling.tracks.certainty import Certainty, Tried, beside_spare
-from asterism.labelling.tracks.joint import Looker, Outcome, TimeRules, label_scene, lay_out, marker_starts, own_labels
+from asterism.labelling.tracks.joint import Outcome, label_scene
 from asterism.labelling.tracks.linking import find_tracklets
+from asterism.labelling.tracks.scene import Looker, TimeRules, lay_out, marker_starts, own_labels
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
 
 
