@@ -3,39 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from asterism.cameras import Camera, Rig
+from asterism.cameras.aim import looking
 from asterism.errors import AsterismError
 from asterism.recording import Floats
 
 SIZES = ((640, 480), (1280, 720), (1280, 1024), (1920, 1080), (2048, 1088), (2352, 1728))
 TARGET_HEIGHT = 0.9
 """Where cameras look, in metres above the floor."""
-
-
-def looking(
-    position: ArrayLike, target: ArrayLike, roll: float = 0.0, vertical: ArrayLike = (0.0, 0.0, 1.0), turn: ArrayLike = (0.0, 1.0, 0.0)
-) -> tuple[Floats, Floats]:
-    """The pose of a camera at `position` (3,) m that looks at `target` (3,) m: rotation (3, 3) and translation (3,) m, camera from world.
-
-    The image's y points down, then turned by `roll` rad about the line of sight; a camera that looks straight up or down has `turn` up
-    in its image. Raises AsterismError where both places are the same.
-    """
-    position, up = np.asarray(position, dtype=np.float64), np.asarray(vertical, dtype=np.float64)
-    ahead = np.asarray(target, dtype=np.float64) - position
-    length = np.linalg.norm(ahead)
-    if not length > 0:
-        raise AsterismError("a camera cannot look at the place where it stands; move its target.")
-    ahead /= length
-    if np.linalg.norm(np.cross(ahead, up)) < 1e-6:
-        up = np.asarray(turn, dtype=np.float64)
-    right = np.cross(ahead, up)
-    right /= np.linalg.norm(right)
-    down = np.cross(ahead, right)
-    cos, sin = np.cos(roll), np.sin(roll)
-    rotation = np.stack([cos * right + sin * down, cos * down - sin * right, ahead])
-    return rotation, -rotation @ position
 
 
 def ring_rig(

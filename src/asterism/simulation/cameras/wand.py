@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from asterism.cameras import Rig
+from asterism.cameras.accuracy import lines_of_sight_meet, sees
 from asterism.errors import AsterismError
 from asterism.recording import Blobs, Floats, Ints
 from asterism.simulation.cameras.images import images_of
@@ -85,38 +86,33 @@ def wave_wand(
 
 def _seen(rig: Rig, margin: float, rng: np.random.Generator, tries: int = 4000) -> tuple[Floats, NDArray[np.bool_]]:
     """Places (N, 3) m, `margin` m above the floor or more, that at least two cameras see, and which cameras see them, (C, N)."""
+    middle = lines_of_sight_meet(rig)
     eyes = np.stack([camera.position for camera in rig])
-    ahead = np.stack([camera.rotation[2] for camera in rig])
-    # where the lines of sight pass each other, in the sense of least squares
-    aside = np.eye(3) - ahead[:, :, None] * ahead[:, None, :]
-    middle = np.linalg.lstsq(aside.sum(axis=0), np.einsum("cij,cj->i", aside, eyes), rcond=None)[0]
     reach = float(np.median(np.linalg.norm(eyes - middle, axis=1)))
     points = middle + rng.uniform(-0.6, 0.6, (tries, 3)) * reach
     if rig.vertical is not None:
         height = points @ rig.vertical
         floor = min(0.0, float((eyes @ rig.vertical).min()))
         points = points[(height > floor + margin) & (height < floor + 2.3)]
-    sizes = np.array([camera.size or (0, 0) for camera in rig])[:, None]
-    xy = rig.project(points)
-    sees: NDArray[np.bool_] = np.all((xy > 0) & (xy < sizes - 1), axis=2)
-    common = sees.sum(axis=0) >= 2
+    seen = sees(rig, points)
+    common = seen.sum(axis=0) >= 2
     if not common.any():
         raise AsterismError("no volume is seen by two cameras of the rig at once; turn them to one place.")
-    return points[common], sees[:, common]
+    return points[common], seen[:, common]
 
 
-def _tour(places: Floats, sees: NDArray[np.bool_], steps: int, rng: np.random.Generator) -> Floats:
+def _tour(places: Floats, seen: NDArray[np.bool_], steps: int, rng: np.random.Generator) -> Floats:
     """(steps, 3) m: places one after the other, each about 0.9 m from the one before.
 
     A hand goes where it has not been yet, where many cameras look, and most of all before cameras that have seen little so far.
     """
     at = int(rng.integers(len(places)))
-    tour, visited, shown = [places[at]], np.zeros(len(places)), sees[:, at].astype(np.float64)
+    tour, visited, shown = [places[at]], np.zeros(len(places)), seen[:, at].astype(np.float64)
     for _ in range(steps - 1):
         away = np.linalg.norm(places - tour[-1], axis=1)
         visited += np.exp(-0.5 * (away / 0.3) ** 2)
-        wanted = (sees / (1.0 + shown)[:, None]).sum(axis=0) / (1.0 / (1.0 + shown)).sum()
+        wanted = (seen / (1.0 + shown)[:, None]).sum(axis=0) / (1.0 / (1.0 + shown)).sum()
         at = int(np.argmin(visited + 8.0 * (away - 0.9) ** 2 + 0.3 * rng.random(len(places)) - 3.0 * wanted))
         tour.append(places[at])
-        shown += sees[:, at]
+        shown += seen[:, at]
     return np.array(tour)

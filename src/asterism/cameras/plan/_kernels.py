@@ -1,0 +1,62 @@
+"""What each of many cameras would add to a rig. Twin: tests/test_plan.py."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+COVERED = (0.0, 0.1, 0.4, 1.0)
+"""What a place is worth that none, one, two, or three cameras and more see."""
+_NOTHING = np.zeros(6)
+WORST_DECADE, DECADES = -2.0, 2.0
+"""Log10 of the error in metres that is worth nothing, and how many decades less are worth all."""
+
+
+@njit(cache=True, inline="always")
+def _quality(a, b, c, d, e, f):
+    """What precision is worth, 0 to 1, of a point with information ((a, b, c), (b, d, e), (c, e, f)) 1/m2."""
+    aa, dd, ff = d * f - e * e, a * f - c * c, a * d - b * b
+    determinant = a * aa - b * (b * f - c * e) + c * (b * e - c * d)
+    trace = a + d + f
+    if not determinant > 1e-12 * trace * trace * trace:
+        return 0.0
+    worth = (WORST_DECADE - 0.5 * math.log10((aa + dd + ff) / determinant)) / DECADES
+    return min(max(worth, 0.0), 1.0)
+
+
+@njit(cache=True, inline="always")
+def _side(count, told, more):
+    """What a place seen by so many cameras from one side is worth, 0 to 2: that two see it, and how exactly; told + more (6,) 1/m2."""
+    if count < 2:
+        return 0.5 * count
+    return 1.0 + _quality(told[0] + more[0], told[1] + more[1], told[2] + more[2], told[3] + more[3], told[4] + more[4], told[5] + more[5])
+
+
+@njit(cache=True, nogil=True)
+def worth_with(count, facing_count, facing_told, sees, told, faces, mount, out):
+    """The worth of a rig to which each candidate is added, see `Plan`.
+
+    IN  the rig so far: count (P,) cameras that see each place; facing_count (P, D) those on the side of each facing; facing_told
+        (P, D, 6) their information on the place, 1/m2, as xx, xy, xz, yy, yz, zz. Candidates: sees (K, P) bool; told (K, P, 6) 1/m2;
+        faces (M, P, D) bool, whether a mount is on the side of a facing; mount (K,) of each candidate
+    OUT out (K,) 0 to 1
+    O(P D) and, for every candidate, O(what it sees and faces).
+    """
+    places, facings = facing_count.shape
+    so_far, covered_so_far, worth_so_far = np.zeros((places, facings)), 0.0, 0.0
+    for p in range(places):
+        covered_so_far += COVERED[min(count[p], 3)]
+        for d in range(facings):
+            so_far[p, d] = _side(facing_count[p, d], facing_told[p, d], _NOTHING)
+            worth_so_far += so_far[p, d]
+    for k in range(len(out)):
+        covered, sided = covered_so_far, worth_so_far
+        for p in range(places):
+            if sees[k, p]:
+                covered += COVERED[min(count[p] + 1, 3)] - COVERED[min(count[p], 3)]
+                for d in range(facings):
+                    if faces[mount[k], p, d]:
+                        sided += _side(facing_count[p, d] + 1, facing_told[p, d], told[k, p]) - so_far[p, d]
+        out[k] = 0.5 * covered / places + 0.25 * sided / (places * facings)

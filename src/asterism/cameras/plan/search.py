@@ -1,0 +1,244 @@
+"""The search for a rig: greedy, then exchange over a grid of mounts and aims, then a continuous polish. No chance in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.cameras.accuracy import Volume, information, sees
+from asterism.cameras.accuracy.maps import NOISE, STEEPEST
+from asterism.cameras.plan import _kernels
+from asterism.cameras.plan.mounts import Mounts, camera_at
+from asterism.cameras.rig import Rig
+from asterism.errors import AsterismError
+from asterism.recording import Floats, Ints
+
+PLACES, FINE_PLACES, FACINGS = 400, 2000, 6
+CANDIDATES = 2000
+SWEEPS = 4
+GLARE = 0.02
+"""What it costs when every camera has every other one's lamps in its image."""
+STRIDES = (0.6, 0.3, 0.15, 0.07, 0.03)
+"""m, of the polish."""
+MOVES = [(which, sign) for which in (0, 1, 3, 4, 5) for sign in (1.0, -1.0)]
+PAIRS = np.array([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)])
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A proposal, and the ring that the thesis' guidelines (3.2.2) would give, with the same cameras on the same mounts.
+
+    rig, ring              z is up
+    worth, ring_worth      the objective, 0 to 1. Half of it: the share of the places that three cameras see (two count 0.4, one 0.1). A
+                           quarter: the share of markers on a body that two cameras see (one counts half) from the side that they
+                           face, over six horizontal facings. A quarter: the precision of those markers: nothing for an RMS error of
+                           10 mm or unseen, all for 0.1 mm, even steps per factor. Less 0.02 times the share of pairs of cameras of
+                           which one has the other one's lamps in its image
+    glare, ring_glare      how many times one camera has another one in its image
+    """
+
+    rig: Rig
+    ring: Rig
+    worth: float
+    ring_worth: float
+    glare: int
+    ring_glare: int
+
+
+def plan_rig(
+    volume: Volume,
+    cameras: int,
+    size: tuple[int, int],
+    focal: float,
+    *,
+    mounts: Mounts | None = None,
+    noise: float = NOISE,
+    progress: Progress | None = None,
+) -> Plan:
+    """Where to hang cameras of one kind for a volume: coverage by three of them, and the precision that they give (thesis 3.2, 3.3).
+
+    volume  z is up
+    size    px, width and height of each image; focal: px (`focal_length`)
+    mounts  where cameras may hang; by default `Mounts.around(volume)`
+    noise   px, standard deviation of a blob's x and y
+
+    Greedy over a grid of mounts and aims, then cameras are exchanged one by one while that helps, then each is moved and turned
+    continuously; the plain ring is polished too, and the better one is proposed. So it is never worth less than the ring, and three
+    cameras see no less of the volume. The same arguments give the same rig. O(candidates x places x cameras). Raises AsterismError for
+    fewer than two cameras.
+    """
+    if cameras < 2:
+        raise AsterismError("one camera composes nothing: plan at least two.")
+    if min(size) < 1 or not focal > 0 or not noise > 0:
+        raise AsterismError("image size, focal length and noise must be positive.")
+    given = Mounts.around(volume) if mounts is None else mounts
+    coarse, hall = (_Hall(volume, given, size, focal, noise, places) for places in (PLACES, FINE_PLACES))
+
+    def say(fraction: float, doing: str) -> None:
+        if progress is not None:
+            progress(fraction, doing)
+
+    ring = hall.ring(cameras)
+    chosen = coarse.searched(cameras, lambda share: say(0.6 * share, "choosing mounts"))
+    least = hall.covered(ring)
+    polished: list[Floats] = []
+    for start in (chosen, ring):
+        done = 0.6 + 0.2 * len(polished)
+        polished.append(hall.polished(start, least, lambda share, done=done: say(done + 0.2 * share, "polishing")))  # type: ignore[misc]
+    best = max(polished, key=lambda poses: hall.worth(poses, least))
+    best = best[np.argsort([_azimuth(given.position(pose[:3]), hall.centre) for pose in best], kind="stable")]
+    glare = hall.glare(best), hall.glare(ring)
+    return Plan(hall.rig(best), hall.rig(ring), hall.worth(best), hall.worth(ring), *glare)
+
+
+def _azimuth(position: Floats, centre: Floats) -> float:
+    return float(np.arctan2(position[1] - centre[1], position[0] - centre[0]) % (2 * np.pi))
+
+
+class _Hall:
+    """What a search asks again and again. A pose is (6,): a place on the mounts, and the target (3,) m."""
+
+    def __init__(self, volume: Volume, mounts: Mounts, size: tuple[int, int], focal: float, noise: float, places: int) -> None:
+        self.volume, self.mounts, self.size, self.focal, self.noise = volume, mounts, size, focal, noise
+        self.centre = 0.5 * (volume.low + volume.high)
+        # up to the faces of the box, where coverage ends first
+        counts = np.maximum(2, np.rint(volume.size / np.cbrt(volume.size.prod() / places)).astype(np.int64))
+        axes = [np.linspace(*ends) for ends in zip(volume.low, volume.high, counts, strict=True)]
+        self.places = np.stack([part.ravel() for part in np.meshgrid(*axes, indexing="ij")], axis=1)
+        angle = 2 * np.pi * np.arange(FACINGS) / FACINGS
+        self.facings = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+
+    def rig(self, poses: Floats) -> Rig:
+        cameras = [camera_at(f"c{i + 1}", self.mounts.position(pose[:3]), pose[3:], self.size, self.focal) for i, pose in enumerate(poses)]
+        return Rig(tuple(cameras), vertical=np.array([0.0, 0.0, 1.0]))
+
+    def ring(self, cameras: int) -> Floats:
+        """Evenly around the centre, as high as may be, looking inwards."""
+        angles = 2 * np.pi * (np.arange(cameras) + 0.5) / cameras
+        return np.array([np.concatenate([self.mounts.toward(angle, self.centre), self.centre]) for angle in angles])
+
+    def views(self, poses: Floats) -> tuple[NDArray[np.bool_], Floats, NDArray[np.bool_]]:
+        """What each pose sees (K, P), tells (K, P, 6) 1/m2 and is faced by (K, P, D)."""
+        rig = self.rig(poses)
+        seen = sees(rig, self.places)
+        told = information(rig, self.places)[..., PAIRS[:, 0], PAIRS[:, 1]] / self.noise**2
+        told[~seen] = 0.0
+        return seen, told, self._faces(np.stack([camera.position for camera in rig]))
+
+    def _faces(self, eyes: Floats) -> NDArray[np.bool_]:
+        toward = eyes[:, None] - self.places[None]
+        toward /= np.maximum(np.linalg.norm(toward, axis=2, keepdims=True), 1e-9)
+        faced: NDArray[np.bool_] = toward @ self.facings.T > STEEPEST
+        return faced
+
+    def worth(self, poses: Floats, least: float = 0.0) -> float:
+        """The objective of a whole rig; far below it where three cameras see less than the share `least` of the volume."""
+        return self._beside(poses[:-1], least)(poses[-1])
+
+    def _beside(self, others: Floats, least: float) -> Callable[[Floats], float]:
+        """What `worth` is of these cameras and one more, as a function of that one's pose (6,)."""
+        rig = self.rig(others)
+        eyes = np.stack([camera.position for camera in rig])
+        base = self._base(*self.views(others))
+        glare, pairs = int(sees(rig, eyes).sum()), len(others) * (len(others) + 1)
+        only = np.zeros(1, dtype=np.int64)
+
+        def worth(pose: Floats) -> float:
+            seen, told, faces = self.views(pose[None])
+            one = self.rig(pose[None])
+            glaring = glare + int(sees(one, eyes).sum()) + int(sees(rig, one[0].position).sum())
+            uncovered = max(0.0, least - float((base[0] + seen[0] >= 3).mean()))
+            return float(self._worth_with(base, seen, told, faces, only)[0]) - GLARE * glaring / pairs - 10.0 * uncovered
+
+        return worth
+
+    def covered(self, poses: Floats) -> float:
+        """The share of the volume that three cameras see."""
+        return float((sees(self.rig(poses), self.places).sum(axis=0) >= 3).mean())
+
+    def glare(self, poses: Floats) -> int:
+        rig = self.rig(poses)
+        return int(sees(rig, np.stack([camera.position for camera in rig])).sum())
+
+    def _base(self, seen: NDArray[np.bool_], told: Floats, faces: NDArray[np.bool_]) -> tuple[Ints, Ints, Floats]:
+        sided = seen[:, :, None] & faces
+        return seen.sum(axis=0), sided.sum(axis=0), np.einsum("kpd,kpi->pdi", sided, told)
+
+    def _worth_with(
+        self,
+        base: tuple[Ints, Ints, Floats],
+        seen: NDArray[np.bool_],
+        told: Floats,
+        faces: NDArray[np.bool_],
+        mount: Ints,
+    ) -> Floats:
+        out = np.empty(len(seen))
+        _kernels.worth_with(*base, seen, told, faces, mount, out)
+        return out
+
+    def searched(self, cameras: int, progress: Callable[[float], None]) -> Floats:
+        """Greedy and exchange over a grid."""
+        aims = self._aims()
+        spacing = 0.5
+        while len(self.mounts.candidates(spacing)) * len(aims) > CANDIDATES:
+            spacing *= 1.2
+        places = self.mounts.candidates(spacing)
+        eyes = np.array([self.mounts.position(place) for place in places])
+        mount = np.repeat(np.arange(len(places)), len(aims))
+        poses = np.concatenate([places[mount], np.tile(aims, (len(places), 1))], axis=1)
+        seen, told, _ = (np.concatenate(part) for part in zip(*(self.views(block) for block in np.array_split(poses, 10)), strict=True))
+        faces = self._faces(eyes)
+        lamps = np.concatenate([sees(self.rig(block), eyes) for block in np.array_split(poses, 10)])
+        chosen: list[int] = []
+
+        def best_beside(beside: list[int]) -> tuple[int, float]:
+            others = np.array(beside, dtype=np.int64)
+            base = self._base(seen[others], told[others], faces[mount[others]])
+            worth = self._worth_with(base, seen, told, faces, mount)
+            glaring = lamps[:, mount[others]].sum(axis=1) + lamps[others][:, mount].sum(axis=0)
+            worth -= GLARE * (glaring + lamps[np.ix_(others, mount[others])].sum()) / (cameras * (cameras - 1))
+            worth[np.isin(mount, mount[others])] = -np.inf
+            return int(np.argmax(worth)), float(worth.max())
+
+        for n in range(cameras):
+            chosen.append(best_beside(chosen)[0])
+            progress((n + 1) / (cameras * (1 + SWEEPS)))
+        reached = -np.inf
+        for sweep in range(SWEEPS):
+            before = reached
+            for i in range(cameras):
+                chosen[i], reached = best_beside(chosen[:i] + chosen[i + 1 :])
+                progress((cameras * (1 + sweep) + i + 1) / (cameras * (1 + SWEEPS)))
+            if reached <= before + 1e-6:
+                break
+        return poses[chosen]
+
+    def _aims(self) -> Floats:
+        shares = np.array([(x, y, z) for x in (0.25, 0.5, 0.75) for y in (0.25, 0.5, 0.75) for z in (0.3, 0.6)])
+        aims: Floats = self.volume.low + shares * self.volume.size
+        return aims
+
+    def polished(self, poses: Floats, least: float, progress: Callable[[float], None]) -> Floats:
+        """Each camera moved along its mounts and turned, in ever smaller steps, while that helps."""
+        poses = poses.copy()
+        for s, stride in enumerate(STRIDES):
+            for i in range(len(poses)):
+                worth = self._beside(np.delete(poses, i, axis=0), least)
+                reached = worth(poses[i])
+                for which, sign in MOVES:
+                    while True:
+                        trial = poses[i].copy()
+                        trial[which] += sign * stride
+                        if np.linalg.norm(self.mounts.position(trial[:3]) - trial[3:]) < 0.5:
+                            break
+                        found = worth(trial)
+                        if found <= reached + 1e-6:
+                            break
+                        poses[i], reached = trial, found
+                progress((s * len(poses) + i + 1) / (len(STRIDES) * len(poses)))
+        return poses

@@ -1,0 +1,152 @@
+"""Proposed rigs: never worth less than the ring, on their mounts, the same every time, and the kernel equal to its twin."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from asterism.cameras import Camera
+from asterism.cameras.accuracy import Volume, map_rig, sees
+from asterism.cameras.aim import looking
+from asterism.cameras.plan import Mounts, Plan, _kernels, focal_length, plan_rig
+from asterism.errors import AsterismError
+
+SIZE = (1280, 1024)
+
+
+@pytest.fixture(scope="module")
+def hall() -> Volume:
+    return Volume.parse("6x4x2.5")
+
+
+@pytest.fixture(scope="module")
+def plan(hall: Volume) -> Plan:
+    return plan_rig(hall, 8, SIZE, focal_length(1280, fov=56))
+
+
+def test_the_proposal_is_at_least_as_good_as_the_ring_in_every_way(plan: Plan, hall: Volume) -> None:
+    ours, ring = map_rig(plan.rig, hall), map_rig(plan.ring, hall)
+    assert plan.worth > plan.ring_worth
+    assert ours.coverage(3) >= ring.coverage(3)
+    assert ours.coverage(4) > ring.coverage(4)
+    assert ours.facing.mean() > ring.facing.mean()
+    assert np.percentile(ours.error, 95) < 0.7 * np.percentile(ring.error, 95)
+    assert plan.glare < plan.ring_glare
+
+
+@pytest.mark.parametrize(("cameras", "spec", "fov"), [(2, "2x2x2", 60.0), (4, "3x3x2", 45.0), (6, "5x3x2", 38.0)])
+def test_it_is_never_worth_less_than_the_ring(cameras: int, spec: str, fov: float) -> None:
+    volume = Volume.parse(spec)
+    result = plan_rig(volume, cameras, SIZE, focal_length(1280, fov=fov))
+    assert len(result.rig) == len(result.ring) == cameras
+    assert result.worth >= result.ring_worth
+    assert map_rig(result.rig, volume).coverage(min(3, cameras)) >= map_rig(result.ring, volume).coverage(min(3, cameras))
+
+
+def test_cameras_hang_where_they_may(plan: Plan) -> None:
+    for rig in (plan.rig, plan.ring):
+        for camera in rig:
+            x, y, z = camera.position
+            assert np.isclose(abs(x), 4.5) or np.isclose(abs(y), 3.5), f"{camera.name} hangs at {camera.position}, not on a wall"
+            assert abs(x) < 4.5 + 1e-9
+            assert abs(y) < 3.5 + 1e-9
+            assert 2.2 - 1e-9 <= z <= 2.6 + 1e-9
+            assert abs(camera.rotation[0, 2]) < 1e-9, "level: its rows of pixels are horizontal"
+
+
+def test_the_same_question_has_the_same_answer() -> None:
+    volume = Volume.parse("3x2x2")
+    first, second = (plan_rig(volume, 3, SIZE, 1000.0) for _ in range(2))
+    assert all(
+        np.array_equal(a.position, b.position) and np.array_equal(a.rotation, b.rotation)
+        for a, b in zip(first.rig, second.rig, strict=True)
+    )
+
+
+def test_a_ceiling_is_used_only_where_there_is_one() -> None:
+    volume = Volume.parse("2x2x1")
+    room = Volume(np.array([-6.0, -6, 0]), np.array([6.0, 6, 4]))
+    walls = plan_rig(volume, 3, SIZE, 1400.0, mounts=Mounts.around(volume, room, (3.0, 3.0)))
+    over = plan_rig(volume, 3, SIZE, 1400.0, mounts=Mounts.around(volume, room, (3.0, 3.0), ceiling=True))
+    on_wall = [bool(np.isclose(np.abs(camera.position[:2]), 6).any()) for camera in walls.rig]
+    assert all(on_wall)
+    assert any(np.abs(camera.position[:2]).max() < 5.9 for camera in over.rig)
+    assert over.worth > walls.worth, "from 3 m away one measures better than from 6"
+
+
+def test_places_along_the_walls_go_once_around() -> None:
+    mounts = Mounts.around(Volume.parse("6x4x2"))
+    places = np.array([mounts.position(np.array([along, 2.4, 0.0])) for along in np.linspace(0, mounts.around_m, 801)])
+    assert np.allclose(places[0], places[-1])
+    assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() < mounts.around_m / 800 + 1e-9
+    for angle in np.linspace(0, 2 * np.pi, 37):
+        at = mounts.position(mounts.toward(angle, np.array([0.5, -0.3, 1.0])))
+        found = np.arctan2(at[1] + 0.3, at[0] - 0.5)
+        assert abs((found - angle + np.pi) % (2 * np.pi) - np.pi) < 1e-9
+
+
+def test_the_kernel_equals_its_twin() -> None:
+    rng = np.random.default_rng(0)
+    places, facings, candidates, mounts = 7, 4, 5, 3
+    slopes = rng.normal(size=(4, places, 2, 3)) * 1000
+    told = np.einsum("cpki,cpkj->cpij", slopes, slopes)
+    seen, sided = rng.random((4, places)) < 0.6, rng.random((4, places, facings)) < 0.6
+    seen_new, mount, faces = (
+        rng.random((candidates, places)) < 0.6,
+        rng.integers(0, mounts, candidates),
+        rng.random((mounts, places, facings)) < 0.6,
+    )
+    new = rng.normal(size=(candidates, places, 2, 3)) * 1000
+    told_new = np.einsum("cpki,cpkj->cpij", new, new)
+    upper = np.triu_indices(3)
+    both = seen[:, :, None] & sided
+    out = np.empty(candidates)
+    packed = np.einsum("cpd,cpi->pdi", both, told[..., upper[0], upper[1]])
+    _kernels.worth_with(seen.sum(0), both.sum(0), packed, seen_new, told_new[..., upper[0], upper[1]], faces, mount, out)
+    for k in range(candidates):
+        covered = np.take([0.0, 0.1, 0.4, 1.0], np.minimum(seen.sum(0) + seen_new[k], 3)).mean()
+        counts, quality = [], []
+        for p, d in np.ndindex(places, facings):
+            use = [told[c, p] for c in range(4) if both[c, p, d]] + ([told_new[k, p]] if seen_new[k, p] and faces[mount[k], p, d] else [])
+            counts.append(min(len(use), 2) / 2)
+            error = np.sqrt(np.trace(np.linalg.inv(np.sum(use, axis=0)))) if len(use) >= 2 else np.inf
+            quality.append(np.clip((-2 - np.log10(error)) / 2, 0, 1))
+        assert np.isclose(out[k], 0.5 * covered + 0.25 * np.mean(counts) + 0.25 * np.mean(quality), atol=1e-12)
+
+
+def test_a_camera_looks_where_it_is_aimed() -> None:
+    rotation, translation = looking([4.0, 1.0, 2.5], [0.2, 0.1, 0.9])
+    camera = Camera("one", SIZE, (1000.0, 1000.0), (639.5, 511.5), rotation, translation)
+    assert np.allclose(camera.project([0.2, 0.1, 0.9]), (639.5, 511.5))
+    assert np.allclose(camera.position, (4.0, 1.0, 2.5))
+    down = Camera("two", SIZE, (1000.0, 1000.0), (639.5, 511.5), *looking([0, 0, 3], [0, 0, 0]))
+    assert down.project([0.0, 0.5, 0])[1] < 511, "y is up in the image of a camera that looks straight down"
+    with pytest.raises(AsterismError, match="where it stands"):
+        looking([0, 0, 1], [0, 0, 1])
+
+
+def test_lenses_from_angles_and_millimetres() -> None:
+    assert np.isclose(focal_length(1000, fov=90), 500)
+    assert np.isclose(focal_length(1280, focal_mm=6.0, pixel_um=4.8), 1250)
+    camera = Camera("one", (1000, 10), (500.0, 500.0), (499.5, 4.5))
+    assert sees(plan_rig(Volume.parse("1x1x1"), 2, SIZE, 1000.0).rig, [[0.0, 0, 0.5]]).all()
+    assert camera.project([0.999, 0, 1.0])[0] < 1000 < camera.project([1.002, 0, 1.0])[0]
+
+
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        (lambda: plan_rig(Volume.parse("2x2x2"), 1, SIZE, 1000.0), "at least two"),
+        (lambda: plan_rig(Volume.parse("2x2x2"), 3, SIZE, -1.0), "positive"),
+        (lambda: Mounts.around(Volume.parse("6x4x2"), Volume.parse("5x5x3")), "does not hold"),
+        (lambda: Mounts.around(Volume.parse("6x4x2"), heights=(3.0, 2.0)), "lowest height first"),
+        (lambda: focal_length(1000), "--fov"),
+        (lambda: focal_length(1000, fov=60, focal_mm=4), "--fov"),
+        (lambda: focal_length(1000, fov=190), "190"),
+        (lambda: focal_length(1000, focal_mm=-4, pixel_um=5), "positive"),
+    ],
+    ids=["one camera", "focal", "room", "heights", "no lens", "two lenses", "fov", "mm"],
+)
+def test_what_makes_no_sense_is_refused(ask, message: str) -> None:
+    with pytest.raises(AsterismError, match=message):
+        ask()
