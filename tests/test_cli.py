@@ -238,6 +238,7 @@ def test_a_trial_of_the_subject_helps_and_one_of_someone_else_is_said(
     assert (tmp_path / "other" / "walk-4.c3d").read_bytes() == (tmp_path / "plain" / "walk-4.c3d").read_bytes()
     assert run("label", walk, "--model", model, "--model", model, "-o", tmp_path / "two", "--subject", folder / "walk-0.c3d") == 2
     assert run("label", walk, "--model", model, "-o", tmp_path / "none", "--subject", folder / "broken.c3d") == 2
+    assert run("label", walk, "--model", model, "-o", tmp_path / "none", "--subject", folder / "walk-0.c3d", "--rules", "thesis") == 2
     assert "broken.c3d" in capsys.readouterr().err
 
 

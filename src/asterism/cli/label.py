@@ -53,6 +53,8 @@ def label(
         raise AsterismError("several bodies are told apart by time and tracks; leave out --frame-wise and --rules, or give one --model.")
     if len(model) > 1 and subject is not None:
         raise AsterismError("a trial of the subject narrows one model; leave out --subject, or give one --model.")
+    if subject is not None and rules is not Rules.WHOLE_BODY:
+        raise AsterismError(f"the rules {rules.value} know no body that a trial could narrow; leave out --subject, or --rules.")
     targets = _targets(files, output)
     _console.check_new(report, overwrite)
     _console.check_new(json, overwrite)

@@ -14,6 +14,7 @@ from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.labelling.body.model import BodyModel, BodyRules, factors, place_onto
 from asterism.recording import Floats, Ints
@@ -31,6 +32,12 @@ class SubjectRules:
     independent: float = 0.2
     across: float = 1.0
     noise_std: float = 0.004
+
+
+def tells_enough(frames: Floats) -> NDArray[np.bool_]:
+    """Whether each frame (N, M, 3) m, NaN where missing, shows enough markers to tell of the body: three, and two fifths of all."""
+    shown = ~np.isnan(frames[:, :, 0])
+    return shown.sum(axis=1) >= max(3, 0.4 * shown.shape[1])
 
 
 def adapt_body(body: BodyModel, frames: Floats, poses: Ints, weight: Floats, rules: SubjectRules, body_rules: BodyRules) -> BodyModel:

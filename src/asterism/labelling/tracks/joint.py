@@ -20,7 +20,7 @@ import numpy as np
 
 from asterism.labelling.body._kernels import BodyArrays
 from asterism.labelling.body.model import BodyModel, BodyRules
-from asterism.labelling.body.subject import SubjectRules, adapt_body
+from asterism.labelling.body.subject import SubjectRules, adapt_body, tells_enough
 from asterism.labelling.look import Progress
 from asterism.labelling.tracks._kernels import gather, margins_of, score_frames
 from asterism.labelling.tracks.assignment import assign_tracklets
@@ -185,7 +185,7 @@ def _adapted(
     frames = np.full((len(scene.looked), markers, 3), np.nan)
     points = np.nonzero(sure[scene.seen_track])[0]
     frames[scene.seen_frame[points], label[scene.seen_track[points]]] = scene.seen_xyz[points]
-    usable = (~np.isnan(frames[:, :, 0])).sum(axis=1) >= max(3, 0.4 * markers)
+    usable = tells_enough(frames)
     if looker.body.within is None or not usable.any():
         return looker.body
     apart = np.diff(scene.looked, prepend=scene.looked[0] - subject_rules.independent * scene.rate) / scene.rate

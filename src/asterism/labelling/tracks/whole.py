@@ -11,7 +11,7 @@ from asterism.errors import AsterismError
 from asterism.hiding import hide_in_gaps
 from asterism.labelling.body._kernels import LookSettings
 from asterism.labelling.body.model import BodyModel, BodyRules
-from asterism.labelling.body.subject import SubjectRules, adapt_body
+from asterism.labelling.body.subject import SubjectRules, adapt_body, tells_enough
 from asterism.labelling.look import Progress
 from asterism.labelling.tracks._kernels import score_frames
 from asterism.labelling.tracks.certainty import Certainty, Tried, beside_spare
@@ -104,7 +104,7 @@ def own_body_gain(settings: LookSettings, own: BodyModel, general: BodyModel, fr
 def _scored(settings: LookSettings, body: BodyModel, frames: Floats, rate: float, rules: SubjectRules) -> tuple[Ints, Floats, Floats, Ints]:
     """Frames that tell something new and show enough markers (n,), the score of each label there, and the frames' totals and key poses."""
     shown = ~np.isnan(frames[:, :, 0])
-    looked = np.nonzero(shown.sum(axis=1) >= max(3, 0.4 * shown.shape[1]))[0][:: max(1, round(rules.independent * rate))]
+    looked = np.nonzero(tells_enough(frames))[0][:: max(1, round(rules.independent * rate))]
     seen = shown[looked]
     offsets = np.concatenate([[0], np.cumsum(seen.sum(axis=1))]).astype(np.int64)
     xyz, marker = np.ascontiguousarray(frames[looked][seen]), np.nonzero(seen)[1].astype(np.int64)
