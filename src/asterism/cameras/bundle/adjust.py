@@ -130,7 +130,7 @@ def adjust(
     noise = float(np.sqrt(np.nansum(weights * np.square(residuals).sum(axis=1)) / max(redundancy, 1.0)))
     spread: Floats = np.empty((0, 0))
     if covariance and problem.unknowns:
-        spread = noise**2 * np.linalg.pinv(problem.normal(state, residuals, weights, 0.0).matrix, hermitian=True)
+        spread = np.asarray(noise**2 * np.linalg.pinv(problem.normal(state, residuals, weights, 0.0).matrix, hermitian=True))
     errors = [rms(residuals[sightings.camera == c]) for c in range(len(cameras))]
     return Adjustment(
         state.cameras(cameras, errors),

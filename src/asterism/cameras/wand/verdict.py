@@ -1,0 +1,214 @@
+"""A calibration in; what to know before using it out, in words: what is not determined, where to wave more, whether to use it at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asterism.recording import Blobs, Floats
+
+if TYPE_CHECKING:
+    from asterism.cameras.wand.calibrate import WandCalibration
+
+BAD_RMS, POOR_RMS = 1.5, 0.7
+"""px, reprojection errors that no good wand calibration has, and that most good ones have not."""
+BAD_LENGTH, POOR_LENGTH = 0.015, 0.006
+"""Spread of the measured wand as a share of its length."""
+BAD_FOCAL, POOR_FOCAL = 0.02, 0.004
+BAD_PLACE, POOR_PLACE = 0.02, 0.005
+"""Standard deviation of where a camera stands, as a share of its distance to the wand."""
+POOR_COVERAGE = 0.35
+CELLS = (6, 8)
+"""Rows and columns that an image is divided into to say which part of it saw the wand."""
+FEW_FRAMES = 100
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One sentence about a calibration: grave, then it should not be used; or mere advice, which speaks against nothing."""
+
+    sentence: str
+    grave: bool = False
+    advice: bool = False
+
+
+def coverage(made: WandCalibration) -> Floats:
+    """(C, rows, columns) how many markers of the wand each part of each image saw."""
+    counts = np.zeros((len(made.rig), *CELLS))
+    for c, camera in enumerate(made.rig):
+        width, height = camera.size or (1, 1)
+        xy = made.sightings.xy[made.sightings.camera == c]
+        row = np.clip((xy[:, 1] / height * CELLS[0]).astype(np.int64), 0, CELLS[0] - 1)
+        column = np.clip((xy[:, 0] / width * CELLS[1]).astype(np.int64), 0, CELLS[1] - 1)
+        np.add.at(counts[c], (row, column), 1)
+    return counts
+
+
+def judge(made: WandCalibration, blobs: Blobs, late: tuple[Floats, Floats], *, scaled: bool) -> tuple[Finding, ...]:
+    """What speaks against a calibration, gravest first. late: `lags` of what is left; scaled: a distance gave the scale."""
+    found = [
+        *(Finding(f"camera {name} is not in the rig: {why}.") for name, why in made.left_out.items()),
+        *_fit(made),
+        *_clocks(made, late),
+        *_undetermined(made),
+        *_waved(made),
+        *_covered(made),
+    ]
+    if len(made.wand.lengths) == 1 and not scaled:
+        found.append(
+            Finding("one moved marker tells no size: the rig is right but for its scale; give a distance between two cameras.", True)
+        )
+    return tuple(sorted(found, key=lambda finding: (not finding.grave, finding.advice)))
+
+
+def _fit(made: WandCalibration) -> list[Finding]:
+    found = []
+    if made.rms > POOR_RMS:
+        found.append(
+            Finding(
+                f"the reprojection error is {made.rms:.2f} px; good wand calibrations stay below {POOR_RMS}: look for blurred or saturated "
+                "markers, cameras that moved, or cameras out of step.",
+                made.rms > BAD_RMS,
+            )
+        )
+    for camera in made.rig:
+        if camera.error > max(POOR_RMS, 2.5 * made.rms):
+            found.append(
+                Finding(f"camera {camera.name} fits worse than the others ({camera.error:.2f} px); was it moved?", camera.error > BAD_RMS)
+            )
+    whole = made.wand.lengths[-1]
+    lengths = made.lengths[np.isfinite(made.lengths)]
+    if whole > 0.0 and len(lengths) > 20:
+        middle = float(np.median(lengths))
+        spread = float(1.4826 * np.median(np.abs(lengths - middle))) / whole
+        if spread > POOR_LENGTH:
+            found.append(
+                Finding(
+                    f"the measured wand varies by {1000 * spread * whole:.1f} mm (standard deviation) about its {1000 * whole:.0f} mm.",
+                    spread > BAD_LENGTH,
+                )
+            )
+        if abs(middle / whole - 1.0) > 0.004:
+            found.append(
+                Finding(
+                    f"the wand measures {1000 * middle:.1f} mm where {1000 * whole:.1f} mm were given.", abs(middle / whole - 1.0) > 0.02
+                )
+            )
+    if np.isfinite(made.inner) and abs(made.inner - made.wand.lengths[1]) > max(0.0015, 0.004 * whole):
+        found.append(
+            Finding(
+                f"the wand's inner marker sits {1000 * made.inner:.1f} mm from the first one, not the "
+                f"{1000 * made.wand.lengths[1]:.1f} mm given; measure the wand.",
+                abs(made.inner - made.wand.lengths[1]) > 0.015 * whole,
+            )
+        )
+    if made.rejected > 0.15:
+        found.append(
+            Finding(f"{100 * made.rejected:.0f} % of the wand's images contradict the others and were left out.", made.rejected > 0.4)
+        )
+    if len(made.used) < FEW_FRAMES:
+        found.append(Finding(f"only {len(made.used)} frames could be used; wave the wand for at least half a minute.", len(made.used) < 50))
+    return found
+
+
+def _clocks(made: WandCalibration, late: tuple[Floats, Floats]) -> list[Finding]:
+    found = []
+    by, spread = late
+    rest = by - np.nanmedian(by) if np.isfinite(by).any() else by
+    for c, camera in enumerate(made.rig):
+        if made.late[c]:
+            which, many = "late" if made.late[c] > 0 else "early", abs(int(made.late[c]))
+            found.append(
+                Finding(
+                    f"camera {camera.name} started {many} frame{'s' if many > 1 else ''} {which}; its images "
+                    "were moved for this calibration, but recordings need it mended."
+                )
+            )
+        elif np.isfinite(rest[c]) and abs(rest[c]) > max(0.08, 6.0 * spread[c]):
+            which = "late" if rest[c] > 0 else "early"
+            found.append(Finding(f"camera {camera.name} takes its images {abs(rest[c]):.2f} frames {which}; check its trigger."))
+    return found
+
+
+def _undetermined(made: WandCalibration) -> list[Finding]:
+    """Parameters that this waving does not tell, by their standard deviations."""
+    found = []
+    middle = np.nanmedian(made.positions.reshape(-1, 3), axis=0)
+    for c, camera in enumerate(made.rig):
+        width = (camera.size or (1280, 1024))[0]
+        focal = float(made.sigma[c, 6]) / camera.focal[0]
+        place = float(np.linalg.norm(np.nan_to_num(made.sigma[c, 3:6])))
+        far = max(float(np.linalg.norm(camera.position - middle)), 1e-9)
+        if focal > POOR_FOCAL:
+            known = "is not determined" if focal > BAD_FOCAL else f"is only known to {100 * focal:.1f} %"
+            found.append(
+                Finding(
+                    f"the focal length of camera {camera.name} {known} by this wand; wave it nearer and farther away, too.",
+                    focal > BAD_FOCAL,
+                )
+            )
+        if place / far > POOR_PLACE:
+            known = "is not determined" if place / far > BAD_PLACE else f"is only known to {1000 * place:.0f} mm"
+            found.append(
+                Finding(f"where camera {camera.name} stands {known} by this wand; wave it all over what it sees.", place / far > BAD_PLACE)
+            )
+        if np.nanmax(made.sigma[c, 8:10]) > 0.015 * width:
+            found.append(
+                Finding(
+                    f"the principal point of camera {camera.name} is not determined by this wand (within "
+                    f"{np.nanmax(made.sigma[c, 8:10]):.0f} px); the middle of the image is assumed. Wave it up to the image's borders."
+                )
+            )
+    return found
+
+
+def _waved(made: WandCalibration) -> list[Finding]:
+    """Whether the wand was waved through a volume and turned, by its positions and directions."""
+    found: list[Finding] = []
+    points = made.positions.reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) < 10:
+        return found
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(points.T)), 0.0))
+    if spread[1] < 0.12 * spread[2]:
+        found.append(Finding("the wand was waved along a line only; wave it through the whole volume, up and down too.", True))
+    elif spread[0] < 0.08 * spread[2]:
+        found.append(
+            Finding("the wand was waved in a plane only; wave it through the whole volume, up and down too.", spread[0] < 0.03 * spread[2])
+        )
+    if len(made.wand.lengths) > 1:
+        along = made.positions[:, -1] - made.positions[:, 0]
+        along = along[np.isfinite(along).all(axis=1)]
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        if len(along) > 10 and np.linalg.eigvalsh(along.T @ along / len(along))[0] < 0.02:
+            found.append(Finding("the wand was hardly turned; turn it in all directions while waving."))
+    return found
+
+
+def _covered(made: WandCalibration) -> list[Finding]:
+    found = []
+    for camera, cells in zip(made.rig, coverage(made), strict=True):
+        share = float((cells > 0).mean())
+        if share < POOR_COVERAGE:
+            found.append(
+                Finding(
+                    f"camera {camera.name} saw the wand in {100 * share:.0f} % of its image only ({_where_not(cells)} is missing); "
+                    "its lens is a guess elsewhere.",
+                    advice=True,
+                )
+            )
+    return found
+
+
+def _where_not(cells: Floats) -> str:
+    """The side of an image that saw least."""
+    rows, columns = cells.shape
+    sides = {
+        "the left": cells[:, : columns // 2],
+        "the right": cells[:, columns // 2 :],
+        "the top": cells[: rows // 2],
+        "the bottom": cells[rows // 2 :],
+    }
+    return min(sides, key=lambda side: float((sides[side] > 0).mean()))

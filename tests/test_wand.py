@@ -1,0 +1,356 @@
+"""Wand calibration against simulated rigs whose truth is known, and against what people feed it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from asterism.cameras import Camera, Rig, rotation_from_vector
+from asterism.cameras.bundle import Sightings, locate
+from asterism.cameras.wand import (
+    WandCalibration,
+    calibrate_wand,
+    in_world,
+    world_from_floor_wand,
+    world_from_l_frame,
+    world_from_points,
+)
+from asterism.cameras.wand.identify import agree, identify, wand_of
+from asterism.errors import AsterismError
+from asterism.recording import Blobs
+from asterism.simulation.cameras import images_of, random_rig, ring_rig, wave_wand
+
+WAND = (0.0, 0.2, 0.6)
+SIZE = (1280, 1024)
+
+
+def rng_of(seed: int) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def a_rig(cameras: int = 4, seed: int = 1) -> Rig:
+    return ring_rig(cameras, rng=rng_of(seed))
+
+
+@cache
+def waved(
+    cameras: int = 4, frames: int = 250, seed: int = 2, outliers: float = 0.0, lengths: tuple[float, ...] = WAND
+) -> tuple[Rig, Blobs]:
+    rig = a_rig(cameras)
+    return rig, wave_wand(rig, lengths, frames, rng=rng_of(seed), rate=20.0, outliers=outliers)[0]
+
+
+@cache
+def calibrated() -> tuple[Rig, WandCalibration]:
+    rig, blobs = waved()
+    return rig, calibrate_wand(blobs, WAND, sizes=SIZE)
+
+
+def unseen_error(rig: Rig, found: Rig, scaled: bool = False) -> float:
+    """m, RMS over points in the middle of the volume that the calibration has not seen, after laying one world on the other."""
+    points = rng_of(9).uniform([-0.8, -0.8, 0.3], [0.8, 0.8, 1.6], (200, 3))
+    xy = np.stack([rig[name].project(points) for name in found.names], axis=1)[:, :, None]
+    there = locate(found.cameras, Sightings.from_array(xy), 200, 1)[:, 0]
+    a, b = points - points.mean(axis=0), there - there.mean(axis=0)
+    u, sizes, vt = np.linalg.svd(a.T @ b)
+    turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    scale = sizes.sum() / np.square(b).sum() if scaled else 1.0
+    return float(np.sqrt(np.square(a - scale * b @ turn.T).sum(axis=1).mean()))
+
+
+def focal_error(rig: Rig, found: Rig) -> float:
+    return max(abs(camera.focal[0] / rig[camera.name].focal[0] - 1) for camera in found)
+
+
+def edited(blobs: Blobs, edit: Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Blobs:
+    """The blobs with rows of frame, camera, xy changed by `edit`."""
+    frame, camera, xy = edit(blobs.frame_of.copy(), blobs.camera_of.copy(), blobs.xy.copy())
+    good = (frame >= 0) & (frame < len(blobs))
+    return Blobs.from_rows(frame[good], camera[good], xy[good], blobs.cameras, rate=blobs.rate, frames=len(blobs))
+
+
+def sentences(made: WandCalibration) -> str:
+    return " ".join(finding.sentence for finding in made.findings)
+
+
+def test_a_ring_is_found_from_nothing() -> None:
+    rig, made = calibrated()
+    assert made.usable, sentences(made)
+    assert focal_error(rig, made.rig) < 0.002
+    assert unseen_error(rig, made.rig) < 0.0005
+    assert made.noise == pytest.approx(0.2, rel=0.05)
+    assert np.nanmean(made.lengths) == pytest.approx(0.6, abs=2e-4)
+    assert np.nanstd(made.lengths) < 0.002
+
+
+def test_the_same_again_bit_for_bit() -> None:
+    _, blobs = waved()
+    again = calibrate_wand(blobs, WAND, sizes=SIZE)
+    assert all(np.array_equal(a.lens, b.lens) for a, b in zip(again.rig, calibrated()[1].rig, strict=True))
+    assert all(np.array_equal(a.translation, b.translation) for a, b in zip(again.rig, calibrated()[1].rig, strict=True))
+
+
+@pytest.mark.parametrize("seed", [3, 8, 20])
+def test_rigs_of_all_kinds_with_outliers(seed: int) -> None:
+    rng = rng_of(seed)
+    rig = random_rig(rng=rng)
+    blobs = wave_wand(rig, WAND, 300, rng=rng, rate=20.0, outliers=0.05, strays=0.1, missed=0.02, dropped=0.01, reflections=1)[0]
+    made = calibrate_wand(blobs, WAND, sizes={camera.name: camera.size for camera in rig})
+    assert len(made.rig) == len(rig)
+    assert made.usable, sentences(made)
+    assert unseen_error(rig, made.rig) < 0.002
+
+
+def test_an_unlucky_first_look_is_not_believed() -> None:
+    """What single images take for the wand is right nearly always, and what cameras agree on is right always."""
+    rig = a_rig(5)
+    blobs, truth = wave_wand(rig, WAND, 200, rng=rng_of(4), rate=20.0, outliers=0.1, strays=1.0)
+    wand = wand_of(WAND)
+    chosen = identify(blobs, wand)
+    shown = (chosen >= 0).all(axis=2)
+    wrong = (truth.identity[chosen[shown]] != np.arange(3)).any(axis=1).mean()
+    assert 0 < wrong < 0.06
+    agreed = agree(blobs, chosen, wand, list(rig), 2.0)
+    used = agreed.sights >= 0
+    assert (truth.identity[agreed.sights[used]] == np.nonzero(used)[2]).mean() > 0.998
+    assert used.sum() > 0.96 * (truth.identity >= 0).sum()
+
+
+def test_the_ratio_tells_the_ends_apart_in_perspective_too() -> None:
+    """A wand that points at the camera: the near part looks longer, and still the short arm is known."""
+    camera = Camera("one", SIZE, (1100.0, 1100.0), (640.0, 512.0))
+    along = np.array([0.5, 0.1, 0.86]) / np.linalg.norm([0.5, 0.1, 0.86])
+    for way in (1, -1):
+        points = np.array([0.0, 0.0, 2.0]) + way * along * (np.array(WAND)[:, None] - 0.3)
+        xy = camera.project(points)
+        blobs = Blobs.from_rows([0, 0, 0], [0, 0, 0], xy[[2, 0, 1]], ["one"])
+        assert identify(blobs, wand_of(WAND))[0, 0].tolist() == [1, 2, 0]
+
+
+@pytest.mark.parametrize("lengths", [(0.0, 0.5), (0.0, 0.25, 0.5)], ids=["two markers", "alike from both ends"])
+def test_wands_that_look_alike_from_both_ends(lengths: tuple[float, ...]) -> None:
+    rig, blobs = waved(4, 250, 5, 0.01, lengths)
+    made = calibrate_wand(blobs, lengths, sizes=SIZE)
+    assert made.usable, sentences(made)
+    assert len(made.rig) == 4
+    assert unseen_error(rig, made.rig) < 0.001
+
+
+def test_one_moved_marker_gives_the_rig_up_to_scale_and_a_distance_the_scale() -> None:
+    rig, blobs = waved(8, 500, 6, 0.01, (0.0,))
+    distance = float(np.linalg.norm(rig[0].position - rig[1].position))
+    made = calibrate_wand(blobs, [0.0], sizes=SIZE, distance=(rig[0].name, rig[1].name, distance))
+    assert made.usable, sentences(made)
+    assert unseen_error(rig, made.rig) < 0.004
+    without = calibrate_wand(blobs, [0.0], sizes=SIZE)
+    assert not without.usable
+    assert "no size" in sentences(without)
+    assert unseen_error(rig, without.rig, scaled=True) < 0.004
+
+
+def test_known_lenses_help() -> None:
+    rig, blobs = waved()
+    made = calibrate_wand(blobs, WAND, known=rig)
+    assert unseen_error(rig, made.rig) < 0.0005
+
+
+def test_cameras_that_are_not_triggered_together() -> None:
+    """Delays of up to half a frame at 100 frames per second: without the times the wand would bend by centimetres."""
+    rig = a_rig(4)
+    delays = np.array([0.0, 0.003, -0.002, 0.004])
+    blobs, _ = wave_wand(rig, WAND, 1200, rng=rng_of(7), rate=100.0, delays=delays)
+    made = calibrate_wand(blobs, WAND, sizes=SIZE)
+    assert made.usable, sentences(made)
+    assert made.noise < 0.25
+    assert unseen_error(rig, made.rig) < 0.001
+    careless = calibrate_wand(replace(blobs, times=None), WAND, sizes=SIZE)
+    assert "frames late" in sentences(careless) and "check its trigger" in sentences(careless)
+
+
+@pytest.mark.parametrize("late", [-3, 5])
+def test_a_camera_out_of_step_is_named_and_its_images_moved(late: int) -> None:
+    rig = a_rig(4)
+    blobs, _ = wave_wand(rig, WAND, 1200, rng=rng_of(8), rate=100.0)
+    mixed = edited(blobs, lambda frame, camera, xy: (np.where(camera == 2, frame - late, frame), camera, xy))
+    made = calibrate_wand(mixed, WAND, sizes=SIZE)
+    assert made.late.tolist() == [0, 0, late, 0]
+    assert f"camera {rig[2].name} started {abs(late)} frames {'late' if late > 0 else 'early'}" in sentences(made)
+    assert unseen_error(rig, made.rig) < 0.001
+
+
+def test_cameras_that_saw_nothing_or_share_no_view_are_named_and_the_rest_is_calibrated() -> None:
+    rig, blobs = waved(6, 400, 10)
+
+    def lost(frame: np.ndarray, camera: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        # camera 1 is dark; camera 4 sees only what nobody else sees
+        gone = (camera == 1) | ((camera == 4) & (frame < 300)) | ((camera != 4) & (frame >= 300))
+        return np.where(gone, -1, frame), camera, xy
+
+    made = calibrate_wand(edited(blobs, lost), WAND, sizes=SIZE)
+    assert set(made.left_out) == {rig[1].name, rig[4].name}
+    assert "saw nothing" in made.left_out[rig[1].name]
+    assert "shares only" in made.left_out[rig[4].name]
+    assert unseen_error(rig, made.rig) < 0.001
+
+
+@pytest.mark.parametrize(
+    ("lengths", "message"),
+    [
+        ((0.0, 200.0, 600.0), r"millimetres; give metres: 0 0\.2 0\.6"),
+        ((0.0, 20.0, 60.0), "centimetres"),
+        ((0.0, 0.2, 0.4, 0.6), "4 markers"),
+        ((0.0, 0.0, 0.6), "one place"),
+        ((0.0, np.nan), "markers"),
+        ((0.0, 0.001), "too short"),
+    ],
+)
+def test_impossible_wands_are_refused(lengths: tuple[float, ...], message: str) -> None:
+    with pytest.raises(AsterismError, match=message):
+        calibrate_wand(waved()[1], lengths, sizes=SIZE)
+
+
+def test_markers_given_in_another_order_are_the_same_wand() -> None:
+    assert wand_of([0.6, 0.0, 0.2]).lengths.tolist() == [0.0, 0.2, 0.6]
+    rig, blobs = waved()
+    assert unseen_error(rig, calibrate_wand(blobs, [0.0, 0.4, 0.6], sizes=SIZE).rig) < 0.0005, "the same, from the other end"
+
+
+def test_a_wrong_inner_marker_is_noticed() -> None:
+    made = calibrate_wand(waved()[1], [0.0, 0.22, 0.6], sizes=SIZE)
+    assert "inner marker" in sentences(made)
+    with pytest.raises(AsterismError, match=r"inner one sits at 0\.3\d of the length, by the wand's lengths it should at 0\.08"):
+        calibrate_wand(waved()[1], [0.0, 0.05, 0.6], sizes=SIZE)
+
+
+def test_a_wand_waved_in_a_plane_is_not_trusted() -> None:
+    rig = a_rig(4)
+    rng = rng_of(11)
+    angle, middle = rng.uniform(0, 2 * np.pi, 300), rng.uniform(-0.8, 0.8, (300, 2))
+    along = np.stack([np.cos(angle), np.sin(angle), np.zeros(300)], axis=1)
+    points = np.concatenate([middle, np.full((300, 1), 1.0)], axis=1)[:, None] + along[:, None] * (np.array(WAND)[:, None] - 0.3)
+    blobs, _ = images_of(rig, points, 0.2, rng=rng)
+    made = calibrate_wand(blobs, WAND, sizes=SIZE)
+    assert not made.usable
+    assert "in a plane only" in sentences(made)
+
+
+def test_blobs_outside_the_image_are_refused() -> None:
+    with pytest.raises(AsterismError, match="outside its image of 640 x 480 px"):
+        calibrate_wand(waved()[1], WAND, sizes=(640, 480))
+
+
+def test_an_image_size_that_differs_from_the_rigs_is_refused() -> None:
+    rig, blobs = waved()
+    with pytest.raises(AsterismError, match="said to be 1280 x 960, but the rig says 1280 x 1024"):
+        calibrate_wand(blobs, WAND, sizes=(1280, 960), known=rig)
+    with pytest.raises(AsterismError, match="size of its images is not known"):
+        calibrate_wand(blobs, WAND)
+
+
+def test_one_camera_is_refused() -> None:
+    _, blobs = waved()
+    own = blobs.camera_of == 0
+    with pytest.raises(AsterismError, match="one camera"):
+        calibrate_wand(Blobs.from_rows(blobs.frame_of[own], np.zeros(own.sum(), int), blobs.xy[own], ["one"]), WAND, sizes=SIZE)
+
+
+def test_noise_is_no_wand() -> None:
+    rng = rng_of(12)
+    cells = np.repeat(np.arange(400), 3)
+    blobs = Blobs.from_rows(cells // 2, cells % 2, rng.uniform(0, 1000, (1200, 2)), ["a", "b"])
+    with pytest.raises(AsterismError):
+        calibrate_wand(blobs, WAND, sizes=SIZE)
+
+
+def test_contradictions_are_not_delivered_as_a_rig() -> None:
+    """Each camera's frames shuffled by themselves: every image shows a wand, and no two the same one."""
+    _, blobs = waved()
+    rng = rng_of(13)
+    orders = [rng.permutation(len(blobs)) for _ in blobs.cameras]
+    mixed = edited(blobs, lambda frame, camera, xy: (np.array([orders[c][f] for f, c in zip(frame, camera, strict=True)]), camera, xy))
+    try:
+        made = calibrate_wand(mixed, WAND, sizes=SIZE)
+    except AsterismError as refused:
+        assert "contradict" in str(refused) or "agree" in str(refused)
+    else:
+        assert not made.usable, sentences(made)
+
+
+L_FRAME = np.array([[0.0, 0, 0], [0.2, 0, 0], [0.6, 0, 0], [0, 0.4, 0]])
+
+
+def lying(rig: Rig, points: np.ndarray, seed: int = 14) -> Blobs:
+    return images_of(rig, np.tile(points, (20, 1, 1)), 0.2, rng=rng_of(seed), strays=0.2)[0]
+
+
+def test_the_world_from_an_l_frame() -> None:
+    rig, made = calibrated()
+    turn, shift = rotation_from_vector([0.0, 0.0, 0.7]), np.array([0.3, -0.2, 0.02])
+    still = lying(rig, L_FRAME @ turn.T + shift)
+    world = in_world(made.rig, world_from_l_frame(made.rig, still, L_FRAME), "L-frame")
+    truth = rig.moved(turn.T, -turn.T @ shift)
+    for camera in world:
+        assert np.linalg.norm(camera.position - truth[camera.name].position) < 0.01
+    assert np.allclose(world.vertical, [0, 0, 1])
+
+
+def test_a_mirrored_world_is_not_delivered() -> None:
+    """Images whose y runs upwards give a consistent mirrored rig; on the floor, its cameras hang below."""
+    rig, blobs = waved()
+    still = lying(rig, L_FRAME)
+
+    def flipped(of: Blobs) -> Blobs:
+        return edited(of, lambda frame, camera, xy: (frame, camera, np.stack([xy[:, 0], 1023 - xy[:, 1]], axis=1)))
+
+    made = calibrate_wand(flipped(blobs), WAND, sizes=SIZE)
+    with pytest.raises(AsterismError, match=r"upside down.*mirrored"):
+        world_from_l_frame(made.rig, flipped(still), L_FRAME)
+
+
+@pytest.mark.parametrize(
+    ("markers", "message"),
+    [
+        (L_FRAME[:3], "not in a line"),
+        (L_FRAME * 2, "no still markers lie"),
+        (np.array([[0.0, 0, 0], [0.4, 0, 0], [0, 0.4, 0]]), "alike|no still"),
+    ],
+)
+def test_l_frames_that_are_not_there(markers: np.ndarray, message: str) -> None:
+    rig, made = calibrated()
+    with pytest.raises(AsterismError, match=message):
+        world_from_l_frame(made.rig, lying(rig, L_FRAME), markers)
+
+
+def test_an_l_frame_with_equal_arms_is_refused() -> None:
+    rig, made = calibrated()
+    equal = np.array([[0.0, 0, 0], [0.4, 0, 0], [0, 0.4, 0]])
+    with pytest.raises(AsterismError, match="alike"):
+        world_from_l_frame(made.rig, lying(rig, equal), equal)
+
+
+def test_the_world_from_a_wand_on_the_floor() -> None:
+    rig, made = calibrated()
+    along = np.array(WAND)[:, None]
+    first = np.array([0.1, 0.2, 0.0]) + along * [1.0, 0, 0]
+    second = np.array([0.1, 0.2, 0.0]) + along * [0.0, -1.0, 0]
+    blobs, _ = images_of(rig, np.concatenate([np.tile(first, (15, 1, 1)), np.tile(second, (15, 1, 1))]), 0.2, rng=rng_of(15))
+    world = in_world(made.rig, world_from_floor_wand(made.rig, blobs, WAND), "floor")
+    for camera in world:
+        assert np.linalg.norm(camera.position - rig[camera.name].position + [0.1, 0.2, 0.0]) < 0.02
+    one_way, _ = images_of(rig, np.tile(first, (15, 1, 1)), 0.2, rng=rng_of(16))
+    with pytest.raises(AsterismError, match="two directions"):
+        world_from_floor_wand(made.rig, one_way, WAND)
+
+
+def test_the_world_from_three_points() -> None:
+    rotation, translation, scale = world_from_points([1, 1, 1], [1, 3, 1], [1, 1, 2])
+    assert np.allclose(rotation @ [1, 1, 1] + translation, 0)
+    assert np.allclose(rotation @ [1, 3, 1] + translation, [2, 0, 0])
+    assert np.allclose(rotation @ [1, 1, 2] + translation, [0, 1, 0])
+    assert scale == 1.0
+    with pytest.raises(AsterismError, match="in a line"):
+        world_from_points([0, 0, 0], [1, 0, 0], [2, 0, 0])
