@@ -75,6 +75,34 @@ def test_a_point_without_a_label_is_offered_the_missing_marker(walks: list[Recor
     assert first.gain == pytest.approx(0.45 * len(points))
 
 
+def test_the_best_candidate_of_a_missing_marker_is_asked_for_before_all_others(walks: list[Recording]) -> None:
+    """Forty points that belong to nobody are as near; the labelling says which point it nearly was."""
+    rng = np.random.default_rng(2)
+    own = walks[0].positions
+    frames = [np.concatenate([rng.normal(own.mean(axis=(0, 1)), 0.3, (40, 3)), frame]) for frame in own]
+    numbers = [np.arange(55)] * len(own)
+    clouds = Clouds.from_points(frames, walks[0].rate, walks[0].vertical, tracks=numbers)
+    labelling = sure(np.tile(40 + np.arange(15), (len(own), 1)), walks[0].labels)
+    labelling.indices[:, 3], labelling.confidence[:, 3] = -1, 0.4
+    blind = review(labelling, clouds)
+    candidates = np.full(labelling.indices.shape, -1)
+    candidates[:, 3] = 43
+    first, second, *_ = review(replace(labelling, candidates=candidates), clouds)
+    assert first.track == 43 and first.perhaps == ((walks[0].labels[3], pytest.approx(0.4)),)
+    assert first.gain == pytest.approx(0.4 * len(own))
+    assert second.gain < 0.1 * first.gain and blind[0].gain < 0.5 * first.gain
+
+
+def test_a_whole_recording_says_its_best_candidates(walks: list[Recording]) -> None:
+    model = SolverEnsemble.fit(walks[1:], seed=0, subjects=["b", "c", "d", "e"], miner=None)
+    clouds, truth = hide_in_gaps(walks[0], 3, 3, seed=4)
+    labelling = model.label(clouds, time=True)
+    assert labelling.candidates is not None
+    assert (labelling.candidates[labelling.indices >= 0] == -1).all() and (labelling.candidates < clouds.counts[:, None]).all()
+    taken_back = (labelling.indices == -1) & (truth >= 0)
+    assert (labelling.candidates[taken_back] == truth[taken_back]).all() and (labelling.confidence[labelling.candidates >= 0] > 0).all()
+
+
 def test_a_missing_marker_is_no_item_where_no_point_is_left(walks: list[Recording]) -> None:
     clouds, truth = hide_in_gaps(walks[0], 3, 0, seed=1)
     labelling = Labelling(truth, np.where(truth >= 0, 1.0, 0.5), walks[0].labels)

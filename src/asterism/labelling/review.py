@@ -50,7 +50,8 @@ def review(labelling: Labelling, clouds: Clouds, *, top: int | None = None, leas
     top: at most so many. A piece is a tracklet (`find_tracklets`): one marker's path between two gaps, in which one touch holds for all
     frames. A given label gains 1 - confidence per frame, or, where its piece bears another
     label more often, the weight of that one. A point without a label gains the confidence of the markers that are missing in its
-    frame, shared among the frame's free points: the nearer to where the marker was last and next seen, the more.
+    frame: all of it where it is the marker's best candidate that was not given, else a share of what that one leaves, the larger the nearer
+    it is to where the marker was last and next seen.
     Raises AsterismError where the labelling is not one of these clouds, `top` is below 1, or `least_gain` is negative.
     O(P) and O(M) for each point without a label.
     """
@@ -140,7 +141,13 @@ def _chances_of_free_points(labelling: Labelling, clouds: Clouds, marker_of: Int
     missing = labelling.indices[frames] == NULL
     apart = np.linalg.norm(clouds.xyz[free, None] - _paths(labelling.positions(clouds))[frames], axis=2)
     near = np.exp(-np.where(np.isnan(apart), _NEAR, apart) / _NEAR)
-    shared = labelling.confidence[frames] * near / np.maximum(_sum_in_frame(near, frames, len(clouds)), 1e-300)
+    confidence, places = labelling.confidence[frames], free - clouds.offsets[frames]
+    best = np.full(confidence.shape, NULL) if labelling.candidates is None else labelling.candidates[frames]
+    is_best = best == places[:, None]
+    near[is_best] = 0.0
+    # what the best candidate leaves of the chance that the marker is here at all, the others share
+    left = np.where(best == NULL, 1.0, 1.0 - confidence)
+    shared = np.where(is_best, confidence, confidence * left * near / np.maximum(_sum_in_frame(near, frames, len(clouds)), 1e-300))
     own = np.where(missing, np.maximum(shared, votes[piece_of[free]]), 0.0)
     own /= np.maximum(_sum_in_frame(own, frames, len(clouds)), 1.0)
     return np.asarray(own / np.maximum(own.sum(axis=1, keepdims=True), 1.0))

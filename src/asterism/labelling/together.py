@@ -41,7 +41,9 @@ def join_labellings(
     )
     indices = np.concatenate([labelling.indices for labelling in labellings], axis=1)
     confidence = np.concatenate([labelling.confidence for labelling in labellings], axis=1)
-    return Labelling(indices, confidence, everyone.names), everyone
+    known = [labelling.candidates for labelling in labellings if labelling.candidates is not None]
+    candidates = np.concatenate(known, axis=1) if len(known) == len(labellings) else None
+    return Labelling(indices, confidence, everyone.names, candidates), everyone
 
 
 def _spellings(marker_set: MarkerSet) -> set[str]:

@@ -89,11 +89,13 @@ class Labelling:
     indices     (T, M) int, the candidate's place in the frame, -1 for none ("I do not know" or occluded)
     confidence  (T, M) in [0, 1]: the probability that this entry is right; for -1, the confidence of the best candidate that was not given
     names       (M,) marker names
+    candidates  (T, M) int, for -1 the place of the best candidate that was not given, -1 for none; None where nobody kept them
     """
 
     indices: Ints
     confidence: Floats
     names: tuple[str, ...]
+    candidates: Ints | None = None
 
     def positions(self, clouds: Clouds) -> Floats:
         """The labelled trajectories: (T, M, 3) m, NaN where a marker has no candidate."""

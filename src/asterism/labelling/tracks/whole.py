@@ -65,13 +65,17 @@ def label_whole(
         candidate = np.where(label != NULL, label, np.where(outcome.label == NULL, rival, NULL))
         chance = np.where(label != NULL, sure, 0.5 * np.exp(np.minimum(outcome.margin, 0.0)))
         points = np.nonzero(candidate[scene.track] != NULL)[0]
+        points = points[np.argsort(chance[scene.track[points]], kind="stable")]
         track = scene.track[points]
-        np.maximum.at(confidence, (frame_of[points], member.markers[candidate[track]]), chance[track])
+        at = frame_of[points], member.markers[candidate[track]]
+        candidates = np.full(indices.shape, NULL, dtype=np.int64)
+        confidence[at], candidates[at] = chance[track], scene.place[points]
         points = np.nonzero(kept[scene.track])[0]
         track = scene.track[points]
         indices[frame_of[points], member.markers[label[track]]] = scene.place[points]
         confidence[frame_of[points], member.markers[label[track]]] = sure[track]
-        labellings.append(Labelling(indices, confidence, member.names))
+        candidates[indices != NULL] = NULL
+        labellings.append(Labelling(indices, confidence, member.names, candidates))
     return labellings, outcome
 
 
