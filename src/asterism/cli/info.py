@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import typer
@@ -13,26 +13,43 @@ from asterism.cli._options import Files, Json, Overwrite
 _UNITS = {"rate": " frames/s", "duration": " s"}
 _LONGEST_LIST = {"physical": 200, "events": 40}
 _LONG_ENOUGH = 12
+_CAMERA_COLUMNS = ("camera", "image, px", "focal length, px", "centre, px", "lens terms", "position, m", "error, px")
 
 
 def info(files: Files, overwrite: Overwrite = False, json: Json = None) -> None:
     """Show what files hold.
 
-    Points (physical, computed, unnamed), frames, rate, units, the vertical, events, gaps and oddities.
+    Points (physical, computed, unnamed), frames, rate, units, the vertical, events, gaps and oddities. Of rig files and folders
+    of them: cameras, their lenses, positions and errors, and what the file lacks.
     """
     from asterism import formats
+    from asterism.cameras.files import describe_rig, is_rig_file, read_rig
 
     _console.check_new(json, overwrite)
     batch = _console.Batch("shown")
     found: list[dict[str, Any]] = []
     for path in files:
         with batch.file(path):
-            content = {key: value for key, value in formats.describe(path).items() if key != "file"}
+            is_rig = is_rig_file(path)
+            whole = describe_rig(read_rig(path)) if is_rig else formats.describe(path)
+            content = {key: value for key, value in whole.items() if key != "file"}
             found.append({"file": path, **content})
             if json != "-":
-                _console.facts(str(path), list(_rows(content)))
+                _console.facts(str(path), list(_rows({key: value for key, value in content.items() if not (is_rig and key == "cameras")})))
+            if json != "-" and is_rig:
+                _console.table("cameras", _CAMERA_COLUMNS, [_camera_row(camera) for camera in content["cameras"]])
     _console.write_json(json, {"command": "info", "files": found, "failed": batch.failed})
     raise typer.Exit(batch.close())
+
+
+def _camera_row(camera: Mapping[str, Any]) -> list[str]:
+    def pair(values: Sequence[float] | None, pattern: str = "{:.1f}", between: str = ", ") -> str:
+        return "–" if values is None else between.join(pattern.format(value) for value in values)
+
+    lens = len(camera["radial"]) + sum(map(bool, camera["denominator"])) + sum(map(bool, camera["tangential"]))
+    error = "–" if camera["error"] is None else f"{camera['error']:.3f}"
+    size = pair(camera["size"], "{:.0f}", " x ")
+    return [camera["name"], size, pair(camera["focal"]), pair(camera["centre"]), str(lens), pair(camera["position"], "{:.3f}"), error]
 
 
 def _rows(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

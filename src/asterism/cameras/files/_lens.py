@@ -1,0 +1,117 @@
+"""One lens model said in another: radial coefficients fitted to what a lens does, and how far the fit misses it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from asterism.cameras.camera import Camera
+from asterism.errors import AsterismError
+from asterism.recording import Floats
+
+CLOSE_PX = 1e-3
+TOLERABLE_PX = 0.1
+POLYNOMIALS = tuple((count, 0) for count in range(2, 9))
+RATIONALS = tuple((count, 3) for count in range(2, 9))
+OPENCV = ((3, 0), (3, 3))
+_LEAST_DENOMINATOR = 1e-3
+_BEYOND = 4.0
+_RADII = 400
+
+Radial = tuple[tuple[float, ...], tuple[float, float, float]]
+
+
+def fitted_radial(
+    source: Floats, target: Floats, focal: float, shapes: Sequence[tuple[int, int]], *, beyond: bool = True
+) -> tuple[Radial, float]:
+    """Coefficients k of target = source (1 + k1 s + k2 s2 + ...) / (1 + k4 s + k5 s2 + k6 s3), s = source2, by least squares in pixels.
+
+    source, target  (n,) radii of the normalized plane, rising, beyond zero
+    shapes          (coefficients above, below) to try in this order; the first that leaves less than 0.001 px is taken, else the best
+
+    beyond          whether points from further outside must not come back into the image
+
+    Returns the coefficients and the largest error in px; with no fit left, the lens is taken for none.
+    """
+    from scipy.optimize import least_squares
+
+    none: Radial = ((), (0.0, 0.0, 0.0))
+    best = (none, float(np.abs(target - source).max() * focal))
+    if best[1] < 1e-9:
+        return best
+    scale = float(source.max()) ** 2
+    powers = np.stack([(source**2 / scale) ** (i + 1) for i in range(max(max(shape) for shape in shapes))], axis=1)
+    for above, below in shapes:
+        top, under = powers[:, :above], powers[:, :below]
+
+        def missed(k: Floats, top: Floats = top, under: Floats = under, above: int = above) -> Floats:
+            wrong: Floats = (source * (1.0 + top @ k[:above]) / (1.0 + under @ k[above:]) - target) * focal
+            return wrong
+
+        def slopes(k: Floats, top: Floats = top, under: Floats = under, above: int = above) -> Floats:
+            bottom = 1.0 + under @ k[above:]
+            by_under = -source / bottom**2 * (1.0 + top @ k[:above])
+            return focal * np.concatenate([top * (source / bottom)[:, None], under * by_under[:, None]], axis=1)
+
+        columns = np.concatenate([top * source[:, None], -under * target[:, None]], axis=1)
+        k = np.linalg.lstsq(columns, target - source, rcond=None)[0]
+        if below:
+            start = k if (1.0 + under @ k[above:]).min() > _LEAST_DENOMINATOR else np.zeros(above + below)
+            k = least_squares(missed, start, slopes, method="lm", max_nfev=200).x
+            if (1.0 + under @ k[above:]).min() <= _LEAST_DENOMINATOR:
+                continue
+        left = float(np.abs(missed(k)).max())
+        real = [float(v) / scale ** (i + 1) for i, v in enumerate(k[:above])]
+        denominator = [float(v) / scale ** (i + 1) for i, v in enumerate(k[above:])] or [0.0, 0.0, 0.0]
+        radial: Radial = (tuple(real), (denominator[0], denominator[1], denominator[2]))
+        if left < best[1] and not (beyond and _comes_back(radial, float(source.max()), float(target.max()))):
+            best = (radial, left)
+        if best[1] < CLOSE_PX:
+            break
+    return best
+
+
+def _comes_back(radial: Radial, inside: float, edge: float) -> bool:
+    """Whether points of the normalized plane beyond `inside` are projected to less than `edge`."""
+    lens = Camera("fit", None, (1.0, 1.0), (0.0, 0.0), radial=radial[0], denominator=radial[1])
+    beyond = np.linspace(1.02 * inside, _BEYOND * inside, _RADII)
+    seen = lens.project(np.stack([beyond, np.zeros(_RADII), np.ones(_RADII)], axis=1))[:, 0]
+    return bool((np.abs(seen[np.isfinite(seen)]) < 0.98 * edge).any())
+
+
+def corner_radius(size: Sequence[float], centre: Sequence[float]) -> float:
+    """How far the furthest corner of the image is from the principal point, px."""
+    corners = np.array([[0.0, 0.0], [size[0], 0.0], [0.0, size[1]], [size[0], size[1]]])
+    return float(np.linalg.norm(corners - np.asarray(centre), axis=1).max())
+
+
+def with_shapes(place: str, camera: Camera, shapes: Sequence[tuple[int, int]]) -> tuple[Camera, float]:
+    """The camera with no more radial coefficients than a format has, and the largest error that this leaves, px.
+
+    Raises AsterismError where more than 0.1 px of the image would be lost.
+    """
+    most = max(above for above, _ in shapes)
+    rational = any(below for _, below in shapes)
+    if not any(camera.radial[most:]) and (rational or not any(camera.denominator)):
+        return camera, 0.0
+    size = camera.size or (2.0 * camera.centre[0], 2.0 * camera.centre[1])
+    focal = float(np.mean(camera.focal))
+    round_lens = Camera("fit", None, (1.0, 1.0), (0.0, 0.0), radial=camera.radial, denominator=camera.denominator)
+    seen = np.linspace(0.0, corner_radius(size, camera.centre) / focal, _RADII + 1)[1:]
+    ideal = round_lens.undistort(np.stack([seen, np.zeros(_RADII)], axis=1))[:, 0]
+    there = np.isfinite(ideal)
+    (radial, denominator), left = fitted_radial(ideal[there], seen[there], focal, shapes, beyond=False)
+    if left > TOLERABLE_PX:
+        raise AsterismError(
+            f"{place}: camera {camera.name} has a lens that the radial coefficients of this format miss by {left:.2g} px; "
+            "write Asterism's own .toml instead."
+        )
+    return replace(camera, radial=radial, denominator=denominator), left
+
+
+def lens_lost(lefts: Mapping[str, float]) -> list[str]:
+    """One phrase for what the fits of lenses miss, by camera in px, where that is more than 0.001 px anywhere."""
+    worst = max(lefts, key=lambda name: lefts[name])
+    return [f"up to {lefts[worst]:.2g} px of the lenses (camera {worst})"] if lefts[worst] > CLOSE_PX else []

@@ -1,0 +1,119 @@
+"""Anipose's, Pose2Sim's and caliscope's rig files: TOML tables with matrix, distortions, rotation and translation, in and out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from asterism.cameras.camera import Camera, vector_from_rotation
+from asterism.cameras.files._common import metres_per_unit, numbers, rig_of, within
+from asterism.cameras.files._lens import OPENCV, lens_lost, with_shapes
+from asterism.cameras.files._toml import toml_line
+from asterism.cameras.rig import Rig
+from asterism.errors import AsterismError
+from asterism.formats._text import write_atomically
+
+ANIPOSE, CALISCOPE = "anipose TOML", "caliscope TOML"
+
+
+def tables_of(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The cameras' tables by their keys; empty where the file is of another kind."""
+    inside = document.get("cameras")
+    tables = inside if isinstance(inside, dict) else document
+    return {str(key): table for key, table in tables.items() if isinstance(table, dict) and "matrix" in table}
+
+
+def rig_of_tables(path: Path, document: dict[str, Any]) -> Rig:
+    """A rig from anipose's, Pose2Sim's or caliscope's tables.
+
+    Anipose names no unit of length (millimetres, mostly; Pose2Sim writes metres): `metres_per_unit` tells them apart and `lacks` says
+    so. Caliscope's cameras have a `cam_id`, metres, rotation matrices or vectors, and no pose where they were not solved.
+    Raises AsterismError, naming the camera, for fisheye lenses and for what is damaged.
+    """
+    tables = tables_of(document)
+    caliscope = all("cam_id" in table or "port" in table for table in tables.values())
+    cameras, ignored = [], []
+    for key, table in tables.items():
+        name = str(table.get("name") or (f"cam_{table.get('cam_id', table.get('port'))}" if caliscope else key))
+        where = f"{path}, camera {name}"
+        if table.get("fisheye"):
+            raise AsterismError(f"{where}: a fisheye lens, which this camera model does not have; calibrate it with a pinhole model.")
+        if table.get("ignore"):
+            ignored.append(name)
+        cameras.append(within(path, lambda name=name, where=where, table=table: _camera(name, where, table)))
+    metadata = {"error": document["metadata"].get("error")} if isinstance(document.get("metadata"), dict) else {}
+    lacks = [f"a calibration of {', '.join(ignored)}: its makers ignored it"] if ignored else []
+    if caliscope:
+        return rig_of(path, CALISCOPE, cameras, metadata, lacks)
+    posed = [camera.translation for camera in cameras if camera.posed]
+    if posed:
+        scale, phrase = metres_per_unit(posed)
+        lacks.append(phrase)
+        cameras = [Camera(**{**vars(camera), "translation": scale * camera.translation}) for camera in cameras]
+    return rig_of(path, ANIPOSE, cameras, metadata, lacks)
+
+
+def _camera(name: str, where: str, table: dict[str, Any]) -> Camera:
+    posed = table.get("translation") is not None and table.get("rotation") is not None
+    rotation = numbers(where, "rotation", table["rotation"]) if posed else None
+    if rotation is not None and len(rotation) not in (3, 9):
+        raise AsterismError(f"{where}: its rotation has {len(rotation)} numbers, not 3 or 9; the file is damaged, export it again.")
+    camera = Camera.from_opencv(
+        name,
+        numbers(where, "matrix", table["matrix"], 9).reshape(3, 3),
+        numbers(where, "distortions", table.get("distortions") or []),
+        rotation if rotation is None or len(rotation) == 3 else rotation.reshape(3, 3),
+        numbers(where, "translation", table["translation"], 3) if posed else None,
+        [int(side) for side in numbers(where, "size", table["size"], 2)] if table.get("size") is not None else None,
+    )
+    error = table.get("error")
+    return camera if error is None else Camera(**{**vars(camera), "error": float(numbers(where, "error", error, 1)[0])})
+
+
+def write_anipose(path: Path, rig: Rig) -> list[str]:
+    """Write aniposelib's TOML, in millimetres. Returns what it does not carry. Raises AsterismError for a lens or pose it cannot carry."""
+    lines: list[str] = []
+    lefts: dict[str, float] = {}
+    for i, given in enumerate(rig):
+        _check_posed(path, given)
+        camera, lefts[given.name] = with_shapes(str(path), given, OPENCV)
+        lines += [f"[cam_{i}]", toml_line("name", camera.name)]
+        lines += [toml_line("size", list(camera.size))] if camera.size else []
+        lines += [toml_line("matrix", camera.matrix.tolist()), toml_line("distortions", camera.distortion.tolist())]
+        lines += [toml_line("rotation", vector_from_rotation(camera.rotation).tolist())]
+        lines += [toml_line("translation", (1000.0 * camera.translation).tolist()), ""]
+    lines += ["[metadata]", toml_line("adjusted", True)]
+    error = rig.metadata.get("error")
+    lines += [toml_line("error", float(error))] if isinstance(error, int | float) else []
+    write_atomically(path, ("\n".join(lines) + "\n").encode())
+    return [*(["the vertical"] if rig.vertical is not None else []), *_errors_lost(rig), *lens_lost(lefts)]
+
+
+def write_caliscope(path: Path, rig: Rig) -> list[str]:
+    """Write caliscope's camera_array.toml, in metres. Returns what it does not carry."""
+    lines: list[str] = []
+    lefts: dict[str, float] = {}
+    numbered = [camera.name[4:] if camera.name[4:].isdigit() and camera.name.startswith("cam_") else "" for camera in rig]
+    own = all(numbered) and len({int(number) for number in numbered}) == len(rig)
+    for i, given in enumerate(rig):
+        camera, lefts[given.name] = with_shapes(str(path), given, OPENCV)
+        number = int(numbered[i]) if own else i
+        lines += [f"[cameras.{number}]", toml_line("cam_id", number), toml_line("rotation_count", 0), toml_line("ignore", False)]
+        lines += [toml_line("size", list(camera.size))] if camera.size else []
+        lines += [toml_line("error", camera.error)] if camera.error == camera.error else []
+        lines += [toml_line("matrix", camera.matrix.tolist()), toml_line("distortions", camera.distortion.tolist())]
+        if camera.posed:
+            lines += [toml_line("translation", camera.translation.tolist()), toml_line("rotation", camera.rotation.tolist())]
+        lines += [""]
+    write_atomically(path, "\n".join(lines).encode())
+    lost = [*(["the vertical"] if rig.vertical is not None else []), *lens_lost(lefts)]
+    return [*lost, *([] if own else ["the names of the cameras (numbers stand for them)"])]
+
+
+def _check_posed(path: Path, camera: Camera) -> None:
+    if not camera.posed:
+        raise AsterismError(f"{path}: camera {camera.name} has no pose and this format needs one; write .toml or .yml instead.")
+
+
+def _errors_lost(rig: Rig) -> list[str]:
+    return ["the reprojection error of each camera"] if any(camera.error == camera.error for camera in rig) else []
