@@ -176,12 +176,21 @@ def test_where_all_trials_failed_a_tracklet_is_still_offered() -> None:
     """Two people, one stands and one walks: tried on each other every label is wrong, which proves little about the third."""
     failed = Tried(np.linspace(0.0, 30.0, 200), np.zeros(200), np.zeros(200, dtype=np.int64))
     margin = np.array([-20.0, 0.0, 20.0])
-    sure = Certainty.fit(failed, 0.999).confidence(margin, np.zeros(3, dtype=np.int64))
+    sure = Certainty.fit(failed, 0.999, 5).confidence(margin, np.zeros(3, dtype=np.int64))
     assert sure[2] == pytest.approx(0.1, abs=0.01) and sure[0] < 1e-6 and (np.diff(sure) > 0).all()
     points = np.zeros((50, 1, 3))
     clouds = Clouds.from_points(list(points), 100.0)
     [item] = review(Labelling(np.full((50, 1), -1), np.full((50, 1), sure[2]), ("A",)), clouds)
     assert item.gain == pytest.approx(50 * sure[2]) and item.perhaps[0][0] == "A"
+
+
+def test_few_people_are_believed_less() -> None:
+    """All trials went well: with one person that proves less of a small margin than with five."""
+    well = Tried(np.linspace(0.0, 30.0, 200), np.ones(200), np.zeros(200, dtype=np.int64))
+    one, two, five, ten = (
+        Certainty.fit(well, 0.999, people).confidence(np.array([1.0]), np.zeros(1, dtype=np.int64))[0] for people in (1, 2, 5, 10)
+    )
+    assert one < two < five == ten
 
 
 def test_bad_input_is_named(walks: list[Recording]) -> None:

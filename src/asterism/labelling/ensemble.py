@@ -24,7 +24,7 @@ from asterism.labelling.model_file import reading, write_arrays
 from asterism.labelling.sample import Sample
 from asterism.labelling.solver import person
 from asterism.labelling.tracks.bodies import check_for_one
-from asterism.labelling.tracks.certainty import Certainty
+from asterism.labelling.tracks.certainty import STEEP, Certainty
 from asterism.labelling.tracks.scene import Looker, TimeRules
 from asterism.labelling.tracks.whole import Member, label_whole, own_body_gain, subject_body
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording
@@ -310,6 +310,7 @@ class SolverEnsemble:
             "usual_score": self._usual_score,
             "least_confidence": self.least_confidence,
             "least_confidence_in_time": self._in_time.least_confidence,
+            "steep_in_time": self._in_time.steep,
             "look": asdict(self._look),
             "about": self.about,
             "recipe": None if self._memory is None else self._memory.recipe.to_dict(),
@@ -351,7 +352,8 @@ class SolverEnsemble:
             calibrations = _two_curves(arrays, "calibration")
             in_time = None
             if "time_calibration_0" in arrays:
-                in_time = Certainty(_two_curves(arrays, "time_calibration"), float(head["least_confidence_in_time"]))
+                least, steep = float(head["least_confidence_in_time"]), float(head.get("steep_in_time", STEEP))
+                in_time = Certainty(_two_curves(arrays, "time_calibration"), least, steep)
             partial, sample = (
                 {name.removeprefix(part): array for name, array in arrays.items() if name.startswith(part)}
                 for part in ("partial_", "sample_")

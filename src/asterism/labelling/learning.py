@@ -200,7 +200,7 @@ def learn_body(frames: Floats, people: Ints, stretches: Sequence[tuple[int, Reco
         in_time.append(trial(Looker(tried, own), others_stretches, rules.time_trials, TimeRules(), SubjectRules(), recipe.body, seed + i))
     margin, right, spare = (np.concatenate(parts) for parts in zip(*outcomes, strict=True))
     calibrations = (Calibration.fit(margin[~spare], right[~spare]), Calibration.fit(margin[spare], right[spare]))
-    certainty = Certainty.fit(Tried.together(in_time), recipe.target_hit_rate)
+    certainty = Certainty.fit(Tried.together(in_time), recipe.target_hit_rate, len(np.unique(people)))
     return Learned(body, anchors, float(np.median(usual)), calibrations, certainty)
 
 
