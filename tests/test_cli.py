@@ -21,6 +21,7 @@ from asterism.simulation import simulate_walks
 
 ROOT = Path(__file__).parent.parent
 VERBS = ("demo", "name", "audit", "train", "label", "review", "learn", "evaluate", "capturability", "info", "convert")
+TWO_WORDS = ("rig report", "rig plan")
 MARKERS = "helen-hayes"
 
 
@@ -84,7 +85,7 @@ def _options(verb: str, capsys: pytest.CaptureFixture[str]) -> set[str]:
     return set(re.findall(r"^  (?:-\w, )?(--[a-z-]+)", text, re.MULTILINE)) - {"--help"}
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", [*VERBS, *TWO_WORDS])
 def test_every_command_and_option_is_documented(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     pages = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8").split("\n## ")
     [page] = [page for page in pages if page.startswith(f"`asterism {verb}`")]

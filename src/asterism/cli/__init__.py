@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from asterism.cli import _console, calibrate
+from asterism.cli import _console, calibrate, rig
 from asterism.cli.audit import audit
 from asterism.cli.capturability import capturability
 from asterism.cli.convert import convert
@@ -26,7 +26,7 @@ from asterism.cli.review import review
 from asterism.cli.train import train
 from asterism.errors import AsterismError
 
-_LISTS = ("--occlusions", "--ghosts")
+_LISTS = ("--occlusions", "--ghosts", "--wand")
 
 app = typer.Typer(
     name="asterism",
@@ -72,6 +72,7 @@ _EXAMPLES: dict[Callable[..., None], str] = {
 
 _GROUPS: dict[str, tuple[str, dict[Callable[..., None], str]]] = {
     "calibrate": ("Make the rig of a set of cameras, and mend it.", calibrate.VERBS),
+    "rig": ("Tell what a rig measures, and where to hang cameras.", rig.VERBS),
 }
 """The first words of verbs of two words: their help, their verbs."""
 
@@ -131,9 +132,10 @@ def _lists_joined(args: Sequence[str]) -> list[str]:
     joined: list[str] = []
     of_a_list = False
     for arg in args:
-        if of_a_list and arg.isdigit() and joined[-1] not in _LISTS:
+        number = re.fullmatch(r"\d*\.?\d+", arg) is not None
+        if of_a_list and number and joined[-1] not in _LISTS:
             joined[-1] += f",{arg}"
             continue
-        of_a_list = arg in _LISTS or (of_a_list and arg.isdigit())
+        of_a_list = arg in _LISTS or (of_a_list and number)
         joined.append(arg)
     return joined

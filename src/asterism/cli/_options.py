@@ -100,6 +100,22 @@ def numbers(given: str, option: str) -> tuple[int, ...]:
     return listed
 
 
+def metres(given: str, option: str) -> tuple[float, ...]:
+    """The lengths of a list option, in order. Raises AsterismError where one is no number."""
+    try:
+        return tuple(float(number) for number in given.replace(",", " ").split())
+    except ValueError:
+        raise AsterismError(f"{option} {given} is no list of metres; give for example {option} 0 0.2 0.6.") from None
+
+
+def image_size(given: str, option: str) -> tuple[int, int]:
+    """The width and height (px) of "1280x1024". Raises AsterismError for anything else."""
+    sides = given.lower().replace("×", "x").split("x")
+    if len(sides) != 2 or not all(side.strip().isdigit() and int(side) > 0 for side in sides):
+        raise AsterismError(f"{option} {given} is no image size; give width x height in pixels, such as 1280x1024.")
+    return int(sides[0]), int(sides[1])
+
+
 def feature_names(given: str | None) -> tuple[str, ...] | None:
     """What --features means to `SolverEnsemble.fit`. Raises AsterismError for a name that is not known, before any file is read."""
     if given is None:

@@ -5,5 +5,6 @@ from asterism.report.evaluation import evaluation_report
 from asterism.report.label import label_report
 from asterism.report.naming import naming_report
 from asterism.report.review import review_report
+from asterism.report.rig import rig_report
 
-__all__ = ["capturability_report", "evaluation_report", "label_report", "naming_report", "review_report"]
+__all__ = ["capturability_report", "evaluation_report", "label_report", "naming_report", "review_report", "rig_report"]

@@ -1,0 +1,150 @@
+"""Cameras in; the pictures of a rig out: where it stands, and what it measures slice by slice."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from asterism.cameras import Camera, Rig
+from asterism.cameras.accuracy import RigMap, Volume
+from asterism.recording import Floats, as_vertical
+from asterism.report.figures import PALETTE, Figure, figure
+from asterism.report.scene import _upright
+
+LAYERS = 4
+"""So many slices through a volume."""
+
+
+def rig_in_space(
+    rig: Rig, volume: Volume | None = None, points: Floats | None = None, values: Sequence[float] | None = None, what: str = ""
+) -> Figure:
+    """The rig in 3D, up is up: each camera as a pyramid that opens where it looks, the volume as a box, points (N, 3) m if there are any.
+
+    values  one per point, drawn as its shade; what: their name and unit
+    """
+    turn = _upright(as_vertical("z") if rig.vertical is None else rig.vertical)
+    eyes = np.stack([camera.position for camera in rig])
+    reach = float(np.linalg.norm(eyes.max(axis=0) - eyes.min(axis=0))) or 1.0
+    data: list[Mapping[str, Any]] = []
+    edges = [path for camera in rig for path in _pyramid(camera, 0.06 * reach)]
+    data.append(_lines(edges, turn, PALETTE[0], 3))
+    if volume is not None:
+        data.append(_lines(_box(volume), turn, "#9aa4b5", 2))
+    x, y, z = (eyes @ turn.T).T
+    data.append(
+        {
+            "type": "scatter3d",
+            "mode": "markers+text",
+            "x": np.round(x, 3),
+            "y": np.round(y, 3),
+            "z": np.round(z, 3),
+            "text": list(rig.names),
+            "textposition": "top center",
+            "textfont": {"size": 11},
+            "marker": {"size": 3, "color": PALETTE[0]},
+            "hovertemplate": "%{text}: %{x:.2f}, %{y:.2f}, %{z:.2f} m<extra></extra>",
+            "showlegend": False,
+        }
+    )
+    if points is not None and len(points):
+        x, y, z = (np.asarray(points) @ turn.T).T
+        shade: Any = PALETTE[2] if values is None else np.round(np.asarray(values, dtype=np.float64), 4)
+        bar = {"title": {"text": what, "side": "right"}, "thickness": 12, "outlinewidth": 0}
+        data.append(
+            {
+                "type": "scatter3d",
+                "mode": "markers",
+                "x": np.round(x, 3),
+                "y": np.round(y, 3),
+                "z": np.round(z, 3),
+                "marker": {"size": 3, "color": shade, **({} if values is None else {"colorscale": "Viridis", "colorbar": bar})},
+                "hovertemplate": "%{x:.2f}, %{y:.2f}, %{z:.2f} m" + ("" if values is None else ": %{marker.color:.3g}") + "<extra></extra>",
+                "showlegend": False,
+            }
+        )
+    axis = {
+        "title": {"text": ""},
+        "backgroundcolor": "#f7f9fc",
+        "gridcolor": "#dfe5ee",
+        "showspikes": False,
+        "ticksuffix": " m",
+        "nticks": 6,
+    }
+    scene = {"aspectmode": "data", "xaxis": axis, "yaxis": axis, "zaxis": axis, "camera": {"eye": {"x": 0.9, "y": -1.1, "z": 0.8}}}
+    return figure(data, height=520, scene=scene)
+
+
+def slices(result: RigMap, values: Floats, vertical: Floats, what: str, shades: Sequence[Sequence[Any]], low: float, high: float) -> Figure:
+    """Level slices through a map, from the lowest up: values (N,) of its places as shades from `low` to `high`."""
+    axis = int(np.argmax(np.abs(vertical)))
+    across, along = [i for i in range(3) if i != axis]
+    grid = np.moveaxis(result.grid(values), axis, 0)  # height, across, along
+    count = len(result.axes[axis])
+    layers = np.unique(np.linspace(0, count - 1, min(LAYERS, count)).round().astype(np.int64))
+    layers = layers if vertical[axis] > 0 else layers[::-1]
+    wide, deep = result.volume.size[across], result.volume.size[along]
+    data, layout = [], {}
+    for n, layer in enumerate(layers):
+        left, right = (n + 0.06) / len(layers), (n + 0.97) / len(layers)
+        suffix = "" if n == 0 else str(n + 1)
+        data.append(
+            {
+                "type": "heatmap",
+                "x": np.round(result.axes[across], 3),
+                "y": np.round(result.axes[along], 3),
+                "z": np.round(grid[layer].T, 4),
+                "xaxis": f"x{suffix}",
+                "yaxis": f"y{suffix}",
+                "zmin": low,
+                "zmax": high,
+                "colorscale": list(shades),
+                "showscale": n == len(layers) - 1,
+                "hovertemplate": "%{x:.2f}, %{y:.2f} m: %{z:.3g} " + what + "<extra></extra>",
+                "colorbar": {"title": {"text": what, "side": "right"}, "thickness": 12, "outlinewidth": 0},
+            }
+        )
+        side = {"showgrid": False, "zeroline": False, "ticksuffix": " m", "nticks": 5, "tickfont": {"size": 10}}
+        height = float(result.axes[axis][layer] * np.sign(vertical[axis]))
+        layout[f"xaxis{suffix}"] = {
+            "title": {"text": f"{height:.1f} m high", "font": {"size": 12}},
+            **side,
+            "domain": [left, right],
+            "anchor": f"y{suffix}",
+            "constrain": "domain",
+        }
+        layout[f"yaxis{suffix}"] = {
+            **side,
+            "anchor": f"x{suffix}",
+            "scaleanchor": f"x{suffix}",
+            "constrain": "domain",
+            "showticklabels": n == 0,
+        }
+    drawn = int(np.clip(90 + 900 / len(layers) * deep / wide, 220, 460))
+    return figure(data, height=drawn, plot_bgcolor="#eef1f6", **layout)
+
+
+def _pyramid(camera: Camera, length: float) -> list[Floats]:
+    """The lines of a camera's field of view, `length` m deep; 40 degrees, half as deep, where the image size is not known."""
+    width, height = camera.size or (0.7 * camera.focal[0], 0.7 * camera.focal[1])
+    depth = length if camera.size else 0.5 * length
+    x, y = 0.5 * width / camera.focal[0], 0.5 * height / camera.focal[1]
+    corners = depth * np.array([(-x, -y, 1.0), (x, -y, 1.0), (x, y, 1.0), (-x, y, 1.0)]) @ camera.rotation + camera.position
+    return [*(np.stack([camera.position, corner]) for corner in corners), np.vstack([corners, corners[:1]])]
+
+
+def _box(volume: Volume) -> list[Floats]:
+    low, high = volume.low, volume.high
+    corners = np.array([[(low, high)[bit][i] for i, bit in enumerate(bits)] for bits in np.ndindex(2, 2, 2)])
+    return [np.stack([corners[a], corners[b]]) for a in range(8) for b in range(a) if np.isclose(corners[a], corners[b]).sum() == 2]
+
+
+def _lines(paths: Sequence[Floats], turn: Floats, color: str, width: int) -> dict[str, Any]:
+    xyz: list[list[float | None]] = []
+    for path in paths:
+        xyz += [[round(float(v), 3) for v in point] for point in path @ turn.T]
+        xyz.append([None, None, None])
+    x, y, z = zip(*xyz, strict=True)
+    line = {"color": color, "width": width}
+    return {"type": "scatter3d", "mode": "lines", "x": x, "y": y, "z": z, "line": line, "hoverinfo": "skip", "showlegend": False}
