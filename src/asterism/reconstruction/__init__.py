@@ -1,1 +1,6 @@
 """3D clouds from the blobs of calibrated cameras."""
+
+from asterism.reconstruction.reconstruct import METHODS, reconstruct
+from asterism.reconstruction.result import Reconstruction
+
+__all__ = ["METHODS", "Reconstruction", "reconstruct"]

@@ -1,0 +1,121 @@
+"""Frames on flat arrays: blobs in, chosen points with residual, covariance and rays out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from asterism.reconstruction._kernels import (
+    NOISE,
+    _add_ray,
+    _inverse,
+    best_blob,
+    compose,
+    fit,
+    frame_arrays,
+    in_view,
+    settle,
+    with_reduced,
+)
+from asterism.reconstruction._pack_kernels import pack
+
+FINAL_STEPS = 6
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def reconstruct_frames(rig, flat, slopes, offsets, begin, end, out_rays, out_points, out_covariance, out_residual, out_score, counts, notes):
+    """Compose, merge and choose the points of frames `begin` to `end`, each frame by itself.
+
+    IN  rig RigArrays; flat (B, 2), slopes (B, 4), offsets (T * C + 1,) as in Blobs
+    OUT out_rays (P, C) blob numbers or -1, out_points (P, 3) m, out_covariance (P, 3, 3) m2, out_residual (P,) px, out_score (P,)
+        counts (T,) points of each frame; notes (T, 2): pairs that passed the gate, tangles of hypotheses not solved to the end
+    P is at least half the number of blobs. Returns the number of points. Twin of the whole: tests/twins_reconstruction.py
+    """
+    cameras = len(rig.cameras)
+    x, h, g, out = np.empty(3), np.empty(6), np.empty(3), np.empty(1)
+    total = 0
+    for t in range(begin, end):
+        first = offsets[t * cameras : (t + 1) * cameras + 1] - offsets[t * cameras]
+        here = offsets[t * cameras]
+        blobs = first[cameras]
+        counts[t - begin] = 0
+        notes[t - begin, :] = 0
+        if blobs < 2:
+            continue
+        frame = frame_arrays(flat[here : here + blobs], slopes[here : here + blobs], first)
+        found, count, gated = compose(rig, frame)
+        notes[t - begin, 0] = gated
+        if count == 0:
+            continue
+        found, count = with_reduced(rig, frame, found, count)
+        chosen, unproved = pack(found.rays, found.scores, count, blobs)
+        notes[t - begin, 1] = unproved
+        free = np.ones(blobs, np.bool_)
+        for n in range(count):
+            if chosen[n]:
+                for c in range(cameras):
+                    if found.rays[n, c] >= 0:
+                        free[found.rays[n, c]] = False
+        order = np.argsort(-found.scores[:count], kind="mergesort")
+        for n in order:
+            if not chosen[n]:
+                continue
+            rays = found.rays[n]
+            x[:] = found.points[n]
+            fit(rig, frame, rays, x, h, g, 1)
+            added = False
+            for c in range(cameras):
+                if rays[c] < 0:
+                    blob = best_blob(rig, frame, c, x, h, free, out)
+                    if blob >= 0:
+                        rays[c] = blob
+                        free[blob] = False
+                        added = True
+            if added:
+                before = rays.copy()
+                settle(rig, frame, rays, x, h, g, 1)
+                for c in range(cameras):
+                    if before[c] >= 0 and rays[c] < 0:
+                        free[before[c]] = True
+            square = fit(rig, frame, rays, x, h, g, FINAL_STEPS)[0]
+            if not square < np.inf:
+                continue
+            _, i0, i1, i2, i3, i4, i5 = _inverse(h)
+            many, pixels = 0, 0.0
+            for c in range(cameras):
+                out_rays[total, c] = -1
+                if rays[c] >= 0:
+                    out_rays[total, c] = here + rays[c]
+                    many += 1
+                    h[:] = 0.0
+                    pixels += _add_ray(rig, frame, c, rays[c], x, h, g) * rig.cameras[c, NOISE] ** 2
+            out_points[total] = x
+            out_residual[total] = math.sqrt(pixels / many)
+            out_score[total] = found.scores[n]
+            v = out_covariance[total]
+            v[0, 0], v[0, 1], v[0, 2] = i0, i1, i2
+            v[1, 0], v[1, 1], v[1, 2] = i1, i3, i4
+            v[2, 0], v[2, 1], v[2, 2] = i2, i4, i5
+            counts[t - begin] += 1
+            total += 1
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def seen_shares(rig, points, rays, in_sight, seen):
+    """Count how often each camera saw what it should.
+
+    IN  points (P, 3) m; rays (P, C)
+    OUT in_sight, seen (C,) int: points of three other rays or more inside the camera's image, and those among them that it saw
+    """
+    for p in range(len(points)):
+        many = 0
+        for c in range(rays.shape[1]):
+            many += rays[p, c] >= 0
+        for c in range(rays.shape[1]):
+            has = rays[p, c] >= 0
+            if many - has >= 3 and in_view(rig, c, points[p])[0]:
+                in_sight[c] += 1
+                seen[c] += has

@@ -1,0 +1,254 @@
+"""Weighted set packing on flat arrays: hypotheses that want the same blobs in, the set without a conflict that is worth most out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+MOST_WORK = 2_000_000
+"""Looks at a hypothesis that the search in one tangle may take before the best found so far must do."""
+
+
+@njit(cache=True, error_model="numpy")
+def pack(rays, scores, count, blobs):
+    """Choose hypotheses of the greatest total score, no two with a blob in common.
+
+    IN  rays (n, C) blob numbers below `blobs` or -1; scores (n,) > 0; the first `count` rows count
+    Returns chosen (count,) bool, and how many tangles were cut off before their search had proved the best.
+    A hypothesis that is worth no less than the best that its rivals can be worth together is taken at once; what is left falls into
+    tangles without common blobs, each solved by branch and bound. Within MOST_WORK the choice is the best there is (twin: an
+    integer program); beyond, it is the best found, improved by exchanges of one for several.
+    """
+    cameras = rays.shape[1]
+    order = np.argsort(-scores[:count], kind="mergesort")
+    starts = np.zeros(blobs + 1, np.int64)
+    for n in range(count):
+        for c in range(cameras):
+            if rays[n, c] >= 0:
+                starts[rays[n, c] + 1] += 1
+    for blob in range(blobs):
+        starts[blob + 1] += starts[blob]
+    holders = np.empty(starts[blobs], np.int64)
+    fill = starts.copy()
+    for n in order:
+        for c in range(cameras):
+            if rays[n, c] >= 0:
+                holders[fill[rays[n, c]]] = n
+                fill[rays[n, c]] += 1
+    chosen = np.zeros(count, np.bool_)
+    alive = np.ones(count, np.bool_)
+    seen = np.full(count, -1, np.int64)
+    stamp = 0
+    changed = True
+    while changed:
+        changed = False
+        for n in order:
+            if not alive[n]:
+                continue
+            stamp += 1
+            rivals = 0.0
+            for c in range(cameras):
+                if rays[n, c] < 0:
+                    continue
+                best = 0.0
+                for place in range(starts[rays[n, c]], starts[rays[n, c] + 1]):
+                    other = holders[place]
+                    if alive[other] and other != n and seen[other] != stamp:
+                        seen[other] = stamp
+                        best = max(best, scores[other])
+                rivals += best
+            if scores[n] >= rivals:
+                chosen[n] = True
+                changed = True
+                _strike(rays, starts, holders, alive, n)
+    unproved = 0
+    members = np.empty(count, np.int64)
+    rank = np.empty(count, np.int64)
+    for place in range(count):
+        rank[order[place]] = place
+    for n in order:
+        if alive[n]:
+            many = _tangle(rays, starts, holders, alive, n, members)
+            sub = np.sort(rank[members[:many]])
+            for k in range(many):
+                members[k] = order[sub[k]]
+            if not _search(rays, scores, starts, holders, members[:many], chosen):
+                unproved += 1
+            for k in range(many):
+                alive[members[k]] = False
+    return chosen, unproved
+
+
+@njit(cache=True, error_model="numpy")
+def _strike(rays, starts, holders, alive, n):
+    """Take a hypothesis and all its rivals off the list."""
+    alive[n] = False
+    for c in range(rays.shape[1]):
+        if rays[n, c] >= 0:
+            for place in range(starts[rays[n, c]], starts[rays[n, c] + 1]):
+                alive[holders[place]] = False
+
+
+@njit(cache=True, error_model="numpy")
+def _tangle(rays, starts, holders, alive, n, members):
+    """All living hypotheses that hang together with one by common blobs; they are written to `members`. Returns how many."""
+    waiting = np.zeros(len(alive), np.bool_)
+    waiting[n] = True
+    members[0] = n
+    many, at = 1, 0
+    while at < many:
+        for c in range(rays.shape[1]):
+            blob = rays[members[at], c]
+            if blob >= 0:
+                for place in range(starts[blob], starts[blob + 1]):
+                    other = holders[place]
+                    if alive[other] and not waiting[other]:
+                        waiting[other] = True
+                        members[many] = other
+                        many += 1
+        at += 1
+    return many
+
+
+@njit(cache=True, error_model="numpy")
+def _search(rays, scores, starts, holders, members, chosen):
+    """Branch and bound over one tangle, best first into `chosen`. Returns whether the result is proved the best.
+
+    members: by falling score. The bound lets each blob be used once but no more: a cover of the hypotheses by blobs, each blob at
+    the worth of its best.
+    """
+    many = len(members)
+    local = np.full(len(scores), -1, np.int64)
+    for k in range(many):
+        local[members[k]] = k
+    blocked = np.zeros(many, np.int64)
+    taken, best = np.zeros(many, np.bool_), np.zeros(many, np.bool_)
+    covered = np.full(many, -1, np.int64)
+    path = np.empty(many + 1, np.int64)
+    depth, at, value, best_value, steps = 0, 0, 0.0, -1.0, 0
+    most_steps = many + MOST_WORK // many
+    stamp = 0
+    proved = True
+    going = True
+    while going:
+        steps += 1
+        bound = value
+        stamp += 1
+        for k in range(at, many):
+            if blocked[k] == 0 and covered[k] != stamp:
+                bound += scores[members[k]]
+                opened, widest = -1, 0
+                for c in range(rays.shape[1]):
+                    blob = rays[members[k], c]
+                    if blob >= 0:
+                        wide = 0
+                        for place in range(starts[blob], starts[blob + 1]):
+                            j = local[holders[place]]
+                            wide += j >= at and blocked[j] == 0 and covered[j] != stamp
+                        if wide > widest:
+                            opened, widest = blob, wide
+                for place in range(starts[opened], starts[opened + 1]):
+                    j = local[holders[place]]
+                    if j >= 0:
+                        covered[j] = stamp
+        while at < many and blocked[at] != 0:
+            at += 1
+        if bound > best_value + 1e-9 and at < many and steps <= most_steps:
+            taken[at] = True
+            value += scores[members[at]]
+            path[depth] = at
+            depth += 1
+            _block(rays, starts, holders, local, members[at], blocked, 1)
+            at += 1
+            continue
+        if at >= many and value > best_value + 1e-9:
+            best_value = value
+            best[:] = taken
+        if steps > most_steps:
+            proved = False
+            break
+        going = False
+        if depth > 0:
+            depth -= 1
+            at = path[depth]
+            taken[at] = False
+            value -= scores[members[at]]
+            _block(rays, starts, holders, local, members[at], blocked, -1)
+            at += 1
+            going = True
+    if not proved:
+        _exchange(rays, scores, starts, holders, local, members, best)
+    for k in range(many):
+        if best[k]:
+            chosen[members[k]] = True
+    return proved
+
+
+@njit(cache=True, error_model="numpy")
+def _block(rays, starts, holders, local, n, blocked, by):
+    """Count one more (or less) chosen rival for everything that shares a blob with hypothesis n."""
+    for c in range(rays.shape[1]):
+        blob = rays[n, c]
+        if blob >= 0:
+            for place in range(starts[blob], starts[blob + 1]):
+                j = local[holders[place]]
+                if j >= 0:
+                    blocked[j] += by
+
+
+@njit(cache=True, error_model="numpy")
+def _exchange(rays, scores, starts, holders, local, members, best):
+    """Improve a choice while putting one hypothesis in and its rivals out, then what became free in, is worth more."""
+    many = len(members)
+    blocked = np.zeros(many, np.int64)
+    for k in range(many):
+        if best[k]:
+            _block(rays, starts, holders, local, members[k], blocked, 1)
+    out = np.empty(many, np.int64)
+    new = np.empty(many, np.int64)
+    improved = True
+    rounds = 0
+    while improved and rounds < 20:
+        improved = False
+        rounds += 1
+        for k in range(many):
+            if best[k]:
+                continue
+            lost, leaving = 0.0, 0
+            for c in range(rays.shape[1]):
+                blob = rays[members[k], c]
+                if blob >= 0:
+                    for place in range(starts[blob], starts[blob + 1]):
+                        j = local[holders[place]]
+                        if j >= 0 and best[j]:
+                            best[j] = False
+                            _block(rays, starts, holders, local, members[j], blocked, -1)
+                            out[leaving] = j
+                            leaving += 1
+                            lost += scores[members[j]]
+            best[k] = True
+            _block(rays, starts, holders, local, members[k], blocked, 1)
+            won, coming = scores[members[k]], 0
+            for o in range(leaving):
+                for c in range(rays.shape[1]):
+                    blob = rays[members[out[o]], c]
+                    if blob >= 0:
+                        for place in range(starts[blob], starts[blob + 1]):
+                            j = local[holders[place]]
+                            if j >= 0 and not best[j] and blocked[j] == 0:
+                                best[j] = True
+                                _block(rays, starts, holders, local, members[j], blocked, 1)
+                                new[coming] = j
+                                coming += 1
+                                won += scores[members[j]]
+            if won > lost + 1e-9:
+                improved = True
+                continue
+            for n in range(coming):
+                best[new[n]] = False
+                _block(rays, starts, holders, local, members[new[n]], blocked, -1)
+            best[k] = False
+            _block(rays, starts, holders, local, members[k], blocked, -1)
+            for o in range(leaving):
+                best[out[o]] = True
+                _block(rays, starts, holders, local, members[out[o]], blocked, 1)
