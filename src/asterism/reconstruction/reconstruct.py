@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from asterism.cameras import Rig
 from asterism.errors import AsterismError
 from asterism.recording import Blobs, Clouds, Floats, Ints, as_vertical
-from asterism.reconstruction import _frame_kernels, _kernels
+from asterism.reconstruction import _frame_kernels, _kernels, _plain_kernels
 from asterism.reconstruction.result import Reconstruction
 
 Progress = Callable[[float, str], None]
@@ -49,6 +49,8 @@ def reconstruct(
 ) -> Reconstruction:
     """The 3D points that the blobs of each frame show.
 
+    method       "global": each blob explains one point at most, and of all sets of points the likeliest is chosen, frame by frame;
+                 "plain": the thesis' algorithms 3.1 and 3.2, all versions of a point merged by distance, ghosts and all
     noise        px, standard deviation of a blob's position per axis; None: told from the blobs themselves
     min_cameras  how many cameras must show a point, at least 2
     gate         how many standard deviations a blob may lie from where a point should show
@@ -65,10 +67,11 @@ def reconstruct(
     setting = _Setting(rig, borders, corners, min_cameras, gate)
     belief = _belief(setting, blobs, flat, slopes, noise)
     arrays = setting.arrays(belief)
+    run = _run if method == "global" else _run_plain
     parts = []
     spans = [(begin, min(begin + _CHUNK, len(blobs))) for begin in range(0, len(blobs), _CHUNK)]
     for begin, end in spans:
-        parts.append(_run(arrays, blobs, flat, slopes, begin, end))
+        parts.append(run(arrays, blobs, flat, slopes, begin, end))
         if progress is not None:
             progress(end / len(blobs), f"frame {end} of {len(blobs)}")
     return _assembled(parts, blobs, rig, belief, method)
@@ -138,13 +141,39 @@ def _run(arrays: _kernels.RigArrays, blobs: Blobs, flat: Floats, slopes: Floats,
     return _Part(rays[:total], points[:total], covariance[:total], residual[:total], counts, notes)
 
 
+def _run_plain(arrays: _kernels.RigArrays, blobs: Blobs, flat: Floats, slopes: Floats, begin: int, end: int) -> _Part:
+    cameras, room = len(blobs.cameras), 1024
+    parts, counts, notes = [], [], []
+    for t in range(begin, end):
+        first = blobs.offsets[t * cameras : (t + 1) * cameras + 1]
+        here = slice(first[0], first[-1])
+        while True:
+            rays, points = np.empty((room, cameras), dtype=np.int64), np.empty((room, 3))
+            covariance, residual = np.empty((room, 3, 3)), np.empty(room)
+            kept, versions = _plain_kernels.plain_frame(
+                arrays, flat[here], slopes[here], first - first[0], rays, points, covariance, residual
+            )
+            if versions <= room:
+                break
+            room = 2 * versions
+        rays[rays >= 0] += first[0]
+        parts.append((rays[:kept], points[:kept], covariance[:kept], residual[:kept]))
+        counts.append(kept)
+        notes.append((versions, 0))
+    rays, points, covariance, residual = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    return _Part(rays, points, covariance, residual, np.array(counts, dtype=np.int64), np.array(notes, dtype=np.int64))
+
+
 def _assembled(parts: list[_Part], blobs: Blobs, rig: Rig, belief: _Belief, method: str) -> Reconstruction:
     cameras = len(blobs.cameras)
     rays = np.concatenate([np.empty((0, cameras), dtype=np.int64), *(part.rays for part in parts)])
     xyz = np.concatenate([np.empty((0, 3)), *(part.points for part in parts)])
     notes = np.concatenate([np.empty((0, 2), dtype=np.int64), *(part.notes for part in parts)])
     counts = np.concatenate([np.zeros(1, dtype=np.int64), *(part.counts for part in parts)])
-    used = np.bincount(blobs.frame_of[rays[rays >= 0]] * cameras + np.nonzero(rays >= 0)[1], minlength=len(blobs) * cameras)
+    used = np.zeros(len(blobs.xy), dtype=np.bool_)
+    used[rays[rays >= 0]] = True
+    cell = blobs.frame_of * cameras + blobs.camera_of
+    unused = np.bincount(cell[~used], minlength=len(blobs) * cameras).reshape(len(blobs), cameras)
     clouds = Clouds(
         xyz, np.cumsum(counts), blobs.rate, as_vertical("z" if rig.vertical is None else rig.vertical), np.full(len(xyz), -1, dtype=np.int64)
     )
@@ -156,7 +185,7 @@ def _assembled(parts: list[_Part], blobs: Blobs, rig: Rig, belief: _Belief, meth
         blobs.cameras,
         belief.noise,
         method,
-        blobs.counts - used.reshape(len(blobs), cameras),
+        unused,
         notes[:, 0],
         (notes[:, 1] == 0) & (method == "global"),
     )
