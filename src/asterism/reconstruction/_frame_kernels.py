@@ -9,15 +9,16 @@ from numba import njit
 
 from asterism.reconstruction._kernels import (
     NOISE,
-    _add_ray,
-    _inverse,
+    add_ray,
     best_blob,
     compose,
     fit,
     frame_arrays,
     in_view,
+    inverse,
     settle,
     with_reduced,
+    within,
 )
 from asterism.reconstruction._pack_kernels import pack
 
@@ -25,11 +26,11 @@ FINAL_STEPS = 6
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def reconstruct_frames(rig, flat, slopes, offsets, begin, end, out_rays, out_points, out_covariance, out_residual, out_score, counts, notes):
+def reconstruct_frames(rig, flat, slopes, offsets, begin, end, out_rays, out_points, out_covariance, out_residual, counts, notes):
     """Compose, merge and choose the points of frames `begin` to `end`, each frame by itself.
 
     IN  rig RigArrays; flat (B, 2), slopes (B, 4), offsets (T * C + 1,) as in Blobs
-    OUT out_rays (P, C) blob numbers or -1, out_points (P, 3) m, out_covariance (P, 3, 3) m2, out_residual (P,) px, out_score (P,)
+    OUT out_rays (P, C) blob numbers or -1, out_points (P, 3) m, out_covariance (P, 3, 3) m2, out_residual (P,) px
         counts (T,) points of each frame; notes (T, 2): pairs that passed the gate, tangles of hypotheses not solved to the end
     P is at least half the number of blobs. Returns the number of points. Twin of the whole: tests/twins_reconstruction.py
     """
@@ -80,9 +81,9 @@ def reconstruct_frames(rig, flat, slopes, offsets, begin, end, out_rays, out_poi
                     if before[c] >= 0 and rays[c] < 0:
                         free[before[c]] = True
             square = fit(rig, frame, rays, x, h, g, FINAL_STEPS)[0]
-            if not square < np.inf:
+            if not (square < np.inf and within(rig, x)):
                 continue
-            _, i0, i1, i2, i3, i4, i5 = _inverse(h)
+            _, i0, i1, i2, i3, i4, i5 = inverse(h)
             many, pixels = 0, 0.0
             for c in range(cameras):
                 out_rays[total, c] = -1
@@ -90,10 +91,9 @@ def reconstruct_frames(rig, flat, slopes, offsets, begin, end, out_rays, out_poi
                     out_rays[total, c] = here + rays[c]
                     many += 1
                     h[:] = 0.0
-                    pixels += _add_ray(rig, frame, c, rays[c], x, h, g) * rig.cameras[c, NOISE] ** 2
+                    pixels += add_ray(rig, frame, c, rays[c], x, h, g) * rig.cameras[c, NOISE] ** 2
             out_points[total] = x
             out_residual[total] = math.sqrt(pixels / many)
-            out_score[total] = found.scores[n]
             v = out_covariance[total]
             v[0, 0], v[0, 1], v[0, 2] = i0, i1, i2
             v[1, 0], v[1, 1], v[1, 2] = i1, i3, i4

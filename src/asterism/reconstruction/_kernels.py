@@ -77,6 +77,26 @@ def lens_slopes(lens, flat, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def first_of_equals(xy, offsets, out):
+    """Whether a blob is the first of its image at its place.
+
+    IN  xy (B, 2) px, offsets (T * C + 1,) as in Blobs
+    OUT out (B,) bool
+    O(blobs log blobs).
+    """
+    out[:] = True
+    for cell in range(len(offsets) - 1):
+        begin, end = offsets[cell], offsets[cell + 1]
+        order = begin + np.argsort(xy[begin:end, 0], kind="mergesort")
+        for k in range(1, end - begin):
+            back = k - 1
+            while back >= 0 and xy[order[back], 0] == xy[order[k], 0]:
+                if xy[order[back], 1] == xy[order[k], 1]:
+                    out[order[k]] = False
+                back -= 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def frame_arrays(flat, slopes, first):
     """Lay a grid over each camera's blobs, about one blob a cell. O(blobs).
 
@@ -134,7 +154,7 @@ def _in_camera(cameras, c, x, y, z):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _inverse(h):
+def inverse(h):
     """The inverse of a symmetric 3 x 3 matrix given as (xx, xy, xz, yy, yz, zz), and its determinant before."""
     a, b, c = h[3] * h[5] - h[4] * h[4], h[2] * h[4] - h[1] * h[5], h[1] * h[4] - h[2] * h[3]
     determinant = h[0] * a + h[1] * b + h[2] * c
@@ -153,7 +173,7 @@ def _inverse(h):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _add_ray(rig, frame, c, blob, x, h, g):
+def add_ray(rig, frame, c, blob, x, h, g):
     """Add a ray's share to the normal equations at point x: h (6,) information, g (3,). Returns its squared residual in noise.
 
     A point that is not in front of the camera has an infinite one, and nothing is added.
@@ -203,11 +223,11 @@ def fit(rig, frame, rays, x, h, g, steps):
         total, worst, whose = 0.0, -1.0, -1
         for c in range(len(rays)):
             if rays[c] >= 0:
-                square = _add_ray(rig, frame, c, rays[c], x, h, g)
+                square = add_ray(rig, frame, c, rays[c], x, h, g)
                 total += square
                 if square > worst:
                     worst, whose = square, c
-        determinant, i0, i1, i2, i3, i4, i5 = _inverse(h)
+        determinant, i0, i1, i2, i3, i4, i5 = inverse(h)
         if not (determinant > 0.0 and total < np.inf):
             return np.inf, np.inf, whose
         if step == steps:
@@ -233,7 +253,7 @@ def best_blob(rig, frame, c, x, h, free, out):
     u, v, w = _in_camera(rig.cameras, c, x[0], x[1], x[2])
     if not w > 1e-9 or frame.grid[c, FIRST] == frame.grid[c, END]:
         return -1
-    determinant, i0, i1, i2, i3, i4, i5 = _inverse(h)
+    determinant, i0, i1, i2, i3, i4, i5 = inverse(h)
     if not determinant > 0.0:
         return -1
     px, py = u / w, v / w
@@ -332,7 +352,7 @@ def score(rig, frame, rays, x, h, square):
     The integral over where the point may be is taken by its Gaussian shape around the best place (Laplace). A camera that has the place
     in its image and shows nothing there speaks against it, unless a blob is so near that both may have merged.
     """
-    determinant = _inverse(h)[0]
+    determinant = inverse(h)[0]
     if not (determinant > 0.0 and square < np.inf):
         return -np.inf
     total = rig.setting[PRIOR] - 0.5 * math.log(determinant) - 0.5 * square
@@ -367,13 +387,21 @@ def settle(rig, frame, rays, x, h, g, steps):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _meeting(rig, frame, a, b, i, j, x):
+def meeting(rig, frame, a, b, i, j, x):
     """Where the rays of two blobs come nearest to each other, into x; False where that is not in front of both cameras."""
     cameras = rig.cameras
     fx, fy = frame.blobs[i, 0], frame.blobs[i, 1]
-    d0, d1, d2 = cameras[a, 0] * fx + cameras[a, 3] * fy + cameras[a, 6], cameras[a, 1] * fx + cameras[a, 4] * fy + cameras[a, 7], cameras[a, 2] * fx + cameras[a, 5] * fy + cameras[a, 8]
+    d0, d1, d2 = (
+        cameras[a, 0] * fx + cameras[a, 3] * fy + cameras[a, 6],
+        cameras[a, 1] * fx + cameras[a, 4] * fy + cameras[a, 7],
+        cameras[a, 2] * fx + cameras[a, 5] * fy + cameras[a, 8],
+    )
     fx, fy = frame.blobs[j, 0], frame.blobs[j, 1]
-    e0, e1, e2 = cameras[b, 0] * fx + cameras[b, 3] * fy + cameras[b, 6], cameras[b, 1] * fx + cameras[b, 4] * fy + cameras[b, 7], cameras[b, 2] * fx + cameras[b, 5] * fy + cameras[b, 8]
+    e0, e1, e2 = (
+        cameras[b, 0] * fx + cameras[b, 3] * fy + cameras[b, 6],
+        cameras[b, 1] * fx + cameras[b, 4] * fy + cameras[b, 7],
+        cameras[b, 2] * fx + cameras[b, 5] * fy + cameras[b, 8],
+    )
     o0, o1, o2 = cameras[b, 12] - cameras[a, 12], cameras[b, 13] - cameras[a, 13], cameras[b, 14] - cameras[a, 14]
     dd, ee, de = d0 * d0 + d1 * d1 + d2 * d2, e0 * e0 + e1 * e1 + e2 * e2, d0 * e0 + d1 * e1 + d2 * e2
     od, oe = o0 * d0 + o1 * d1 + o2 * d2, o0 * e0 + o1 * e1 + o2 * e2
@@ -390,11 +418,9 @@ def _meeting(rig, frame, a, b, i, j, x):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _within(rig, x):
+def within(rig, x):
     return (
-        rig.setting[3] <= x[0] <= rig.setting[6]
-        and rig.setting[4] <= x[1] <= rig.setting[7]
-        and rig.setting[5] <= x[2] <= rig.setting[8]
+        rig.setting[3] <= x[0] <= rig.setting[6] and rig.setting[4] <= x[1] <= rig.setting[7] and rig.setting[5] <= x[2] <= rig.setting[8]
     )
 
 
@@ -473,9 +499,7 @@ def compose(rig, frame):
     for c in range(cameras):
         most = max(most, int(frame.grid[c, END] - frame.grid[c, FIRST]))
     size = max(16, 2 * blobs)
-    found = Hypotheses(
-        np.empty((size, cameras), np.int64), np.empty((size, 3)), np.empty(size), np.empty((size, cameras), np.int64)
-    )
+    found = Hypotheses(np.empty((size, cameras), np.int64), np.empty((size, 3)), np.empty(size), np.empty((size, cameras), np.int64))
     count, gated = 0, 0
     head = np.full(blobs, -1, np.int64)
     free, firm = np.ones(blobs, np.bool_), np.zeros(blobs, np.bool_)
@@ -527,27 +551,27 @@ def compose(rig, frame):
                             known = True
                             break
                         at = found.links[at, a]
-                    if known or (firm[i] and firm[j]) or not _meeting(rig, frame, a, b, i, j, x):
+                    if known or (firm[i] and firm[j]) or not meeting(rig, frame, a, b, i, j, x):
                         continue
                     rays[:] = -1
                     rays[a], rays[b] = i, j
                     square = fit(rig, frame, rays, x, h, g, 1)[0]
-                    if not square < np.inf or not _within(rig, x):
+                    if not square < np.inf:
                         continue
                     for c in range(cameras):
-                        if c == a or c == b:
+                        if c in (a, b):
                             continue
                         blob = best_blob(rig, frame, c, x, h, free, out)
                         if blob >= 0:
                             g[:] = 0.0
-                            if _add_ray(rig, frame, c, blob, x, h, g) < np.inf:
+                            if add_ray(rig, frame, c, blob, x, h, g) < np.inf:
                                 rays[c] = blob
-                                _, i0, i1, i2, i3, i4, i5 = _inverse(h)
+                                _, i0, i1, i2, i3, i4, i5 = inverse(h)
                                 x[0] += i0 * g[0] + i1 * g[1] + i2 * g[2]
                                 x[1] += i1 * g[0] + i3 * g[1] + i4 * g[2]
                                 x[2] += i2 * g[0] + i4 * g[1] + i5 * g[2]
                     square, many = settle(rig, frame, rays, x, h, g, 1)
-                    if not square < np.inf or many < rig.setting[FEWEST] or not _within(rig, x):
+                    if not square < np.inf or many < rig.setting[FEWEST] or not within(rig, x):
                         continue
                     worth = score(rig, frame, rays, x, h, square)
                     if not worth > 0.0 or _listed(found, head, rays):
@@ -644,7 +668,7 @@ def with_reduced(rig, frame, found, count):
                 x[:] = found.points[n]
                 square = fit(rig, frame, rays, x, h, g, 2)[0]
                 worth = score(rig, frame, rays, x, h, square)
-                if worth > 0.0 and _within(rig, x):
+                if worth > 0.0 and within(rig, x):
                     found = _room(found, total)
                     found.rays[total] = rays
                     found.points[total] = x

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from asterism.reconstruction._kernels import END, FIRST, FEWEST, GATE, NOISE, _add_ray, _inverse, _meeting, _within, fit, frame_arrays
+from asterism.reconstruction._kernels import END, FEWEST, FIRST, GATE, NOISE, add_ray, fit, frame_arrays, inverse, meeting, within
 
 
 @njit(cache=True, error_model="numpy")
@@ -25,15 +25,15 @@ def _composed(rig, frame, rays, points, spreads):
         a, b = rig.pairs[pair, 0], rig.pairs[pair, 1]
         for i in range(int(frame.grid[a, FIRST]), int(frame.grid[a, END])):
             for j in range(int(frame.grid[b, FIRST]), int(frame.grid[b, END])):
-                if not _meeting(rig, frame, a, b, i, j, x):
+                if not meeting(rig, frame, a, b, i, j, x):
                     continue
                 one[:] = -1
                 one[a], one[b] = i, j
                 square = fit(rig, frame, one, x, h, g, 1)[0]
-                if not (square <= limit and _within(rig, x)):
+                if not (square <= limit and within(rig, x)):
                     continue
                 if count < len(points):
-                    _, i0, _, _, i3, _, i5 = _inverse(h)
+                    _, i0, _, _, i3, _, i5 = inverse(h)
                     rays[count], points[count], spreads[count] = one, x, i0 + i3 + i5
                 count += 1
     return count
@@ -97,8 +97,8 @@ def plain_frame(rig, flat, slopes, first, rays, points, covariance, residual):
         for c in range(rays.shape[1]):
             if rays[n, c] >= 0:
                 many += 1
-                pixels += _add_ray(rig, frame, c, rays[n, c], points[n], h, g) * rig.cameras[c, NOISE] ** 2
-        determinant, i0, i1, i2, i3, i4, i5 = _inverse(h)
+                pixels += add_ray(rig, frame, c, rays[n, c], points[n], h, g) * rig.cameras[c, NOISE] ** 2
+        determinant, i0, i1, i2, i3, i4, i5 = inverse(h)
         if many < rig.setting[FEWEST] or not (determinant > 0.0 and pixels < np.inf):
             continue
         rays[kept], points[kept], residual[kept] = rays[n], points[n], math.sqrt(pixels / many)

@@ -1,37 +1,37 @@
-"""What a reconstruction is: 3D points, and how sure each is."""
+"""What a reconstruction is: 3D points, and what each rests on."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from numpy.typing import NDArray
 import numpy as np
+from numpy.typing import NDArray
 
-from asterism.recording import Clouds, Floats, Ints
+from asterism.recording import Blobs, Clouds, Floats, Ints
 
 
 @dataclass(frozen=True)
 class Reconstruction:
     """Points from blobs, with what each rests on.
 
-    clouds       the points, frame by frame
-    residual     (P,) px, the reprojection error of each point: RMS over its cameras of the distance between blob and projection
-    covariance   (P, 3, 3) m2, from the rays' Jacobian and the pixel noise
-    rays         (P, C) int: the blob of each camera that shows the point, its place in `Blobs.xy`; -1 where none does
-    camera_names (C,) the cameras, in the order of `rays`
-    noise        (C,) px, the pixel noise per axis that was given or told from the blobs
-    method       "global" or "plain"
-    unused       (T, C) int: blobs that belong to no point
-    gated        (T,) int: pairs of blobs that passed the epipolar gate
-    proved       (T,) bool: whether the choice among the frame's hypotheses is proved to be the best; all False for "plain"
-    remarks      what a user should know, one sentence each
+    clouds      the points, frame by frame
+    residual    (P,) px, the reprojection error of each point: RMS over its cameras of the distance between blob and projection
+    covariance  (P, 3, 3) m2, from the rays' Jacobian and the pixel noise
+    rays        (P, C) int: the blob of each camera that shows the point, its place in `blobs.xy`; -1 where none does
+    blobs       what it was made from: the given blobs, on a common clock, without those that are no rays or stand there twice
+    noise       (C,) px per axis, the pixel noise that was given or told from the blobs
+    method      "global" or "plain"
+    unused      (T, C) int: blobs that show no point
+    gated       (T,) int: pairs of blobs that passed the epipolar gate
+    proved      (T,) bool: whether the choice among the frame's hypotheses is proved to be the best there is; never for "plain"
+    remarks     what a user should know, one sentence each
     """
 
     clouds: Clouds
     residual: Floats
     covariance: Floats
     rays: Ints
-    camera_names: tuple[str, ...]
+    blobs: Blobs
     noise: Floats
     method: str
     unused: Ints
@@ -46,6 +46,6 @@ class Reconstruction:
 
     @property
     def deviation(self) -> Floats:
-        """(P,) m, the standard deviation of each point: the root of its covariance's trace."""
+        """(P,) m, how sure each point's place is: the root of its covariance's trace."""
         spread: Floats = np.sqrt(np.trace(self.covariance, axis1=1, axis2=2))
         return spread

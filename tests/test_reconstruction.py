@@ -1,0 +1,338 @@
+"""Points from simulated blobs of known markers: found, placed, chosen; and what must be refused in words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import Bounds, LinearConstraint, least_squares, milp
+
+from asterism.cameras import Camera, Rig
+from asterism.errors import AsterismError
+from asterism.reconstruction import Reconstruction, _kernels, reconstruct
+from asterism.reconstruction._pack_kernels import pack
+from asterism.reconstruction.rays import rays_of
+from asterism.reconstruction.setting import Belief, Setting, image_borders
+from asterism.recording import Blobs
+from asterism.simulation.cameras import images_of, ring_rig
+
+EVERYWHERE = np.array([[-np.inf] * 3, [np.inf] * 3])
+
+
+def markers(frames: int, count: int, seed: int, apart: float = 0.03) -> np.ndarray:
+    """(T, M, 3) m, anywhere in two cubic metres, no two nearer than `apart`."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform([-0.8, -0.8, 0.2], [0.8, 0.8, 1.8], (frames, count, 3))
+    for frame in points:
+        for m in range(1, count):
+            while np.linalg.norm(frame[:m] - frame[m], axis=1).min() < apart:
+                frame[m] = rng.uniform([-0.8, -0.8, 0.2], [0.8, 0.8, 1.8])
+    return points
+
+
+def found(result: Reconstruction, truth: np.ndarray, within: float = 0.01) -> tuple[int, int, np.ndarray]:
+    """Markers with a point within so many metres, points with no marker there, and the distances of those that have one."""
+    hits, ghosts, off = 0, 0, []
+    for t, points in enumerate(result.clouds):
+        far = np.linalg.norm(points[:, None] - truth[t][None], axis=2)
+        hits += int((far.min(axis=0, initial=np.inf) < within).sum())
+        nearest = far.min(axis=1) if len(points) else np.empty(0)
+        ghosts += int((nearest >= within).sum())
+        off.append(nearest[nearest < within])
+    return hits, ghosts, np.concatenate(off)
+
+
+def images(cameras: int = 8, count: int = 30, frames: int = 20, seed: int = 0, **more: float) -> tuple[Rig, Blobs, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    rig = ring_rig(cameras, rng=rng)
+    truth = markers(frames, count, seed)
+    blobs, shows = images_of(rig, truth, rng=rng, **({"noise": 0.3, "merging": False} | more))
+    return rig, blobs, truth, shows
+
+
+def test_every_marker_is_found_and_nothing_else() -> None:
+    rig, blobs, truth, shows = images()
+    result = reconstruct(blobs, rig)
+    hits, ghosts, off = found(result, truth)
+    assert (hits, ghosts) == (600, 0)
+    assert np.sqrt(np.mean(off**2)) < 1.2e-3
+    assert result.proved.all()
+    own = np.where(result.rays >= 0, shows[result.rays], -9)
+    agree = np.array([np.ptp(row[row >= 0]) == 0 for row in own])
+    assert agree.mean() > 0.99
+    assert (result.unused.sum() + result.cameras.sum()) == len(blobs.xy)
+
+
+def test_the_plain_algorithm_leaves_ghosts_that_the_global_choice_does_not() -> None:
+    rig, blobs, truth, _ = images(frames=5)
+    plain = reconstruct(blobs, rig, method="plain")
+    hits, ghosts, _ = found(plain, truth)
+    assert hits == 150
+    assert ghosts > 100, f"{ghosts} ghosts: this test compares nothing"
+    assert found(reconstruct(blobs, rig), truth)[1] == 0
+
+
+@pytest.mark.parametrize(("cameras", "missed", "strays"), [(8, 0.4, 1.0), (4, 0.1, 0.5), (3, 0.05, 0.3)])
+def test_hidden_markers_and_strays(cameras: int, missed: float, strays: float) -> None:
+    rig, blobs, truth, shows = images(cameras, 25, 40, missed=missed, strays=strays)
+    result = reconstruct(blobs, rig)
+    seen = np.zeros(truth.shape[:2], dtype=int)
+    real = shows >= 0
+    np.add.at(seen, (blobs.frame_of[real], shows[real]), 1)
+    hits, ghosts, _ = found(result, truth)
+    assert hits >= 0.99 * (seen >= 2).sum()
+    assert ghosts <= 0.01 * hits
+
+
+def test_pixel_noise_is_told_from_the_blobs() -> None:
+    for noise in (0.1, 0.3, 2.0):
+        rig, blobs, _, _ = images(noise=noise)
+        assert reconstruct(blobs, rig).noise == pytest.approx(noise, rel=0.1)
+
+
+def test_points_are_where_their_reprojection_error_is_least() -> None:
+    rig, blobs, _, _ = images(frames=2)
+    result = reconstruct(blobs, rig, noise=0.3)
+    for p in range(0, len(result.residual), 7):
+        rays = result.rays[p]
+        used = np.flatnonzero(rays >= 0)
+
+        def error(x: np.ndarray, rays: np.ndarray = rays, used: np.ndarray = used) -> np.ndarray:
+            return np.concatenate([rig[c].project(x) - result.blobs.xy[rays[c]] for c in used])
+
+        best = least_squares(error, result.clouds.xyz[p], xtol=1e-14, ftol=1e-14)
+        assert np.linalg.norm(best.x - result.clouds.xyz[p]) < 2e-5, "the lens is taken to be even over the residual"
+        assert np.sqrt(2 * best.cost / len(used)) == pytest.approx(result.residual[p], rel=0.01)
+        assert np.allclose(result.covariance[p], 0.3**2 * np.linalg.inv(best.jac.T @ best.jac), rtol=0.02, atol=1e-10)
+
+
+def test_covariance_says_how_far_off_points_are() -> None:
+    rig, blobs, truth, _ = images(frames=60, count=15, seed=3)
+    result = reconstruct(blobs, rig, noise=0.3)
+    squares = []
+    for t, points in enumerate(result.clouds):
+        here = slice(result.clouds.offsets[t], result.clouds.offsets[t + 1])
+        nearest = np.linalg.norm(points[:, None] - truth[t][None], axis=2).argmin(axis=1)
+        off = points - truth[t][nearest]
+        squares.append(np.einsum("pi,pij,pj->p", off, np.linalg.inv(result.covariance[here]), off))
+    assert np.mean(np.concatenate(squares)) == pytest.approx(3.0, rel=0.1), "a chi-square of three numbers"
+
+
+def arrays_of(rig: Rig, blobs: Blobs, noise: float = 0.3) -> tuple[_kernels.RigArrays, _kernels.FrameArrays]:
+    """The first frame as the kernels see it."""
+    rays, _, _ = rays_of(blobs, rig)
+    cameras = len(rig)
+    belief = Belief(np.full(cameras, noise), np.full(cameras, 0.7), np.full(cameras, 0.5), 30.0)
+    first = rays.blobs.offsets[: cameras + 1]
+    frame = _kernels.frame_arrays(rays.flat[: first[-1]], rays.slopes[: first[-1]], first)
+    return Setting(rig, image_borders(blobs, rig), EVERYWHERE, 2, 4.0).arrays(belief), frame
+
+
+def test_the_epipolar_gate_passes_what_all_pairs_tried_one_by_one_would() -> None:
+    """The twin triangulates every pair of blobs of every pair of cameras and looks at the reprojection error."""
+    rig, blobs, _, _ = images(5, 12, 1)
+    arrays, frame = arrays_of(rig, blobs)
+    gated = _kernels.compose(arrays, frame)[2]
+    passing = 0
+    for a in range(5):
+        for b in range(a + 1, 5):
+            for one in blobs.of(0, a):
+                for other in blobs.of(0, b):
+                    p, q = rig[a].position, rig[b].position
+                    d, e = rig[a].rays(one), rig[b].rays(other)
+                    s, t = np.linalg.lstsq(np.stack([d, -e], axis=1), q - p, rcond=None)[0]
+                    start = (p + s * d + q + t * e) / 2
+
+                    def error(x: np.ndarray, a: int = a, b: int = b, one: np.ndarray = one, other: np.ndarray = other) -> np.ndarray:
+                        return np.concatenate([rig[a].project(x) - one, rig[b].project(x) - other]) / 0.3
+
+                    if np.isfinite(error(start)).all():
+                        passing += 2 * least_squares(error, start).cost <= 16.0
+    assert abs(gated - passing) <= 0.02 * passing
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 6), st.integers(1, 40))
+@settings(max_examples=60, deadline=None)
+def test_packing_is_as_good_as_an_integer_program(seed: int, cameras: int, hypotheses: int) -> None:
+    rng = np.random.default_rng(seed)
+    blobs_each = int(rng.integers(2, 12))
+    rays = rng.integers(-1, blobs_each, (hypotheses, cameras))
+    rays[:, 0] = np.maximum(rays[:, 0], 0)
+    rays = np.where(rays >= 0, rays + np.arange(cameras) * blobs_each, -1)
+    scores = rng.uniform(0.1, 10.0, hypotheses)
+    chosen, unproved = pack(rays, scores, hypotheses, cameras * blobs_each)
+    uses = np.zeros((cameras * blobs_each, hypotheses))
+    for n, row in enumerate(rays):
+        uses[row[row >= 0], n] = 1
+    assert (uses @ chosen <= 1).all()
+    assert unproved == 0
+    best = milp(-scores, constraints=LinearConstraint(uses, -np.inf, 1), integrality=np.ones(hypotheses), bounds=Bounds(0, 1))
+    assert scores[chosen].sum() == pytest.approx(-best.fun, abs=1e-6)
+
+
+def test_a_tangle_too_big_to_solve_is_still_packed_and_said() -> None:
+    rng = np.random.default_rng(0)
+    rays = rng.integers(0, 60, (3000, 4)) + np.arange(4) * 60
+    scores = rng.uniform(5.0, 6.0, 3000)
+    chosen, unproved = pack(rays, scores, 3000, 240)
+    taken = rays[chosen]
+    assert unproved == 1
+    assert len(np.unique(taken)) == taken.size
+    greedy, used = 0.0, set[int]()
+    for n in np.argsort(-scores):
+        if not used & set(rays[n].tolist()):
+            used |= set(rays[n].tolist())
+            greedy += scores[n]
+    assert scores[chosen].sum() >= greedy
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+def test_the_nearest_blob_in_the_grid_is_the_nearest_of_all(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rig, blobs, truth, _ = images(4, 20, 1, seed=seed % 50, noise=1.0)
+    arrays, frame = arrays_of(rig, blobs, 1.0)
+    x = truth[0, 3] + rng.normal(0, 0.01, 3)
+    spread = np.diag(rng.uniform(1e-6, 1e-3, 3))
+    information = np.linalg.inv(spread)
+    c = int(rng.integers(4))
+    out = np.empty(1)
+    upper = information[np.triu_indices(3)]
+    blob = _kernels.best_blob(arrays, frame, c, x, upper, np.ones(len(frame.blobs), dtype=bool), out)
+    step = 1e-6 * np.eye(3)
+    jacobian = np.array([rig[c].project(x + d) - rig[c].project(x - d) for d in step]).T / 2e-6
+    own = blobs.of(0, c) - rig[c].project(x)
+    squares = np.einsum("bi,ij,bj->b", own, np.linalg.inv(jacobian @ spread @ jacobian.T + np.eye(2)), own)
+    if blob >= 0:
+        assert squares[blob - int(frame.grid[c, _kernels.FIRST])] < squares.min() * 1.1 + 0.1
+        assert out[0] == pytest.approx(squares[blob - int(frame.grid[c, _kernels.FIRST])], rel=0.1, abs=0.1)
+    else:
+        assert squares.min() > 16.0 * 0.9
+
+
+def test_same_blobs_same_points_wherever_they_stand() -> None:
+    rig, blobs, _, _ = images(frames=6, missed=0.2, strays=1.0)
+    whole, again = reconstruct(blobs, rig, noise=0.3), reconstruct(blobs, rig, noise=0.3)
+    assert np.array_equal(whole.clouds.xyz, again.clouds.xyz)
+    assert np.array_equal(whole.rays, again.rays)
+
+
+def test_another_world_frame_moves_the_points_with_it() -> None:
+    rig, blobs, _, _ = images(frames=4)
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    here = reconstruct(blobs, rig, noise=0.3)
+    there = reconstruct(blobs, rig.moved(turn, [1.0, 2.0, 3.0]), noise=0.3)
+    assert np.array_equal(here.rays, there.rays)
+    assert np.abs(here.clouds.xyz @ turn.T + [1.0, 2.0, 3.0] - there.clouds.xyz).max() < 1e-6
+
+
+def test_empty_frames_and_a_camera_that_saw_nothing() -> None:
+    rig, blobs, _, _ = images(5, 10, 8)
+    kept = (blobs.camera_of != 2) & (blobs.frame_of != 3)
+    part = Blobs.from_rows(blobs.frame_of[kept], blobs.camera_of[kept], blobs.xy[kept], blobs.cameras, frames=9)
+    result = reconstruct(part, rig)
+    assert result.clouds.counts.tolist() == [10, 10, 10, 0, 10, 10, 10, 10, 0]
+    assert not result.cameras[:, 2].any()
+    assert any("c3 saw nothing" in remark for remark in result.remarks)
+
+
+def test_no_blobs_at_all() -> None:
+    rig = ring_rig(3)
+    for frames in (0, 4):
+        result = reconstruct(Blobs.from_rows([], [], np.empty((0, 2)), rig.names, frames=frames), rig)
+        assert (len(result.clouds), len(result.clouds.xyz)) == (frames, 0)
+    plain = reconstruct(Blobs.from_rows([], [], np.empty((0, 2)), rig.names, frames=2), rig, method="plain")
+    assert plain.clouds.counts.tolist() == [0, 0]
+
+
+def test_a_blob_that_stands_twice_is_used_once() -> None:
+    rig, blobs, _, _ = images(5, 10, 4)
+    twice = Blobs.from_rows(
+        np.tile(blobs.frame_of, 2), np.tile(blobs.camera_of, 2), np.tile(blobs.xy, (2, 1)), blobs.cameras, frames=len(blobs)
+    )
+    result = reconstruct(twice, rig)
+    assert np.array_equal(result.clouds.xyz, reconstruct(blobs, rig).clouds.xyz)
+    assert any("stand twice" in remark for remark in result.remarks)
+
+
+def test_blobs_beyond_the_lens_are_left_out_and_said() -> None:
+    rig, blobs, _, _ = images(4, 10, 4)
+    wide = Rig((replace(rig[0], radial=(-0.9,)), *rig.cameras[1:]), rig.vertical)
+    corner = Blobs.from_rows([*blobs.frame_of, 0], [*blobs.camera_of, 0], [*blobs.xy, (1e5, 1e5)], blobs.cameras)
+    result = reconstruct(corner, wide)
+    assert any("no ray" in remark for remark in result.remarks)
+
+
+def test_thousands_of_particles_in_a_frame() -> None:
+    rig = ring_rig(4, radius=1.0, height=1.4)
+    rng = np.random.default_rng(5)
+    truth = rng.uniform([-0.15, -0.15, 0.8], [0.15, 0.15, 1.0], (1, 3000, 3))
+    blobs, _ = images_of(rig, truth, noise=0.1, merging=False, rng=rng)
+    result = reconstruct(blobs, rig, noise=0.1, min_cameras=3)
+    hits, ghosts, _ = found(result, truth, 1e-3)
+    assert hits > 0.98 * 3000
+    assert ghosts < 0.02 * 3000
+
+
+def test_cameras_that_take_turns_are_brought_to_one_clock() -> None:
+    rig = ring_rig(4)
+    t = np.arange(40)[:, None, None] / 100
+    path = markers(1, 8, 2, apart=0.3) + np.concatenate([0.3 * np.sin(6 * t), 0.3 * np.cos(6 * t), 0.2 * t], axis=2)
+    blobs, _ = images_of(rig, path, noise=0.05, merging=False, delays=[0.0, 0.002, 0.004, 0.006], rng=np.random.default_rng(0))
+    result = reconstruct(blobs, rig)
+    later = 0.003 * 100
+    truth = path[5:-5] + later * (path[6:-4] - path[4:-6]) / 2
+    inner = range(5, 35)
+    off = [np.linalg.norm(result.clouds[f][:, None] - truth[f - 5], axis=2).min(axis=0).max() for f in inner]
+    assert max(off) < 2e-3
+    ignored = reconstruct(replace(blobs, times=None), rig)
+    assert ignored.residual.mean() > 5 * result.residual.mean(), "a hand at 1.8 m/s moves 11 mm in 6 ms: leaving the times out must show"
+
+
+def test_a_volume_keeps_points_inside() -> None:
+    rig, blobs, truth, _ = images(frames=4)
+    result = reconstruct(blobs, rig, volume=[[-2, -2, 0], [2, 0, 3]])
+    assert (result.clouds.xyz[:, 1] <= 0).all()
+    assert abs(len(result.clouds.xyz) - (truth[:, :, 1] < 0).sum()) <= 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"method": "magic"}, "no method magic"),
+        ({"noise": 0.0}, "pixel noise"),
+        ({"noise": float("nan")}, "pixel noise"),
+        ({"min_cameras": 1}, "at least 1"),
+        ({"min_cameras": 9}, "from 2 to 8"),
+        ({"gate": 0.0}, "gate"),
+        ({"volume": [[0, 0, 0], [1, 1, 0]]}, "corners"),
+    ],
+)
+def test_arguments_that_make_no_sense(changes: dict, message: str) -> None:
+    rig, blobs, _, _ = images(frames=1)
+    with pytest.raises(AsterismError, match=message):
+        reconstruct(blobs, rig, **changes)
+
+
+def test_rigs_that_cannot_do_it() -> None:
+    rig, blobs, _, _ = images(3, 5, 1)
+    one = Blobs.from_rows([0, 0], [0, 0], [[1, 2], [3, 4]], ["c1"])
+    with pytest.raises(AsterismError, match="two cameras"):
+        reconstruct(one, rig)
+    with pytest.raises(AsterismError, match="no camera c3"):
+        reconstruct(blobs, Rig(rig.cameras[:2]))
+    with pytest.raises(AsterismError, match="no pose"):
+        reconstruct(blobs, Rig((*rig.cameras[:2], replace(rig[2], posed=False))))
+    heap = Rig(tuple(replace(rig[0], name=camera.name) for camera in rig))
+    with pytest.raises(AsterismError, match="in one place"):
+        reconstruct(blobs, heap)
+
+
+def test_image_sizes_need_not_be_known() -> None:
+    rig, blobs, truth, _ = images(6, 20, 10, missed=0.2)
+    bare = Rig(tuple(Camera(c.name, None, c.focal, c.centre, c.rotation, c.translation, c.radial, c.tangential) for c in rig))
+    assert found(reconstruct(blobs, bare), truth)[0] >= 198
