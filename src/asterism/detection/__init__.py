@@ -1,5 +1,7 @@
 """Marker blobs from images and video."""
 
 from asterism.detection.blobs import Flag, Spots, automatic_threshold, find_blobs, static_mask
+from asterism.detection.sequences import CameraImages, Detection, detect
+from asterism.detection.synchrony import lags
 
-__all__ = ["Flag", "Spots", "automatic_threshold", "find_blobs", "static_mask"]
+__all__ = ["CameraImages", "Detection", "Flag", "Spots", "automatic_threshold", "detect", "find_blobs", "lags", "static_mask"]

@@ -109,9 +109,10 @@ def automatic_threshold(image: ArrayLike) -> float:
 
     The noise is told from the pixels below the median, which markers do not touch. Every fourth pixel of every fourth row is looked at.
     """
-    shares = np.cumsum(np.bincount(as_grey(image)[::4, ::4].ravel()))
+    grey = as_grey(image)
+    shares = np.cumsum(np.bincount(grey[::4, ::4].ravel()))
     quarter, middle, bright = (float(np.searchsorted(shares, share * shares[-1], side="right")) for share in (0.25, 0.5, 0.97))
-    return max(middle + 6.0 * max((middle - quarter) / 0.6745, 1.0), bright)
+    return min(max(middle + 6.0 * max((middle - quarter) / 0.6745, 1.0), bright), float(np.iinfo(grey.dtype).max - 1))
 
 
 def static_mask(images: Iterable[ArrayLike], *, threshold: float | None = None, share: float = 0.9, margin: int = 2) -> NDArray[np.bool_]:
@@ -160,26 +161,38 @@ def _check(connectivity: int, min_size: float, max_size: float, split: float, we
         raise AsterismError(f"pixels cannot weigh from {weigh_from!r}; choose 'threshold' or 'background'.")
 
 
-def _levels(grey: Grey, threshold: float | None, background: ArrayLike | int | None) -> tuple[Grey, Grey]:
-    """Per pixel the grey value that must be exceeded, and the background, both of the image's type."""
+def background_of(grey: Grey, background: ArrayLike | int | None) -> Grey:
+    """The dark behind an image, of its shape and type: see `find_blobs`. Raises AsterismError where it does not fit."""
     if background is None:
-        base = np.zeros_like(grey)
-    elif isinstance(background, int | np.integer):
+        return np.zeros_like(grey)
+    if isinstance(background, int | np.integer):
         if background < 3 or background % 2 == 0:
             raise AsterismError(f"a background of {background} pixels; give an odd number from 3 on.")
         import cv2
 
-        base = cv2.blur(grey, (int(background), int(background)))
-    else:
-        base = as_grey(background)
-        if base.shape != grey.shape or base.dtype != grey.dtype:
-            raise AsterismError(
-                f"the background is {_shape(base)} {base.dtype}, the image {_shape(grey)} {grey.dtype}; give one of this camera."
-            )
+        return as_grey(cv2.blur(grey, (int(background), int(background))))
+    base = as_grey(background)
+    if base.shape != grey.shape or base.dtype != grey.dtype:
+        raise AsterismError(
+            f"the background is {_shape(base)} {base.dtype}, the image {_shape(grey)} {grey.dtype}; give one of this camera."
+        )
+    return base
+
+
+def above_background(grey: Grey, background: ArrayLike | int | None) -> Grey:
+    """The image less its background, 0 where it is darker."""
+    if background is None:
+        return grey
+    base = background_of(grey, background)
+    return np.where(grey > base, grey - base, 0).astype(grey.dtype)
+
+
+def _levels(grey: Grey, threshold: float | None, background: ArrayLike | int | None) -> tuple[Grey, Grey]:
+    """Per pixel the grey value that must be exceeded, and the background, both of the image's type."""
+    base = background_of(grey, background)
     most = int(np.iinfo(grey.dtype).max)
     if threshold is None:
-        threshold = automatic_threshold(grey if background is None else np.where(grey > base, grey - base, 0).astype(grey.dtype))
-        threshold = min(threshold, most - 1)
+        threshold = automatic_threshold(above_background(grey, background))
     if not 0 <= threshold < most:
         raise AsterismError(f"threshold {threshold} is outside the grey scale; give 0 to {most - 1} for images of {grey.dtype}.")
     if background is None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from asterism.errors import AsterismError
@@ -36,8 +38,8 @@ def to_common_clock(blobs: Blobs) -> Blobs:
     for c, name in enumerate(blobs.cameras):
         known = times[np.isfinite(times[:, c]), c]
         if len(known) > 1 and np.diff(known).min() <= 0:
-            frame = int(np.flatnonzero(np.isfinite(times[:, c]))[np.argmin(np.diff(known)) + 1])
-            raise AsterismError(f"camera {name}, frame {frame}: its time is not after that of the frame before; mend the times.")
+            late = int(np.flatnonzero(np.isfinite(times[:, c]))[np.argmin(np.diff(known)) + 1]) + blobs.first_frame
+            raise AsterismError(f"camera {name}, frame {late}: its time is not after that of the frame before; mend the times.")
     steps = np.concatenate([np.diff(column[np.isfinite(column)]) for column in times.T])
     if not len(steps):
         return blobs
@@ -53,8 +55,10 @@ def to_common_clock(blobs: Blobs) -> Blobs:
         parts.append((frame, np.full(len(frame), c), xy, sizes))
     frame, camera, xy, sizes = (np.concatenate(column) for column in zip(*parts, strict=True))
     same = np.repeat(instants[:, None], len(blobs.cameras), axis=1)
-    rate = blobs.rate if len(instants) == len(blobs) else 1.0 / period
-    return Blobs.from_rows(frame, camera, xy, blobs.cameras, rate=rate, sizes=sizes, frames=len(instants), times=same)
+    kept = len(instants) == len(blobs)
+    rate = blobs.rate if kept else 1.0 / period
+    common = Blobs.from_rows(frame, camera, xy, blobs.cameras, rate=rate, sizes=sizes, frames=len(instants), times=same)
+    return replace(common, first_frame=blobs.first_frame if kept else 0)
 
 
 def _instants(blobs: Blobs, times: Floats, period: float) -> Floats:
@@ -93,7 +97,7 @@ def _at(instants: Floats, when: Floats, order: Ints, xy: Floats, sizes: Floats, 
     exact = np.abs(when[nearest] - instants) <= _SAME * period
 
     at = np.flatnonzero(exact)
-    frame, blobs = _pairs(at, starts[nearest[at]], starts[nearest[at] + 1])
+    there, blobs = _pairs(at, starts[nearest[at]], starts[nearest[at] + 1])
     at = np.flatnonzero(~exact & (left >= 0) & (left < len(when) - 1))
     between, start = _pairs(at, starts[left[at]], starts[left[at] + 1])
     linked = following[start] >= 0
@@ -101,7 +105,7 @@ def _at(instants: Floats, when: Floats, order: Ints, xy: Floats, sizes: Floats, 
     end = following[start]
     share = (instants[between] - when[order[start]]) / (when[order[end]] - when[order[start]])
     return (
-        np.concatenate([frame, between]),
+        np.concatenate([there, between]),
         np.concatenate([xy[blobs], _between(instants[between], when, order, xy, start, following)]),
         np.concatenate([sizes[blobs], (1 - share) * sizes[start] + share * sizes[end]]),
     )

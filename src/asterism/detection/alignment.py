@@ -1,0 +1,121 @@
+"""The sequences of several cameras in; their cameras' names, frame numbers and clock out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.cameras import Rig
+from asterism.detection.sources import Source
+from asterism.detection.times import FrameTimes
+from asterism.errors import AsterismError
+from asterism.recording import Blobs, Floats, to_common_clock
+
+_DEFAULT_RATE = 100.0
+_LINKED = 0.8
+"""Share of the blobs that interpolation to a common clock must keep."""
+
+
+def names_of(sources: Sequence[Source], rig: Rig | None) -> list[str]:
+    """What the cameras are called: as their files or folders, as the folders these are in where that is not unique, or as in the rig."""
+    names = [source.name for source in sources]
+    if len(set(names)) < len(names):
+        names = [source.path.resolve().parent.name for source in sources]
+    if len(set(names)) < len(names):
+        raise AsterismError(f"two cameras would be called {names[0]}; give each its own file or folder name.")
+    if rig is None or set(names) <= set(rig.names):
+        return names
+    by_number = {_number(name): name for name in rig.names}
+    numbers = [_number(name) for name in names]
+    if len(by_number) == len(rig) and len(set(numbers)) == len(numbers) and set(numbers) <= set(by_number) - {None}:
+        return [by_number[number] for number in numbers]
+    if len(names) != len(rig):
+        raise AsterismError(
+            f"the rig has no camera {next(n for n in names if n not in rig.names)}, only {', '.join(rig.names)}; rename it."
+        )
+    return list(rig.names)
+
+
+def _number(name: str) -> int | None:
+    digits = re.findall(r"\d+", name)
+    return int(digits[-1]) if digits else None
+
+
+def numbered(
+    sources: Sequence[Source], read: Sequence[NDArray[np.int64]], names: Sequence[str], stamps: FrameTimes | None, problems: list[str]
+) -> tuple[list[NDArray[np.int64]], Floats | None, int]:
+    """For each camera the frame of each place in its sequence, -1 where it belongs to none; times (T, C) s or None; the first frame's
+    number."""
+    lengths = [max(len(source), int(places.max(initial=-1)) + 1) for source, places in zip(sources, read, strict=True)]
+    by_name = all(source.numbered for source in sources)
+    rows = [source.numbers if by_name else np.arange(length) for source, length in zip(sources, lengths, strict=True)]
+    if stamps is None:
+        first = min(int(frames[0]) for frames in rows)
+        last = [int(frames[-1]) for frames in rows]
+        if max(last) - min(last) > 2:
+            short, long = int(np.argmin(last)), int(np.argmax(last))
+            problems.append(
+                f"camera {names[short]} ends {last[long] - last[short]} frames before {names[long]}; cut them alike or give --times."
+            )
+        return [frames - first for frames in rows], None, first
+    taken = []
+    for c, mine in enumerate(stamps.of(names)):
+        frame = stamps.frame[mine]
+        if len(mine) == lengths[c]:
+            places = np.arange(lengths[c])
+        elif frame.min() >= rows[c][0] and frame.max() <= rows[c][-1] and np.isin(frame, rows[c]).all():
+            places = np.searchsorted(rows[c], frame)
+        else:
+            raise AsterismError(
+                f"{stamps.path} has {len(mine)} times of camera {names[c]}, frames {frame.min()} to {frame.max()}, "
+                f"and it has {lengths[c]} images; give the times of these images."
+            )
+        taken.append((mine, places))
+    common = [rows[c][places] if stamps.sync is None else stamps.sync[mine] for c, (mine, places) in enumerate(taken)]
+    first = min(int(frames.min()) for frames in common)
+    when = np.full((max(int(frames.max()) for frames in common) - first + 1, len(names)), np.nan)
+    numbers = []
+    for c, ((mine, places), frames) in enumerate(zip(taken, common, strict=True)):
+        there = np.isin(places, read[c])
+        when[frames[there] - first, c] = stamps.time[mine[there]]
+        number = np.full(lengths[c], -1)
+        number[places] = frames - first
+        numbers.append(number)
+        if len(places) < lengths[c]:
+            problems.append(f"{stamps.path} has no time of {lengths[c] - len(places)} images of camera {names[c]}; they are left out.")
+    return numbers, when, first
+
+
+def rate_of(sources: Sequence[Source], given: float | None, when: Floats | None, names: Sequence[str], problems: list[str]) -> float:
+    if given is not None:
+        return given
+    if when is not None:
+        steps = np.concatenate([np.diff(column[np.isfinite(column)]) for column in when.T])
+        return float(f"{1 / np.median(steps):.6g}") if len(steps) and np.median(steps) > 0 else _DEFAULT_RATE
+    rates = np.array([source.rate for source in sources])
+    if not np.isfinite(rates).all():
+        return _DEFAULT_RATE
+    if np.ptp(rates) > 0.01 * rates.min():
+        slow, fast = int(np.argmin(rates)), int(np.argmax(rates))
+        problems.append(
+            f"camera {names[slow]} has {rates[slow]:g} frames/s, {names[fast]} {rates[fast]:g}: their frames do not match; give --times."
+        )
+    return float(np.median(rates))
+
+
+def on_common_clock(blobs: Blobs, problems: list[str]) -> Blobs:
+    """Interpolated to common instants where most blobs can be followed from frame to frame; else as they are, which is a problem."""
+    common = to_common_clock(blobs)
+    before, after = blobs.counts.sum(axis=0) / np.maximum(len(blobs), 1), common.counts.sum(axis=0) / np.maximum(len(common), 1)
+    lost = after < _LINKED * before
+    if not lost.any():
+        return common
+    which = ", ".join(name for name, gone in zip(blobs.cameras, lost, strict=True) if gone)
+    problems.append(
+        f"camera {which}: fewer than {_LINKED:.0%} of the blobs can be followed from frame to frame, so none are interpolated to a "
+        "common clock; each keeps its time."
+    )
+    return blobs

@@ -1,0 +1,165 @@
+"""Blobs of several cameras in; by how many frames each camera lags behind the others, out."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.cameras import Camera, Rig
+from asterism.recording import Blobs, Floats
+
+_LONGEST = 120
+_FRAMES = 60
+_NEAR_PX = 2.0
+_FITTING, _CROSSING = (2.5, 0.5), (0.4, 0.1)
+"""How high the best lag's score must be, and how far above the next peak's."""
+_FEWEST = 30
+_FEWEST_TO_FIT = 200
+"""Frames that two cameras must share: for their blobs to be tried on known epipolar lines, for unknown ones to be fitted."""
+
+
+def lags(blobs: Blobs, rig: Rig | None = None, longest: int = _LONGEST) -> Floats:
+    """How many frames each camera is behind most others: (C,), whole numbers; NaN where nothing tells.
+
+    With a rig: at the right lag, blobs of one camera lie on the epipolar lines of the other's. Without: at the right lag, one fundamental
+    matrix explains how the middle of all blobs moves in both; that takes some hundred frames of something that moves all over the images.
+    Each pair of cameras tells its lag where one stands out from all others up to `longest` frames; the pairs that stand out most tie the
+    cameras together, and a camera that most of its pairs contradict is not told.
+    """
+    longest = min(longest, len(blobs) // (8 if rig is None else 3))
+    cameras = len(blobs.cameras)
+    told: list[tuple[float, int, int, int]] = []
+    if longest >= 1:
+        middles = [_middles(blobs, c) for c in range(cameras)]
+        for a, b in combinations(range(cameras), 2):
+            if rig is not None:
+                above, best = _stands_out(_crossing(blobs, (rig[a], rig[b]), (a, b), longest), *_CROSSING)
+            else:
+                above, best = _stands_out(_fitting(middles[a], middles[b], longest), *_FITTING)
+            if above > 0:
+                told.append((above, a, b, best - longest))
+    behind = np.full(cameras, np.nan)
+    told.sort(reverse=True)
+    if told:
+        behind[told[0][1]] = 0.0
+    for _ in range(cameras):
+        for _, a, b, lag in told:
+            if np.isnan(behind[a]) and np.isfinite(behind[b]):
+                behind[a] = behind[b] - lag
+            elif np.isnan(behind[b]) and np.isfinite(behind[a]):
+                behind[b] = behind[a] + lag
+    agree = np.zeros((2, cameras))
+    for _, a, b, lag in told:
+        agree[int(abs(behind[b] - behind[a] - lag) <= 1), [a, b]] += 1
+    behind[agree[1] <= agree[0]] = np.nan
+    known = behind[np.isfinite(behind)]
+    if len(known):
+        values, counts = np.unique(known, return_counts=True)
+        behind -= values[np.argmax(counts)]
+    return behind
+
+
+def _middles(blobs: Blobs, camera: int) -> Floats:
+    """(T, 2) px, the mean of the blobs of one camera in each frame that has as many of them as most have; NaN in others."""
+    counts = blobs.counts[:, camera]
+    usual = int(np.argmax(np.bincount(counts[counts > 0], minlength=1)))
+    middles = np.full((len(blobs), 2), np.nan)
+    frames = np.flatnonzero((counts == usual) & (counts > 0))
+    rows = _ranges(blobs.offsets[frames * len(blobs.cameras) + camera], counts[frames])
+    middles[frames] = blobs.xy[rows].reshape(len(frames), -1, 2).mean(axis=1) if len(frames) else 0.0
+    return middles
+
+
+def _fitting(first: Floats, second: Floats, longest: int) -> Floats:
+    """How well one fundamental matrix explains the middles of two cameras, at each lag of the second: minus the logarithm of the residual,
+    as a share of the spread; NaN where they share few frames. The worst third of the frames is left out, twice."""
+    scores = np.full(2 * longest + 1, np.nan)
+    shared = np.correlate(np.isfinite(second[:, 0]).astype(float), np.isfinite(first[:, 0]).astype(float), "full")
+    fewest = max(_FEWEST_TO_FIT, 0.5 * float(shared.max()))
+    a, b = _normalized(first), _normalized(second)
+    for lag in range(-longest, longest + 1):
+        x, y = a[max(0, -lag) : len(a) - max(0, lag)], b[max(0, lag) : len(b) - max(0, -lag)]
+        both = np.flatnonzero(np.isfinite(x[:, 0]) & np.isfinite(y[:, 0]))
+        if len(both) < fewest:
+            continue
+        both = both[np.linspace(0, len(both) - 1, min(4 * _FRAMES, len(both))).astype(int)]
+        products = (y[both, :, None] * x[both, None, :]).reshape(-1, 9)
+        kept = products
+        for _ in range(3):
+            values, vectors = np.linalg.eigh(kept.T @ kept)
+            miss = np.abs(products @ vectors[:, 0])
+            kept = products[miss <= np.quantile(miss, 2 / 3)]
+        scores[lag + longest] = -0.5 * np.log(max(float(values[0]) / (len(kept) - 8), 1e-18))
+    return scores
+
+
+def _normalized(middles: Floats) -> Floats:
+    """(T, 3) homogeneous, about their mean and in units of their spread."""
+    known = middles[np.isfinite(middles[:, 0])]
+    spread = np.sqrt(known.var(axis=0).mean()) if len(known) else 1.0
+    centre = known.mean(axis=0) if len(known) else 0.0
+    return np.column_stack([(middles - centre) / max(float(spread), 1e-9), np.ones(len(middles))])
+
+
+def _crossing(blobs: Blobs, cameras: tuple[Camera, Camera], places: tuple[int, int], longest: int) -> Floats:
+    """The share of the first camera's blobs that have one of the second's on their epipolar line, at each lag of the second."""
+    (one, two), (a, b) = cameras, places
+    turn = two.rotation @ one.rotation.T
+    x, y, z = two.translation - turn @ one.translation
+    essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ turn
+    scores = np.full(2 * longest + 1, np.nan)
+    counts = blobs.counts
+    frames = np.flatnonzero(counts[:, a])
+    frames = frames[np.linspace(0, len(frames) - 1, min(_FRAMES, len(frames))).astype(int)] if len(frames) else frames
+    starts = np.concatenate([blobs.offsets[frames * counts.shape[1] + a], [0]])[:-1]
+    from_frame = np.repeat(np.arange(len(frames)), counts[frames, a])
+    rows = _ranges(starts, counts[frames, a])
+    normal = np.column_stack([one.undistort(blobs.xy[rows]), np.ones(len(rows))]) @ essential.T
+    flat = np.full((len(blobs.xy), 3), 1.0)
+    seen = blobs.camera_of == b
+    flat[seen, :2] = two.undistort(blobs.xy[seen])
+    near = _NEAR_PX / two.focal[0]
+    for lag in range(-longest, longest + 1):
+        other = frames + lag
+        inside = (other >= 0) & (other < len(blobs))
+        inside[inside] = counts[other[inside], b] > 0
+        ask = np.flatnonzero(inside[from_frame])
+        if inside.sum() < min(_FEWEST, len(blobs) // 3):
+            continue
+        there = other[from_frame[ask]]
+        many = counts[there, b]
+        pair = np.repeat(ask, many)
+        points = flat[_ranges(blobs.offsets[there * counts.shape[1] + b], many)]
+        away = np.abs((normal[pair] * points).sum(axis=1)) / np.linalg.norm(normal[pair, :2], axis=1)
+        hit = np.minimum.reduceat(away, np.concatenate([[0], np.cumsum(many)[:-1]])) < near
+        scores[lag + longest] = hit.mean()
+    return scores
+
+
+def _ranges(starts: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Starts to starts + counts, one range after the other."""
+    before = np.cumsum(counts) - counts
+    return np.repeat(starts - before, counts) + np.arange(int(counts.sum()))
+
+
+def _stands_out(scores: Floats, lowest: float, margin: float) -> tuple[float, int]:
+    """How far the highest peak stands above all others, and its place; 0 where it is low, at an end, or not clear.
+
+    Its own flanks, down to where the scores rise again, are no others.
+    """
+    if not np.isfinite(scores).any():
+        return 0.0, 0
+    filled = np.where(np.isfinite(scores), scores, -1.0)
+    best = int(np.argmax(filled))
+    left = right = best
+    while left > 0 and filled[left - 1] <= filled[left]:
+        left -= 1
+    while right < len(filled) - 1 and filled[right + 1] <= filled[right]:
+        right += 1
+    others = np.concatenate([filled[:left], filled[right + 1 :]])
+    above = filled[best] - others.max(initial=-1.0)
+    known = np.flatnonzero(np.isfinite(scores))
+    clear = filled[best] >= lowest and above >= margin and known[0] < best < known[-1]
+    return (float(above), best) if clear else (0.0, best)
