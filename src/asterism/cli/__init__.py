@@ -17,6 +17,7 @@ from asterism.cli.audit import audit
 from asterism.cli.capturability import capturability
 from asterism.cli.convert import convert
 from asterism.cli.demo import demo
+from asterism.cli.detect import detect
 from asterism.cli.evaluate import evaluate
 from asterism.cli.info import info
 from asterism.cli.label import label
@@ -67,6 +68,7 @@ _EXAMPLES: dict[Callable[..., None], str] = {
     capturability: "asterism capturability labelled/*.c3d --markers helen-hayes --report capturability.html",
     info: "asterism info walk.c3d",
     convert: "asterism convert walk.c3d walk.trc",
+    detect: "asterism detect cam1.mp4 cam2.mp4 cam3.mp4 -o 2d.csv --rig rig.toml --report blobs.html",
 }
 
 

@@ -90,6 +90,7 @@ def numbered(
 
 
 def rate_of(sources: Sequence[Source], given: float | None, when: Floats | None, names: Sequence[str], problems: list[str]) -> float:
+    """Frames per second: as given, by the times, by the videos, or 100; videos that differ are a problem."""
     if given is not None:
         return given
     if when is not None:

@@ -112,7 +112,7 @@ def automatic_threshold(image: ArrayLike) -> float:
     grey = as_grey(image)
     shares = np.cumsum(np.bincount(grey[::4, ::4].ravel()))
     quarter, middle, bright = (float(np.searchsorted(shares, share * shares[-1], side="right")) for share in (0.25, 0.5, 0.97))
-    return min(max(middle + 6.0 * max((middle - quarter) / 0.6745, 1.0), bright), float(np.iinfo(grey.dtype).max - 1))
+    return min(np.ceil(max(middle + 6.0 * max((middle - quarter) / 0.6745, 1.0), bright)), float(np.iinfo(grey.dtype).max - 1))
 
 
 def static_mask(images: Iterable[ArrayLike], *, threshold: float | None = None, share: float = 0.9, margin: int = 2) -> NDArray[np.bool_]:

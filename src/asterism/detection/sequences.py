@@ -108,6 +108,8 @@ def detect(
     Frames are numbered by file names or from 0. Blobs that the image's edge cuts are left out. Raises AsterismError where a camera has
     nothing to read, image sizes differ from the rig's, or times are of other images.
     """
+    if not paths:
+        raise AsterismError("there is no camera to look at; give a video or a folder of images for each.")
     sources = [open_source(path) for path in paths]
     names = names_of(sources, rig)
     stamps = None if times is None else read_times(times)

@@ -120,11 +120,12 @@ def some_images(source: Source, count: int) -> list[tuple[int, Grey]]:
         return [(place, image) for place, image in found if image is not None]
     import cv2
 
-    kept = []
+    kept: list[tuple[int, Grey]] = []
     capture = cv2.VideoCapture(str(source.path))
     try:
         for place in places:
-            there, image = (capture.set(cv2.CAP_PROP_POS_FRAMES, place) and capture.read()) or (False, None)
+            capture.set(cv2.CAP_PROP_POS_FRAMES, place)
+            there, image = capture.read()
             if there:
                 kept.append((place, _grey(source.path, image)))
     finally:
@@ -139,7 +140,7 @@ def _image(source: Source, place: int) -> Grey | None:
     import cv2
 
     there, pages = cv2.imreadmulti(str(source.path), start=place, count=1, flags=cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE)
-    return _grey(source.path, pages[0]) if there and len(pages) else None
+    return _grey(source.path, np.asarray(pages[0])) if there and len(pages) else None
 
 
 def _decoded(file: Path) -> NDArray[Any] | None:
@@ -147,7 +148,8 @@ def _decoded(file: Path) -> NDArray[Any] | None:
     import cv2
 
     content = np.fromfile(file, np.uint8)
-    return cv2.imdecode(content, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE) if len(content) else None
+    image: NDArray[Any] | None = cv2.imdecode(content, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE) if len(content) else None
+    return image
 
 
 def _grey(file: Path, image: NDArray[Any]) -> Grey:

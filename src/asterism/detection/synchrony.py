@@ -147,7 +147,7 @@ def _ranges(starts: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.
 def _stands_out(scores: Floats, lowest: float, margin: float) -> tuple[float, int]:
     """How far the highest peak stands above all others, and its place; 0 where it is low, at an end, or not clear.
 
-    Its own flanks, down to where the scores rise again, are no others.
+    Its own flanks, down to where the scores rise again, do not count; no lag at all is preferred where it is about as good.
     """
     if not np.isfinite(scores).any():
         return 0.0, 0
@@ -158,8 +158,11 @@ def _stands_out(scores: Floats, lowest: float, margin: float) -> tuple[float, in
         left -= 1
     while right < len(filled) - 1 and filled[right + 1] <= filled[right]:
         right += 1
-    others = np.concatenate([filled[:left], filled[right + 1 :]])
-    above = filled[best] - others.max(initial=-1.0)
+    others = np.concatenate([filled[: left + 1], filled[right:]])
+    above = float(filled[best] - others.max())
     known = np.flatnonzero(np.isfinite(scores))
+    middle = len(filled) // 2
+    if filled[middle] > filled[best] - margin:
+        best = middle
     clear = filled[best] >= lowest and above >= margin and known[0] < best < known[-1]
-    return (float(above), best) if clear else (0.0, best)
+    return (above, best) if clear else (0.0, best)

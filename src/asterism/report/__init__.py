@@ -1,10 +1,19 @@
 """Results in; self-contained HTML pages out, that need no network and keep their tables where no script may run."""
 
 from asterism.report.capturability import capturability_report
+from asterism.report.detection import detection_report
 from asterism.report.evaluation import evaluation_report
 from asterism.report.label import label_report
 from asterism.report.naming import naming_report
 from asterism.report.review import review_report
 from asterism.report.rig import rig_report
 
-__all__ = ["capturability_report", "evaluation_report", "label_report", "naming_report", "review_report", "rig_report"]
+__all__ = [
+    "capturability_report",
+    "detection_report",
+    "evaluation_report",
+    "label_report",
+    "naming_report",
+    "review_report",
+    "rig_report",
+]

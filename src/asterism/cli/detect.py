@@ -1,0 +1,143 @@
+"""`asterism detect`: the images of several cameras in; their marker blobs as 2D CSV out."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from asterism.cli import _console
+from asterism.cli._options import Json, Overwrite, Report, Workers
+
+if TYPE_CHECKING:
+    from asterism.detection import Detection
+
+
+def detect(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="CAMERAS",
+            help="One per camera: a video, a folder of images, a TIFF of several pages, or a series such as cam1.%d.",
+            show_default=False,
+        ),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The 2D CSV file to write.", show_default=False)],
+    rig: Annotated[
+        Path | None,
+        typer.Option("--rig", metavar="FILE", help="The calibrated rig: names, image sizes, and what tells cameras out of step."),
+    ] = None,
+    threshold: Annotated[
+        float | None,
+        typer.Option(
+            metavar="GREY", help="Markers are so much brighter than the background. Else told from the images.", show_default=False
+        ),
+    ] = None,
+    background: Annotated[
+        int | None,
+        typer.Option(metavar="PX", help="Take off the mean of so many by so many pixels: for uneven light.", show_default=False),
+    ] = None,
+    mask_static: Annotated[bool, typer.Option("--mask-static", help="Leave out what is bright in nearly all images.")] = False,
+    min_size: Annotated[float, typer.Option(metavar="PX", help="The smallest diameter of a blob.")] = 2.0,
+    max_size: Annotated[float, typer.Option(metavar="PX", help="The largest diameter of a blob.")] = 64.0,
+    min_roundness: Annotated[float, typer.Option(metavar="RATIO", help="Shorter over longer axis; 0 takes blobs of any shape.")] = 0.0,
+    split: Annotated[
+        float, typer.Option(metavar="SHARE", help="How deep the valley in a blob must be to make two of it; 1 makes none.")
+    ] = 0.2,
+    connectivity: Annotated[int, typer.Option(metavar="N", help="Pixels belong together that share a corner (8) or a side (4).")] = 8,
+    weigh_from: Annotated[
+        str, typer.Option(metavar="WHAT", help="Pixels weigh what they are brighter than the threshold, or than the background.")
+    ] = "threshold",
+    times: Annotated[
+        Path | None,
+        typer.Option("--times", metavar="FILE", help="CSV of when each image was taken: camera, frame, time (s).", show_default=False),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option("--rate", metavar="HZ", help="Frames per second. Else as times or videos say.", show_default=False),
+    ] = None,
+    workers: Workers = 1,
+    overwrite: Overwrite = False,
+    report: Report = None,
+    json: Json = None,
+) -> None:
+    """Find the markers in the images of all cameras.
+
+    Writes one row per blob: frame, camera, x, y, size, and the time where cameras are not triggered together. With --times, blobs are
+    interpolated to a common clock. Cameras that run out of step, videos that break off and images that cannot be read are named.
+    """
+    for path in (output, report, json):
+        _console.check_new(path, overwrite)
+    # OpenCV and FFmpeg would repeat on standard error what is said here in one sentence.
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    from asterism import detection
+    from asterism.cameras.files import read_rig
+    from asterism.formats import write_blobs
+
+    known = None if rig is None else read_rig(rig)
+    with _console.progress("detecting") as progress:
+        result = detection.detect(
+            sources,
+            rig=known,
+            mask_static=mask_static,
+            times=times,
+            rate=rate,
+            workers=workers,
+            progress=progress,
+            threshold=threshold,
+            background=background,
+            min_size=min_size,
+            max_size=max_size,
+            min_roundness=min_roundness,
+            split=split,
+            connectivity=connectivity,
+            weigh_from=weigh_from,
+        )
+    write_blobs(result.blobs, output)
+    if json != "-":
+        _print(result)
+        _console.say(f"{len(result.cameras)} cameras, {len(result.blobs)} frames, {_console.count(len(result.blobs.xy))} blobs -> {output}")
+    for sentence in result.problems:
+        _console.complain(sentence)
+    if report is not None:
+        from asterism.report import detection_report
+
+        detection_report(report, result, settings={"output": output, "rig": rig, "times": times, "mask static": mask_static or None})
+    _console.write_json(json, {"command": "detect", "output": output, "rig": rig, **result.to_dict()})
+    raise typer.Exit(int(bool(result.problems)))
+
+
+def _print(result: Detection) -> None:
+    rows = [
+        [
+            camera.name,
+            f"{camera.size[0]} x {camera.size[1]}",
+            str(camera.frames),
+            f"{camera.threshold:.0f}",
+            _console.count(camera.blobs),
+            f"{camera.blobs / max(camera.frames, 1):.1f}",
+            _console.count(camera.overlapping),
+            _console.count(camera.unround),
+            _console.count(camera.at_border),
+            _console.percent(camera.masked, 1),
+            _console.count(camera.behind),
+        ]
+        for camera in result.cameras
+    ]
+    head = [
+        "camera",
+        "size",
+        "images",
+        "threshold",
+        "blobs",
+        "per image",
+        "overlapping",
+        "unround",
+        "cut by edge",
+        "masked",
+        "frames behind",
+    ]
+    _console.table("Blobs", head, rows, left=1)

@@ -1,0 +1,193 @@
+"""Detected blobs in; a page with a contact sheet of all cameras and their counts over time out."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from asterism.recording import Floats
+from asterism.report import figures
+from asterism.report.page import Cell, Page, Section, Table, count, percent, write_page
+
+if TYPE_CHECKING:
+    from asterism.detection import CameraImages, Detection
+
+_WIDEST = 1000
+_COLUMNS = 2
+_TALL = 380
+
+
+def detection_report(
+    path: str | Path, detection: Detection, *, title: str = "Markers in the images", settings: Mapping[str, Any] | None = None
+) -> None:
+    """Write an HTML page on what was found in each camera's images; `settings` are named at its foot.
+
+    Raises AsterismError where the file cannot be written.
+    """
+    cameras, blobs = detection.cameras, detection.blobs
+    seconds = np.arange(len(blobs)) / blobs.rate
+    step = figures.frames_per_column(len(blobs))
+    starts = np.arange(0, len(blobs), step)
+    counts = (
+        np.add.reduceat(blobs.counts, starts, axis=0) / np.diff([*starts, len(blobs)])[:, None]
+        if len(blobs)
+        else np.zeros(blobs.counts.shape)
+    )
+    sections = [
+        Section(
+            "What each camera sees",
+            "One image of each camera; circles are blobs, as wide as they were measured. Amber: doubtful, because it overlaps another, is "
+            "cut by the image's edge or is not round.",
+            figure=_contact_sheet(cameras),
+        ),
+        Section(
+            "Blobs over time",
+            "How many blobs each camera has. A camera that falls to none is blocked or stopped; one far above the others sees lights.",
+            figure=_over_time(blobs.cameras, seconds[starts], counts),
+        ),
+        Section("Cameras", table=_table(cameras)),
+    ]
+    missing = sum(max(camera.expected - camera.frames, 0) for camera in cameras)
+    merits = [
+        (str(len(cameras)), "cameras", ""),
+        (count(len(blobs)), "frames", ""),
+        (count(len(blobs.xy)), "blobs", ""),
+        (count(missing), "images missing", "bad" if missing else "good"),
+        (str(len(detection.problems)), "problems", "bad" if detection.problems else "good"),
+    ]
+    lead = " ".join(detection.problems) or "Nothing is wrong with the images."
+    write_page(path, Page(title, lead, settings or {}, merits, sections))
+
+
+def _over_time(names: tuple[str, ...], seconds: Floats, counts: Floats) -> figures.Figure:
+    """Mean counts (T, C) of each camera's images over time, one line each."""
+    data = [
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": name,
+            "x": np.round(seconds, 4),
+            "y": np.round(counts[:, c], 2),
+            "line": {"width": 1.5, "color": figures.PALETTE[c % len(figures.PALETTE)]},
+        }
+        for c, name in enumerate(names)
+    ]
+    return figures.figure(data, 320, xaxis={"title": {"text": "time in s"}}, yaxis={"title": {"text": "blobs"}, "rangemode": "tozero"})
+
+
+def _contact_sheet(cameras: tuple[CameraImages, ...]) -> figures.Figure:
+    """All cameras' sample images in a grid, each with its blobs drawn over it."""
+    rows = -(-len(cameras) // _COLUMNS)
+    columns = min(_COLUMNS, len(cameras))
+    data: list[Mapping[str, Any]] = []
+    layout: dict[str, Any] = {"images": [], "annotations": [], "showlegend": False}
+    for i, camera in enumerate(cameras):
+        row, column = divmod(i, columns)
+        x, y = f"x{i + 1 if i else ''}", f"y{i + 1 if i else ''}"
+        wide, tall = camera.size
+        left, top = column / columns, 1 - row / rows
+        place = {"showgrid": False, "zeroline": False, "showticklabels": False, "fixedrange": False}
+        layout[f"xaxis{x[1:]}"] = {
+            **place,
+            "domain": [left + 0.01, left + 1 / columns - 0.01],
+            "range": [-0.5, wide - 0.5],
+            "anchor": y,
+            "constrain": "domain",
+        }
+        layout[f"yaxis{y[1:]}"] = {
+            **place,
+            "domain": [top - 1 / rows + 0.02, top - 0.06],
+            "range": [tall - 0.5, -0.5],
+            "anchor": x,
+            "scaleanchor": x,
+            "constrain": "domain",
+        }
+        layout["images"].append(
+            {"source": _picture(camera), "xref": x, "yref": y, "x": -0.5, "y": -0.5, "sizex": wide, "sizey": tall, "layer": "below"}
+            | {"sizing": "stretch"}
+        )
+        text = f"{camera.name}, image {camera.sample_frame}: {len(camera.spots)} blobs"
+        layout["annotations"].append(
+            {"text": text, "xref": f"{x} domain", "yref": f"{y} domain", "x": 0, "y": 1, "yanchor": "bottom", "xanchor": "left"}
+            | {"showarrow": False}
+        )
+        data += _circles(camera, x, y)
+    return figures.figure(data, _TALL * rows, **layout)
+
+
+def _circles(camera: CameraImages, x: str, y: str) -> list[Mapping[str, Any]]:
+    """The blobs of the sample image as circles in its own pixels: sure ones and doubtful ones."""
+    turn = np.append(np.linspace(0, 2 * np.pi, 17), np.nan)
+    traces: list[Mapping[str, Any]] = []
+    spots = camera.spots
+    for doubtful, colour in ((False, "#2ad4c4"), (True, "#ffb000")):
+        these = (spots.flags > 0) == doubtful
+        radius = np.maximum(0.5 * spots.size[these] + 2.0, 0.004 * camera.size[0])
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "x": np.round(spots.xy[these, 0, None] + radius[:, None] * np.cos(turn), 1).ravel(),
+                "y": np.round(spots.xy[these, 1, None] + radius[:, None] * np.sin(turn), 1).ravel(),
+                "xaxis": x,
+                "yaxis": y,
+                "line": {"color": colour, "width": 1.5},
+                "hoverinfo": "skip",
+            }
+        )
+    return traces
+
+
+def _picture(camera: CameraImages) -> str:
+    """The sample image as a data address: made smaller, and brighter where it is dark, so that its blobs can be seen."""
+    import cv2
+
+    image = camera.sample.astype(np.float64)
+    bright = max(float(np.quantile(image, 0.999)), camera.threshold, 1.0)
+    grey = np.clip(255.0 * image / bright, 0, 255).astype(np.uint8)
+    scale = min(1.0, _WIDEST / grey.shape[1])
+    if scale < 1:
+        grey = np.asarray(cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
+    packed = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
+    return "data:image/jpeg;base64," + base64.b64encode(np.asarray(packed).tobytes()).decode()
+
+
+def _table(cameras: tuple[CameraImages, ...]) -> Table:
+    def share(part: int, camera: CameraImages) -> Cell:
+        of = part / camera.blobs if camera.blobs else 0.0
+        return Cell(percent(of), min(1.0, 2 * of))
+
+    head = [
+        "camera",
+        "size",
+        "images",
+        "threshold",
+        "per image",
+        "overlapping",
+        "unround",
+        "saturated",
+        "cut by edge",
+        "masked",
+        "frames behind",
+    ]
+    rows: list[list[str | Cell]] = [
+        [
+            camera.name,
+            f"{camera.size[0]} x {camera.size[1]}",
+            Cell(f"{camera.frames} of {camera.expected}", float(camera.frames < camera.expected), "bad"),
+            f"{camera.threshold:.0f}",
+            f"{camera.blobs / max(camera.frames, 1):.1f}",
+            share(camera.overlapping, camera),
+            share(camera.unround, camera),
+            percent(camera.saturated / max(camera.blobs, 1)),
+            count(camera.at_border),
+            f"{percent(camera.masked)} in {camera.masked_places}",
+            Cell(count(camera.behind), float(abs(camera.behind) >= 1), "bad"),
+        ]
+        for camera in cameras
+    ]
+    return Table(head, rows)
