@@ -7,6 +7,7 @@ from asterism.report.label import label_report
 from asterism.report.naming import naming_report
 from asterism.report.review import review_report
 from asterism.report.rig import rig_report
+from asterism.report.wand import wand_report
 
 __all__ = [
     "capturability_report",
@@ -16,4 +17,5 @@ __all__ = [
     "naming_report",
     "review_report",
     "rig_report",
+    "wand_report",
 ]

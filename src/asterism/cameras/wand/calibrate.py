@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from asterism.cameras.bundle import Adjustment, Sightings, adjust, free_parameters, locate
 from asterism.cameras.camera import Camera
@@ -25,6 +25,8 @@ _FINAL_FRAMES = 3000
 """More frames than these tell little more: they are spread over the recording."""
 _WIDE, _REACH, _NARROW = 0.012, 6.0, 4.5
 _LATE, _ROUNDS = 0.6, 4
+_PERSPECTIVE = 0.045
+"""By how much the share at which images show the inner marker may differ from the wand's, all directions together."""
 _GROUPS = ("pose", "focal", "aspect", "centre", "k1", "k2", "tangential")
 
 
@@ -82,9 +84,10 @@ class WandCalibration:
         return float(np.sqrt(np.square(self.residuals).sum(axis=1).mean()))
 
     def moved(self, rig: Rig, rotation: ArrayLike, translation: ArrayLike, scale: float = 1.0) -> WandCalibration:
-        """The same in another world frame, of which `rig` is the rig."""
+        """The same in another world frame, of which `rig` is the rig: X becomes scale rotation X + translation (3,) m."""
         positions = scale * self.positions @ np.asarray(rotation).T + np.asarray(translation)
-        return replace(self, rig=rig, positions=positions)
+        findings = tuple(finding for finding in self.findings if scale == 1.0 or not finding.of_scale)
+        return replace(self, rig=rig, positions=positions, findings=findings)
 
 
 def calibrate_wand(
@@ -127,14 +130,14 @@ def calibrate_wand(
     told(0.6, "comparing clocks")
     blobs, chosen, cameras, late = _in_step(blobs, chosen, wand, cameras, lenses)
     told(0.7, "adjusting")
-    result, sightings, used = _adjusted(blobs, chosen, wand, cameras, lenses, start.noise)
+    result, sightings, used, offered = _adjusted(blobs, chosen, wand, cameras, lenses, start.noise)
     posed = [c for c, camera in enumerate(cameras) if camera is not None]
     told(0.9, "measuring the wand")
     positions = locate(result.cameras, sightings, len(used), len(wand.lengths))
     left_out = {blobs.cameras[c]: _why_not(blobs, chosen, cameras, c) for c in range(len(cameras)) if c not in posed}
     made = WandCalibration(
         Rig(result.cameras), wand, frames, replace(sightings, frame=used[sightings.frame]), result.residuals, positions, used,
-        result.sigma, result.noise, late[posed], *_left(blobs, chosen, wand, result.cameras, posed, sightings, used), left_out,
+        result.sigma, result.noise, late[posed], *_left(blobs, chosen[offered], wand, result.cameras, posed, sightings), left_out,
     )  # fmt: skip
     if len(wand.lengths) == 1 and distance is not None:
         here = np.linalg.norm(made.rig[distance[0]].position - made.rig[distance[1]].position)
@@ -149,8 +152,11 @@ def calibrate_wand(
 
 def _adjusted(
     blobs: Blobs, chosen: Ints, wand: Wand, cameras: list[Camera | None], lenses: Sequence[Camera | None], noise: float
-) -> tuple[Adjustment, Sightings, Ints]:
-    """The final adjustment: everything freed, blobs that do not fit left out by what fits; frames counted without holes."""
+) -> tuple[Adjustment, Sightings, Ints, Ints]:
+    """The final adjustment: everything freed, blobs that do not fit left out by what fits.
+
+    Returns it, its sightings with frames counted without holes, the frames (m,) that these numbers stand for, and those it chose from.
+    """
     posed = [c for c, camera in enumerate(cameras) if camera is not None]
     width = max((camera.size or (1280, 0))[0] for camera in cameras if camera is not None)
     place = np.full(len(cameras), -1)
@@ -165,9 +171,15 @@ def _adjusted(
                 for c, camera in zip(posed, wide.cameras, strict=True):
                     cameras[c] = camera
                 noise = max(float(np.nanmedian(np.abs(wide.residuals))) / 0.6745, 0.01)
-    frames = spread_frames(agreed.seen, _FINAL_FRAMES)
-    sightings, used = agreed.sightings(blobs, frames).compact()
+    offered = spread_frames(shown(chosen), _FINAL_FRAMES)
+    sightings, used = agreed.sightings(blobs, offered).compact()
     if len(used) < FEWEST:
+        share, given = _shares(blobs, wand)
+        if abs(share - given) > _PERSPECTIVE:
+            raise AsterismError(
+                f"only {len(used)} frames fit the wand: images show the inner marker at {share:.2f} of its length, not {given:.2f}; "
+                "are the lengths right?"
+            )
         raise AsterismError(f"only {len(used)} frames show the wand to two cameras that agree on it; wave it longer where cameras overlap.")
     sightings = replace(sightings, camera=place[sightings.camera])
     own = [camera for camera in cameras if camera is not None]
@@ -190,22 +202,22 @@ def _adjusted(
         used, rotations, translations = used[rows], rotations[rows], translations[rows]
         groups = _GROUPS if not _wants_k3(own, wand, sightings, rotations, translations, known, noise) else (*_GROUPS, "k3")
     assert result is not None
-    return result, sightings, used
+    return result, sightings, used, offered
 
 
-def _left(
-    blobs: Blobs, chosen: Ints, wand: Wand, cameras: Sequence[Camera], posed: list[int], sightings: Sightings, used: Ints
-) -> tuple[float, float]:
+def _left(blobs: Blobs, chosen: Ints, wand: Wand, cameras: Sequence[Camera], posed: list[int], sightings: Sightings) -> tuple[float, float]:
     """Of all that single images took for the wand: the share that was not used, and where it puts the inner marker, m."""
-    frames = used if len(used) < 0.5 * _FINAL_FRAMES else np.arange(used[0], used[-1] + 1)
-    own = chosen[frames][:, posed]
+    own = chosen[:, posed]
     own[shown(own).sum(axis=1) < 2] = -1
     frame, camera, point = np.nonzero(own >= 0)
     told = Sightings.of(frame, camera, point, blobs.xy[own[frame, camera, point]])
     lost = 1.0 - len(sightings) / max(len(told), 1)
-    if len(wand.lengths) < 3 or wand.either:
+    if len(wand.lengths) < 3:
         return max(lost, 0.0), float("nan")
-    points = locate(cameras, told, len(frames), 3)
+    if wand.either:
+        share, given = _shares(blobs, wand)
+        return max(lost, 0.0), share * float(wand.lengths[2]) if abs(share - given) > _PERSPECTIVE else float("nan")
+    points = locate(cameras, told, len(own), 3)
     gap = np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
     return max(lost, 0.0), float(np.median(gap[np.isfinite(gap)])) if np.isfinite(gap).any() else float("nan")
 
@@ -295,7 +307,7 @@ def _lenses(
     extents = []
     for c, name in enumerate(blobs.cameras):
         if known is not None and name in known.names:
-            lenses[c] = known[name]
+            lenses[c] = replace(known[name], rotation=np.eye(3), translation=np.zeros(3), posed=False)
         said = (sizes.get(name) if isinstance(sizes, Mapping) else sizes) or None
         lens = lenses[c]
         if lens is not None and lens.size is not None and said is not None and tuple(said) != lens.size:
@@ -342,11 +354,8 @@ def _check_found(blobs: Blobs, chosen: Ints, wand: Wand) -> None:
     markers = len(wand.lengths)
     usual = int(np.bincount(counts[counts > 0]).argmax()) if (counts > 0).any() else 0
     if markers == 3 and usual >= 3:
-        three = np.nonzero(counts.ravel() == 3)[0]
-        triples = blobs.xy[blobs.offsets[three, None] + np.arange(3)]
-        share = _usual_share(triples)
+        share, given = _shares(blobs, wand)
         if np.isfinite(share):
-            given = min(float(wand.lengths[1] / wand.lengths[2]), 1.0 - float(wand.lengths[1] / wand.lengths[2]))
             raise AsterismError(
                 f"only {images} images show three blobs as the wand's should be: the inner one sits at {share:.2f} of the length, by the "
                 f"wand's lengths it should at {given:.2f}; are the lengths right?"
@@ -357,14 +366,20 @@ def _check_found(blobs: Blobs, chosen: Ints, wand: Wand) -> None:
     )
 
 
-def _usual_share(triples: NDArray[np.float64]) -> float:
-    """Where the inner one of three blobs in line usually sits, as a share of the length from the nearer end; NaN where few are in line."""
-    if len(triples) < 20:
-        return float("nan")
+def _shares(blobs: Blobs, wand: Wand) -> tuple[float, float]:
+    """Where the inner one of three blobs in line usually sits, as a share of the length from the nearer end, and where the wand has it.
+
+    NaN where few images show just three blobs in line, or the wand has no three.
+    """
+    three = np.nonzero(np.diff(blobs.offsets) == 3)[0]
+    if len(wand.lengths) < 3 or len(three) < 20:
+        return float("nan"), float("nan")
+    given = float(min(wand.lengths[1], wand.lengths[2] - wand.lengths[1]) / wand.lengths[2])
+    triples = blobs.xy[blobs.offsets[three, None] + np.arange(3)]
     distance = np.linalg.norm(triples[:, [0, 1, 2]] - triples[:, [1, 2, 0]], axis=2)
     order = np.sort(distance, axis=1)
     lined = order[:, 0] + order[:, 1] < 1.01 * order[:, 2]
-    return float(np.median(order[lined, 0] / order[lined, 2])) if lined.sum() >= 20 else float("nan")
+    return (float(np.median(order[lined, 0] / order[lined, 2])), given) if lined.sum() >= 20 else (float("nan"), given)
 
 
 def _why_no_start(blobs: Blobs, chosen: Ints) -> str:

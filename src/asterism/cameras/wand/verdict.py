@@ -27,11 +27,15 @@ FEW_FRAMES = 100
 
 @dataclass(frozen=True)
 class Finding:
-    """One sentence about a calibration: grave, then it should not be used; or mere advice, which speaks against nothing."""
+    """One sentence about a calibration: grave, then it should not be used; or mere advice, which speaks against nothing.
+
+    of_scale: that the rig's size is unknown, which a world frame with a scale mends
+    """
 
     sentence: str
     grave: bool = False
     advice: bool = False
+    of_scale: bool = False
 
 
 def coverage(made: WandCalibration) -> Floats:
@@ -58,7 +62,11 @@ def judge(made: WandCalibration, blobs: Blobs, late: tuple[Floats, Floats], *, s
     ]
     if len(made.wand.lengths) == 1 and not scaled:
         found.append(
-            Finding("one moved marker tells no size: the rig is right but for its scale; give a distance between two cameras.", True)
+            Finding(
+                "one moved marker tells no size: the rig is right but for its scale; give a distance between two cameras.",
+                True,
+                of_scale=True,
+            )
         )
     return tuple(sorted(found, key=lambda finding: (not finding.grave, finding.advice)))
 

@@ -4,5 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-VERBS: dict[Callable[..., None], str] = {}
+from asterism.cli.calibrate.wand import wand
+
+VERBS: dict[Callable[..., None], str] = {
+    wand: "asterism calibrate wand 2d.csv --wand 0 0.2 0.6 --image-size 1280x1024 -o rig.toml --report wand.html",
+}
 """Each verb with its example."""

@@ -1,0 +1,258 @@
+"""`asterism calibrate wand`: blobs of a waved wand in; a rig, and whether to trust it, out."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from asterism.cli import _console
+from asterism.cli._options import Json, Overwrite, Report
+from asterism.errors import AsterismError
+
+if TYPE_CHECKING:
+    from asterism.cameras import Rig
+    from asterism.cameras.wand import WandCalibration
+
+Blobs2D = Annotated[
+    Path, typer.Argument(metavar="2D.CSV", help="What the cameras saw: frame,camera,x,y[,size][,time].", show_default=False)
+]
+
+
+def wand(
+    blobs: Blobs2D,
+    lengths: Annotated[
+        str,
+        typer.Option("--wand", metavar="M M M", help="Places of its markers along the wand, in metres; 0 for one moved marker."),
+    ] = "0,0.2,0.6",
+    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="The rig to write.", show_default=False)] = None,
+    image_size: Annotated[
+        list[str] | None,
+        typer.Option("--image-size", metavar="WxH", help="Size of the images, such as 1280x1024; or NAME=WxH for each camera."),
+    ] = None,
+    rig: Annotated[
+        Path | None, typer.Option("--rig", metavar="FILE", help="Cameras whose lenses and image sizes are known.", show_default=False)
+    ] = None,
+    floor: Annotated[
+        Path | None,
+        typer.Option("--floor", metavar="2D.CSV", help="The wand lying on the floor in two directions, or the L-frame of --l-frame."),
+    ] = None,
+    l_frame: Annotated[
+        str | None,
+        typer.Option("--l-frame", metavar="POINTS", help="Where its markers are, in metres, such as '0,0 0.2,0 0.6,0 0,0.4'."),
+    ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option("--points", metavar="CSV", help="point,camera,x,y: images of three points called origin, x and y."),
+    ] = None,
+    distance: Annotated[
+        str | None, typer.Option("--distance", metavar="A,B=M", help="Metres between two cameras: the scale for one moved marker.")
+    ] = None,
+    anyway: Annotated[bool, typer.Option("--anyway", help="Write the rig even where it should not be used.")] = False,
+    overwrite: Overwrite = False,
+    report: Report = None,
+    json: Json = None,
+) -> None:
+    """Calibrate cameras by a waved wand, from nothing but image sizes and its lengths.
+
+    Wave a wand of three markers in a line through all of the volume for a minute, turning it. Strays are told from it, cameras that
+    saw nothing are named, and a calibration that should not be used is said to be one and not written.
+    """
+    for path in (output, report, json):
+        _console.check_new(path, overwrite)
+    if l_frame is not None and floor is None:
+        raise AsterismError("--l-frame says where markers are; give the recording in which they lie still as --floor 2D.CSV, too.")
+    if floor is not None and points is not None:
+        raise AsterismError("--floor and --points both say where the world is; give one of them.")
+    from asterism.cameras.files import read_rig, write_rig
+    from asterism.cameras.wand import calibrate_wand
+    from asterism.formats import read_blobs
+
+    known = None if rig is None else read_rig(rig)
+    seen = read_blobs(blobs, None if known is None else known.names)
+    with _console.progress("calibrating") as progress:
+        made = calibrate_wand(
+            seen,
+            _lengths(lengths),
+            sizes=_sizes(image_size or [], seen.cameras),
+            known=known,
+            distance=_distance(distance),
+            progress=progress,
+        )
+    made = _in_its_world(made, floor, l_frame, points, scaled=len(made.wand.lengths) > 1 or distance is not None)
+    if report is not None:
+        from asterism.report import wand_report
+
+        wand_report(report, made, settings={"2D points": blobs, "wand in m": lengths.replace(",", " "), "known lenses": rig})
+    written = output is not None and (made.usable or anyway)
+    if output is not None and written:
+        write_rig(made.rig, output)
+    _console.write_json(json, _told(made, blobs, output if written else None))
+    if json != "-":
+        _print(made)
+    for finding in made.findings:
+        if not finding.advice:
+            _console.complain(f"{blobs}: {finding.sentence}")
+    if not made.usable:
+        _console.complain(f"{blobs}: do not use this calibration" + ("." if written else "; it was not written (--anyway writes it)."))
+    raise typer.Exit(0 if all(finding.advice for finding in made.findings) else 1 if made.usable or written else 2)
+
+
+def _in_its_world(made: WandCalibration, floor: Path | None, l_frame: str | None, points: Path | None, *, scaled: bool) -> WandCalibration:
+    """The calibration in the world frame that was asked for."""
+    from asterism.cameras.wand import in_world, world_from_floor_wand, world_from_l_frame, world_from_points
+    from asterism.formats import read_blobs
+
+    if floor is not None:
+        lying = read_blobs(floor, tuple([*made.rig.names, *made.left_out]))
+        if l_frame is not None:
+            world, told = world_from_l_frame(made.rig, lying, _points(l_frame), scaled=scaled), f"the L-frame of {floor.name}"
+        else:
+            world, told = world_from_floor_wand(made.rig, lying, made.wand.lengths), f"the wand on the floor of {floor.name}"
+    elif points is not None:
+        world, told = world_from_points(*_named_points(points, made.rig)), f"the three points of {points.name}"
+    else:
+        return made
+    return made.moved(in_world(made.rig, world, told), *world)
+
+
+def _named_points(path: Path, rig: Rig) -> list[Any]:
+    """Three points from a CSV of their images: point,camera,x,y."""
+    import csv
+
+    import numpy as np
+
+    from asterism.cameras.bundle import Sightings, locate
+
+    with path.open(encoding="utf-8-sig", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    order = ["origin", "x", "y"]
+    frame, camera, xy = [], [], []
+    for number, row in enumerate(rows, 2):
+        try:
+            name, seen_by, place = row["point"].strip(), row["camera"].strip(), (float(row["x"]), float(row["y"]))
+        except (KeyError, TypeError, ValueError, AttributeError):
+            raise AsterismError(f"{path}, line {number}: expected point,camera,x,y with numbers in px for x and y.") from None
+        if name not in order:
+            raise AsterismError(f"{path}, line {number}: a point is called {name}; call them origin, x and y.")
+        if seen_by in rig.names:
+            frame.append(order.index(name))
+            camera.append(rig.names.index(seen_by))
+            xy.append(place)
+    found = locate(rig.cameras, Sightings.of(frame, camera, np.zeros(len(frame), int), np.array(xy).reshape(-1, 2)), 3, 1)[:, 0]
+    for name, point in zip(order, found, strict=True):
+        if not np.isfinite(point).all():
+            raise AsterismError(f"{path}: fewer than two calibrated cameras show the point {name}; give its place in another image.")
+    return list(found)
+
+
+def _lengths(given: str) -> list[float]:
+    try:
+        return [float(length) for length in given.replace(",", " ").split()]
+    except ValueError:
+        raise AsterismError(f"--wand {given} is no list of lengths; give metres, such as --wand 0 0.2 0.6.") from None
+
+
+def _points(given: str) -> list[list[float]]:
+    try:
+        points = [[float(number) for number in point.split(",")] for point in given.replace(";", " ").split()]
+    except ValueError:
+        points = []
+    if not points or any(len(point) not in (2, 3) for point in points):
+        raise AsterismError(f"--l-frame {given} is no list of points; give metres, such as '0,0 0.2,0 0.6,0 0,0.4'.")
+    return [[*point, 0.0][:3] for point in points]
+
+
+def _sizes(given: list[str], cameras: tuple[str, ...]) -> dict[str, tuple[int, int]]:
+    """Image sizes by camera: from `WxH` for all and `NAME=WxH` for one."""
+    sizes: dict[str, tuple[int, int]] = {}
+    for word in sorted(given, key=lambda word: "=" in word):
+        found = re.fullmatch(r"(?:(.+)=)?(\d+)[xX×](\d+)", word.strip())
+        if not found:
+            raise AsterismError(f"--image-size {word} is none; give for example 1280x1024, or left=1280x1024.")
+        if found[1] and found[1] not in cameras:
+            raise AsterismError(f"--image-size {word}: there is no camera {found[1]}; they are {', '.join(cameras)}.")
+        for name in [found[1]] if found[1] else cameras:
+            sizes[name] = (int(found[2]), int(found[3]))
+    return sizes
+
+
+def _distance(given: str | None) -> tuple[str, str, float] | None:
+    if given is None:
+        return None
+    found = re.fullmatch(r"(.+),(.+)=([0-9.]+)", given)
+    if not found:
+        raise AsterismError(f"--distance {given} is none; give two cameras and the metres between them, such as left,right=4.25.")
+    return found[1].strip(), found[2].strip(), float(found[3])
+
+
+def _told(made: WandCalibration, blobs: Path, output: Path | None) -> dict[str, Any]:
+    import numpy as np
+
+    from asterism.cameras.wand import coverage
+
+    lengths = made.lengths[np.isfinite(made.lengths)]
+    measured = len(made.wand.lengths) > 1 and len(lengths) > 0
+    cells = coverage(made)
+    return {
+        "command": "calibrate wand",
+        "file": blobs,
+        "rig": output,
+        "usable": made.usable,
+        "findings": [
+            {"sentence": finding.sentence, "grave": finding.grave, "advice": finding.advice} for finding in made.findings
+        ],
+        "frames": made.frames,
+        "frames_used": len(made.used),
+        "wand_m": made.wand.lengths,
+        "wand_length_mean_m": float(lengths.mean()) if measured else None,
+        "wand_length_std_m": float(lengths.std()) if measured else None,
+        "reprojection_rms_px": made.rms,
+        "noise_px": made.noise,
+        "rejected": made.rejected,
+        "cameras": [
+            {
+                "name": camera.name,
+                "markers": int((made.sightings.camera == c).sum()),
+                "reprojection_rms_px": camera.error,
+                "focal_px": camera.focal,
+                "focal_sigma_px": made.sigma[c, 6],
+                "centre_px": camera.centre,
+                "radial": camera.radial,
+                "tangential": camera.tangential,
+                "position_m": camera.position,
+                "late_frames": int(made.late[c]),
+                "image_covered": float((cells[c] > 0).mean()),
+            }
+            for c, camera in enumerate(made.rig)
+        ],
+        "left_out": dict(made.left_out),
+    }  # fmt: skip
+
+
+def _print(made: WandCalibration) -> None:
+    import numpy as np
+
+    _console.table(
+        f"{len(made.rig)} cameras from {len(made.used):,} of {made.frames:,} frames",
+        ["camera", "markers", "error px", "focal px", "±", "x m", "y m", "z m"],
+        [
+            [
+                camera.name,
+                _console.count(int((made.sightings.camera == c).sum())),
+                f"{camera.error:.3f}",
+                f"{camera.focal[0]:.1f}",
+                f"{made.sigma[c, 6]:.1f}",
+                *(f"{place:.3f}" for place in camera.position),
+            ]
+            for c, camera in enumerate(made.rig)
+        ],
+    )
+    lengths = made.lengths[np.isfinite(made.lengths)]
+    wand = f", wand {1000 * lengths.mean():.2f} ± {1000 * lengths.std():.2f} mm" if len(made.wand.lengths) > 1 and len(lengths) else ""
+    _console.say(f"reprojection error {made.rms:.3f} px{wand}, {_console.percent(made.rejected)} of the wand's images left out")
+    for finding in made.findings:
+        if finding.advice:
+            _console.say(f"advice: {finding.sentence}")

@@ -1,0 +1,257 @@
+"""A wand calibration in; out comes a page that says whether to use it, what each camera saw, and where to wave more."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from asterism.recording import Floats
+from asterism.report import figures
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, write_page
+
+if TYPE_CHECKING:
+    from asterism.cameras import Rig
+    from asterism.cameras.wand import WandCalibration
+
+_MOST_POINTS = 1500
+_ACROSS = 4
+"""Images side by side."""
+_WORST = 0.7
+"""px, a reprojection error that is tinted fully."""
+
+
+def wand_report(path: str | Path, made: WandCalibration, *, settings: Mapping[str, Any] | None = None) -> None:
+    """Write an HTML page on a wand calibration; `settings` (files, wand, ...) are named at its foot.
+
+    Raises AsterismError where the file cannot be written.
+    """
+    from asterism.cameras.wand import coverage
+
+    lengths = made.lengths[np.isfinite(made.lengths)]
+    cells = coverage(made)
+    sections = [
+        Section("What to know before using it", table=_findings(made)),
+        Section(
+            "The rig",
+            "Cameras with their images, and where the wand was waved. Turn it with the mouse. Up is as the cameras hang until a floor is "
+            "given." if made.rig.vertical is None else "Cameras with their images, and where the wand was waved. Turn it with the mouse.",
+            figure=rig_figure(made.rig, made.positions.reshape(-1, 3)),
+        ),
+        Section(
+            "Each camera",
+            table=_cameras(made, cells),
+            note="± is the standard deviation that the adjustment leaves; that of places is relative to the reference.",
+        ),
+        Section(
+            "What each image saw",
+            "How often each part of each image saw a marker of the wand. White parts saw none: there the lens is a guess. Wave more there.",
+            figure=_coverage(made, cells),
+        ),
+        Section(
+            "Where the volume was covered",
+            "How many cameras saw the wand at each place, from above and from the side. A marker needs two; three make it safe.",
+            figure=_volume(made),
+        ),
+        Section(
+            "Residuals",
+            "Reprojection errors of each camera: half of them lie in the box. Cameras should look alike.",
+            figure=_residuals(made),
+        ),
+    ]  # fmt: skip
+    if len(made.wand.lengths) > 1:
+        sections.append(
+            Section(
+                "The wand as measured",
+                "Its length in each frame, from both ends triangulated by themselves: the accuracy that a recording can expect.",
+                figure=_histogram(1000 * (lengths - made.wand.lengths[-1]), "measured less given length in mm"),
+            )
+        )
+    spread = f"{1000 * lengths.std():.2f} mm" if len(lengths) and len(made.wand.lengths) > 1 else NOTHING
+    merits = [
+        (f"{made.rms:.3f} px", "reprojection error", "good" if made.rms < _WORST else "warn" if made.usable else "bad"),
+        (spread, "standard deviation of the wand as measured", ""),
+        (f"{len(made.rig)} of {len(made.rig) + len(made.left_out)}", "cameras calibrated", "" if not made.left_out else "warn"),
+        (count(len(made.used)), f"of {made.frames:,} frames used", ""),
+        (percent(made.rejected), "of the wand's images left out", "warn" if made.rejected > 0.15 else ""),
+    ]
+    lead = "This calibration can be used." if made.usable else "Do not use this calibration: see below."
+    write_page(path, Page("Wand calibration", lead, settings or {}, merits, sections))
+
+
+def _findings(made: WandCalibration) -> Table:
+    rows: list[list[str | Cell]] = [
+        [
+            Cell("do not use", 1.0, "bad") if finding.grave else Cell("advice") if finding.advice else Cell("look at this", 0.6),
+            finding.sentence,
+        ]
+        for finding in made.findings
+    ]
+    return Table(["", "what was found"], rows or [["good", "nothing speaks against it"]], left=2)
+
+
+def _cameras(made: WandCalibration, cells: Floats) -> Table:
+    rows: list[list[str | Cell]] = []
+    for c, camera in enumerate(made.rig):
+        sigma = made.sigma[c]
+        place = 1000 * float(np.linalg.norm(np.nan_to_num(sigma[3:6])))
+        rows.append(
+            [
+                camera.name,
+                count(int((made.sightings.camera == c).sum())),
+                Cell(f"{camera.error:.3f}", min(max(camera.error - 0.3, 0.0) / _WORST, 1.0)),
+                percent(float((cells[c] > 0).mean()), 0),
+                f"{camera.focal[0]:.1f} ± {sigma[6]:.1f}",
+                f"{camera.centre[0]:.1f}, {camera.centre[1]:.1f} ± {np.nanmax(sigma[8:10]):.1f}",
+                ", ".join(f"{k:.3f}" for k in camera.radial[:3]),
+                f"{place:.1f}" if place > 0.0 else "reference",
+            ]
+        )
+    head = [
+        "camera",
+        "markers",
+        "error in px",
+        "image covered",
+        "focal length in px",
+        "principal point in px",
+        "k1, k2, ...",
+        "where it stands, ± mm",
+    ]
+    return Table(head, rows)
+
+
+def rig_figure(rig: Rig, points: Floats) -> figures.Figure:
+    """The cameras as pyramids that open towards what they see, and points (n, 3) m, in the world's axes."""
+    points = points[np.isfinite(points).all(axis=1)]
+    points = points[:: max(1, len(points) // _MOST_POINTS)]
+    places = np.array([camera.position for camera in rig])
+    far = float(np.median(np.linalg.norm(places - (np.median(points, axis=0) if len(points) else places.mean(axis=0)), axis=1)))
+    depth = 0.12 * max(far, 1e-6)
+    lines: list[list[float | None]] = []
+    for camera in rig:
+        width, height = camera.size or (2.0 * camera.centre[0], 2.0 * camera.centre[1])
+        corners = np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
+        flat = (corners - np.array(camera.centre)) / np.array(camera.focal)
+        ends = camera.position + depth * np.column_stack([flat, np.ones(4)]) @ camera.rotation
+        for start, end in [*((camera.position, end) for end in ends), *zip(ends, np.roll(ends, -1, axis=0), strict=True)]:
+            lines += [[*map(float, start)], [*map(float, end)], [None, None, None]]
+    x, y, z = zip(*lines, strict=True)
+    data: list[dict[str, Any]] = [
+        {
+            "type": "scatter3d", "mode": "markers", "x": points[:, 0], "y": points[:, 1], "z": points[:, 2],
+            "marker": {"size": 1.6, "color": "#0f7b8a", "opacity": 0.45}, "hoverinfo": "skip", "showlegend": False,
+        },
+        {
+            "type": "scatter3d", "mode": "lines", "x": x, "y": y, "z": z,
+            "line": {"color": "#d1495b", "width": 3}, "hoverinfo": "skip", "showlegend": False,
+        },
+        {
+            "type": "scatter3d", "mode": "text", "x": places[:, 0], "y": places[:, 1], "z": places[:, 2], "text": list(rig.names),
+            "textposition": "top center", "showlegend": False, "hovertemplate": "%{text}: %{x:.2f}, %{y:.2f}, %{z:.2f} m<extra></extra>",
+        },
+    ]  # fmt: skip
+    axis = {"backgroundcolor": "#ffffff", "gridcolor": "#e6ebf2", "zerolinecolor": "#cfd8e4"}
+    scene = {"aspectmode": "data", **{f"{name}axis": {**axis, "title": {"text": f"{name} in m"}} for name in "xyz"}}
+    scene["camera"] = {"eye": {"x": 1.1, "y": 1.1, "z": 0.7}}
+    return figures.figure(data, height=560, scene=scene)
+
+
+def _coverage(made: WandCalibration, cells: Floats) -> figures.Figure:
+    """One small picture per camera."""
+    down = -(-len(made.rig) // _ACROSS)
+    most = float(np.log10(1.0 + cells.max(initial=0.0)))
+    data: list[dict[str, Any]] = []
+    layout: dict[str, Any] = {"annotations": []}
+    for c, camera in enumerate(made.rig):
+        row, column = divmod(c, _ACROSS)
+        width, height = camera.size or (8, 6)
+        suffix = "" if c == 0 else str(c + 1)
+        left, top = column / _ACROSS, 1.0 - row / down
+        box = ([left, left + 0.94 / _ACROSS], [top - 0.84 / down, top])
+        layout[f"xaxis{suffix}"] = {"domain": box[0], "anchor": f"y{suffix}", "showgrid": False, "showticklabels": False}
+        layout[f"yaxis{suffix}"] = {
+            "domain": box[1], "anchor": f"x{suffix}", "autorange": "reversed", "showgrid": False, "showticklabels": False,
+        }  # fmt: skip
+        layout["annotations"].append(
+            {
+                "text": f"{camera.name}: {100 * float((cells[c] > 0).mean()):.0f} %", "showarrow": False, "font": {"size": 12},
+                "xref": "paper", "yref": "paper", "x": left, "y": box[1][0], "xanchor": "left", "yanchor": "top",
+            }
+        )  # fmt: skip
+        rows, columns = cells[c].shape
+        data.append(
+            {
+                "type": "heatmap", "z": np.log10(1.0 + cells[c]), "zmin": 0.0, "zmax": max(most, 1.0), "showscale": False,
+                "x": (np.arange(columns) + 0.5) * width / columns, "y": (np.arange(rows) + 0.5) * height / rows,
+                "customdata": cells[c], "hovertemplate": "%{customdata} markers<extra>" + camera.name + "</extra>",
+                "colorscale": [[0, "#ffffff"], [0.01, "#d8eef0"], [1, "#0b5563"]], "xgap": 1, "ygap": 1,
+                "xaxis": f"x{suffix}", "yaxis": f"y{suffix}",
+            }
+        )  # fmt: skip
+    return figures.figure(data, height=60 + 190 * down, plot_bgcolor="#eef1f6", **layout)
+
+
+def _volume(made: WandCalibration) -> figures.Figure:
+    """From above and from the side: the mean number of cameras that saw the wand's markers, in cells of a twentieth of the width."""
+    rows = np.searchsorted(made.used, made.sightings.frame)
+    markers = len(made.wand.lengths)
+    seen = np.bincount(rows * markers + made.sightings.point, minlength=len(made.used) * markers)
+    points = made.positions.reshape(-1, 3)
+    good = np.isfinite(points).all(axis=1)
+    points, seen = points[good], seen[good]
+    size = max(float(np.ptp(points, axis=0).max()) / 24.0, 1e-6) if len(points) else 1.0
+    data: list[dict[str, Any]] = []
+    for n, (across, up) in enumerate(((0, 1), (0, 2))):
+        at = np.floor(points[:, [across, up]] / size).astype(np.int64)
+        low = at.min(axis=0, initial=0) if len(at) else np.zeros(2, dtype=np.int64)
+        shape = tuple((at.max(axis=0) - low + 1)[::-1]) if len(at) else (1, 1)
+        total, number = np.zeros(shape), np.zeros(shape)
+        np.add.at(total, (at[:, 1] - low[1], at[:, 0] - low[0]), seen)
+        np.add.at(number, (at[:, 1] - low[1], at[:, 0] - low[0]), 1)
+        mean = np.where(number > 0, total / np.maximum(number, 1), np.nan)
+        data.append(
+            {
+                "type": "heatmap", "z": np.round(mean, 2), "zmin": 2, "zmax": max(len(made.rig), 3), "showscale": n == 0,
+                "x": (low[0] + np.arange(shape[1]) + 0.5) * size, "y": (low[1] + np.arange(shape[0]) + 0.5) * size,
+                "colorscale": [[0, "#f6c177"], [1.0 / max(len(made.rig) - 2, 1) * 0.99, "#d8eef0"], [1, "#0b5563"]],
+                "colorbar": {"thickness": 12, "outlinewidth": 0, "title": {"text": "cameras"}},
+                "hovertemplate": "%{z} cameras<extra></extra>", "xaxis": f"x{'' if n == 0 else 2}", "yaxis": f"y{'' if n == 0 else 2}",
+            }
+        )  # fmt: skip
+    return figures.figure(
+        data,
+        height=380,
+        xaxis={"domain": [0, 0.47], "anchor": "y", "title": {"text": "x in m, from above"}},
+        yaxis={"anchor": "x", "title": {"text": "y in m"}, "scaleanchor": "x"},
+        xaxis2={"domain": [0.55, 1.0], "anchor": "y2", "title": {"text": "x in m, from the side"}},
+        yaxis2={"anchor": "x2", "title": {"text": "z in m"}, "scaleanchor": "x2"},
+    )
+
+
+def _residuals(made: WandCalibration) -> figures.Figure:
+    size = np.linalg.norm(made.residuals, axis=1)
+    data = []
+    for c, camera in enumerate(made.rig):
+        low, first, middle, third, high = np.percentile(size[made.sightings.camera == c], [5, 25, 50, 75, 95])
+        data.append(
+            {
+                "type": "box", "name": camera.name, "x": [camera.name], "lowerfence": [low], "q1": [first], "median": [middle],
+                "q3": [third], "upperfence": [high], "fillcolor": "#a5d8dc", "line": {"color": "#0f7b8a"}, "showlegend": False,
+            }
+        )  # fmt: skip
+    return figures.figure(data, height=320, yaxis={"title": {"text": "px, 5 to 95 %"}, "rangemode": "tozero"}, xaxis={"type": "category"})
+
+
+def _histogram(values: Floats, what: str) -> figures.Figure:
+    reach = float(np.percentile(np.abs(values), 99.5)) if len(values) else 1.0
+    counts, edges = np.histogram(values, bins=41, range=(-reach, reach))
+    trace = {
+        "type": "bar",
+        "x": 0.5 * (edges[1:] + edges[:-1]),
+        "y": counts,
+        "marker": {"color": "#0f7b8a"},
+        "hovertemplate": "%{x:.2f} mm: %{y} frames<extra></extra>",
+    }
+    return figures.figure([trace], height=280, bargap=0.05, xaxis={"title": {"text": what}}, yaxis={"title": {"text": "frames"}})
