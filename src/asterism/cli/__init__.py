@@ -23,6 +23,7 @@ from asterism.cli.info import info
 from asterism.cli.label import label
 from asterism.cli.learn import learn
 from asterism.cli.name import name
+from asterism.cli.reconstruct import reconstruct
 from asterism.cli.review import review
 from asterism.cli.train import train
 from asterism.errors import AsterismError
@@ -66,6 +67,7 @@ _EXAMPLES: dict[Callable[..., None], str] = {
     evaluate: "asterism evaluate --leave-one-subject-out labelled/*.c3d --markers helen-hayes --occlusions 0 2 4",
     audit: "asterism audit labelled/*.c3d --markers helen-hayes",
     capturability: "asterism capturability labelled/*.c3d --markers helen-hayes --report capturability.html",
+    reconstruct: "asterism reconstruct 2d.csv --rig rig.toml -o clouds.npz",
     info: "asterism info walk.c3d",
     convert: "asterism convert walk.c3d walk.trc",
     detect: "asterism detect cam1.mp4 cam2.mp4 cam3.mp4 -o 2d.csv --rig rig.toml --report blobs.html",

@@ -2,8 +2,21 @@
 
 from __future__ import annotations
 
-from asterism.formats._dispatch import convert, describe, read, read_clouds, write
+from asterism.formats._dispatch import convert, describe, read, read_clouds, read_evidence, write, write_points
 from asterism.formats.csv_blobs import read_blobs, write_blobs
 from asterism.formats.storage import Table, read_table, write_table
 
-__all__ = ["Table", "convert", "describe", "read", "read_blobs", "read_clouds", "read_table", "write", "write_blobs", "write_table"]
+__all__ = [
+    "Table",
+    "convert",
+    "describe",
+    "read",
+    "read_blobs",
+    "read_clouds",
+    "read_evidence",
+    "read_table",
+    "write",
+    "write_blobs",
+    "write_points",
+    "write_table",
+]

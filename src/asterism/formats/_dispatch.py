@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
@@ -15,8 +16,8 @@ from asterism.formats._columns import Points, recording_of
 from asterism.formats._describe import described
 from asterism.formats._text import decoded, lines_of
 from asterism.formats._writing import all_points
-from asterism.formats.c3d import describe_c3d, read_c3d, write_c3d
-from asterism.recording import Clouds, Recording
+from asterism.formats.c3d import describe_c3d, read_c3d, write_c3d, write_c3d_points
+from asterism.recording import Clouds, Evidence, Ints, Recording
 
 _READERS: dict[str, Callable[[Path], Points]] = {
     "TRC": trc.read_trc,
@@ -96,6 +97,43 @@ def write(path: str | Path, recording: Recording | Clouds) -> list[str]:
     if writer is None:
         raise AsterismError(f"{path}: no format has the suffix {suffix or '(none)'}; write .c3d, {', '.join(_WRITERS)}.")
     return writer(path, recording)
+
+
+def read_evidence(path: str | Path) -> Evidence | None:
+    """What the points of an NPZ file of clouds rest on, as `write_points` put it there; None where a file does not say.
+
+    Raises AsterismError where the file cannot be read.
+    """
+    path = Path(path)
+    return npz.read_npz_evidence(path) if _kind_of(path) == "NPZ" else None
+
+
+def write_points(path: str | Path, clouds: Clouds, evidence: Evidence, columns: Ints) -> list[str]:
+    """Write points that cameras made, in the format of the suffix: .npz and .csv as clouds, others as unlabelled columns *1, *2, ...
+
+    columns  (P,) int: the column of each point where the format has columns; no two of a frame in one
+    NPZ keeps all of the evidence, C3D residuals up to 2.55 mm and the first seven cameras. Returns what was lost, one sentence each.
+    Raises AsterismError where the suffix is unknown or the file cannot be written.
+    """
+    path = Path(path)
+    suffix = path.suffix.casefold()
+    if suffix == ".npz":
+        return npz.write_npz_clouds(path, clouds, evidence)
+    lost = ["what each point rests on (residual, covariance, cameras)"]
+    if suffix == ".csv":
+        return write(path, clouds) + lost
+    frames, many = np.repeat(np.arange(len(clouds)), clouds.counts), int(columns.max(initial=-1)) + 1
+    positions = np.full((len(clouds), many, 3), np.nan)
+    positions[frames, columns] = clouds.xyz
+    recording = Recording(positions, tuple(f"*{i + 1}" for i in range(many)), clouds.rate, clouds.vertical)
+    if suffix != ".c3d":
+        return write(path, recording) + lost
+    residual, cameras = np.zeros((len(clouds), many)), np.zeros((len(clouds), many, len(evidence.camera_names)), dtype=np.bool_)
+    residual[frames, columns] = evidence.residual * evidence.depth_scale
+    cameras[frames, columns] = evidence.cameras
+    write_c3d_points(path, recording, residual, cameras)
+    beyond = evidence.camera_names[7:]
+    return ["the points' covariances", *([f"which points {', '.join(beyond)} saw: C3D knows seven cameras"] if beyond else [])]
 
 
 def _with_computed(recording: Recording) -> Recording:

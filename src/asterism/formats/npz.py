@@ -15,7 +15,7 @@ from asterism.errors import AsterismError
 from asterism.formats._columns import Points
 from asterism.formats._text import read_bytes, write_atomically
 from asterism.formats._writing import all_points, first_frame_of
-from asterism.recording import Clouds, Event, Recording, as_vertical
+from asterism.recording import Clouds, Event, Evidence, Recording, as_vertical
 
 VERSION = 1
 _MOST_BYTES = 8 << 30
@@ -109,11 +109,44 @@ def write_npz(path: Path, recording: Recording) -> list[str]:
     return lost
 
 
-def write_npz_clouds(path: Path, clouds: Clouds) -> list[str]:
-    """Write clouds as they are; nothing is lost."""
+def read_npz_evidence(path: Path) -> Evidence | None:
+    """What the points of clouds in an NPZ file rest on, or None where it does not say. Raises AsterismError where it is damaged."""
+    clouds = read_npz_clouds(path)
+    if clouds is None:
+        return None
+    held = _arrays(path)
+    if "residual" not in held:
+        return None
+    try:
+        evidence = Evidence(
+            np.array(held["residual"], dtype=np.float64),
+            np.array(held["covariance"], dtype=np.float64),
+            np.array(held["cameras"], dtype=np.bool_),
+            tuple(str(name) for name in held["camera_names"]),
+            np.array(held["depth_scale"], dtype=np.float64),
+        )
+    except (KeyError, TypeError, ValueError) as problem:
+        raise AsterismError(f"{path} is damaged ({problem}); write it again.") from problem
+    points, cameras = len(clouds.xyz), len(evidence.camera_names)
+    shapes = (evidence.residual.shape, evidence.covariance.shape, evidence.cameras.shape, evidence.depth_scale.shape)
+    if shapes != ((points,), (points, 3, 3), (points, cameras), (points,)):
+        raise AsterismError(f"{path} is damaged (its points and what they rest on do not fit together); write it again.")
+    return evidence
+
+
+def write_npz_clouds(path: Path, clouds: Clouds, evidence: Evidence | None = None) -> list[str]:
+    """Write clouds as they are, and what their points rest on; nothing is lost."""
     held: dict[str, Any] = {"xyz": clouds.xyz, "offsets": clouds.offsets, "columns": clouds.columns, "vertical": clouds.vertical}
     if clouds.tracks is not None:
         held["tracks"] = clouds.tracks
+    if evidence is not None:
+        held |= {
+            "residual": evidence.residual,
+            "covariance": evidence.covariance,
+            "cameras": evidence.cameras,
+            "camera_names": np.array(evidence.camera_names, dtype=str),
+            "depth_scale": evidence.depth_scale,
+        }
     _save(path, kind="clouds", rate=clouds.rate, **held)
     return []
 

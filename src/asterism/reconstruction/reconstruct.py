@@ -151,6 +151,7 @@ def _assembled(parts: list[_Part], blobs: Blobs, rig: Rig, belief: Belief, metho
         Clouds(xyz, np.cumsum(counts), blobs.rate, vertical, np.full(len(xyz), -1, dtype=np.int64)),
         np.concatenate([np.empty(0), *(part.residual for part in parts)]),
         np.concatenate([np.empty((0, 3, 3)), *(part.covariance for part in parts)]),
+        _scale(taken, xyz, rig),
         taken,
         blobs,
         belief.noise,
@@ -160,6 +161,16 @@ def _assembled(parts: list[_Part], blobs: Blobs, rig: Rig, belief: Belief, metho
         notes[:, 1] == 0,
         remarks,
     )
+
+
+def _scale(taken: Ints, xyz: Floats, rig: Rig) -> Floats:
+    """(P,) m/px, depth over focal length, the mean over each point's cameras."""
+    total = np.zeros(len(xyz))
+    for c, camera in enumerate(rig):
+        depth = xyz @ camera.rotation[2] + camera.translation[2]
+        total += np.where(taken[:, c] >= 0, depth / math.sqrt(camera.focal[0] * camera.focal[1]), 0.0)
+    mean: Floats = total / np.maximum((taken >= 0).sum(axis=1), 1)
+    return mean
 
 
 def _rig_of(blobs: Blobs, rig: Rig) -> Rig:

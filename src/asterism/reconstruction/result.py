@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.recording import Blobs, Clouds, Floats, Ints
+from asterism.formats import write_points
+from asterism.reconstruction.columns import columns_of
+from asterism.recording import Blobs, Clouds, Evidence, Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -17,6 +20,7 @@ class Reconstruction:
     clouds      the points, frame by frame
     residual    (P,) px, the reprojection error of each point: RMS over its cameras of the distance between blob and projection
     covariance  (P, 3, 3) m2, from the rays' Jacobian and the pixel noise
+    scale       (P,) m/px: how far a pixel of residual is at the point, the mean over its cameras
     rays        (P, C) int: the blob of each camera that shows the point, its place in `blobs.xy`; -1 where none does
     blobs       what it was made from: the given blobs, on a common clock, without those that are no rays or stand there twice
     noise       (C,) px per axis, the pixel noise that was given or told from the blobs
@@ -30,6 +34,7 @@ class Reconstruction:
     clouds: Clouds
     residual: Floats
     covariance: Floats
+    scale: Floats
     rays: Ints
     blobs: Blobs
     noise: Floats
@@ -43,6 +48,15 @@ class Reconstruction:
     def cameras(self) -> NDArray[np.bool_]:
         """(P, C) which cameras each point was made from."""
         return self.rays >= 0
+
+    @property
+    def evidence(self) -> Evidence:
+        """What each point rests on, as files keep it."""
+        return Evidence(self.residual, self.covariance, self.cameras, self.blobs.cameras, self.scale)
+
+    def write(self, path: str | Path) -> list[str]:
+        """Write the points, in the format of the suffix, as `asterism.formats.write_points` does. Returns what was lost."""
+        return write_points(path, self.clouds, self.evidence, columns_of(self.clouds))
 
     @property
     def deviation(self) -> Floats:

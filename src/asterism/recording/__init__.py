@@ -3,7 +3,7 @@
 from asterism.recording.arrays import Floats, Ints, as_vertical
 from asterism.recording.blobs import Blobs
 from asterism.recording.clock import to_common_clock
-from asterism.recording.clouds import NULL, Clouds, Labelling
+from asterism.recording.clouds import NULL, Clouds, Evidence, Labelling
 from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, without_subject
 from asterism.recording.trajectories import Event, Recording, keep_labels
 
@@ -12,6 +12,7 @@ __all__ = [
     "Blobs",
     "Clouds",
     "Event",
+    "Evidence",
     "Floats",
     "Ints",
     "Labelling",

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
 from asterism.recording.arrays import Floats, Ints, as_vertical, checked_rate
@@ -80,6 +80,24 @@ class Clouds:
     def counts(self) -> Ints:
         """(T,) points per frame."""
         return np.diff(self.offsets)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What each point of clouds rests on, where cameras made it.
+
+    residual      (P,) px, its reprojection error: RMS over its cameras of the distance between blob and projection
+    covariance    (P, 3, 3) m2
+    cameras       (P, C) bool: those that it was made from
+    camera_names  (C,)
+    depth_scale   (P,) m/px: how far a pixel of residual is at the point, the mean over its cameras
+    """
+
+    residual: Floats
+    covariance: Floats
+    cameras: NDArray[np.bool_]
+    camera_names: tuple[str, ...]
+    depth_scale: Floats
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.formats.c3d._edit import MOST_STRINGS, event_records, floats_record, integers_record, strings_record
@@ -18,8 +19,14 @@ _MOST = 65535
 _SCREENS = {"x": "+Y", "y": "+X", "z": "+X"}
 
 
-def fresh_c3d(recording: Recording, target: str) -> bytes:
+_RESIDUAL_STEP = 0.01
+_MASKED_CAMERAS = 7
+
+
+def fresh_c3d(recording: Recording, target: str, residual: Floats | None = None, cameras: NDArray[np.bool_] | None = None) -> bytes:
     """The bytes of a new file: positions in mm, missing points with residual -1, labels, rate, vertical, events, subject.
+
+    residual (T, M) m and cameras (T, M, C) go into the fourth word of each point, as far as it reaches: 2.55 mm, seven cameras.
 
     Raises AsterismError where the recording does not fit: more than 65535 points, or a label beyond 127 bytes.
     """
@@ -28,20 +35,29 @@ def fresh_c3d(recording: Recording, target: str) -> bytes:
         raise AsterismError(f"{target}: {points} points are more than the {_MOST} that a C3D file can hold; write fewer columns.")
     first = recording.metadata.get("first_frame", 1)
     first = first if isinstance(first, int) and first >= 1 and first + frames - 1 < 2**31 else 1
+    step = 1.0 if residual is None else _RESIDUAL_STEP
     try:
-        section = _section(recording, first)
+        section = _section(recording, first, step)
     except AsterismError as problem:
         raise AsterismError(f"{target}: {problem}") from problem
     data = np.empty((frames, points, 4))
     data[:, :, :3] = recording.positions * 1000.0
-    data[:, :, 3] = 0.0
+    data[:, :, 3] = 0.0 if residual is None or cameras is None else _fourth_word(residual, cameras)
     data[~recording.visible] = (0.0, 0.0, 0.0, -1.0)
     block = PC.store(PC.words_of_floats(data))
     ending = b"" if frames >= _MOST else bytes(-len(block) % BLOCK)  # readers take what follows uncounted frames for frames
-    return _header(recording, first, len(section) // BLOCK + 2) + section + block + ending
+    return _header(recording, first, len(section) // BLOCK + 2, step) + section + block + ending
 
 
-def _header(recording: Recording, first: int, data_start: int) -> bytes:
+def _fourth_word(residual: Floats, cameras: NDArray[np.bool_]) -> Floats:
+    """High byte: a bit for each of the first seven cameras; low byte: the residual in steps of |POINT:SCALE| mm."""
+    steps = np.clip(np.round(np.nan_to_num(residual) * 1000.0 / _RESIDUAL_STEP), 0, 255)
+    seven = cameras[:, :, :_MASKED_CAMERAS]
+    word: Floats = steps + 256.0 * (seven @ 2.0 ** np.arange(seven.shape[2]))
+    return word
+
+
+def _header(recording: Recording, first: int, data_start: int, step: float) -> bytes:
     frames, points = recording.positions.shape[:2]
     last = first + frames - 1
     words = np.zeros(BLOCK // 2, dtype=np.uint16)
@@ -50,23 +66,23 @@ def _header(recording: Recording, first: int, data_start: int) -> bytes:
     words[3:5] = (first, last) if last <= _MOST else (1, min(frames, _MOST))
     words[8] = data_start
     head = bytearray(PC.store(words))
-    head[12:16] = PC.store(PC.words_of_floats([-1.0]))
+    head[12:16] = PC.store(PC.words_of_floats([-step]))
     head[20:24] = PC.store(PC.words_of_floats([recording.rate]))
     return bytes(head)
 
 
-def _section(recording: Recording, first: int) -> bytes:
+def _section(recording: Recording, first: int, step: float) -> bytes:
     """The parameter section in whole blocks. It states where the data begin, so it is laid out twice."""
-    blocks = -(-len(_chain(recording, first, 0)) // BLOCK)
-    section = _chain(recording, first, blocks + 2)
+    blocks = -(-len(_chain(recording, first, 0, step)) // BLOCK)
+    section = _chain(recording, first, blocks + 2, step)
     return (section[:2] + bytes([min(blocks, 255)]) + section[3:]).ljust(blocks * BLOCK, b"\0")
 
 
-def _chain(recording: Recording, first: int, data_start: int) -> bytes:
+def _chain(recording: Recording, first: int, data_start: int, step: float) -> bytes:
     frames, points = recording.positions.shape[:2]
     last = first + frames - 1
     records = [_group("POINT", _POINT), _integer("USED", _POINT, points), _integer("FRAMES", _POINT, min(frames, _MOST))]
-    records += [_integer("DATA_START", _POINT, data_start), _float("SCALE", _POINT, -1.0), _float("RATE", _POINT, recording.rate)]
+    records += [_integer("DATA_START", _POINT, data_start), _float("SCALE", _POINT, -step), _float("RATE", _POINT, recording.rate)]
     if frames > _MOST:
         records.append(_float("LONG_FRAMES", _POINT, frames))
     records += [_text("UNITS", _POINT, "mm"), *_screens(recording.vertical)]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.formats._columns import without_common_subject
@@ -45,6 +46,18 @@ def write_c3d(path: Path, recording: Recording) -> None:
         write_atomically(path, rewritten(recording.source, recording, str(path)))
     else:
         write_atomically(path, fresh_c3d(recording, str(path)))
+
+
+def write_c3d_points(path: Path, recording: Recording, residual: Floats, cameras: NDArray[np.bool_]) -> None:
+    """Write a new C3D file whose points say how well cameras agreed on them, and which.
+
+    residual (T, M) m, cameras (T, M, C). Raises AsterismError as `write_c3d` does.
+    """
+    if not recording.labels or not len(recording):
+        raise AsterismError(
+            f"{path}: there are no {'points' if len(recording) else 'frames'}, and a C3D file needs both; nothing was written."
+        )
+    write_atomically(path, fresh_c3d(recording, str(path), residual, cameras))
 
 
 @dataclass(frozen=True)

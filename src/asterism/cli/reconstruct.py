@@ -1,0 +1,102 @@
+"""`asterism reconstruct`: blobs of calibrated cameras in, 3D points out."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from asterism.cli import _console
+from asterism.cli._options import Json, Overwrite
+from asterism.errors import AsterismError
+
+
+class Method(StrEnum):
+    """How points are chosen among all that the blobs allow."""
+
+    GLOBAL = "global"
+    PLAIN = "plain"
+
+
+def reconstruct(
+    blobs: Annotated[Path, typer.Argument(metavar="BLOBS", help="2D CSV: frame, camera, x, y[, size][, time].", show_default=False)],
+    rig: Annotated[Path, typer.Option("--rig", metavar="FILE", help="The calibrated rig.", show_default=False)],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="Where the points go: .npz, .c3d, .csv, .trc, ...", show_default=False)
+    ],
+    method: Annotated[Method, typer.Option(help="The likeliest set of points, or the thesis' plain merging.")] = Method.GLOBAL,
+    min_cameras: Annotated[int, typer.Option(metavar="N", min=2, help="How many cameras must show a point.")] = 2,
+    noise: Annotated[
+        float | None, typer.Option(metavar="PX", help="How far off blobs are, per axis. Else told from the blobs.", show_default=False)
+    ] = None,
+    volume: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z,X,Y,Z", help="Two corners, in m, of where points may be.", show_default=False)
+    ] = None,
+    rate: Annotated[float | None, typer.Option(metavar="HZ", help="Frames per second. Else as the file says.", show_default=False)] = None,
+    overwrite: Overwrite = False,
+    json: Json = None,
+) -> None:
+    """Make 3D points from the blobs of calibrated cameras.
+
+    Each blob shows one point at most, and of all sets of points that the blobs of a frame allow the likeliest is chosen, so that few ghosts
+    are left. Every point carries its reprojection error, covariance and cameras; NPZ keeps all of them, C3D what it can.
+    `asterism label` then gives the points names.
+    """
+    from asterism.cameras.files import read_rig
+    from asterism.formats import read_blobs
+    from asterism.reconstruction import reconstruct as points_of
+    from asterism.reconstruction import summary
+
+    _console.check_new(output, overwrite)
+    _console.check_new(json, overwrite)
+    corners = _corners(volume)
+    calibrated = read_rig(rig)
+    seen = read_blobs(blobs, cameras=calibrated.names, rate=rate)
+    with _console.progress("reconstructing") as progress:
+        result = points_of(
+            seen, calibrated, method=method.value, noise=noise, min_cameras=min_cameras, volume=corners, progress=progress
+        )
+    lost = result.write(output)
+    told = summary(result, calibrated)
+    for sentence in (*told["remarks"], *(f"{output} leaves out {what}." for what in lost)):
+        _console.complain(sentence)
+    if json != "-":
+        _print(output, told)
+    _console.write_json(json, {"command": "reconstruct", "blobs": blobs, "rig": rig, "output": output, **told, "not_carried": lost})
+    raise typer.Exit(1 if told["remarks"] else 0)
+
+
+def _print(output: Path, told: dict[str, Any]) -> None:
+    def pixels(value: float) -> str:
+        return "–" if value != value else f"{value:.3f}"
+
+    rows = [
+        [camera["name"], _console.count(camera["blobs"]), _console.percent(camera["used"]), pixels(camera["residual_px"])]
+        for camera in told["cameras"]
+    ]
+    _console.table("cameras", ("camera", "blobs", "used", "residual, px"), rows)
+    per_frame = told["points_per_frame"]
+    by_cameras = ", ".join(f"{count:,} by {cameras}" for cameras, count in told["points_by_cameras"].items())
+    facts = [
+        ("points", f"{told['points']:,}; {per_frame['fewest']} to {per_frame['most']} a frame, {per_frame['median']:g} mostly"),
+        ("seen by cameras", by_cameras or "–"),
+        ("pixel noise", f"{told['noise_px']:.3f} px"),
+    ]
+    if told["residual_px"]:
+        facts.append(("residual", f"{told['residual_px']['median']:.3f} px mostly, {told['residual_px']['p95']:.3f} px for 95 %"))
+        facts.append(("one deviation", f"{1000 * told['deviation_m']['median']:.2f} mm mostly"))
+    _console.facts(f"{output}: {told['frames']:,} frames", facts)
+
+
+def _corners(given: str | None) -> list[list[float]] | None:
+    if given is None:
+        return None
+    try:
+        numbers = [float(number) for number in given.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 6:
+        raise AsterismError(f"--volume {given} is no box; give two corners in metres, such as -2,-2,0,2,2,2.5.")
+    return [numbers[:3], numbers[3:]]
