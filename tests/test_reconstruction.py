@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import json
+import warnings
 from dataclasses import replace
+from pathlib import Path
 
+import c3d
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import Bounds, LinearConstraint, least_squares, milp
 
-from asterism.cameras import Camera, Rig
+from asterism import formats
+from asterism.cameras import Camera, Rig, rotation_from_vector
+from asterism.cameras.files import write_rig
+from asterism.cli import main
 from asterism.errors import AsterismError
-from asterism.reconstruction import Reconstruction, _kernels, reconstruct
+from asterism.reconstruction import Reconstruction, _kernels, reconstruct, summary
 from asterism.reconstruction._pack_kernels import pack
+from asterism.reconstruction.columns import columns_of
 from asterism.reconstruction.rays import rays_of
 from asterism.reconstruction.setting import Belief, Setting, image_borders
-from asterism.recording import Blobs
+from asterism.recording import Blobs, Clouds
 from asterism.simulation.cameras import images_of, ring_rig
 
 EVERYWHERE = np.array([[-np.inf] * 3, [np.inf] * 3])
@@ -336,3 +344,90 @@ def test_image_sizes_need_not_be_known() -> None:
     rig, blobs, truth, _ = images(6, 20, 10, missed=0.2)
     bare = Rig(tuple(Camera(c.name, None, c.focal, c.centre, c.rotation, c.translation, c.radial, c.tangential) for c in rig))
     assert found(reconstruct(blobs, bare), truth)[0] >= 198
+
+
+def test_points_survive_in_files_with_what_they_rest_on(tmp_path: Path) -> None:
+    rig, blobs, _, _ = images(9, 12, 30, missed=0.2)
+    result = reconstruct(blobs, rig)
+    assert result.write(tmp_path / "clouds.npz") == []
+    clouds, evidence = formats.read_clouds(tmp_path / "clouds.npz"), formats.read_evidence(tmp_path / "clouds.npz")
+    assert np.array_equal(clouds.xyz, result.clouds.xyz)
+    assert np.array_equal(evidence.covariance, result.covariance)
+    assert np.array_equal(evidence.cameras, result.cameras)
+    assert evidence.camera_names == rig.names
+    lost = result.write(tmp_path / "clouds.c3d")
+    assert any("c8, c9" in what for what in lost)
+    with warnings.catch_warnings(), (tmp_path / "clouds.c3d").open("rb") as stream:
+        warnings.simplefilter("ignore")
+        words = np.array([points[:, 3:] for _, points, _ in c3d.Reader(stream).read_frames()])
+    frames, columns = np.repeat(np.arange(30), clouds.counts), columns_of(clouds)
+    masks = words[frames, columns, 1].astype(np.int64)
+    assert np.array_equal((masks[:, None] >> np.arange(7)) & 1, result.cameras[:, :7])
+    assert np.abs(words[frames, columns, 0] - 1000 * result.residual * result.scale).max() < 0.006
+    back = formats.read(tmp_path / "clouds.c3d")
+    assert np.nanmax(np.abs(back.positions[frames, columns] - clouds.xyz)) < 1e-6
+    assert result.write(tmp_path / "clouds.trc") != []
+    assert formats.read_evidence(tmp_path / "clouds.c3d") is None
+
+
+def test_a_damaged_file_of_points_is_refused(tmp_path: Path) -> None:
+    rig, blobs, _, _ = images(3, 4, 5)
+    reconstruct(blobs, rig).write(tmp_path / "clouds.npz")
+    held = dict(np.load(tmp_path / "clouds.npz"))
+    for changes in ({"residual": held["residual"][1:]}, {"camera_names": held["camera_names"][:2]}, {"covariance": np.array(["x"])}):
+        np.savez(tmp_path / "bad.npz", **(held | changes))
+        with pytest.raises(AsterismError, match=r"bad\.npz is damaged"):
+            formats.read_evidence(tmp_path / "bad.npz")
+
+
+def test_columns_follow_a_point_and_hold_one_of_a_frame() -> None:
+    t = np.arange(50)[:, None] / 100
+    paths = [np.concatenate([start + speed * t, 0 * t, 0 * t], axis=1) for start, speed in ((0.0, 2.0), (1.2, -2.0), (3.0, 0.0))]
+    paths[1] = paths[1] + [0, 0.1, 0]
+    frames = [np.array([path[k] for path in paths]) for k in range(50)]
+    frames[20] = frames[20][:2]
+    shuffled = [frame[np.random.default_rng(k).permutation(len(frame))] for k, frame in enumerate(frames)]
+    clouds = Clouds.from_points(shuffled, 100.0)
+    columns = columns_of(clouds)
+    frame_of = np.repeat(np.arange(50), clouds.counts)
+    assert len(np.unique(frame_of * 1000 + columns)) == len(columns)
+    still = columns[clouds.xyz[:, 0] == 3.0]
+    assert len(np.unique(still)) == 2, "the gap ends one column, and another begins"
+    assert len(np.unique(columns[np.abs(clouds.xyz[:, 1] - 0.1) < 1e-9])) == 1
+
+
+def test_the_command_makes_points_and_its_json_says_what_the_table_shows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig, blobs, _, _ = images(4, 8, 20)
+    write_rig(rig, tmp_path / "rig.toml")
+    formats.write_blobs(blobs, tmp_path / "2d.csv")
+    words = ["reconstruct", str(tmp_path / "2d.csv"), "--rig", str(tmp_path / "rig.toml"), "-o", str(tmp_path / "clouds.npz")]
+    assert main([*words, "--json", str(tmp_path / "told.json")]) == 0
+    told = json.loads((tmp_path / "told.json").read_text())
+    assert told["points"] == 160 == len(formats.read_clouds(tmp_path / "clouds.npz").xyz)
+    assert [camera["name"] for camera in told["cameras"]] == list(rig.names)
+    assert 0.2 < told["residual_px"]["median"] < 0.5
+    assert "160; 8 to 8 a frame" in capsys.readouterr().out
+    assert main(words) == 2
+    assert "exists" in capsys.readouterr().err
+    assert main([*words, "--overwrite", "--volume", "-2:2,-2:0,0:2"]) in (0, 1)
+    assert (formats.read_clouds(tmp_path / "clouds.npz").xyz[:, 1] <= 0).all()
+
+
+def test_a_rig_that_is_not_the_recordings_is_doubted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig, blobs, _, _ = images(4, 8, 20)
+    turned = replace(rig[1], rotation=rotation_from_vector([0.02, 0.0, 0.01]) @ rig[1].rotation)
+    write_rig(Rig((rig[0], turned, *rig.cameras[2:]), rig.vertical), tmp_path / "bumped.toml")
+    formats.write_blobs(blobs, tmp_path / "2d.csv")
+    words = ["reconstruct", str(tmp_path / "2d.csv"), "--rig", str(tmp_path / "bumped.toml"), "-o", str(tmp_path / "clouds.npz")]
+    assert main([*words, "--json", str(tmp_path / "told.json")]) == 1
+    residual = {camera["name"]: camera["residual_px"] for camera in json.loads((tmp_path / "told.json").read_text())["cameras"]}
+    assert max(residual, key=residual.__getitem__) == "c2"
+    assert "do not use these points" in capsys.readouterr().err
+
+
+def test_a_camera_whose_blobs_show_nothing_is_named() -> None:
+    rig, blobs, _, _ = images(5, 12, 20)
+    away = replace(rig[1], rotation=rotation_from_vector([0.3, 0.2, 0.0]) @ rig[1].rotation)
+    wrong = Rig((rig[0], away, *rig.cameras[2:]), rig.vertical)
+    assert any("camera c2" in remark for remark in summary(reconstruct(blobs, wrong), wrong)["remarks"])
+    assert summary(reconstruct(blobs, rig), rig)["remarks"] == []

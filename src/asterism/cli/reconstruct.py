@@ -10,7 +10,6 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._options import Json, Overwrite
-from asterism.errors import AsterismError
 
 
 class Method(StrEnum):
@@ -32,7 +31,12 @@ def reconstruct(
         float | None, typer.Option(metavar="PX", help="How far off blobs are, per axis. Else told from the blobs.", show_default=False)
     ] = None,
     volume: Annotated[
-        str | None, typer.Option(metavar="X,Y,Z,X,Y,Z", help="Two corners, in m, of where points may be.", show_default=False)
+        str | None,
+        typer.Option(
+            metavar="BOX",
+            help="Where points may be: width x depth x height in m around the origin, or spans such as -3:3,-2:2,0:2.5. Else anywhere.",
+            show_default=False,
+        ),
     ] = None,
     rate: Annotated[float | None, typer.Option(metavar="HZ", help="Frames per second. Else as the file says.", show_default=False)] = None,
     overwrite: Overwrite = False,
@@ -44,6 +48,7 @@ def reconstruct(
     are left. Every point carries its reprojection error, covariance and cameras; NPZ keeps all of them, C3D what it can.
     `asterism label` then gives the points names.
     """
+    from asterism.cameras.accuracy import Volume
     from asterism.cameras.files import read_rig
     from asterism.formats import read_blobs
     from asterism.reconstruction import reconstruct as points_of
@@ -51,12 +56,18 @@ def reconstruct(
 
     _console.check_new(output, overwrite)
     _console.check_new(json, overwrite)
-    corners = _corners(volume)
     calibrated = read_rig(rig)
+    box = None if volume is None else Volume.parse(volume, "z" if calibrated.vertical is None else calibrated.vertical)
     seen = read_blobs(blobs, cameras=calibrated.names, rate=rate)
     with _console.progress("reconstructing") as progress:
         result = points_of(
-            seen, calibrated, method=method.value, noise=noise, min_cameras=min_cameras, volume=corners, progress=progress
+            seen,
+            calibrated,
+            method=method.value,
+            noise=noise,
+            min_cameras=min_cameras,
+            volume=None if box is None else (box.low, box.high),
+            progress=progress,
         )
     lost = result.write(output)
     told = summary(result, calibrated)
@@ -88,15 +99,3 @@ def _print(output: Path, told: dict[str, Any]) -> None:
         facts.append(("residual", f"{told['residual_px']['median']:.3f} px mostly, {told['residual_px']['p95']:.3f} px for 95 %"))
         facts.append(("one deviation", f"{1000 * told['deviation_m']['median']:.2f} mm mostly"))
     _console.facts(f"{output}: {told['frames']:,} frames", facts)
-
-
-def _corners(given: str | None) -> list[list[float]] | None:
-    if given is None:
-        return None
-    try:
-        numbers = [float(number) for number in given.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 6:
-        raise AsterismError(f"--volume {given} is no box; give two corners in metres, such as -2,-2,0,2,2,2.5.")
-    return [numbers[:3], numbers[3:]]

@@ -11,7 +11,7 @@ from asterism.reconstruction.result import Reconstruction
 
 MUCH_NOISE = 1.5
 """px: blobs of markers are found to a few tenths; more means that the rig is not the recording's, or not what it was."""
-MANY_UNUSED = 0.25
+MANY_UNUSED, FEW_USED = 0.25, 0.5
 
 
 def summary(result: Reconstruction, rig: Rig) -> dict[str, Any]:
@@ -67,6 +67,13 @@ def doubts(result: Reconstruction) -> list[str]:
             f"blobs lie {result.noise.mean():.1f} px from where the rig has their points, a few tenths are usual: "
             "do not use these points before `asterism calibrate refine` has said which camera was moved."
         )
+    share = 1 - result.unused.sum(axis=0) / np.maximum(result.blobs.counts.sum(axis=0), 1)
+    for name, mine, many in zip(result.blobs.cameras, share, result.blobs.counts.sum(axis=0), strict=True):
+        if many and mine < FEW_USED * share.max():
+            found.append(
+                f"camera {name}: {100 * mine:.0f} % of its blobs show a point, of another camera's {100 * share.max():.0f} %; "
+                "it was moved, or sees much that others do not: `asterism calibrate refine` tells."
+            )
     if blobs and result.unused.sum() > MANY_UNUSED * blobs:
         found.append(
             f"{100 * result.unused.sum() / blobs:.0f} % of the blobs show no point: is this the recording's rig, "
