@@ -21,7 +21,7 @@ from asterism.simulation import simulate_walks
 
 ROOT = Path(__file__).parent.parent
 VERBS = ("demo", "name", "audit", "train", "label", "review", "learn", "evaluate", "capturability", "reconstruct", "info", "convert")
-TWO_WORDS = ("calibrate wand", "rig report", "rig plan")
+TWO_WORDS = ("calibrate wand", "calibrate board", "rig report", "rig plan")
 MARKERS = "helen-hayes"
 
 

@@ -159,3 +159,13 @@ def test_cameras_that_the_rig_does_not_have(tmp_path: Path, cells: list[str], sa
 def test_a_name_that_csv_cannot_carry_is_refused(tmp_path: Path) -> None:
     with pytest.raises(AsterismError, match="comma"):
         write_blobs(Blobs.from_rows([0], [0], [[1, 2]], ("a,b",)), tmp_path / "blobs.csv")
+
+
+def test_info_tells_what_a_2d_file_holds_and_reading_it_as_a_recording_what_to_do(tmp_path: Path) -> None:
+    from asterism import formats
+
+    path = written(tmp_path, "frame,camera,x,y\n5,a,1,2\n5,b,3,4\n7,a,5,6\n")
+    told = formats.describe(path)
+    assert (told["format"], told["frames"], told["first_frame"], told["blobs"]) == ("2D CSV", 3, 5, {"a": 2, "b": 1})
+    with pytest.raises(AsterismError, match="asterism reconstruct"):
+        formats.read(path)

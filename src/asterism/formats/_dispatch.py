@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
-from asterism.formats import csv_long, csv_motive, csv_nexus, csv_wide, mat, npz, storage, trc, tsv
+from asterism.formats import csv_blobs, csv_long, csv_motive, csv_nexus, csv_wide, mat, npz, storage, trc, tsv
 from asterism.formats._columns import Points, recording_of
 from asterism.formats._describe import described
 from asterism.formats._text import decoded, lines_of
@@ -57,6 +57,8 @@ def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None
     kind = _kind_of(path)
     if kind == "C3D":
         return read_c3d(path, markers, vertical)
+    if kind == "2D CSV":
+        raise AsterismError(f"{path} holds 2D points of cameras, no markers in space; compose them with asterism reconstruct first.")
     return recording_of(path, _READERS[kind](path), markers, vertical)
 
 
@@ -153,6 +155,8 @@ def describe(path: str | Path) -> dict[str, Any]:
     kind = _kind_of(path)
     if kind == "C3D":
         return describe_c3d(path)
+    if kind == "2D CSV":
+        return csv_blobs.describe_blobs(path)
     if kind == "NPZ":
         clouds = npz.read_npz_clouds(path)
         if clouds is not None:
@@ -242,6 +246,8 @@ def _text_kind(path: Path, head: bytes) -> str | None:
         return "storage"
     if csv_nexus.is_nexus(lines):
         return "Nexus CSV"
+    if csv_blobs.is_blobs(lines):
+        return "2D CSV"
     if csv_long.is_long(lines):
         return "CSV long"
     return None

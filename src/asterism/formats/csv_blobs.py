@@ -107,6 +107,22 @@ def write_blobs(blobs: Blobs, path: str | Path) -> None:
     write_atomically(path, ("\n".join([*head, *rows]) + "\n").encode())
 
 
+def describe_blobs(path: Path) -> dict[str, Any]:
+    """What a 2D file holds, as plain values: frames, rate, cameras with their blobs and the share of frames in which they saw any."""
+    blobs = read_blobs(path)
+    counts = blobs.counts
+    return {
+        "file": str(path),
+        "format": "2D CSV",
+        "frames": len(blobs),
+        "rate": blobs.rate,
+        "first_frame": blobs.first_frame,
+        "blobs": {name: int(number) for name, number in zip(blobs.cameras, counts.sum(axis=0), strict=True)},
+        "frames_with_blobs": {name: int(number) for name, number in zip(blobs.cameras, (counts > 0).sum(axis=0), strict=True)},
+        "triggered_together": blobs.times is None,
+    }
+
+
 def is_blobs(lines: Sequence[str]) -> bool:
     """Whether a header has one column each for frame, camera, x and y."""
     header = next((line for line in lines if line.strip(" ,;\t") and not line.startswith("#")), "")

@@ -1,5 +1,6 @@
 """Results in; self-contained HTML pages out, that need no network and keep their tables where no script may run."""
 
+from asterism.report.boards import board_report
 from asterism.report.capturability import capturability_report
 from asterism.report.detection import detection_report
 from asterism.report.evaluation import evaluation_report
@@ -10,6 +11,7 @@ from asterism.report.rig import rig_report
 from asterism.report.wand import wand_report
 
 __all__ = [
+    "board_report",
     "capturability_report",
     "detection_report",
     "evaluation_report",

@@ -181,3 +181,8 @@ def _value(node: Any) -> Any:
 def _number(node: Any) -> float:
     """A node's number, NaN where it is none (OpenCV gives its largest number then)."""
     return float(node.real()) if node.isInt() or node.isReal() else float("nan")
+
+
+def file_list(path: Path) -> list[str]:
+    """The file names that an OpenCV image list holds. Raises AsterismError where OpenCV cannot read it."""
+    return [text for value in _values(path).values() if isinstance(value, list) for text in value if isinstance(text, str)]

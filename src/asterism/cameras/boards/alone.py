@@ -1,0 +1,125 @@
+"""One camera by itself: its views of a board in; its lens (OpenCV's calibration), and where the board was in each view, out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.cameras.bundle import Sightings
+from asterism.cameras.camera import Camera, rotation_from_vector
+from asterism.recording import Floats, Ints
+
+Single = NDArray[np.float32]
+
+MOST_VIEWS = 60
+LEAST_VIEWS = 3
+_OUTLYING, _OUTLYING_PX = 4.0, 1.0
+
+
+@dataclass(frozen=True)
+class Alone:
+    """One camera calibrated by itself.
+
+    camera      without a pose; `error` is the RMS of its calibration
+    frames      (V,) the moments of the views that were used, of all that can be used
+    rotations   (V, 3, 3), translations (V, 3) m: camera from board
+    errors      (V,) px, RMS of each view
+    left_out    (n,) moments of views that do not fit the others
+    focal_std   px, standard deviation of fx by that calibration
+    """
+
+    camera: Camera
+    frames: Ints
+    rotations: Floats
+    translations: Floats
+    errors: Floats
+    left_out: Ints
+    focal_std: float
+
+    @property
+    def rms(self) -> float:
+        """px, over all views that were used, each weighed alike."""
+        return float(np.sqrt(np.mean(self.errors**2)))
+
+
+def calibrate_alone(name: str, size: tuple[int, int], points: Floats, seen: Sightings) -> Alone | None:
+    """The lens of one camera from its views of a board, and the board's pose in each; None with less than three usable views.
+
+    points  (K, 3) m of the board; seen: this camera's sightings
+
+    OpenCV's calibration (Zhang 2000) with k1, k2, p1, p2, k3, of at most 60 views that differ most; then every view's pose by itself
+    (infinitesimal plane-based pose, refined). A view whose error is four times the median and above 1 px is left out, and the rest
+    calibrated again.
+    """
+    import cv2
+
+    frames = np.unique(seen.frame)
+    starts = np.searchsorted(seen.frame, np.append(frames, frames[-1] + 1 if len(frames) else 0))
+    objects = [points[seen.point[a:b]].astype(np.float32) for a, b in pairwise(starts.tolist())]
+    images = [seen.xy[a:b].astype(np.float32) for a, b in pairwise(starts.tolist())]
+    good = np.ones(len(frames), dtype=bool)
+    while good.sum() >= LEAST_VIEWS:
+        chosen = _most_different([images[i] for i in np.nonzero(good)[0]], size)
+        used = np.nonzero(good)[0][chosen]
+        flags = 0 if len(used) >= 2 * LEAST_VIEWS else cv2.CALIB_FIX_K3
+        error, matrix, lens, _, _, spread, *_ = cv2.calibrateCameraExtended(
+            [objects[i] for i in used], [images[i] for i in used], size, None, None, flags=flags
+        )
+        camera = Camera.from_opencv(name, np.asarray(matrix), np.asarray(lens).ravel()[:5], size=size)
+        poses = [_pose(camera, objects[i], images[i]) for i in range(len(frames))]
+        errors = np.array([np.inf if pose is None else pose[2] for pose in poses])
+        outlying = good & (errors > max(_OUTLYING * float(np.median(errors[good])), _OUTLYING_PX))
+        if not outlying.any() or not np.isfinite(error):
+            break
+        good &= ~outlying
+    else:
+        return None
+    kept = [i for i in np.nonzero(good)[0] if poses[i] is not None]
+    turned = np.stack([poses[i][0] for i in kept])  # type: ignore[index]
+    placed = np.stack([poses[i][1] for i in kept])  # type: ignore[index]
+    camera = Camera(**{**vars(camera), "error": float(error)})
+    return Alone(camera, frames[kept], turned, placed, errors[kept], frames[~good], float(np.ravel(spread)[0]))
+
+
+def _most_different(images: Sequence[Single], size: tuple[int, int]) -> Ints:
+    """At most 60 views: the first in the middle of all, then always the one that differs most from those taken.
+
+    A view is where its board is, how large and how skewed: middle and the second moments of its points.
+    """
+    if len(images) <= MOST_VIEWS:
+        return np.arange(len(images))
+    features = np.array([[*image.mean(axis=0), *image.std(axis=0), np.cov(image.T)[0, 1] / max(size)] for image in images])
+    features = (features - features.mean(axis=0)) / np.maximum(features.std(axis=0), 1e-9)
+    taken = [int(np.argmin((features**2).sum(axis=1)))]
+    apart = ((features - features[taken[0]]) ** 2).sum(axis=1)
+    while len(taken) < MOST_VIEWS:
+        taken.append(int(np.argmax(apart)))
+        apart = np.minimum(apart, ((features - features[taken[-1]]) ** 2).sum(axis=1))
+    return np.array(sorted(taken))
+
+
+def _pose(camera: Camera, points: Single, image: Single) -> tuple[Floats, Floats, float] | None:
+    """Camera from board, and the RMS of the view in px; None where no pose is found or the board would be behind the camera."""
+    import cv2
+
+    flat = camera.undistort(image)
+    if not np.isfinite(flat).all():
+        return None
+    found, turns, shifts, _ = cv2.solvePnPGeneric(
+        points.astype(np.float64), np.ascontiguousarray(flat), np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_IPPE
+    )
+    best: tuple[Floats, Floats, float] | None = None
+    for turn, shift in zip(turns, shifts, strict=True) if found else ():
+        if not np.isfinite([turn, shift]).all():
+            continue
+        turn, shift = cv2.solvePnPRefineLM(points.astype(np.float64), flat, np.eye(3), np.zeros(4), turn.copy(), shift.copy())
+        rotation, place = rotation_from_vector(turn), np.asarray(shift, dtype=np.float64).ravel()
+        seen = Camera(**{**vars(camera), "rotation": rotation, "translation": place}).project(points)
+        error = float(np.sqrt(((seen - image) ** 2).sum(axis=1).mean()))
+        if np.isfinite(error) and (best is None or error < best[2]):
+            best = (rotation, place, error)
+    return best

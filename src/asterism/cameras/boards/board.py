@@ -1,0 +1,178 @@
+"""Calibration boards: chessboards, ChArUco boards and grids of circles; what is printed in, points in metres and a finder out."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.recording import Floats, Ints
+
+Kind = Literal["chessboard", "charuco", "circles", "asymmetric circles"]
+_INNER_WINDOW, _LEAST_WINDOW, _MOST_WINDOW = 0.2, 2, 11
+_INCH_CM = 2.54
+
+
+@dataclass(frozen=True)
+class Board:
+    """A flat board with points at known places.
+
+    kind        what is printed on it
+    columns     points along x: inner corners of a chessboard, circles; for ChArUco squares
+    rows        the same along y
+    spacing     m between neighbouring points: a square's side; for asymmetric circles half the distance of two in a row
+    dictionary  of ChArUco's markers, OpenCV's name ("DICT_4X4_50")
+    marker      m, side of ChArUco's markers
+    inverted    printed white on black
+    """
+
+    kind: Kind
+    columns: int
+    rows: int
+    spacing: float
+    dictionary: str = ""
+    marker: float = 0.0
+    inverted: bool = False
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.spacing) and 1e-4 < self.spacing < 10.0):
+            raise AsterismError(f"the board's squares are {self.spacing:g} m wide; give metres, such as 0.025 for 25 mm.")
+        least = 3 if self.kind == "charuco" else 2
+        if min(self.columns, self.rows) < least or self.columns * self.rows > 10_000:
+            raise AsterismError(f"a {self.kind} of {self.columns} x {self.rows} is too small or too large to be a board.")
+        if self.kind == "chessboard" and self.columns == self.rows:
+            raise AsterismError(
+                f"a chessboard of {self.columns} x {self.rows} corners looks the same from four sides; use one that is longer than wide."
+            )
+        if self.kind == "charuco" and not 0 < self.marker < self.spacing:
+            raise AsterismError(
+                f"the markers are {self.marker:g} m wide and the squares {self.spacing:g} m; markers must fit into squares."
+            )
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Board:
+        """Caliscope's charuco.toml, or any board from a file with kind, columns, rows, square (m), and for ChArUco dictionary, marker (m).
+
+        Raises AsterismError where a value is missing or makes no sense.
+        """
+        from asterism.cameras.files._toml import read_toml
+
+        path = Path(path)
+        table = read_toml(path)
+        try:
+            if "kind" in table:
+                return cls(
+                    table["kind"],
+                    int(table["columns"]),
+                    int(table["rows"]),
+                    float(table["square"]),
+                    str(table.get("dictionary", "")),
+                    float(table.get("marker", 0.0)),
+                    bool(table.get("inverted", False)),
+                )
+            columns, rows = int(table["columns"]), int(table["rows"])
+            return cls(
+                "charuco",
+                columns,
+                rows,
+                _caliscope_square(table, columns, rows),
+                str(table["dictionary"]),
+                _caliscope_square(table, columns, rows) * float(table.get("aruco_scale", 0.75)),
+                bool(table.get("inverted", False)),
+            )
+        except (KeyError, TypeError, ValueError) as problem:
+            raise AsterismError(
+                f"{path} is no board ({problem}); give kind, columns, rows, square in metres, and for ChArUco dictionary and marker."
+            ) from problem
+
+    @property
+    def points(self) -> Floats:
+        """(K, 3) m, in the board's axes: x along the rows, y down the columns as printed, z = 0."""
+        if self.kind == "asymmetric circles":
+            places = [((2 * j + i % 2) * self.spacing, i * self.spacing) for i in range(self.rows) for j in range(self.columns)]
+        elif self.kind == "charuco":
+            places = [((j + 1) * self.spacing, (i + 1) * self.spacing) for i in range(self.rows - 1) for j in range(self.columns - 1)]
+        else:
+            places = [(j * self.spacing, i * self.spacing) for i in range(self.rows) for j in range(self.columns)]
+        return np.column_stack([np.array(places), np.zeros(len(places))])
+
+    def __str__(self) -> str:
+        printed = f"{self.kind} {self.columns} x {self.rows}, {1000 * self.spacing:g} mm"
+        return f"{printed}, {self.dictionary}, markers {1000 * self.marker:g} mm" if self.kind == "charuco" else printed
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """Columns and rows from a text such as 9x6. Raises AsterismError for anything else."""
+    match = re.fullmatch(r"\s*(\d{1,3})\s*[xX×,]\s*(\d{1,3})\s*", text)
+    if not match:
+        raise AsterismError(f"board size {text!r} is not columns x rows, such as 9x6.")
+    return int(match[1]), int(match[2])
+
+
+def _caliscope_square(table: dict[str, Any], columns: int, rows: int) -> float:
+    """The side of a square, m: as measured, else what fits on the sheet."""
+    if table.get("square_size_override_cm"):
+        return float(table["square_size_override_cm"]) / 100
+    unit = {"inch": _INCH_CM, "cm": 1.0}[str(table.get("units", "cm"))] / 100
+    return min(float(table["board_width"]) * unit / columns, float(table["board_height"]) * unit / rows)
+
+
+class Finder:
+    """Finds a board in images; the detectors of OpenCV are made once."""
+
+    def __init__(self, board: Board) -> None:
+        import cv2
+
+        self.board = board
+        self._charuco: Any = None
+        if board.kind == "charuco":
+            number = getattr(cv2.aruco, board.dictionary, None)
+            if not isinstance(number, int):
+                raise AsterismError(f"OpenCV has no ArUco dictionary {board.dictionary!r}; name one, such as DICT_4X4_50.")
+            dictionary = cv2.aruco.getPredefinedDictionary(number)
+            if dictionary.bytesList.shape[0] < board.columns * board.rows // 2:
+                raise AsterismError(f"{board.dictionary} has too few markers for a board of {board.columns} x {board.rows} squares.")
+            self._charuco = cv2.aruco.CharucoDetector(
+                cv2.aruco.CharucoBoard((board.columns, board.rows), board.spacing, board.marker, dictionary)
+            )
+
+    def find(self, image: Any) -> tuple[Ints, Floats]:
+        """Which points of the board (n,) are where (n, 2) px in a grey image (H, W) uint8; both empty where it is not in sight."""
+        grey = 255 - image if self.board.inverted else image
+        if self.board.kind == "charuco":
+            return self._find_charuco(grey)
+        found = self._find_chessboard(grey) if self.board.kind == "chessboard" else self._find_circles(grey)
+        return (np.arange(len(found)), found) if len(found) else (np.empty(0, dtype=np.int64), np.empty((0, 2)))
+
+    def _find_charuco(self, grey: Any) -> tuple[Ints, Floats]:
+        corners, ids, *_ = self._charuco.detectBoard(grey)
+        if ids is None or corners is None:
+            return np.empty(0, dtype=np.int64), np.empty((0, 2))
+        numbers, first = np.unique(np.asarray(ids).ravel(), return_index=True)
+        return numbers.astype(np.int64), np.asarray(corners, dtype=np.float64).reshape(-1, 2)[first]
+
+    def _find_chessboard(self, grey: Any) -> Floats:
+        """Corners to a fraction of a pixel; the window around each stays well inside its four squares."""
+        import cv2
+
+        size = (self.board.columns, self.board.rows)
+        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
+        found, corners = cv2.findChessboardCorners(grey, size, flags=flags)
+        if not found or len(corners) != size[0] * size[1]:
+            return np.empty((0, 2))
+        grid = np.asarray(corners).reshape(size[1], size[0], 2)
+        narrowest = min(float(np.linalg.norm(np.diff(grid, axis=axis), axis=2).min()) for axis in (0, 1))
+        half = int(np.clip(_INNER_WINDOW * narrowest, _LEAST_WINDOW, _MOST_WINDOW))
+        end = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-4)
+        return np.asarray(cv2.cornerSubPix(grey, corners, (half, half), (-1, -1), end), dtype=np.float64).reshape(-1, 2)
+
+    def _find_circles(self, grey: Any) -> Floats:
+        import cv2
+
+        layout = cv2.CALIB_CB_SYMMETRIC_GRID if self.board.kind == "circles" else cv2.CALIB_CB_ASYMMETRIC_GRID
+        found, centres = cv2.findCirclesGrid(grey, (self.board.columns, self.board.rows), flags=layout)
+        return np.asarray(centres, dtype=np.float64).reshape(-1, 2) if found else np.empty((0, 2))

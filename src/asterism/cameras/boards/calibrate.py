@@ -1,0 +1,277 @@
+"""Views of a board in; a calibrated rig, what it leaves over and what to doubt, out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from asterism.cameras.boards.alone import Alone, calibrate_alone
+from asterism.cameras.boards.together import Links, first_boards, first_rig, links_between
+from asterism.cameras.boards.views import BoardViews
+from asterism.cameras.bundle import Adjustment, Sightings, adjust, free_parameters
+from asterism.cameras.camera import Camera
+from asterism.cameras.rig import Rig
+from asterism.errors import AsterismError
+from asterism.recording import Floats
+
+_LENS = ("focal", "aspect", "centre", "k1", "k2", "k3", "tangential")
+_EXPECTED = {"aspect": 0.02, "centre": 0.1, "k1": 0.5, "k2": 1.0, "k3": 2.0, "tangential": 0.02}
+"""Standard deviations of lenses before anyone has seen them (the centre's: of the image's width): weak, they hold what no view tells."""
+_NOISE_PX = 0.2
+_OUTLYING, _OUTLYING_PX, _ROUNDS = 4.0, 1.0, 3
+_OUT_OF_STEP, _LEAST_NOISE_PX = 2.0, 0.1
+_FOCAL_DOUBT, _FOCAL_USELESS, _RMS_DOUBT_PX, _FEW_SHARED, _FEW_VIEWS = 0.02, 0.05, 2.0, 3, 8
+
+
+@dataclass(frozen=True)
+class BoardCalibration:
+    """A rig calibrated from views of a board.
+
+    rig          the cameras that hang together; with one camera its lens alone, without a pose
+    views        what it was made from
+    alone        per camera of the rig its calibration by itself
+    adjustment   of all together
+    frames       (T,) places in `views.moments` of the boards that were adjusted
+    sightings    those that were adjusted, frame counting `frames`
+    left_out     (moment, camera) of views that do not fit
+    apart        cameras that are not in the rig, and why, one sentence each
+    focal_std    per camera of the rig, px
+    doubts       what makes the rig doubtful, one sentence each
+    links        which cameras share views, of those that were calibrated alone
+    linked       their names
+    """
+
+    rig: Rig
+    views: BoardViews
+    alone: tuple[Alone, ...]
+    adjustment: Adjustment
+    frames: Any
+    sightings: Sightings
+    left_out: tuple[tuple[int, str], ...]
+    apart: tuple[str, ...]
+    focal_std: tuple[float, ...]
+    doubts: tuple[str, ...]
+    links: Links
+    linked: tuple[str, ...]
+
+    @property
+    def usable(self) -> bool:
+        """Whether the rig may be used: every camera fits the board within 2 px, and its focal length is known to 5 %."""
+        known = all(std < _FOCAL_USELESS * camera.focal[0] for camera, std in zip(self.rig, self.focal_std, strict=True))
+        return known and all(camera.error < _RMS_DOUBT_PX for camera in self.rig)
+
+    @property
+    def rms(self) -> float:
+        """px, over all points of all views that were adjusted."""
+        return self.adjustment.rms
+
+    def summary(self) -> dict[str, Any]:
+        """The calibration as plain values, for JSON and reports."""
+        counts = self.views.counts
+        names = self.views.cameras
+        return {
+            "board": str(self.views.board),
+            "usable": self.usable,
+            "frames": len(self.views.moments),
+            "frames_used": len(self.frames),
+            "reprojection_rms_px": self.rms,
+            "cameras": [
+                {
+                    "name": camera.name,
+                    "size": list(camera.size or ()),
+                    "images": self.views.looked[names.index(camera.name)],
+                    "views": int((counts[:, names.index(camera.name)] > 0).sum()),
+                    "rms_alone_px": alone.camera.error,
+                    "rms_px": camera.error,
+                    "focal_px": list(camera.focal),
+                    "focal_std_px": std,
+                    "centre_px": list(camera.centre),
+                    "distortion": camera.distortion.tolist(),
+                    "position_m": camera.position.tolist() if camera.posed else None,
+                }
+                for camera, alone, std in zip(self.rig, self.alone, self.focal_std, strict=True)
+            ],
+            "left_out": [{"frame": moment, "camera": name} for moment, name in self.left_out],
+            "not_calibrated": list(self.apart),
+            "doubts": list(self.doubts),
+            "notes": list(self.views.notes),
+        }
+
+
+def calibrate_board(
+    views: BoardViews, *, origin: int | None = None, progress: Callable[[float, str], None] | None = None
+) -> BoardCalibration:
+    """Calibrate all cameras that share views of a board, also where no two see all of it and no pair sees all views.
+
+    Each camera alone by OpenCV; relative poses along the strongest links; then lenses, poses and boards together, by least squares with a
+    robust loss; views that fit four times worse than the median, and by more than 1 px, are left out. The board's points are believed.
+    Where all together miss the board by more than twice what each alone does, the cameras were not in step (or the board bends): a doubt
+    says so, and the lenses stay those of each camera alone, which such views would spoil.
+
+    origin  the moment at which the board lay on the floor, print up: it gives the world its origin, x along the board's rows, z up. Else
+            the world is the first camera's axes
+
+    Cameras that saw too little, or share no view with the others, are named in `apart` and not in the rig. Raises AsterismError where no
+    camera can be calibrated, or the origin's moment has no board.
+    """
+    points = views.board.points
+    alone: dict[int, Alone] = {}
+    apart: list[str] = []
+    for c, name in enumerate(views.cameras):
+        if progress is not None:
+            progress(0.8 * c / len(views.cameras), f"calibrating camera {name}")
+        seen = int((views.counts[:, c] > 0).sum())
+        one = calibrate_alone(name, views.sizes[c], points, views.seen.select(views.seen.camera == c)) if seen else None
+        if one is None:
+            apart.append(f"camera {name} saw the board in {seen} of {views.looked[c]} images; it needs three views or more.")
+        else:
+            alone[c] = one
+    if not alone:
+        raise AsterismError(f"no camera can be calibrated: {' '.join(apart)}")
+    order = sorted(alone)
+    links = links_between([alone[c].frames for c in order])
+    chosen = [order[i] for i in links.groups[0]]
+    apart += [
+        f"camera {views.cameras[order[i]]} shares no view of the board with {views.cameras[chosen[0]]} and its group; show both the board."
+        for group in links.groups[1:]
+        for i in group
+    ]
+    if progress is not None:
+        progress(0.85, "adjusting all cameras together")
+    placed = first_rig({i: alone[c] for i, c in enumerate(order)}, links)
+    started = {order[i]: camera for i, camera in placed.items()}
+    adjusted = _adjusted(views, points, alone, started, chosen, list(_LENS))
+    own_rms = float(np.sqrt(np.mean([alone[c].rms ** 2 for c in chosen])))
+    in_step = len(chosen) < 2 or adjusted[0].rms <= _OUT_OF_STEP * max(own_rms, _LEAST_NOISE_PX)
+    if not in_step:
+        adjusted = _adjusted(views, points, alone, started, chosen, [])
+    adjustment, sightings, frames, dropped = adjusted
+    rig = Rig(adjustment.cameras)
+    left_out = tuple((int(views.moments[t]), views.cameras[c]) for t, c in dropped)
+    left_out += tuple((int(views.moments[t]), views.cameras[c]) for c in chosen for t in alone[c].left_out)
+    single = tuple(alone[c] for c in chosen)
+    if len(rig) > 1:
+        rig = _in_world(rig, views, adjustment, frames, origin)
+    else:
+        if origin is not None:
+            raise AsterismError(f"camera {rig.names[0]} is alone, a rig of one camera has no world; leave out the origin.")
+        rig = Rig((replace(rig.cameras[0], rotation=np.eye(3), translation=np.zeros(3), posed=False),))
+    focal_std = [float(sigma[6]) if in_step else one.focal_std for sigma, one in zip(adjustment.sigma, single, strict=True)]
+    doubts = _doubts(rig, views, focal_std, links, order)
+    if not in_step:
+        doubts = (
+            f"cameras disagree about the board by {adjustment.rms:.2f} px where each alone fits to {own_rms:.2f} px, so their lenses were "
+            "taken from each alone; were they in step? Hold the board still for each view, and film again.",
+            *doubts,
+        )
+    lacks = ("the pose of every camera",) if len(rig) == 1 else ("which way is up",) if rig.vertical is None else ()
+    metadata = {
+        "format": "Asterism rig",
+        "calibrated_from": str(views.board),
+        "frames": len(frames),
+        "reprojection_rms_px": adjustment.rms,
+        **({"doubts": list(doubts)} if doubts else {}),
+    }
+    rig = replace(rig, metadata=metadata, lacks=lacks)
+    return BoardCalibration(
+        rig,
+        views,
+        single,
+        adjustment,
+        frames,
+        sightings,
+        tuple(sorted(left_out)),
+        tuple(apart),
+        tuple(focal_std),
+        doubts,
+        links,
+        tuple(views.cameras[c] for c in order),
+    )
+
+
+def _adjusted(
+    views: BoardViews, points: Floats, alone: dict[int, Alone], started: dict[int, Camera], chosen: list[int], lens: list[str]
+) -> tuple[Adjustment, Sightings, Any, list[tuple[int, int]]]:
+    """The bundle adjustment of poses and these parts of the lenses, again without the views that do not fit, until all do."""
+    place = {c: i for i, c in enumerate(chosen)}
+    good = np.zeros((len(views.moments), len(views.cameras)), dtype=bool)
+    for c in chosen:
+        good[alone[c].frames, c] = True
+    cameras = [started[c] for c in chosen]
+    dropped: list[tuple[int, int]] = []
+    for _ in range(_ROUNDS):
+        kept = views.seen.select(good[views.seen.frame, views.seen.camera])
+        local = Sightings(kept.frame, np.array([place[c] for c in kept.camera], dtype=np.int64), kept.point, kept.xy)
+        compact, frames = local.compact()
+        turned, placed = first_boards(alone, {c: cameras[place[c]] for c in chosen}, frames)
+        prior = _expected(cameras)
+        free = free_parameters(len(cameras), "pose", *lens)
+        result = adjust(cameras, points, compact, turned, placed, free=free, prior=prior, tolerance=1e-9, steps=100)
+        cell = compact.frame * len(cameras) + compact.camera
+        square = np.where(np.isfinite(result.residuals[:, 0]), np.square(result.residuals).sum(axis=1), 1e6)
+        number = np.bincount(cell, minlength=len(frames) * len(cameras))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            errors = np.sqrt(np.bincount(cell, square, minlength=len(number)) / number)
+        outlying = np.nonzero(errors > max(_OUTLYING * float(np.nanmedian(errors)), _OUTLYING_PX))[0]
+        cameras = list(result.cameras)
+        if not len(outlying):
+            break
+        for at in outlying.tolist():
+            t, c = int(frames[at // len(cameras)]), chosen[at % len(cameras)]
+            still = good.copy()
+            still[t, c] = False
+            if still[:, c].sum() >= _FEW_SHARED:
+                good = still
+                dropped.append((t, c))
+    return result, compact, frames, dropped
+
+
+def _expected(cameras: list[Camera]) -> tuple[Floats, Floats]:
+    """Values and standard deviations (C, 15) before anyone has seen anything, see _EXPECTED; the latter in px of noise."""
+    values, spread = np.zeros((len(cameras), 15)), np.full((len(cameras), 15), np.inf)
+    for c, camera in enumerate(cameras):
+        width, height = camera.size or (1, 1)
+        values[c, 7:10] = 1.0, (width - 1) / 2, (height - 1) / 2
+        spread[c, 7] = _EXPECTED["aspect"]
+        spread[c, 8:10] = _EXPECTED["centre"] * width
+        spread[c, 10:13] = _EXPECTED["k1"], _EXPECTED["k2"], _EXPECTED["k3"]
+        spread[c, 13:15] = _EXPECTED["tangential"]
+    return values, spread / _NOISE_PX
+
+
+def _in_world(rig: Rig, views: BoardViews, adjustment: Adjustment, frames: Any, origin: int | None) -> Rig:
+    """The rig in the axes of its first camera, or of the board at a moment: x along its rows, z up from its print."""
+    if origin is None:
+        first = rig.cameras[0]
+        return rig.moved(first.rotation, first.translation)
+    at = np.nonzero(views.moments[frames] == origin)[0]
+    if not len(at):
+        raise AsterismError(f"no camera saw the board at frame {origin}, which is to be the origin; name one of those where it was seen.")
+    turned, placed = adjustment.rotations[at[0]], adjustment.translations[at[0]]
+    world_from_board = np.diag([1.0, -1.0, -1.0])
+    rig = rig.moved(world_from_board @ turned.T, -world_from_board @ turned.T @ placed)
+    return replace(rig, vertical=np.array([0.0, 0.0, 1.0]))
+
+
+def _doubts(rig: Rig, views: BoardViews, focal_std: list[float], links: Links, order: list[int]) -> tuple[str, ...]:
+    """What makes this rig one that should not be used as it is."""
+    found = []
+    for camera, std in zip(rig, focal_std, strict=True):
+        share = std / camera.focal[0]
+        if not share < _FOCAL_DOUBT:
+            found.append(f"the focal length of camera {camera.name} is only known to {share:.1%}; show it the board tilted, near and far.")
+        count = int((views.counts[:, views.cameras.index(camera.name)] > 0).sum())
+        if count < _FEW_VIEWS:
+            found.append(f"camera {camera.name} has {count} views of the board only; show it more.")
+        if not camera.error < _RMS_DOUBT_PX:
+            found.append(
+                f"camera {camera.name} misses the board by {camera.error:.1f} px; is the board flat, its size right, the video in step?"
+            )
+    for start, end in links.tree:
+        if links.shared[start, end] < _FEW_SHARED:
+            names = views.cameras[order[start]], views.cameras[order[end]]
+            found.append(f"cameras {names[0]} and {names[1]} hang together by {links.shared[start, end]} views only; show both more.")
+    return tuple(found)

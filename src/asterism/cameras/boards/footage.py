@@ -1,0 +1,187 @@
+"""Images and videos of synchronised cameras: paths in; for each camera its images, and the moment that each was taken, out."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.formats._text import decoded, read_bytes
+from asterism.recording import Ints
+
+_IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
+_VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm")
+_LISTS = (".yml", ".yaml", ".xml")
+TIMES_FILE = "timestamps.csv"
+ALONE = -1
+"""The moment of an image that no other camera took part in, for images without a number: they count down from here."""
+
+
+@dataclass(frozen=True)
+class Footage:
+    """What one camera took.
+
+    name     of the camera
+    images   the image files in order, empty for a video
+    video    the video file, or None
+    moments  (n,) int: images of different cameras with the same number were taken together
+    """
+
+    name: str
+    images: tuple[Path, ...]
+    video: Path | None
+    moments: Ints
+    notes: list[str] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.moments)
+
+    def image(self, moment: int) -> str:
+        """What to call the image of a moment in a message."""
+        at = int(np.argmax(self.moments == moment))
+        return str(self.images[at]) if self.video is None else f"{self.video}, frame {at}"
+
+    def __iter__(self) -> Iterator[tuple[int, Any]]:
+        """Each moment with its grey image (H, W) uint8. What cannot be read is left out and told in `notes`."""
+        import cv2
+
+        if self.video is None:
+            for moment, path in zip(self.moments.tolist(), self.images, strict=True):
+                image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+                if image is None:
+                    self.notes.append(f"{path} is no image that can be read; it was left out.")
+                    continue
+                yield moment, image
+            return
+        film, read = cv2.VideoCapture(str(self.video)), 0
+        try:
+            for moment in self.moments.tolist():
+                there, image = film.read()
+                if not there:
+                    break
+                read += 1
+                yield moment, image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        finally:
+            film.release()
+        if read < len(self.moments):
+            self.notes.append(f"{self.video} breaks off after {read} of {len(self.moments)} frames; the rest is missing.")
+
+
+def footage_of(paths: Sequence[str | Path]) -> list[Footage]:
+    """The cameras in these files and folders.
+
+    A video is a camera, named as the file; its frames are the moments 0, 1, ..., or those of a timestamps.csv beside it (caliscope's
+    sync_index, cam_id). A folder with images is a camera, named as the folder, unless its images' names begin with several cameras' names
+    (left01.jpg, right01.jpg); the number at a name's end is the moment. A folder with folders or videos has one camera in each. An OpenCV
+    image list (.yml, .xml) stands for its images. Raises AsterismError, naming the path, where nothing can be read or two cameras
+    have one name.
+    """
+    images: list[tuple[Path, str | None]] = []
+    videos: list[Path] = []
+    for path in map(Path, paths):
+        _collect(path, images, videos)
+    found = [_video(path) for path in videos] + _image_cameras(images)
+    if not found:
+        raise AsterismError(f"{', '.join(map(str, paths)) or 'nothing'}: no image or video there; name files or folders of them.")
+    names = [one.name for one in found]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise AsterismError(f"two cameras would be called {twice}; give their folders or videos names of their own.")
+    return sorted(found, key=lambda one: [(int(p), "") if p.isdigit() else (-1, p) for p in re.split(r"(\d+)", one.name) if p])
+
+
+def _collect(path: Path, images: list[tuple[Path, str | None]], videos: list[Path], depth: int = 0) -> None:
+    if path.is_dir():
+        inside = sorted(path.iterdir())
+        own = [file for file in inside if file.suffix.casefold() in _IMAGES]
+        prefixes = {_parts(file)[0] for file in own if _parts(file)[1] is not None}
+        images += [(file, None if len(prefixes) > 1 else path.resolve().name) for file in own]
+        videos += [file for file in inside if file.suffix.casefold() in _VIDEOS]
+        for folder in [file for file in inside if file.is_dir()] if depth == 0 else []:
+            _collect(folder, images, videos, depth + 1)
+    elif not path.exists():
+        raise AsterismError(f"{path} does not exist; check its name and folder.")
+    elif path.suffix.casefold() in _VIDEOS:
+        videos.append(path)
+    elif path.suffix.casefold() in _LISTS:
+        images += [(file, None) for file in _listed(path)]
+    elif path.suffix.casefold() in _IMAGES:
+        images.append((path, None))
+    else:
+        raise AsterismError(f"{path} is no image, video, image list or folder; name those that show the board.")
+
+
+def _listed(path: Path) -> list[Path]:
+    from asterism.cameras.files.opencv import file_list
+
+    files = [path.parent / name for name in file_list(path)]
+    if not files:
+        raise AsterismError(f"{path} lists no images; write their names into it.")
+    return files
+
+
+def _parts(path: Path) -> tuple[str, int | None]:
+    """A file's name without the number at its end, and that number."""
+    match = re.fullmatch(r"(.*?)[-_. ]?(\d+)", path.stem)
+    return (match[1], int(match[2])) if match and len(match[2]) < 16 else (path.stem, None)
+
+
+def _image_cameras(images: list[tuple[Path, str | None]]) -> list[Footage]:
+    cameras: dict[str, list[tuple[int, Path]]] = {}
+    for path, folder in images:
+        prefix, number = _parts(path)
+        own = cameras.setdefault(folder or prefix or "camera", [])
+        own.append((number if number is not None else ALONE - len(own), path))
+    made = []
+    for name, own in cameras.items():
+        own.sort()
+        moments = [moment for moment, _ in own]
+        twice = next((path for i, (moment, path) in enumerate(own) if i and moment == moments[i - 1]), None)
+        if twice is not None:
+            raise AsterismError(f"{twice}: camera {name} has two images with this number; keep one of them.")
+        made.append(Footage(name, tuple(path for _, path in own), None, np.array(moments, dtype=np.int64)))
+    return made
+
+
+def _video(path: Path) -> Footage:
+    import cv2
+
+    film = cv2.VideoCapture(str(path))
+    count = int(film.get(cv2.CAP_PROP_FRAME_COUNT)) if film.isOpened() else 0
+    film.release()
+    if count <= 0:
+        raise AsterismError(f"{path} is no video that can be read; it may be cut off, convert or copy it again.")
+    notes: list[str] = []
+    moments = np.arange(count, dtype=np.int64)
+    times = path.with_name(TIMES_FILE)
+    if times.is_file():
+        told = _told_moments(times, path)
+        if len(told) != count:
+            notes.append(f"{times} has {len(told)} frames of {path.stem} and the video has {count}; they were matched from the first on.")
+        moments = told[:count] if len(told) else moments
+    return Footage(path.stem, (), path, moments, notes)
+
+
+def _told_moments(times: Path, video: Path) -> Ints:
+    """The sync_index of each frame of a video; empty where the file does not know its camera."""
+    rows = list(csv.DictReader(decoded(times, read_bytes(times)).splitlines()))
+    if not rows or not {"sync_index", "cam_id"} <= set(rows[0]):
+        raise AsterismError(f"{times} has no columns sync_index and cam_id; remove it, or write which frames belong together.")
+    number = _parts(video)[1]
+    try:
+        own = [
+            (int(row.get("frame_index") or i), int(row["sync_index"]))
+            for i, row in enumerate(rows)
+            if row["cam_id"]
+            and row["sync_index"]
+            and (row["cam_id"] == video.stem or (number is not None and row["cam_id"] == str(number)))
+        ]
+    except ValueError as problem:
+        raise AsterismError(f"{times}: a number in it is none ({problem}); mend it.") from problem
+    return np.array([moment for _, moment in sorted(own)], dtype=np.int64)

@@ -1,0 +1,144 @@
+"""A calibration from boards in; out comes a page that says whether to use it, what each camera saw, and how well the board fits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from asterism.report import figures
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, write_page
+from asterism.report.space import rig_in_space
+
+if TYPE_CHECKING:
+    from asterism.cameras.boards import BoardCalibration
+
+_ACROSS = 3
+"""Images side by side."""
+_MOST_POINTS = 3000
+_TINTED_PX = 1.0
+
+
+def board_report(path: str | Path, made: BoardCalibration, *, settings: Mapping[str, Any] | None = None) -> None:
+    """Write an HTML page on a calibration from boards; `settings` (files, board, ...) are named at its foot.
+
+    Raises AsterismError where the file cannot be written.
+    """
+    told = made.summary()
+    sections = [Section("What to know before using it", table=_findings(made))]
+    if len(made.rig) > 1:
+        shown = made.adjustment.translations + made.adjustment.rotations @ made.views.board.points.mean(axis=0)
+        first = made.adjustment.cameras[0]
+        in_camera = shown @ first.rotation.T + first.translation
+        moved = (in_camera - made.rig.cameras[0].translation) @ made.rig.cameras[0].rotation
+        text = "Cameras open where they look; dots are where the board was. Drag to turn."
+        sections.append(Section("The rig", text, figure=rig_in_space(made.rig, points=moved)))
+    sections.append(Section("Each camera", table=_cameras(told), note="± is the standard deviation that the calibration leaves."))
+    sections.append(
+        Section(
+            "What each image saw",
+            "The board's points in each image, shaded by how far they lie from where the board is. "
+            "Where no point is, above all in corners, the lens is a guess: show the board there.",
+            figure=_images(made),
+        )
+    )
+    if len(made.rig) > 1:
+        text = "Moments at which two cameras saw the board together: what holds the rig together."
+        sections.append(Section("Shared views", text, table=_shared(made)))
+    worst = max((camera.error for camera in made.rig), default=0.0)
+    merits = [
+        (f"{made.rms:.3f} px", "reprojection error, all together", "good" if made.rms < _TINTED_PX else "warn" if made.usable else "bad"),
+        (f"{worst:.3f} px", "of the worst camera", "" if worst < _TINTED_PX else "warn"),
+        (f"{len(made.rig)} of {len(made.views.cameras)}", "cameras calibrated", "" if not made.apart else "warn"),
+        (f"{len(made.frames):,}", f"of {len(made.views.moments):,} frames used", ""),
+    ]
+    lead = "This calibration can be used." if made.usable else "Do not use this calibration: see below."
+    if made.usable and made.doubts:
+        lead = "This calibration can be used with care: see below."
+    write_page(path, Page("Calibration from a board", lead, settings or {}, merits, sections))
+
+
+def _findings(made: BoardCalibration) -> Table:
+    kind = Cell("doubt", 0.6) if made.usable else Cell("do not use", 1.0, "bad")
+    rows: list[list[str | Cell]] = [[kind, doubt] for doubt in made.doubts]
+    rows += [[Cell("left out", 0.6), sentence] for sentence in made.apart]
+    rows += [[Cell("files", 0.3), note] for note in made.views.notes]
+    if made.left_out:
+        some = ", ".join(f"{name} in frame {moment}" for moment, name in made.left_out[:12])
+        rows.append([Cell("left out", 0.3), f"{len(made.left_out)} views that do not fit the others: {some}"])
+    return Table(["", "what was found"], rows or [["good", "nothing speaks against it"]], left=2)
+
+
+def _cameras(told: Mapping[str, Any]) -> Table:
+    rows: list[list[str | Cell]] = [
+        [
+            camera["name"],
+            f"{camera['views']} of {camera['images']}",
+            f"{camera['rms_alone_px']:.3f}",
+            Cell(f"{camera['rms_px']:.3f}", min(max(camera["rms_px"] - 0.3, 0.0) / _TINTED_PX, 1.0)),
+            f"{camera['focal_px'][0]:.1f} ± {camera['focal_std_px']:.1f}",
+            ", ".join(f"{value:.1f}" for value in camera["centre_px"]),
+            ", ".join(f"{value:.3f}" for value in camera["distortion"][:5]),
+            NOTHING if camera["position_m"] is None else ", ".join(f"{value:.3f}" for value in camera["position_m"]),
+        ]
+        for camera in told["cameras"]
+    ]
+    head = ["camera", "views", "error alone, px", "together, px", "focal length, px", "centre, px", "k1, k2, p1, p2, k3", "stands at, m"]
+    return Table(head, rows)
+
+
+def _images(made: BoardCalibration) -> figures.Figure:
+    """One small picture per camera: its points, shaded by residual."""
+    down = -(-len(made.rig) // _ACROSS)
+    size = np.linalg.norm(made.adjustment.residuals, axis=1)
+    high = float(np.nanpercentile(size, 98)) if len(size) else 1.0
+    data: list[dict[str, Any]] = []
+    layout: dict[str, Any] = {"annotations": []}
+    for c, camera in enumerate(made.rig):
+        row, column = divmod(c, _ACROSS)
+        width, height = camera.size or (1, 1)
+        suffix = "" if c == 0 else str(c + 1)
+        left, top = column / _ACROSS, 1.0 - row / down
+        layout[f"xaxis{suffix}"] = {
+            "domain": [left, left + 0.92 / _ACROSS], "anchor": f"y{suffix}", "range": [0, width], "showgrid": False,
+            "showticklabels": False, "constrain": "domain", "mirror": True, "showline": True, "zeroline": False,
+        }  # fmt: skip
+        layout[f"yaxis{suffix}"] = {
+            "domain": [top - 0.84 / down, top], "anchor": f"x{suffix}", "range": [height, 0], "showgrid": False, "showticklabels": False,
+            "scaleanchor": f"x{suffix}", "constrain": "domain", "mirror": True, "showline": True, "zeroline": False,
+        }  # fmt: skip
+        layout["annotations"].append(
+            {
+                "text": camera.name, "showarrow": False, "font": {"size": 12}, "xref": f"x{suffix}", "yref": f"y{suffix}",
+                "x": 0, "y": height, "xanchor": "left", "yanchor": "top",
+            }
+        )  # fmt: skip
+        own = np.nonzero(made.sightings.camera == c)[0]
+        own = own[:: max(1, len(own) // _MOST_POINTS)]
+        x, y = np.round(made.sightings.xy[own], 1).T
+        data.append(
+            {
+                "type": "scatter", "mode": "markers", "x": x, "y": y,
+                "xaxis": f"x{suffix}", "yaxis": f"y{suffix}", "showlegend": False,
+                "marker": {
+                    "size": 4, "color": np.round(size[own], 3), "cmin": 0.0, "cmax": high, "showscale": c == 0,
+                    "colorscale": [[0, "#0b5563"], [0.3, "#5fb6be"], [0.6, "#f6c177"], [1, "#7d1a2d"]],
+                    "colorbar": {"title": {"text": "px", "side": "right"}, "thickness": 12, "outlinewidth": 0},
+                },
+                "hovertemplate": "%{marker.color:.2f} px<extra>" + camera.name + "</extra>",
+            }
+        )  # fmt: skip
+    return figures.figure(data, height=60 + 260 * down, **layout)
+
+
+def _shared(made: BoardCalibration) -> Table:
+    order = [i for i, name in enumerate(made.linked) if name in made.rig.names]
+    most = int(made.links.shared[np.ix_(order, order)].max(initial=1))
+    rows: list[list[str | Cell]] = []
+    for i in order:
+        shared = [int(made.links.shared[i, j]) for j in order]
+        cells = [Cell(str(number), 0.6 if number < 0.1 * most else 0.0) for number in shared]
+        rows.append([made.linked[i], *(NOTHING if i == j else cell for j, cell in zip(order, cells, strict=True))])
+    return Table(["", *(made.linked[i] for i in order)], rows)

@@ -1,0 +1,355 @@
+"""Calibration from boards: a simulated room gives the rig back; drawn images, real images; footage as people have it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from asterism.cameras import Camera, Rig, rotation_from_vector, vector_from_rotation
+from asterism.cameras.boards import Board, BoardViews, calibrate_board, find_board, footage_of
+from asterism.cameras.bundle import Sightings
+from asterism.cameras.files import read_rig
+from asterism.cli import main
+from asterism.errors import AsterismError
+
+BOARD = Board("chessboard", 9, 6, 0.05)
+
+
+def ring(count: int = 5) -> Rig:
+    """Cameras on an arc of 3 m that look at one place; each sees the board well only where its neighbours do."""
+    cameras = []
+    for i in range(count):
+        angle = np.radians(55.0 * i)
+        place = np.array([3 * np.cos(angle), 3 * np.sin(angle), 1.5 + 0.2 * (i % 2)])
+        ahead = np.array([0.0, 0.0, 1.0]) - place
+        ahead /= np.linalg.norm(ahead)
+        right = np.cross(ahead, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        turn = np.stack([right, np.cross(ahead, right), ahead])
+        focal = 1200.0 + 20 * i
+        cameras.append(
+            Camera(f"cam_{i}", (1280, 1024), (focal, focal), (640.0 + 5 * i, 505.0), turn, -turn @ place, (-0.15, 0.06), (0.0004, -0.0003))
+        )
+    return Rig(tuple(cameras), vertical=np.array([0.0, 0.0, 1.0]))
+
+
+def waved(rig: Rig, frames: int, noise: float = 0.1, seed: int = 1, towards: int | None = None, late: float = 0.0) -> BoardViews:
+    """A board that is held up in front of one camera after the other; a camera sees it from less than 60 degrees aside, in full.
+
+    towards: only in front of this camera; late: the last camera sees the board where it will be so many frames later.
+    """
+    random = np.random.default_rng(seed)
+    points = BOARD.points - BOARD.points.mean(axis=0)
+    paths = []
+    for t in range(frames):
+        facing = rig.cameras[(t * len(rig)) // frames if towards is None else towards]
+        tilt = rotation_from_vector(random.normal(0, 0.35, 3))
+        middle = np.array([0, 0, 1.0]) + 0.45 * (facing.position - [0, 0, 1]) * random.uniform(-0.3, 1) + random.normal(0, 0.25, 3)
+        paths.append((facing.rotation.T @ tilt, middle))
+    seen = np.full((frames, len(rig), len(points), 2), np.nan)
+    for t, (turn, middle) in enumerate(paths):
+        for c, camera in enumerate(rig):
+            drift = late * random.normal(0, 0.02, 3) if c == len(rig) - 1 else 0.0
+            pixels = camera.project(points @ turn.T + middle + drift)
+            normal = turn[:, 2]
+            ahead = middle - camera.position
+            faces = normal @ ahead > 0.5 * np.linalg.norm(ahead)
+            if faces and np.isfinite(pixels).all() and (pixels > 5).all() and (pixels < np.array(camera.size) - 5).all():
+                seen[t, c] = pixels + random.normal(0, noise, pixels.shape)
+    sightings, kept = Sightings.from_array(seen).compact()
+    return BoardViews(BOARD, rig.names, tuple(camera.size or (0, 0) for camera in rig), kept, sightings, (frames,) * len(rig))
+
+
+def in_axes_of_first(rig: Rig) -> Rig:
+    first = rig.cameras[0]
+    return rig.moved(first.rotation, first.translation)
+
+
+def test_a_chain_of_cameras_comes_back_though_no_pair_sees_all() -> None:
+    truth = in_axes_of_first(ring())
+    views = waved(ring(), 150)
+    shared = (views.counts[:, :, None] > 0).astype(int) * (views.counts[:, None, :] > 0)
+    assert shared.sum(axis=0)[0, -1] == 0, "the first and the last camera share nothing"
+    made = calibrate_board(views)
+    assert made.usable and not made.apart and not made.doubts
+    assert made.rig.names == truth.names
+    assert made.rms == pytest.approx(0.1 * np.sqrt(2), rel=0.08)
+    for found, true in zip(made.rig, truth, strict=True):
+        assert found.focal[0] == pytest.approx(true.focal[0], rel=0.004)
+        away = np.linalg.norm(found.position - true.position)
+        turned = np.degrees(np.linalg.norm(vector_from_rotation(found.rotation @ true.rotation.T)))
+        assert away < 0.015 and turned < 0.25, f"{found.name}: {1000 * away:.1f} mm, {turned:.3f} degrees off"
+
+
+def test_the_errors_are_as_large_as_they_are_said_to_be() -> None:
+    made = calibrate_board(waved(ring(3), 90, seed=3))
+    truth = ring(3)
+    scores = [(found.focal[0] - true.focal[0]) / std for found, true, std in zip(made.rig, truth, made.focal_std, strict=True)]
+    assert np.abs(scores).max() < 3.5
+    assert made.adjustment.noise == pytest.approx(0.1, rel=0.05)
+
+
+def test_one_camera_gives_its_lens() -> None:
+    made = calibrate_board(waved(Rig((ring(1).cameras[0],)), 40))
+    [camera] = made.rig
+    assert not camera.posed and "the pose of every camera" in made.rig.lacks
+    assert camera.focal[0] == pytest.approx(1200, rel=0.003)
+    assert camera.radial[0] == pytest.approx(-0.15, abs=0.02)
+
+
+def test_a_camera_that_saw_nothing_or_shares_no_view_is_named_and_the_rest_calibrated() -> None:
+    rig = ring(4)
+    views = waved(rig, 120, seed=5)
+    alone = np.isin(views.seen.camera, [3]) & (np.isin(views.seen.frame, np.nonzero((views.counts[:, :3] > 0).any(axis=1))[0]))
+    views = replace(views, seen=views.seen.select(~alone & (views.seen.camera != 1)))
+    made = calibrate_board(replace(views, sizes=(*views.sizes[:1], (0, 0), *views.sizes[2:])))
+    assert made.rig.names in (("cam_0",), ("cam_2",), ("cam_0", "cam_2"), ("cam_2", "cam_3"))
+    assert any("cam_1 saw the board in 0 of" in sentence for sentence in made.apart)
+    assert any("cam_3" in sentence and "shares no view" in sentence for sentence in made.apart) or "cam_3" in made.rig.names
+
+
+def test_a_mistaken_view_is_left_out_and_told() -> None:
+    views = waved(ring(3), 60, seed=7)
+    frame = int(views.seen.frame[np.argmax(views.seen.camera == 1)])
+    wrong = (views.seen.frame == frame) & (views.seen.camera == 1)
+    xy = views.seen.xy.copy()
+    xy[wrong] = xy[wrong][::-1] + np.random.default_rng(0).normal(0, 6, (int(wrong.sum()), 2))
+    made = calibrate_board(replace(views, seen=replace(views.seen, xy=xy)))
+    assert (int(views.moments[frame]), "cam_1") in made.left_out
+    assert made.rms < 0.16
+
+
+def test_cameras_out_of_step_are_noticed_and_their_lenses_kept_apart() -> None:
+    made = calibrate_board(waved(ring(2), 80, late=1.0, seed=2))
+    assert any("in step" in doubt for doubt in made.doubts)
+    for found, true in zip(made.rig, ring(2), strict=True):
+        assert found.focal[0] == pytest.approx(true.focal[0], rel=0.02)
+    assert not any("in step" in doubt for doubt in calibrate_board(waved(ring(2), 80, seed=2)).doubts)
+
+
+def test_a_board_that_is_never_tilted_is_doubted() -> None:
+    rig = ring(1)
+    random = np.random.default_rng(4)
+    points = BOARD.points - BOARD.points.mean(axis=0)
+    camera = rig.cameras[0]
+    flat = np.stack(
+        [
+            camera.project(points @ camera.rotation + camera.position + camera.rotation.T @ [*random.normal(0, 0.2, 2), 2.0])
+            for _ in range(20)
+        ]
+    )
+    seen = Sightings.from_array((flat + random.normal(0, 0.1, flat.shape))[:, None])
+    views = BoardViews(BOARD, ("cam_0",), ((1280, 1024),), np.arange(20), seen, (20,))
+    made = calibrate_board(views)
+    assert any("tilted" in doubt for doubt in made.doubts)
+    assert made.focal_std[0] > 0.02 * made.rig.cameras[0].focal[0]
+
+
+def test_the_origin_is_where_the_board_lay() -> None:
+    views = waved(ring(3), 60, seed=9)
+    moment = int(views.moments[np.argmax((views.counts > 0).sum(axis=1))])
+    made = calibrate_board(views, origin=moment)
+    at = int(np.nonzero(views.moments[made.frames] == moment)[0][0])
+    assert np.array_equal(made.rig.vertical, [0, 0, 1])  # type: ignore[arg-type]
+    assert all(camera.position[2] > 0 for camera in made.rig), "cameras see the print, which is the upper side"
+    own = made.sightings.frame == at
+    points = BOARD.points[made.sightings.point[own]] * [1, -1, -1]
+    for c, camera in enumerate(made.rig):
+        seen = made.sightings.camera[own] == c
+        if seen.any():
+            assert np.abs(camera.project(points[seen]) - made.sightings.xy[own][seen]).max() < 0.8
+    with pytest.raises(AsterismError, match="frame 9999"):
+        calibrate_board(views, origin=9999)
+
+
+# Finding boards in images
+
+
+def drawn(board: Board, camera: Camera, turn: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """An image of a board: its print warped through the camera (no lens distortion), white around."""
+    cell = 60
+    if board.kind == "charuco":
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+        made = cv2.aruco.CharucoBoard((board.columns, board.rows), board.spacing, board.marker, dictionary)
+        sheet, zero = made.generateImage((board.columns * cell, board.rows * cell)), np.zeros(2)
+    elif board.kind == "chessboard":
+        sheet = np.full(((board.rows + 1) * cell, (board.columns + 1) * cell), 255, np.uint8)
+        for i in range(board.rows + 1):
+            for j in range(board.columns + 1):
+                sheet[i * cell : (i + 1) * cell, j * cell : (j + 1) * cell] = 255 * ((i + j) % 2)
+        zero = np.array([cell, cell])
+    else:
+        places = board.points[:, :2] / board.spacing * cell + cell
+        sheet = np.full((int(places[:, 1].max()) + cell, int(places[:, 0].max()) + cell), 255, np.uint8)
+        for x, y in places:
+            cv2.circle(sheet, (round(x * 16), round(y * 16)), round(0.3 * cell * 16), 0, -1, cv2.LINE_AA, 4)
+        zero = np.array([cell + 0.5, cell + 0.5])
+    sheet = np.pad(sheet, cell, constant_values=255)
+    zero = zero + cell - 0.5
+    corners = np.array([[0.0, 0.0], [0.3, 0.0], [0.3, 0.3], [0.0, 0.3]])
+    space = np.column_stack([corners, np.zeros(4)]) - board.points.mean(axis=0)
+    target = camera.project(space @ turn.T + middle)
+    warp = cv2.getPerspectiveTransform((corners / board.spacing * cell + zero).astype(np.float32), target.astype(np.float32))
+    assert camera.size is not None
+    image = cv2.warpPerspective(sheet, warp, camera.size, flags=cv2.INTER_AREA, borderValue=255)
+    return cv2.GaussianBlur(image, (0, 0), 0.8)
+
+
+PLAIN = Camera("plain", (960, 720), (900.0, 900.0), (479.5, 359.5))
+BOARDS = {
+    "chessboard": BOARD,
+    "charuco": Board("charuco", 7, 5, 0.06, "DICT_5X5_100", 0.045),
+    "circles": Board("circles", 7, 5, 0.05),
+    "asymmetric circles": Board("asymmetric circles", 4, 9, 0.04),
+}
+
+
+@pytest.mark.parametrize("kind", BOARDS)
+@pytest.mark.parametrize("inverted", [False, True])
+def test_points_are_found_where_they_are_drawn(tmp_path: Path, kind: str, inverted: bool) -> None:
+    board = replace(BOARDS[kind], inverted=inverted)
+    random = np.random.default_rng(6)
+    truth = []
+    for i in range(6):
+        turn, middle = rotation_from_vector(random.normal(0, 0.25, 3)), np.array([*random.normal(0, 0.05, 2), 0.9])
+        image = drawn(board, PLAIN, turn, middle)
+        cv2.imwrite(str(tmp_path / f"{i}.png"), 255 - image if inverted else image)
+        truth.append(PLAIN.project((board.points - board.points.mean(axis=0)) @ turn.T + middle))
+    views = find_board(footage_of([tmp_path]), board)
+    assert len(views.moments) >= 5
+    wrong = views.seen.xy - np.array(truth)[views.moments[views.seen.frame], views.seen.point]
+    assert np.median(np.linalg.norm(wrong, axis=1)) < 0.2, f"{np.median(np.linalg.norm(wrong, axis=1)):.3f} px"
+
+
+def _filmed(folder: Path, cameras: int = 2, frames: int = 12) -> None:
+    """Videos of a chessboard in front of cameras side by side."""
+    random = np.random.default_rng(8)
+    films = [
+        cv2.VideoWriter(str(folder / f"cam_{c}.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10, PLAIN.size or (0, 0)) for c in range(cameras)
+    ]
+    for _ in range(frames):
+        turn, middle = rotation_from_vector(random.normal(0, 0.3, 3)), np.array([*random.normal(0, 0.05, 2), 0.95])
+        for c, film in enumerate(films):
+            camera = replace(PLAIN, translation=np.array([-0.08 * c, 0.0, 0.0]))
+            film.write(cv2.cvtColor(drawn(BOARD, camera, turn, middle), cv2.COLOR_GRAY2BGR))
+    for film in films:
+        film.release()
+
+
+def test_videos_to_a_rig_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _filmed(tmp_path)
+    target, told, page = tmp_path / "rig.toml", tmp_path / "told.json", tmp_path / "page.html"
+    words = ["calibrate", "board", str(tmp_path), "--chessboard", "9x6", "--square", "0.05", "-o", str(target)]
+    assert main([*words, "--json", str(told), "--report", str(page)]) in (0, 1)
+    rig = read_rig(target)
+    assert rig.names == ("cam_0", "cam_1")
+    assert np.linalg.norm(rig["cam_1"].position) == pytest.approx(0.08, abs=0.002)
+    assert rig["cam_0"].focal[0] == pytest.approx(900, rel=0.02)
+    content = json.loads(told.read_text())
+    assert {"frames", "frames_used", "reprojection_rms_px", "cameras", "doubts", "usable"} <= set(content)
+    assert "cam_1" in page.read_text(encoding="utf-8")
+    assert "cam_1" in capsys.readouterr().out
+    assert main(words) == 2, "it exists"
+    assert "exists" in capsys.readouterr().err
+
+
+def test_a_video_that_breaks_off_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _filmed(tmp_path, cameras=1)
+    path = tmp_path / "cam_0.avi"
+    data = path.read_bytes()
+    path.write_bytes(data[: int(0.7 * len(data))])
+    status = main(["calibrate", "board", str(path), "--chessboard", "9x6", "--square", "0.05", "--json", str(tmp_path / "t.json")])
+    said = capsys.readouterr().err
+    assert (status == 1 and "breaks off" in said) or (status == 2 and "cut off" in said)
+    assert "cam_0.avi" in said
+
+
+def test_timestamps_say_which_frames_belong_together(tmp_path: Path) -> None:
+    _filmed(tmp_path, cameras=2, frames=5)
+    rows = ["sync_index,cam_id,frame_index,frame_time"]
+    rows += [f"{t + 40},0,{t},{t / 10}" for t in range(5)] + [f"{t + 42},1,{t},{t / 10}" for t in range(5)]
+    (tmp_path / "timestamps.csv").write_text("\n".join(rows))
+    one, other = footage_of([tmp_path])
+    assert one.moments.tolist() == [40, 41, 42, 43, 44]
+    assert other.moments.tolist() == [42, 43, 44, 45, 46]
+    (tmp_path / "timestamps.csv").write_text("\n".join(rows[:-1]))
+    assert "4 frames" in footage_of([tmp_path])[1].notes[0]
+
+
+def test_footage_as_people_have_it(tmp_path: Path) -> None:
+    for name in ("left01.png", "left02.png", "right02.png", "right.png"):
+        cv2.imwrite(str(tmp_path / name), np.zeros((8, 8), np.uint8))
+    left, right = footage_of([tmp_path])
+    assert (left.name, left.moments.tolist(), right.name) == ("left", [1, 2], "right")
+    assert right.moments.tolist() == [-1, 2]
+    (tmp_path / "list.yml").write_text("%YAML:1.0\nimages:\n  - left01.png\n  - left02.png\n")
+    [listed] = footage_of([tmp_path / "list.yml"])
+    assert listed.name == "left" and len(listed) == 2
+    for folder in ("a", "b"):
+        (tmp_path / "rig" / folder).mkdir(parents=True)
+        cv2.imwrite(str(tmp_path / "rig" / folder / "0007.png"), np.zeros((8, 8), np.uint8))
+    assert [one.name for one in footage_of([tmp_path / "rig"])] == ["a", "b"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nowhere"], "nowhere"),
+        (["."], "no image or video"),
+        ([".", "--charuco", "5x4"], "one of --board"),
+        ([".", "--square", "25"], "25 m"),
+        (["text.txt"], "text.txt"),
+        (["empty.avi"], "empty.avi"),
+        (["black.png"], "saw the board"),
+        (["black1.png", "sized/black1.png"], "two images"),
+    ],
+    ids=lambda value: "-".join(value) if isinstance(value, list) else "",
+)
+def test_bad_footage_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+) -> None:
+    (tmp_path / "inside" / "sized").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "inside")
+    if words != ["."]:
+        Path("text.txt").write_text("x")
+        Path("empty.avi").write_bytes(b"RIFF")
+        for name in ("black.png", "black1.png", "sized/black1.png"):
+            cv2.imwrite(name, np.zeros((64, 64), np.uint8))
+    given = ["--chessboard", "9x6", *([] if "--square" in words else ["--square", "0.025"])]
+    assert main(["calibrate", "board", *words, *given]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("kind = 'chessboard'\ncolumns = 9\nrows = 6\n", "square"),
+        ("kind = 'chessboard'\ncolumns = 6\nrows = 6\nsquare = 0.02\n", "same from four sides"),
+        ("kind = 'charuco'\ncolumns = 6\nrows = 5\nsquare = 0.02\nmarker = 0.03\ndictionary = 'DICT_4X4_50'\n", "must fit"),
+        ("columns = 4\nrows = 5\n", "no board"),
+    ],
+)
+def test_boards_that_cannot_be(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "board.toml").write_text(text)
+    with pytest.raises(AsterismError, match=said):
+        Board.from_toml(tmp_path / "board.toml")
+
+
+# Real images
+
+
+def test_the_stereo_pair_is_calibrated_as_well_as_opencv_does(data: Path) -> None:
+    views = find_board(footage_of([data / "cameras" / "chessboard-stereo"]), Board("chessboard", 9, 6, 0.025))
+    made = calibrate_board(views)
+    assert made.rig.names == ("left", "right") and not made.doubts and made.usable
+    assert [one.camera.error for one in made.alone] < [0.1955, 0.2075]
+    assert made.rms < 0.2175
+    assert np.linalg.norm(made.rig["right"].position) == pytest.approx(0.0832, abs=0.0005)
+    [note] = views.notes
+    assert "right.jpg is 612 x 459" in note
