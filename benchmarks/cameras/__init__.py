@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from benchmarks.bench import Bench
+from benchmarks.cameras.boards import charuco, rig_files, stereo
 from benchmarks.figures import Figure
 
 ISSUE = "From cameras to points: calibrate, detect, compose, merge"
 
-ROWS: dict[str, Callable[[Bench], Iterator[Figure]]] = {}
+ROWS: dict[str, Callable[[Bench], Iterator[Figure]]] = {
+    "rig-files": rig_files,
+    "stereo": stereo,
+    "charuco": charuco,
+}
 """Cheap rows first: a run that is cut short has measured most of them."""
