@@ -12,6 +12,7 @@ import pytest
 
 from asterism.cameras import Camera, Rig, rotation_from_vector, vector_from_rotation
 from asterism.cameras.boards import Board, BoardViews, calibrate_board, find_board, footage_of
+from asterism.cameras.boards.board import Finder
 from asterism.cameras.bundle import Sightings
 from asterism.cameras.files import read_rig
 from asterism.cli import main
@@ -224,6 +225,16 @@ def test_points_are_found_where_they_are_drawn(tmp_path: Path, kind: str, invert
     assert len(views.moments) >= 5
     wrong = views.seen.xy - np.array(truth)[views.moments[views.seen.frame], views.seen.point]
     assert np.median(np.linalg.norm(wrong, axis=1)) < 0.2, f"{np.median(np.linalg.norm(wrong, axis=1)):.3f} px"
+
+
+def test_an_upside_down_camera_counts_the_same_corners() -> None:
+    turn, middle = rotation_from_vector([0.2, -0.1, 0.1]), np.array([0.02, 0.01, 0.9])
+    image = drawn(BOARD, PLAIN, turn, middle)
+    point, xy = Finder(BOARD).find(image)
+    turned, upside_down = Finder(BOARD).find(np.ascontiguousarray(image[::-1, ::-1]))
+    assert np.array_equal(point, turned)
+    assert np.abs((np.array([959, 719]) - upside_down) - xy).max() < 0.05
+    assert Board("chessboard", 8, 6, 0.05).turns_alike and not BOARD.turns_alike
 
 
 def _filmed(folder: Path, cameras: int = 2, frames: int = 12) -> None:

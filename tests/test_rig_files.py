@@ -343,6 +343,21 @@ def test_a_lens_that_a_format_cannot_say_is_fitted_or_refused(tmp_path: Path) ->
         write_rig(mild, tmp_path / "rig.dat")
 
 
+def test_a_fisheye_lens_is_fitted(tmp_path: Path) -> None:
+    import cv2
+
+    matrix, k = np.array([[700.0, 0, 640], [0, 700, 360], [0, 0, 1]]), np.array([0.02, -0.01, 0.003, 0.0])
+    (tmp_path / "fish.toml").write_text(
+        f"[cam_0]\nname='wide'\nsize=[1280,720]\nmatrix={matrix.tolist()}\ndistortions={k.tolist()}\nfisheye=true\n"
+        "rotation=[0.0,0.0,0.0]\ntranslation=[0.0,0.0,1000.0]\n"
+    )
+    [camera] = read_rig(tmp_path / "fish.toml")
+    flat = np.random.default_rng(1).uniform([-1.0, -0.5], [1.0, 0.5], (200, 2))
+    expected = cv2.fisheye.distortPoints(flat[:, None], matrix, k)[:, 0]
+    seen = replace(camera, translation=np.zeros(3)).project(np.column_stack([flat, np.ones(200)]))
+    assert np.abs(seen - expected).max() < 0.02
+
+
 def _damage(text: str) -> list[str]:
     """Cut short at many places, and one number at a time made no number."""
     cut = [text[:end] for end in range(0, len(text) - 2, max(1, len(text) // 12))]
@@ -375,7 +390,7 @@ def test_damage_ends_in_one_sentence_that_names_the_file(tmp_path: Path, name: s
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        ("fish.toml", "[cam_0]\nmatrix=[[1.0,0,0],[0,1.0,0],[0,0,1.0]]\nfisheye=true\n", "fisheye"),
+        ("fish.toml", "[cam_0]\nmatrix=[[300.0,0,640],[0,300.0,360],[0,0,1.0]]\ndistortions=[0.01,0,0,0]\nfisheye=true\n", "fisheye"),
         ("board.toml", "columns = 4\n", "no rig file"),
         ("list.yml", "%YAML:1.0\n---\nimages:\n   - a.jpg\n", "calibrate board"),
         ("x.xcp", "<Cameras></Cameras>", "no calibrated camera"),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from asterism.cameras.bundle import Sightings
 from asterism.cameras.camera import Camera, rotation_from_vector
+from asterism.errors import AsterismError
 from asterism.recording import Floats, Ints
 
 Single = NDArray[np.float32]
@@ -47,7 +48,7 @@ class Alone:
 
 
 def calibrate_alone(name: str, size: tuple[int, int], points: Floats, seen: Sightings) -> Alone | None:
-    """The lens of one camera from its views of a board, and the board's pose in each; None with less than three usable views.
+    """The lens of one camera from its views of a board, and the board's pose in each; None with less than three views that agree.
 
     points  (K, 3) m of the board; seen: this camera's sightings
 
@@ -66,10 +67,13 @@ def calibrate_alone(name: str, size: tuple[int, int], points: Floats, seen: Sigh
         chosen = _most_different([images[i] for i in np.nonzero(good)[0]], size)
         used = np.nonzero(good)[0][chosen]
         flags = 0 if len(used) >= 2 * LEAST_VIEWS else cv2.CALIB_FIX_K3
-        error, matrix, lens, _, _, spread, *_ = cv2.calibrateCameraExtended(
-            [objects[i] for i in used], [images[i] for i in used], size, None, None, flags=flags
-        )
-        camera = Camera.from_opencv(name, np.asarray(matrix), np.asarray(lens).ravel()[:5], size=size)
+        try:
+            error, matrix, lens, _, _, spread, *_ = cv2.calibrateCameraExtended(
+                [objects[i] for i in used], [images[i] for i in used], size, None, None, flags=flags
+            )
+            camera = Camera.from_opencv(name, np.asarray(matrix), np.asarray(lens).ravel()[:5], size=size)
+        except (cv2.error, AsterismError):  # views that say nothing, such as many times the same
+            return None
         poses = [_pose(camera, objects[i], images[i]) for i in range(len(frames))]
         errors = np.array([np.inf if pose is None else pose[2] for pose in poses])
         outlying = good & (errors > max(_OUTLYING * float(np.median(errors[good])), _OUTLYING_PX))

@@ -90,6 +90,13 @@ class Board:
             ) from problem
 
     @property
+    def turns_alike(self) -> bool:
+        """Whether the board looks the same upside down, so that cameras cannot agree which of its ends is which."""
+        if self.kind == "chessboard":
+            return (self.columns + self.rows) % 2 == 0
+        return self.kind == "circles" or (self.kind == "asymmetric circles" and self.rows % 2 == 1)
+
+    @property
     def points(self) -> Floats:
         """(K, 3) m, in the board's axes: x along the rows, y down the columns as printed, z = 0."""
         if self.kind == "asymmetric circles":
@@ -168,7 +175,8 @@ class Finder:
         narrowest = min(float(np.linalg.norm(np.diff(grid, axis=axis), axis=2).min()) for axis in (0, 1))
         half = int(np.clip(_INNER_WINDOW * narrowest, _LEAST_WINDOW, _MOST_WINDOW))
         end = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-4)
-        return np.asarray(cv2.cornerSubPix(grey, corners, (half, half), (-1, -1), end), dtype=np.float64).reshape(-1, 2)
+        found = np.asarray(cv2.cornerSubPix(grey, corners, (half, half), (-1, -1), end), dtype=np.float64).reshape(-1, 2)
+        return found if self.board.turns_alike or _first_is_dark(grey, grid) else np.ascontiguousarray(found[::-1])
 
     def _find_circles(self, grey: Any) -> Floats:
         import cv2
@@ -176,3 +184,12 @@ class Finder:
         layout = cv2.CALIB_CB_SYMMETRIC_GRID if self.board.kind == "circles" else cv2.CALIB_CB_ASYMMETRIC_GRID
         found, centres = cv2.findCirclesGrid(grey, (self.board.columns, self.board.rows), flags=layout)
         return np.asarray(centres, dtype=np.float64).reshape(-1, 2) if found else np.empty((0, 2))
+
+
+def _first_is_dark(grey: Any, grid: Floats) -> bool:
+    """Whether the square inside the first four corners of a grid (rows, columns, 2) px is a dark one: by all squares between corners."""
+    middles = 0.25 * (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:])
+    x, y = np.clip(np.round(middles).astype(int).reshape(-1, 2).T, 0, np.array(grey.shape)[::-1, None] - 1)
+    like_first = np.indices(middles.shape[:2]).sum(axis=0).ravel() % 2 == 0
+    shades = grey[y, x].astype(np.float64)
+    return bool(shades[like_first].mean() < shades[~like_first].mean())

@@ -118,19 +118,7 @@ def calibrate_board(
     camera can be calibrated, or the origin's moment has no board.
     """
     points = views.board.points
-    alone: dict[int, Alone] = {}
-    apart: list[str] = []
-    for c, name in enumerate(views.cameras):
-        if progress is not None:
-            progress(0.8 * c / len(views.cameras), f"calibrating camera {name}")
-        seen = int((views.counts[:, c] > 0).sum())
-        one = calibrate_alone(name, views.sizes[c], points, views.seen.select(views.seen.camera == c)) if seen else None
-        if one is None:
-            apart.append(f"camera {name} saw the board in {seen} of {views.looked[c]} images; it needs three views or more.")
-        else:
-            alone[c] = one
-    if not alone:
-        raise AsterismError(f"no camera can be calibrated: {' '.join(apart)}")
+    alone, apart = _each_alone(views, progress)
     order = sorted(alone)
     links = links_between([alone[c].frames for c in order])
     chosen = [order[i] for i in links.groups[0]]
@@ -149,24 +137,12 @@ def calibrate_board(
     if not in_step:
         adjusted = _adjusted(views, points, alone, started, chosen, [])
     adjustment, sightings, frames, dropped = adjusted
-    rig = Rig(adjustment.cameras)
-    left_out = tuple((int(views.moments[t]), views.cameras[c]) for t, c in dropped)
-    left_out += tuple((int(views.moments[t]), views.cameras[c]) for c in chosen for t in alone[c].left_out)
+    left_out = [(int(views.moments[t]), views.cameras[c]) for t, c in dropped]
+    left_out += [(int(views.moments[t]), views.cameras[c]) for c in chosen for t in alone[c].left_out]
     single = tuple(alone[c] for c in chosen)
-    if len(rig) > 1:
-        rig = _in_world(rig, views, adjustment, frames, origin)
-    else:
-        if origin is not None:
-            raise AsterismError(f"camera {rig.names[0]} is alone, a rig of one camera has no world; leave out the origin.")
-        rig = Rig((replace(rig.cameras[0], rotation=np.eye(3), translation=np.zeros(3), posed=False),))
     focal_std = [float(sigma[6]) if in_step else one.focal_std for sigma, one in zip(adjustment.sigma, single, strict=True)]
-    doubts = _doubts(rig, views, focal_std, links, order)
-    if not in_step:
-        doubts = (
-            f"cameras disagree about the board by {adjustment.rms:.2f} px where each alone fits to {own_rms:.2f} px, so their lenses were "
-            "taken from each alone; were they in step? Hold the board still for each view, and film again.",
-            *doubts,
-        )
+    rig = _in_world(Rig(adjustment.cameras), views, adjustment, frames, origin)
+    doubts = (*([] if in_step else [_out_of_step(views, adjustment.rms, own_rms)]), *_doubts(rig, views, focal_std, links, order))
     lacks = ("the pose of every camera",) if len(rig) == 1 else ("which way is up",) if rig.vertical is None else ()
     metadata = {
         "format": "Asterism rig",
@@ -190,6 +166,27 @@ def calibrate_board(
         links,
         tuple(views.cameras[c] for c in order),
     )
+
+
+def _each_alone(views: BoardViews, progress: Callable[[float, str], None] | None) -> tuple[dict[int, Alone], list[str]]:
+    """Every camera calibrated by itself, by its place; and a sentence for each that cannot be."""
+    alone: dict[int, Alone] = {}
+    apart: list[str] = []
+    for c, name in enumerate(views.cameras):
+        if progress is not None:
+            progress(0.8 * c / len(views.cameras), f"calibrating camera {name}")
+        seen = int((views.counts[:, c] > 0).sum())
+        one = calibrate_alone(name, views.sizes[c], views.board.points, views.seen.select(views.seen.camera == c)) if seen else None
+        if one is not None:
+            alone[c] = one
+            continue
+        apart.append(
+            f"camera {name} saw the board in {seen} of {views.looked[c]} images, too few that agree on a lens; show it the board "
+            "tilted, near and far."
+        )
+    if not alone:
+        raise AsterismError(f"no camera can be calibrated: {' '.join(apart)}")
+    return alone, apart
 
 
 def _adjusted(
@@ -243,7 +240,11 @@ def _expected(cameras: list[Camera]) -> tuple[Floats, Floats]:
 
 
 def _in_world(rig: Rig, views: BoardViews, adjustment: Adjustment, frames: Any, origin: int | None) -> Rig:
-    """The rig in the axes of its first camera, or of the board at a moment: x along its rows, z up from its print."""
+    """The rig in the axes of its first camera, or of the board at a moment: x along its rows, z up from its print. One alone has no pose."""
+    if len(rig) == 1:
+        if origin is not None:
+            raise AsterismError(f"camera {rig.names[0]} is alone, a rig of one camera has no world; leave out the origin.")
+        return Rig((replace(rig.cameras[0], rotation=np.eye(3), translation=np.zeros(3), posed=False),))
     if origin is None:
         first = rig.cameras[0]
         return rig.moved(first.rotation, first.translation)
@@ -254,6 +255,18 @@ def _in_world(rig: Rig, views: BoardViews, adjustment: Adjustment, frames: Any, 
     world_from_board = np.diag([1.0, -1.0, -1.0])
     rig = rig.moved(world_from_board @ turned.T, -world_from_board @ turned.T @ placed)
     return replace(rig, vertical=np.array([0.0, 0.0, 1.0]))
+
+
+def _out_of_step(views: BoardViews, together: float, alone: float) -> str:
+    """What to say where cameras together miss the board by so much more than each alone, px."""
+    board = views.board
+    sentence = (
+        f"cameras disagree about the board by {together:.2f} px where each alone fits to {alone:.2f} px, so their lenses were taken from "
+        "each alone; were they in step? Hold the board still for each view, and film again."
+    )
+    if board.turns_alike:
+        sentence += f" A {board.kind} of {board.columns} x {board.rows} also looks the same upside down; use one that does not."
+    return sentence
 
 
 def _doubts(rig: Rig, views: BoardViews, focal_std: list[float], links: Links, order: list[int]) -> tuple[str, ...]:
