@@ -240,7 +240,7 @@ def _expected(cameras: list[Camera]) -> tuple[Floats, Floats]:
 
 
 def _in_world(rig: Rig, views: BoardViews, adjustment: Adjustment, frames: Any, origin: int | None) -> Rig:
-    """The rig in the axes of its first camera, or of the board at a moment: x along its rows, z up from its print. One alone has no pose."""
+    """The rig in the axes of its first camera, or of the board at a moment: x along its rows, z up from its print. One has no pose."""
     if len(rig) == 1:
         if origin is not None:
             raise AsterismError(f"camera {rig.names[0]} is alone, a rig of one camera has no world; leave out the origin.")
