@@ -70,6 +70,18 @@ def test_a_camera_that_looks_away_is_named(folder: Path, capsys: pytest.CaptureF
     assert "camera c2 sees next to nothing" in capsys.readouterr().err
 
 
+def test_image_sizes_that_a_rig_lacks_can_be_given(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = read_rig(folder / "ring.toml")
+    path = tmp_path / "sizeless.toml"
+    write_rig(replace(rig, cameras=tuple(replace(camera, size=None) for camera in rig), lacks=("image sizes",)), path)
+    assert run("rig", "report", path, "--volume", "2x2x2") == 2
+    assert "--image-size" in capsys.readouterr().err
+    assert run("rig", "report", path, "--volume", "2x2x2", "--image-size", "1280x1024") == 0
+    sized = capsys.readouterr().out
+    assert "not in the file" in sized
+    assert "image sizes" in sized
+
+
 def test_a_plan_is_a_rig_file_and_a_comparison(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     made, page, told = tmp_path / "rig.toml", tmp_path / "plan.html", tmp_path / "plan.json"
     words = ["--volume", "3x2x2", "--cameras", 3, "--focal-mm", 5.5, "--pixel-um", 4.8, "--room", "6x5x3", "--heights", "1.5:2.5"]

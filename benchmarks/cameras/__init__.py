@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from benchmarks.bench import Bench
+from benchmarks.cameras.accuracy import accuracy, plan
 from benchmarks.cameras.boards import charuco, rig_files, stereo
+from benchmarks.cameras.demo import demo
 from benchmarks.figures import Figure
 
 ISSUE = "From cameras to points: calibrate, detect, compose, merge"
@@ -14,5 +16,8 @@ ROWS: dict[str, Callable[[Bench], Iterator[Figure]]] = {
     "rig-files": rig_files,
     "stereo": stereo,
     "charuco": charuco,
+    "accuracy": accuracy,
+    "plan": plan,
+    "demo": demo,
 }
 """Cheap rows first: a run that is cut short has measured most of them."""

@@ -38,7 +38,9 @@ def sees(rig: Rig, places: ArrayLike) -> NDArray[np.bool_]:
     """(C, N) whether each camera has each place (N, 3) m in its image. Raises AsterismError where an image size is not known."""
     for camera in rig:
         if camera.size is None:
-            raise AsterismError(f"camera {camera.name}: its image size is not known, so nobody can say what it sees; add it to the rig.")
+            raise AsterismError(
+                f"camera {camera.name}: its image size is not known, so nobody can say what it sees; add it to the rig (--image-size)."
+            )
     sizes = np.array([camera.size for camera in rig])[:, None]
     xy = rig.project(np.asarray(places, dtype=np.float64).reshape(-1, 3))
     inside: NDArray[np.bool_] = np.all((xy > -0.5) & (xy < sizes - 0.5), axis=2)

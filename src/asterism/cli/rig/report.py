@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,6 +10,7 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._options import Json, Overwrite, metres
+from asterism.cli._options import image_size as size_of
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
@@ -40,6 +42,10 @@ def report(
     rig: RigFile,
     volume: VolumeOption = None,
     noise: Noise = None,
+    image_size: Annotated[
+        str | None,
+        typer.Option("--image-size", metavar="WxH", help="Of cameras whose images' size the rig does not know.", show_default=False),
+    ] = None,
     blobs: Annotated[
         Path | None, typer.Option("--blobs", metavar="CSV", help="What the cameras saw of a waved wand, with --wand.", show_default=False)
     ] = None,
@@ -69,6 +75,9 @@ def report(
 
     given = read_rig(rig)
     box = None if volume is None else Volume.parse(volume, "z" if given.vertical is None else given.vertical)
+    if image_size is not None:
+        size = size_of(image_size, "--image-size")
+        given = replace(given, cameras=tuple(camera if camera.size else replace(camera, size=size) for camera in given))
     with _console.progress("rig report") as progress:
         result = map_rig(given, box, noise=noise, progress=progress)
     waved = resting = None
@@ -114,6 +123,7 @@ def print_map(rig: Rig, result: RigMap) -> None:
     told = result.to_dict()
     low, high = result.volume.low, result.volume.high
     spans = ", ".join(f"{axis} {a:g} to {b:g}" for axis, a, b in zip("xyz", low, high, strict=True))
+    lacking = [("not in the file", ", ".join(rig.lacks))] if rig.lacks else []
     _console.facts(
         f"{len(rig)} cameras, volume {spans} m",
         [
@@ -127,6 +137,7 @@ def print_map(rig: Rig, result: RigMap) -> None:
                 "sensitivity of the best pair",
                 f"median {_mm(told['sensitivity_median_m'])}, mean of the 12 scalars at ± {result.noise:.2g} px",
             ),
+            *lacking,
         ],
     )
 

@@ -44,6 +44,6 @@ def render(
         wide = np.where(np.isfinite(blobs.sizes[own]), blobs.sizes[own], diameter)
         image = np.zeros((size[1], size[0]))
         _kernels.draw(blobs.xy[own], wide, shape == "gaussian", peak * full, image)
-        image += background * full + noise * full * rng.standard_normal(image.shape)
+        image += background * full + noise * full * rng.standard_normal(image.shape, dtype=np.float32)
         grey = np.clip(np.rint(image), 0, full)
         yield grey.astype(np.uint8) if bits == 8 else grey.astype(np.uint16)

@@ -1,0 +1,58 @@
+"""How well the analytic sensitivity stands for one at a time, and what planned rigs gain over the plain ring."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from asterism.cameras.accuracy import Volume, map_rig, sensitivity
+from asterism.cameras.plan import focal_length, plan_rig
+from asterism.simulation.cameras import random_rig
+from benchmarks.bench import Bench, frames_per_second
+from benchmarks.figures import Figure
+
+SHIFT = 0.3
+HALLS = (("6x4x2.5", 8, 56.0), ("4x3x2", 6, 50.0), ("3x3x2", 4, 45.0), ("10x6x2.5", 16, 56.0))
+"""Volume, cameras of 1280 x 1024, horizontal angle of view in degrees."""
+
+
+def accuracy(bench: Bench) -> Iterator[Figure]:
+    """The 12 scalars both ways at random places of random rigs, wherever a pair composes a point to 1 cm or better."""
+    rigs = 5 if bench.quick else 40
+    off, seconds = [], {}
+    for seed in range(rigs):
+        rng = np.random.default_rng(seed)
+        rig = random_rig(rng=rng)
+        places = rng.uniform(-0.6, 0.6, (20, 3)) + np.array([0.0, 0.0, 0.9])
+        exact, first = (sensitivity(rig, places, SHIFT, method).scalars for method in ("one-at-a-time", "analytic"))
+        usual = exact.mean(axis=(2, 3), keepdims=True)
+        good = np.isfinite(exact).all(axis=(2, 3)) & np.isfinite(first).all(axis=(2, 3)) & (usual[..., 0, 0] < 0.01)
+        off.append((np.abs(first - exact) / usual)[good].ravel())
+    for method in ("one-at-a-time", "analytic"):
+        seconds[method] = 1.0 / frames_per_second(lambda rig=rig, at=places, how=method: sensitivity(rig, at, SHIFT, how), 1)  # type: ignore[misc]
+    every = np.concatenate(off)
+    row = f"12 scalars, ± {SHIFT} px, analytic against one at a time: difference over their mean"
+    yield Figure(f"{row}, median", "none", float(np.median(every)), "fraction", len(every))
+    yield Figure(f"{row}, 99.9 % of scalars", "none", float(np.percentile(every, 99.9)), "fraction", len(every))
+    yield Figure(
+        "12 scalars: time one at a time over time analytically", "none", seconds["one-at-a-time"] / seconds["analytic"], "times", len(every)
+    )
+
+
+def plan(bench: Bench) -> Iterator[Figure]:
+    """Planned rigs and plain rings of the same cameras on the same walls."""
+    for spec, cameras, fov in HALLS[:1] if bench.quick else HALLS:
+        volume = Volume.parse(spec)
+        proposal = plan_rig(volume, cameras, (1280, 1024), focal_length(1280, fov=fov))
+        for name, rig, glare in (("planned", proposal.rig, proposal.glare), ("plain ring", proposal.ring, proposal.ring_glare)):
+            result = map_rig(rig, volume)
+            row = f"{cameras} cameras for {spec} m, {name}"
+            yield Figure(f"{row}: seen by three or more", "none", result.coverage(3), "fraction", len(result.places))
+            yield Figure(
+                f"{row}: markers on a body that face two or more", "none", float(result.facing.mean()), "fraction", len(result.places)
+            )
+            yield Figure(
+                f"{row}: error in 95 % of places", "none", 1000 * float(np.nanpercentile(result.error, 95)), "mm", len(result.places)
+            )
+            yield Figure(f"{row}: cameras that see another one's lamps", "none", float(glare), "views", cameras * (cameras - 1))

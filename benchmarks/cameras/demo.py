@@ -1,0 +1,48 @@
+"""The whole chain on simulated sessions: wand, rig, points, labels, as `asterism demo cameras` runs it, over several seeds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+from asterism.labelling import SolverEnsemble
+from asterism.simulation import simulate_walks
+from asterism.simulation.chain import Outcome, work_through
+from asterism.simulation.session import NOISE, simulate_session
+from benchmarks.bench import Bench
+from benchmarks.figures import Figure
+
+WALKERS, FRAMES = 9, 300
+MARKERS = "plug-in-gait"
+SEEDS = 5
+
+
+def demo(bench: Bench) -> Iterator[Figure]:
+    """A rig and a walker of its own for each seed; 39 markers, whose model has not seen the walker."""
+    outcomes: list[Outcome] = []
+    seconds: list[float] = []
+    for seed in range(1 if bench.quick else SEEDS):
+        walks = simulate_walks(subjects=WALKERS, frames=FRAMES, rate=100.0, markers=MARKERS, seed=seed)
+        ensemble: SolverEnsemble = bench.fit(walks[:-1], [str(walk.metadata["subject"]) for walk in walks[:-1]])
+        session = simulate_session(walks[-1], seed)
+        started = time.perf_counter()
+        outcomes.append(work_through(session, ensemble))
+        seconds.append(time.perf_counter() - started)
+    wanted = sum(int(made.points.wanted.sum()) for made in outcomes)
+    error = np.concatenate([made.points.error[made.points.wanted] for made in outcomes])
+    points = sum(made.points.points for made in outcomes)
+    right, wrong = sum(made.right for made in outcomes), sum(made.wrong for made in outcomes)
+    found = right + sum(made.unlabelled for made in outcomes)
+    row = f"simulated session, 8 cameras, {NOISE} px, body, strays"
+    for millimetres in (1, 2, 3):
+        share = float((error <= 0.001 * millimetres).mean())
+        yield Figure(f"{row}: markers seen by two cameras, found within {millimetres} mm", "none", share, "fraction", wanted)
+    yield Figure(f"{row}: distance from the truth, median", "none", 1000 * float(np.nanmedian(error)), "mm", wanted)
+    yield Figure(f"{row}: ghosts per 1,000 points", "none", 1000 * sum(made.points.ghosts for made in outcomes) / points, "points", points)
+    yield Figure(f"{row}: markers found that are labelled right", "none", right / found, "fraction", found)
+    yield Figure(f"{row}: labels that are wrong", "none", wrong / max(right + wrong, 1), "fraction", right + wrong)
+    focal = max(float(made.rig_errors.focal.max()) for made in outcomes)
+    yield Figure(f"{row}: focal length, largest error", "none", 100 * focal, "%", 8 * len(outcomes))
+    yield Figure(f"{row}: from blobs to labels", "none", float(np.median(seconds)), "s", len(outcomes))

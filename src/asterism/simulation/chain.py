@@ -1,0 +1,112 @@
+"""A simulated session in; calibrated, reconstructed and labelled as a laboratory would, and held against the truth, out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from asterism.cameras import Rig
+from asterism.cameras.wand import WandCalibration, calibrate_wand, in_world, world_from_l_frame
+from asterism.labelling import SolverEnsemble
+from asterism.reconstruction import Reconstruction, reconstruct
+from asterism.recording import Labelling
+from asterism.simulation.compared import PointErrors, RigErrors, compare_points, compare_rigs
+from asterism.simulation.session import L_FRAME, WAND, Session
+
+
+@dataclass(frozen=True)
+class Check:
+    """One promise: what was measured, the limit (its least or most value, in the same unit), and whether it was kept."""
+
+    name: str
+    measured: float
+    limit: float
+    at_least: bool
+    unit: str
+
+    @property
+    def kept(self) -> bool:
+        """A measurement that is not there keeps nothing."""
+        return self.measured >= self.limit if self.at_least else self.measured <= self.limit
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a session.
+
+    calibration, rig            from the wand, and in the L-frame's world
+    reconstruction, labelling   the walker's points, and their labels
+    rig_errors, points          against the truth
+    right, wrong, unlabelled    labels of markers in all frames: on the right point; on another one; not given though the point is there
+    seconds                     of each step
+    """
+
+    calibration: WandCalibration
+    rig: Rig
+    reconstruction: Reconstruction
+    labelling: Labelling
+    rig_errors: RigErrors
+    points: PointErrors
+    right: int
+    wrong: int
+    unlabelled: int
+    seconds: dict[str, float]
+
+    def checks(self) -> list[Check]:
+        """What the whole chain promises on simulated sessions."""
+        points, found = self.points, self.right + self.unlabelled
+        return [
+            Check("cameras that could not be calibrated", float(len(self.calibration.left_out)), 0.0, False, ""),
+            Check("focal length, largest error", 100 * float(self.rig_errors.focal.max()), 0.1, False, "%"),
+            Check("camera position, largest error", 1000 * float(self.rig_errors.position.max()), 2.0, False, "mm"),
+            Check("markers that two cameras see, found within 3 mm", 100 * points.found(0.003), 99.5, True, "%"),
+            Check("their distance from the truth, median", 1000 * float(np.nanmedian(points.error)), 1.0, False, "mm"),
+            Check("points that are no marker", 1000 * points.ghosts / max(points.points, 1), 5.0, False, "of 1,000"),
+            Check("markers found that are labelled right", 100 * self.right / max(found, 1), 97.0, True, "%"),
+            Check("labels that are wrong", 100 * self.wrong / max(self.right + self.wrong, 1), 0.5, False, "%"),
+        ]
+
+
+def work_through(session: Session, ensemble: SolverEnsemble, progress: Callable[[float, str], None] | None = None) -> Outcome:
+    """Calibrate by the wand, lay the world into the L-frame, reconstruct the walker, label, and compare with the truth.
+
+    Only the blobs, the image sizes and the lengths of wand and L-frame are used; the truth only to compare. Raises AsterismError where a
+    step cannot be done at all.
+    """
+    seconds: dict[str, float] = {}
+    started = time.perf_counter()
+
+    def step(name: str, done: float, doing: str) -> None:
+        nonlocal started
+        if name:
+            seconds[name] = time.perf_counter() - started
+        if progress is not None:
+            progress(done, doing)
+        started = time.perf_counter()
+
+    step("", 0.0, "calibrating")
+    sizes = {camera.name: camera.size for camera in session.rig if camera.size is not None}
+    calibration = calibrate_wand(session.wand, WAND, sizes=sizes)
+    rig = in_world(calibration.rig, world_from_l_frame(calibration.rig, session.l_frame, L_FRAME), "the L-frame")
+    step("calibrate", 0.6, "reconstructing")
+    made = reconstruct(session.blobs, rig)
+    step("reconstruct", 0.8, "labelling")
+    labelling = ensemble.label(made.clouds, time=True)
+    step("label", 1.0, "comparing")
+    points = compare_points(made.clouds, session.walk.positions, session.seen >= 2)
+    given = labelling.indices
+    return Outcome(
+        calibration,
+        rig,
+        made,
+        labelling,
+        compare_rigs(rig, session.rig),
+        points,
+        int(((given >= 0) & (given == points.truth)).sum()),
+        int(((given >= 0) & (given != points.truth)).sum()),
+        int(((given < 0) & (points.truth >= 0)).sum()),
+        seconds,
+    )

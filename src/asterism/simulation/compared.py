@@ -1,0 +1,99 @@
+"""What was reconstructed and what was there in; how far apart they are out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from asterism.cameras import Rig
+from asterism.errors import AsterismError
+from asterism.recording import NULL, Clouds, Floats, Ints
+
+
+@dataclass(frozen=True)
+class RigErrors:
+    """A rig against the true one, camera by camera, after both worlds are laid over each other by turning and shifting, not scaling.
+
+    position  (C,) m; direction (C,) rad, between the lines of sight; focal (C,) share, of fx; world (m, rad): how far the worlds were apart
+    """
+
+    position: Floats
+    direction: Floats
+    focal: Floats
+    world: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class PointErrors:
+    """Reconstructed points against the true markers.
+
+    truth   (T, M) int: the point of its frame's cloud that is each marker, -1 where none is near; a point is one marker's only
+    error   (T, M) m, its distance from the truth, NaN where there is none
+    wanted  (T, M) bool: the markers that should have been found
+    ghosts  how many points are no marker, seen or not
+    points  how many points there are
+    """
+
+    truth: Ints
+    error: Floats
+    wanted: NDArray[np.bool_]
+    ghosts: int
+    points: int
+
+    def found(self, within: float) -> float:
+        """The share of the wanted markers with a point within so many metres."""
+        return float((self.error[self.wanted] <= within).mean()) if self.wanted.any() else float("nan")
+
+
+def compare_rigs(rig: Rig, truth: Rig) -> RigErrors:
+    """How far a rig is from the true one; cameras are paired by name. Raises AsterismError where fewer than three are in both."""
+    names = [name for name in rig.names if name in truth.names]
+    if len(names) < 3:
+        raise AsterismError("two rigs are laid over each other by three common cameras or more.")
+    own, true = rig.select(names), truth.select(names)
+    rotation, translation = _laid(np.stack([c.position for c in own]), np.stack([c.position for c in true]))
+    moved = own.moved(rotation, translation)
+    turned = np.clip([a.rotation[2] @ b.rotation[2] for a, b in zip(moved, true, strict=True)], -1.0, 1.0)
+    return RigErrors(
+        np.array([float(np.linalg.norm(a.position - b.position)) for a, b in zip(moved, true, strict=True)]),
+        np.arccos(turned),
+        np.array([abs(a.focal[0] / b.focal[0] - 1.0) for a, b in zip(own, true, strict=True)]),
+        (float(np.linalg.norm(translation)), float(np.arccos(np.clip(0.5 * (np.trace(rotation) - 1.0), -1.0, 1.0)))),
+    )
+
+
+def compare_points(clouds: Clouds, positions: ArrayLike, wanted: ArrayLike, reach: float = 0.01) -> PointErrors:
+    """Which point is which marker, and how far off.
+
+    positions  (T, M, 3) m, where the markers were, NaN where they were not; wanted: (T, M) bool, those that should have been found
+    reach      m: a point farther from every marker is a ghost
+    Nearest pairs first, each point and marker once. Raises AsterismError where the numbers of frames differ.
+    """
+    there = np.asarray(positions, dtype=np.float64)
+    if len(there) != len(clouds):
+        raise AsterismError(f"{len(clouds)} frames of points, {len(there)} of markers; give both the same.")
+    truth = np.full(there.shape[:2], NULL, dtype=np.int64)
+    error = np.full(there.shape[:2], np.nan)
+    ghosts = 0
+    for t, cloud in enumerate(clouds):
+        away = np.linalg.norm(there[t][:, None] - cloud[None], axis=2)
+        away = np.where(np.isfinite(away), away, np.inf)
+        ghosts += int((away.min(axis=0, initial=np.inf) > reach).sum())
+        for flat in np.argsort(away, axis=None, kind="stable"):
+            m, n = divmod(int(flat), len(cloud))
+            if away[m, n] > reach:
+                break
+            if truth[t, m] == NULL and n not in truth[t]:
+                truth[t, m], error[t, m] = n, away[m, n]
+    return PointErrors(truth, error, np.asarray(wanted, dtype=np.bool_), ghosts, len(clouds.xyz))
+
+
+def _laid(points: Floats, over: Floats) -> tuple[Floats, Floats]:
+    """The rotation (3, 3) and translation (3,) m that lay points (N, 3) m over others, in the sense of least squares (Kabsch)."""
+    middle, target = points.mean(axis=0), over.mean(axis=0)
+    u, _, vt = np.linalg.svd((points - middle).T @ (over - target))
+    turn = np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))])
+    rotation: Floats = vt.T @ turn @ u.T
+    return rotation, target - rotation @ middle
