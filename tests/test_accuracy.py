@@ -115,6 +115,15 @@ def test_noise_scales_the_error_and_the_focal_length_divides_it() -> None:
     assert np.abs(near.error / one.error - 0.5).max() < 0.01
 
 
+def test_the_noise_of_a_calibrated_rig_is_what_its_calibration_left() -> None:
+    rig = ring_rig(4)
+    calibrated = Rig(tuple(replace(camera, error=0.4) for camera in rig))
+    volume = Volume.parse("1x1x1")
+    assert map_rig(rig, volume).noise == 0.3
+    assert np.isclose(map_rig(calibrated, volume).noise, 0.4 / np.sqrt(2))
+    assert map_rig(calibrated, volume, noise=0.5).noise == 0.5
+
+
 def test_what_a_camera_sees_ends_at_its_image() -> None:
     rig = Rig((Camera("one", (1000, 500), (500.0, 500.0), (499.5, 249.5)),))
     seen = sees(rig, [[0.99, 0, 1], [1.01, 0, 1], [0, 0.49, 1], [0, 0.51, 1], [0, 0, -1]])

@@ -86,7 +86,8 @@ def map_rig(
 
     volume  by default the box that three cameras see (`volume_of`)
     step    m, between places; by default so that there are about 4,000
-    noise   px; by default the median reprojection error that the rig's calibration left, 0.3 where it does not say
+    noise   px; by default the median reprojection error that the rig's calibration left, over the root of 2 because that is a distance in
+            the image, not a coordinate; 0.3 where the rig does not say
     Raises AsterismError where an image size is not known, cameras have no pose, there is one camera only, or no volume is seen.
     """
     for camera in rig:
@@ -97,7 +98,7 @@ def map_rig(
     volume = volume_of(rig) if volume is None else volume
     step = float(np.cbrt(volume.size.prod() / 4000)) if step is None else step
     known = [camera.error for camera in rig if np.isfinite(camera.error) and camera.error > 0]
-    noise = (float(np.median(known)) if known else NOISE) if noise is None else noise
+    noise = (float(np.median(known) / np.sqrt(2)) if known else NOISE) if noise is None else noise
     if not (step > 0 and noise > 0):
         raise AsterismError(f"a step of {step} m and a noise of {noise} px make no map; both must be positive.")
     axes = volume.axes(step)

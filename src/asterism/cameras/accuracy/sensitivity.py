@@ -52,7 +52,7 @@ def sensitivity(rig: Rig, places: ArrayLike, shift: float = 0.1, method: str = "
 
     shift   px, how far each image coordinate is moved to either side: what the cameras can tell apart, or their noise
     method  "one-at-a-time": composed again with each coordinate moved, as the thesis says; "analytic": the same to first order, from
-            the pseudo-inverse of the four equations' derivatives (eq. 3.8), some hundred times faster
+            the pseudo-inverse of the four equations' derivatives (eq. 3.8), several times faster
     Raises AsterismError for another method, a shift that is not positive, and a rig of one camera.
     """
     points = np.ascontiguousarray(np.asarray(places, dtype=np.float64).reshape(-1, 3))

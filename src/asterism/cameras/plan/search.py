@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.cameras.accuracy import Volume, information, sees
-from asterism.cameras.accuracy.maps import NOISE, STEEPEST
+from asterism.cameras.accuracy.maps import FACINGS, NOISE, STEEPEST
 from asterism.cameras.plan import _kernels
 from asterism.cameras.plan.mounts import Mounts, camera_at
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
 from asterism.recording import Floats, Ints
 
-PLACES, FINE_PLACES, FACINGS = 400, 2000, 6
+PLACES, FINE_PLACES = 400, 2000
 CANDIDATES = 2000
 SWEEPS = 4
 GLARE = 0.02
@@ -36,7 +36,7 @@ class Plan:
     rig, ring              z is up
     worth, ring_worth      the objective, 0 to 1. Half of it: the share of the places that three cameras see (two count 0.4, one 0.1). A
                            quarter: the share of markers on a body that two cameras see (one counts half) from the side that they
-                           face, over six horizontal facings. A quarter: the precision of those markers: nothing for an RMS error of
+                           face, over eight horizontal facings. A quarter: the precision of those markers: nothing for an RMS error of
                            10 mm or unseen, all for 0.1 mm, even steps per factor. Less 0.02 times the share of pairs of cameras of
                            which one has the other one's lamps in its image
     glare, ring_glare      how many times one camera has another one in its image
@@ -68,9 +68,9 @@ def plan_rig(
     noise   px, standard deviation of a blob's x and y
 
     Greedy over a grid of mounts and aims, then cameras are exchanged one by one while that helps, then each is moved and turned
-    continuously; the plain ring is polished too, and the better one is proposed. So it is never worth less than the ring, and three
-    cameras see no less of the volume. The same arguments give the same rig. O(candidates x places x cameras). Raises AsterismError for
-    fewer than two cameras.
+    continuously; the plain ring is polished too, and the better one is proposed. So it is never worth less than the ring, and neither
+    what three cameras see of the volume nor what two see of markers on a body is less. The same arguments give the same rig.
+    O(candidates x places x cameras). Raises AsterismError for fewer than two cameras.
     """
     if cameras < 2:
         raise AsterismError("one camera composes nothing: plan at least two.")
@@ -85,7 +85,7 @@ def plan_rig(
 
     ring = hall.ring(cameras)
     chosen = coarse.searched(cameras, lambda share: say(0.6 * share, "choosing mounts"))
-    least = hall.covered(ring)
+    least = hall.shares(ring)
     polished: list[Floats] = []
     for start in (chosen, ring):
         done = 0.6 + 0.2 * len(polished)
@@ -136,11 +136,11 @@ class _Hall:
         faced: NDArray[np.bool_] = toward @ self.facings.T > STEEPEST
         return faced
 
-    def worth(self, poses: Floats, least: float = 0.0) -> float:
-        """The objective of a whole rig; far below it where three cameras see less than the share `least` of the volume."""
+    def worth(self, poses: Floats, least: tuple[float, float] = (0.0, 0.0)) -> float:
+        """The objective of a whole rig; far below it where `shares` are less than `least`."""
         return self._beside(poses[:-1], least)(poses[-1])
 
-    def _beside(self, others: Floats, least: float) -> Callable[[Floats], float]:
+    def _beside(self, others: Floats, least: tuple[float, float]) -> Callable[[Floats], float]:
         """What `worth` is of these cameras and one more, as a function of that one's pose (6,)."""
         rig = self.rig(others)
         eyes = np.stack([camera.position for camera in rig])
@@ -152,14 +152,16 @@ class _Hall:
             seen, told, faces = self.views(pose[None])
             one = self.rig(pose[None])
             glaring = glare + int(sees(one, eyes).sum()) + int(sees(rig, one[0].position).sum())
-            uncovered = max(0.0, least - float((base[0] + seen[0] >= 3).mean()))
-            return float(self._worth_with(base, seen, told, faces, only)[0]) - GLARE * glaring / pairs - 10.0 * uncovered
+            covered, sided = base[0] + seen[0] >= 3, base[1] + (seen[0, :, None] & faces[0]) >= 2
+            missing = max(0.0, least[0] - float(covered.mean())) + max(0.0, least[1] - float(sided.mean()))
+            return float(self._worth_with(base, seen, told, faces, only)[0]) - GLARE * glaring / pairs - 10.0 * missing
 
         return worth
 
-    def covered(self, poses: Floats) -> float:
-        """The share of the volume that three cameras see."""
-        return float((sees(self.rig(poses), self.places).sum(axis=0) >= 3).mean())
+    def shares(self, poses: Floats) -> tuple[float, float]:
+        """The share of the volume that three cameras see, and that of the markers on a body that two do."""
+        count, sided, _ = self._base(*self.views(poses))
+        return float((count >= 3).mean()), float((sided >= 2).mean())
 
     def glare(self, poses: Floats) -> int:
         rig = self.rig(poses)
@@ -223,7 +225,7 @@ class _Hall:
         aims: Floats = self.volume.low + shares * self.volume.size
         return aims
 
-    def polished(self, poses: Floats, least: float, progress: Callable[[float], None]) -> Floats:
+    def polished(self, poses: Floats, least: tuple[float, float], progress: Callable[[float], None]) -> Floats:
         """Each camera moved along its mounts and turned, in ever smaller steps, while that helps."""
         poses = poses.copy()
         for s, stride in enumerate(STRIDES):
