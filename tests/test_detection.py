@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from hypothesis import strategies as st
 
 from asterism.detection import Flag, automatic_threshold, find_blobs, static_mask
 from asterism.errors import AsterismError
+from tests.twins_detection import grown
 
 
 def discs(places: np.ndarray, diameter: float = 8.0, shape: tuple[int, int] = (240, 320), **light: float) -> np.ndarray:
@@ -174,3 +177,53 @@ def test_dark_flat_and_full_images_have_no_blobs() -> None:
 def test_images_and_settings_that_cannot_be_are_refused(image: np.ndarray, settings: dict, message: str) -> None:
     with pytest.raises(AsterismError, match=message):
         find_blobs(image, **settings)
+
+
+@given(st.integers(0, 10_000), st.integers(3, 16), st.integers(3, 16), st.floats(0.5, 60), st.integers(0, 60))
+@settings(max_examples=60, deadline=None)
+def test_blobs_grown_by_steps_equal_their_twin(seed: int, height: int, width: int, step: float, lowest: int) -> None:
+    rng = np.random.default_rng(seed)
+    image = np.maximum(rng.integers(-60, 100, (height, width)), 0).astype(np.uint8)
+    image = np.maximum(image, cv2.GaussianBlur(image, (3, 3), 0) // 2 * (image > 0)).astype(np.uint8)
+    found = find_blobs(image, threshold=0, min_peak=lowest, step=step, min_size=0, max_size=1e3)
+    expected = []
+    for pixels in grown(image, step, lowest):
+        places = np.array(sorted(pixels))
+        weights = image[tuple(places.T)].astype(float)
+        expected.append((*np.average(places[:, ::-1], axis=0, weights=weights), len(pixels), weights.sum(), weights.max()))
+    measured = np.column_stack([found.xy, np.pi * found.size**2 / 4, found.weight, found.peak])
+    assert len(measured) == len(expected)
+    assert np.allclose(sorted(map(tuple, np.round(measured, 6))), sorted(map(tuple, np.round(expected, 6))), atol=1e-5)
+
+
+def test_a_bright_particle_does_not_swallow_a_dim_one() -> None:
+    """A dim particle on the flank of one 200 grey values brighter, without a valley between them: a step parts them, a valley cannot."""
+    ys, xs = np.mgrid[:40, :40]
+    image = 8 + 230.0 * np.exp(-((xs - 20) ** 2 + (ys - 20) ** 2) / 2.0) + 30.0 * np.exp(-((xs - 15) ** 2 + (ys - 17) ** 2) / 3.0)
+    image = np.rint(image).astype(np.uint8)
+    found = find_blobs(image, threshold=14, step=100, weigh_from="background", background=np.full_like(image, 8))
+    assert off(found.xy, np.array([[20.0, 20.0], [15.0, 17.0]])).max() < 0.3
+
+
+def test_background_is_exceeded_by_more_than_the_threshold_exactly() -> None:
+    """The local mean is rounded so that integers compare with it as with the mean itself."""
+    image = np.random.default_rng(6).integers(0, 60, (50, 80)).astype(np.uint8)
+    mean = cv2.blur(image.astype(float), (5, 5))
+    found = find_blobs(image, background=5, threshold=12, min_size=0, max_size=1e3, split=1.0)
+    assert np.pi * (found.size**2).sum() / 4 == pytest.approx((image - mean > 12 + 1e-9).sum())
+
+
+def test_particles_of_a_peer_are_found(data: Path) -> None:
+    """With the peer's own thresholds; its pixel centres are at a half."""
+    folder = data / "cameras" / "particles-4cam"
+    image = cv2.imread(str(folder / "images" / "cam1.10001"), cv2.IMREAD_UNCHANGED)
+    peer = np.loadtxt(folder / "images" / "cam1.10001_targets", skiprows=1)
+    sizes = 2 * np.sqrt(np.array([3.9, 500.1]) / np.pi)
+    found = find_blobs(
+        image, background=25, threshold=9, min_peak=18, step=100, weigh_from="background", min_size=sizes[0], max_size=sizes[1]
+    )
+    kept = found.xy[(found.weight > 150) & (found.extent.min(axis=1) >= 2) & (found.flags & Flag.AT_BORDER == 0)]
+    away, back = off(kept, peer[:, 1:3] - 0.5), off(peer[:, 1:3] - 0.5, kept)
+    assert (away < 1).mean() > 0.99
+    assert (back < 1).mean() > 0.99
+    assert np.median(away) < 0.001

@@ -46,6 +46,16 @@ def detect(
     split: Annotated[
         float, typer.Option(metavar="SHARE", help="How deep the valley in a blob must be to make two of it; 1 makes none.")
     ] = 0.2,
+    step: Annotated[
+        float | None,
+        typer.Option(
+            metavar="GREY", help="Instead: part blobs where neighbouring pixels differ by more, as for particles.", show_default=False
+        ),
+    ] = None,
+    min_peak: Annotated[
+        float | None,
+        typer.Option(metavar="GREY", help="The brightest pixel is so much above the background.", show_default=False),
+    ] = None,
     connectivity: Annotated[int, typer.Option(metavar="N", help="Pixels belong together that share a corner (8) or a side (4).")] = 8,
     weigh_from: Annotated[
         str, typer.Option(metavar="WHAT", help="Pixels weigh what they are brighter than the threshold, or than the background.")
@@ -93,6 +103,8 @@ def detect(
             max_size=max_size,
             min_roundness=min_roundness,
             split=split,
+            step=step,
+            min_peak=min_peak,
             connectivity=connectivity,
             weigh_from=weigh_from,
         )

@@ -16,6 +16,9 @@ from asterism.recording import Floats
 
 Grey = NDArray[np.unsignedinteger[Any]]
 
+_LIT = 0.03
+"""Share of bright pixels above which an image shows more than markers."""
+
 
 class Flag(IntFlag):
     """What may be wrong with a blob."""
@@ -36,14 +39,16 @@ class Spots:
 
     xy         (N, 2) px, intensity-weighted centroids; the centre of the top left pixel is (0, 0)
     size       (N,) px, diameter of the circle of as many pixels as are above the threshold
+    extent     (N, 2) px, width and height of its pixels
     roundness  (N,) shorter over longer axis, by second moments: 1 is a disc
-    peak       (N,) grey value of the brightest pixel
-    weight     (N,) sum of the grey values above the base
+    peak       (N,) grey value of the brightest pixel above the background
+    weight     (N,) sum of the pixels' weights: grey values above the threshold, or above the background
     flags      (N,) sums of `Flag`
     """
 
     xy: Floats
     size: Floats
+    extent: Floats
     roundness: Floats
     peak: Floats
     weight: Floats
@@ -65,7 +70,9 @@ def find_blobs(
     max_size: float = 64.0,
     min_roundness: float = 0.0,
     round_from: float = 0.6,
+    min_peak: float | None = None,
     split: float = 0.2,
+    step: float | None = None,
 ) -> Spots:
     """Bright blobs of a grey image: pixels above a threshold that touch, their weighted centroids, shapes and doubts.
 
@@ -78,13 +85,16 @@ def find_blobs(
     connectivity   8: pixels that share a corner belong together; 4: a side
     min_size       px, smaller blobs are left out; so are those larger than max_size, such as windows and lamps
     min_roundness  blobs less round than this are left out, those less round than round_from flagged
+    min_peak       grey values above the background that a blob's brightest pixel must exceed; None: the threshold
     split          two peaks in one blob are two blobs where the saddle between them lies this share of the lower peak below it; 1: never
+    step           instead of `split`: grey values by which neighbouring pixels must differ for blobs to part there, as particle tracking
+                   velocimetry parts its particles
 
     Raises AsterismError for colour or other kinds of image, and for settings out of range.
     """
     grey = as_grey(image)
-    _check(connectivity, min_size, max_size, split, weigh_from)
-    level, base = _levels(grey, threshold, background)
+    _check(connectivity, min_size, max_size, split, step, weigh_from)
+    level, base, threshold = _levels(grey, threshold, background)
     if mask is not None:
         hidden = np.asarray(mask, dtype=bool)
         if hidden.shape != grey.shape:
@@ -97,22 +107,37 @@ def find_blobs(
     order, starts = _kernels.by_component(parents, count)
     bound = int((lasts[:count] - firsts[:count]).sum()) + count
     out, flags = np.empty((bound, _kernels.COLUMNS)), np.empty(bound, np.uint8)
-    limits = np.array([min_size, max_size]) ** 2 * np.pi / 4
-    base = base if weigh_from == "background" else level
+    base, off = (base, 0.0) if weigh_from == "background" else (level, threshold)
+    limits = np.array([min_size**2 * np.pi / 4, max_size**2 * np.pi / 4, max(min_peak or 0.0, threshold) - off])
     top = np.iinfo(grey.dtype).max
-    found = _kernels.measure(grey, base, rows, firsts, lasts, order, starts, limits, split, top, out, flags)
-    return _spots(out[:found], flags[:found], min_roundness, round_from)
+    found = _kernels.measure(grey, base, rows, firsts, lasts, order, starts, limits, split, step or 0.0, top, out, flags)
+    return _spots(out[:found], flags[:found], off, min_roundness, round_from)
 
 
 def automatic_threshold(image: ArrayLike) -> float:
-    """The grey value that stands out from an image's dark: six times its noise above the median, and above 97 of 100 pixels.
+    """The grey value that stands out from an image's dark: six times its noise above the median.
 
-    The noise is told from the pixels below the median, which markers do not touch. Every fourth pixel of every fourth row is looked at.
+    The noise is told from the pixels below the median, which markers do not touch. Where more than 3 % of the pixels are above that,
+    as where a room is lit, it is Otsu's threshold if that is higher. Every fourth pixel of every fourth row is looked at.
     """
     grey = as_grey(image)
-    shares = np.cumsum(np.bincount(grey[::4, ::4].ravel()))
-    quarter, middle, bright = (float(np.searchsorted(shares, share * shares[-1], side="right")) for share in (0.25, 0.5, 0.97))
-    return min(np.ceil(max(middle + 6.0 * max((middle - quarter) / 0.6745, 1.0), bright)), float(np.iinfo(grey.dtype).max - 1))
+    counts = np.bincount(grey[::4, ::4].ravel())
+    shares = np.cumsum(counts) / counts.sum()
+    quarter, middle = (float(np.searchsorted(shares, share, side="right")) for share in (0.25, 0.5))
+    dark = int(middle + 6.0 * max((middle - quarter) / 0.6745, 1.0)) + 1
+    most = int(np.iinfo(grey.dtype).max) - 1
+    if dark >= len(counts) or 1.0 - shares[dark] <= _LIT:
+        return float(min(dark, most))
+    return float(min(max(dark, _otsu(counts)), most))
+
+
+def _otsu(counts: NDArray[np.int64]) -> int:
+    """Halfway between the means of the two groups of grey values that have the greatest variance between them."""
+    below, sums = np.cumsum(counts), np.cumsum(counts * np.arange(len(counts)))
+    above = below[-1] - below
+    apart = np.where(above > 0, (sums[-1] - sums) / np.maximum(above, 1), 0.0) - sums / np.maximum(below, 1)
+    best = int(np.argmax(below * above * apart**2))
+    return int(sums[best] / max(below[best], 1) + 0.5 * apart[best])
 
 
 def static_mask(images: Iterable[ArrayLike], *, threshold: float | None = None, share: float = 0.9, margin: int = 2) -> NDArray[np.bool_]:
@@ -150,13 +175,15 @@ def as_grey(image: ArrayLike) -> Grey:
     return np.ascontiguousarray(grey)
 
 
-def _check(connectivity: int, min_size: float, max_size: float, split: float, weigh_from: str) -> None:
+def _check(connectivity: int, min_size: float, max_size: float, split: float, step: float | None, weigh_from: str) -> None:
     if connectivity not in (4, 8):
         raise AsterismError(f"connectivity {connectivity} is not known; choose 4 or 8.")
     if not 0 <= min_size <= max_size:
         raise AsterismError(f"blobs of {min_size} to {max_size} px cannot be; give a smallest size not above the largest.")
     if not split > 0:
         raise AsterismError(f"split {split} is not positive; give a share such as 0.2, or 1 to leave overlapping blobs as they are.")
+    if step is not None and not step > 0:
+        raise AsterismError(f"a step of {step} grey values is not positive; give for example 100, or none to part blobs at their valleys.")
     if weigh_from not in ("threshold", "background"):
         raise AsterismError(f"pixels cannot weigh from {weigh_from!r}; choose 'threshold' or 'background'.")
 
@@ -170,7 +197,9 @@ def background_of(grey: Grey, background: ArrayLike | int | None) -> Grey:
             raise AsterismError(f"a background of {background} pixels; give an odd number from 3 on.")
         import cv2
 
-        return as_grey(cv2.blur(grey, (int(background), int(background))))
+        # Rounded down: an integer exceeds the mean by more than a threshold if and only if it exceeds the mean so rounded by more.
+        sums = cv2.boxFilter(grey, cv2.CV_64F, (int(background), int(background)), normalize=False)
+        return np.floor(sums / int(background) ** 2).astype(grey.dtype)
     base = as_grey(background)
     if base.shape != grey.shape or base.dtype != grey.dtype:
         raise AsterismError(
@@ -187,8 +216,8 @@ def above_background(grey: Grey, background: ArrayLike | int | None) -> Grey:
     return np.where(grey > base, grey - base, 0).astype(grey.dtype)
 
 
-def _levels(grey: Grey, threshold: float | None, background: ArrayLike | int | None) -> tuple[Grey, Grey]:
-    """Per pixel the grey value that must be exceeded, and the background, both of the image's type."""
+def _levels(grey: Grey, threshold: float | None, background: ArrayLike | int | None) -> tuple[Grey, Grey, float]:
+    """Per pixel the grey value that must be exceeded, and the background, both of the image's type; and the threshold."""
     base = background_of(grey, background)
     most = int(np.iinfo(grey.dtype).max)
     if threshold is None:
@@ -196,11 +225,11 @@ def _levels(grey: Grey, threshold: float | None, background: ArrayLike | int | N
     if not 0 <= threshold < most:
         raise AsterismError(f"threshold {threshold} is outside the grey scale; give 0 to {most - 1} for images of {grey.dtype}.")
     if background is None:
-        return np.full_like(grey, int(threshold)), base
-    return np.minimum(base.astype(np.uint32) + int(threshold), most).astype(grey.dtype), base
+        return np.full_like(grey, int(threshold)), base, float(int(threshold))
+    return np.minimum(base.astype(np.uint32) + int(threshold), most).astype(grey.dtype), base, float(int(threshold))
 
 
-def _spots(rows: Floats, flags: NDArray[np.uint8], min_roundness: float, round_from: float) -> Spots:
+def _spots(rows: Floats, flags: NDArray[np.uint8], off: float, min_roundness: float, round_from: float) -> Spots:
     """Blobs from the kernel's rows: axes from second moments, to which each pixel's own extent adds 1/12 px2."""
     xx, yy, xy = rows[:, _kernels.XX] + 1 / 12, rows[:, _kernels.YY] + 1 / 12, rows[:, _kernels.XY]
     half, apart = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
@@ -210,8 +239,9 @@ def _spots(rows: Floats, flags: NDArray[np.uint8], min_roundness: float, round_f
     return Spots(
         rows[keep][:, [_kernels.X, _kernels.Y]],
         2.0 * np.sqrt(rows[keep, _kernels.AREA] / np.pi),
+        rows[keep][:, [_kernels.WIDE, _kernels.TALL]],
         roundness[keep],
-        rows[keep, _kernels.PEAK],
+        rows[keep, _kernels.PEAK] + off,
         rows[keep, _kernels.WEIGHT],
         flags[keep],
     )

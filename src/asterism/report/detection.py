@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _WIDEST = 1000
 _COLUMNS = 2
-_TALL = 380
+_WIDTH = 960
 
 
 def detection_report(
@@ -116,7 +116,8 @@ def _contact_sheet(cameras: tuple[CameraImages, ...]) -> figures.Figure:
             | {"showarrow": False}
         )
         data += _circles(camera, x, y)
-    return figures.figure(data, _TALL * rows, **layout)
+    tallest = max(camera.size[1] / camera.size[0] for camera in cameras)
+    return figures.figure(data, int(rows * (50 + _WIDTH / columns * tallest)), **layout)
 
 
 def _circles(camera: CameraImages, x: str, y: str) -> list[Mapping[str, Any]]:
@@ -126,7 +127,7 @@ def _circles(camera: CameraImages, x: str, y: str) -> list[Mapping[str, Any]]:
     spots = camera.spots
     for doubtful, colour in ((False, "#2ad4c4"), (True, "#ffb000")):
         these = (spots.flags > 0) == doubtful
-        radius = np.maximum(0.5 * spots.size[these] + 2.0, 0.004 * camera.size[0])
+        radius = np.maximum(0.5 * spots.size[these] + 2.0, 0.007 * camera.size[0])
         traces.append(
             {
                 "type": "scatter",
@@ -135,7 +136,7 @@ def _circles(camera: CameraImages, x: str, y: str) -> list[Mapping[str, Any]]:
                 "y": np.round(spots.xy[these, 1, None] + radius[:, None] * np.sin(turn), 1).ravel(),
                 "xaxis": x,
                 "yaxis": y,
-                "line": {"color": colour, "width": 1.5},
+                "line": {"color": colour, "width": 2},
                 "hoverinfo": "skip",
             }
         )
@@ -147,7 +148,7 @@ def _picture(camera: CameraImages) -> str:
     import cv2
 
     image = camera.sample.astype(np.float64)
-    bright = max(float(np.quantile(image, 0.999)), camera.threshold, 1.0)
+    bright = max(2.0 * camera.threshold, float(np.median(camera.spots.peak)) if len(camera.spots) else 0.0, 1.0)
     grey = np.clip(255.0 * image / bright, 0, 255).astype(np.uint8)
     scale = min(1.0, _WIDEST / grey.shape[1])
     if scale < 1:

@@ -1,0 +1,46 @@
+"""Detection's kernels again, slow and readable."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import label as label_regions
+
+BESIDE = ((-1, 0), (1, 0), (0, -1), (0, 1))
+
+
+def grown(weight: np.ndarray, step: float, lowest: float) -> list[set[tuple[int, int]]]:
+    """The pixels (row, column) of each blob that grows from a peak: see `_grow` in detection's kernels. weight (H, W), 0 where dark."""
+    padded = {place: float(w) for place, w in np.ndenumerate(weight)}
+    at = lambda r, c: padded.get((r, c), 0.0)  # noqa: E731
+    components, _ = label_regions(weight > 0, np.ones((3, 3)))
+    blobs: list[set[tuple[int, int]]] = []
+    for component in range(1, components.max() + 1):
+        pixels = [tuple(map(int, place)) for place in np.argwhere(components == component)]
+        owner: dict[tuple[int, int], int] = {}
+        peaks: list[float] = []
+        for r, c in pixels:
+            around = [at(r + dr, c + dc) for dr in (-1, 0, 1) for dc in (-1, 0, 1)]
+            if (r, c) in owner or at(r, c) <= lowest or at(r, c) < max(around):
+                continue
+            owner[r, c] = len(peaks)
+            reached = [(r, c)]
+            for row, column in reached:
+                for dr, dc in BESIDE:
+                    near = (row + dr, column + dc)
+                    brightest = max(at(*near), *(at(near[0] + er, near[1] + ec) for er, ec in BESIDE))
+                    if at(*near) > 0 and near not in owner and brightest <= at(row, column) + step:
+                        owner[near] = len(peaks)
+                        reached.append(near)
+            peaks.append(at(r, c))
+        group = list(range(len(peaks)))
+        for a in range(len(peaks)):
+            for b in range(a + 1, len(peaks)):
+                mine, other = ([place for place in owner if owner[place] == k] for k in (a, b))
+                if any(max(abs(p[0] - q[0]), abs(p[1] - q[1])) <= 1 for p in mine for q in other):
+                    ends = [np.average(side, axis=0, weights=[at(*place) for place in side]) for side in (mine, other)]
+                    away = float(np.linalg.norm(ends[1] - ends[0]))
+                    line = [ends[0] + k / away * (ends[1] - ends[0]) for k in range(1, int(np.ceil(away)))] if away >= 2 else []
+                    if all(at(int(r + 0.5), int(c + 0.5)) >= max(peaks[a], peaks[b]) - step for r, c in line):
+                        group = [group[a] if g == group[b] else g for g in group]
+        blobs += [{place for place in owner if group[owner[place]] == g} for g in dict.fromkeys(group)]
+    return blobs
