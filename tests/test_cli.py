@@ -20,7 +20,21 @@ from asterism.recording import Recording
 from asterism.simulation import simulate_walks
 
 ROOT = Path(__file__).parent.parent
-VERBS = ("demo", "name", "audit", "train", "label", "review", "learn", "evaluate", "capturability", "reconstruct", "info", "convert")
+VERBS = (
+    "demo",
+    "name",
+    "audit",
+    "train",
+    "label",
+    "review",
+    "learn",
+    "evaluate",
+    "capturability",
+    "reconstruct",
+    "info",
+    "convert",
+    "detect",
+)
 TWO_WORDS = ("calibrate wand", "calibrate board", "rig report", "rig plan")
 MARKERS = "helen-hayes"
 

@@ -8,6 +8,7 @@ from benchmarks.bench import Bench
 from benchmarks.cameras.accuracy import accuracy, plan
 from benchmarks.cameras.boards import charuco, rig_files, stereo
 from benchmarks.cameras.demo import demo
+from benchmarks.cameras.detection import centroids, detection, particles
 from benchmarks.figures import Figure
 
 ISSUE = "From cameras to points: calibrate, detect, compose, merge"
@@ -18,6 +19,9 @@ ROWS: dict[str, Callable[[Bench], Iterator[Figure]]] = {
     "charuco": charuco,
     "accuracy": accuracy,
     "plan": plan,
+    "detection": detection,
+    "centroids": centroids,
+    "particles": particles,
     "demo": demo,
 }
 """Cheap rows first: a run that is cut short has measured most of them."""

@@ -114,21 +114,26 @@ def find_blobs(
     return _spots(out[:found], flags[:found], off, min_roundness, round_from)
 
 
-def automatic_threshold(image: ArrayLike) -> float:
-    """The grey value that stands out from an image's dark: six times its noise above the median.
+def automatic_threshold(image: ArrayLike, background: ArrayLike | int | None = None) -> float:
+    """Grey values above the background that stand out from an image's dark: six times its noise above the median.
 
-    The noise is told from the pixels below the median, which markers do not touch. Where more than 3 % of the pixels are above that,
-    as where a room is lit, it is Otsu's threshold if that is higher. Every fourth pixel of every fourth row is looked at.
+    The noise is told from the pixels below the median, which markers do not touch. Where no background is given and more than 3 % of the
+    pixels are above that, as where a room is lit, it is Otsu's threshold if that is higher. Every fourth pixel of every fourth row is
+    looked at.
     """
     grey = as_grey(image)
-    counts = np.bincount(grey[::4, ::4].ravel())
-    shares = np.cumsum(counts) / counts.sum()
-    quarter, middle = (float(np.searchsorted(shares, share, side="right")) for share in (0.25, 0.5))
+    most = int(np.iinfo(grey.dtype).max)
+    few, lowest = grey[::4, ::4].ravel().astype(np.int64), 0
+    if background is not None:
+        few -= background_of(grey, background)[::4, ::4].ravel()
+        lowest = int(few.min())
+    counts = np.bincount(few - lowest)
+    shares = np.cumsum(counts) / len(few)
+    quarter, middle = (int(np.searchsorted(shares, share, side="right")) for share in (0.25, 0.5))
     dark = int(middle + 6.0 * max((middle - quarter) / 0.6745, 1.0)) + 1
-    most = int(np.iinfo(grey.dtype).max) - 1
-    if dark >= len(counts) or 1.0 - shares[dark] <= _LIT:
-        return float(min(dark, most))
-    return float(min(max(dark, _otsu(counts)), most))
+    if background is None and dark < len(counts) and 1.0 - shares[dark] > _LIT:
+        dark = max(dark, _otsu(counts))
+    return float(min(max(dark + lowest, 0), most - 1))
 
 
 def _otsu(counts: NDArray[np.int64]) -> int:
@@ -140,11 +145,18 @@ def _otsu(counts: NDArray[np.int64]) -> int:
     return int(sums[best] / max(below[best], 1) + 0.5 * apart[best])
 
 
-def static_mask(images: Iterable[ArrayLike], *, threshold: float | None = None, share: float = 0.9, margin: int = 2) -> NDArray[np.bool_]:
+def static_mask(
+    images: Iterable[ArrayLike],
+    *,
+    threshold: float | None = None,
+    background: ArrayLike | int | None = None,
+    share: float = 0.9,
+    margin: int = 2,
+) -> NDArray[np.bool_]:
     """Where reflections stand still: True (H, W) within `margin` px of pixels that are above the threshold in this share of the images.
 
-    Markers must move between the images: one that rests in nearly all of them is masked too. Threshold as in `find_blobs`, for each image
-    by itself where None. Raises AsterismError where there is no image, or where their sizes differ.
+    Markers must move between the images: one that rests in nearly all of them is masked too. Threshold and background as in `find_blobs`,
+    the threshold for each image by itself where None. Raises AsterismError where there is no image, or where their sizes differ.
     """
     import cv2
 
@@ -152,7 +164,7 @@ def static_mask(images: Iterable[ArrayLike], *, threshold: float | None = None, 
     total = 0
     for image in images:
         grey = as_grey(image)
-        bright = grey > (automatic_threshold(grey) if threshold is None else threshold)
+        bright = grey > _levels(grey, threshold, background)[0]
         if above is not None and above.shape != bright.shape:
             raise AsterismError(f"an image is {_shape(grey)}, the first one {_shape(above)}; give images of one camera.")
         above = bright.astype(np.int64) if above is None else above + bright
@@ -208,20 +220,12 @@ def background_of(grey: Grey, background: ArrayLike | int | None) -> Grey:
     return base
 
 
-def above_background(grey: Grey, background: ArrayLike | int | None) -> Grey:
-    """The image less its background, 0 where it is darker."""
-    if background is None:
-        return grey
-    base = background_of(grey, background)
-    return np.where(grey > base, grey - base, 0).astype(grey.dtype)
-
-
 def _levels(grey: Grey, threshold: float | None, background: ArrayLike | int | None) -> tuple[Grey, Grey, float]:
     """Per pixel the grey value that must be exceeded, and the background, both of the image's type; and the threshold."""
     base = background_of(grey, background)
     most = int(np.iinfo(grey.dtype).max)
     if threshold is None:
-        threshold = automatic_threshold(above_background(grey, background))
+        threshold = automatic_threshold(grey, background)
     if not 0 <= threshold < most:
         raise AsterismError(f"threshold {threshold} is outside the grey scale; give 0 to {most - 1} for images of {grey.dtype}.")
     if background is None:

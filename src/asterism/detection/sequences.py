@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from asterism.cameras import Rig
 from asterism.detection.alignment import names_of, numbered, on_common_clock, rate_of
-from asterism.detection.blobs import Flag, Grey, Spots, above_background, automatic_threshold, find_blobs, static_mask
+from asterism.detection.blobs import Flag, Grey, Spots, automatic_threshold, find_blobs, static_mask
 from asterism.detection.sources import Source, images, open_source, some_images
 from asterism.detection.synchrony import lags
 from asterism.detection.times import read_times
@@ -194,11 +194,11 @@ def _search(source: Source, name: str, rig: Rig | None, mask_static: bool, setti
         wide, tall = rig[name].size or (0, 0)
         raise AsterismError(f"{source.path}: images are {width} x {height}, the rig says {wide} x {tall}; give the rig of these images.")
     settings = dict(settings)
-    lit = [above_background(image, settings.get("background")) for _, image in some]
+    background = settings.get("background")
     if settings.get("threshold") is None:
-        settings["threshold"] = float(np.median([automatic_threshold(image) for image in lit]))
+        settings["threshold"] = float(np.median([automatic_threshold(image, background) for _, image in some]))
     if mask_static:
-        settings["mask"] = static_mask(lit, threshold=settings["threshold"])
+        settings["mask"] = static_mask((image for _, image in some), threshold=settings["threshold"], background=background)
     read: list[int] = []
     found: list[Spots] = []
     problems: list[str] = []
