@@ -35,7 +35,7 @@ VERBS = (
     "convert",
     "detect",
 )
-TWO_WORDS = ("calibrate wand", "calibrate board", "rig report", "rig plan")
+TWO_WORDS = ("calibrate refine", "calibrate wand", "calibrate board", "rig report", "rig plan")
 MARKERS = "helen-hayes"
 
 

@@ -9,6 +9,7 @@ from benchmarks.cameras.accuracy import accuracy, plan
 from benchmarks.cameras.boards import charuco, rig_files, stereo
 from benchmarks.cameras.demo import demo
 from benchmarks.cameras.detection import centroids, detection, particles
+from benchmarks.cameras.wand import wand, wand_rigs
 from benchmarks.figures import Figure
 
 ISSUE = "From cameras to points: calibrate, detect, compose, merge"
@@ -23,5 +24,7 @@ ROWS: dict[str, Callable[[Bench], Iterator[Figure]]] = {
     "centroids": centroids,
     "particles": particles,
     "demo": demo,
+    "wand": wand,
+    "wand-rigs": wand_rigs,
 }
 """Cheap rows first: a run that is cut short has measured most of them."""

@@ -6,6 +6,7 @@ from asterism.report.detection import detection_report
 from asterism.report.evaluation import evaluation_report
 from asterism.report.label import label_report
 from asterism.report.naming import naming_report
+from asterism.report.refinement import refinement_report
 from asterism.report.review import review_report
 from asterism.report.rig import rig_report
 from asterism.report.wand import wand_report
@@ -17,6 +18,7 @@ __all__ = [
     "evaluation_report",
     "label_report",
     "naming_report",
+    "refinement_report",
     "review_report",
     "rig_report",
     "wand_report",

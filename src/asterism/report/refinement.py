@@ -1,0 +1,57 @@
+"""A refinement in; out comes a page that says which camera was bumped, and by how much."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, percent, write_page
+from asterism.report.wand import rig_figure
+
+if TYPE_CHECKING:
+    from asterism.reconstruction import Refinement
+
+_TINTS = {"good": 0.0, "bumped": 0.6, "lost": 1.0, "unknown": 0.3}
+
+
+def refinement_report(path: str | Path, made: Refinement, *, settings: Mapping[str, Any] | None = None) -> None:
+    """Write an HTML page on a refinement; `settings` are named at its foot. Raises AsterismError where the file cannot be written."""
+    states = [check.state for check in made.cameras]
+    rows: list[list[str | Cell]] = [
+        [
+            check.name,
+            Cell(check.state, _TINTS[check.state], "bad" if check.state == "lost" else "warn"),
+            _number(check.before, 2),
+            _number(check.after, 2),
+            _number(math.degrees(check.turned), 3),
+            _number(1000 * check.shifted, 1),
+            percent(check.shown) if math.isfinite(check.shown) else NOTHING,
+        ]
+        for check in made.cameras
+    ]
+    head = ["camera", "state", "view moved by, px", "error now, px", "turned, degrees", "shifted, mm", "of the others' points shown"]
+    lead = " ".join(f"{finding[0].upper()}{finding[1:]}" for finding in made.findings) or "No camera was bumped."
+    merits = [
+        (str(states.count("bumped")), "cameras bumped and mended", "warn" if "bumped" in states else "good"),
+        (str(states.count("lost")), "cameras lost", "bad" if "lost" in states else ""),
+        (f"{made.noise:.2f} px", "noise of the blobs", ""),
+        (str(made.frames), "frames looked at", ""),
+    ]
+    sections = [
+        Section(
+            "Each camera",
+            "By how much its view of what the others see has moved, and what is left with the mended rig. Markers hidden from a camera "
+            "are not shown by it, which is no fault.",
+            table=Table(head, rows, left=2),
+        ),
+        Section("The rig, mended", figure=rig_figure(made.rig, np.empty((0, 3)))),
+    ]
+    write_page(path, Page("Was a camera bumped?", lead, settings or {}, merits, sections))
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else NOTHING

@@ -1,0 +1,101 @@
+"""A bumped camera is named and mended from a recording of a walker; a rig that is good stays as it is."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asterism.cameras import Camera, Rig, rotation_from_vector
+from asterism.cameras.files import read_rig, write_rig
+from asterism.cli import main
+from asterism.errors import AsterismError
+from asterism.formats import write_blobs
+from asterism.reconstruction import refine_rig
+from asterism.recording import Blobs
+from asterism.simulation import simulate_walks
+from asterism.simulation.cameras import images_of, ring_rig, walker_capsules
+
+
+@cache
+def filmed(cameras: int) -> tuple[Rig, Blobs]:
+    rng = np.random.default_rng(1)
+    walk = simulate_walks(1, frames=300, seed=2)[0]
+    rig = ring_rig(cameras, rng=rng)
+    return rig, images_of(rig, walk.positions, 0.3, walker_capsules(walk), strays=0.5, rng=rng)[0]
+
+
+def bumped(camera: Camera, degrees: float, metres: float) -> Camera:
+    """As a rig has it that was calibrated before the bump."""
+    axis = np.array([0.5, 0.8, 0.33])
+    rotation = rotation_from_vector(np.radians(degrees) * axis / np.linalg.norm(axis)) @ camera.rotation
+    return replace(camera, rotation=rotation, translation=-rotation @ (camera.position + metres * np.array([0.6, 0.0, 0.8])))
+
+
+def with_bumps(rig: Rig, bumps: dict[int, tuple[float, float]]) -> Rig:
+    return replace(rig, cameras=tuple(bumped(camera, *bumps[c]) if c in bumps else camera for c, camera in enumerate(rig)))
+
+
+@pytest.mark.parametrize(
+    ("cameras", "bumps"),
+    [
+        (3, {1: (0.5, 0.0)}),
+        (4, {2: (0.15, 0.0)}),
+        (6, {1: (2.0, 0.02)}),
+        (6, {0: (8.0, 0.05)}),
+        (8, {1: (1.0, 0.01), 6: (3.0, 0.02)}),
+    ],
+    ids=["one of three", "a tenth of a degree", "two degrees", "eight degrees", "two cameras"],
+)
+def test_the_bumped_are_named_and_mended(cameras: int, bumps: dict[int, tuple[float, float]]) -> None:
+    true, blobs = filmed(cameras)
+    before = with_bumps(true, bumps)
+    made = refine_rig(blobs, before)
+    assert [c for c, check in enumerate(made.cameras) if check.state == "bumped"] == sorted(bumps)
+    assert all(check.state == "good" for c, check in enumerate(made.cameras) if c not in bumps)
+    points = np.random.default_rng(3).uniform([-0.5, -0.5, 0.2], [0.5, 0.5, 1.6], (100, 3))
+    for c in range(cameras):
+        off = np.linalg.norm(made.rig[c].project(points) - true[c].project(points), axis=1)
+        assert np.median(off) < (0.6 if c in bumps else 1e-9), f"camera {c}: {np.median(off):.2f} px"
+
+
+@pytest.mark.parametrize("cameras", [3, 6])
+def test_a_good_rig_stays_as_it_is(cameras: int) -> None:
+    true, blobs = filmed(cameras)
+    made = refine_rig(blobs, true)
+    assert made.findings == ()
+    assert all(np.array_equal(a.translation, b.translation) for a, b in zip(made.rig, true, strict=True))
+
+
+def test_a_camera_that_saw_nothing_is_unknown_and_two_cannot_be_told_apart() -> None:
+    true, blobs = filmed(4)
+
+    def of(cameras: list[int]) -> Blobs:
+        kept = np.isin(blobs.camera_of, cameras)
+        return Blobs.from_rows(blobs.frame_of[kept], blobs.camera_of[kept], blobs.xy[kept], true.names, frames=len(blobs))
+
+    assert [check.state for check in refine_rig(of([0, 1, 2]), true).cameras] == ["good", "good", "good", "unknown"]
+    with pytest.raises(AsterismError, match="only 2 cameras"):
+        refine_rig(of([0, 1]), true)
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    true, blobs = filmed(6)
+    write_rig(with_bumps(true, {4: (1.0, 0.01)}), tmp_path / "old.toml")
+    write_rig(true, tmp_path / "true.toml")
+    write_blobs(blobs, tmp_path / "walk.csv")
+    words = ["calibrate", "refine", tmp_path / "walk.csv", "--rig", tmp_path / "old.toml", "-o", tmp_path / "new.toml"]
+    words += ["--json", tmp_path / "told.json", "--report", tmp_path / "page.html"]
+    assert main([str(word) for word in words]) == 1
+    shown = capsys.readouterr()
+    assert f"camera {true[4].name} was bumped: it is turned by 1.0" in shown.err
+    told = json.loads((tmp_path / "told.json").read_text(encoding="utf-8"))
+    assert [camera["state"] for camera in told["cameras"]] == ["good"] * 4 + ["bumped", "good"]
+    assert np.linalg.norm(read_rig(tmp_path / "new.toml")[4].position - true[4].position) < 0.005
+    assert "was bumped" in (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert main(["calibrate", "refine", str(tmp_path / "walk.csv"), "--rig", str(tmp_path / "true.toml")]) == 0
+    assert "no camera was bumped" in capsys.readouterr().out
