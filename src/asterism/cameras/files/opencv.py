@@ -151,7 +151,9 @@ def _values(path: Path) -> dict[str, Any]:
     text = decoded(path, read_bytes(path))
     if path.suffix.casefold() in (".yml", ".yaml") and not text.startswith("%YAML"):
         text = f"%YAML:1.0\n---\n{text}"
-    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    log: Any = getattr(cv2.utils, "logging", cv2)  # OpenCV 5 has it there, 4 at the top
+    level = log.getLogLevel()
+    log.setLogLevel(getattr(log, "LOG_LEVEL_SILENT", 0))
     try:
         file = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         root = file.root()
@@ -159,7 +161,7 @@ def _values(path: Path) -> dict[str, Any]:
     except (cv2.error, SystemError) as problem:
         raise AsterismError(f"{path} is damaged, or no YAML or XML of OpenCV's; export it again.") from problem
     finally:
-        cv2.utils.logging.setLogLevel(level)
+        log.setLogLevel(level)
 
 
 def _value(node: Any) -> Any:
