@@ -110,7 +110,10 @@ def misfits(xyz, frame, track, label, markers, noise, rigid, least, partners, mo
 
 
 def foreign_distances(xyz, frame, track, label, frames, low, high, noise, size, rigid, least, partners, most):
-    """Mean deviation (J,) of each labelled tracklet's near-rigid distances from the training's, for a person of the recording's size."""
+    """Mean deviation (J,) of each labelled tracklet's near-rigid distances from the training's, for a person of the recording's size.
+
+    And the median deviation of all of the recording's.
+    """
     markers = len(low)
     at = {(t, label[j]): (place, j) for place, t, j in zip(xyz, frame, track, strict=True) if label[j] >= 0}
 
@@ -124,10 +127,14 @@ def foreign_distances(xyz, frame, track, label, frames, low, high, noise, size, 
             return None
         return np.median(apart), 1.4826 * np.median(np.abs(apart - np.median(apart)))
 
-    ratios = []
+    def excess(m, o, known):
+        spread = np.sqrt(known[1] ** 2 + noise**2 + (size * known[0]) ** 2)
+        return max(scale * low[m, o] - known[0], known[0] - scale * high[m, o], 0.0) / spread, spread
+
+    ratios, all_known = [], {}
     for m in range(markers):
         for o in range(m):
-            known = middle_and_std(m, o)
+            known = all_known[m, o] = middle_and_std(m, o)
             if known and high[m, o] - low[m, o] < rigid and known[1] < rigid and known[0] > 5 * rigid:
                 ratios.append(2 * known[0] / (low[m, o] + high[m, o]))
     scale = np.median(ratios) if len(ratios) >= least else 1.0
@@ -137,9 +144,9 @@ def foreign_distances(xyz, frame, track, label, frames, low, high, noise, size, 
         for o in range(markers if m >= 0 else 0):
             known = middle_and_std(m, o, j if (track == j).sum() >= least else None) if o != m else None
             if known and known[1] < rigid:
-                spread = np.sqrt(known[1] ** 2 + noise**2 + (size * known[0]) ** 2)
-                excess = max(scale * low[m, o] - known[0], known[0] - scale * high[m, o], 0.0)
-                told.append((spread, o, min(most, excess / spread)))
+                far, spread = excess(m, o, known)
+                told.append((spread, o, min(most, far)))
         if len(told) >= 2:
             out[j] = np.mean([deviation for _, _, deviation in sorted(told)[:partners]])
-    return out
+    usual = [excess(m, o, known)[0] for (m, o), known in all_known.items() if known and known[1] < rigid]
+    return out, np.median(usual) if usual else 0.0

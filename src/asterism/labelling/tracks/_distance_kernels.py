@@ -75,7 +75,9 @@ def foreign_distances(xyz, frame, track, label, frames, low, high, noise, size, 
         noise (m), size (share of the distance): standard deviations that distances differ by between people; rigid (m): greatest spread of
         a near-rigid distance; least: frames that a distance must be known from; partners: the steadiest that count, at least two;
         most: standard deviations that one counts at most
-    OUT out (J,) mean deviation in standard deviations, NaN where it cannot be told. O(E M2 + J M log E) and memory O(E M).
+    OUT out (J,) mean deviation in standard deviations, NaN where it cannot be told
+    Gives the median deviation of all near-rigid distances of the recording: how much this body differs from those of the training as a
+    whole. O(E M2 log E + J E M) and memory O(E M).
     """
     markers = len(low)
     row = np.full((frames, markers), -1, dtype=np.int64)
@@ -83,19 +85,25 @@ def foreign_distances(xyz, frame, track, label, frames, low, high, noise, size, 
         if label[track[q]] >= 0:
             row[frame[q], label[track[q]]] = q
     apart = np.empty(frames)
+    middles, stds = np.full((markers, markers), np.nan), np.full((markers, markers), np.inf)
     ratios, pairs = np.empty(markers * markers), 0
     for m in range(markers):
         for o in range(m):
-            if high[m, o] - low[m, o] >= rigid:
-                continue
             known = _distances(xyz, row, track, m, o, -1, apart)
             if known < least:
                 continue
             middle, std = _middle_and_std(apart, known)
-            if std < rigid and middle > 5.0 * rigid:
+            middles[m, o], stds[m, o] = middle, std
+            if std < rigid and high[m, o] - low[m, o] < rigid and middle > 5.0 * rigid:
                 ratios[pairs] = 2.0 * middle / (low[m, o] + high[m, o])
                 pairs += 1
     scale = np.median(ratios[:pairs]) if pairs >= least else 1.0
+    usual, pairs = ratios, 0
+    for m in range(markers):
+        for o in range(m):
+            if stds[m, o] < rigid:
+                usual[pairs] = _excess(middles[m, o], stds[m, o], scale * low[m, o], scale * high[m, o], noise, size)[0]
+                pairs += 1
     looks = np.zeros(len(label), dtype=np.int64)
     for q in range(len(track)):
         looks[track[q]] += 1
@@ -114,12 +122,19 @@ def foreign_distances(xyz, frame, track, label, frames, low, high, noise, size, 
                 continue
             middle, std = _middle_and_std(apart, known)
             if std < rigid:
-                spread[found] = np.sqrt(std * std + noise * noise + (size * middle) ** 2)
-                excess = max(scale * low[m, o] - middle, middle - scale * high[m, o], 0.0)
-                deviation[found] = min(most, excess / spread[found])
+                far, spread[found] = _excess(middle, std, scale * low[m, o], scale * high[m, o], noise, size)
+                deviation[found] = min(most, far)
                 found += 1
         if found >= 2:
             out[j] = deviation[np.argsort(spread[:found], kind="mergesort")[:partners]].mean()
+    return np.median(usual[:pairs]) if pairs > 0 else 0.0
+
+
+@njit(cache=True)
+def _excess(middle, std, low, high, noise, size):
+    """How far a distance is outside its range, in standard deviations, and one of those in metres."""
+    spread = np.sqrt(std * std + noise * noise + (size * middle) ** 2)
+    return max(low - middle, middle - high, 0.0) / spread, spread
 
 
 @njit(cache=True)

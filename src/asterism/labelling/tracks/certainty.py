@@ -13,7 +13,7 @@ from asterism.recording import NULL, Floats, Ints
 LEAST_TRUST = 0.1
 """Share of what a margin itself says that trials can never take away."""
 
-STEEP, STEEP_OF_ONE = 5.0, 2.0
+STEEP, STEEP_OF_ONE = 5.0, 3.5
 """Log odds per nat of margin that a label is right, at most: one without any margin is a coin toss, whatever the trials say. A model of one
 person was tried on that person only, so its trials are believed less; from five people on they count in full."""
 

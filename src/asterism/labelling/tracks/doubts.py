@@ -57,7 +57,7 @@ def strange(looker: Looker, body: BodyModel, scene: Scene, own: Ints, rules: Tim
     apart = np.linalg.norm(looker.body.mean[:, :, None] - looker.body.mean[:, None], axis=3)
     unit = length_scale(looker.body.mean[0], body_rules)
     off = np.empty(len(own))
-    foreign_distances(
+    usual = foreign_distances(
         scene.seen_xyz,
         scene.seen_frame,
         scene.seen_track,
@@ -84,7 +84,9 @@ def strange(looker: Looker, body: BodyModel, scene: Scene, own: Ints, rules: Tim
     poor = _medians(scores[points, own[track]], frame, len(scene.looked)) < looker.parts.settings.good - crowd
     looks, poorly = np.bincount(track, minlength=len(own)), np.bincount(track, weights=poor[frame], minlength=len(own))
     unfamiliar = poorly > 0.5 * looks
-    return (own != NULL) & (np.where(np.isnan(off), unfamiliar, off > np.where(unfamiliar, rules.unfamiliar, rules.familiar)))
+    # a body that differs all over, as another person does from the only one of the training, says little against single labels
+    limit = np.where(unfamiliar, rules.unfamiliar, rules.familiar * max(1.0, usual))
+    return (own != NULL) & np.where(np.isnan(off), unfamiliar, off > limit)
 
 
 def _medians(values: Floats, group: Ints, groups: int) -> Floats:
