@@ -72,9 +72,9 @@ def write_rig(rig: Rig, path: str | Path) -> list[str]:
 
 
 def describe_rig(rig: Rig) -> dict[str, Any]:
-    """What a rig is, as plain values: its format, its cameras with lens, position and error, the vertical, what it lacks."""
+    """What a rig is, as plain values: where it came from, its cameras with lens, position and error, the vertical, what it lacks."""
     return {
-        "format": rig.metadata.get("format", "Asterism rig"),
+        "source": rig.metadata.get("format", "Asterism rig"),
         "cameras": [_described(camera) for camera in rig],
         "vertical": None if rig.vertical is None else rig.vertical.tolist(),
         "metadata": {key: value for key, value in rig.metadata.items() if key not in ("file", "format", "files")},
