@@ -114,6 +114,22 @@ def test_a_camera_that_saw_nothing_or_shares_no_view_is_named_and_the_rest_calib
     assert any("cam_3" in sentence and "shares no view" in sentence for sentence in made.apart) or "cam_3" in made.rig.names
 
 
+def test_known_lenses_are_kept_and_few_views_are_enough() -> None:
+    rig = ring(3)
+    views = waved(rig, 6, seed=4)
+    made = calibrate_board(views, known=rig)
+    truth = in_axes_of_first(rig)
+    assert made.rig.names == truth.names and made.usable
+    for found, true in zip(made.rig, truth, strict=True):
+        assert np.array_equal(found.lens[:9], true.lens[:9])
+        assert np.linalg.norm(found.position - true.position) < 0.01
+    small = Rig((replace(rig.cameras[0], size=(640, 512)),))
+    with pytest.raises(AsterismError, match="640 x 512"):
+        calibrate_board(views, known=small)
+    with pytest.raises(AsterismError, match="name them alike"):
+        calibrate_board(views, known=Rig((replace(rig.cameras[0], name="other"),)))
+
+
 def test_a_mistaken_view_is_left_out_and_told() -> None:
     views = waved(ring(3), 60, seed=7)
     frame = int(views.seen.frame[np.argmax(views.seen.camera == 1)])

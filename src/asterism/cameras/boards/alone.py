@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -47,8 +47,10 @@ class Alone:
         return float(np.sqrt(np.mean(self.errors**2)))
 
 
-def calibrate_alone(name: str, size: tuple[int, int], points: Floats, seen: Sightings) -> Alone | None:
+def calibrate_alone(name: str, size: tuple[int, int], points: Floats, seen: Sightings, lens: Camera | None = None) -> Alone | None:
     """The lens of one camera from its views of a board, and the board's pose in each; None with less than three views that agree.
+
+    With a known lens one view is enough.
 
     points  (K, 3) m of the board; seen: this camera's sightings
 
@@ -56,37 +58,55 @@ def calibrate_alone(name: str, size: tuple[int, int], points: Floats, seen: Sigh
     (infinitesimal plane-based pose, refined). A view whose error is four times the median and above 1 px is left out, and the rest
     calibrated again.
     """
-    import cv2
-
     frames = np.unique(seen.frame)
     starts = np.searchsorted(seen.frame, np.append(frames, frames[-1] + 1 if len(frames) else 0))
     objects = [points[seen.point[a:b]].astype(np.float32) for a, b in pairwise(starts.tolist())]
     images = [seen.xy[a:b].astype(np.float32) for a, b in pairwise(starts.tolist())]
     good = np.ones(len(frames), dtype=bool)
-    while good.sum() >= LEAST_VIEWS:
-        chosen = _most_different([images[i] for i in np.nonzero(good)[0]], size)
-        used = np.nonzero(good)[0][chosen]
-        flags = 0 if len(used) >= 2 * LEAST_VIEWS else cv2.CALIB_FIX_K3
-        try:
-            error, matrix, lens, _, _, spread, *_ = cv2.calibrateCameraExtended(
-                [objects[i] for i in used], [images[i] for i in used], size, None, None, flags=flags
-            )
-            camera = Camera.from_opencv(name, np.asarray(matrix), np.asarray(lens).ravel()[:5], size=size)
-        except (cv2.error, AsterismError):  # views that say nothing, such as many times the same
+    while good.sum() >= (LEAST_VIEWS if lens is None else 1):
+        calibrated = _lens(name, size, objects, images, good) if lens is None else (_bare(lens), 0.0)
+        if calibrated is None:
             return None
+        camera, focal_std = calibrated
         poses = [_pose(camera, objects[i], images[i]) for i in range(len(frames))]
         errors = np.array([np.inf if pose is None else pose[2] for pose in poses])
-        outlying = good & (errors > max(_OUTLYING * float(np.median(errors[good])), _OUTLYING_PX))
-        if not outlying.any() or not np.isfinite(error):
+        usual = float(np.median(errors[good & np.isfinite(errors)])) if np.isfinite(errors[good]).any() else 0.0
+        outlying = good & ~(errors <= max(_OUTLYING * usual, _OUTLYING_PX))
+        if not outlying.any():
             break
         good &= ~outlying
     else:
         return None
-    kept = [i for i in np.nonzero(good)[0] if poses[i] is not None]
+    kept = np.nonzero(good)[0]
     turned = np.stack([poses[i][0] for i in kept])  # type: ignore[index]
     placed = np.stack([poses[i][1] for i in kept])  # type: ignore[index]
-    camera = Camera(**{**vars(camera), "error": float(error)})
-    return Alone(camera, frames[kept], turned, placed, errors[kept], frames[~good], float(np.ravel(spread)[0]))
+    if lens is not None:
+        camera = replace(camera, error=float(np.sqrt(np.mean(errors[kept] ** 2))))
+    return Alone(camera, frames[kept], turned, placed, errors[kept], frames[~good], focal_std)
+
+
+def _lens(
+    name: str, size: tuple[int, int], objects: list[Single], images: list[Single], good: NDArray[np.bool_]
+) -> tuple[Camera, float] | None:
+    """OpenCV's calibration of the good views, and the standard deviation of fx, px; None where they say nothing."""
+    import cv2
+
+    used = np.nonzero(good)[0]
+    used = used[_most_different([images[i] for i in used], size)]
+    flags = 0 if len(used) >= 2 * LEAST_VIEWS else cv2.CALIB_FIX_K3
+    try:
+        error, matrix, lens, _, _, spread, *_ = cv2.calibrateCameraExtended(
+            [objects[i] for i in used], [images[i] for i in used], size, None, None, flags=flags
+        )
+        camera = Camera.from_opencv(name, np.asarray(matrix), np.asarray(lens).ravel()[:5], size=size)
+    except (cv2.error, AsterismError):  # views that say nothing, such as many times the same
+        return None
+    return replace(camera, error=float(error)), float(np.ravel(spread)[0])
+
+
+def _bare(camera: Camera) -> Camera:
+    """The lens of a camera, without its pose."""
+    return replace(camera, rotation=np.eye(3), translation=np.zeros(3), posed=False)
 
 
 def _most_different(images: Sequence[Single], size: tuple[int, int]) -> Ints:
@@ -122,7 +142,7 @@ def _pose(camera: Camera, points: Single, image: Single) -> tuple[Floats, Floats
             continue
         turn, shift = cv2.solvePnPRefineLM(points.astype(np.float64), flat, np.eye(3), np.zeros(4), turn.copy(), shift.copy())
         rotation, place = rotation_from_vector(turn), np.asarray(shift, dtype=np.float64).ravel()
-        seen = Camera(**{**vars(camera), "rotation": rotation, "translation": place}).project(points)
+        seen = replace(camera, rotation=rotation, translation=place).project(points)
         error = float(np.sqrt(((seen - image) ** 2).sum(axis=1).mean()))
         if np.isfinite(error) and (best is None or error < best[2]):
             best = (rotation, place, error)

@@ -102,7 +102,7 @@ class BoardCalibration:
 
 
 def calibrate_board(
-    views: BoardViews, *, origin: int | None = None, progress: Callable[[float, str], None] | None = None
+    views: BoardViews, *, known: Rig | None = None, origin: int | None = None, progress: Callable[[float, str], None] | None = None
 ) -> BoardCalibration:
     """Calibrate all cameras that share views of a board, also where no two see all of it and no pair sees all views.
 
@@ -111,14 +111,16 @@ def calibrate_board(
     Where all together miss the board by more than twice what each alone does, the cameras were not in step (or the board bends): a doubt
     says so, and the lenses stay those of each camera alone, which such views would spoil.
 
+    known   cameras whose lenses are known, by name: they are kept, and one view is enough for a pose; their poses are not used
     origin  the moment at which the board lay on the floor, print up: it gives the world its origin, x along the board's rows, z up. Else
             the world is the first camera's axes
 
     Cameras that saw too little, or share no view with the others, are named in `apart` and not in the rig. Raises AsterismError where no
-    camera can be calibrated, or the origin's moment has no board.
+    camera can be calibrated, a known lens is of another image size, or the origin's moment has no board.
     """
     points = views.board.points
-    alone, apart = _each_alone(views, progress)
+    lenses = _known_lenses(views, known)
+    alone, apart = _each_alone(views, lenses, progress)
     order = sorted(alone)
     links = links_between([alone[c].frames for c in order])
     chosen = [order[i] for i in links.groups[0]]
@@ -131,16 +133,17 @@ def calibrate_board(
         progress(0.85, "adjusting all cameras together")
     placed = first_rig({i: alone[c] for i, c in enumerate(order)}, links)
     started = {order[i]: camera for i, camera in placed.items()}
-    adjusted = _adjusted(views, points, alone, started, chosen, list(_LENS))
+    adjusted = _adjusted(views, points, alone, started, chosen, {c: [] if c in lenses else list(_LENS) for c in chosen})
     own_rms = float(np.sqrt(np.mean([alone[c].rms ** 2 for c in chosen])))
     in_step = len(chosen) < 2 or adjusted[0].rms <= _OUT_OF_STEP * max(own_rms, _LEAST_NOISE_PX)
     if not in_step:
-        adjusted = _adjusted(views, points, alone, started, chosen, [])
+        adjusted = _adjusted(views, points, alone, started, chosen, {c: [] for c in chosen})
     adjustment, sightings, frames, dropped = adjusted
     left_out = [(int(views.moments[t]), views.cameras[c]) for t, c in dropped]
     left_out += [(int(views.moments[t]), views.cameras[c]) for c in chosen for t in alone[c].left_out]
     single = tuple(alone[c] for c in chosen)
-    focal_std = [float(sigma[6]) if in_step else one.focal_std for sigma, one in zip(adjustment.sigma, single, strict=True)]
+    freed = zip(adjustment.free[:, 6], adjustment.sigma[:, 6], single, strict=True)
+    focal_std = [float(sigma) if free else one.focal_std for free, sigma, one in freed]
     rig = _in_world(Rig(adjustment.cameras), views, adjustment, frames, origin)
     doubts = (*([] if in_step else [_out_of_step(views, adjustment.rms, own_rms)]), *_doubts(rig, views, focal_std, links, order))
     lacks = ("the pose of every camera",) if len(rig) == 1 else ("which way is up",) if rig.vertical is None else ()
@@ -168,7 +171,25 @@ def calibrate_board(
     )
 
 
-def _each_alone(views: BoardViews, progress: Callable[[float, str], None] | None) -> tuple[dict[int, Alone], list[str]]:
+def _known_lenses(views: BoardViews, known: Rig | None) -> dict[int, Camera]:
+    """The cameras of a rig that are among the views, by place. Raises AsterismError where there is none, or image sizes differ."""
+    lenses = {c: known[name] for c, name in enumerate(views.cameras) if known is not None and name in known.names}
+    if known is not None and not lenses:
+        raise AsterismError(
+            f"the rig with known lenses has {', '.join(known.names)}, and the views are of {', '.join(views.cameras)}; name them alike."
+        )
+    for c, camera in lenses.items():
+        if camera.size is not None and views.sizes[c] not in ((0, 0), camera.size):
+            raise AsterismError(
+                f"camera {camera.name}: its images are {views.sizes[c][0]} x {views.sizes[c][1]}, its lens was calibrated for "
+                f"{camera.size[0]} x {camera.size[1]}; film in that size, or calibrate the lens again."
+            )
+    return {c: replace(camera, size=views.sizes[c]) for c, camera in lenses.items() if views.sizes[c] != (0, 0)}
+
+
+def _each_alone(
+    views: BoardViews, lenses: dict[int, Camera], progress: Callable[[float, str], None] | None
+) -> tuple[dict[int, Alone], list[str]]:
     """Every camera calibrated by itself, by its place; and a sentence for each that cannot be."""
     alone: dict[int, Alone] = {}
     apart: list[str] = []
@@ -176,7 +197,8 @@ def _each_alone(views: BoardViews, progress: Callable[[float, str], None] | None
         if progress is not None:
             progress(0.8 * c / len(views.cameras), f"calibrating camera {name}")
         seen = int((views.counts[:, c] > 0).sum())
-        one = calibrate_alone(name, views.sizes[c], views.board.points, views.seen.select(views.seen.camera == c)) if seen else None
+        own = views.seen.select(views.seen.camera == c)
+        one = calibrate_alone(name, views.sizes[c], views.board.points, own, lenses.get(c)) if seen else None
         if one is not None:
             alone[c] = one
             continue
@@ -190,9 +212,9 @@ def _each_alone(views: BoardViews, progress: Callable[[float, str], None] | None
 
 
 def _adjusted(
-    views: BoardViews, points: Floats, alone: dict[int, Alone], started: dict[int, Camera], chosen: list[int], lens: list[str]
+    views: BoardViews, points: Floats, alone: dict[int, Alone], started: dict[int, Camera], chosen: list[int], lens: dict[int, list[str]]
 ) -> tuple[Adjustment, Sightings, Any, list[tuple[int, int]]]:
-    """The bundle adjustment of poses and these parts of the lenses, again without the views that do not fit, until all do."""
+    """The bundle adjustment of poses and these parts of each lens, again without the views that do not fit, until all do."""
     place = {c: i for i, c in enumerate(chosen)}
     good = np.zeros((len(views.moments), len(views.cameras)), dtype=bool)
     for c in chosen:
@@ -205,7 +227,7 @@ def _adjusted(
         compact, frames = local.compact()
         turned, placed = first_boards(alone, {c: cameras[place[c]] for c in chosen}, frames)
         prior = _expected(cameras)
-        free = free_parameters(len(cameras), "pose", *lens)
+        free = np.concatenate([free_parameters(1, "pose", *lens[c]) for c in chosen])
         result = adjust(cameras, points, compact, turned, placed, free=free, prior=prior, tolerance=1e-9, steps=100)
         cell = compact.frame * len(cameras) + compact.camera
         square = np.where(np.isfinite(result.residuals[:, 0]), np.square(result.residuals).sum(axis=1), 1e6)
@@ -220,7 +242,7 @@ def _adjusted(
             t, c = int(frames[at // len(cameras)]), chosen[at % len(cameras)]
             still = good.copy()
             still[t, c] = False
-            if still[:, c].sum() >= _FEW_SHARED:
+            if still[:, c].any():
                 good = still
                 dropped.append((t, c))
     return result, compact, frames, dropped
@@ -277,7 +299,7 @@ def _doubts(rig: Rig, views: BoardViews, focal_std: list[float], links: Links, o
         if not share < _FOCAL_DOUBT:
             found.append(f"the focal length of camera {camera.name} is only known to {share:.1%}; show it the board tilted, near and far.")
         count = int((views.counts[:, views.cameras.index(camera.name)] > 0).sum())
-        if count < _FEW_VIEWS:
+        if std > 0 and count < _FEW_VIEWS:
             found.append(f"camera {camera.name} has {count} views of the board only; show it more.")
         if not camera.error < _RMS_DOUBT_PX:
             found.append(

@@ -45,6 +45,10 @@ def board(
     dictionary: Annotated[str, typer.Option(metavar="NAME", help="ChArUco's markers, as OpenCV calls them.")] = "DICT_4X4_50",
     inverted: Annotated[bool, typer.Option("--inverted", help="The board is printed white on black.")] = False,
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="The rig to write.", show_default=False)] = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option("--rig", metavar="FILE", help="Cameras whose lenses are known; only poses are calibrated.", show_default=False),
+    ] = None,
     origin: Annotated[
         int | None, typer.Option(metavar="FRAME", help="The frame in which the board lies on the floor, print up: the world's origin.")
     ] = None,
@@ -63,19 +67,20 @@ def board(
     for path in (output, report, json):
         _console.check_new(path, overwrite)
     from asterism.cameras.boards import calibrate_board, find_board, footage_of
-    from asterism.cameras.files import write_rig
+    from asterism.cameras.files import read_rig, write_rig
 
     chosen = _board(board, chessboard, charuco, circles, asymmetric, square, marker, dictionary, inverted)
+    known = None if rig is None else read_rig(rig)
     with _console.progress("looking for the board") as progress:
         views = find_board(footage_of(paths), chosen, every=every, progress=progress)
     with _console.progress("calibrating") as progress:
-        made = calibrate_board(views, origin=origin, progress=progress)
+        made = calibrate_board(views, known=known, origin=origin, progress=progress)
     written = output is not None and (made.usable or anyway)
     lost = write_rig(made.rig, output) if output is not None and written else []
     if report is not None:
         from asterism.report import board_report
 
-        board_report(report, made, settings={"files": [str(path) for path in paths], "board": str(chosen)})
+        board_report(report, made, settings={"files": [str(path) for path in paths], "board": str(chosen), "known lenses": rig})
     _console.write_json(json, {"command": "calibrate board", "files": paths, "rig": output if written else None, **made.summary()})
     if json != "-":
         _print(made)
