@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from asterism.report import figures
-from asterism.report.page import NOTHING, Cell, Page, Section, Table, write_page
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, percent, write_page
 from asterism.report.space import rig_in_space
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def board_report(path: str | Path, made: BoardCalibration, *, settings: Mapping[
         sections.append(Section("Shared views", text, table=_shared(made)))
     worst = max((camera.error for camera in made.rig), default=0.0)
     merits = [
-        (f"{made.rms:.3f} px", "reprojection error, all together", "good" if made.rms < _TINTED_PX else "warn" if made.usable else "bad"),
+        (f"{made.rms:.3f} px", "reprojection error, all together", "bad" if not made.usable else "warn" if made.doubts else "good"),
         (f"{worst:.3f} px", "of the worst camera", "" if worst < _TINTED_PX else "warn"),
         (f"{len(made.rig)} of {len(made.views.cameras)}", "cameras calibrated", "" if not made.apart else "warn"),
         (f"{len(made.frames):,}", f"of {len(made.views.moments):,} frames used", ""),
@@ -76,6 +76,7 @@ def _cameras(told: Mapping[str, Any]) -> Table:
         [
             camera["name"],
             f"{camera['views']} of {camera['images']}",
+            percent(camera["image_covered"], 0),
             f"{camera['rms_alone_px']:.3f}",
             Cell(f"{camera['rms_px']:.3f}", min(max(camera["rms_px"] - 0.3, 0.0) / _TINTED_PX, 1.0)),
             f"{camera['focal_px'][0]:.1f} ± {camera['focal_std_px']:.1f}",
@@ -85,7 +86,17 @@ def _cameras(told: Mapping[str, Any]) -> Table:
         ]
         for camera in told["cameras"]
     ]
-    head = ["camera", "views", "error alone, px", "together, px", "focal length, px", "centre, px", "k1, k2, p1, p2, k3", "stands at, m"]
+    head = [
+        "camera",
+        "views",
+        "image covered",
+        "error alone, px",
+        "together, px",
+        "focal length, px",
+        "centre, px",
+        "k1, k2, p1, p2, k3",
+        "stands at, m",
+    ]
     return Table(head, rows)
 
 

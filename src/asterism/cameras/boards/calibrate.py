@@ -22,6 +22,7 @@ _EXPECTED = {"aspect": 0.02, "centre": 0.1, "k1": 0.5, "k2": 1.0, "k3": 2.0, "ta
 """Standard deviations of lenses before anyone has seen them (the centre's: of the image's width): weak, they hold what no view tells."""
 _NOISE_PX = 0.2
 _OUTLYING, _OUTLYING_PX, _ROUNDS = 4.0, 1.0, 3
+_CELLS, _LITTLE_COVERED = 8, 0.25
 _OUT_OF_STEP, _LEAST_NOISE_PX = 2.0, 0.1
 _FOCAL_DOUBT, _FOCAL_USELESS, _RMS_DOUBT_PX, _FEW_SHARED, _FEW_VIEWS = 0.02, 0.05, 2.0, 3, 8
 
@@ -64,6 +65,11 @@ class BoardCalibration:
         return known and all(camera.error < _RMS_DOUBT_PX for camera in self.rig)
 
     @property
+    def covered(self) -> tuple[float, ...]:
+        """Per camera of the rig the share of its image in which points of the board were seen, by cells of an eighth of its sides."""
+        return tuple(_covered(camera, self.sightings.xy[self.sightings.camera == c]) for c, camera in enumerate(self.rig))
+
+    @property
     def rms(self) -> float:
         """px, over all points of all views that were adjusted."""
         return self.adjustment.rms
@@ -84,6 +90,7 @@ class BoardCalibration:
                     "size": list(camera.size or ()),
                     "images": self.views.looked[names.index(camera.name)],
                     "views": int((counts[:, names.index(camera.name)] > 0).sum()),
+                    "image_covered": covered,
                     "rms_alone_px": alone.camera.error,
                     "rms_px": camera.error,
                     "focal_px": list(camera.focal),
@@ -92,7 +99,7 @@ class BoardCalibration:
                     "distortion": camera.distortion.tolist(),
                     "position_m": camera.position.tolist() if camera.posed else None,
                 }
-                for camera, alone, std in zip(self.rig, self.alone, self.focal_std, strict=True)
+                for camera, alone, std, covered in zip(self.rig, self.alone, self.focal_std, self.covered, strict=True)
             ],
             "left_out": [{"frame": moment, "camera": name} for moment, name in self.left_out],
             "not_calibrated": list(self.apart),
@@ -145,7 +152,8 @@ def calibrate_board(
     freed = zip(adjustment.free[:, 6], adjustment.sigma[:, 6], single, strict=True)
     focal_std = [float(sigma) if free else one.focal_std for free, sigma, one in freed]
     rig = _in_world(Rig(adjustment.cameras), views, adjustment, frames, origin)
-    doubts = (*([] if in_step else [_out_of_step(views, adjustment.rms, own_rms)]), *_doubts(rig, views, focal_std, links, order))
+    covered = [_covered(camera, sightings.xy[sightings.camera == c]) for c, camera in enumerate(rig)]
+    doubts = (*([] if in_step else [_out_of_step(views, adjustment.rms, own_rms)]), *_doubts(rig, views, focal_std, covered, links, order))
     lacks = ("the pose of every camera",) if len(rig) == 1 else ("which way is up",) if rig.vertical is None else ()
     metadata = {
         "format": "Asterism rig",
@@ -291,10 +299,21 @@ def _out_of_step(views: BoardViews, together: float, alone: float) -> str:
     return sentence
 
 
-def _doubts(rig: Rig, views: BoardViews, focal_std: list[float], links: Links, order: list[int]) -> tuple[str, ...]:
+def _covered(camera: Camera, xy: Floats) -> float:
+    """The share of an image's cells with one of these points (n, 2) px."""
+    cells = np.clip((xy / np.array(camera.size or (1, 1)) * _CELLS).astype(np.int64), 0, _CELLS - 1)
+    return len(np.unique(cells[:, 0] * _CELLS + cells[:, 1])) / _CELLS**2
+
+
+def _doubts(rig: Rig, views: BoardViews, focal_std: list[float], covered: list[float], links: Links, order: list[int]) -> tuple[str, ...]:
     """What makes this rig one that should not be used as it is."""
     found = []
-    for camera, std in zip(rig, focal_std, strict=True):
+    for camera, std, share_seen in zip(rig, focal_std, covered, strict=True):
+        if std > 0 and share_seen < _LITTLE_COVERED:
+            found.append(
+                f"camera {camera.name} saw the board in {share_seen:.0%} of its image only, elsewhere its lens is a guess; show it "
+                "up to the corners."
+            )
         share = std / camera.focal[0]
         if not share < _FOCAL_DOUBT:
             found.append(f"the focal length of camera {camera.name} is only known to {share:.1%}; show it the board tilted, near and far.")
