@@ -46,6 +46,12 @@ def test_it_is_never_worth_less_than_the_ring(cameras: int, spec: str, fov: floa
     assert ours.facing.mean() >= ring.facing.mean() - 0.005
 
 
+def test_no_two_cameras_hang_in_one_place(plan: Plan) -> None:
+    eyes = np.stack([camera.position for camera in plan.rig])
+    gaps = np.linalg.norm(eyes[:, None] - eyes, axis=2)[np.triu_indices(len(eyes), 1)]
+    assert gaps.min() > 0.3 - 1e-9
+
+
 def test_cameras_hang_where_they_may(plan: Plan) -> None:
     for rig in (plan.rig, plan.ring):
         for camera in rig:

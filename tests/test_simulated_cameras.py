@@ -205,6 +205,12 @@ def test_a_real_walk_with_clusters_has_a_body(data) -> None:
     assert ((length > 0.33) & (length < 0.50)).all(), length
 
 
+def test_a_subjects_name_before_the_markers_changes_nothing() -> None:
+    walk = simulate_walks(1, frames=5, seed=1)[0]
+    named = replace(walk, labels=tuple(f"Ann:{name}" for name in walk.labels))
+    assert np.array_equal(walker_capsules(named).ends, walker_capsules(walk).ends, equal_nan=True)
+
+
 def test_markers_without_a_pelvis_have_no_body() -> None:
     with pytest.raises(AsterismError, match="pelvis"):
         walker_capsules(Recording(np.zeros((3, 1, 3)), ("LKNE",), 100.0, "z"))

@@ -72,7 +72,8 @@ def rig_in_space(
         "ticksuffix": " m",
         "nticks": 6,
     }
-    scene = {"aspectmode": "data", "xaxis": axis, "yaxis": axis, "zaxis": axis, "camera": {"eye": {"x": 0.9, "y": -1.1, "z": 0.8}}}
+    view = {"eye": {"x": 1.1, "y": -1.35, "z": 0.95}, "center": {"x": 0, "y": 0, "z": -0.12}}
+    scene = {"aspectmode": "data", "xaxis": axis, "yaxis": axis, "zaxis": axis, "camera": view}
     return figure(data, height=520, scene=scene)
 
 
@@ -87,7 +88,7 @@ def slices(result: RigMap, values: Floats, vertical: Floats, what: str, shades: 
     wide, deep = result.volume.size[across], result.volume.size[along]
     data, layout = [], {}
     for n, layer in enumerate(layers):
-        left, right = (n + 0.06) / len(layers), (n + 0.97) / len(layers)
+        left, right = (n + 0.05) / len(layers), (n + 0.91) / len(layers)
         suffix = "" if n == 0 else str(n + 1)
         data.append(
             {
@@ -105,7 +106,7 @@ def slices(result: RigMap, values: Floats, vertical: Floats, what: str, shades: 
                 "colorbar": {"title": {"text": what, "side": "right"}, "thickness": 12, "outlinewidth": 0},
             }
         )
-        side = {"showgrid": False, "zeroline": False, "ticksuffix": " m", "nticks": 5, "tickfont": {"size": 10}}
+        side = {"showgrid": False, "zeroline": False, "ticksuffix": " m", "nticks": 4, "tickfont": {"size": 10}}
         height = float(result.axes[axis][layer] * np.sign(vertical[axis]))
         layout[f"xaxis{suffix}"] = {
             "title": {"text": f"{height:.1f} m high", "font": {"size": 12}},

@@ -23,6 +23,8 @@ GLARE = 0.02
 """What it costs when every camera has every other one's lamps in its image."""
 STRIDES = (0.6, 0.3, 0.15, 0.07, 0.03)
 """m, of the polish."""
+APART = 0.3
+"""m, how near the polish may move one camera to another."""
 MOVES = [(which, sign) for which in (0, 1, 3, 4, 5) for sign in (1.0, -1.0)]
 PAIRS = np.array([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)])
 
@@ -186,7 +188,7 @@ class _Hall:
     def searched(self, cameras: int, progress: Callable[[float], None]) -> Floats:
         """Greedy and exchange over a grid."""
         aims = self._aims()
-        spacing = 0.5
+        spacing = min(0.5, self.mounts.around_m / (2 * cameras))
         while len(self.mounts.candidates(spacing)) * len(aims) > CANDIDATES:
             spacing *= 1.2
         places = self.mounts.candidates(spacing)
@@ -230,13 +232,16 @@ class _Hall:
         poses = poses.copy()
         for s, stride in enumerate(STRIDES):
             for i in range(len(poses)):
-                worth = self._beside(np.delete(poses, i, axis=0), least)
+                others = np.delete(poses, i, axis=0)
+                eyes = np.array([self.mounts.position(pose[:3]) for pose in others])
+                worth = self._beside(others, least)
                 reached = worth(poses[i])
                 for which, sign in MOVES:
                     while True:
                         trial = poses[i].copy()
                         trial[which] += sign * stride
-                        if np.linalg.norm(self.mounts.position(trial[:3]) - trial[3:]) < 0.5:
+                        here = self.mounts.position(trial[:3])
+                        if np.linalg.norm(here - trial[3:]) < 0.5 or np.linalg.norm(eyes - here, axis=1).min() < APART:
                             break
                         found = worth(trial)
                         if found <= reached + 1e-6:

@@ -99,11 +99,11 @@ def walker_capsules(recording: Recording) -> Capsules:
 
 
 class _Markers:
-    """Positions by name; means over those that a frame has."""
+    """Positions by name, with or without a subject before it (Ann:LKNE)."""
 
     def __init__(self, recording: Recording) -> None:
         self._positions = recording.positions
-        self._place = {canonical(name): i for i, name in enumerate(recording.labels)}
+        self._place = {canonical(name.rsplit(":", 1)[-1]): i for i, name in enumerate(recording.labels)}
 
     def mean(self, *names: str) -> Floats | None:
         """(T, 3) m, NaN in frames in which one of those that the recording has is missing; None where it has none of them."""
