@@ -141,6 +141,8 @@ def test_static_reflections_are_masked() -> None:
         assert len(found) == 1, f"frame {k}: {len(found)} blobs"
         assert off(found.xy, np.array([[20.0 + 14 * k, 120.0]])).max() < 0.1
     assert len(find_blobs(frames[0])) == 3
+    passing = find_blobs(discs(np.concatenate([still, [[57.0, 60.0]]])), mask=mask)
+    assert (passing.flags & Flag.AT_BORDER).all(), "a marker half behind a mask is where nobody knows"
 
 
 def test_automatic_threshold_stands_between_dark_and_markers() -> None:

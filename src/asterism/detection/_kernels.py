@@ -103,21 +103,20 @@ def by_component(parents, count):
 
 
 @njit(cache=True, nogil=True)
-def measure(image, base, rows, firsts, lasts, order, starts, limits, split, step, top, out, flags):
+def measure(image, base, cut, rows, firsts, lasts, order, starts, limits, split, step, top, out, flags):
     """Weighted moments of every component of a fitting size; components with several peaks become one blob per peak.
 
-    IN  image (H, W), base (H, W): weights are grey values above it; rows, firsts, lasts: runs; order, starts: see `by_component`;
-        limits: smallest and largest area px, weight that the brightest pixel must exceed; split: how deep the saddle between two peaks must
-        be, as a share of the lower one, to part them (1 and more: never); step: see `_grow`, 0: not so; top: grey value from which a
-        pixel is saturated
+    IN  image (H, W), base (H, W): weights are grey values above it; cut (H, W): not 0 where a blob may go on unseen; rows, firsts, lasts:
+        runs; order, starts: see `by_component`; limits: smallest and largest area px, weight that the brightest pixel must exceed;
+        split: how deep the saddle between two peaks must be, as a share of the lower one, to part them (1 and more: never); step: see
+        `_grow`, 0: not so; top: grey value from which a pixel is saturated
     OUT out (capacity, COLUMNS), flags (capacity,): one row per blob
     Returns how many blobs there are. O(pixels above the level), n log n in components with several peaks.
     """
-    height, width = image.shape
     blobs = 0
     for component in range(len(starts) - 1):
         runs = order[starts[component] : starts[component + 1]]
-        area, left, right = 0, width, 0
+        area, left, right = 0, image.shape[1], 0
         for run in runs:
             area += lasts[run] - firsts[run] + 1
             left, right = min(left, firsts[run]), max(right, lasts[run])
@@ -127,13 +126,11 @@ def measure(image, base, rows, firsts, lasts, order, starts, limits, split, step
         box = (upper, lower, left, right)
         parts = 0
         if step > 0.0:
-            parts = _grow(image, base, rows, firsts, lasts, runs, box, step, limits[2], top, out[blobs:], flags[blobs:])
+            parts = _grow(image, base, cut, rows, firsts, lasts, runs, box, step, limits[2], top, out[blobs:], flags[blobs:])
         elif split < 1.0 and area >= 2 * limits[0] and right - left + lower - upper >= 4:
-            parts = _split(image, base, rows, firsts, lasts, runs, box, split, top, out[blobs:], flags[blobs:])
+            parts = _split(image, base, cut, rows, firsts, lasts, runs, box, split, top, out[blobs:], flags[blobs:])
         if parts == 0 and step == 0.0:
-            _whole(image, base, rows, firsts, lasts, runs, top, out[blobs], flags[blobs : blobs + 1])
-            if left == 0 or upper == 0 or right == width - 1 or lower == height - 1:
-                flags[blobs] |= AT_BORDER
+            _whole(image, base, cut, rows, firsts, lasts, runs, top, out[blobs], flags[blobs : blobs + 1])
             parts = 1
         kept = blobs
         for blob in range(blobs, blobs + parts):
@@ -146,12 +143,12 @@ def measure(image, base, rows, firsts, lasts, order, starts, limits, split, step
 
 
 @njit(cache=True, nogil=True)
-def _whole(image, base, rows, firsts, lasts, runs, top, out, flag):
+def _whole(image, base, cut, rows, firsts, lasts, runs, top, out, flag):
     """One component as one blob: moments about its first pixel, moved to the centroid."""
     x0, y0 = firsts[runs[0]], rows[runs[0]]
     left, right = x0, x0
     total = sx = sy = sxx = syy = sxy = 0.0
-    area, full = 0, 0
+    area, full, ends = 0, 0, 0
     peak = 0.0
     for run in runs:
         y = float(rows[run] - y0)
@@ -166,17 +163,18 @@ def _whole(image, base, rows, firsts, lasts, runs, top, out, flag):
             sxy += w * x * y
             peak = max(peak, w)
             full += value >= top
+            ends += cut[rows[run], column] != 0
         area += lasts[run] - firsts[run] + 1
         left, right = min(left, firsts[run]), max(right, lasts[run])
     x, y = sx / total, sy / total
     out[WIDE], out[TALL] = right - left + 1, rows[runs[-1]] - y0 + 1
     out[X], out[Y], out[AREA], out[PEAK], out[WEIGHT] = x0 + x, y0 + y, area, peak, total
     out[XX], out[YY], out[XY] = sxx / total - x * x, syy / total - y * y, sxy / total - x * y
-    flag[0] = SATURATED if full else 0
+    flag[0] = (SATURATED if full else 0) | (AT_BORDER if ends else 0)
 
 
 @njit(cache=True, nogil=True)
-def _split(image, base, rows, firsts, lasts, runs, box, split, top, out, flags):
+def _split(image, base, cut, rows, firsts, lasts, runs, box, split, top, out, flags):
     """Part a component at the saddles between its peaks: watershed by flooding from the brightest pixel down, peaks that stand out too
     little above their saddle joined to their neighbour at once; then a mixture of round Gaussians, one per peak, shares pixels out.
 
@@ -247,7 +245,7 @@ def _split(image, base, rows, firsts, lasts, runs, box, split, top, out, flags):
     share = np.zeros((n, lobes))
     for i in range(n):
         share[i, label[ys[i], xs[i]]] = 1.0
-    _look(image, weight, ys, xs, label, box, lobes, top, out, flags)
+    _look(image, cut, weight, ys, xs, label, box, lobes, top, out, flags)
     _moments(weight, ys, xs, share, out)
     for _ in range(SWEEPS):
         for i in range(n):
@@ -267,7 +265,7 @@ def _split(image, base, rows, firsts, lasts, runs, box, split, top, out, flags):
 
 
 @njit(cache=True, nogil=True)
-def _grow(image, base, rows, firsts, lasts, runs, box, step, lowest, top, out, flags):
+def _grow(image, base, cut, rows, firsts, lasts, runs, box, step, lowest, top, out, flags):
     """Part a component where its grey values rise by more than a step: the peak fitting of particle tracking velocimetry.
 
     From every peak above `lowest`, in reading order, a blob grows to the pixels beside it that are not taken, unless these or the pixels
@@ -335,7 +333,7 @@ def _grow(image, base, rows, firsts, lasts, runs, box, step, lowest, top, out, f
             number[peak] = number[_root(parents, peak)]
     for i in range(n):
         label[ys[i], xs[i]] = number[label[ys[i], xs[i]]]
-    _look(image, weight, ys, xs, label, box, blobs, top, out, flags)
+    _look(image, cut, weight, ys, xs, label, box, blobs, top, out, flags)
     for blob in range(blobs):
         mine = np.array([i for i in range(n) if label[ys[i], xs[i]] == blob])
         _moments(weight, ys[mine], xs[mine], np.ones((len(mine), 1)), out[blob : blob + 1])
@@ -370,7 +368,7 @@ def _window(image, base, rows, firsts, lasts, runs, box):
 
 
 @njit(cache=True, nogil=True)
-def _look(image, weight, ys, xs, label, box, blobs, top, out, flags):
+def _look(image, cut, weight, ys, xs, label, box, blobs, top, out, flags):
     """Area, extent, peak and flags of the blobs that the pixels of a window belong to."""
     height, width = image.shape
     ends = np.empty((blobs, 4), np.int64)
@@ -387,7 +385,7 @@ def _look(image, weight, ys, xs, label, box, blobs, top, out, flags):
         out[blob, PEAK] = max(out[blob, PEAK], float(weight[ys[i], xs[i]]))
         if image[y, x] >= top:
             flags[blob] |= SATURATED
-        if x == 0 or y == 0 or x == width - 1 or y == height - 1:
+        if cut[y, x]:
             flags[blob] |= AT_BORDER
     for blob in range(blobs):
         out[blob, WIDE], out[blob, TALL] = ends[blob, 1] - ends[blob, 0] + 1, ends[blob, 3] - ends[blob, 2] + 1

@@ -24,7 +24,7 @@ class Flag(IntFlag):
     """What may be wrong with a blob."""
 
     AT_BORDER = _kernels.AT_BORDER
-    """Touches the image's border: part of it is missing, its centroid is drawn inwards."""
+    """Touches the image's border or the mask: part of it may be missing, its centroid drawn away."""
     SATURATED = _kernels.SATURATED
     """Has pixels at the end of the grey scale."""
     OVERLAPPING = _kernels.OVERLAPPING
@@ -95,11 +95,16 @@ def find_blobs(
     grey = as_grey(image)
     _check(connectivity, min_size, max_size, split, step, weigh_from)
     level, base, threshold = _levels(grey, threshold, background)
+    cut = np.ones(grey.shape, np.uint8)
+    cut[1:-1, 1:-1] = 0
     if mask is not None:
+        import cv2
+
         hidden = np.asarray(mask, dtype=bool)
         if hidden.shape != grey.shape:
             raise AsterismError(f"the mask is {_shape(hidden)}, the image {_shape(grey)}; learn it from images of this camera.")
         level[hidden] = np.iinfo(grey.dtype).max
+        cut |= cv2.dilate(hidden.astype(np.uint8), np.ones((3, 3), np.uint8))
     height, width = grey.shape
     capacity = height * ((width + 1) // 2)
     rows, firsts, lasts, parents = (np.empty(capacity, np.int32) for _ in range(4))
@@ -110,7 +115,7 @@ def find_blobs(
     base, off = (base, 0.0) if weigh_from == "background" else (level, threshold)
     limits = np.array([min_size**2 * np.pi / 4, max_size**2 * np.pi / 4, max(min_peak or 0.0, threshold) - off])
     top = np.iinfo(grey.dtype).max
-    found = _kernels.measure(grey, base, rows, firsts, lasts, order, starts, limits, split, step or 0.0, top, out, flags)
+    found = _kernels.measure(grey, base, cut, rows, firsts, lasts, order, starts, limits, split, step or 0.0, top, out, flags)
     return _spots(out[:found], flags[:found], off, min_roundness, round_from)
 
 

@@ -36,7 +36,8 @@ class CameraImages:
     frames       images read, of `expected` that there should be
     threshold    grey values above the background
     masked       share of the image under the mask of static reflections, and in how many places
-    blobs        found and kept; at_border: left out because the image's edge cuts them; overlapping, unround, saturated: of those kept
+    blobs        found and kept; at_border: left out because the image's edge or the mask cuts them; overlapping, unround, saturated: of
+                 those kept
     behind       frames that it lags behind most cameras, NaN where nothing tells
     sample       one of its images, and the blobs in it
     """
@@ -105,8 +106,8 @@ def detect(
     workers      threads that share the cameras; the result is the same
     settings     of `find_blobs`; the threshold, where none is given, is the median of the automatic ones of some 24 images
 
-    Frames are numbered by file names or from 0. Blobs that the image's edge cuts are left out. Raises AsterismError where a camera has
-    nothing to read, image sizes differ from the rig's, or times are of other images.
+    Frames are numbered by file names or from 0. Blobs that the image's edge or the mask cuts are left out. Raises AsterismError where a
+    camera has nothing to read, image sizes differ from the rig's, or times are of other images.
     """
     if not paths:
         raise AsterismError("there is no camera to look at; give a video or a folder of images for each.")
@@ -209,9 +210,8 @@ def _search(source: Source, name: str, rig: Rig | None, mask_static: bool, setti
             broken.append(place)
             continue
         if image.shape != (height, width):
-            raise AsterismError(
-                f"{source.path}, image {place}: {image.shape[1]} x {image.shape[0]} after images of {width} x {height}; give one camera's."
-            )
+            file = source.files[place] if source.files else f"{source.path}, image {place}"
+            raise AsterismError(f"{file}: {image.shape[1]} x {image.shape[0]} after images of {width} x {height}; give one camera's.")
         read.append(place)
         found.append(find_blobs(image, **settings))
     if broken:
