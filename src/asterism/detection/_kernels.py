@@ -13,7 +13,7 @@ X, Y, AREA, PEAK, XX, YY, XY, WEIGHT, WIDE, TALL = range(COLUMNS)
 AT_BORDER, SATURATED, OVERLAPPING, UNROUND = 1, 2, 4, 8
 
 STEP = 64
-SWEEPS = 8
+SWEEPS, MOST_MIXED = 8, 16
 
 
 @njit(cache=True, nogil=True)
@@ -108,8 +108,7 @@ def measure(image, base, cut, rows, firsts, lasts, order, starts, limits, split,
 
     IN  image (H, W), base (H, W): weights are grey values above it; cut (H, W): not 0 where a blob may go on unseen; rows, firsts, lasts:
         runs; order, starts: see `by_component`; limits: smallest and largest area px, weight that the brightest pixel must exceed;
-        split: how deep the saddle between two peaks must be, as a share of the lower one, to part them (1 and more: never); step: see
-        `_grow`, 0: not so; top: grey value from which a pixel is saturated
+        split: see `_split`, 1 and more: never; step: see `_grow`, 0: not so; top: grey value from which a pixel is saturated
     OUT out (capacity, COLUMNS), flags (capacity,): one row per blob
     Returns how many blobs there are. O(pixels above the level), n log n in components with several peaks.
     """
@@ -123,19 +122,28 @@ def measure(image, base, cut, rows, firsts, lasts, order, starts, limits, split,
         if area < limits[0] or (area > limits[1] and step == 0.0):
             continue
         upper, lower = rows[runs[0]], rows[runs[-1]]
-        box = (upper, lower, left, right)
-        parts = 0
-        if step > 0.0:
-            parts = _grow(image, base, cut, rows, firsts, lasts, runs, box, step, limits[2], top, out[blobs:], flags[blobs:])
-        elif split < 1.0 and area >= 2 * limits[0] and right - left + lower - upper >= 4:
-            parts = _split(image, base, cut, rows, firsts, lasts, runs, box, split, top, out[blobs:], flags[blobs:])
-        if parts == 0 and step == 0.0:
+        many = right - left + lower - upper >= 4 and area >= 2 * limits[0] and split < 1.0
+        parts = 1
+        if many or step > 0.0:
+            weight = _window(image, base, rows, firsts, lasts, runs, upper, lower, left, right)
+            label = np.full(weight.shape, -1)
+            ys, xs = np.empty(area, np.int64), np.empty(area, np.int64)
+            n, parts = _grow(weight, step, limits[2], ys, xs, label) if step > 0.0 else _split(weight, split, ys, xs, label)
+            if parts > 1 or step > 0.0:
+                mine = out[blobs : blobs + parts]
+                _look(image, cut, weight, ys[:n], xs[:n], label, upper - 1, left - 1, top, mine, flags[blobs:])
+                if step == 0.0 and parts <= MOST_MIXED:
+                    _mix(weight, ys[:n], xs[:n], mine)
+                for blob in range(parts):
+                    mine[blob, X] += left - 1
+                    mine[blob, Y] += upper - 1
+        if parts == 1 and step == 0.0:
             _whole(image, base, cut, rows, firsts, lasts, runs, top, out[blobs], flags[blobs : blobs + 1])
-            parts = 1
         kept = blobs
         for blob in range(blobs, blobs + parts):
             if limits[0] <= out[blob, AREA] <= limits[1] and out[blob, PEAK] > limits[2]:
-                out[kept] = out[blob]
+                for k in range(COLUMNS):
+                    out[kept, k] = out[blob, k]
                 flags[kept] = flags[blob] | (OVERLAPPING if parts > 1 else 0)
                 kept += 1
         blobs = kept
@@ -174,44 +182,53 @@ def _whole(image, base, cut, rows, firsts, lasts, runs, top, out, flag):
 
 
 @njit(cache=True, nogil=True)
-def _split(image, base, cut, rows, firsts, lasts, runs, box, split, top, out, flags):
-    """Part a component at the saddles between its peaks: watershed by flooding from the brightest pixel down, peaks that stand out too
-    little above their saddle joined to their neighbour at once; then a mixture of round Gaussians, one per peak, shares pixels out.
+def _window(image, base, rows, firsts, lasts, runs, upper, lower, left, right):
+    """A component's weights in its bounding box, with one pixel of 0 around it; pixels of other components are 0 too."""
+    weight = np.zeros((lower - upper + 3, right - left + 3), np.int64)
+    for run in runs:
+        for column in range(firsts[run], lasts[run] + 1):
+            weight[rows[run] - upper + 1, column - left + 1] = int(image[rows[run], column]) - int(base[rows[run], column])
+    return weight
+
+
+@njit(cache=True, nogil=True)
+def _split(weight, split, ys, xs, label):
+    """Part a component at the saddles between its peaks: watershed by flooding from the brightest pixel down.
 
     A pixel's height is its weight, summed over 3 x 3 pixels against noise, times its distance from the component's edge: so flat saturated
-    tops part at their waist, others at their valley. Returns the number of blobs, written as rows of out and flags, or 0 and nothing
-    written where there is one peak only.
+    tops part at their waist, others at their valley. A peak that stands out above its saddle by less than the share `split` of its height
+    is joined to its neighbour at once.
+
+    IN  weight (h, w), 0 around the component
+    OUT ys, xs (n,) the component's pixels; label (h, w) the peak that each belongs to, where there are several
+    Returns n and the number of peaks. O(n log n), O(n) where there is one peak.
     """
-    weight = _window(image, base, rows, firsts, lasts, runs, box)
     tall, wide = weight.shape
-    area = 0
-    for run in runs:
-        area += lasts[run] - firsts[run] + 1
     height = _from_edge(weight)
-    ys, xs = np.empty(area, np.int64), np.empty(area, np.int64)
     n = 0
     for y in range(1, tall - 1):
         for x in range(1, wide - 1):
             if weight[y, x] > 0:
-                above = weight[y - 1, x - 1] + weight[y - 1, x] + weight[y - 1, x + 1]
-                below = weight[y + 1, x - 1] + weight[y + 1, x] + weight[y + 1, x + 1]
-                height[y, x] *= above + weight[y, x - 1] + weight[y, x] + weight[y, x + 1] + below
+                around = 0
+                for dy in range(-1, 2):
+                    around += weight[y + dy, x - 1] + weight[y + dy, x] + weight[y + dy, x + 1]
+                height[y, x] *= around
                 ys[n], xs[n] = y, x
                 n += 1
     peaks = 0
     for i in range(n):
-        y, x = ys[i], xs[i]
-        peaks += height[y, x] >= height[y - 1 : y + 2, x - 1 : x + 2].max()
+        peaks += _is_peak(height, ys[i], xs[i])
     if peaks < 2:
-        return 0
+        return n, peaks
 
-    values = np.empty(n, np.int64)
+    ranks = np.empty(n, np.int64)
     for i in range(n):
-        values[i] = -height[ys[i], xs[i]]
-    label = np.full((tall, wide), -1, np.int64)
+        ranks[i] = i - n * height[ys[i], xs[i]]
     parents = np.empty(n, np.int64)
-    for i in np.argsort(values, kind="mergesort"):
+    for rank in np.sort(ranks):
+        i = rank % n
         y, x = ys[i], xs[i]
+        here = height[y, x]
         mine = -1
         for dy in range(-1, 2):
             for dx in range(-1, 2):
@@ -221,77 +238,49 @@ def _split(image, base, cut, rows, firsts, lasts, runs, box, split, top, out, fl
                 if mine < 0:
                     mine = other
                 elif other != mine:
-                    high, low = (other, mine) if values[other] < values[mine] else (mine, other)
-                    if values[i] - values[low] < split * -values[low]:
+                    high, low = (other, mine) if ranks[other] < ranks[mine] else (mine, other)
+                    peak = height[ys[low], xs[low]]
+                    if peak - here < split * peak:
                         parents[low] = high
                     mine = high
         if mine < 0:
             mine = i
-            parents[i] = i
-        else:
-            parents[i] = mine
+        parents[i] = mine
         label[y, x] = mine
-    lobes = 0
-    number = np.full(n, -1, np.int64)
-    for i in range(n):
-        root = _root(parents, label[ys[i], xs[i]])
-        if number[root] < 0:
-            number[root] = lobes
-            lobes += 1
-        label[ys[i], xs[i]] = number[root]
-    if lobes < 2:
-        return 0
-
-    share = np.zeros((n, lobes))
-    for i in range(n):
-        share[i, label[ys[i], xs[i]]] = 1.0
-    _look(image, cut, weight, ys, xs, label, box, lobes, top, out, flags)
-    _moments(weight, ys, xs, share, out)
-    for _ in range(SWEEPS):
-        for i in range(n):
-            total = 0.0
-            for lobe in range(lobes):
-                spread = 0.5 * (out[lobe, XX] + out[lobe, YY]) + 0.1
-                dx, dy = xs[i] - out[lobe, X], ys[i] - out[lobe, Y]
-                share[i, lobe] = out[lobe, WEIGHT] / spread * math.exp(-0.5 * (dx * dx + dy * dy) / spread) + 1e-300
-                total += share[i, lobe]
-            for lobe in range(lobes):
-                share[i, lobe] /= total
-        _moments(weight, ys, xs, share, out)
-    for lobe in range(lobes):
-        out[lobe, X] += box[2] - 1
-        out[lobe, Y] += box[0] - 1
-    return lobes
+    return n, _numbered(parents, ys[:n], xs[:n], label)
 
 
 @njit(cache=True, nogil=True)
-def _grow(image, base, cut, rows, firsts, lasts, runs, box, step, lowest, top, out, flags):
+def _grow(weight, step, lowest, ys, xs, label):
     """Part a component where its grey values rise by more than a step: the peak fitting of particle tracking velocimetry.
 
     From every peak above `lowest`, in reading order, a blob grows to the pixels beside it that are not taken, unless these or the pixels
     beside them are brighter by more than `step` than the one it grows from. Two blobs that touch are one where no pixel on the line between
-    their centres is darker than the brighter peak by more than `step`, or where the centres are nearer than 2 px. Returns the number
-    of blobs, written as rows of out and flags. O(n), and the touching pairs times their distance. After Maas, Gruen and Papantoniou,
-    Particle tracking velocimetry in three-dimensional flows, Experiments in Fluids 15, 1993. Twin: tests/twins_detection.py
+    their centres is darker than the brighter peak by more than `step`, or where the centres are nearer than 2 px. After Maas, Gruen and
+    Papantoniou, Particle tracking velocimetry in three-dimensional flows, Experiments in Fluids 15, 1993.
+
+    IN  weight (h, w), 0 around the component
+    OUT ys, xs (n,) the pixels that some blob has; label (h, w) which blob that is
+    Returns n and the number of blobs. O(n), and the touching pixels times the centres' distance. Twin: tests/twins_detection.py
     """
-    weight = _window(image, base, rows, firsts, lasts, runs, box)
     tall, wide = weight.shape
-    label = np.full((tall, wide), -1, np.int64)
-    ys, xs = np.empty(tall * wide, np.int64), np.empty(tall * wide, np.int64)
-    heights = np.empty(tall * wide, np.int64)
     n = peaks = 0
+    centres = np.zeros((len(ys), 4))
     for y in range(1, tall - 1):
         for x in range(1, wide - 1):
-            here = weight[y, x]
-            if here <= lowest or label[y, x] >= 0 or here < weight[y - 1 : y + 2, x - 1 : x + 2].max():
+            if weight[y, x] <= lowest or label[y, x] >= 0 or not _is_peak(weight, y, x):
                 continue
             label[y, x] = peaks
-            heights[peaks] = here
+            centres[peaks, 3] = weight[y, x]
             ys[n], xs[n] = y, x
             next_, n = n, n + 1
             while next_ < n:
                 row, column = ys[next_], xs[next_]
                 limit = weight[row, column] + step
+                w = float(weight[row, column])
+                centres[peaks, 0] += w * column
+                centres[peaks, 1] += w * row
+                centres[peaks, 2] += w
                 next_ += 1
                 for beside in range(4):
                     r, c = row + (beside == 0) - (beside == 1), column + (beside == 2) - (beside == 3)
@@ -303,48 +292,21 @@ def _grow(image, base, cut, rows, firsts, lasts, runs, box, step, lowest, top, o
                         ys[n], xs[n] = r, c
                         n += 1
             peaks += 1
-    if peaks == 0:
-        return 0
-    ys, xs = ys[:n], xs[:n]
     parents = np.arange(peaks)
-    if peaks > 1:
-        centres = np.zeros((peaks, 3))
-        for i in range(n):
-            w = weight[ys[i], xs[i]]
-            centres[label[ys[i], xs[i]]] += np.array([w * xs[i], w * ys[i], w], np.float64)
-        looked_at = np.zeros((peaks, peaks), np.bool_)
-        for i in range(n):
-            for r in range(ys[i] - 1, ys[i] + 2):
-                for c in range(xs[i] - 1, xs[i] + 2):
-                    a, b = label[ys[i], xs[i]], label[r, c]
-                    if b <= a or looked_at[a, b]:
-                        continue
-                    looked_at[a, b] = True
-                    if _level_between(weight, centres[a], centres[b], max(heights[a], heights[b]) - step):
-                        a, b = _root(parents, a), _root(parents, b)
-                        parents[max(a, b)] = min(a, b)
-    blobs = 0
-    number = np.empty(peaks, np.int64)
-    for peak in range(peaks):
-        if parents[peak] == peak:
-            number[peak] = blobs
-            blobs += 1
-        else:
-            number[peak] = number[_root(parents, peak)]
     for i in range(n):
-        label[ys[i], xs[i]] = number[label[ys[i], xs[i]]]
-    _look(image, cut, weight, ys, xs, label, box, blobs, top, out, flags)
-    for blob in range(blobs):
-        mine = np.array([i for i in range(n) if label[ys[i], xs[i]] == blob])
-        _moments(weight, ys[mine], xs[mine], np.ones((len(mine), 1)), out[blob : blob + 1])
-        out[blob, X] += box[2] - 1
-        out[blob, Y] += box[0] - 1
-    return blobs
+        for dy in range(-1, 2):
+            for dx in range(-1, 2):
+                a, b = label[ys[i], xs[i]], label[ys[i] + dy, xs[i] + dx]
+                if b > a and _root(parents, a) != _root(parents, b) and _level_between(weight, centres[a], centres[b], step):
+                    a, b = _root(parents, a), _root(parents, b)
+                    parents[max(a, b)] = min(a, b)
+    return n, _numbered(parents, ys[:n], xs[:n], label)
 
 
 @njit(cache=True, nogil=True)
-def _level_between(weight, a, b, lowest):
-    """Whether no pixel on the line between two centres (x sum, y sum, weight sum) weighs less than `lowest`; true where they are near."""
+def _level_between(weight, a, b, step):
+    """Whether no pixel between two centres (x sum, y sum, weight sum, peak) is darker than their peaks by more than a step, or they are
+    near."""
     x, y = a[0] / a[2], a[1] / a[2]
     dx, dy = b[0] / b[2] - x, b[1] / b[2] - y
     away = math.sqrt(dx * dx + dy * dy)
@@ -353,73 +315,125 @@ def _level_between(weight, a, b, lowest):
     darkest = math.inf
     for k in range(1, math.ceil(away)):
         darkest = min(darkest, float(weight[int(y + k * dy / away + 0.5), int(x + k * dx / away + 0.5)]))
-    return darkest >= lowest
+    return darkest >= max(a[3], b[3]) - step
 
 
 @njit(cache=True, nogil=True)
-def _window(image, base, rows, firsts, lasts, runs, box):
-    """A component's weights in its bounding box, with one pixel of 0 around it; pixels of other components are 0 too."""
-    upper, lower, left, right = box
-    weight = np.zeros((lower - upper + 3, right - left + 3), np.int64)
-    for run in runs:
-        for column in range(firsts[run], lasts[run] + 1):
-            weight[rows[run] - upper + 1, column - left + 1] = int(image[rows[run], column]) - int(base[rows[run], column])
-    return weight
+def _is_peak(height, y, x):
+    """Whether none of the eight pixels around is higher."""
+    for dy in range(-1, 2):
+        for dx in range(-1, 2):
+            if height[y + dy, x + dx] > height[y, x]:
+                return False
+    return True
 
 
 @njit(cache=True, nogil=True)
-def _look(image, cut, weight, ys, xs, label, box, blobs, top, out, flags):
-    """Area, extent, peak and flags of the blobs that the pixels of a window belong to."""
-    height, width = image.shape
-    ends = np.empty((blobs, 4), np.int64)
-    for blob in range(blobs):
-        out[blob, AREA] = out[blob, PEAK] = 0.0
-        flags[blob] = 0
-        ends[blob] = height + width, -1, height + width, -1
+def _numbered(parents, ys, xs, label):
+    """Label pixels (n,) by their groups, counted from 0 in the order in which they are met; returns how many groups there are."""
+    number = np.full(len(parents), -1)
+    groups = 0
     for i in range(len(ys)):
-        blob = label[ys[i], xs[i]]
-        y, x = ys[i] + box[0] - 1, xs[i] + box[2] - 1
-        left, right, upper, lower = ends[blob]
-        ends[blob] = min(left, x), max(right, x), min(upper, y), max(lower, y)
-        out[blob, AREA] += 1
-        out[blob, PEAK] = max(out[blob, PEAK], float(weight[ys[i], xs[i]]))
-        if image[y, x] >= top:
+        root = _root(parents, label[ys[i], xs[i]])
+        if number[root] < 0:
+            number[root] = groups
+            groups += 1
+        label[ys[i], xs[i]] = number[root]
+    return groups
+
+
+@njit(cache=True, nogil=True)
+def _look(image, cut, weight, ys, xs, label, upper, left, top, out, flags):
+    """Moments, area, extent, peak and flags of the blobs that the pixels (n,) of a window belong to; the window begins at upper, left.
+
+    OUT out (blobs, COLUMNS), in the window's axes; flags (blobs,)
+    """
+    ends = np.empty((len(out), 4), np.int64)
+    for blob in range(len(out)):
+        flags[blob] = 0
+        for k in range(COLUMNS):
+            out[blob, k] = 0.0
+        ends[blob, 0], ends[blob, 1] = weight.shape[1], 0
+        ends[blob, 2], ends[blob, 3] = weight.shape[0], 0
+    for i in range(len(ys)):
+        y, x = ys[i], xs[i]
+        blob, w = label[y, x], float(weight[y, x])
+        out[blob, WEIGHT] += w
+        out[blob, X] += w * x
+        out[blob, Y] += w * y
+        out[blob, XX] += w * x * x
+        out[blob, YY] += w * y * y
+        out[blob, XY] += w * x * y
+        out[blob, AREA] += 1.0
+        out[blob, PEAK] = max(out[blob, PEAK], w)
+        ends[blob, 0], ends[blob, 1] = min(ends[blob, 0], x), max(ends[blob, 1], x)
+        ends[blob, 2], ends[blob, 3] = min(ends[blob, 2], y), max(ends[blob, 3], y)
+        if image[upper + y, left + x] >= top:
             flags[blob] |= SATURATED
-        if cut[y, x]:
+        if cut[upper + y, left + x]:
             flags[blob] |= AT_BORDER
-    for blob in range(blobs):
+    for blob in range(len(out)):
         out[blob, WIDE], out[blob, TALL] = ends[blob, 1] - ends[blob, 0] + 1, ends[blob, 3] - ends[blob, 2] + 1
+        _central(out[blob])
+
+
+@njit(cache=True, nogil=True)
+def _central(blob):
+    """Sums of weighted coordinates and their products to mean and covariance, in place."""
+    for k in (X, Y, XX, YY, XY):
+        blob[k] /= blob[WEIGHT]
+    blob[XX] -= blob[X] * blob[X]
+    blob[YY] -= blob[Y] * blob[Y]
+    blob[XY] -= blob[X] * blob[Y]
+
+
+@njit(cache=True, nogil=True)
+def _mix(weight, ys, xs, out):
+    """Share the pixels (n,) of blobs that overlap by a mixture of round Gaussians, one per blob: expectation and maximization in turn.
+
+    OUT out (blobs, COLUMNS): moments and weights, begun from those of the parts that the blobs were cut into
+    O(SWEEPS n blobs)
+    """
+    blobs = len(out)
+    share = np.empty(blobs)
+    sums = np.empty((blobs, COLUMNS))
+    for _ in range(SWEEPS):
+        for blob in range(blobs):
+            for k in range(COLUMNS):
+                sums[blob, k] = 0.0
+        for i in range(len(ys)):
+            x, y = float(xs[i]), float(ys[i])
+            total = 0.0
+            for blob in range(blobs):
+                spread = 0.5 * (out[blob, XX] + out[blob, YY]) + 0.1
+                dx, dy = x - out[blob, X], y - out[blob, Y]
+                share[blob] = out[blob, WEIGHT] / spread * math.exp(-0.5 * (dx * dx + dy * dy) / spread) + 1e-300
+                total += share[blob]
+            for blob in range(blobs):
+                w = weight[ys[i], xs[i]] * share[blob] / total
+                sums[blob, WEIGHT] += w
+                sums[blob, X] += w * x
+                sums[blob, Y] += w * y
+                sums[blob, XX] += w * x * x
+                sums[blob, YY] += w * y * y
+                sums[blob, XY] += w * x * y
+        for blob in range(blobs):
+            _central(sums[blob])
+            for k in (X, Y, XX, YY, XY, WEIGHT):
+                out[blob, k] = sums[blob, k]
 
 
 @njit(cache=True, nogil=True)
 def _from_edge(weight):
     """Each pixel's distance from the nearest one without weight, in thirds of a pixel: the chamfer of 3 aside and 4 across."""
     tall, wide = weight.shape
-    away = np.where(weight > 0, 3 * (tall + wide), 0)
+    away = np.zeros((tall, wide), np.int64)
     for y in range(1, tall):
         for x in range(1, wide - 1):
-            near = min(away[y - 1, x] + 3, away[y, x - 1] + 3, away[y - 1, x - 1] + 4, away[y - 1, x + 1] + 4)
-            away[y, x] = min(away[y, x], near)
+            if weight[y, x] > 0:
+                away[y, x] = min(away[y - 1, x] + 3, away[y, x - 1] + 3, away[y - 1, x - 1] + 4, away[y - 1, x + 1] + 4)
     for y in range(tall - 2, -1, -1):
         for x in range(wide - 2, 0, -1):
             near = min(away[y + 1, x] + 3, away[y, x + 1] + 3, away[y + 1, x - 1] + 4, away[y + 1, x + 1] + 4)
             away[y, x] = min(away[y, x], near)
     return away
-
-
-@njit(cache=True, nogil=True)
-def _moments(weight, ys, xs, share, out):
-    """Weighted mean and covariance of the pixels (n,) for each column of share (n, lobes), into the rows of out."""
-    for lobe in range(share.shape[1]):
-        total = sx = sy = sxx = syy = sxy = 0.0
-        for i in range(len(ys)):
-            w, x, y = share[i, lobe] * weight[ys[i], xs[i]], float(xs[i]), float(ys[i])
-            total += w
-            sx += w * x
-            sy += w * y
-            sxx += w * x * x
-            syy += w * y * y
-            sxy += w * x * y
-        x, y = sx / total, sy / total
-        out[lobe, X], out[lobe, Y], out[lobe, WEIGHT] = x, y, total
-        out[lobe, XX], out[lobe, YY], out[lobe, XY] = sxx / total - x * x, syy / total - y * y, sxy / total - x * y
