@@ -13,7 +13,7 @@ X, Y, AREA, PEAK, XX, YY, XY, WEIGHT, WIDE, TALL = range(COLUMNS)
 AT_BORDER, SATURATED, OVERLAPPING, UNROUND = 1, 2, 4, 8
 
 STEP = 64
-SWEEPS, MOST_MIXED = 8, 16
+SWEEPS, STILL_PX, MOST_MIXED = 100, 1e-3, 16
 
 
 @njit(cache=True, nogil=True)
@@ -392,7 +392,7 @@ def _mix(weight, ys, xs, out):
     """Share the pixels (n,) of blobs that overlap by a mixture of round Gaussians, one per blob: expectation and maximization in turn.
 
     OUT out (blobs, COLUMNS): moments and weights, begun from those of the parts that the blobs were cut into
-    O(SWEEPS n blobs)
+    O(sweeps n blobs), until no centre moves by STILL_PX, SWEEPS at most
     """
     blobs = len(out)
     share = np.empty(blobs)
@@ -417,10 +417,14 @@ def _mix(weight, ys, xs, out):
                 sums[blob, XX] += w * x * x
                 sums[blob, YY] += w * y * y
                 sums[blob, XY] += w * x * y
+        moved = 0.0
         for blob in range(blobs):
             _central(sums[blob])
+            moved = max(moved, math.fabs(out[blob, X] - sums[blob, X]), math.fabs(out[blob, Y] - sums[blob, Y]))
             for k in (X, Y, XX, YY, XY, WEIGHT):
                 out[blob, k] = sums[blob, k]
+        if moved < STILL_PX:
+            break
 
 
 @njit(cache=True, nogil=True)
