@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from twins_detection import grown
 
 from asterism.detection import Flag, automatic_threshold, find_blobs, static_mask
 from asterism.errors import AsterismError
-from twins_detection import grown
 
 
 def discs(places: np.ndarray, diameter: float = 8.0, shape: tuple[int, int] = (240, 320), **light: float) -> np.ndarray:
