@@ -163,6 +163,10 @@ def test_command_line(folders: list[Path], rig: Rig, waved: Blobs, tmp_path: Pat
     assert told["problems"] == []
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert page.count("data:image/jpeg;base64") == 3
+    assert main([*arguments, "--overwrite", "--threshold", "40,50,250"]) == 0
+    assert read_blobs(tmp_path / "2d.csv").counts.sum(axis=0)[2] == 0
+    assert main([*arguments, "--overwrite", "--threshold", "a"]) == 2
+    capsys.readouterr()
     assert main(arguments) == 2
     assert "--overwrite" in capsys.readouterr().err
 
@@ -201,6 +205,7 @@ def test_hostile_sequences(folders: list[Path], rig: Rig, tmp_path: Path) -> Non
         ([tmp_path / "mixed"], {}, "30 x 20 after images of 20 x 20"),
         ([folders[0], folders[0]], {}, "its own"),
         ([], {}, "no camera"),
+        (folders, {"threshold": [30, 40]}, "2 thresholds for 3 cameras"),
         (folders, {"rig": other}, "the rig says 640 x 480"),
         ([tmp_path / "mixed"], {"rig": rig}, "no camera mixed"),
         (folders[:1], {"times": tmp_path / "none.csv"}, "no column"),

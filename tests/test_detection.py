@@ -220,11 +220,9 @@ def test_particles_of_a_peer_are_found(data: Path) -> None:
     folder = data / "cameras" / "particles-4cam"
     image = cv2.imread(str(folder / "images" / "cam1.10001"), cv2.IMREAD_UNCHANGED)
     peer = np.loadtxt(folder / "images" / "cam1.10001_targets", skiprows=1)
-    sizes = 2 * np.sqrt(np.array([3.9, 500.1]) / np.pi)
-    found = find_blobs(
-        image, background=25, threshold=9, min_peak=18, step=100, weigh_from="background", min_size=sizes[0], max_size=sizes[1]
-    )
-    kept = found.xy[(found.weight > 150) & (found.extent.min(axis=1) >= 2) & (found.flags & Flag.AT_BORDER == 0)]
+    how = {"background": 25, "threshold": 9, "weigh_from": "background", "min_peak": 18, "step": 100}
+    found = find_blobs(image, **how, min_size=2.25, max_size=25.25, min_width=2, min_weight=151)
+    kept = found.xy[found.flags & Flag.AT_BORDER == 0]
     away, back = off(kept, peer[:, 1:3] - 0.5), off(peer[:, 1:3] - 0.5, kept)
     assert (away < 1).mean() > 0.99
     assert (back < 1).mean() > 0.99

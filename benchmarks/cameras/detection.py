@@ -103,14 +103,7 @@ def _targets(camera: int, step: int) -> Floats:
 def _as_the_peer(image: NDArray[np.uint8], camera: int) -> Floats:
     """Blobs by the settings in the peer's parameter file; its peaks exceed twice the threshold."""
     numbers = [int(word) for word in (_files() / "parameters" / "targ_rec.par").read_text().split()]
-    threshold, step, (fewest, most), (narrow, wide), (low, high), weight = (
-        numbers[camera - 1],
-        numbers[4],
-        numbers[5:7],
-        numbers[7:9],
-        numbers[9:11],
-        numbers[11],
-    )
+    threshold, step, fewest, most, narrow, _, low, _, weight = numbers[camera - 1], *numbers[4:12]
     spots = find_blobs(
         image,
         threshold=threshold,
@@ -120,9 +113,10 @@ def _as_the_peer(image: NDArray[np.uint8], camera: int) -> Floats:
         step=step,
         min_size=2 * np.sqrt((fewest - 0.1) / np.pi),
         max_size=2 * np.sqrt((most + 0.1) / np.pi),
+        min_width=min(narrow, low),
+        min_weight=weight + 1,
     )
-    fits = (spots.weight > weight) & (spots.extent >= (narrow, low)).all(axis=1) & (spots.extent <= (wide, high)).all(axis=1)
-    return spots.xy[fits & (spots.flags & Flag.AT_BORDER == 0)]
+    return _whole_blobs(spots)
 
 
 def _whole_blobs(spots: Any) -> Floats:

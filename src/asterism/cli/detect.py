@@ -10,6 +10,7 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._options import Json, Overwrite, Report, Workers
+from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
     from asterism.detection import Detection
@@ -30,9 +31,11 @@ def detect(
         typer.Option("--rig", metavar="FILE", help="The calibrated rig: names, image sizes, and what tells cameras out of step."),
     ] = None,
     threshold: Annotated[
-        float | None,
+        str | None,
         typer.Option(
-            metavar="GREY", help="Markers are so much brighter than the background. Else told from the images.", show_default=False
+            metavar="GREY",
+            help="Markers are so much brighter than the background; one number, or one per camera: 9,9,11. Else told from the images.",
+            show_default=False,
         ),
     ] = None,
     background: Annotated[
@@ -42,6 +45,7 @@ def detect(
     mask_static: Annotated[bool, typer.Option("--mask-static", help="Leave out what is bright in nearly all images.")] = False,
     min_size: Annotated[float, typer.Option(metavar="PX", help="The smallest diameter of a blob.")] = 2.0,
     max_size: Annotated[float, typer.Option(metavar="PX", help="The largest diameter of a blob.")] = 64.0,
+    min_width: Annotated[float, typer.Option(metavar="PX", help="The smallest width and height of a blob.")] = 1.0,
     min_roundness: Annotated[float, typer.Option(metavar="RATIO", help="Shorter over longer axis; 0 takes blobs of any shape.")] = 0.0,
     split: Annotated[
         float, typer.Option(metavar="SHARE", help="How deep the valley in a blob must be to make two of it; 1 makes none.")
@@ -56,6 +60,7 @@ def detect(
         float | None,
         typer.Option(metavar="GREY", help="The brightest pixel is so much above the background.", show_default=False),
     ] = None,
+    min_weight: Annotated[float, typer.Option(metavar="GREY", help="What a blob's pixels weigh together at least.")] = 0.0,
     connectivity: Annotated[int, typer.Option(metavar="N", help="Pixels belong together that share a corner (8) or a side (4).")] = 8,
     weigh_from: Annotated[
         str, typer.Option(metavar="WHAT", help="Pixels weigh what they are brighter than the threshold, or than the background.")
@@ -97,14 +102,16 @@ def detect(
             rate=rate,
             workers=workers,
             progress=progress,
-            threshold=threshold,
+            threshold=_thresholds(threshold),
             background=background,
             min_size=min_size,
             max_size=max_size,
+            min_width=min_width,
             min_roundness=min_roundness,
             split=split,
             step=step,
             min_peak=min_peak,
+            min_weight=min_weight,
             connectivity=connectivity,
             weigh_from=weigh_from,
         )
@@ -120,6 +127,16 @@ def detect(
         detection_report(report, result, settings={"output": output, "rig": rig, "times": times, "mask static": mask_static or None})
     _console.write_json(json, {"command": "detect", "output": output, "rig": rig, **result.to_dict()})
     raise typer.Exit(int(bool(result.problems)))
+
+
+def _thresholds(given: str | None) -> float | list[float] | None:
+    if given is None:
+        return None
+    try:
+        numbers = [float(number) for number in given.split(",")]
+    except ValueError:
+        raise AsterismError(f"--threshold {given} is no number; give one, or one for each camera such as 9,9,11.") from None
+    return numbers[0] if len(numbers) == 1 else numbers
 
 
 def _print(result: Detection) -> None:

@@ -68,9 +68,11 @@ def find_blobs(
     connectivity: int = 8,
     min_size: float = 2.0,
     max_size: float = 64.0,
+    min_width: float = 1.0,
     min_roundness: float = 0.0,
     round_from: float = 0.6,
     min_peak: float | None = None,
+    min_weight: float = 0.0,
     split: float = 0.2,
     step: float | None = None,
 ) -> Spots:
@@ -84,8 +86,10 @@ def find_blobs(
     weigh_from     pixels weigh their grey value above the "threshold" (least noise) or above the "background"
     connectivity   8: pixels that share a corner belong together; 4: a side
     min_size       px, smaller blobs are left out; so are those larger than max_size, such as windows and lamps
+    min_width      px, blobs that are narrower or lower than this are left out, such as broken rows
     min_roundness  blobs less round than this are left out, those less round than round_from flagged
     min_peak       grey values above the background that a blob's brightest pixel must exceed; None: the threshold
+    min_weight     blobs whose pixels' weights sum to less are left out
     split          two peaks in one blob are two blobs where the saddle between them lies this share of the lower peak below it; 1: never
     step           instead of `split`: grey values by which neighbouring pixels must differ for blobs to part there, as particle tracking
                    velocimetry parts its particles
@@ -116,7 +120,9 @@ def find_blobs(
     limits = np.array([min_size**2 * np.pi / 4, max_size**2 * np.pi / 4, max(min_peak or 0.0, threshold) - off])
     top = np.iinfo(grey.dtype).max
     found = _kernels.measure(grey, base, cut, rows, firsts, lasts, order, starts, limits, split, step or 0.0, top, out, flags)
-    return _spots(out[:found], flags[:found], off, min_roundness, round_from)
+    blobs = out[:found]
+    fits = (blobs[:, _kernels.WEIGHT] >= min_weight) & (blobs[:, [_kernels.WIDE, _kernels.TALL]] >= min_width).all(axis=1)
+    return _spots(blobs[fits], flags[:found][fits], off, min_roundness, round_from)
 
 
 def automatic_threshold(image: ArrayLike, background: ArrayLike | int | None = None) -> float:

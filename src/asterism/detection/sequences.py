@@ -89,6 +89,7 @@ def detect(
     paths: Sequence[str | Path],
     *,
     rig: Rig | None = None,
+    threshold: float | Sequence[float] | None = None,
     mask_static: bool = False,
     times: str | Path | None = None,
     rate: float | None = None,
@@ -99,18 +100,22 @@ def detect(
     """Blobs in the images of one or more cameras, one path each: see `open_source` for what a path may be.
 
     rig          cameras are matched to it by name, else by order; images must have its sizes, and lags between cameras are told by it
+    threshold    as in `find_blobs`, one for all cameras or one for each; None: the median of the automatic ones of some 24 images
     mask_static  leave out what is bright in nearly all of some 24 images: see `static_mask`
     times        CSV file of when each image was taken: blobs are interpolated to common instants (`to_common_clock`); where too few can
                  be linked from frame to frame, they stay as they are and `Blobs.times` says when they were seen
     rate         frames per second; else by the times, else by the videos, else 100
     workers      threads that share the cameras; the result is the same
-    settings     of `find_blobs`; the threshold, where none is given, is the median of the automatic ones of some 24 images
+    settings     others of `find_blobs`
 
     Frames are numbered by file names or from 0. Blobs that the image's edge or the mask cuts are left out. Raises AsterismError where a
     camera has nothing to read, image sizes differ from the rig's, or times are of other images.
     """
     if not paths:
         raise AsterismError("there is no camera to look at; give a video or a folder of images for each.")
+    thresholds = list(threshold) if isinstance(threshold, Sequence) else [threshold] * len(paths)
+    if len(thresholds) != len(paths):
+        raise AsterismError(f"{len(thresholds)} thresholds for {len(paths)} cameras; give one for all or one for each.")
     sources = [open_source(path) for path in paths]
     names = names_of(sources, rig)
     stamps = None if times is None else read_times(times)
@@ -123,7 +128,7 @@ def detect(
             progress(min(sum(done) / total, 1.0), f"detecting: {names[c]}")
 
     def one(c: int) -> _Found:
-        return _search(sources[c], names[c], rig, mask_static, settings, lambda: advance(c))
+        return _search(sources[c], names[c], rig, mask_static, {**settings, "threshold": thresholds[c]}, lambda: advance(c))
 
     with ThreadPoolExecutor(workers) as pool:
         found = list(pool.map(one, range(len(sources))))
@@ -194,9 +199,8 @@ def _search(source: Source, name: str, rig: Rig | None, mask_static: bool, setti
     if rig is not None and rig[name].size not in (None, (width, height)):
         wide, tall = rig[name].size or (0, 0)
         raise AsterismError(f"{source.path}: images are {width} x {height}, the rig says {wide} x {tall}; give the rig of these images.")
-    settings = dict(settings)
     background = settings.get("background")
-    if settings.get("threshold") is None:
+    if settings["threshold"] is None:
         settings["threshold"] = float(np.median([automatic_threshold(image, background) for _, image in some]))
     if mask_static:
         settings["mask"] = static_mask((image for _, image in some), threshold=settings["threshold"], background=background)
