@@ -12,6 +12,7 @@ from asterism.recording import Blobs, Floats
 
 _LONGEST = 120
 _FRAMES = 60
+_CROWD = 100
 _NEAR_PX = 2.0
 _FITTING, _CROSSING = (2.5, 0.5), (0.4, 0.1)
 """How high the best lag's score must be, and how far above the next peak's."""
@@ -31,15 +32,16 @@ def lags(blobs: Blobs, rig: Rig | None = None, longest: int = _LONGEST) -> Float
     longest = min(longest, len(blobs) // (8 if rig is None else 3))
     cameras = len(blobs.cameras)
     told: list[tuple[float, int, int, int]] = []
-    if longest >= 1:
+    if longest >= 1 and rig is not None:
+        flat = _flat(blobs, rig)
+        for a, b in combinations(range(cameras), 2):
+            above, best = _stands_out(_crossing(blobs, flat, (rig[a], rig[b]), (a, b), longest), *_CROSSING)
+            told += [(above, a, b, best - longest)] if above > 0 else []
+    elif longest >= 1:
         middles = [_middles(blobs, c) for c in range(cameras)]
         for a, b in combinations(range(cameras), 2):
-            if rig is not None:
-                above, best = _stands_out(_crossing(blobs, (rig[a], rig[b]), (a, b), longest), *_CROSSING)
-            else:
-                above, best = _stands_out(_fitting(middles[a], middles[b], longest), *_FITTING)
-            if above > 0:
-                told.append((above, a, b, best - longest))
+            above, best = _stands_out(_fitting(middles[a], middles[b], longest), *_FITTING)
+            told += [(above, a, b, best - longest)] if above > 0 else []
     behind = np.full(cameras, np.nan)
     told.sort(reverse=True)
     if told:
@@ -76,8 +78,7 @@ def _fitting(first: Floats, second: Floats, longest: int) -> Floats:
     """How well one fundamental matrix explains the middles of two cameras, at each lag of the second: minus the logarithm of the residual,
     as a share of the spread; NaN where they share few frames. The worst third of the frames is left out, twice."""
     scores = np.full(2 * longest + 1, np.nan)
-    shared = np.correlate(np.isfinite(second[:, 0]).astype(float), np.isfinite(first[:, 0]).astype(float), "full")
-    fewest = max(_FEWEST_TO_FIT, 0.5 * float(shared.max()))
+    fewest = max(_FEWEST_TO_FIT, 0.5 * float((np.isfinite(first[:, 0]) & np.isfinite(second[:, 0])).sum()))
     a, b = _normalized(first), _normalized(second)
     for lag in range(-longest, longest + 1):
         x, y = a[max(0, -lag) : len(a) - max(0, lag)], b[max(0, lag) : len(b) - max(0, -lag)]
@@ -103,28 +104,37 @@ def _normalized(middles: Floats) -> Floats:
     return np.column_stack([(middles - centre) / max(float(spread), 1e-9), np.ones(len(middles))])
 
 
-def _crossing(blobs: Blobs, cameras: tuple[Camera, Camera], places: tuple[int, int], longest: int) -> Floats:
-    """The share of the first camera's blobs that have one of the second's on their epipolar line, at each lag of the second."""
+def _flat(blobs: Blobs, rig: Rig) -> Floats:
+    """(P, 3) all blobs on their cameras' normalized planes, homogeneous."""
+    flat = np.ones((len(blobs.xy), 3))
+    camera_of = blobs.camera_of
+    for c, camera in enumerate(rig):
+        flat[camera_of == c, :2] = camera.undistort(blobs.xy[camera_of == c])
+    return flat
+
+
+def _crossing(blobs: Blobs, flat: Floats, cameras: tuple[Camera, Camera], places: tuple[int, int], longest: int) -> Floats:
+    """The share of the first camera's blobs that have one of the second's on their epipolar line, at each lag of the second.
+
+    Looks at some frames of the first, and at none with so many blobs that every line meets one.
+    """
     (one, two), (a, b) = cameras, places
     turn = two.rotation @ one.rotation.T
     x, y, z = two.translation - turn @ one.translation
     essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ turn
     scores = np.full(2 * longest + 1, np.nan)
     counts = blobs.counts
-    frames = np.flatnonzero(counts[:, a])
-    frames = frames[np.linspace(0, len(frames) - 1, min(_FRAMES, len(frames))).astype(int)] if len(frames) else frames
-    starts = np.concatenate([blobs.offsets[frames * counts.shape[1] + a], [0]])[:-1]
+    frames = np.flatnonzero((counts[:, a] > 0) & (counts[:, a] <= _CROWD))
+    if not len(frames):
+        return scores
+    frames = frames[np.linspace(0, len(frames) - 1, min(_FRAMES, len(frames))).astype(int)]
     from_frame = np.repeat(np.arange(len(frames)), counts[frames, a])
-    rows = _ranges(starts, counts[frames, a])
-    normal = np.column_stack([one.undistort(blobs.xy[rows]), np.ones(len(rows))]) @ essential.T
-    flat = np.full((len(blobs.xy), 3), 1.0)
-    seen = blobs.camera_of == b
-    flat[seen, :2] = two.undistort(blobs.xy[seen])
+    normal = flat[_ranges(blobs.offsets[frames * counts.shape[1] + a], counts[frames, a])] @ essential.T
     near = _NEAR_PX / two.focal[0]
     for lag in range(-longest, longest + 1):
         other = frames + lag
         inside = (other >= 0) & (other < len(blobs))
-        inside[inside] = counts[other[inside], b] > 0
+        inside[inside] = (counts[other[inside], b] > 0) & (counts[other[inside], b] <= _CROWD)
         ask = np.flatnonzero(inside[from_frame])
         if inside.sum() < min(_FEWEST, len(blobs) // 3):
             continue

@@ -27,8 +27,8 @@ def to_common_clock(blobs: Blobs) -> Blobs:
     its times; else the instants are evenly spaced through the time that all cameras share, and frames are numbered anew. In each camera
     blobs of neighbouring frames are linked where it is clear which belongs to which (nearest to where its motion leads, both ways, no
     second one near); linked blobs are interpolated by the cubic through four frames, by a line at the ends of a path. Blobs without a link
-    are left out unless their frame was taken at the instant. Result: `times` has equal columns; sizes are interpolated too. Blobs whose
-    times are None or equal come back as they are.
+    are left out unless their frame was taken at the instant; so are those of frames without a time. Result: `times` has equal columns;
+    sizes are interpolated too. Blobs whose times are None or equal come back as they are.
 
     Raises AsterismError where a camera's times do not increase, or the cameras share no time.
     """
@@ -44,7 +44,7 @@ def to_common_clock(blobs: Blobs) -> Blobs:
     if not len(steps):
         return blobs
     period = float(np.median(steps))
-    instants = _instants(blobs, times, period)
+    instants, anew = _instants(blobs, times, period)
     frame_of, camera_of = blobs.frame_of, blobs.camera_of
     parts = []
     for c in range(len(blobs.cameras)):
@@ -55,14 +55,13 @@ def to_common_clock(blobs: Blobs) -> Blobs:
         parts.append((frame, np.full(len(frame), c), xy, sizes))
     frame, camera, xy, sizes = (np.concatenate(column) for column in zip(*parts, strict=True))
     same = np.repeat(instants[:, None], len(blobs.cameras), axis=1)
-    kept = len(instants) == len(blobs)
-    rate = blobs.rate if kept else 1.0 / period
+    rate = 1.0 / period if anew else blobs.rate
     common = Blobs.from_rows(frame, camera, xy, blobs.cameras, rate=rate, sizes=sizes, frames=len(instants), times=same)
-    return replace(common, first_frame=blobs.first_frame if kept else 0)
+    return replace(common, first_frame=0 if anew else blobs.first_frame)
 
 
-def _instants(blobs: Blobs, times: Floats, period: float) -> Floats:
-    """The instants (T,) s to interpolate to."""
+def _instants(blobs: Blobs, times: Floats, period: float) -> tuple[Floats, bool]:
+    """The instants (T,) s to interpolate to, and whether they are no longer the frames that they were."""
     known = np.isfinite(times)
     some = known.any(axis=1)
     middle = np.full(len(times), np.nan)
@@ -75,13 +74,13 @@ def _instants(blobs: Blobs, times: Floats, period: float) -> Floats:
         mean[some] = np.nanmean(centred[some], axis=1)
         if (np.nanmax(times[some], axis=1) == np.nanmin(times[some], axis=1)).all():
             mean = middle
-        return np.interp(np.arange(len(times)), np.flatnonzero(some), mean[some])
+        return np.interp(np.arange(len(times)), np.flatnonzero(some), mean[some]), False
     seen = [column[np.isfinite(column)] for column in times.T]
     start, end = max(column[0] for column in seen if len(column)), min(column[-1] for column in seen if len(column))
     if end < start:
         first = min((column[-1], name) for column, name in zip(seen, blobs.cameras, strict=True) if len(column))[1]
         raise AsterismError(f"camera {first} ends before another one starts; give times by one clock for all cameras.")
-    return start + period * np.arange(int((end - start) / period + 1e-6) + 1)
+    return start + period * np.arange(int((end - start) / period + 1e-6) + 1), True
 
 
 def _at(instants: Floats, when: Floats, order: Ints, xy: Floats, sizes: Floats, period: float) -> tuple[Ints, Floats, Floats]:
