@@ -20,6 +20,7 @@ from asterism.cameras.files import write_rig
 from asterism.cli import main
 from asterism.errors import AsterismError
 from asterism.reconstruction import Reconstruction, _kernels, reconstruct, summary
+from asterism.reconstruction._order_kernels import ascending
 from asterism.reconstruction._pack_kernels import pack
 from asterism.reconstruction.columns import columns_of
 from asterism.reconstruction.rays import rays_of
@@ -133,10 +134,10 @@ def arrays_of(rig: Rig, blobs: Blobs, noise: float = 0.3) -> tuple[_kernels.RigA
     """The first frame as the kernels see it."""
     rays, _, _ = rays_of(blobs, rig)
     cameras = len(rig)
-    belief = Belief(np.full(cameras, noise), np.full(cameras, 0.7), np.full(cameras, 0.5), 30.0)
+    belief = Belief(np.full(cameras, noise), np.full(cameras, 0.7), np.full(cameras, 0.5), 30.0, 50.0)
     first = rays.blobs.offsets[: cameras + 1]
     frame = _kernels.frame_arrays(rays.flat[: first[-1]], rays.slopes[: first[-1]], first)
-    return Setting(rig, image_borders(blobs, rig), EVERYWHERE, 2, 4.0).arrays(belief), frame
+    return Setting(rig, image_borders(blobs, rig), EVERYWHERE, 50.0, 2, 4.0).arrays(belief), frame
 
 
 def test_the_epipolar_gate_passes_what_all_pairs_tried_one_by_one_would() -> None:
@@ -431,3 +432,10 @@ def test_a_camera_whose_blobs_show_nothing_is_named() -> None:
     wrong = Rig((rig[0], away, *rig.cameras[2:]), rig.vertical)
     assert any("camera c2" in remark for remark in summary(reconstruct(blobs, wrong), wrong)["remarks"])
     assert summary(reconstruct(blobs, rig), rig)["remarks"] == []
+
+
+@given(st.lists(st.sampled_from([-1.5, 0.0, 0.25, 3.0, np.inf]), max_size=60))
+@settings(max_examples=50, deadline=None)
+def test_sorting_is_numpys(values: list[float]) -> None:
+    given_values = np.array(values, dtype=np.float64)
+    assert np.array_equal(ascending(given_values, len(values)), np.argsort(given_values, kind="stable"))

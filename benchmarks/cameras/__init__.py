@@ -9,6 +9,9 @@ from benchmarks.cameras.accuracy import accuracy, plan
 from benchmarks.cameras.boards import charuco, rig_files, stereo
 from benchmarks.cameras.demo import demo
 from benchmarks.cameras.detection import centroids, detection, particles
+from benchmarks.cameras.matches import matches
+from benchmarks.cameras.reconstruction import ghosts, speed
+from benchmarks.cameras.walk import walk
 from benchmarks.cameras.wand import wand, wand_rigs
 from benchmarks.figures import Figure
 
@@ -23,6 +26,10 @@ ROWS: dict[str, Callable[[Bench], Iterator[Figure]]] = {
     "detection": detection,
     "centroids": centroids,
     "particles": particles,
+    "points-speed": speed,
+    "ghosts": ghosts,
+    "matches": matches,
+    "vicon-rig-walk": walk,
     "demo": demo,
     "wand": wand,
     "wand-rigs": wand_rigs,

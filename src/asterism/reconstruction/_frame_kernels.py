@@ -11,6 +11,7 @@ from asterism.reconstruction._kernels import (
     NOISE,
     add_ray,
     best_blob,
+    clear,
     compose,
     fit,
     frame_arrays,
@@ -20,6 +21,7 @@ from asterism.reconstruction._kernels import (
     with_reduced,
     within,
 )
+from asterism.reconstruction._order_kernels import ascending
 from asterism.reconstruction._pack_kernels import pack
 
 FINAL_STEPS = 6
@@ -59,12 +61,13 @@ def reconstruct_frames(rig, flat, slopes, offsets, begin, end, out_rays, out_poi
                 for c in range(cameras):
                     if found.rays[n, c] >= 0:
                         free[found.rays[n, c]] = False
-        order = np.argsort(-found.scores[:count], kind="mergesort")
+        order = ascending(-found.scores, count)
         for n in order:
             if not chosen[n]:
                 continue
             rays = found.rays[n]
-            x[:] = found.points[n]
+            for axis in range(3):
+                x[axis] = found.points[n, axis]
             fit(rig, frame, rays, x, h, g, 1)
             added = False
             for c in range(cameras):
@@ -90,9 +93,10 @@ def reconstruct_frames(rig, flat, slopes, offsets, begin, end, out_rays, out_poi
                 if rays[c] >= 0:
                     out_rays[total, c] = here + rays[c]
                     many += 1
-                    h[:] = 0.0
+                    clear(h)
                     pixels += add_ray(rig, frame, c, rays[c], x, h, g) * rig.cameras[c, NOISE] ** 2
-            out_points[total] = x
+            for axis in range(3):
+                out_points[total, axis] = x[axis]
             out_residual[total] = math.sqrt(pixels / many)
             v = out_covariance[total]
             v[0, 0], v[0, 1], v[0, 2] = i0, i1, i2

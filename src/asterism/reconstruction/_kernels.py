@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from asterism.cameras._kernels import CX, CY, FX, FY, distorted
+from asterism.reconstruction._order_kernels import ascending
 
 NEAREST_TO_BASELINE = 0.02
 """Rays that make a smaller angle (sine) with the line between two cameras are not composed by these two: depth is lost there."""
@@ -84,15 +85,18 @@ def first_of_equals(xy, offsets, out):
     OUT out (B,) bool
     O(blobs log blobs).
     """
-    out[:] = True
     for cell in range(len(offsets) - 1):
         begin, end = offsets[cell], offsets[cell + 1]
-        order = begin + np.argsort(xy[begin:end, 0], kind="mergesort")
-        for k in range(1, end - begin):
+        across = np.empty(end - begin)
+        for k in range(end - begin):
+            across[k] = xy[begin + k, 0]
+        order = ascending(across, end - begin)
+        for k in range(end - begin):
+            out[begin + order[k]] = True
             back = k - 1
-            while back >= 0 and xy[order[back], 0] == xy[order[k], 0]:
-                if xy[order[back], 1] == xy[order[k], 1]:
-                    out[order[k]] = False
+            while back >= 0 and across[order[back]] == across[order[k]]:
+                if xy[begin + order[back], 1] == xy[begin + order[k], 1]:
+                    out[begin + order[k]] = False
                 back -= 1
 
 
@@ -104,8 +108,10 @@ def frame_arrays(flat, slopes, first):
     """
     cameras, count = len(first) - 1, len(flat)
     blobs = np.empty((count, 6))
-    blobs[:, :2] = flat
-    blobs[:, 2:] = slopes
+    for i in range(count):
+        blobs[i, 0], blobs[i, 1] = flat[i, 0], flat[i, 1]
+        for k in range(4):
+            blobs[i, 2 + k] = slopes[i, k]
     grid = np.zeros((cameras, 8))
     total = 0
     for c in range(cameras):
@@ -153,6 +159,13 @@ def _in_camera(cameras, c, x, y, z):
     )
 
 
+@njit(cache=True, error_model="numpy")
+def clear(values):
+    """Set all of (n,) to 0."""
+    for i in range(len(values)):
+        values[i] = 0.0
+
+
 @njit(cache=True, error_model="numpy", inline="always")
 def inverse(h):
     """The inverse of a symmetric 3 x 3 matrix given as (xx, xy, xz, yy, yz, zz), and its determinant before."""
@@ -172,7 +185,7 @@ def inverse(h):
     )
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy")
 def add_ray(rig, frame, c, blob, x, h, g):
     """Add a ray's share to the normal equations at point x: h (6,) information, g (3,). Returns its squared residual in noise.
 
@@ -218,8 +231,8 @@ def fit(rig, frame, rays, x, h, g, steps):
     """
     total, worst, whose = 0.0, -1.0, -1
     for step in range(steps + 1):
-        h[:] = 0.0
-        g[:] = 0.0
+        clear(h)
+        clear(g)
         total, worst, whose = 0.0, -1.0, -1
         for c in range(len(rays)):
             if rays[c] >= 0:
@@ -386,7 +399,7 @@ def settle(rig, frame, rays, x, h, g, steps):
     return np.inf, count
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy")
 def meeting(rig, frame, a, b, i, j, x):
     """Where the rays of two blobs come nearest to each other, into x; False where that is not in front of both cameras."""
     cameras = rig.cameras
@@ -428,7 +441,7 @@ def within(rig, x):
 def _pencil(rig, frame, pair, which, angle, spread):
     """The angle of each blob's epipolar plane about a pair's baseline, and its variance by the pixel noise.
 
-    OUT angle, spread (n,) rad, rad2 of camera `which` (0 or 1) of the pair; NaN where the ray leaves nearly along the baseline
+    OUT angle, spread (n,) rad, rad2 of camera `which` (0 or 1) of the pair; infinite where the ray leaves nearly along the baseline
     Two blobs can show one point only where their angles agree: this is the epipolar constraint, with the sensitivity as its gate.
     """
     c = rig.pairs[pair, which]
@@ -450,7 +463,7 @@ def _pencil(rig, frame, pair, which, angle, spread):
         cu, cv = u0 * x + u1 * y + u2, v0 * x + v1 * y + v2
         rho = cu * cu + cv * cv
         if rho < NEAREST_TO_BASELINE * NEAREST_TO_BASELINE * (x * x + y * y + 1.0):
-            angle[k] = np.nan
+            angle[k] = np.inf
             spread[k] = 0.0
             continue
         gx, gy = (cu * v0 - cv * u0) / rho, (cu * v1 - cv * u1) / rho
@@ -471,6 +484,16 @@ class Hypotheses(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
+def _put(found, at, rays, x, worth):
+    """Write a hypothesis to its place in the lists."""
+    for c in range(len(rays)):
+        found.rays[at, c] = rays[c]
+    for axis in range(3):
+        found.points[at, axis] = x[axis]
+    found.scores[at] = worth
+
+
+@njit(cache=True, error_model="numpy")
 def _room(found, count):
     """The lists with room for one more."""
     size = len(found.scores)
@@ -482,7 +505,12 @@ def _room(found, count):
         np.empty(2 * size),
         np.empty((2 * size, found.rays.shape[1]), np.int64),
     )
-    rays[:size], points[:size], scores[:size], links[:size] = found.rays, found.points, found.scores, found.links
+    for n in range(size):
+        for c in range(rays.shape[1]):
+            rays[n, c], links[n, c] = found.rays[n, c], found.links[n, c]
+        for axis in range(3):
+            points[n, axis] = found.points[n, axis]
+        scores[n] = found.scores[n]
     return Hypotheses(rays, points, scores, links)
 
 
@@ -513,16 +541,16 @@ def compose(rig, frame):
             continue
         _pencil(rig, frame, pair, 0, angle[0], angle[1])
         _pencil(rig, frame, pair, 1, other[0], other[1])
-        order = np.argsort(other[0, :many_b])
+        order = ascending(other[0], many_b)
         last = many_b
-        while last > 0 and math.isnan(other[0, order[last - 1]]):
+        while last > 0 and other[0, order[last - 1]] == np.inf:
             last -= 1
         widest = 0.0
         for k in range(last):
             widest = max(widest, other[1, k])
         for k in range(many_a):
             phi = angle[0, k]
-            if math.isnan(phi):
+            if phi == np.inf:
                 continue
             i = first_a + k
             half = rig.setting[GATE] * math.sqrt(angle[1, k] + widest)
@@ -553,7 +581,8 @@ def compose(rig, frame):
                         at = found.links[at, a]
                     if known or (firm[i] and firm[j]) or not meeting(rig, frame, a, b, i, j, x):
                         continue
-                    rays[:] = -1
+                    for c in range(cameras):
+                        rays[c] = -1
                     rays[a], rays[b] = i, j
                     square = fit(rig, frame, rays, x, h, g, 1)[0]
                     if not square < np.inf:
@@ -563,7 +592,7 @@ def compose(rig, frame):
                             continue
                         blob = best_blob(rig, frame, c, x, h, free, out)
                         if blob >= 0:
-                            g[:] = 0.0
+                            clear(g)
                             if add_ray(rig, frame, c, blob, x, h, g) < np.inf:
                                 rays[c] = blob
                                 _, i0, i1, i2, i3, i4, i5 = inverse(h)
@@ -577,9 +606,7 @@ def compose(rig, frame):
                     if not worth > 0.0 or _listed(found, head, rays):
                         continue
                     found = _room(found, count)
-                    found.rays[count] = rays
-                    found.points[count] = x
-                    found.scores[count] = worth
+                    _put(found, count, rays, x, worth)
                     for c in range(cameras):
                         if rays[c] >= 0:
                             found.links[count, c] = head[rays[c]]
@@ -665,13 +692,12 @@ def with_reduced(rig, frame, found, count):
                     again = again or same
                 if again:
                     continue
-                x[:] = found.points[n]
+                for axis in range(3):
+                    x[axis] = found.points[n, axis]
                 square = fit(rig, frame, rays, x, h, g, 2)[0]
                 worth = score(rig, frame, rays, x, h, square)
                 if worth > 0.0 and within(rig, x):
                     found = _room(found, total)
-                    found.rays[total] = rays
-                    found.points[total] = x
-                    found.scores[total] = worth
+                    _put(found, total, rays, x, worth)
                     total += 1
     return found, total

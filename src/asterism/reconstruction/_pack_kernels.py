@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from asterism.reconstruction._order_kernels import ascending
+
 MOST_WORK = 2_000_000
 """Looks at a hypothesis that the search in one tangle may take before the best found so far must do."""
 
@@ -20,7 +22,7 @@ def pack(rays, scores, count, blobs):
     integer program); beyond, it is the best found, improved by exchanges of one for several.
     """
     cameras = rays.shape[1]
-    order = np.argsort(-scores[:count], kind="mergesort")
+    order = ascending(-scores, count)
     starts = np.zeros(blobs + 1, np.int64)
     for n in range(count):
         for c in range(cameras):
@@ -29,7 +31,9 @@ def pack(rays, scores, count, blobs):
     for blob in range(blobs):
         starts[blob + 1] += starts[blob]
     holders = np.empty(starts[blobs], np.int64)
-    fill = starts.copy()
+    fill = np.empty(blobs + 1, np.int64)
+    for blob in range(blobs + 1):
+        fill[blob] = starts[blob]
     for n in order:
         for c in range(cameras):
             if rays[n, c] >= 0:
@@ -62,20 +66,17 @@ def pack(rays, scores, count, blobs):
                 changed = True
                 _strike(rays, starts, holders, alive, n)
     unproved = 0
-    members = np.empty(count, np.int64)
-    rank = np.empty(count, np.int64)
-    for place in range(count):
-        rank[order[place]] = place
+    members, falling = np.empty(count, np.int64), np.empty(count)
     for n in order:
         if alive[n]:
             many = _tangle(rays, starts, holders, alive, n, members)
-            sub = np.sort(rank[members[:many]])
             for k in range(many):
-                members[k] = order[sub[k]]
-            if not _search(rays, scores, starts, holders, members[:many], chosen):
+                falling[k] = -scores[members[k]]
+            tangle = members[ascending(falling, many)]
+            if not _search(rays, scores, starts, holders, tangle, chosen):
                 unproved += 1
             for k in range(many):
-                alive[members[k]] = False
+                alive[tangle[k]] = False
     return chosen, unproved
 
 
@@ -163,7 +164,8 @@ def _search(rays, scores, starts, holders, members, chosen):
             continue
         if at >= many and value > best_value + 1e-9:
             best_value = value
-            best[:] = taken
+            for k in range(many):
+                best[k] = taken[k]
         if steps > most_steps:
             proved = False
             break

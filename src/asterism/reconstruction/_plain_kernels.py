@@ -7,7 +7,8 @@ import math
 import numpy as np
 from numba import njit
 
-from asterism.reconstruction._kernels import END, FEWEST, FIRST, GATE, NOISE, add_ray, fit, frame_arrays, inverse, meeting, within
+from asterism.reconstruction._kernels import END, FEWEST, FIRST, GATE, NOISE, add_ray, clear, fit, frame_arrays, inverse, meeting, within
+from asterism.reconstruction._order_kernels import ascending
 
 
 @njit(cache=True, error_model="numpy")
@@ -27,7 +28,8 @@ def _composed(rig, frame, rays, points, spreads):
             for j in range(int(frame.grid[b, FIRST]), int(frame.grid[b, END])):
                 if not meeting(rig, frame, a, b, i, j, x):
                     continue
-                one[:] = -1
+                for c in range(rig_cameras):
+                    one[c] = -1
                 one[a], one[b] = i, j
                 square = fit(rig, frame, one, x, h, g, 1)[0]
                 if not (square <= limit and within(rig, x)):
@@ -48,7 +50,7 @@ def _merged(rays, points, spreads, count, limit):
     """
     groups = 0
     members = np.empty(count, np.int64)
-    order = np.argsort(spreads[:count], kind="mergesort")
+    order = ascending(spreads, count)
     out_rays, out_points, out_spreads = np.empty_like(rays[:count]), np.empty_like(points[:count]), np.empty(count)
     for n in order:
         nearest, group = np.inf, -1
@@ -93,7 +95,7 @@ def plain_frame(rig, flat, slopes, first, rays, points, covariance, residual):
     kept = 0
     for n in range(groups):
         many, pixels = 0, 0.0
-        h[:] = 0.0
+        clear(h)
         for c in range(rays.shape[1]):
             if rays[n, c] >= 0:
                 many += 1

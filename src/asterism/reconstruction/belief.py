@@ -18,9 +18,10 @@ _NOISE_GUESS = 0.5
 _MOST_NOISE = 8.0
 _SEEN_GUESS = 0.7
 _STRAYS_FLOOR = 0.02
-_SAMPLE = 24
+_LEAST_FRAMES, _MOST_FRAMES, _ENOUGH_BLOBS = 3, 24, 8000
 _ROUNDS = 5
 _FEWEST_POINTS = 10
+_WIDER = 1.3
 
 Run = Callable[[_kernels.RigArrays, int, int], tuple[Ints, Floats, Floats]]
 """Reconstructs frames from begin to end: rays (P, C), points (P, 3) m, residuals (P,) px."""
@@ -38,17 +39,22 @@ def told_by(setting: Setting, counts: Ints, run: Run, noise: float | None) -> tu
     filled = counts[counts.sum(axis=1) > 0]
     usual = np.maximum(np.median(filled, axis=0), 1.0) if len(filled) else np.ones(cameras)
     start = 2 * _NOISE_GUESS if noise is None else noise
-    belief = Belief(np.full(cameras, start), np.full(cameras, _SEEN_GUESS), _STRAYS_FLOOR * usual + 0.1, max(1.0, float(usual.max())))
-    frames = np.unique(np.linspace(0, len(counts) - 1, min(_SAMPLE, len(counts))).round().astype(np.int64))
+    belief = Belief(
+        np.full(cameras, start), np.full(cameras, _SEEN_GUESS), _STRAYS_FLOOR * usual + 0.1, max(1.0, float(usual.max())), setting.space
+    )
+    sample = int(np.clip(_ENOUGH_BLOBS / usual.sum(), _LEAST_FRAMES, _MOST_FRAMES))
+    frames = np.unique(np.linspace(0, len(counts) - 1, min(sample, len(counts))).round().astype(np.int64))
     enough = False
     for _ in range(_ROUNDS):
         arrays = setting.arrays(belief)
         parts = [(np.empty((0, cameras), dtype=np.int64), np.empty((0, 3)), np.empty(0)), *(run(arrays, t, t + 1) for t in frames)]
         rays, points, residual = (np.concatenate([part[i] for part in parts]) for i in range(3))
         enough = len(points) >= _FEWEST_POINTS
+        if not enough and noise is None and belief.noise[0] < _MOST_NOISE / 2:
+            belief = replace(belief, noise=2 * belief.noise)
+            continue
         if not enough:
-            unknown = np.full(cameras, _NOISE_GUESS if noise is None else noise)
-            return replace(belief, noise=unknown), False
+            return replace(belief, noise=np.full(cameras, _NOISE_GUESS if noise is None else noise)), False
         before = belief
         belief = _refined(arrays, belief, rays, points, residual, counts[frames], noise)
         if np.allclose(before.noise, belief.noise, rtol=0.1):
@@ -64,7 +70,19 @@ def _refined(
     per_camera = (rays >= 0).sum(axis=0) / len(counts)
     strays = np.maximum(counts.mean(axis=0) - per_camera, 0.0) + _STRAYS_FLOOR * (1.0 + 0.25 * counts.mean(axis=0))
     told = belief.noise if noise is not None else np.full(len(belief.noise), _noise_of(residual, (rays >= 0).sum(axis=1), belief.noise[0]))
-    return Belief(told, np.clip((seen + 10 * _SEEN_GUESS) / (in_sight + 10), 0.2, 0.98), strays, len(points) / len(counts))
+    return Belief(
+        told,
+        np.clip((seen + 10 * _SEEN_GUESS) / (in_sight + 10), 0.2, 0.98),
+        strays,
+        len(points) / len(counts),
+        _space_of(points, belief.space),
+    )
+
+
+def _space_of(points: Floats, most: float) -> float:
+    """m3, the box that nearly all points are in, a little widened; never more than was thought."""
+    low, high = np.quantile(points, [0.02, 0.98], axis=0)
+    return min(most, float(np.prod(_WIDER * (high - low) + 0.01 * np.cbrt(most))))
 
 
 def _noise_of(residual: Floats, cameras: Ints, allowed: float) -> float:

@@ -16,7 +16,7 @@ from asterism.reconstruction import _frame_kernels, _kernels, _plain_kernels
 from asterism.reconstruction.belief import told_by
 from asterism.reconstruction.rays import Rays, rays_of
 from asterism.reconstruction.result import Reconstruction
-from asterism.reconstruction.setting import Belief, Setting, image_borders
+from asterism.reconstruction.setting import Belief, Setting, common_view, image_borders
 from asterism.recording import Blobs, Clouds, Floats, Ints, as_vertical, to_common_clock
 
 METHODS = ("global", "plain")
@@ -66,7 +66,8 @@ def reconstruct(
         remarks.append(f"{unreached} blobs lie where the lens model leads no ray; they were left out. Check the rig's distortion.")
     if doubled:
         remarks.append(f"{doubled} blobs stand twice in one image; one of each was used.")
-    setting = Setting(rig, image_borders(rays.blobs, rig), _corners(volume), min_cameras, gate)
+    borders, corners = image_borders(rays.blobs, rig), _corners(volume)
+    setting = Setting(rig, borders, corners, common_view(rig, borders, corners), min_cameras, gate)
     belief, told = told_by(setting, rays.blobs.counts, partial(_some, rays), noise)
     if noise is None and not told:
         remarks.append(f"too few points to tell the pixel noise from; {belief.noise[0]:.2f} px was assumed.")

@@ -12,6 +12,8 @@ from asterism.errors import AsterismError
 from asterism.reconstruction import _kernels
 from asterism.recording import Blobs, Floats, Ints
 
+_VIEW_CELLS, _VIEW_ROUNDS = 16, 3
+
 
 @dataclass(frozen=True)
 class Belief:
@@ -21,22 +23,25 @@ class Belief:
     seen    (C,) share of the points in a camera's image that it shows
     strays  (C,) blobs per frame that show no point
     points  points per frame
+    space   m3, where they are
     """
 
     noise: Floats
     seen: Floats
     strays: Floats
     points: float
+    space: float
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What does not change while beliefs do: the rig, its image borders (2, C, 2) px, the corners (2, 3) m of where points may be,
-    how many cameras a point needs, and the gate in standard deviations."""
+    """What does not change while beliefs do: the rig, its image borders (2, C, 2) px, the corners (2, 3) m of where points may be, the
+    space m3 that two cameras have in view, how many cameras a point needs, and the gate in standard deviations."""
 
     rig: Rig
     borders: Floats
     corners: Floats
+    space: float
     min_cameras: int
     gate: float
 
@@ -62,9 +67,7 @@ class Setting:
             ]
         )
         pairs, axes = _pairs(self.rig)
-        box = self.corners if np.isfinite(self.corners).all() else np.stack([positions.min(axis=0), positions.max(axis=0)])
-        extent = np.maximum(box[1] - box[0], 0.2 * np.max(box[1] - box[0]))
-        prior = math.log(belief.points / float(np.prod(extent))) + 1.5 * math.log(2 * math.pi)
+        prior = math.log(belief.points / belief.space) + 1.5 * math.log(2 * math.pi)
         setting = np.array([prior, self.gate, self.min_cameras, *self.corners[0], *self.corners[1]])
         return _kernels.RigArrays(np.ascontiguousarray(rows), setting, pairs, axes)
 
@@ -80,6 +83,27 @@ def image_borders(blobs: Blobs, rig: Rig) -> Floats:
         elif len(mine):
             borders[:, number] = [mine.min(axis=0), mine.max(axis=0)]
     return borders
+
+
+def common_view(rig: Rig, borders: Floats, corners: Floats) -> float:
+    """m3: how much space two cameras or more have within their borders, looked for on a grid around where all of them look."""
+    if np.isfinite(corners).all():
+        return float(np.prod(corners[1] - corners[0]))
+    places = np.array([camera.position for camera in rig])
+    across = np.array([np.eye(3) - np.outer(camera.rotation[2], camera.rotation[2]) for camera in rig])
+    aim = np.linalg.lstsq(across.sum(axis=0), np.einsum("cij,cj->i", across, places), rcond=None)[0]
+    reach = float(np.median(np.linalg.norm(places - aim, axis=1)))
+    low, high = aim - reach, aim + reach
+    for _ in range(_VIEW_ROUNDS):
+        step = (high - low) / _VIEW_CELLS
+        grid = low + step * (np.stack(np.meshgrid(*[np.arange(_VIEW_CELLS)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) + 0.5)
+        pixels = rig.project(grid)
+        inside = ((pixels >= borders[0][:, None]) & (pixels <= borders[1][:, None])).all(axis=2)
+        seen = grid[inside.sum(axis=0) >= 2]
+        if not len(seen):
+            break
+        low, high = seen.min(axis=0) - step, seen.max(axis=0) + step
+    return float(max(len(seen), 1) * np.prod(step))
 
 
 def _pairs(rig: Rig) -> tuple[Ints, Floats]:

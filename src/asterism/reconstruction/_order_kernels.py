@@ -1,0 +1,37 @@
+"""Sorting on flat arrays, one small function for all kernels: what NumPy's would take seconds to compile."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+RUN = 8
+"""Numbers that are sorted by insertion before runs are merged."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def ascending(values, count):
+    """The order (count,) that sorts the first `count` values, ties in place; none is NaN. Merge sort, O(n log n). Twin: np.argsort."""
+    order, spare = np.empty(count, np.int64), np.empty(count, np.int64)
+    for begin in range(0, count, RUN):
+        for i in range(begin, min(begin + RUN, count)):
+            value, k = values[i], i
+            while k > begin and values[order[k - 1]] > value:
+                order[k] = order[k - 1]
+                k -= 1
+            order[k] = i
+    width = RUN
+    while width < count:
+        for begin in range(0, count, 2 * width):
+            middle, end = min(begin + width, count), min(begin + 2 * width, count)
+            left, right = begin, middle
+            for k in range(begin, end):
+                if left < middle and (right >= end or values[order[left]] <= values[order[right]]):
+                    spare[k] = order[left]
+                    left += 1
+                else:
+                    spare[k] = order[right]
+                    right += 1
+        order, spare = spare, order
+        width *= 2
+    return order
