@@ -142,7 +142,7 @@ def _thresholds(given: str | None) -> float | list[float] | None:
 def _print(result: Detection) -> None:
     rows = [
         [
-            camera.name,
+            camera.name if camera.name in (camera.path.stem, camera.path.name) else f"{camera.name} ({camera.path.name})",
             f"{camera.size[0]} x {camera.size[1]}",
             str(camera.frames),
             f"{camera.threshold:.0f}",

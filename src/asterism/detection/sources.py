@@ -72,7 +72,7 @@ def open_source(path: str | Path) -> Source:
         pages = int(cv2.imcount(str(path)))
         if pages > 1:
             return Source(path, path.stem, "pages", np.arange(pages))
-    if path.suffix.casefold() in IMAGES or _decoded(path) is not None:
+    if path.suffix.casefold() in IMAGES or cv2.haveImageReader(str(path)):
         return _series(path, path.stem, [path])
     capture = cv2.VideoCapture(str(path))
     try:
