@@ -165,12 +165,18 @@ def test_errors_are_as_large_as_the_covariance_says() -> None:
     """Over many noises, error / sigma of the focal lengths has a spread of 1."""
     rig = a_ring()
     rotations, translations, points = moved_about(WAND, 60, np.random.default_rng(5))
-    ratios = []
+    ratios, places = [], []
     for seed in range(40):
         sightings = Sightings.from_array(seen(rig, points, 0.2, np.random.default_rng(seed)))
         result = adjust(rig, WAND, sightings, rotations, translations, scale=5.0)
         ratios += [(a.focal[0] - b.focal[0]) / s for a, b, s in zip(result.cameras, rig, result.sigma[:, 6], strict=True)]
+        # laid on the true places, since nobody knows where the world begins
+        true, found = (np.array([camera.position for camera in cameras]) for cameras in (rig, result.cameras))
+        turn, shift = place_objects(found, true[None])
+        miss = np.linalg.norm(found @ turn[0].T + shift[0] - true, axis=1)
+        places.append(np.mean(np.square(miss / result.place_sigma)))
     assert 0.85 < np.std(ratios) < 1.15, np.std(ratios)
+    assert 0.7 < np.mean(places) < 1.4, np.mean(places)
 
 
 @pytest.mark.parametrize(("loss", "allowed"), [("cauchy", 0.002), ("huber", 0.01)])

@@ -251,6 +251,38 @@ def test_an_image_size_that_differs_from_the_rigs_is_refused() -> None:
         calibrate_wand(blobs, WAND)
 
 
+def test_a_camera_moved_while_recording_is_named() -> None:
+    rig, _ = waved()
+    axis = rotation_from_vector([0.004, 0.01, 0.0])
+    turned = replace(rig[1], rotation=axis @ rig[1].rotation, translation=axis @ rig[1].translation)
+    later = replace(rig, cameras=(rig[0], turned, *rig.cameras[2:]))
+    both = [wave_wand(of, WAND, 250, rng=rng_of(2), rate=20.0)[0] for of in (rig, later)]
+    parts = [(blobs.frame_of, blobs.camera_of, blobs.xy, blobs.frame_of >= 150) for blobs in both]
+    parts = [tuple(part[late == n] for part in rest) for n, (*rest, late) in enumerate(parts)]
+    frame, camera, xy = (np.concatenate(part) for part in zip(*parts, strict=True))
+    made = calibrate_wand(Blobs.from_rows(frame, camera, xy, rig.names, frames=250), WAND, sizes=SIZE)
+    assert not made.usable
+    assert f"what camera {rig[1].name} saw contradicts the others" in sentences(made)
+
+
+def test_a_mirrored_camera_is_left_out_and_named() -> None:
+    rig, blobs = waved(5)
+
+    def mirror(frame: np.ndarray, camera: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        xy[camera == 3, 0] = 1279 - xy[camera == 3, 0]
+        return frame, camera, xy
+
+    made = calibrate_wand(edited(blobs, mirror), WAND, sizes=SIZE)
+    assert set(made.left_out) == {rig[3].name}
+    assert "mirrored" in made.left_out[rig[3].name]
+    assert unseen_error(rig, made.rig) < 0.001
+
+
+def test_empty_recordings_are_refused() -> None:
+    with pytest.raises(AsterismError, match="0 images show"):
+        calibrate_wand(Blobs.from_rows([], [], np.empty((0, 2)), ["a", "b"], frames=100), WAND, sizes=SIZE)
+
+
 def test_one_camera_is_refused() -> None:
     _, blobs = waved()
     own = blobs.camera_of == 0

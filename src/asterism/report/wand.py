@@ -43,7 +43,7 @@ def wand_report(path: str | Path, made: WandCalibration, *, settings: Mapping[st
         Section(
             "Each camera",
             table=_cameras(made, cells),
-            note="± is the standard deviation that the adjustment leaves; that of places is relative to the reference.",
+            note="± is the standard deviation that the adjustment leaves; that of places is relative to all cameras.",
         ),
         Section(
             "What each image saw",
@@ -75,7 +75,7 @@ def wand_report(path: str | Path, made: WandCalibration, *, settings: Mapping[st
         (spread, "standard deviation of the wand as measured", ""),
         (f"{len(made.rig)} of {len(made.rig) + len(made.left_out)}", "cameras calibrated", "" if not made.left_out else "warn"),
         (count(len(made.used)), f"of {made.frames:,} frames used", ""),
-        (percent(made.rejected), "of the wand's images left out", "warn" if made.rejected > 0.15 else ""),
+        (percent(made.rejected), "of the wand's images left out", "warn" if made.rejected > 0.12 else ""),
     ]
     lead = "This calibration can be used." if made.usable else "Do not use this calibration: see below."
     write_page(path, Page("Wand calibration", lead, settings or {}, merits, sections))
@@ -96,7 +96,6 @@ def _cameras(made: WandCalibration, cells: Floats) -> Table:
     rows: list[list[str | Cell]] = []
     for c, camera in enumerate(made.rig):
         sigma = made.sigma[c]
-        place = 1000 * float(np.linalg.norm(np.nan_to_num(sigma[3:6])))
         rows.append(
             [
                 camera.name,
@@ -106,7 +105,7 @@ def _cameras(made: WandCalibration, cells: Floats) -> Table:
                 f"{camera.focal[0]:.1f} ± {sigma[6]:.1f}",
                 f"{camera.centre[0]:.1f}, {camera.centre[1]:.1f} ± {np.nanmax(sigma[8:10]):.1f}",
                 ", ".join(f"{k:.3f}" for k in camera.radial[:3]),
-                f"{place:.1f}" if place > 0.0 else "reference",
+                f"{1000 * made.place_sigma[c]:.1f}",
             ]
         )
     head = [

@@ -64,6 +64,26 @@ class Adjustment:
         return sigma
 
     @property
+    def place_sigma(self) -> Floats:
+        """(C,) m, standard deviation of where each camera stands, relative to all of them rather than to the one that was held.
+
+        The covariance of the places with what a turn and a shift of the whole world explain taken out of it (an S-transformation,
+        Baarda 1973).
+        """
+        count = len(self.cameras)
+        by_parameter = np.zeros((3 * count, self.free.size))
+        rigid = np.zeros((3 * count, 6))
+        for c, camera in enumerate(self.cameras):
+            rows, first = slice(3 * c, 3 * c + 3), c * len(PARAMETERS)
+            by_parameter[rows, first : first + 3] = -camera.rotation.T @ _cross(camera.translation)
+            by_parameter[rows, first + 3 : first + 6] = -camera.rotation.T
+            rigid[rows] = np.hstack([-_cross(camera.position), np.eye(3)])
+        left = np.eye(3 * count) - rigid @ np.linalg.pinv(rigid)
+        steps = left @ by_parameter[:, self.free.ravel()]
+        variance = np.einsum("ij,jk,ik->i", steps, self.covariance, steps)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0).reshape(count, 3).sum(axis=1)))
+
+    @property
     def rms(self) -> float:
         """px, the reprojection error over all sightings: root of the mean squared distance."""
         return rms(self.residuals)
@@ -333,6 +353,12 @@ def _own_axes(template: Floats) -> tuple[Floats, Floats, NDArray[np.int64]]:
         return template, np.eye(3), np.arange(6)
     axes = vt if np.linalg.det(vt) > 0 else vt * np.array([[1.0], [1.0], [-1.0]])
     return template @ axes.T, np.ascontiguousarray(axes.T), np.array([1, 2, 3, 4, 5])
+
+
+def _cross(vector: Floats) -> Floats:
+    """(3, 3) the matrix that takes the cross product of `vector` with what it is multiplied with."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _last_radial(lens: Floats) -> int:

@@ -44,9 +44,10 @@ class WandCalibration:
                   one camera saw it
     used          (m,) the frames that were used
     sigma         (C, 15) standard deviation of each camera's parameters, see `bundle.PARAMETERS`
+    place_sigma   (C,) m, of where it stands, relative to all cameras
     noise         px, standard deviation of one coordinate of a blob
     late          (C,) by how many frames each camera started late; its images were moved by as many
-    rejected      share of the wand's images that did not fit and were left out
+    lost          (C,) share of each camera's images of the wand that did not fit those of the others and were left out
     inner         m, where the inner one of three markers sits by all images that show it, used or not; NaN for other wands
     left_out      cameras that could not be calibrated, with the reason
     findings      what to know before using the rig, gravest first
@@ -61,9 +62,10 @@ class WandCalibration:
     positions: Floats
     used: Ints
     sigma: Floats
+    place_sigma: Floats
     noise: float
     late: Ints
-    rejected: float
+    lost: Floats
     inner: float
     left_out: Mapping[str, str]
     findings: tuple[Finding, ...] = ()
@@ -79,6 +81,11 @@ class WandCalibration:
         return np.asarray(np.linalg.norm(self.positions[:, -1] - self.positions[:, 0], axis=1), dtype=np.float64)
 
     @property
+    def rejected(self) -> float:
+        """The mean share of the wand's images that did not fit and were left out."""
+        return float(self.lost.mean())
+
+    @property
     def rms(self) -> float:
         """px, the reprojection error: root of the mean squared distance."""
         return float(np.sqrt(np.square(self.residuals).sum(axis=1).mean()))
@@ -87,7 +94,7 @@ class WandCalibration:
         """The same in another world frame, of which `rig` is the rig: X becomes scale rotation X + translation (3,) m."""
         positions = scale * self.positions @ np.asarray(rotation).T + np.asarray(translation)
         findings = tuple(finding for finding in self.findings if scale == 1.0 or not finding.of_scale)
-        return replace(self, rig=rig, positions=positions, findings=findings)
+        return replace(self, rig=rig, positions=positions, place_sigma=scale * self.place_sigma, findings=findings)
 
 
 def calibrate_wand(
@@ -137,7 +144,8 @@ def calibrate_wand(
     left_out = {blobs.cameras[c]: _why_not(blobs, chosen, cameras, c) for c in range(len(cameras)) if c not in posed}
     made = WandCalibration(
         Rig(result.cameras), wand, frames, replace(sightings, frame=used[sightings.frame]), result.residuals, positions, used,
-        result.sigma, result.noise, late[posed], *_left(blobs, chosen[offered], wand, result.cameras, posed, sightings), left_out,
+        result.sigma, result.place_sigma, result.noise, late[posed], _lost(chosen[offered][:, posed], sightings),
+        _inner(blobs, chosen[used][:, posed], wand, result.cameras, positions), left_out,
     )  # fmt: skip
     if len(wand.lengths) == 1 and distance is not None:
         here = np.linalg.norm(made.rig[distance[0]].position - made.rig[distance[1]].position)
@@ -205,21 +213,36 @@ def _adjusted(
     return result, sightings, used, offered
 
 
-def _left(blobs: Blobs, chosen: Ints, wand: Wand, cameras: Sequence[Camera], posed: list[int], sightings: Sightings) -> tuple[float, float]:
-    """Of all that single images took for the wand: the share that was not used, and where it puts the inner marker, m."""
-    own = chosen[:, posed]
-    own[shown(own).sum(axis=1) < 2] = -1
-    frame, camera, point = np.nonzero(own >= 0)
-    told = Sightings.of(frame, camera, point, blobs.xy[own[frame, camera, point]])
-    lost = 1.0 - len(sightings) / max(len(told), 1)
+def _lost(chosen: Ints, used: Sightings) -> Floats:
+    """(C,) the share of the blobs that single images (m, C, K) took for the wand, where two cameras did, that was not used."""
+    own = shown(chosen)
+    told = chosen.shape[2] * own[own.sum(axis=1) >= 2].sum(axis=0)
+    kept = np.bincount(used.camera, minlength=len(told))
+    return np.asarray(np.maximum(1.0 - kept / np.maximum(told, 1), 0.0))
+
+
+def _inner(blobs: Blobs, chosen: Ints, wand: Wand, cameras: Sequence[Camera], positions: Floats) -> float:
+    """Where single images (m, C, K) put the inner marker, m from the first: the median of where their rays pass the measured wand's line.
+
+    Of wands that look alike from both ends, where images usually show it, where that is far from what was given; NaN otherwise.
+    """
     if len(wand.lengths) < 3:
-        return max(lost, 0.0), float("nan")
+        return float("nan")
     if wand.either:
         share, given = _shares(blobs, wand)
-        return max(lost, 0.0), share * float(wand.lengths[2]) if abs(share - given) > _PERSPECTIVE else float("nan")
-    points = locate(cameras, told, len(own), 3)
-    gap = np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
-    return max(lost, 0.0), float(np.median(gap[np.isfinite(gap)])) if np.isfinite(gap).any() else float("nan")
+        return share * float(wand.lengths[2]) if abs(share - given) > _PERSPECTIVE else float("nan")
+    start, along = positions[:, 0], positions[:, 2] - positions[:, 0]
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    places = []
+    for c, camera in enumerate(cameras):
+        rows = np.nonzero((chosen[:, c] >= 0).all(axis=1) & np.isfinite(along[:, 0]))[0]
+        ray, line = camera.rays(blobs.xy[chosen[rows, c, 1]]), along[rows]
+        to = camera.position - start[rows]
+        across = (ray * line).sum(axis=1)
+        place = ((to * line).sum(axis=1) - across * (to * ray).sum(axis=1)) / (1.0 - across**2)
+        places.append(place[np.isfinite(place) & (across**2 < 0.9)])
+    every = np.concatenate(places)
+    return float(np.median(every)) if len(every) else float("nan")
 
 
 def _wants_k3(

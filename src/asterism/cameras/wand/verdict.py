@@ -17,8 +17,10 @@ BAD_RMS, POOR_RMS = 1.5, 0.7
 BAD_LENGTH, POOR_LENGTH = 0.015, 0.006
 """Spread of the measured wand as a share of its length."""
 BAD_FOCAL, POOR_FOCAL = 0.02, 0.004
-BAD_PLACE, POOR_PLACE = 0.02, 0.005
+BAD_PLACE, POOR_PLACE = 0.015, 0.003
 """Standard deviation of where a camera stands, as a share of its distance to the wand."""
+BAD_LOST, POOR_LOST = 0.3, 0.12
+"""Share of the wand's images, all told or of one camera, that contradict the others."""
 POOR_COVERAGE = 0.35
 CELLS = (6, 8)
 """Rows and columns that an image is divided into to say which part of it saw the wand."""
@@ -112,9 +114,13 @@ def _fit(made: WandCalibration) -> list[Finding]:
                 abs(made.inner - made.wand.lengths[1]) > 0.015 * whole,
             )
         )
-    if made.rejected > 0.15:
+    for camera, lost in zip(made.rig, made.lost, strict=True):
+        if lost > max(POOR_LOST, 2.5 * float(np.median(made.lost))):
+            sentence = f"{100 * lost:.0f} % of what camera {camera.name} saw contradicts the others; was it moved while recording?"
+            found.append(Finding(sentence, lost > BAD_LOST))
+    if made.rejected > POOR_LOST:
         found.append(
-            Finding(f"{100 * made.rejected:.0f} % of the wand's images contradict the others and were left out.", made.rejected > 0.4)
+            Finding(f"{100 * made.rejected:.0f} % of the wand's images contradict the others and were left out.", made.rejected > BAD_LOST)
         )
     if len(made.used) < FEW_FRAMES:
         found.append(Finding(f"only {len(made.used)} frames could be used; wave the wand for at least half a minute.", len(made.used) < 50))
@@ -147,7 +153,7 @@ def _undetermined(made: WandCalibration) -> list[Finding]:
     for c, camera in enumerate(made.rig):
         width = (camera.size or (1280, 1024))[0]
         focal = float(made.sigma[c, 6]) / camera.focal[0]
-        place = float(np.linalg.norm(np.nan_to_num(made.sigma[c, 3:6])))
+        place = float(made.place_sigma[c])
         far = max(float(np.linalg.norm(camera.position - middle)), 1e-9)
         if focal > POOR_FOCAL:
             known = "is not determined" if focal > BAD_FOCAL else f"is only known to {100 * focal:.1f} %"

@@ -223,6 +223,8 @@ def _told(made: WandCalibration, blobs: Path, output: Path | None) -> dict[str, 
                 "radial": camera.radial,
                 "tangential": camera.tangential,
                 "position_m": camera.position,
+                "rejected": made.lost[c],
+                "position_sigma_m": made.place_sigma[c],
                 "late_frames": int(made.late[c]),
                 "image_covered": float((cells[c] > 0).mean()),
             }
