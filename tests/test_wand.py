@@ -94,7 +94,7 @@ def test_the_same_again_bit_for_bit() -> None:
     assert all(np.array_equal(a.translation, b.translation) for a, b in zip(again.rig, calibrated()[1].rig, strict=True))
 
 
-@pytest.mark.parametrize("seed", [3, 8, 20])
+@pytest.mark.parametrize("seed", [3, 20])
 def test_rigs_of_all_kinds_with_outliers(seed: int) -> None:
     rng = rng_of(seed)
     rig = random_rig(rng=rng)
@@ -141,7 +141,7 @@ def test_wands_that_look_alike_from_both_ends(lengths: tuple[float, ...]) -> Non
 
 
 def test_one_moved_marker_gives_the_rig_up_to_scale_and_a_distance_the_scale() -> None:
-    rig, blobs = waved(8, 500, 6, 0.01, (0.0,))
+    rig, blobs = waved(8, 350, 6, 0.01, (0.0,))
     distance = float(np.linalg.norm(rig[0].position - rig[1].position))
     made = calibrate_wand(blobs, [0.0], sizes=SIZE, distance=(rig[0].name, rig[1].name, distance))
     assert made.usable, sentences(made)
@@ -162,7 +162,7 @@ def test_cameras_that_are_not_triggered_together() -> None:
     """Delays of up to half a frame at 100 frames per second: without the times the wand would bend by centimetres."""
     rig = a_rig(4)
     delays = np.array([0.0, 0.003, -0.002, 0.004])
-    blobs, _ = wave_wand(rig, WAND, 1200, rng=rng_of(7), rate=100.0, delays=delays)
+    blobs, _ = wave_wand(rig, WAND, 800, rng=rng_of(7), rate=100.0, delays=delays)
     made = calibrate_wand(blobs, WAND, sizes=SIZE)
     assert made.usable, sentences(made)
     assert made.noise < 0.25
@@ -174,7 +174,7 @@ def test_cameras_that_are_not_triggered_together() -> None:
 @pytest.mark.parametrize("late", [-3, 5])
 def test_a_camera_out_of_step_is_named_and_its_images_moved(late: int) -> None:
     rig = a_rig(4)
-    blobs, _ = wave_wand(rig, WAND, 1200, rng=rng_of(8), rate=100.0)
+    blobs, _ = wave_wand(rig, WAND, 800, rng=rng_of(8), rate=100.0)
     mixed = edited(blobs, lambda frame, camera, xy: (np.where(camera == 2, frame - late, frame), camera, xy))
     made = calibrate_wand(mixed, WAND, sizes=SIZE)
     assert made.late.tolist() == [0, 0, late, 0]

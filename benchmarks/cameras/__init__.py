@@ -11,6 +11,7 @@ from benchmarks.cameras.demo import demo
 from benchmarks.cameras.detection import centroids, detection, particles
 from benchmarks.cameras.matches import matches
 from benchmarks.cameras.reconstruction import ghosts, speed
+from benchmarks.cameras.refine import refine
 from benchmarks.cameras.walk import walk
 from benchmarks.cameras.wand import wand, wand_rigs
 from benchmarks.figures import Figure
@@ -32,6 +33,7 @@ ROWS: dict[str, Callable[[Bench], Iterator[Figure]]] = {
     "vicon-rig-walk": walk,
     "demo": demo,
     "wand": wand,
+    "refine": refine,
     "wand-rigs": wand_rigs,
 }
 """Cheap rows first: a run that is cut short has measured most of them."""

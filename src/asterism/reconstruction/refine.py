@@ -100,7 +100,7 @@ def refine_rig(blobs: Blobs, rig: Rig, *, frames: int = _FRAMES, progress: Progr
     told = progress or (lambda fraction, doing: None)
     some = _some_frames(blobs, seeing, frames)
     told(0.0, "measuring the noise")
-    noise = min(_points(some, rig, [c for c in seeing if c != left], None)[1] for left in seeing)
+    noise = min(_points(some, rig, few, None)[1] for few in _small_groups(rig, seeing))
     sound, mended = list(seeing), list(rig.cameras)
     looks: dict[int, _Look] = {}
     while len(sound) >= 2:
@@ -170,6 +170,15 @@ def _some_frames(blobs: Blobs, seeing: list[int], most: int) -> Blobs:
     return Blobs.from_rows(
         place[blobs.frame_of[kept]], blobs.camera_of[kept], blobs.xy[kept], blobs.cameras, rate=blobs.rate, frames=len(picked)
     )
+
+
+def _small_groups(rig: Rig, cameras: list[int]) -> list[list[int]]:
+    """Each camera with its two nearest neighbours, pairs of three cameras: in some group none was bumped, and it shows the least noise."""
+    if len(cameras) == 3:
+        return [[c for c in cameras if c != left] for left in cameras]
+    places = np.array([rig[c].position for c in cameras])
+    near = np.linalg.norm(places[:, None] - places[None], axis=2).argsort(axis=1, kind="stable")[:, :3]
+    return [sorted(cameras[i] for i in group) for group in near]
 
 
 def _points(blobs: Blobs, rig: Rig, cameras: list[int], noise: float | None) -> tuple[list[Floats], float]:

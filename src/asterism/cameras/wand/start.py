@@ -153,7 +153,7 @@ def _pair(
     both = both[np.unique(np.linspace(0, len(both) - 1, min(_PAIR_FRAMES, len(both))).astype(np.int64))]
     xy = blobs.xy[chosen[both][:, [a, b]]]
     epipolar = _fundamental(xy, wand, 0.003 * max(sizes[a]))
-    best: _Pair | None = None
+    tried: list[tuple[float, int, Adjustment, Bools]] = []
     for guess in GUESSES:
         pair = [known[c] or guessed(blobs.cameras[c], sizes[c], guess * sizes[c][0]) for c in (a, b)]
         poses = []
@@ -164,20 +164,30 @@ def _pair(
         for pose in poses:
             if pose is None:
                 continue
-            fitted = _fit_pair(xy, [pair[0], replace(pair[1], rotation=pose[0], translation=pose[1])], [known[a], known[b]], wand, pose[2])
-            if fitted is None:
-                continue
-            doubt = float((fitted.sigma[:, 6] / [camera.focal[0] for camera in fitted.cameras]).max())
-            error = float(np.nanmedian(np.linalg.norm(fitted.residuals, axis=1)))
-            found = _Pair({a: fitted.cameras[0], b: fitted.cameras[1]}, error, doubt)
-            if best is None or found.error < best.error:
-                best = found
+            posed = [pair[0], replace(pair[1], rotation=pose[0], translation=pose[1])]
+            fitted = _fit_pair(xy, posed, [known[a], known[b]], wand, pose[2], 8)
+            if fitted is not None:
+                tried.append((_typical(fitted), len(tried), fitted, pose[2]))
         if known[a] is not None and known[b] is not None:
             break
+    best: _Pair | None = None
+    for _, _, fitted, turned in sorted(tried, key=lambda one: one[:2])[:3]:
+        full = _fit_pair(xy, list(fitted.cameras), [known[a], known[b]], wand, turned, 25)
+        if full is None or (best is not None and _typical(full) >= best.error):
+            continue
+        doubt = float((full.sigma[:, 6] / [camera.focal[0] for camera in full.cameras]).max())
+        best = _Pair({a: full.cameras[0], b: full.cameras[1]}, _typical(full), doubt)
     return best
 
 
-def _fit_pair(xy: Floats, cameras: list[Camera], known: Sequence[Camera | None], wand: Wand, turned: Bools) -> Adjustment | None:
+def _typical(fitted: Adjustment) -> float:
+    """px, the median distance of an adjustment's residuals."""
+    return float(np.nanmedian(np.linalg.norm(fitted.residuals, axis=1)))
+
+
+def _fit_pair(
+    xy: Floats, cameras: list[Camera], known: Sequence[Camera | None], wand: Wand, turned: Bools, steps: int
+) -> Adjustment | None:
     """Adjust two cameras to the wand's images (n, 2, K, 2) px; `turned` (n,): where the second camera's order is the reverse one."""
     xy = xy.copy()
     xy[turned, 1] = xy[turned, 1, ::-1]
@@ -193,7 +203,7 @@ def _fit_pair(xy: Floats, cameras: list[Camera], known: Sequence[Camera | None],
     prior[1][:, 6] = np.minimum(prior[1][:, 6], 0.7 * np.array([camera.focal[0] for camera in cameras]) / 0.5)
     return adjust(
         cameras, wand.template, sightings, rotations[kept], translations[kept],
-        free=free, prior=prior, loss="cauchy", scale=3.0, tolerance=1e-4, steps=25,
+        free=free, prior=prior, loss="cauchy", scale=3.0, tolerance=1e-4, steps=steps,
     )  # fmt: skip
 
 
