@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import cv2
 import numpy as np
@@ -20,6 +21,7 @@ Progress = Callable[[float, str], None]
 BUMPED = 0.6
 """px: a camera whose view of the points has moved by this much, or by twice the noise, was bumped."""
 _FRAMES, _FEWEST = 80, 40
+_NOISE_FRAMES, _MOST_GROUPS, _USUAL_NOISE = 16, 30, 0.5
 _REACH, _BIN = 0.25, 0.004
 """How far the images of a bumped camera are looked for, and how finely, in widths of the image."""
 _KEPT = 0.15
@@ -100,7 +102,7 @@ def refine_rig(blobs: Blobs, rig: Rig, *, frames: int = _FRAMES, progress: Progr
     told = progress or (lambda fraction, doing: None)
     some = _some_frames(blobs, seeing, frames)
     told(0.0, "measuring the noise")
-    noise = min(_points(some, rig, few, None)[1] for few in _small_groups(rig, seeing))
+    noise = _noise(some, rig, seeing)
     sound, mended = list(seeing), list(rig.cameras)
     looks: dict[int, _Look] = {}
     while len(sound) >= 2:
@@ -172,13 +174,21 @@ def _some_frames(blobs: Blobs, seeing: list[int], most: int) -> Blobs:
     )
 
 
-def _small_groups(rig: Rig, cameras: list[int]) -> list[list[int]]:
-    """Each camera with its two nearest neighbours, pairs of three cameras: in some group none was bumped, and it shows the least noise."""
-    if len(cameras) == 3:
-        return [[c for c in cameras if c != left] for left in cameras]
-    places = np.array([rig[c].position for c in cameras])
-    near = np.linalg.norm(places[:, None] - places[None], axis=2).argsort(axis=1, kind="stable")[:, :3]
-    return [sorted(cameras[i] for i in group) for group in near]
+def _noise(blobs: Blobs, rig: Rig, cameras: list[int]) -> float:
+    """px, the pixel noise by the small group of cameras that shows least of it: in some group none was bumped.
+
+    Groups are three cameras, neighbours first, two where there are but three; one with no more noise than good blobs have ends it.
+    """
+    few = _some_frames(blobs, cameras, _NOISE_FRAMES)
+    groups = list(combinations(cameras, 2 if len(cameras) == 3 else 3))
+    places = np.array([camera.position for camera in rig])
+    spread = [float(np.linalg.norm(places[list(group)] - places[list(group)].mean(axis=0))) for group in groups]
+    least = np.inf
+    for n in np.argsort(spread, kind="stable")[:_MOST_GROUPS]:
+        least = min(least, _points(few, rig, list(groups[n]), None)[1])
+        if least < _USUAL_NOISE and len(cameras) > 3:
+            break
+    return float(least)
 
 
 def _points(blobs: Blobs, rig: Rig, cameras: list[int], noise: float | None) -> tuple[list[Floats], float]:
