@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -93,27 +93,30 @@ def detect(
     from asterism.formats import write_blobs
 
     known = None if rig is None else read_rig(rig)
+    settings: dict[str, Any] = {
+        "mask_static": mask_static,
+        "background": background,
+        "min_size": min_size,
+        "max_size": max_size,
+        "min_width": min_width,
+        "min_roundness": min_roundness,
+        "split": split,
+        "step": step,
+        "min_peak": min_peak,
+        "min_weight": min_weight,
+        "connectivity": connectivity,
+        "weigh_from": weigh_from,
+    }
     with _console.progress("detecting") as progress:
         result = detection.detect(
             sources,
             rig=known,
-            mask_static=mask_static,
+            threshold=_thresholds(threshold),
             times=times,
             rate=rate,
             workers=workers,
             progress=progress,
-            threshold=_thresholds(threshold),
-            background=background,
-            min_size=min_size,
-            max_size=max_size,
-            min_width=min_width,
-            min_roundness=min_roundness,
-            split=split,
-            step=step,
-            min_peak=min_peak,
-            min_weight=min_weight,
-            connectivity=connectivity,
-            weigh_from=weigh_from,
+            **settings,
         )
     write_blobs(result.blobs, output)
     if json != "-":
@@ -124,8 +127,8 @@ def detect(
     if report is not None:
         from asterism.report import detection_report
 
-        detection_report(report, result, settings={"output": output, "rig": rig, "times": times, "mask static": mask_static or None})
-    _console.write_json(json, {"command": "detect", "output": output, "rig": rig, **result.to_dict()})
+        detection_report(report, result, settings={"output": output, "rig": rig, "times": times, **settings})
+    _console.write_json(json, {"command": "detect", "output": output, "rig": rig, "times": times, "settings": settings, **result.to_dict()})
     raise typer.Exit(int(bool(result.problems)))
 
 
