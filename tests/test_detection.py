@@ -84,6 +84,15 @@ def test_a_shifted_image_has_shifted_blobs() -> None:
     assert np.allclose(after.xy, before.xy + np.array([-2, 3]), atol=1e-12)
 
 
+def test_the_image_stays_as_it_is_however_it_lies_in_memory() -> None:
+    image = discs(apart(10, 2), top=65535.0, peak=40_000.0, dark=2000.0, noise=300.0)
+    frozen, plain = image.copy(), find_blobs(image, threshold=9000)
+    frozen.flags.writeable = False
+    for same in (frozen, image.astype(">u2"), np.asfortranarray(image), np.dstack([image] * 3)):
+        assert np.array_equal(find_blobs(same, threshold=9000).xy, plain.xy)
+    assert np.array_equal(image, frozen)
+
+
 @pytest.mark.parametrize("distance", [7.2, 8.0, 10.0])
 def test_overlapping_markers_are_split(distance: float) -> None:
     """Discs of 8 px that overlap or touch, in all directions: both are found and said to overlap."""

@@ -193,9 +193,9 @@ def as_grey(image: ArrayLike) -> Grey:
         grey = grey[..., 0]
     if grey.ndim != 2 or not grey.size:
         raise AsterismError(f"an image of shape {grey.shape} is no grey image; give rows and columns of grey values.")
-    if grey.dtype not in (np.uint8, np.uint16):
+    if grey.dtype.kind != "u" or grey.dtype.itemsize > 2:
         raise AsterismError(f"an image of {grey.dtype} values; give 8 or 16 bit grey values without sign.")
-    return np.ascontiguousarray(grey)
+    return np.require(grey, grey.dtype.newbyteorder("="), ["C", "W"])
 
 
 def _check(connectivity: int, min_size: float, max_size: float, split: float, step: float | None, weigh_from: str) -> None:
