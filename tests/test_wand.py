@@ -145,11 +145,11 @@ def test_one_moved_marker_gives_the_rig_up_to_scale_and_a_distance_the_scale() -
     distance = float(np.linalg.norm(rig[0].position - rig[1].position))
     made = calibrate_wand(blobs, [0.0], sizes=SIZE, distance=(rig[0].name, rig[1].name, distance))
     assert made.usable, sentences(made)
-    assert unseen_error(rig, made.rig) < 0.004
+    assert unseen_error(rig, made.rig) < 0.008
     without = calibrate_wand(blobs, [0.0], sizes=SIZE)
     assert not without.usable
     assert "no size" in sentences(without)
-    assert unseen_error(rig, without.rig, scaled=True) < 0.004
+    assert unseen_error(rig, without.rig, scaled=True) < 0.008
 
 
 def test_known_lenses_help() -> None:

@@ -24,7 +24,7 @@ Progress = Callable[[float, str], None]
 _FINAL_FRAMES = 3000
 """More frames than these tell little more: they are spread over the recording."""
 _WIDE, _REACH, _NARROW = 0.012, 6.0, 4.5
-_LATE, _ROUNDS = 0.6, 4
+_LATE, _ROUNDS = 0.35, 4
 _PERSPECTIVE = 0.045
 """By how much the share at which images show the inner marker may differ from the wand's, all directions together."""
 _GROUPS = ("pose", "focal", "aspect", "centre", "k1", "k2", "tangential")
