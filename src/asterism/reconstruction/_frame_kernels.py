@@ -7,18 +7,17 @@ import math
 import numpy as np
 from numba import njit
 
+from asterism.reconstruction._compose_kernels import compose, with_reduced
 from asterism.reconstruction._kernels import (
     NOISE,
     add_ray,
     best_blob,
     clear,
-    compose,
     fit,
     frame_arrays,
     in_view,
     inverse,
     settle,
-    with_reduced,
     within,
 )
 from asterism.reconstruction._order_kernels import ascending
