@@ -25,7 +25,7 @@ from asterism.reconstruction._order_kernels import ascending
 from asterism.reconstruction._pack_kernels import pack
 from asterism.reconstruction.columns import columns_of
 from asterism.reconstruction.rays import rays_of
-from asterism.reconstruction.setting import Belief, Setting, image_borders
+from asterism.reconstruction.setting import Belief, Setting, common_view, image_borders
 from asterism.recording import Blobs, Clouds
 from asterism.simulation.cameras import images_of, ring_rig
 
@@ -331,15 +331,33 @@ def test_arguments_that_make_no_sense(changes: dict, message: str) -> None:
 def test_rigs_that_cannot_do_it() -> None:
     rig, blobs, _, _ = images(3, 5, 1)
     one = Blobs.from_rows([0, 0], [0, 0], [[1, 2], [3, 4]], ["c1"])
-    with pytest.raises(AsterismError, match="two cameras"):
+    with pytest.raises(AsterismError, match="two calibrated cameras"):
         reconstruct(one, rig)
     with pytest.raises(AsterismError, match="no camera c3"):
         reconstruct(blobs, Rig(rig.cameras[:2]))
-    with pytest.raises(AsterismError, match="no pose"):
-        reconstruct(blobs, Rig((*rig.cameras[:2], replace(rig[2], posed=False))))
+    with pytest.raises(AsterismError, match="pose for 1"):
+        reconstruct(blobs, Rig((rig[0], *(replace(camera, posed=False) for camera in rig.cameras[1:]))))
     heap = Rig(tuple(replace(rig[0], name=camera.name) for camera in rig))
     with pytest.raises(AsterismError, match="in one place"):
         reconstruct(blobs, heap)
+
+
+def test_a_camera_without_a_pose_is_left_out_and_said() -> None:
+    rig, blobs, _, _ = images(4, 10, 5)
+    part = reconstruct(blobs, Rig((rig[0], replace(rig[1], posed=False), *rig.cameras[2:]), rig.vertical), noise=0.3)
+    mine = blobs.camera_of != 1
+    three = Blobs.from_rows(blobs.frame_of[mine], np.array([0, -1, 1, 2])[blobs.camera_of[mine]], blobs.xy[mine], ["c1", "c3", "c4"])
+    assert part.blobs.cameras == ("c1", "c3", "c4")
+    assert any("camera c2 has no pose" in remark for remark in part.remarks)
+    assert np.array_equal(part.clouds.xyz, reconstruct(three, rig, noise=0.3).clouds.xyz)
+
+
+def test_the_space_in_view_is_what_trying_many_places_says() -> None:
+    rig, blobs, _, _ = images(4, 200, 1)
+    borders = image_borders(blobs, rig)
+    places = np.random.default_rng(0).uniform(-6, 6, (200_000, 3))
+    seen = ((rig.project(places) >= borders[0][:, None]) & (rig.project(places) <= borders[1][:, None])).all(axis=2).sum(axis=0) >= 2
+    assert common_view(rig, borders, EVERYWHERE) == pytest.approx(12.0**3 * seen.mean(), rel=0.3)
 
 
 def test_image_sizes_need_not_be_known() -> None:

@@ -33,7 +33,7 @@ def reconstruct_frames(rig, flat, slopes, offsets, begin, end, out_rays, out_poi
     IN  rig RigArrays; flat (B, 2), slopes (B, 4), offsets (T * C + 1,) as in Blobs
     OUT out_rays (P, C) blob numbers or -1, out_points (P, 3) m, out_covariance (P, 3, 3) m2, out_residual (P,) px
         counts (T,) points of each frame; notes (T, 2): pairs that passed the gate, tangles of hypotheses not solved to the end
-    P is at least half the number of blobs. Returns the number of points. Twin of the whole: tests/twins_reconstruction.py
+    P is at least half the number of blobs. Returns the number of points. Twins of its steps: tests/test_reconstruction.py
     """
     cameras = len(rig.cameras)
     x, h, g, out = np.empty(3), np.empty(6), np.empty(3), np.empty(1)
@@ -67,21 +67,7 @@ def reconstruct_frames(rig, flat, slopes, offsets, begin, end, out_rays, out_poi
             rays = found.rays[n]
             for axis in range(3):
                 x[axis] = found.points[n, axis]
-            fit(rig, frame, rays, x, h, g, 1)
-            added = False
-            for c in range(cameras):
-                if rays[c] < 0:
-                    blob = best_blob(rig, frame, c, x, h, free, out)
-                    if blob >= 0:
-                        rays[c] = blob
-                        free[blob] = False
-                        added = True
-            if added:
-                before = rays.copy()
-                settle(rig, frame, rays, x, h, g, 1)
-                for c in range(cameras):
-                    if before[c] >= 0 and rays[c] < 0:
-                        free[before[c]] = True
+            _join(rig, frame, rays, x, h, g, free, out)
             square = fit(rig, frame, rays, x, h, g, FINAL_STEPS)[0]
             if not (square < np.inf and within(rig, x)):
                 continue
@@ -104,6 +90,29 @@ def reconstruct_frames(rig, flat, slopes, offsets, begin, end, out_rays, out_poi
             counts[t - begin] += 1
             total += 1
     return total
+
+
+@njit(cache=True, error_model="numpy")
+def _join(rig, frame, rays, x, h, g, free, out):
+    """Give a chosen point the free blobs that it fits in the cameras that it lacks, unless that costs it others.
+
+    OUT rays (C,), x (3,) m and free (B,), changed in place
+    """
+    fit(rig, frame, rays, x, h, g, 1)
+    before, many = rays.copy(), 0
+    for c in range(len(rays)):
+        many += rays[c] >= 0
+        if rays[c] < 0:
+            rays[c] = best_blob(rig, frame, c, x, h, free, out)
+    square, left = settle(rig, frame, rays, x, h, g, 1)
+    kept = square < np.inf and left >= many
+    for c in range(len(rays)):
+        if not kept:
+            rays[c] = before[c]
+        elif rays[c] >= 0:
+            free[rays[c]] = False
+        elif before[c] >= 0:
+            free[before[c]] = True
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

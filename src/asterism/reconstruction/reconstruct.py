@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from asterism.cameras import Rig
 from asterism.errors import AsterismError
@@ -48,12 +48,11 @@ def reconstruct(
     first (`asterism.recording.to_common_clock`). The clouds' vertical is the rig's, z where it has none. Each frame is
     reconstructed by itself: the same blobs give the same points.
 
-    Raises AsterismError where the rig lacks a camera of the blobs or its pose, fewer than two cameras are left, or an argument
-    makes no sense.
+    Cameras without a pose are left out. Raises AsterismError where the rig lacks a camera of the blobs, fewer than two cameras
+    are left, or an argument makes no sense.
     """
-    rig = _rig_of(blobs, rig)
+    blobs, rig, remarks = _rig_of(blobs, rig)
     _check(method, noise, min_cameras, gate, len(rig))
-    remarks = []
     if blobs.times is not None:
         before, blobs = len(blobs.xy), to_common_clock(blobs)
         if len(blobs.xy) < before:
@@ -174,15 +173,36 @@ def _scale(taken: Ints, xyz: Floats, rig: Rig) -> Floats:
     return mean
 
 
-def _rig_of(blobs: Blobs, rig: Rig) -> Rig:
-    """The rig's cameras in the blobs' order."""
+def _rig_of(blobs: Blobs, rig: Rig) -> tuple[Blobs, Rig, list[str]]:
+    """The rig's cameras in the blobs' order, both without cameras that have no pose, and a remark where there were such."""
     rig = rig.select(blobs.cameras)
-    without = [camera.name for camera in rig if not camera.posed]
-    if without:
-        raise AsterismError(f"camera {without[0]} has no pose in the rig; calibrate it with `asterism calibrate wand`, or leave it out.")
-    if len(rig) < 2:
-        raise AsterismError("points need two cameras or more, and the blobs come from one; add the others' blobs.")
-    return rig
+    posed = np.array([camera.posed for camera in rig])
+    remarks = []
+    if not posed.all():
+        without = [camera.name for camera in rig if not camera.posed]
+        remarks.append(f"camera {', '.join(without)} has no pose in the rig and was left out; `asterism calibrate wand` gives it one.")
+        rig = rig.select([camera.name for camera in rig if camera.posed]) if posed.any() else rig
+        blobs = _of_cameras(blobs, posed)
+    if posed.sum() < 2:
+        raise AsterismError(
+            f"points need two calibrated cameras or more; of the blobs' cameras ({', '.join(blobs.cameras) or 'none'}) "
+            f"the rig has a pose for {posed.sum()}. Add the others' blobs, or calibrate them."
+        )
+    return blobs, rig, remarks
+
+
+def _of_cameras(blobs: Blobs, kept: NDArray[np.bool_]) -> Blobs:
+    """The blobs of some cameras; `kept` (C,) says which."""
+    mine = kept[blobs.camera_of]
+    counts = blobs.counts[:, kept]
+    return replace(
+        blobs,
+        xy=blobs.xy[mine],
+        offsets=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        cameras=tuple(name for name, stays in zip(blobs.cameras, kept, strict=True) if stays),
+        sizes=blobs.sizes[mine],
+        times=None if blobs.times is None else blobs.times[:, kept],
+    )
 
 
 def _corners(volume: ArrayLike | None) -> Floats:
