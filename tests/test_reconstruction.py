@@ -16,7 +16,7 @@ from scipy.optimize import Bounds, LinearConstraint, least_squares, milp
 
 from asterism import formats
 from asterism.cameras import Camera, Rig, rotation_from_vector
-from asterism.cameras.files import write_rig
+from asterism.cameras.files import read_rig, write_rig
 from asterism.cli import main
 from asterism.errors import AsterismError
 from asterism.reconstruction import Reconstruction, _kernels, reconstruct, summary
@@ -27,7 +27,7 @@ from asterism.reconstruction.columns import columns_of
 from asterism.reconstruction.rays import rays_of
 from asterism.reconstruction.setting import Belief, Setting, common_view, image_borders
 from asterism.recording import Blobs, Clouds
-from asterism.simulation.cameras import images_of, ring_rig
+from asterism.simulation.cameras import images_of, ring_rig, walker_capsules
 
 EVERYWHERE = np.array([[-np.inf] * 3, [np.inf] * 3])
 
@@ -458,3 +458,27 @@ def test_a_camera_whose_blobs_show_nothing_is_named() -> None:
 def test_sorting_is_numpys(values: list[float]) -> None:
     given_values = np.array(values, dtype=np.float64)
     assert np.array_equal(ascending(given_values, len(values)), np.argsort(given_values, kind="stable"))
+
+
+def test_real_particles_as_many_as_the_peer_matched(data: Path) -> None:
+    """The first time step of OpenPTV's cavity, its blobs, its tolerance: it has put 377 points into all four cameras."""
+    folder = data / "cameras" / "particles-4cam"
+    rig = read_rig(folder)
+    spots = [np.loadtxt(folder / "images" / f"cam{c + 1}.10001_targets", skiprows=1)[:, 1:3] for c in range(4)]
+    camera = np.repeat(np.arange(4), [len(xy) for xy in spots])
+    blobs = Blobs.from_rows(np.zeros(len(camera)), camera, np.concatenate(spots), rig.names)
+    result = reconstruct(blobs, rig, noise=2.5, min_cameras=4)
+    assert len(result.residual) >= 377
+    used = result.rays.ravel()
+    assert len(np.unique(used)) == len(used), "a blob shows one particle"
+
+
+def test_a_walk_seen_by_a_real_rig(data: Path) -> None:
+    folder = data / "cameras" / "vicon-rig-walk"
+    rig, walk = read_rig(folder / "walking_1.xcp"), formats.read(folder / "walking_1.c3d").frames(slice(800, 840))
+    rng = np.random.default_rng(0)
+    blobs, _ = images_of(rig, walk.positions, noise=0.15, body=walker_capsules(walk), strays=0.3, rng=rng, rate=walk.rate)
+    hits, ghosts, off = found(reconstruct(blobs, rig), walk.positions)
+    assert hits >= 0.995 * walk.visible.sum()
+    assert ghosts <= 2
+    assert np.median(off) < 4e-4
