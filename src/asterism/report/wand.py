@@ -152,7 +152,12 @@ def rig_figure(rig: Rig, points: Floats) -> figures.Figure:
         },
     ]  # fmt: skip
     axis = {"backgroundcolor": "#ffffff", "gridcolor": "#e6ebf2", "zerolinecolor": "#cfd8e4"}
-    scene = {"aspectmode": "data", **{f"{name}axis": {**axis, "title": {"text": f"{name} in m"}} for name in "xyz"}}
+    drawn = np.concatenate([np.array([end for end in lines if end[0] is not None], dtype=np.float64), points])
+    middle, extent = 0.5 * (drawn.min(axis=0) + drawn.max(axis=0)), 1.05 * np.ptp(drawn, axis=0)
+    extent = np.maximum(extent, 0.3 * extent.max())
+    ranges = zip("xyz", middle - 0.5 * extent, middle + 0.5 * extent, strict=True)
+    scene: dict[str, Any] = {f"{name}axis": {**axis, "title": {"text": f"{name} in m"}, "range": [low, high]} for name, low, high in ranges}
+    scene |= {"aspectmode": "manual", "aspectratio": dict(zip("xyz", 1.3 * extent / extent.max(), strict=True))}
     scene["camera"] = {"eye": {"x": 1.1, "y": 1.1, "z": 0.7}}
     return figures.figure(data, height=560, scene=scene)
 
