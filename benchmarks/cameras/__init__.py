@@ -14,6 +14,7 @@ from benchmarks.cameras.reconstruction import ghosts, speed
 from benchmarks.cameras.refine import refine
 from benchmarks.cameras.walk import walk
 from benchmarks.cameras.wand import wand, wand_rigs
+from benchmarks.cameras.wand_peer import wand_peer
 from benchmarks.figures import Figure
 
 ISSUE = "From cameras to points: calibrate, detect, compose, merge"
@@ -33,6 +34,7 @@ ROWS: dict[str, Callable[[Bench], Iterator[Figure]]] = {
     "vicon-rig-walk": walk,
     "demo": demo,
     "wand": wand,
+    "wand-peer": wand_peer,
     "refine": refine,
     "wand-rigs": wand_rigs,
 }

@@ -44,7 +44,7 @@ def wand(bench: Bench) -> Iterator[Figure]:
         seconds.append(time.perf_counter() - started)
         final.append(_final_adjustment(made))
         focal += [abs(camera.focal[0] / rig[camera.name].focal[0] - 1.0) for camera in made.rig]
-        points = _volume(rng)
+        points = volume(rng)
         unseen.append(points_error(rig, made.rig, points, 0.0, rng))
         noisy.append(points_error(rig, made.rig, points, NOISE, rng))
         likeliest, least = _best(rig, made, truth.positions, points, rng)
@@ -92,7 +92,7 @@ def _arrives(bench: Bench, which: tuple[bool, int]) -> tuple[bool, bool, float]:
     except AsterismError:
         return False, False, float("inf")
     focal = max(abs(camera.focal[0] / rig[camera.name].focal[0] - 1.0) for camera in made.rig)
-    error = points_error(rig, made.rig, _volume(rng, 0.5), 0.0, rng)
+    error = points_error(rig, made.rig, volume(rng, 0.5), 0.0, rng)
     if len(made.rig) < len(rig) or focal > RIGHT_FOCAL or not error < RIGHT_POINTS:
         posed = f"{len(made.rig)} of {len(rig)} cameras"
         bench.say(f"rig {which[1]}: {posed}, focal {100 * focal:.2f} %, points {1000 * error:.2f} mm, usable: {made.usable}")
@@ -190,7 +190,7 @@ def _final_adjustment(made: WandCalibration) -> float:
     return seconds
 
 
-def _volume(rng: np.random.Generator, reach: float = 1.0) -> Floats:
+def volume(rng: np.random.Generator, reach: float = 1.0) -> Floats:
     """(n, 3) m, places in the middle of the volume of simulated rigs."""
     return rng.uniform([-reach, -reach, 0.3], [reach, reach, 1.7], (UNSEEN, 3))
 

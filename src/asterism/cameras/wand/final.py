@@ -1,0 +1,148 @@
+"""Posed cameras and their images of a wand in; the final adjustment of everything, and what it left out, out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from asterism.cameras.bundle import Adjustment, Sightings, adjust, free_parameters
+from asterism.cameras.camera import Camera
+from asterism.cameras.wand.frames import shown, spread_frames
+from asterism.cameras.wand.identify import Wand, agree
+from asterism.cameras.wand.inputs import PERSPECTIVE, shares
+from asterism.cameras.wand.pair import FEWEST, priors
+from asterism.cameras.wand.start import adjust_some, typical_noise
+from asterism.errors import AsterismError
+from asterism.recording import Blobs, Floats, Ints
+
+_FINAL_FRAMES = 3000
+"""More frames than these tell little more: they are spread over the recording."""
+_WIDE, _REACH, _NARROW = 0.0036, 6.0, 4.5
+"""Blobs are looked for within this share of the image's width, then within so many standard deviations; within fewer they are kept."""
+_GROUPS = ("pose", "focal", "aspect", "centre", "k1", "k2", "tangential")
+
+
+def adjusted(
+    blobs: Blobs, chosen: Ints, wand: Wand, cameras: list[Camera | None], lenses: Sequence[Camera | None], noise: float
+) -> tuple[Adjustment, Sightings, Ints, Ints]:
+    """The final adjustment: everything freed, blobs that do not fit left out by what fits.
+
+    Returns it, its sightings with frames counted without holes, the frames (m,) that these numbers stand for, and those it chose from.
+    """
+    posed = [c for c, camera in enumerate(cameras) if camera is not None]
+    width = max((camera.size or (1280, 0))[0] for camera in cameras if camera is not None)
+    place = np.full(len(cameras), -1)
+    place[posed] = np.arange(len(posed))
+    known = [lenses[c] for c in posed]
+    agreed = agree(blobs, chosen, wand, cameras, max(_WIDE * width, _REACH * noise))
+    wide = adjust_some(blobs, agreed, wand, cameras, lenses, _GROUPS, max(2.0 * noise, 0.2), 60)
+    if wide is not None:
+        cameras = list(cameras)
+        for c, camera in zip(posed, wide.cameras, strict=True):
+            cameras[c] = camera
+        noise = max(typical_noise(wide.residuals), 0.01)
+    agreed = agree(blobs, chosen, wand, cameras, max(_REACH * noise, 1.5))
+    offered = spread_frames(shown(chosen), _FINAL_FRAMES)
+    sightings, used = agreed.sightings(blobs, offered).compact()
+    if len(used) < FEWEST:
+        share, given = shares(blobs, wand)
+        if abs(share - given) > PERSPECTIVE:
+            raise AsterismError(
+                f"only {len(used)} frames fit the wand: images show the inner marker at {share:.2f} of its length, not {given:.2f}; "
+                "are the lengths right?"
+            )
+        raise AsterismError(f"only {len(used)} frames show the wand to two cameras that agree on it; wave it longer where cameras overlap.")
+    sightings = replace(sightings, camera=place[sightings.camera])
+    own = [camera for camera in cameras if camera is not None]
+    rotations, translations = (part[used] for part in agreed.placements())
+    result = _fitted(own, wand, sightings, (rotations, translations), known, noise, _GROUPS, tolerance=1e-5)
+    own, noise = list(result.cameras), max(typical_noise(result.residuals), 1e-3)
+    good = np.linalg.norm(result.residuals, axis=1) < _NARROW * noise
+    sightings, rows = _determined(sightings.select(good), len(wand.lengths)).compact()
+    placements = result.rotations[rows], result.translations[rows]
+    groups = (*_GROUPS, "k3") if _wants_k3(own, wand, sightings, placements, known, noise) else _GROUPS
+    result = _fitted(own, wand, sightings, placements, known, noise, groups, covariance=True, tolerance=1e-7)
+    return result, sightings, used[rows], offered
+
+
+def _fitted(
+    cameras: list[Camera],
+    wand: Wand,
+    sightings: Sightings,
+    placements: tuple[Floats, Floats],
+    known: Sequence[Camera | None],
+    noise: float,
+    groups: tuple[str, ...],
+    *,
+    tolerance: float,
+    steps: int = 60,
+    covariance: bool = False,
+) -> Adjustment:
+    """Adjust these groups of parameters of all cameras for blobs of this noise, px."""
+    return adjust(
+        cameras, wand.template, sightings, *placements, free=free_parameters(len(cameras), *groups), prior=priors(cameras, known, noise),
+        scale=3.0 * noise, tolerance=tolerance, steps=steps, covariance=covariance,
+    )  # fmt: skip
+
+
+def lost_shares(chosen: Ints, used: Sightings) -> Floats:
+    """(C,) the share of the blobs that single images (m, C, K) took for the wand, where two cameras did, that was not used."""
+    own = shown(chosen)
+    told = chosen.shape[2] * own[own.sum(axis=1) >= 2].sum(axis=0)
+    kept = np.bincount(used.camera, minlength=len(told))
+    return np.asarray(np.maximum(1.0 - kept / np.maximum(told, 1), 0.0))
+
+
+def inner_place(blobs: Blobs, chosen: Ints, wand: Wand, cameras: Sequence[Camera], positions: Floats) -> float:
+    """Where single images (m, C, K) put the inner marker, m from the first: the median of where their rays pass the measured wand's line.
+
+    Of wands that look alike from both ends, where images usually show it, where that is far from what was given; NaN otherwise.
+    """
+    if len(wand.lengths) < 3:
+        return float("nan")
+    if wand.either:
+        share, given = shares(blobs, wand)
+        return share * float(wand.lengths[2]) if abs(share - given) > PERSPECTIVE else float("nan")
+    start, along = positions[:, 0], positions[:, 2] - positions[:, 0]
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    places = []
+    for c, camera in enumerate(cameras):
+        rows = np.nonzero((chosen[:, c] >= 0).all(axis=1) & np.isfinite(along[:, 0]))[0]
+        ray, line = camera.rays(blobs.xy[chosen[rows, c, 1]]), along[rows]
+        to = camera.position - start[rows]
+        across = (ray * line).sum(axis=1)
+        place = ((to * line).sum(axis=1) - across * (to * ray).sum(axis=1)) / (1.0 - across**2)
+        places.append(place[np.isfinite(place) & (across**2 < 0.9)])
+    every = np.concatenate(places)
+    return float(np.median(every)) if len(every) else float("nan")
+
+
+def _wants_k3(
+    cameras: list[Camera],
+    wand: Wand,
+    sightings: Sightings,
+    placements: tuple[Floats, Floats],
+    known: Sequence[Camera | None],
+    noise: float,
+) -> bool:
+    """Whether a third radial coefficient explains more than noise would let it explain, on a part of the frames."""
+    some = sightings.frame % max(1, len(placements[0]) // 400) == 0
+    part, rows = sightings.select(some).compact()
+    at = placements[0][rows], placements[1][rows]
+    without, with_it = (
+        _fitted(cameras, wand, part, at, known, noise, groups, tolerance=1e-5, steps=10).cost for groups in (_GROUPS, (*_GROUPS, "k3"))
+    )
+    n = len(cameras)
+    return bool(2.0 * (without - with_it) / noise**2 > n + 4.0 * np.sqrt(2.0 * n))
+
+
+def _determined(sightings: Sightings, markers: int) -> Sightings:
+    """Those of frames that two cameras see, with more coordinates than a wand has freedoms."""
+    frames = int(sightings.frame.max(initial=-1)) + 1
+    count = np.bincount(sightings.frame, minlength=frames)
+    cameras = np.bincount(np.unique(sightings.frame * 1024 + sightings.camera) // 1024, minlength=frames)
+    points = np.bincount(np.unique(sightings.frame * 8 + sightings.point) // 8, minlength=frames)
+    good = (cameras >= 2) & (2 * count > (3 if markers == 1 else 5)) & (points >= min(2, markers))
+    return sightings.select(good[sightings.frame])
