@@ -333,6 +333,9 @@ def test_rigs_that_cannot_do_it() -> None:
     one = Blobs.from_rows([0, 0], [0, 0], [[1, 2], [3, 4]], ["c1"])
     with pytest.raises(AsterismError, match="two calibrated cameras"):
         reconstruct(one, rig)
+    alone = blobs.camera_of == 1
+    with pytest.raises(AsterismError, match="all blobs are of camera c2"):
+        reconstruct(Blobs.from_rows(blobs.frame_of[alone], blobs.camera_of[alone], blobs.xy[alone], blobs.cameras), rig)
     with pytest.raises(AsterismError, match="no camera c3"):
         reconstruct(blobs, Rig(rig.cameras[:2]))
     with pytest.raises(AsterismError, match="pose for 1"):

@@ -50,10 +50,11 @@ def reconstruct(
     """
     from asterism.cameras.accuracy import Volume
     from asterism.cameras.files import read_rig
-    from asterism.formats import read_blobs
+    from asterism.formats import check_suffix, read_blobs
     from asterism.reconstruction import reconstruct as points_of
     from asterism.reconstruction import summary
 
+    check_suffix(output)
     _console.check_new(output, overwrite)
     _console.check_new(json, overwrite)
     calibrated = read_rig(rig)

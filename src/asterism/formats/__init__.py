@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from asterism.formats._dispatch import convert, describe, read, read_clouds, read_evidence, write, write_points
+from asterism.formats._dispatch import check_suffix, convert, describe, read, read_clouds, read_evidence, write, write_points
 from asterism.formats.csv_blobs import read_blobs, write_blobs
 from asterism.formats.storage import Table, read_table, write_table
 
 __all__ = [
     "Table",
+    "check_suffix",
     "convert",
     "describe",
     "read",

@@ -95,10 +95,8 @@ def write(path: str | Path, recording: Recording | Clouds) -> list[str]:
     if suffix == ".c3d":
         write_c3d(path, _with_computed(recording))
         return []
-    writer = _WRITERS.get(suffix)
-    if writer is None:
-        raise AsterismError(f"{path}: no format has the suffix {suffix or '(none)'}; write .c3d, {', '.join(_WRITERS)}.")
-    return writer(path, recording)
+    check_suffix(path)
+    return _WRITERS[suffix](path, recording)
 
 
 def read_evidence(path: str | Path) -> Evidence | None:
@@ -108,6 +106,13 @@ def read_evidence(path: str | Path) -> Evidence | None:
     """
     path = Path(path)
     return npz.read_npz_evidence(path) if _kind_of(path) == "NPZ" else None
+
+
+def check_suffix(path: str | Path) -> None:
+    """Raise AsterismError where no format that points can be written in has this suffix, before work is done for nothing."""
+    suffix = Path(path).suffix.casefold()
+    if suffix != ".c3d" and suffix not in _WRITERS:
+        raise AsterismError(f"{path}: no format has the suffix {suffix or '(none)'}; write .c3d, {', '.join(_WRITERS)}.")
 
 
 def write_points(path: str | Path, clouds: Clouds, evidence: Evidence, columns: Ints) -> list[str]:

@@ -183,6 +183,9 @@ def _rig_of(blobs: Blobs, rig: Rig) -> tuple[Blobs, Rig, list[str]]:
         remarks.append(f"camera {', '.join(without)} has no pose in the rig and was left out; `asterism calibrate wand` gives it one.")
         rig = rig.select([camera.name for camera in rig if camera.posed]) if posed.any() else rig
         blobs = _of_cameras(blobs, posed)
+    seeing = [name for name, count in zip(blobs.cameras, blobs.counts.sum(axis=0), strict=True) if count]
+    if posed.sum() >= 2 and len(seeing) == 1:
+        raise AsterismError(f"all blobs are of camera {seeing[0]}, and points need two cameras; add the others' blobs.")
     if posed.sum() < 2:
         raise AsterismError(
             f"points need two calibrated cameras or more; of the blobs' cameras ({', '.join(blobs.cameras) or 'none'}) "
