@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+import twins_wand
 
 from asterism.cameras import Camera, Rig, rotation_from_vector
 from asterism.cameras.bundle import Sightings, locate
@@ -118,6 +119,31 @@ def test_an_unlucky_first_look_is_not_believed() -> None:
     used = agreed.sights >= 0
     assert (truth.identity[agreed.sights[used]] == np.nonzero(used)[2]).mean() > 0.998
     assert used.sum() > 0.96 * (truth.identity >= 0).sum()
+
+
+@pytest.mark.parametrize("middle", [0.2, 0.28], ids=["ratio", "alike from both ends"])
+def test_the_wand_in_each_image_equals_the_plain_search(middle: float) -> None:
+    blobs, _ = wave_wand(a_rig(3), (0.0, middle, 0.6), 60, rng=rng_of(21), outliers=0.1, strays=2.0)
+    wand = wand_of([0.0, middle, 0.6])
+    chosen = identify(blobs, wand)
+    for t in range(len(blobs)):
+        for c in range(3):
+            plain = twins_wand.find_wand(blobs.of(t, c), middle / 0.6, wand.either)
+            first = blobs.offsets[3 * t + c]
+            assert (chosen[t, c].tolist() == [-1] * 3) if plain is None else ((chosen[t, c] - first).tolist() == plain)
+
+
+def test_what_cameras_agree_on_is_supported_as_the_plain_search_says() -> None:
+    rig = a_rig(4)
+    blobs, _ = wave_wand(rig, WAND, 40, rng=rng_of(22), outliers=0.1, strays=1.0)
+    wand = wand_of(WAND)
+    chosen = identify(blobs, wand)
+    agreed = agree(blobs, chosen, wand, list(rig), 6.0)
+    plain = twins_wand.agree(blobs, chosen, wand.lengths, list(rig), 6.0)
+    same = [bool((agreed.sights[t] == sights).all()) for t, (_, sights) in enumerate(plain)]
+    assert np.mean(same) >= 0.9, "laid again by all blobs, a wand may gain or lose one near the gate"
+    for t, (score, sights) in enumerate(plain):
+        assert ((agreed.sights[t] >= 0).sum() >= (sights >= 0).sum() - 1) or score == 0.0
 
 
 def test_the_ratio_tells_the_ends_apart_in_perspective_too() -> None:

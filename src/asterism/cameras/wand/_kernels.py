@@ -23,7 +23,7 @@ def find_lines(xy, offsets, share, depth_ratio, slack, bend, shortest, either, c
     OUT chosen (cells, 3) int: places of U, V, W in xy, -1 where there is no wand; certain (cells,) bool: no other choice or order is
         nearly as good
     O(sum n^3) over images of n blobs. A point at share a of a segment whose ends are at depths z_U and z_W is seen at
-    a z_W / ((1 - a) z_U + a z_W) of its image. Twin: tests/test_wand.py
+    a z_W / ((1 - a) z_U + a z_W) of its image. Twin: tests/twins_wand.py
     """
     limit = math.log(depth_ratio)
     aim = math.log(share / (1.0 - share))
@@ -34,7 +34,7 @@ def find_lines(xy, offsets, share, depth_ratio, slack, bend, shortest, either, c
         if last - first < 3 or last - first > MOST_BLOBS:
             continue
         best, second = 2.0, 2.0
-        middle, ends = -1, -1
+        middle, one_end, other_end = -1, -1, -1
         for i in range(first, last):
             for j in range(i + 1, last):
                 dx, dy = xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1]
@@ -57,10 +57,10 @@ def find_lines(xy, offsets, share, depth_ratio, slack, bend, shortest, either, c
                         if tilt > 1.0:
                             continue
                         score = off + tilt
-                        same = either and k == middle and i + j == ends
+                        same = either and k == middle and i == one_end and j == other_end
                         if score < best:
                             best, second = score, second if same else best
-                            middle, ends = k, i + j
+                            middle, one_end, other_end = k, i, j
                             chosen[cell, 0], chosen[cell, 1], chosen[cell, 2] = (j, k, i) if turned else (i, k, j)
                         elif score < second and not same:
                             second = score
@@ -183,7 +183,7 @@ def agree(
         images, -1 for none; lengths (K,) m from the wand's first marker; either: whether images leave the order of the markers open;
         lens (C, LENS), rotation (C, 3, 3), translation (C, 3), origins (C, 3) m of the cameras, posed (C,) bool; gate px
     OUT starts (T, 3) m, directions (T, 3): NaN where no two cameras agree; sights (T, C, K) int: blobs on the wand; support (T,)
-    O(T * C^2 * C * K). Twin: tests/test_wand.py
+    O(T * C^2 * C * K). Twin: tests/twins_wand.py, for the wand that most blobs lie on
     """
     frames, cameras, markers = chosen.shape
     origin, ray, normal, right = np.empty((cameras, 3)), np.empty((cameras, 3)), np.empty((3, 3)), np.empty(3)

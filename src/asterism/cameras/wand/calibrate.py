@@ -147,7 +147,7 @@ def calibrate_wand(
         made = made.moved(made.rig.moved(np.eye(3), np.zeros(3), scale), np.eye(3), np.zeros(3), scale)
     turn, shift = upright(made.rig, made.positions)
     made = made.moved(made.rig.moved(turn, shift), turn, shift)
-    made = replace(made, findings=judge(made, blobs, lags(made.sightings, made.residuals, len(posed)), scaled=distance is not None))
+    made = replace(made, findings=judge(made, lags(made.sightings, made.residuals, len(posed)), scaled=distance is not None))
     told(1.0, "done")
     return replace(made, rig=replace(made.rig, metadata=_about(made)))
 

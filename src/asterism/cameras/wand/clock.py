@@ -17,7 +17,8 @@ def common_clock(blobs: Blobs, chosen: Ints) -> tuple[Blobs, Ints]:
     """The wand's blobs carried to the moments at which the cameras looked on average; `blobs.times` says when each did.
 
     Each marker's path in each image is interpolated by Akima's piecewise cubics, which a single wrong blob disturbs only next to it.
-    What the images do not take for the wand is left out. Raises AsterismError where times do not increase or cameras share no time.
+    Blobs are known here, which `recording.to_common_clock` cannot count on: nothing is taken for another marker. What the images do
+    not take for the wand is left out. Raises AsterismError where times do not increase or cameras share no time.
     """
     if blobs.times is None:
         return blobs, chosen

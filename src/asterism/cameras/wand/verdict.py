@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from asterism.recording import Blobs, Floats
+from asterism.recording import Floats
 
 if TYPE_CHECKING:
     from asterism.cameras.wand.calibrate import WandCalibration
@@ -52,7 +52,7 @@ def coverage(made: WandCalibration) -> Floats:
     return counts
 
 
-def judge(made: WandCalibration, blobs: Blobs, late: tuple[Floats, Floats], *, scaled: bool) -> tuple[Finding, ...]:
+def judge(made: WandCalibration, late: tuple[Floats, Floats], *, scaled: bool) -> tuple[Finding, ...]:
     """What speaks against a calibration, gravest first. late: `lags` of what is left; scaled: a distance gave the scale."""
     found = [
         *(Finding(f"camera {name} is not in the rig: {why}.") for name, why in made.left_out.items()),
