@@ -197,7 +197,7 @@ def test_cameras_that_are_not_triggered_together() -> None:
     assert "frames late" in sentences(careless) and "check its trigger" in sentences(careless)
 
 
-@pytest.mark.parametrize("late", [-3, 5])
+@pytest.mark.parametrize("late", [-3, 5, 61])
 def test_a_camera_out_of_step_is_named_and_its_images_moved(late: int) -> None:
     rig = a_rig(4)
     blobs, _ = wave_wand(rig, WAND, 800, rng=rng_of(8), rate=100.0)

@@ -129,7 +129,7 @@ def calibrate_wand(
         raise AsterismError(why_no_start(blobs, chosen))
     cameras = list(start.cameras)
     told(0.6, "comparing clocks")
-    blobs, chosen, cameras, late = in_step(blobs, chosen, wand, cameras, lenses)
+    blobs, chosen, cameras, late = in_step(blobs, chosen, wand, cameras, lenses, extents)
     told(0.7, "adjusting")
     result, sightings, used, offered = adjusted(blobs, chosen, wand, cameras, lenses, start.noise)
     posed = [c for c, camera in enumerate(cameras) if camera is not None]

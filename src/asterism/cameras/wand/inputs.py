@@ -125,7 +125,7 @@ def why_not(blobs: Blobs, chosen: Ints, cameras: Sequence[Camera | None], camera
     if not blobs.counts[:, camera].any():
         return "it saw nothing; is it switched on, and its lens cap off?"
     if own.sum() < FEWEST:
-        return f"it shows the wand in {int(own.sum())} frames only; wave it before this camera, too"
+        return f"it shows the wand in {int(own.sum()) or 'no'} frame{'' if own.sum() < 2 else 's'}; wave it before this camera, too"
     if with_others < FEWEST:
         return f"it shares only {with_others} frames with two cameras of the rig; wave the wand where their views overlap"
     return "its images contradict those of the others; is it mirrored, out of step by seconds, or was it moved while recording?"

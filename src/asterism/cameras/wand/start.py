@@ -54,7 +54,7 @@ def cold_start(
 
     blobs, chosen  what `identify` was given and gave; sizes (C,) px; known (C,): cameras whose lens is known
     """
-    frames = spread_frames(shown(chosen), _WORKING_FRAMES)
+    frames = spread_frames(shown(chosen), max(_WORKING_FRAMES, 2 * _CAMERA_FRAMES * len(sizes)))
     blobs, chosen = some_frames(blobs, chosen, frames)
     shared = shared_frames(chosen)
     first = [(int(shared[a, b]), a, b) for a in range(len(sizes)) for b in range(a + 1, len(sizes)) if shared[a, b] >= FEWEST]
@@ -100,7 +100,7 @@ def _grow(
         added = False
         for c in range(len(sizes)):
             if cameras[c] is None:
-                cameras[c] = _resected(blobs, chosen, agreed, wand, c, sizes[c], known[c])
+                cameras[c] = resected(blobs, chosen, agreed, wand, c, sizes[c], known[c])
                 added = added or cameras[c] is not None
         if not added:
             break
@@ -143,7 +143,7 @@ def adjust_some(
     )  # fmt: skip
 
 
-def _resected(
+def resected(
     blobs: Blobs, chosen: Ints, agreed: Agreed, wand: Wand, camera: int, size: tuple[int, int], known: Camera | None
 ) -> Camera | None:
     """A camera from where the posed ones say that the wand lay; None where that does not fit."""
