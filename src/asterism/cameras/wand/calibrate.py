@@ -45,7 +45,6 @@ class WandCalibration:
     inner         m, where the inner one of three markers sits by all images that show it, used or not; NaN for other wands
     left_out      cameras that could not be calibrated, with the reason
     findings      what to know before using the rig, gravest first
-    seconds       of the final adjustment
     """
 
     rig: Rig
