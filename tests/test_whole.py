@@ -35,6 +35,19 @@ def test_a_stranger_with_gaps_is_labelled_right(
     assert (given & (truth >= 0)).sum() > 0.97 * (truth >= 0).sum()
 
 
+def test_a_marker_seen_for_long_does_not_yield_to_short_ghosts_beside_it(walks: list[asterism.Recording]) -> None:
+    """A camera system that composes a marker twice now and then: 12 single points 2 cm beside LTIB, one person in the training."""
+    one = asterism.SolverEnsemble.fit(walks[:1], miner=None)
+    marker = one.marker_set.names.index("LTIB")
+    walk = walks[0].positions[:, [walks[0].labels.index(name) for name in one.marker_set.names]]
+    rng = np.random.default_rng(0)
+    double = {int(t): walk[t, marker] + 0.02 * rng.normal(size=3) / np.sqrt(3) for t in range(5, 120, 10)}
+    frames = [np.concatenate([frame, double[t][None]]) if t in double else frame for t, frame in enumerate(walk)]
+    numbers = [np.concatenate([np.arange(15), [100 + t]]) if t in double else np.arange(15) for t in range(len(walk))]
+    labelling = one.label(Clouds.from_points(frames, walks[0].rate, walks[0].vertical, tracks=numbers), time=True)
+    assert (labelling.indices[:, marker] == marker).mean() > 0.95
+
+
 def test_the_order_of_the_points_plays_no_part(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
     clouds, _ = hide_in_gaps(walks[4], 2, 2, seed=2)
     assert clouds.tracks is not None

@@ -159,7 +159,7 @@ def _with_credit(gain: Floats, scene: Scene, lookers: Sequence[Looker], rules: T
     best = -np.inf
     for allowed, costly in ((0, np.ones(len(long), dtype=np.bool_)), (1, long), (2, np.zeros(len(long), dtype=np.bool_))):
         credited = gain + (full * costly)[:, None]
-        label = assign_tracklets(credited, scene.first, scene.last)
+        label = assign_tracklets(np.where(scene.double[:, None], 0.0, credited), scene.first, scene.last)
         taken = label != NULL
         total = credited[taken, label[taken]].sum() - (full * costly).sum() - rules.ghosts_cost * allowed
         if total > best:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.labelling.body.model import BodyModel
 from asterism.labelling.features import upright
@@ -24,6 +25,8 @@ class TimeRules:
     most_score   nats that one frame can say for a label
     alike        correlation of two looks at one tracklet: many looks are worth 1 / alike independent ones at most
     long_track   seconds from which a tracklet is too long for a ghost, where the recording shows no long ghosts
+    blink        seconds up to which a tracklet is a double where a long one is never farther than
+    double       m from it: a marker that the cameras composed twice
     ghosts_cost  nats that it costs to take a recording for one with ghosts, and again for one with long ghosts
     vote_limit   nats that one frame-wise look can say for a label
     sure         nats from which a tracklet's label teaches the model the subject's own body
@@ -44,6 +47,8 @@ class TimeRules:
     most_score: float = 15.0
     alike: float = 0.3
     long_track: float = 0.9
+    blink: float = 0.05
+    double: float = 0.03
     ghosts_cost: float = 30.0
     vote_limit: float = 10.0
     sure: float = 6.0
@@ -72,7 +77,7 @@ class Scene:
 
     xyz (P, 3) m, z up; offsets (T + 1,); place (P,) each point's place in its frame of the clouds; track (P,); first, last (J,) frames
     looked (E,) the frames looked at, and their points: seen_xyz (Q, 3), seen_offsets (E + 1,), seen_track (Q,), seen_frame (Q,) of 0..E-1
-    independent (J,) independent looks at each tracklet
+    independent (J,) independent looks at each tracklet; double (J,) whether a tracklet is no more than a double of a long one
     """
 
     xyz: Floats
@@ -88,10 +93,14 @@ class Scene:
     seen_track: Ints
     seen_frame: Ints
     independent: Floats
+    double: NDArray[np.bool_]
 
 
-def lay_out(clouds: Clouds, tracklets: Tracklets, rules: TimeRules) -> Scene:
-    """Order the points of every frame, whatever order they came in, number the tracklets likewise, and choose the frames to look at."""
+def lay_out(clouds: Clouds, tracklets: Tracklets, rules: TimeRules, unit: float) -> Scene:
+    """Order the points of every frame, whatever order they came in, number the tracklets likewise, and choose the frames to look at.
+
+    unit: `length_scale` of the smallest body that is looked for.
+    """
     frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
     xyz = upright(clouds.xyz, clouds.vertical)
     order = np.lexsort((xyz[:, 1], xyz[:, 0], -xyz[:, 2], frame_of))
@@ -133,7 +142,21 @@ def lay_out(clouds: Clouds, tracklets: Tracklets, rules: TimeRules) -> Scene:
         seen_track,
         np.repeat(np.arange(len(looked)), clouds.counts[looked]),
         looks / (1.0 + rules.alike * (looks - 1.0)),
+        _doubles(xyz, clouds.offsets, track, (last - first + 1) / clouds.rate, rules, unit),
     )
+
+
+def _doubles(xyz: Floats, offsets: Ints, track: Ints, duration: Floats, rules: TimeRules, unit: float) -> NDArray[np.bool_]:
+    """Tracklets (J,) of a blink all of whose points lie beside one of a long tracklet. O(points of blinks * points of a frame)."""
+    double = duration <= rules.blink
+    long = duration >= rules.long_track
+    points = np.nonzero(double[track])[0]
+    for point, frame in zip(points, np.searchsorted(offsets, points, side="right") - 1, strict=True):
+        others = np.arange(offsets[frame], offsets[frame + 1])
+        others = others[long[track[others]]]
+        if not (np.linalg.norm(xyz[others] - xyz[point], axis=1) < rules.double * unit).any():
+            double[track[point]] = False
+    return double
 
 
 def marker_starts(lookers: Sequence[Looker]) -> Ints:

@@ -10,7 +10,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.hiding import hide_in_gaps
 from asterism.labelling.body._kernels import LookSettings
-from asterism.labelling.body.model import BodyModel, BodyRules
+from asterism.labelling.body.model import BodyModel, BodyRules, length_scale
 from asterism.labelling.body.subject import SubjectRules, adapt_body, tells_enough
 from asterism.labelling.look import Progress
 from asterism.labelling.tracks._kernels import score_frames
@@ -48,8 +48,9 @@ def label_whole(
     """One labelling for each member, each point given to one of them at most; and how it came about, None where there are no points."""
     if not len(clouds.xyz):
         return [_nothing(member, clouds) for member in members], None
-    scene = lay_out(clouds, find_tracklets(clouds), rules)
     lookers = [member.looker for member in members]
+    unit = min(length_scale(looker.body.mean[0], body_rules) for looker in lookers)
+    scene = lay_out(clouds, find_tracklets(clouds), rules, unit)
     outcome = label_scene(lookers, scene, rules, subject_rules, body_rules, workers, progress)
     labellings = []
     frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
@@ -137,7 +138,7 @@ def trial(
             clouds, truth = hide_in_gaps(stretch, round(share * len(stretch.labels)), ghosts, rng)
             if not len(clouds.xyz):
                 continue
-            scene = lay_out(clouds, find_tracklets(clouds), rules)
+            scene = lay_out(clouds, find_tracklets(clouds), rules, length_scale(looker.body.mean[0], body_rules))
             outcome = label_scene([looker], scene, rules, subject_rules, body_rules)
             label, beside = outcome.label[scene.track], beside_spare(outcome.label, scene.first, scene.last)
             frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
