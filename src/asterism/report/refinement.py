@@ -7,10 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from asterism.report.page import NOTHING, Cell, Page, Section, Table, percent, write_page
-from asterism.report.wand import rig_figure
+from asterism.report.space import rig_in_space
 
 if TYPE_CHECKING:
     from asterism.reconstruction import Refinement
@@ -48,7 +46,7 @@ def refinement_report(path: str | Path, made: Refinement, *, settings: Mapping[s
             "are not shown by it, which is no fault.",
             table=Table(head, rows, left=2),
         ),
-        Section("The rig, mended", figure=rig_figure(made.rig, np.empty((0, 3)))),
+        Section("The rig, mended", figure=rig_in_space(made.rig)),
     ]
     write_page(path, Page("Was a camera bumped?", lead, settings or {}, merits, sections))
 

@@ -11,9 +11,9 @@ import numpy as np
 from asterism.recording import Floats
 from asterism.report import figures
 from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, write_page
+from asterism.report.space import rig_in_space
 
 if TYPE_CHECKING:
-    from asterism.cameras import Rig
     from asterism.cameras.wand import WandCalibration
 
 _MOST_POINTS = 1500
@@ -38,7 +38,7 @@ def wand_report(path: str | Path, made: WandCalibration, *, settings: Mapping[st
             "The rig",
             "Cameras with their images, and where the wand was waved. Turn it with the mouse. Up is as the cameras hang until a floor is "
             "given." if made.rig.vertical is None else "Cameras with their images, and where the wand was waved. Turn it with the mouse.",
-            figure=rig_figure(made.rig, made.positions.reshape(-1, 3)),
+            figure=rig_in_space(made.rig, points=_some(made.positions.reshape(-1, 3))),
         ),
         Section(
             "Each camera",
@@ -121,45 +121,10 @@ def _cameras(made: WandCalibration, cells: Floats) -> Table:
     return Table(head, rows)
 
 
-def rig_figure(rig: Rig, points: Floats) -> figures.Figure:
-    """The cameras as pyramids that open towards what they see, and points (n, 3) m, in the world's axes."""
+def _some(points: Floats) -> Floats:
+    """Some of the points (n, 3) m that are there: as many as a picture can hold."""
     points = points[np.isfinite(points).all(axis=1)]
-    points = points[:: max(1, len(points) // _MOST_POINTS)]
-    places = np.array([camera.position for camera in rig])
-    far = float(np.median(np.linalg.norm(places - (np.median(points, axis=0) if len(points) else places.mean(axis=0)), axis=1)))
-    depth = 0.12 * max(far, 1e-6)
-    lines: list[list[float | None]] = []
-    for camera in rig:
-        width, height = camera.size or (2.0 * camera.centre[0], 2.0 * camera.centre[1])
-        corners = np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
-        flat = (corners - np.array(camera.centre)) / np.array(camera.focal)
-        ends = camera.position + depth * np.column_stack([flat, np.ones(4)]) @ camera.rotation
-        for start, end in [*((camera.position, end) for end in ends), *zip(ends, np.roll(ends, -1, axis=0), strict=True)]:
-            lines += [[*map(float, start)], [*map(float, end)], [None, None, None]]
-    x, y, z = zip(*lines, strict=True)
-    data: list[dict[str, Any]] = [
-        {
-            "type": "scatter3d", "mode": "markers", "x": points[:, 0], "y": points[:, 1], "z": points[:, 2],
-            "marker": {"size": 1.6, "color": "#0f7b8a", "opacity": 0.45}, "hoverinfo": "skip", "showlegend": False,
-        },
-        {
-            "type": "scatter3d", "mode": "lines", "x": x, "y": y, "z": z,
-            "line": {"color": "#d1495b", "width": 3}, "hoverinfo": "skip", "showlegend": False,
-        },
-        {
-            "type": "scatter3d", "mode": "text", "x": places[:, 0], "y": places[:, 1], "z": places[:, 2], "text": list(rig.names),
-            "textposition": "top center", "showlegend": False, "hovertemplate": "%{text}: %{x:.2f}, %{y:.2f}, %{z:.2f} m<extra></extra>",
-        },
-    ]  # fmt: skip
-    axis = {"backgroundcolor": "#ffffff", "gridcolor": "#e6ebf2", "zerolinecolor": "#cfd8e4"}
-    drawn = np.concatenate([np.array([end for end in lines if end[0] is not None], dtype=np.float64), points])
-    middle, extent = 0.5 * (drawn.min(axis=0) + drawn.max(axis=0)), 1.05 * np.ptp(drawn, axis=0)
-    extent = np.maximum(extent, 0.3 * extent.max())
-    ranges = zip("xyz", middle - 0.5 * extent, middle + 0.5 * extent, strict=True)
-    scene: dict[str, Any] = {f"{name}axis": {**axis, "title": {"text": f"{name} in m"}, "range": [low, high]} for name, low, high in ranges}
-    scene |= {"aspectmode": "manual", "aspectratio": dict(zip("xyz", 1.3 * extent / extent.max(), strict=True))}
-    scene["camera"] = {"eye": {"x": 1.1, "y": 1.1, "z": 0.7}}
-    return figures.figure(data, height=560, scene=scene)
+    return points[:: max(1, len(points) // _MOST_POINTS)]
 
 
 def _coverage(made: WandCalibration, cells: Floats) -> figures.Figure:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from asterism.cli import _console
-from asterism.cli._options import Json, Overwrite, Report
+from asterism.cli._options import Json, Overwrite, Report, metres
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def wand(
     with _console.progress("calibrating") as progress:
         made = calibrate_wand(
             seen,
-            _lengths(lengths),
+            metres(lengths, "--wand"),
             sizes=_sizes(image_size or [], seen.cameras),
             known=known,
             distance=_distance(distance),
@@ -146,13 +146,6 @@ def _named_points(path: Path, rig: Rig) -> list[Any]:
         if not np.isfinite(point).all():
             raise AsterismError(f"{path}: fewer than two calibrated cameras show the point {name}; give its place in another image.")
     return list(found)
-
-
-def _lengths(given: str) -> list[float]:
-    try:
-        return [float(length) for length in given.replace(",", " ").split()]
-    except ValueError:
-        raise AsterismError(f"--wand {given} is no list of lengths; give metres, such as --wand 0 0.2 0.6.") from None
 
 
 def _points(given: str) -> list[list[float]]:
