@@ -48,6 +48,23 @@ def test_a_marker_seen_for_long_does_not_yield_to_short_ghosts_beside_it(walks: 
     assert (labelling.indices[:, marker] == marker).mean() > 0.95
 
 
+@pytest.mark.parametrize(("name", "aside"), [("LTIB", 0.15), ("RTHI", 0.25), ("SACR", 0.25)])
+def test_a_point_that_is_not_where_the_marker_was_in_training_is_not_given_its_label(
+    walks: list[asterism.Recording], name: str, aside: float
+) -> None:
+    """It goes with the body, it is the only one left over, and most of the frame explains it; but its distances are not the marker's."""
+    one = asterism.SolverEnsemble.fit(walks[4:], miner=None)
+    names = one.marker_set.names
+    others = np.arange(len(names)) != names.index(name)
+    walk = walks[4].positions[:, [walks[4].labels.index(marker) for marker in names]]
+    for up, given in ((0.0, True), (aside, False)):
+        moved = walk + np.where(others[:, None], 0.0, up * walks[4].vertical)
+        clouds = Clouds.from_points(list(moved), walks[4].rate, walks[4].vertical, tracks=[np.arange(len(names))] * len(moved))
+        right = one.label(clouds, time=True).indices == np.arange(len(names))
+        assert right[:, others].mean() > 0.95
+        assert right[:, ~others].mean() == given
+
+
 def test_the_order_of_the_points_plays_no_part(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
     clouds, _ = hide_in_gaps(walks[4], 2, 2, seed=2)
     assert clouds.tracks is not None

@@ -31,7 +31,7 @@ def scene(labelling: Labelling, clouds: Clouds, marker_set: MarkerSet | None, wr
 
     wrong  (T, M) the labels that are known to be wrong, or None. Returns None where no marker got a label.
     """
-    labelled = labelling.positions(clouds) @ _upright(clouds.vertical).T
+    labelled = labelling.positions(clouds) @ upright(clouds.vertical).T
     seen = np.isfinite(labelled[:, :, 0])
     if not seen.any():
         return None
@@ -43,7 +43,7 @@ def scene(labelling: Labelling, clouds: Clouds, marker_set: MarkerSet | None, wr
     rest = []
     for t in frames:
         taken = labelling.indices[t][labelling.indices[t] >= 0]
-        left = np.delete(clouds[int(t)], taken, axis=0) @ _upright(clouds.vertical).T - follow[t]
+        left = np.delete(clouds[int(t)], taken, axis=0) @ upright(clouds.vertical).T - follow[t]
         near = ((left > ranges[:, 0]) & (left < ranges[:, 1])).all(axis=1)
         rest.append(_millimetres(left[near][:REST_POINTS]))
     mistaken = wrong if wrong is not None else np.zeros(seen.shape, dtype=bool)
@@ -67,7 +67,7 @@ def scene(labelling: Labelling, clouds: Clouds, marker_set: MarkerSet | None, wr
     }
 
 
-def _upright(vertical: Floats) -> Floats:
+def upright(vertical: Floats) -> Floats:
     """(3, 3) the rotation that turns `vertical` to z."""
     ahead = np.eye(3)[int(np.argmin(np.abs(vertical)))]
     ahead = ahead - vertical * (ahead @ vertical)

@@ -70,7 +70,5 @@ def _cameras(rig: Rig, blobs: Blobs) -> list[Camera | None]:
 
 
 def _located(cameras: list[Camera | None], frame: Ints, camera: Ints, point: Ints, xy: Floats, shape: tuple[int, int]) -> Floats:
-    known = [c for c, own in enumerate(cameras) if own is not None]
-    place = np.full(len(cameras), -1)
-    place[known] = np.arange(len(known))
-    return locate([own for own in cameras if own is not None], Sightings.of(frame, place[camera], point, xy), *shape)
+    seen = Sightings.of(frame, camera, point, xy).among(cameras)
+    return locate([own for own in cameras if own is not None], seen, *shape)

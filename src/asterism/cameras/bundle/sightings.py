@@ -66,6 +66,11 @@ class Sightings:
         frames, number = np.unique(self.frame, return_inverse=True)
         return replace(self, frame=number.astype(np.int64).ravel()), frames
 
+    def among(self, cameras: Sequence[Camera | None]) -> Sightings:
+        """The same with cameras counted without those that are None; sightings of these belong to camera -1."""
+        there = np.array([camera is not None for camera in cameras])
+        return replace(self, camera=np.where(there, np.cumsum(there) - 1, -1)[self.camera])
+
 
 def triangulate(cameras: Sequence[Camera], sightings: Sightings, frames: int, points: int) -> Floats:
     """Each point of each frame where the rays of the cameras that see it come nearest: (frames, points, 3) m.

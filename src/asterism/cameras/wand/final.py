@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from asterism.cameras.bundle import Adjustment, Sightings, adjust, free_parameters
 from asterism.cameras.camera import Camera
-from asterism.cameras.wand.frames import shown, spread_frames
+from asterism.cameras.wand.frames import shown, spread_frames, widest
 from asterism.cameras.wand.identify import Wand, agree
 from asterism.cameras.wand.inputs import PERSPECTIVE, shares
 from asterism.cameras.wand.pair import FEWEST, priors
@@ -32,9 +31,7 @@ def adjusted(
     Returns it, its sightings with frames counted without holes, the frames (m,) that these numbers stand for, and those it chose from.
     """
     posed = [c for c, camera in enumerate(cameras) if camera is not None]
-    width = max((camera.size or (1280, 0))[0] for camera in cameras if camera is not None)
-    place = np.full(len(cameras), -1)
-    place[posed] = np.arange(len(posed))
+    width = widest(cameras)
     known = [lenses[c] for c in posed]
     agreed = agree(blobs, chosen, wand, cameras, max(_WIDE * width, _REACH * noise))
     wide = adjust_some(blobs, agreed, wand, cameras, lenses, _GROUPS, max(2.0 * noise, 0.2), 60)
@@ -54,7 +51,7 @@ def adjusted(
                 "are the lengths right?"
             )
         raise AsterismError(f"only {len(used)} frames show the wand to two cameras that agree on it; wave it longer where cameras overlap.")
-    sightings = replace(sightings, camera=place[sightings.camera])
+    sightings = sightings.among(cameras)
     own = [camera for camera in cameras if camera is not None]
     rotations, translations = (part[used] for part in agreed.placements())
     result = _fitted(own, wand, sightings, (rotations, translations), known, noise, _GROUPS, tolerance=1e-5)

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.cameras.camera import Camera
 from asterism.recording import Blobs, Ints
 
 Bools = NDArray[np.bool_]
+
+
+def widest(cameras: Iterable[Camera | None]) -> int:
+    """px, the greatest width of the images of the cameras that are posed."""
+    return max((camera.size or (1280, 1024))[0] for camera in cameras if camera is not None)
 
 
 def shown(chosen: Ints) -> Bools:

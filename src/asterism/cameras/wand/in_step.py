@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from asterism.cameras.bundle import Sightings
 from asterism.cameras.camera import Camera
 from asterism.cameras.wand.clock import lags, shifted
-from asterism.cameras.wand.frames import shown
+from asterism.cameras.wand.frames import shown, widest
 from asterism.cameras.wand.identify import Agreed, Wand, agree
 from asterism.cameras.wand.pair import FEWEST, guessed
 from asterism.cameras.wand.start import adjust_some, resect, resected
@@ -36,10 +35,8 @@ def in_step(
     blobs, chosen = shifted(blobs, chosen, late) if late.any() else (blobs, chosen)
     cameras = _posed_again(blobs, chosen, wand, cameras, lenses, sizes, late)
     posed = [c for c, camera in enumerate(cameras) if camera is not None]
-    place = np.full(len(cameras), -1)
-    place[posed] = np.arange(len(posed))
     for _ in range(_ROUNDS * len(posed)):
-        width = max((camera.size or (1280, 0))[0] for camera in cameras if camera is not None)
+        width = widest(cameras)
         agreed = agree(blobs, chosen, wand, cameras, _REACH * width)
         result = adjust_some(blobs, agreed, wand, cameras, lenses, ("pose", "focal", "k1", "k2"), 2.0, 60)
         if result is None:
@@ -47,7 +44,7 @@ def in_step(
         found = list(cameras)
         for c, camera in zip(posed, result.cameras, strict=True):
             found[c] = camera
-        seen, residuals = _missed(blobs, agree(blobs, chosen, wand, found, _REACH * width), wand, list(result.cameras), place)
+        seen, residuals = _missed(blobs, agree(blobs, chosen, wand, found, _REACH * width), wand, found)
         by, spread = lags(seen, residuals, len(posed))
         by = by - np.nanmedian(by) if np.isfinite(by).any() else by
         sure = np.isfinite(by) & (np.abs(by) > _LATE) & (np.abs(by) > 5.0 * spread)
@@ -73,8 +70,7 @@ def _far_behind(
     """(C,) by how many frames cameras that could not be posed are late: with that lag they see the wand where the others say; else 0."""
     late = np.zeros(len(cameras), dtype=np.int64)
     others = [camera for camera in cameras if camera is not None and camera.size is not None]
-    width = max((camera.size or (1280, 0))[0] for camera in others)
-    agreed = agree(blobs, chosen, wand, cameras, _REACH * width)
+    agreed = agree(blobs, chosen, wand, cameras, _REACH * widest(others))
     focal = float(np.median([camera.focal[0] / (camera.size or (1280, 0))[0] for camera in others]))
     for c in range(len(cameras)):
         frames = np.nonzero(shown(chosen)[:, c])[0]
@@ -111,7 +107,7 @@ def _posed_again(
     """The cameras, those posed too whose lag is known now."""
     if not late.any():
         return cameras
-    width = max((camera.size or (1280, 0))[0] for camera in cameras if camera is not None)
+    width = widest(cameras)
     agreed = agree(blobs, chosen, wand, cameras, _REACH * width)
     again = [resected(blobs, chosen, agreed, wand, c, sizes[c], lenses[c]) if late[c] else None for c in range(len(late))]
     for c in np.nonzero(late)[0]:
@@ -119,13 +115,13 @@ def _posed_again(
     return [camera or other for camera, other in zip(cameras, again, strict=True)]
 
 
-def _missed(blobs: Blobs, agreed: Agreed, wand: Wand, cameras: Sequence[Camera], place: Ints) -> tuple[Sightings, Floats]:
-    """All sightings and how far the wand, where the cameras agree on it, is from them."""
+def _missed(blobs: Blobs, agreed: Agreed, wand: Wand, cameras: Sequence[Camera | None]) -> tuple[Sightings, Floats]:
+    """All sightings, by posed cameras, and how far the wand, where the cameras agree on it, is from them."""
     seen = agreed.sightings(blobs)
     world = agreed.starts[seen.frame] + wand.lengths[seen.point][:, None] * agreed.directions[seen.frame]
-    seen = replace(seen, camera=place[seen.camera])
+    seen = seen.among(cameras)
     projected = np.full((len(seen), 2), np.nan)
-    for c, camera in enumerate(cameras):
+    for c, camera in enumerate(camera for camera in cameras if camera is not None):
         own = seen.camera == c
         projected[own] = camera.project(world[own])
     return seen, seen.xy - projected

@@ -132,12 +132,10 @@ def adjust_some(
     sightings, kept = agreed.sightings(blobs, frames).compact()
     if len(kept) < FEWEST // 2:
         return None
-    place = np.full(len(cameras), -1)
-    place[posed] = np.arange(len(posed))
     rotations, translations = (part[kept] for part in agreed.placements())
     own = [camera for camera in cameras if camera is not None]
     return adjust(
-        own, wand.template, replace(sightings, camera=place[sightings.camera]), rotations, translations,
+        own, wand.template, sightings.among(cameras), rotations, translations,
         free=free_parameters(len(posed), *groups), prior=priors(own, [known[c] for c in posed], 0.5), loss="cauchy",
         scale=scale, tolerance=1e-4, steps=20, covariance=False,
     )  # fmt: skip

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from asterism.cameras.bundle import Sightings, locate
 from asterism.cameras.rig import Rig
+from asterism.cameras.wand.frames import widest
 from asterism.cameras.wand.identify import agree, identify, wand_of
 from asterism.errors import AsterismError
 from asterism.recording import Blobs, Floats
@@ -104,7 +105,7 @@ def world_from_floor_wand(rig: Rig, lying: Blobs, lengths: ArrayLike) -> Similar
     wand = wand_of(lengths)
     if len(wand.lengths) < 2:
         raise AsterismError("one marker on the floor tells no direction; lay a wand of two or three markers there.")
-    width = max((camera.size or (1280, 1024))[0] for camera in rig)
+    width = widest(rig)
     cameras = [rig[name] if name in rig.names else None for name in lying.cameras]
     agreed = agree(lying, identify(lying, wand), wand, cameras, _GATE * width)
     there = np.isfinite(agreed.starts[:, 0])
@@ -126,7 +127,7 @@ def world_from_floor_wand(rig: Rig, lying: Blobs, lengths: ArrayLike) -> Similar
 
 def still_points(rig: Rig, blobs: Blobs) -> Floats:
     """What stays at one place in a recording and is seen by two cameras or more: (n, 3) m, those that most cameras see first."""
-    width = max((camera.size or (1280, 1024))[0] for camera in rig)
+    width = widest(rig)
     places = {name: _still(blobs, c, 0.001 * width + 0.5) for c, name in enumerate(blobs.cameras) if name in rig.names}
     rays = {name: rig[name].rays(xy) for name, xy in places.items() if len(xy)}
     proposals = []
