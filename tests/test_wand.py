@@ -399,6 +399,11 @@ def test_the_world_from_a_wand_on_the_floor() -> None:
     world = in_world(made.rig, world_from_floor_wand(made.rig, blobs, WAND), "floor")
     for camera in world:
         assert np.linalg.norm(camera.position - rig[camera.name].position + [0.1, 0.2, 0.0]) < 0.02
+    carried = [np.array([0.1 * (1 - t), 0.2, 0.4 * t]) + along * [np.cos(2 * t), -np.sin(2 * t), 0.3] for t in np.linspace(0.2, 0.8, 9)]
+    blobs, _ = images_of(rig, np.concatenate([carried[5:], [first] * 60, carried, [second] * 8]), 0.2, rng=rng_of(17))
+    picked_up = in_world(made.rig, world_from_floor_wand(made.rig, blobs, WAND), "floor")
+    for camera in picked_up:
+        assert np.linalg.norm(camera.position - world[camera.name].position) < 0.01, "one recording, the wand carried in between"
     one_way, _ = images_of(rig, np.tile(first, (15, 1, 1)), 0.2, rng=rng_of(16))
     with pytest.raises(AsterismError, match="two directions"):
         world_from_floor_wand(made.rig, one_way, WAND)

@@ -17,6 +17,8 @@ from asterism.recording import Blobs, Floats
 
 _GATE = 0.004
 """How far blobs may be from where a still marker should be, in widths of the image."""
+_AT_REST = 0.01
+"""m: a wand whose ends stay this near to where they were lies still."""
 _LONGEST_MISS = 0.02
 """The share of its size by which a measured L-frame may differ from what was given."""
 _UP = np.array([0.0, 0.0, 1.0])
@@ -99,8 +101,8 @@ def world_from_l_frame(rig: Rig, still: Blobs, markers: ArrayLike, *, scaled: bo
 def world_from_floor_wand(rig: Rig, lying: Blobs, lengths: ArrayLike) -> Similarity:
     """The world whose floor is where a wand lay, in two directions or more.
 
-    x is along the wand as it lay first, the origin at its first marker. Raises AsterismError where it lay in one
-    line only, or did not lie in a plane.
+    x is along the wand as it lay first, the origin at its first marker. Frames in which it is carried from one place to the next do not
+    count. Raises AsterismError where it lay in one line only, or did not lie in a plane.
     """
     wand = wand_of(lengths)
     if len(wand.lengths) < 2:
@@ -111,8 +113,8 @@ def world_from_floor_wand(rig: Rig, lying: Blobs, lengths: ArrayLike) -> Similar
     there = np.isfinite(agreed.starts[:, 0])
     if not there.any():
         raise AsterismError("no two cameras of the rig see the wand on the floor; lay it where they do.")
-    starts, along = agreed.starts[there], agreed.directions[there]
-    points = np.concatenate([starts, starts + wand.lengths[-1] * along])
+    rests = _rests(agreed.starts[there], agreed.starts[there] + wand.lengths[-1] * agreed.directions[there], wand.either)
+    points = np.concatenate(rests).reshape(-1, 3)
     middle = np.median(points, axis=0)
     _, sizes, vt = np.linalg.svd(points - middle, full_matrices=False)
     if sizes[1] < 0.1 * sizes[0]:
@@ -121,8 +123,26 @@ def world_from_floor_wand(rig: Rig, lying: Blobs, lengths: ArrayLike) -> Similar
     if off > 0.01 or sizes[2] > 0.15 * sizes[1]:
         raise AsterismError(f"the wand did not lie in one plane (off by {1000 * off:.0f} mm and more); lay it still, on a flat floor.")
     z = vt[2] if np.median([(camera.position - middle) @ vt[2] for camera in rig]) > 0.0 else -vt[2]
-    first = np.median(along[: max(1, len(along) // 20)], axis=0)
-    return world_from_points(starts[0], starts[0] + first, starts[0] + np.cross(z, first))
+    origin, end = np.median(rests[0], axis=0)
+    return world_from_points(origin, end, origin + np.cross(z, end - origin))
+
+
+def _rests(starts: Floats, ends: Floats, either: bool) -> list[Floats]:
+    """Where the wand lay still, one after the other: (n, 2, 3) m, its two ends in each frame.
+
+    starts, ends  (T, 3) m; either: they may be exchanged from frame to frame, and are not within a rest
+    Stretches much shorter than the longest, which are moments on the way from one place to the next, are left out.
+    """
+    rests: list[list[Floats]] = []
+    for now in np.stack([starts, ends], axis=1):
+        for way in [now, now[::-1]] if either else [now]:
+            if rests and np.linalg.norm(way - rests[-1][0], axis=1).max() < _AT_REST:
+                rests[-1].append(way)
+                break
+        else:
+            rests.append([now])
+    longest = max(len(rest) for rest in rests)
+    return [np.array(rest) for rest in rests if len(rest) > 0.1 * longest]
 
 
 def still_points(rig: Rig, blobs: Blobs) -> Floats:
