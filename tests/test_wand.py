@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -206,6 +207,47 @@ def test_a_camera_out_of_step_is_named_and_its_images_moved(late: int) -> None:
     assert made.late.tolist() == [0, 0, late, 0]
     assert f"camera {rig[2].name} started {abs(late)} frames {'late' if late > 0 else 'early'}" in sentences(made)
     assert unseen_error(rig, made.rig) < 0.001
+
+
+def test_two_cameras_out_of_step_hide_nothing() -> None:
+    """What a lag moves lies nearly all along the epipolar lines of two cameras, where the place of the wand takes it in."""
+    rig = a_rig(2, 5)
+    blobs, _ = wave_wand(rig, WAND, 600, rng=rng_of(6), rate=60.0)
+    mixed = edited(blobs, lambda frame, camera, xy: (np.where(camera == 1, frame - 1, frame), camera, xy))
+    made = calibrate_wand(mixed, WAND, sizes=SIZE)
+    assert made.late.tolist() == [0, 1]
+    assert unseen_error(rig, made.rig) < 0.002
+
+
+def test_a_part_of_a_frame_is_measured_and_mended() -> None:
+    rig = a_rig(3)
+    delays = np.array([0.0, 0.004, 0.0])
+    blobs, _ = wave_wand(rig, WAND, 600, rng=rng_of(17), rate=100.0, delays=delays)
+    made = calibrate_wand(replace(blobs, times=None), WAND, sizes=SIZE)
+    assert made.usable, sentences(made)
+    said = re.search(rf"camera {rig[1].name} takes its images (\S+) frames late", sentences(made))
+    assert said and abs(float(said[1]) - 0.4) < 0.05
+    assert unseen_error(rig, made.rig) < 0.001
+
+
+def test_a_camera_that_loses_frames_is_named() -> None:
+    rig = a_rig(4)
+    blobs, _ = wave_wand(rig, WAND, 800, rng=rng_of(18), rate=100.0)
+    lost = edited(blobs, lambda frame, camera, xy: (np.where((camera == 2) & (frame > 400), frame - 1, frame), camera, xy))
+    made = calibrate_wand(lost, WAND, sizes=SIZE)
+    assert not made.usable
+    assert re.search(rf"camera {rig[2].name} falls (0\.[789]|1\.\d) frames behind between", sentences(made)), sentences(made)
+
+
+def test_times_do_not_turn_a_wand_around_that_was_out_of_sight() -> None:
+    """Which end is which is told by each image; from the image before only where wands look alike from both ends."""
+    rig = a_rig(4)
+    blobs, _ = wave_wand(rig, WAND, 500, rng=rng_of(19), rate=15.0, delays=np.zeros(4), dropped=0.1)
+    step = np.diff(blobs.times[:, 0]).min()
+    staggered = replace(blobs, times=blobs.times + 0.002 * step * np.arange(4))
+    made = calibrate_wand(staggered, WAND, sizes=SIZE)
+    assert made.usable, sentences(made)
+    assert made.rejected < 0.05
 
 
 def test_cameras_that_saw_nothing_or_share_no_view_are_named_and_the_rest_is_calibrated() -> None:

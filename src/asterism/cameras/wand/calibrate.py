@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from asterism.cameras.bundle import Sightings, locate
 from asterism.cameras.rig import Rig
-from asterism.cameras.wand.clock import common_clock, lags
+from asterism.cameras.wand.clock import common_clock
 from asterism.cameras.wand.final import adjusted, inner_place, lost_shares
 from asterism.cameras.wand.identify import Wand, identify, wand_of
 from asterism.cameras.wand.in_step import in_step
@@ -121,23 +121,23 @@ def calibrate_wand(
     chosen = identify(blobs, wand)
     check_found(blobs, chosen, wand)
     frames = len(blobs)
-    blobs, chosen = common_clock(blobs, chosen)
+    blobs, chosen = common_clock(blobs, chosen, wand)
     told(0.1, "posing cameras")
     start = cold_start(blobs, chosen, wand, extents, lenses, progress)
     if start is None:
         raise AsterismError(why_no_start(blobs, chosen))
     cameras = list(start.cameras)
     told(0.6, "comparing clocks")
-    blobs, chosen, cameras, late = in_step(blobs, chosen, wand, cameras, lenses, extents)
+    blobs, chosen, cameras, clocks = in_step(blobs, chosen, wand, cameras, lenses, extents)
     told(0.7, "adjusting")
     result, sightings, used, offered = adjusted(blobs, chosen, wand, cameras, lenses, start.noise)
-    posed = [c for c, camera in enumerate(cameras) if camera is not None]
+    posed = np.array([c for c, camera in enumerate(cameras) if camera is not None])
     told(0.9, "measuring the wand")
     positions = locate(result.cameras, sightings, len(used), len(wand.lengths))
     left_out = {blobs.cameras[c]: why_not(blobs, chosen, cameras, c) for c in range(len(cameras)) if c not in posed}
     made = WandCalibration(
         Rig(result.cameras), wand, frames, replace(sightings, frame=used[sightings.frame]), result.residuals, positions, used,
-        result.sigma, result.place_sigma, result.noise, late[posed], lost_shares(chosen[offered][:, posed], sightings),
+        result.sigma, result.place_sigma, result.noise, clocks.late[posed], lost_shares(chosen[offered][:, posed], sightings),
         inner_place(blobs, chosen[used][:, posed], wand, result.cameras, positions), left_out,
     )  # fmt: skip
     if len(wand.lengths) == 1 and distance is not None:
@@ -146,7 +146,7 @@ def calibrate_wand(
         made = made.moved(made.rig.moved(np.eye(3), np.zeros(3), scale), np.eye(3), np.zeros(3), scale)
     turn, shift = upright(made.rig, made.positions)
     made = made.moved(made.rig.moved(turn, shift), turn, shift)
-    made = replace(made, findings=judge(made, lags(made.sightings, made.residuals, len(posed)), scaled=distance is not None))
+    made = replace(made, findings=judge(made, clocks.of(posed), scaled=distance is not None))
     told(1.0, "done")
     return replace(made, rig=replace(made.rig, metadata=_about(made)))
 

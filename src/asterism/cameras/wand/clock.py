@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
 from asterism.cameras.bundle import Sightings
+from asterism.cameras.camera import Camera
+from asterism.cameras.wand.identify import Wand
 from asterism.errors import AsterismError
 from asterism.recording import Blobs, Floats, Ints
 
+_LAG_FRAMES, _FEWEST_MOVING = 600, 30
+"""Frames that lags are told from, spread over the recording, and sightings of a moving wand that each camera needs for that."""
 _LONGEST_STEP = 1.6
 """Frames: nothing is interpolated across a longer hole."""
 
 
-def common_clock(blobs: Blobs, chosen: Ints) -> tuple[Blobs, Ints]:
+def common_clock(blobs: Blobs, chosen: Ints, wand: Wand) -> tuple[Blobs, Ints]:
     """The wand's blobs carried to the moments at which the cameras looked on average; `blobs.times` says when each did.
 
     Each marker's path in each image is interpolated by Akima's piecewise cubics, which a single wrong blob disturbs only next to it.
@@ -40,7 +46,9 @@ def common_clock(blobs: Blobs, chosen: Ints) -> tuple[Blobs, Ints]:
         own = np.nonzero((chosen[:, c] >= 0).all(axis=1) & np.isfinite(times[:, c]))[0]
         if len(own) < 5:
             continue
-        paths = _one_way(blobs.xy[chosen[own, c]])
+        paths = blobs.xy[chosen[own, c]]
+        if wand.either:
+            paths = _one_way(paths)
         at = times[own, c]
         after = np.clip(np.searchsorted(at, clock), 1, len(at) - 1)
         inside = (clock >= at[0]) & (clock <= at[-1]) & (at[after] - at[after - 1] <= _LONGEST_STEP * step)
@@ -96,34 +104,77 @@ def shifted(blobs: Blobs, chosen: Ints, late: Ints) -> tuple[Blobs, Ints]:
     return moved, picked
 
 
-def lags(sightings: Sightings, residuals: Floats, cameras: int) -> tuple[Floats, Floats]:
-    """By how many frames each camera is late (C,), and the standard deviation of that: residuals along the way that its images move.
+def lags(cameras: Sequence[Camera], wand: Wand, sightings: Sightings, starts: Floats, directions: Floats) -> tuple[Floats, Floats]:
+    """By how many frames each camera is late (C,), counted from the middle one, and the standard deviation of that; NaN where unknown.
 
-    sightings of neighbouring frames are needed, else NaN. A camera that is late by d frames sees where things were d frames later: its
-    residuals are d times the images' velocity.
+    sightings  of neighbouring frames: each camera's images of the wand's markers; starts, directions (T, 3) m: where the wand lay
+
+    A camera that is late by d frames sees where things were d frames later: d times the images' velocity off. Where the wand lay was found
+    from the same images, which hides part of that, nearly all of it where only two cameras look: so lags and each frame's wand are
+    fitted together, frames that fit badly weighing less.
     """
-    late, spread = np.full(cameras, np.nan), np.full(cameras, np.nan)
+    late, spread = np.full(len(cameras), np.nan), np.full(len(cameras), np.nan)
+    velocity = _velocities(sightings)
+    moving = np.isfinite(velocity[:, 0]) & np.isfinite(starts[sightings.frame, 0])
+    frames = np.unique(sightings.frame[moving])
+    frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(_LAG_FRAMES, len(frames))).astype(np.int64))]
+    moving &= np.isin(sightings.frame, frames)
+    seen, frames = sightings.select(moving).compact()
+    if len(seen) < _FEWEST_MOVING:
+        return late, spread
+    residuals, by_wand = _linear(cameras, wand, seen, starts[frames], directions[frames])
+    rows = np.arange(len(seen)) - np.searchsorted(seen.frame, np.arange(len(frames)))[seen.frame]
+    shape = (len(frames), int(rows.max()) + 1, 2)
+    miss, moved, turns = np.zeros(shape), np.zeros((*shape, len(cameras))), np.zeros((*shape, by_wand.shape[2]))
+    good = np.isfinite(residuals[:, 0]) & np.isfinite(by_wand).all(axis=(1, 2))
+    at = seen.frame[good], rows[good]
+    miss[at], turns[at] = residuals[good], by_wand[good]
+    moved[(*at, slice(None), seen.camera[good])] = velocity[moving][good]
+    miss, moved, turns = (part.reshape(len(frames), 2 * shape[1], *part.shape[3:]) for part in (miss, moved, turns))
+    basis, size, _ = np.linalg.svd(turns, full_matrices=False)
+    basis = basis * (size > 1e-9 * np.maximum(size[:, :1], 1e-12))[:, None, :]
+    miss = miss - np.einsum("tij,tj->ti", basis, np.einsum("tij,ti->tj", basis, miss))
+    moved = moved - basis @ (basis.transpose(0, 2, 1) @ moved)
+    found, weight = np.zeros(len(cameras)), np.ones(len(frames))
+    for _ in range(10):
+        matrix = np.einsum("t,tic,tid->cd", weight, moved, moved)
+        inverse = np.linalg.pinv(matrix, rcond=1e-4, hermitian=True)
+        found = inverse @ np.einsum("t,tic,ti->c", weight, moved, miss)
+        left = np.sqrt(np.square(miss - moved @ found).mean(axis=1))
+        typical = max(float(np.median(left)), 1e-6)
+        weight = 1.0 / (1.0 + np.square(left / (2.0 * typical)))
+    count = np.bincount(seen.camera[good], minlength=len(cameras))
+    known = count >= _FEWEST_MOVING
+    if known.any():
+        middle = np.nonzero(known)[0][np.argsort(found[known])[(int(known.sum()) - 1) // 2]]
+        late[known] = found[known] - found[middle]
+        variance = np.diag(inverse) + inverse[middle, middle] - 2.0 * inverse[middle]
+        spread[known] = typical * np.sqrt(np.maximum(variance[known], 0.0))
+    return late, spread
+
+
+def _velocities(sightings: Sightings) -> Floats:
+    """(n, 2) px per frame, from where the same camera saw the same marker one frame before and after; NaN where it did not."""
     key = (sightings.camera * (sightings.point.max(initial=0) + 1) + sightings.point) * (
         sightings.frame.max(initial=0) + 3
     ) + sightings.frame
     order = np.argsort(key)
-    ordered = key[order]
-    before, after = (np.searchsorted(ordered, key + by) for by in (-1, 1))
-    last = len(key) - 1
-    both = (ordered[np.minimum(before, last)] == key - 1) & (ordered[np.minimum(after, last)] == key + 1)
-    velocity = 0.5 * (sightings.xy[order[np.minimum(after, last)]] - sightings.xy[order[np.minimum(before, last)]])
-    for c in range(cameras):
-        own = both & (sightings.camera == c) & np.isfinite(residuals[:, 0])
-        if own.sum() < 30:
-            continue
-        v, r = velocity[own], residuals[own]
-        weight = np.ones(len(v))
-        for _ in range(10):
-            power = float((weight[:, None] * v * v).sum())
-            if power <= 0.0:
-                break
-            by = float((weight[:, None] * v * r).sum()) / power
-            miss = np.linalg.norm(r - by * v, axis=1)
-            weight = 1.0 / (1.0 + np.square(miss / max(2.0 * float(np.median(miss)), 1e-6)))
-            late[c], spread[c] = by, float(np.median(miss)) / np.sqrt(power)
-    return late, spread
+    ordered, last = key[order], len(key) - 1
+    before, after = (np.minimum(np.searchsorted(ordered, key + by), last) for by in (-1, 1))
+    both = (ordered[before] == key - 1) & (ordered[after] == key + 1)
+    velocity = 0.5 * (sightings.xy[order[after]] - sightings.xy[order[before]])
+    return np.where(both[:, None], velocity, np.nan)
+
+
+def _linear(cameras: Sequence[Camera], wand: Wand, seen: Sightings, starts: Floats, directions: Floats) -> tuple[Floats, Floats]:
+    """What each sighting misses (n, 2) px, and how a shift (m) and a turn (rad) of its frame's wand move it, (n, 2, 6)."""
+    along = wand.lengths[seen.point][:, None] * directions[seen.frame]
+    world = starts[seen.frame] + along
+    residuals, by_point = np.empty((len(seen), 2)), np.empty((len(seen), 2, 3))
+    for c, camera in enumerate(cameras):
+        own = seen.camera == c
+        residuals[own] = seen.xy[own] - camera.project(world[own])
+        for axis, step in enumerate(1e-4 * np.eye(3)):
+            by_point[own, :, axis] = (camera.project(world[own] + step) - camera.project(world[own] - step)) / 2e-4
+    turned = np.cross(np.eye(3)[None], along[:, None])
+    return residuals, np.concatenate([by_point, np.einsum("nij,nkj->nik", by_point, turned)], axis=2)

@@ -1,25 +1,46 @@
-"""Posed cameras and their images of a wand in; the images with each camera's lag of whole frames taken out, out."""
+"""Posed cameras and their images of a wand in; the images with each camera's lag taken out, out."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asterism.cameras.bundle import Sightings
 from asterism.cameras.camera import Camera
-from asterism.cameras.wand.clock import lags, shifted
+from asterism.cameras.wand.clock import common_clock, lags, shifted
 from asterism.cameras.wand.frames import shown, widest
-from asterism.cameras.wand.identify import Agreed, Wand, agree
+from asterism.cameras.wand.identify import Wand, agree
 from asterism.cameras.wand.pair import FEWEST, guessed
 from asterism.cameras.wand.start import adjust_some, resect, resected
 from asterism.recording import Blobs, Floats, Ints
 
 _REACH = 0.012
 """How far blobs may be off where a camera looks at another moment, in widths of the image."""
-_LATE, _ROUNDS = 0.35, 4
+_LEAST, _LEFT, _ROUNDS = 0.08, 0.02, 12
+"""Frames: lags smaller than this are let be, and what may be left of larger ones. Rounds of moving images and adjusting cameras to them."""
+_ECHO = 0.3
+"""A camera that drifts makes the others seem to, by up to this share of it."""
 _FARTHEST, _STRIDE = 120, 2
 """Frames: how far cameras that do not fit at all are moved, and in which steps."""
+
+
+@dataclass(frozen=True)
+class Clocks:
+    """By how many frames each camera (C,) was late.
+
+    late   whole frames
+    rest   the part of a frame that is left
+    drift  by how many frames more in the last third of the recording than in the first; 0 where nothing speaks for it
+    """
+
+    late: Ints
+    rest: Floats
+    drift: Floats
+
+    def of(self, cameras: Ints) -> Clocks:
+        """Those of some cameras only."""
+        return Clocks(self.late[cameras], self.rest[cameras], self.drift[cameras])
 
 
 def in_step(
@@ -29,34 +50,53 @@ def in_step(
     cameras: list[Camera | None],
     lenses: Sequence[Camera | None],
     sizes: Sequence[tuple[int, int]],
-) -> tuple[Blobs, Ints, list[Camera | None], Ints]:
-    """Move the images of cameras that run some frames late or early, the latest first, until all look at the same wand."""
+) -> tuple[Blobs, Ints, list[Camera | None], Clocks]:
+    """Move the images of cameras that run late or early, by whole frames, then by what is left, until all look at the same wand.
+
+    Returns the blobs and what images take for the wand, moved; the cameras; and how late each was.
+    """
     late = _far_behind(blobs, chosen, wand, cameras, lenses, sizes)
     blobs, chosen = shifted(blobs, chosen, late) if late.any() else (blobs, chosen)
     cameras = _posed_again(blobs, chosen, wand, cameras, lenses, sizes, late)
-    posed = [c for c, camera in enumerate(cameras) if camera is not None]
-    for _ in range(_ROUNDS * len(posed)):
-        width = widest(cameras)
-        agreed = agree(blobs, chosen, wand, cameras, _REACH * width)
+    posed = np.array([c for c, camera in enumerate(cameras) if camera is not None])
+    rest, drift = np.zeros(len(cameras)), np.zeros(len(cameras))
+    whole_frames = blobs, chosen
+    for _ in range(_ROUNDS):
+        gate = _REACH * widest(cameras)
+        agreed = agree(blobs, chosen, wand, cameras, gate)
         result = adjust_some(blobs, agreed, wand, cameras, lenses, ("pose", "focal", "k1", "k2"), 2.0, 60)
         if result is None:
             break
         found = list(cameras)
         for c, camera in zip(posed, result.cameras, strict=True):
             found[c] = camera
-        seen, residuals = _missed(blobs, agree(blobs, chosen, wand, found, _REACH * width), wand, found)
-        by, spread = lags(seen, residuals, len(posed))
-        by = by - np.nanmedian(by) if np.isfinite(by).any() else by
-        sure = np.isfinite(by) & (np.abs(by) > _LATE) & (np.abs(by) > 5.0 * spread)
-        if not sure.any():
+        agreed = agree(blobs, chosen, wand, found, gate)
+        seen = agreed.sightings(blobs).among(found)
+        least = np.where(rest[posed] != 0.0, _LEFT, _LEAST)
+        by = _sure(*lags(result.cameras, wand, seen, agreed.starts, agreed.directions), least)
+        if not by.any():
+            first, last = (
+                lags(result.cameras, wand, seen.select(part), agreed.starts, agreed.directions)
+                for part in (3 * seen.frame < len(blobs), 3 * seen.frame >= 2 * len(blobs))
+            )
+            drift[posed] = _sure(last[0] - first[0], np.hypot(first[1], last[1]), _LEAST)
+            drift[np.abs(drift) < _ECHO * np.abs(drift).max()] = 0.0
             break
         cameras = found
-        worst = int(np.nanargmax(np.where(sure, np.abs(by), np.nan)))
-        move = np.zeros(len(cameras), dtype=np.int64)
-        move[posed[worst]] = int(np.rint(by[worst])) or int(np.sign(by[worst]))
-        late += move
-        blobs, chosen = shifted(blobs, chosen, move)
-    return blobs, chosen, cameras, late
+        rest[posed] += by
+        whole = np.rint(rest).astype(np.int64)
+        if whole.any():
+            late, rest = late + whole, np.zeros(len(cameras))
+            whole_frames = shifted(*whole_frames, whole)
+        blobs, chosen = whole_frames
+        if rest.any():
+            blobs, chosen = common_clock(replace(blobs, times=(np.arange(len(blobs))[:, None] + rest) / blobs.rate), chosen, wand)
+    return blobs, chosen, cameras, Clocks(late, rest, drift)
+
+
+def _sure(by: Floats, spread: Floats, least: Floats | float) -> Floats:
+    """Lags (C,), 0 where they are unknown, smaller than what matters, or not certain."""
+    return np.where(np.isfinite(by) & (np.abs(by) > np.maximum(least, 6.0 * spread)), by, 0.0)
 
 
 def _far_behind(
@@ -113,15 +153,3 @@ def _posed_again(
     for c in np.nonzero(late)[0]:
         late[c] = late[c] if again[c] is not None else 0
     return [camera or other for camera, other in zip(cameras, again, strict=True)]
-
-
-def _missed(blobs: Blobs, agreed: Agreed, wand: Wand, cameras: Sequence[Camera | None]) -> tuple[Sightings, Floats]:
-    """All sightings, by posed cameras, and how far the wand, where the cameras agree on it, is from them."""
-    seen = agreed.sightings(blobs)
-    world = agreed.starts[seen.frame] + wand.lengths[seen.point][:, None] * agreed.directions[seen.frame]
-    seen = seen.among(cameras)
-    projected = np.full((len(seen), 2), np.nan)
-    for c, camera in enumerate(camera for camera in cameras if camera is not None):
-        own = seen.camera == c
-        projected[own] = camera.project(world[own])
-    return seen, seen.xy - projected

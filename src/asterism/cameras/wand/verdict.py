@@ -11,6 +11,7 @@ from asterism.recording import Floats
 
 if TYPE_CHECKING:
     from asterism.cameras.wand.calibrate import WandCalibration
+    from asterism.cameras.wand.in_step import Clocks
 
 BAD_RMS, POOR_RMS = 1.5, 0.7
 """px, reprojection errors that no good wand calibration has, and that most good ones have not."""
@@ -21,6 +22,8 @@ BAD_PLACE, POOR_PLACE = 0.015, 0.003
 """Standard deviation of where a camera stands, as a share of its distance to the wand."""
 BAD_LOST, POOR_LOST = 0.3, 0.12
 """Share of the wand's images, all told or of one camera, that contradict the others."""
+BAD_DRIFT = 0.5
+"""Frames."""
 POOR_COVERAGE = 0.35
 CELLS = (6, 8)
 """Rows and columns that an image is divided into to say which part of it saw the wand."""
@@ -52,12 +55,12 @@ def coverage(made: WandCalibration) -> Floats:
     return counts
 
 
-def judge(made: WandCalibration, late: tuple[Floats, Floats], *, scaled: bool) -> tuple[Finding, ...]:
-    """What speaks against a calibration, gravest first. late: `lags` of what is left; scaled: a distance gave the scale."""
+def judge(made: WandCalibration, clocks: Clocks, *, scaled: bool) -> tuple[Finding, ...]:
+    """What speaks against a calibration, gravest first. clocks: how late each camera was; scaled: a distance gave the scale."""
     found = [
         *(Finding(f"camera {name} is not in the rig: {why}.") for name, why in made.left_out.items()),
         *_fit(made),
-        *_clocks(made, late),
+        *_clocks(made, clocks),
         *_undetermined(made),
         *_waved(made),
         *_covered(made),
@@ -127,22 +130,25 @@ def _fit(made: WandCalibration) -> list[Finding]:
     return found
 
 
-def _clocks(made: WandCalibration, late: tuple[Floats, Floats]) -> list[Finding]:
+def _clocks(made: WandCalibration, clocks: Clocks) -> list[Finding]:
     found = []
-    by, spread = late
-    rest = by - np.nanmedian(by) if np.isfinite(by).any() else by
-    for c, camera in enumerate(made.rig):
-        if made.late[c]:
-            which, many = "late" if made.late[c] > 0 else "early", abs(int(made.late[c]))
-            found.append(
-                Finding(
-                    f"camera {camera.name} started {many} frame{'s' if many > 1 else ''} {which}; its images "
-                    "were moved for this calibration, but recordings need it mended."
-                )
+    for camera, whole, part, drift in zip(made.rig, clocks.late, clocks.rest, clocks.drift, strict=True):
+        if drift != 0.0:
+            sentence = (
+                f"camera {camera.name} falls {abs(drift):.1f} frames {'behind' if drift > 0 else 'ahead'} between the first and the last "
+                "third of the recording; has it lost frames, or another frame rate?"
             )
-        elif np.isfinite(rest[c]) and abs(rest[c]) > max(0.08, 6.0 * spread[c]):
-            which = "late" if rest[c] > 0 else "early"
-            found.append(Finding(f"camera {camera.name} takes its images {abs(rest[c]):.2f} frames {which}; check its trigger."))
+            found.append(Finding(sentence, abs(drift) > BAD_DRIFT))
+        late = int(whole) + float(part)
+        if late == 0.0:
+            continue
+        which, many = "late" if late > 0 else "early", abs(late)
+        mended = "its images were moved for this calibration, but recordings need it mended."
+        if part == 0.0:
+            sentence = f"camera {camera.name} started {many:.0f} frame{'s' if many > 1 else ''} {which}; {mended}"
+        else:
+            sentence = f"camera {camera.name} takes its images {many:.2f} frames {which}; check its trigger: {mended}"
+        found.append(Finding(sentence))
     return found
 
 
