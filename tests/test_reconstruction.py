@@ -19,7 +19,7 @@ from asterism.cameras import Camera, Rig, rotation_from_vector
 from asterism.cameras.files import read_rig, write_rig
 from asterism.cli import main
 from asterism.errors import AsterismError
-from asterism.reconstruction import Reconstruction, _kernels, reconstruct, summary
+from asterism.reconstruction import Reconstruction, _kernels, reconstruct
 from asterism.reconstruction._compose_kernels import compose
 from asterism.reconstruction._order_kernels import ascending
 from asterism.reconstruction._pack_kernels import pack
@@ -98,7 +98,7 @@ def test_hidden_markers_and_strays(cameras: int, missed: float, strays: float) -
 
 
 def test_pixel_noise_is_told_from_the_blobs() -> None:
-    for noise in (0.1, 0.3, 2.0):
+    for noise in (0.1, 0.3, 1.0, 2.0):
         rig, blobs, _, _ = images(noise=noise)
         assert reconstruct(blobs, rig).noise == pytest.approx(noise, rel=0.1)
 
@@ -445,15 +445,7 @@ def test_a_rig_that_is_not_the_recordings_is_doubted(tmp_path: Path, capsys: pyt
     assert main([*words, "--json", str(tmp_path / "told.json")]) == 1
     residual = {camera["name"]: camera["residual_px"] for camera in json.loads((tmp_path / "told.json").read_text())["cameras"]}
     assert max(residual, key=residual.__getitem__) == "c2"
-    assert "do not use these points" in capsys.readouterr().err
-
-
-def test_a_camera_whose_blobs_show_nothing_is_named() -> None:
-    rig, blobs, _, _ = images(5, 12, 20)
-    away = replace(rig[1], rotation=rotation_from_vector([0.3, 0.2, 0.0]) @ rig[1].rotation)
-    wrong = Rig((rig[0], away, *rig.cameras[2:]), rig.vertical)
-    assert any("camera c2" in remark for remark in summary(reconstruct(blobs, wrong), wrong)["remarks"])
-    assert summary(reconstruct(blobs, rig), rig)["remarks"] == []
+    assert "camera c2 does not fit the others: its image is off by" in capsys.readouterr().err
 
 
 @given(st.lists(st.sampled_from([-1.5, 0.0, 0.25, 3.0, np.inf]), max_size=60))

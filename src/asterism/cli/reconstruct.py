@@ -85,10 +85,16 @@ def _print(output: Path, told: dict[str, Any]) -> None:
         return "–" if value != value else f"{value:.3f}"
 
     rows = [
-        [camera["name"], _console.count(camera["blobs"]), _console.percent(camera["used"]), pixels(camera["residual_px"])]
+        [
+            camera["name"],
+            _console.count(camera["blobs"]),
+            _console.percent(camera["used"]),
+            pixels(camera["residual_px"]),
+            pixels(camera["off_px"]),
+        ]
         for camera in told["cameras"]
     ]
-    _console.table("cameras", ("camera", "blobs", "used", "residual, px"), rows)
+    _console.table("cameras", ("camera", "blobs", "used", "residual, px", "off as a whole, px"), rows)
     per_frame = told["points_per_frame"]
     by_cameras = ", ".join(f"{count:,} by {cameras}" for cameras, count in told["points_by_cameras"].items())
     facts = [

@@ -67,9 +67,9 @@ def reconstruct(
         remarks.append(f"{doubled} blobs stand twice in one image; one of each was used.")
     borders, corners = image_borders(rays.blobs, rig), _corners(volume)
     setting = Setting(rig, borders, corners, common_view(rig, borders, corners), min_cameras, gate)
-    belief, told = told_by(setting, rays.blobs.counts, partial(_some, rays), noise)
-    if noise is None and not told:
-        remarks.append(f"too few points to tell the pixel noise from; {belief.noise[0]:.2f} px was assumed.")
+    belief, untold = told_by(setting, rays.blobs.counts, partial(_some, rays), noise)
+    if untold:
+        remarks.append(untold)
     arrays = setting.arrays(belief)
     run = _run if method == "global" else _run_plain
     parts = []

@@ -2,26 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from asterism.cameras import Rig
+from asterism.reconstruction.agreement import Agreement, agreement, cause
+from asterism.reconstruction.belief import noise_of
 from asterism.reconstruction.result import Reconstruction
 
 MUCH_NOISE = 1.5
 """px: blobs of markers are found to a few tenths; more means that the rig is not the recording's, or not what it was."""
-MANY_UNUSED, FEW_USED = 0.25, 0.5
+OFF_PX, OFF_NOISES = 0.3, 0.5
+"""A camera whose image is off by more than both, in px and in standard deviations of the noise, does not fit; so does one that
+ is off by nearly as much as the worst."""
+_NEARLY = 0.7
+FEW_SEEN, FEW_USED, MANY_UNUSED = 0.3, 0.5, 0.25
+MANY_OUTSIDE = 0.01
+FAR_APART = 100.0
+"""m, between cameras: no room is that large, but many a rig is written in millimetres."""
+_FEW_POINTS = 10
 
 
 def summary(result: Reconstruction, rig: Rig) -> dict[str, Any]:
     """Frames, points, cameras per point, residuals (px), deviations (m), and for each camera its blobs, its used share and residual.
 
-    A camera's `residual_px` is the RMS distance between its blobs and the points' projections; one far above the others' was moved.
+    A camera's `residual_px` is the RMS distance between its blobs and the points' projections; `seen`, the share of the points which the
+    others place in its image that it shows; `off_px`, by how much its image as a whole is not where the others say: see `Agreement`.
     """
     counts = result.clouds.counts
     rig = rig.select(result.blobs.cameras)
     blobs, used = result.blobs.counts.sum(axis=0), result.cameras.sum(axis=0)
+    agree = agreement(result, rig)
     cameras = []
     for c, camera in enumerate(rig):
         mine = result.cameras[:, c]
@@ -33,6 +46,9 @@ def summary(result: Reconstruction, rig: Rig) -> dict[str, Any]:
                 "used": float(1 - result.unused[:, c].sum() / blobs[c]) if blobs[c] else float("nan"),
                 "points": int(used[c]),
                 "residual_px": float(np.sqrt(np.nanmean((off**2).sum(axis=1)))) if len(off) else float("nan"),
+                "expected": agree[c].expected,
+                "seen": agree[c].seen,
+                "off_px": agree[c].off,
             }
         )
     many = len(result.residual) > 0
@@ -54,31 +70,78 @@ def summary(result: Reconstruction, rig: Rig) -> dict[str, Any]:
         "gated_pairs_per_frame": float(result.gated.mean()) if len(counts) else 0.0,
         "frames_proved_best": float(result.proved.mean()) if len(counts) else 1.0,
         "cameras": cameras,
-        "remarks": [*result.remarks, *doubts(result)],
+        "remarks": [*result.remarks, *doubts(result, rig, agree)],
     }
 
 
-def doubts(result: Reconstruction) -> list[str]:
-    """What makes a rig or a recording suspect, one sentence each."""
-    found = []
+def doubts(result: Reconstruction, rig: Rig, agree: Sequence[Agreement]) -> list[str]:
+    """What makes a rig or a recording suspect, one sentence each; `agree`: how each camera agrees with the others."""
     blobs = int(result.blobs.counts.sum())
-    if len(result.residual) and result.noise.mean() > MUCH_NOISE:
-        found.append(
-            f"blobs lie {result.noise.mean():.1f} px from where the rig has their points, a few tenths are usual: "
-            "do not use these points before `asterism calibrate refine` has said which camera was moved."
-        )
-    share = 1 - result.unused.sum(axis=0) / np.maximum(result.blobs.counts.sum(axis=0), 1)
-    for name, mine, many in zip(result.blobs.cameras, share, result.blobs.counts.sum(axis=0), strict=True):
-        if many and mine < FEW_USED * share.max():
-            found.append(
-                f"camera {name}: {100 * mine:.0f} % of its blobs show a point, of another camera's {100 * share.max():.0f} %; "
-                "it was moved, or sees much that others do not: `asterism calibrate refine` tells."
-            )
-    if blobs and result.unused.sum() > MANY_UNUSED * blobs:
+    if blobs and not len(result.residual):
+        return [
+            *_units(result, rig),
+            "no point was found at all: is this the recording's rig, and are the cameras' names those of the blobs?",
+        ]
+    found = [*_units(result, rig), *_noisy(result, agree), *_misfits(result, rig, agree)]
+    if not found and result.unused.sum() > MANY_UNUSED * blobs:
         found.append(
             f"{100 * result.unused.sum() / blobs:.0f} % of the blobs show no point: is this the recording's rig, "
             "and do reflections or single views fill the images?"
         )
-    if blobs and not len(result.residual):
-        found.append("no point was found at all: is this the recording's rig, and are the cameras' names those of the blobs?")
     return found
+
+
+def _units(result: Reconstruction, rig: Rig) -> Iterator[str]:
+    """Pixels of other images, metres that are millimetres."""
+    camera_of = result.blobs.camera_of
+    outside = {}
+    for c, camera in enumerate(rig):
+        mine = result.blobs.xy[camera_of == c]
+        if camera.size is not None and len(mine):
+            share = float(((mine < -1.5) | (mine > np.array(camera.size) + 0.5)).any(axis=1).mean())
+            if share > MANY_OUTSIDE:
+                outside[camera.name] = f"{100 * share:.0f} % of the blobs of camera {camera.name} ({camera.size[0]} x {camera.size[1]} px)"
+    if outside:
+        yield f"{', '.join(outside.values())} lie outside its image; give the rig of these images, or blobs in its pixels."
+    places = np.array([camera.position for camera in rig])
+    apart = float(np.median(np.linalg.norm(places - np.median(places, axis=0), axis=1)))
+    if apart > FAR_APART:
+        yield f"the cameras stand some {apart:,.0f} m from their middle, so the points are as large: is the rig in millimetres?"
+
+
+def _noisy(result: Reconstruction, agree: Sequence[Agreement]) -> Iterator[str]:
+    if len(result.residual) < _FEW_POINTS:
+        return
+    noise = noise_of(result.residual, result.cameras.sum(axis=1))
+    if noise > MUCH_NOISE:
+        lie = f"blobs lie {noise:.1f} px from where the rig has their points, a few tenths are usual"
+        if all(camera.off < OFF_NOISES * noise for camera in agree):
+            yield f"{lie}; no camera is off as a whole, so the blobs are found no better, or their times differ from frame to frame."
+        else:
+            yield f"{lie}: do not use these points before `asterism calibrate refine` has said which camera was moved."
+
+
+def _misfits(result: Reconstruction, rig: Rig, agree: Sequence[Agreement]) -> Iterator[str]:
+    """Cameras whose blobs make few points, or make points and are off."""
+    names, blobs = result.blobs.cameras, result.blobs.counts.sum(axis=0)
+    used = 1 - result.unused.sum(axis=0) / np.maximum(blobs, 1)
+    off = np.nan_to_num([camera.off for camera in agree])
+    draws = (off > np.maximum(OFF_PX, OFF_NOISES * result.noise)) & (off > _NEARLY * off.max(initial=0.0))
+    idle = (blobs > 0) & (used < FEW_USED * used.max(initial=0.0))
+    lit = idle & np.array([camera.seen > FEW_SEEN for camera in agree])
+    if draws.sum() > len(names) / 2:
+        yield (
+            f"most cameras do not fit each other: their images are off by up to {off.max():.1f} px as a whole. Do not use these points "
+            "before `asterism calibrate refine` has said which were moved; where it does not, calibrate the rig again."
+        )
+        return
+    for c, name in enumerate(names):
+        shares = f"{100 * used[c]:.0f} % of its blobs show a point, of another camera's {100 * used.max():.0f} %"
+        if lit[c]:
+            yield f"camera {name}: {shares}; it shows the markers, and much that is none: reflections or lamps."
+        elif draws[c] or (idle[c] and used.max() > FEW_USED):
+            what = f"its image is off by {off[c]:.1f} px as a whole, and draws points away" if draws[c] else shares
+            yield cause(result, rig, c) or (
+                f"camera {name} does not fit the others: {what}; before you use these points, see with `asterism calibrate refine` "
+                "whether it was moved."
+            )
