@@ -14,6 +14,7 @@ from asterism.cameras import Rig
 from asterism.cameras.files import write_rig
 from asterism.cli import main
 from asterism.detection import detect, find_blobs, lags
+from asterism.detection.synchrony import slips
 from asterism.errors import AsterismError
 from asterism.formats import read_blobs
 from asterism.recording import Blobs
@@ -32,10 +33,10 @@ def waved(rig: Rig) -> Blobs:
     return wand(rig, np.zeros(3), 2)
 
 
-def wand(rig: Rig, delays: np.ndarray, seed: int) -> Blobs:
+def wand(rig: Rig, delays: np.ndarray, seed: int, frames: int = 40) -> Blobs:
     """A waved wand whose blobs are 6 px wide; cameras take their images so many s late."""
     rng = np.random.default_rng(seed)
-    blobs, _ = wave_wand(rig, frames=40, rng=rng, rate=50.0, noise=0.0, merging=False, delays=delays)
+    blobs, _ = wave_wand(rig, frames=frames, rng=rng, rate=50.0, noise=0.0, merging=False, delays=delays)
     return replace(blobs, sizes=np.full(len(blobs.xy), 6.0))
 
 
@@ -143,6 +144,21 @@ def test_cameras_out_of_step_are_named(rig: Rig) -> None:
         told = lags(moved)
         assert np.nanmax(np.abs(told - offsets)) <= 1
         assert np.isfinite(told).sum() >= 3
+
+
+def test_a_camera_that_loses_an_image_on_the_way_is_named(rig: Rig, tmp_path: Path) -> None:
+    blobs = wand(rig, np.zeros(3), 6, frames=150)
+    assert slips(blobs, rig).tolist() == [0, 0, 0]
+    for c, name in enumerate(rig.names):
+        video = cv2.VideoWriter(str(tmp_path / f"{name}.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 50.0, SIZE, isColor=False)
+        for t, image in enumerate(render(blobs, c, SIZE, rng=np.random.default_rng(c))):
+            if (c, t) != (1, 80):
+                video.write(image)
+        video.release()
+    found = detect([tmp_path / f"{name}.avi" for name in rig.names], rig=rig)
+    [said] = [sentence for sentence in found.problems if "end than" in sentence]
+    assert said.startswith("camera c2 is 1 frame farther ahead of the others at the end than at the beginning: it lost images on the way.")
+    assert np.isnan(slips(wand(rig, np.zeros(3), 6), rig)).all(), "40 frames are too few to tell"
 
 
 def test_nothing_is_said_of_steps_where_nothing_moves() -> None:

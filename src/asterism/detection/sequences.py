@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from asterism.cameras import Rig
 from asterism.detection.alignment import names_of, numbered, on_common_clock, rate_of
 from asterism.detection.blobs import Flag, Grey, Spots, automatic_threshold, find_blobs, static_mask
 from asterism.detection.sources import Source, images, open_source, some_images
-from asterism.detection.synchrony import lags
+from asterism.detection.synchrony import lags, slips
 from asterism.detection.times import read_times
 from asterism.errors import AsterismError
 from asterism.recording import Blobs, Floats
@@ -137,12 +137,28 @@ def detect(
     blobs = _gathered(found, names, numbers, when, first, rate_of(sources, rate, when, names, problems))
     if when is not None:
         blobs = on_common_clock(blobs, problems)
-    behind = lags(blobs, rig.select(names) if rig is not None and all(c.posed for c in rig.select(names)) else None)
-    for name, frames in zip(names, behind, strict=True):
-        if abs(frames) >= (_BEHIND if rig is None else 1):
-            way = "behind" if frames > 0 else "ahead of"
-            problems.append(f"camera {name} is {abs(frames):.0f} frames {way} the others; start them together or give --times.")
+    posed = rig.select(names) if rig is not None and all(camera.posed for camera in rig.select(names)) else None
+    behind = lags(blobs, posed)
+    problems += _out_of_step(names, behind, slips(blobs, posed) if posed is not None else np.full(len(names), np.nan), rig)
     return Detection(blobs, tuple(camera.told(lag) for camera, lag in zip(found, behind.tolist(), strict=True)), tuple(problems))
+
+
+def _out_of_step(names: Sequence[str], behind: Floats, slipped: Floats, rig: Rig | None) -> Iterator[str]:
+    """Cameras that started at another time than the others (`lags`), or that came to be out of step on the way (`slips`)."""
+    for name, frames, more in zip(names, behind, slipped, strict=True):
+        if abs(more) >= 1:
+            way, why = ("ahead of", "it lost images") if more < 0 else ("behind", "it has images twice, or the others lost some")
+            yield (
+                f"camera {name} is {_frames(more)} farther {way} the others at the end than at the beginning: {why} on the way. "
+                "Record again, or give --times."
+            )
+        elif abs(frames) >= (_BEHIND if rig is None else 1):
+            way = "behind" if frames > 0 else "ahead of"
+            yield f"camera {name} is {_frames(frames)} {way} the others; start them together or give --times."
+
+
+def _frames(count: float) -> str:
+    return f"{abs(count):.0f} frame{'s' if abs(count) != 1 else ''}"
 
 
 @dataclass

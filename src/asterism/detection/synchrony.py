@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -61,6 +62,27 @@ def lags(blobs: Blobs, rig: Rig | None = None, longest: int = _LONGEST) -> Float
         values, counts = np.unique(known, return_counts=True)
         behind -= values[np.argmax(counts)]
     return behind
+
+
+def slips(blobs: Blobs, rig: Rig) -> Floats:
+    """How many frames farther behind most others each camera is in the last third than in the first: (C,); NaN where nothing tells.
+
+    A camera that loses an image in the middle, without a gap in its numbers, is ahead of the others from there on.
+    """
+    third = len(blobs) // 3
+    if third < _FEWEST:
+        return np.full(len(blobs.cameras), np.nan)
+    first, last = _frames(blobs, 0, third), _frames(blobs, len(blobs) - third, len(blobs))
+    return lags(last, rig) - lags(first, rig)
+
+
+def _frames(blobs: Blobs, begin: int, end: int) -> Blobs:
+    """The frames begin to end of a recording."""
+    cameras = len(blobs.cameras)
+    offsets = blobs.offsets[begin * cameras : end * cameras + 1]
+    own = slice(offsets[0], offsets[-1])
+    times = None if blobs.times is None else blobs.times[begin:end]
+    return replace(blobs, xy=blobs.xy[own], sizes=blobs.sizes[own], offsets=offsets - offsets[0], times=times)
 
 
 def _middles(blobs: Blobs, camera: int) -> Floats:
