@@ -51,6 +51,7 @@ def test_from_2d_points_to_a_rig_on_an_l_frame(folder: Path, tmp_path: Path, cap
     shown = capsys.readouterr()
     assert shown.err == ""
     assert "reprojection error 0.2" in shown.out
+    assert "give --wand" not in shown.out
     told = json.loads(out[2].read_text(encoding="utf-8"))
     assert {"frames", "frames_used", "wand_length_mean_m", "wand_length_std_m", "reprojection_rms_px", "cameras"} <= set(told)
     assert told["wand_length_mean_m"] == pytest.approx(0.6, abs=3e-4)
@@ -70,7 +71,9 @@ def test_known_lenses_and_three_points(folder: Path, tmp_path: Path) -> None:
 def test_a_dark_camera_is_named(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "rig.toml"
     assert run("calibrate", "wand", folder / "dark.csv", "--image-size", "1280x1024", "-o", out) == 1
-    assert "camera c3 is not in the rig: it saw nothing" in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert "camera c3 is not in the rig: it saw nothing" in said.err
+    assert "taken to be at 0 0.2 0.6 m; where yours are not, give --wand" in said.out
     assert read_rig(out).names == ("c1", "c2", "c4")
 
 

@@ -156,6 +156,7 @@ def test_a_camera_that_loses_an_image_on_the_way_is_named(rig: Rig, tmp_path: Pa
                 video.write(image)
         video.release()
     found = detect([tmp_path / f"{name}.avi" for name in rig.names], rig=rig)
+    assert found.blobs.rate == 50 and not found.rate_assumed
     [said] = [sentence for sentence in found.problems if "end than" in sentence]
     assert said.startswith("camera c2 is 1 frame farther ahead of the others at the end than at the beginning: it lost images on the way.")
     assert np.isnan(slips(wand(rig, np.zeros(3), 6), rig)).all(), "40 frames are too few to tell"
@@ -173,7 +174,7 @@ def test_command_line(folders: list[Path], rig: Rig, waved: Blobs, tmp_path: Pat
     said = capsys.readouterr()
     assert status == 0, said.err
     assert said.err == ""
-    assert "40 frames" in said.out
+    assert "40 frames at 100 frames/s, which nothing says: give --rate;" in said.out
     blobs, told = read_blobs(tmp_path / "2d.csv"), json.loads((tmp_path / "2d.json").read_text())
     assert len(blobs.xy) == told["blobs"] == sum(camera["blobs"] for camera in told["cameras"])
     assert told["problems"] == []

@@ -121,7 +121,9 @@ def detect(
     write_blobs(result.blobs, output)
     if json != "-":
         _print(result)
-        _console.say(f"{len(result.cameras)} cameras, {len(result.blobs)} frames, {_console.count(len(result.blobs.xy))} blobs -> {output}")
+        timing = f"at {result.blobs.rate:g} frames/s" + (", which nothing says: give --rate" if result.rate_assumed else "")
+        cameras = f"{len(result.cameras)} camera{'s' if len(result.cameras) > 1 else ''}"
+        _console.say(f"{cameras}, {len(result.blobs)} frames {timing}; {_console.count(len(result.blobs.xy))} blobs -> {output}")
     for sentence in result.problems:
         _console.complain(sentence)
     if report is not None:
@@ -154,7 +156,7 @@ def _print(result: Detection) -> None:
             _console.count(camera.overlapping),
             _console.count(camera.unround),
             _console.count(camera.at_border),
-            _console.percent(camera.masked, 1),
+            _console.count(camera.masked_places),
             _console.count(camera.behind),
         ]
         for camera in result.cameras
@@ -169,7 +171,7 @@ def _print(result: Detection) -> None:
         "overlapping",
         "unround",
         "cut by edge",
-        "masked",
+        "lights masked",
         "frames behind",
     ]
     _console.table("Blobs", head, rows, left=1)

@@ -63,11 +63,13 @@ class CameraImages:
 
 @dataclass(frozen=True)
 class Detection:
-    """Blobs of all cameras, what each camera's images were like, and what is wrong with them: one sentence each."""
+    """Blobs of all cameras, what each camera's images were like, what is wrong with them (one sentence each), and whether no clock and no
+    video told the frame rate."""
 
     blobs: Blobs
     cameras: tuple[CameraImages, ...]
     problems: tuple[str, ...]
+    rate_assumed: bool
 
     def to_dict(self) -> dict[str, Any]:
         """All but the images, as plain values."""
@@ -76,6 +78,7 @@ class Detection:
         return {
             "frames": len(self.blobs),
             "rate": self.blobs.rate,
+            "rate_assumed": self.rate_assumed,
             "blobs": len(self.blobs.xy),
             "cameras": [
                 {key: value for key, value in vars(camera).items() if key not in left_out} | {"blobs_per_frame": float(mean)}
@@ -140,7 +143,9 @@ def detect(
     posed = rig.select(names) if rig is not None and all(camera.posed for camera in rig.select(names)) else None
     behind = lags(blobs, posed)
     problems += _out_of_step(names, behind, slips(blobs, posed) if posed is not None else np.full(len(names), np.nan), rig)
-    return Detection(blobs, tuple(camera.told(lag) for camera, lag in zip(found, behind.tolist(), strict=True)), tuple(problems))
+    told = tuple(camera.told(lag) for camera, lag in zip(found, behind.tolist(), strict=True))
+    assumed = rate is None and when is None and not all(np.isfinite(source.rate) for source in sources)
+    return Detection(blobs, told, tuple(problems), assumed)
 
 
 def _out_of_step(names: Sequence[str], behind: Floats, slipped: Floats, rig: Rig | None) -> Iterator[str]:

@@ -21,12 +21,20 @@ Blobs2D = Annotated[
 ]
 
 
+_USUAL_WAND = "0 0.2 0.6"
+
+
 def wand(
     blobs: Blobs2D,
     lengths: Annotated[
-        str,
-        typer.Option("--wand", metavar="M M M", help="Places of its markers along the wand, in metres; 0 for one moved marker."),
-    ] = "0,0.2,0.6",
+        str | None,
+        typer.Option(
+            "--wand",
+            metavar="M M M",
+            help="Places of its markers along the wand, in metres; 0 for one moved marker.",
+            show_default=_USUAL_WAND,
+        ),
+    ] = None,
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="The rig to write.", show_default=False)] = None,
     image_size: Annotated[
         list[str] | None,
@@ -75,7 +83,7 @@ def wand(
     with _console.progress("calibrating") as progress:
         made = calibrate_wand(
             seen,
-            metres(lengths, "--wand"),
+            metres(_USUAL_WAND if lengths is None else lengths, "--wand"),
             sizes=_sizes(image_size or [], seen.cameras),
             known=known,
             distance=_distance(distance),
@@ -85,13 +93,19 @@ def wand(
     if report is not None:
         from asterism.report import wand_report
 
-        wand_report(report, made, settings={"2D points": blobs, "wand in m": lengths.replace(",", " "), "known lenses": rig})
+        wand_report(
+            report,
+            made,
+            settings={"2D points": blobs, "wand in m": " ".join(f"{length:g}" for length in made.wand.lengths), "known lenses": rig},
+        )
     written = output is not None and (made.usable or anyway)
     if output is not None and written:
         write_rig(made.rig, output)
     _console.write_json(json, _told(made, blobs, output if written else None))
     if json != "-":
         _print(made)
+        if lengths is None:
+            _console.say(f"advice: the wand's markers were taken to be at {_USUAL_WAND} m; where yours are not, give --wand.")
     for finding in made.findings:
         if not finding.advice:
             _console.complain(f"{blobs}: {finding.sentence}")
