@@ -39,7 +39,7 @@ def moved_about(template: np.ndarray, frames: int, rng: np.random.Generator) -> 
     return rotations, translations, np.einsum("tij,kj->tki", rotations, template) + translations[:, None]
 
 
-def seen(rig: list[Camera], points: np.ndarray, noise: float, rng: np.random.Generator) -> np.ndarray:
+def seen(rig: list[Camera], points: np.ndarray, noise: float | np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """(T, C, K, 2) px."""
     xy = np.stack([camera.project(points) for camera in rig], axis=1)
     return xy + rng.normal(size=xy.shape) * noise
@@ -125,14 +125,15 @@ def place_objects_of_dots(cameras: list[Camera], sightings: Sightings, frames: i
     return np.tile(np.eye(3), (frames, 1, 1)), triangulate(cameras, sightings, frames, 1)[:, 0]
 
 
-def test_the_minimum_and_its_covariance_equal_dense_least_squares() -> None:
+@pytest.mark.parametrize("relative", [(1.0, 1.0, 1.0), (1.0, 2.0, 0.5)], ids=["cameras alike", "cameras of different noise"])
+def test_the_minimum_and_its_covariance_equal_dense_least_squares(relative: tuple[float, ...]) -> None:
     rng = np.random.default_rng(4)
     rig = a_ring(3)
     rotations, translations, points = moved_about(BOARD, 6, rng)
-    sightings = Sightings.from_array(seen(rig, points, 0.3, rng))
+    sightings = Sightings.from_array(seen(rig, points, 0.3 * np.array(relative)[:, None, None], rng))
     free = free_parameters(3, "pose", "focal", "k1")
     free[0, :6] = False
-    result = adjust(rig, BOARD, sightings, rotations, translations, free=free, scale=50.0, tolerance=1e-15)
+    result = adjust(rig, BOARD, sightings, rotations, translations, free=free, scale=50.0, relative=relative, tolerance=1e-15)
 
     def misses(x: np.ndarray) -> np.ndarray:
         step = np.zeros((3, 15))
@@ -152,7 +153,8 @@ def test_the_minimum_and_its_covariance_equal_dense_least_squares() -> None:
             [rotations[t] @ rotation_from_vector(rest[t, :3]) @ BOARD.T + (translations[t] + rest[t, 3:])[:, None] for t in range(6)]
         )
         projected = np.stack([camera.project(world.transpose(0, 2, 1)) for camera in cameras], axis=1)
-        return (sightings.xy - projected[sightings.frame, sightings.camera, sightings.point]).ravel()
+        missed = sightings.xy - projected[sightings.frame, sightings.camera, sightings.point]
+        return (missed / np.array(relative)[sightings.camera, None]).ravel()
 
     dense = least_squares(misses, np.zeros(free.sum() + 36), x_scale="jac", xtol=1e-15, ftol=1e-15)
     assert result.cost == pytest.approx(dense.cost, rel=1e-6)

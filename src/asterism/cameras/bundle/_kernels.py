@@ -77,11 +77,14 @@ def _loss(kind, scale, size):
 
 
 @njit(cache=True, nogil=True)
-def residuals_and_cost(lens, rotation, translation, turned, placed, template, frame, camera, point, xy, kind, scale, residuals, weights):
+def residuals_and_cost(
+    lens, rotation, translation, turned, placed, template, frame, camera, point, xy, kind, scale, relative, residuals, weights
+):  # fmt: skip
     """What each sighting misses, and the sum of the losses.
 
     IN  lens (C, LENS), rotation (C, 3, 3), translation (C, 3) m; turned (T, 3, 3), placed (T, 3) m: world from object; template (K, 3) m;
-        frame, camera, point (n,) and xy (n, 2) px of each sighting; kind and scale (px) of the loss
+        frame, camera, point (n,) and xy (n, 2) px of each sighting; kind and scale (px) of the loss; relative (C,): each camera's noise,
+        residuals count divided by it
     OUT residuals (n, 2) px, seen minus projected, NaN behind a camera; weights (n,). Returns the cost, px2
     O(n * coefficients), no allocation. Twin: Camera.project
     """
@@ -103,7 +106,8 @@ def residuals_and_cost(lens, rotation, translation, turned, placed, template, fr
         u, v, _, _, _, _ = distorted(lens[c], x, y)
         residuals[i, 0] = xy[i, 0] - lens[c, FX] * u - lens[c, CX]
         residuals[i, 1] = xy[i, 1] - lens[c, FY] * v - lens[c, CY]
-        loss, weights[i] = _loss(kind, scale, math.sqrt(residuals[i, 0] ** 2 + residuals[i, 1] ** 2))
+        loss, weight = _loss(kind, scale, math.sqrt(residuals[i, 0] ** 2 + residuals[i, 1] ** 2) / relative[c])
+        weights[i] = weight / relative[c] ** 2
         cost += loss
     return cost
 

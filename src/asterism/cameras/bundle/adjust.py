@@ -35,10 +35,10 @@ class Adjustment:
     cameras       (C,) adjusted, each with the RMS of its residuals as `error`
     rotations     (T, 3, 3), translations (T, 3) m: world from object, per frame
     residuals     (n, 2) px, seen minus projected, per sighting; NaN where the point came to lie behind the camera
-    weights       (n,) what the robust loss left of each sighting, 1 within its scale
+    weights       (n,) what the robust loss left of each sighting, 1 within its scale; divided by the square of its camera's relative noise
     free          (C, 15) bool: which parameters were adjusted, in the order of PARAMETERS
     covariance    (free, free) of the free parameters, row by row of `free`, in px, m and rad, for a pixel noise of `noise`
-    noise         px, standard deviation of one coordinate, from the weighted residuals and the redundancy
+    noise         px, standard deviation of one coordinate of a camera of relative noise 1, from the weighted residuals and the redundancy
     cost          px2, half the sum of squares where all residuals are within the scale of the loss, priors included
     steps         how many steps were tried
     converged     whether the last step no longer changed the cost
@@ -115,6 +115,7 @@ def adjust(
     prior: tuple[Floats, Floats] | None = None,
     loss: Literal["huber", "cauchy"] = "huber",
     scale: float = 1.0,
+    relative: ArrayLike | None = None,
     tolerance: float = 1e-8,
     steps: int = 60,
     covariance: bool = True,
@@ -130,6 +131,7 @@ def adjust(
     prior         expected values and their standard deviations (C, 15), the latter in px, m, rad per px of noise; inf where nothing is
                   expected. The expected turns and shifts are those of `cameras` whatever the values say
     loss, scale   robust loss and where it begins, px: huber grows linearly, cauchy forgets
+    relative      (C,) the cameras' noise, one by another: residuals count divided by it; by default 1
     tolerance     ends when a step lowers the cost by less than this share
 
     Analytic Jacobians, objects eliminated (Schur complement), Marquardt's damping. Cost of a step: O(n + T D^2 F + T D F^2) for F free
@@ -143,10 +145,11 @@ def adjust(
     wanted: Bools = free_parameters(len(cameras), "pose", "focal") if free is None else np.array(free, dtype=bool)
     state = _State.of(cameras, rotations @ turn_back, translations)
     _hold_the_world(wanted, state, single=len(axes) == 3)
-    problem = _Problem(model, sightings, wanted, axes, (kernels.HUBER, kernels.CAUCHY)[loss == "cauchy"], float(scale), prior)
+    own = np.ones(len(cameras)) if relative is None else np.asarray(relative, dtype=np.float64)
+    problem = _Problem(model, sightings, wanted, axes, (kernels.HUBER, kernels.CAUCHY)[loss == "cauchy"], float(scale), own, prior)
     state, cost, done, converged = _descend(problem, state, tolerance, steps)
     residuals, weights = problem.miss(state)[:2]
-    redundancy = 2.0 * weights.sum() - wanted.sum() - len(axes) * len(np.unique(sightings.frame))
+    redundancy = 2.0 * (weights * own[sightings.camera] ** 2).sum() - wanted.sum() - len(axes) * len(np.unique(sightings.frame))
     noise = float(np.sqrt(np.nansum(weights * np.square(residuals).sum(axis=1)) / max(redundancy, 1.0)))
     spread: Floats = np.empty((0, 0))
     if covariance and problem.unknowns:
@@ -240,9 +243,18 @@ class _Problem:
     """What stays the same from step to step."""
 
     def __init__(
-        self, model: Floats, seen: Sightings, wanted: Bools, axes: Any, kind: int, scale: float, prior: tuple[Floats, Floats] | None
+        self,
+        model: Floats,
+        seen: Sightings,
+        wanted: Bools,
+        axes: Any,
+        kind: int,
+        scale: float,
+        relative: Floats,
+        prior: tuple[Floats, Floats] | None,
     ) -> None:
         self.model, self.seen, self.axes, self.kind, self.scale, self.wanted = model, seen, axes, kind, scale, wanted
+        self.relative = relative
         self.unknowns = int(wanted.sum())
         self.columns = np.where(wanted, np.cumsum(wanted.ravel()).reshape(wanted.shape) - 1, -1)
         self.expected = None if prior is None else prior[0]
@@ -261,7 +273,7 @@ class _Problem:
         residuals, weights = np.empty((len(seen), 2)), np.empty(len(seen))
         cost = kernels.residuals_and_cost(
             state.lens, state.rotation, state.translation, state.turned, state.placed, self.model,
-            seen.frame, seen.camera, seen.point, seen.xy, self.kind, self.scale, residuals, weights,
+            seen.frame, seen.camera, seen.point, seen.xy, self.kind, self.scale, self.relative, residuals, weights,
         )  # fmt: skip
         return residuals, weights, cost
 

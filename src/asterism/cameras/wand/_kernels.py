@@ -155,7 +155,7 @@ def _support(frame, lengths, start, direction, lens, rotation, translation, pose
             )  # fmt: skip
             if not math.isfinite(u):
                 continue
-            nearest = gate * gate
+            nearest = gate[c] * gate[c]
             for b in range(first, last):
                 square = (xy[b, 0] - u) ** 2 + (xy[b, 1] - v) ** 2
                 if square < nearest:
@@ -166,7 +166,7 @@ def _support(frame, lengths, start, direction, lens, rotation, translation, pose
                         nearest = square
                         sights[c, k] = b
             if sights[c, k] >= 0:
-                total += 1.0 - nearest / (gate * gate)
+                total += 1.0 - nearest / (gate[c] * gate[c])
     return total
 
 
@@ -181,7 +181,7 @@ def agree(
 
     IN  xy (P, 2) px and rays (P, 3), unit directions in the world, of all blobs; offsets (T * C + 1,); chosen (T, C, K): blobs by single
         images, -1 for none; lengths (K,) m from the wand's first marker; either: whether images leave the order of the markers open;
-        lens (C, LENS), rotation (C, 3, 3), translation (C, 3), origins (C, 3) m of the cameras, posed (C,) bool; gate px
+        lens (C, LENS), rotation (C, 3, 3), translation (C, 3), origins (C, 3) m of the cameras, posed (C,) bool; gate (C,) px
     OUT starts (T, 3) m, directions (T, 3): NaN where no two cameras agree; sights (T, C, K) int: blobs on the wand; support (T,)
     O(T * C^2 * C * K). Twin: tests/twins_wand.py, for the wand that most blobs lie on
     """

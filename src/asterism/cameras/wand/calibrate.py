@@ -11,11 +11,12 @@ from numpy.typing import ArrayLike
 from asterism.cameras.bundle import Sightings, locate
 from asterism.cameras.rig import Rig
 from asterism.cameras.wand.clock import common_clock
-from asterism.cameras.wand.final import adjusted, inner_place, lost_shares
+from asterism.cameras.wand.final import adjusted, inner_place
 from asterism.cameras.wand.identify import Wand, identify, wand_of
 from asterism.cameras.wand.in_step import in_step
 from asterism.cameras.wand.inputs import check_distance, check_found, lenses_of, why_no_start, why_not
 from asterism.cameras.wand.start import cold_start
+from asterism.cameras.wand.steady import lost_shares
 from asterism.cameras.wand.verdict import Finding, judge
 from asterism.cameras.wand.world import upright
 from asterism.errors import AsterismError
@@ -42,6 +43,7 @@ class WandCalibration:
     noise         px, standard deviation of one coordinate of a blob
     late          (C,) by how many frames each camera started late; its images were moved by as many
     lost          (C,) share of each camera's images of the wand that did not fit those of the others and were left out
+    lost_parts    (C, 10) the same of each tenth of the recording; NaN where it hardly shows the wand
     inner         m, where the inner one of three markers sits by all images that show it, used or not; NaN for other wands
     left_out      cameras that could not be calibrated, with the reason
     findings      what to know before using the rig, gravest first
@@ -59,6 +61,7 @@ class WandCalibration:
     noise: float
     late: Ints
     lost: Floats
+    lost_parts: Floats
     inner: float
     left_out: Mapping[str, str]
     findings: tuple[Finding, ...] = ()
@@ -135,9 +138,11 @@ def calibrate_wand(
     told(0.9, "measuring the wand")
     positions = locate(result.cameras, sightings, len(used), len(wand.lengths))
     left_out = {blobs.cameras[c]: why_not(blobs, chosen, cameras, c) for c in range(len(cameras)) if c not in posed}
+    sightings = replace(sightings, frame=used[sightings.frame])
     made = WandCalibration(
-        Rig(result.cameras), wand, frames, replace(sightings, frame=used[sightings.frame]), result.residuals, positions, used,
-        result.sigma, result.place_sigma, result.noise, clocks.late[posed], lost_shares(chosen[offered][:, posed], sightings),
+        Rig(result.cameras), wand, frames, sightings, result.residuals, positions, used,
+        result.sigma, result.place_sigma, result.noise, clocks.late[posed],
+        *lost_shares(chosen[offered][:, posed], offered, sightings, len(blobs)),
         inner_place(blobs, chosen[used][:, posed], wand, result.cameras, positions), left_out,
     )  # fmt: skip
     if len(wand.lengths) == 1 and distance is not None:

@@ -20,6 +20,8 @@ _FINAL_FRAMES = 3000
 """More frames than these tell little more: they are spread over the recording."""
 _WIDE, _REACH, _NARROW = 0.0036, 6.0, 4.5
 """Blobs are looked for within this share of the image's width, then within so many standard deviations; within fewer they are kept."""
+_UNLIKE = 6.0
+"""So many times as noisy as the others, or as quiet, a camera may be."""
 _GROUPS = ("pose", "focal", "aspect", "centre", "k1", "k2", "tangential")
 
 
@@ -35,12 +37,15 @@ def adjusted(
     known = [lenses[c] for c in posed]
     agreed = agree(blobs, chosen, wand, cameras, max(_WIDE * width, _REACH * noise))
     wide = adjust_some(blobs, agreed, wand, cameras, lenses, _GROUPS, max(2.0 * noise, 0.2), 60)
+    relative = np.ones(len(cameras))
     if wide is not None:
+        result, seen = wide
         cameras = list(cameras)
-        for c, camera in zip(posed, wide.cameras, strict=True):
+        for c, camera in zip(posed, result.cameras, strict=True):
             cameras[c] = camera
-        noise = max(typical_noise(wide.residuals), 0.01)
-    agreed = agree(blobs, chosen, wand, cameras, max(_REACH * noise, 1.5))
+        noise = max(typical_noise(result.residuals), 0.01)
+        relative[posed] = _relative_noise(result.residuals, seen.camera, len(posed), noise)
+    agreed = agree(blobs, chosen, wand, cameras, np.maximum(_REACH * noise * relative, 1.5))
     offered = spread_frames(shown(chosen), _FINAL_FRAMES)
     sightings, used = agreed.sightings(blobs, offered).compact()
     if len(used) < FEWEST:
@@ -54,14 +59,25 @@ def adjusted(
     sightings = sightings.among(cameras)
     own = [camera for camera in cameras if camera is not None]
     rotations, translations = (part[used] for part in agreed.placements())
-    result = _fitted(own, wand, sightings, (rotations, translations), known, noise, _GROUPS, tolerance=1e-5)
-    own, noise = list(result.cameras), max(typical_noise(result.residuals), 1e-3)
-    good = np.linalg.norm(result.residuals, axis=1) < _NARROW * noise
+    relative = relative[posed]
+    result = _fitted(own, wand, sightings, (rotations, translations), known, noise, relative, _GROUPS, tolerance=1e-5)
+    each = relative[sightings.camera]
+    own, noise = list(result.cameras), max(typical_noise(result.residuals / each[:, None]), 1e-3)
+    good = np.linalg.norm(result.residuals, axis=1) < _NARROW * noise * each
     sightings, rows = _determined(sightings.select(good), len(wand.lengths)).compact()
     placements = result.rotations[rows], result.translations[rows]
-    groups = (*_GROUPS, "k3") if _wants_k3(own, wand, sightings, placements, known, noise) else _GROUPS
-    result = _fitted(own, wand, sightings, placements, known, noise, groups, covariance=True, tolerance=1e-7)
+    groups = (*_GROUPS, "k3") if _wants_k3(own, wand, sightings, placements, known, noise, relative) else _GROUPS
+    result = _fitted(own, wand, sightings, placements, known, noise, relative, groups, covariance=True, tolerance=1e-7)
     return result, sightings, used[rows], offered
+
+
+def _relative_noise(residuals: Floats, camera: Ints, cameras: int, noise: float) -> Floats:
+    """(C,) each camera's noise by all cameras'; 1 for two cameras, which share what they miss."""
+    if cameras < 3:
+        return np.ones(cameras)
+    own = [residuals[camera == c] for c in range(cameras)]
+    each = [typical_noise(part) / noise if len(part) > FEWEST else 1.0 for part in own]
+    return np.clip(each, 1.0 / _UNLIKE, _UNLIKE)
 
 
 def _fitted(
@@ -71,25 +87,18 @@ def _fitted(
     placements: tuple[Floats, Floats],
     known: Sequence[Camera | None],
     noise: float,
+    relative: Floats,
     groups: tuple[str, ...],
     *,
     tolerance: float,
     steps: int = 60,
     covariance: bool = False,
 ) -> Adjustment:
-    """Adjust these groups of parameters of all cameras for blobs of this noise, px."""
+    """Adjust these groups of parameters of all cameras for blobs of this noise, px, times each camera's relative one (C,)."""
     return adjust(
         cameras, wand.template, sightings, *placements, free=free_parameters(len(cameras), *groups), prior=priors(cameras, known, noise),
-        scale=3.0 * noise, tolerance=tolerance, steps=steps, covariance=covariance,
+        scale=3.0 * noise, relative=relative, tolerance=tolerance, steps=steps, covariance=covariance,
     )  # fmt: skip
-
-
-def lost_shares(chosen: Ints, used: Sightings) -> Floats:
-    """(C,) the share of the blobs that single images (m, C, K) took for the wand, where two cameras did, that was not used."""
-    own = shown(chosen)
-    told = chosen.shape[2] * own[own.sum(axis=1) >= 2].sum(axis=0)
-    kept = np.bincount(used.camera, minlength=len(told))
-    return np.asarray(np.maximum(1.0 - kept / np.maximum(told, 1), 0.0))
 
 
 def inner_place(blobs: Blobs, chosen: Ints, wand: Wand, cameras: Sequence[Camera], positions: Floats) -> float:
@@ -123,13 +132,15 @@ def _wants_k3(
     placements: tuple[Floats, Floats],
     known: Sequence[Camera | None],
     noise: float,
+    relative: Floats,
 ) -> bool:
     """Whether a third radial coefficient explains more than noise would let it explain, on a part of the frames."""
     some = sightings.frame % max(1, len(placements[0]) // 400) == 0
     part, rows = sightings.select(some).compact()
     at = placements[0][rows], placements[1][rows]
     without, with_it = (
-        _fitted(cameras, wand, part, at, known, noise, groups, tolerance=1e-5, steps=10).cost for groups in (_GROUPS, (*_GROUPS, "k3"))
+        _fitted(cameras, wand, part, at, known, noise, relative, groups, tolerance=1e-5, steps=10).cost
+        for groups in (_GROUPS, (*_GROUPS, "k3"))
     )
     n = len(cameras)
     return bool(2.0 * (without - with_it) / noise**2 > n + 4.0 * np.sqrt(2.0 * n))

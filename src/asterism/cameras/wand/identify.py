@@ -124,8 +124,11 @@ class Agreed:
         return np.stack([x, y, np.cross(x, y)], axis=2), self.starts
 
 
-def agree(blobs: Blobs, chosen: Ints, wand: Wand, cameras: Sequence[Camera | None], gate: float) -> Agreed:
-    """Where the wand lay in each frame by what posed cameras agree on, and all blobs within `gate` px of it; None: not posed yet."""
+def agree(blobs: Blobs, chosen: Ints, wand: Wand, cameras: Sequence[Camera | None], gate: ArrayLike) -> Agreed:
+    """Where the wand lay in each frame by what posed cameras agree on, and all blobs within `gate` px of it, for all cameras or (C,).
+
+    Cameras that are None are not posed yet.
+    """
     frames, markers = len(blobs), len(wand.lengths)
     posed = np.array([camera is not None for camera in cameras])
     radial = max([3, *(len(camera.radial) for camera in cameras if camera is not None)])
@@ -140,9 +143,10 @@ def agree(blobs: Blobs, chosen: Ints, wand: Wand, cameras: Sequence[Camera | Non
             rotation[c], translation[c], origins[c] = camera.rotation, camera.translation, camera.position
             rays[owner == c] = camera.rays(blobs.xy[owner == c])
     starts, directions = np.empty((frames, 3)), np.empty((frames, 3))
+    gates = np.full(len(cameras), np.asarray(gate, dtype=np.float64))
     sights, support = np.empty((frames, len(cameras), markers), dtype=np.int64), np.empty(frames)
     _kernels.agree(
-        blobs.xy, rays, blobs.offsets, chosen, wand.lengths, wand.either, lens, rotation, translation, origins, posed, gate,
+        blobs.xy, rays, blobs.offsets, chosen, wand.lengths, wand.either, lens, rotation, translation, origins, posed, gates,
         starts, directions, sights, support,
     )  # fmt: skip
     return Agreed(starts, directions, sights)

@@ -64,9 +64,10 @@ def in_step(
     for _ in range(_ROUNDS):
         gate = _REACH * widest(cameras)
         agreed = agree(blobs, chosen, wand, cameras, gate)
-        result = adjust_some(blobs, agreed, wand, cameras, lenses, ("pose", "focal", "k1", "k2"), 2.0, 60)
-        if result is None:
+        made = adjust_some(blobs, agreed, wand, cameras, lenses, ("pose", "focal", "k1", "k2"), 2.0, 60)
+        if made is None:
             break
+        result = made[0]
         found = list(cameras)
         for c, camera in zip(posed, result.cameras, strict=True):
             found[c] = camera

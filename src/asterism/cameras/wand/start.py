@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.cameras.bundle import Adjustment, adjust, free_parameters
+from asterism.cameras.bundle import Adjustment, Sightings, adjust, free_parameters
 from asterism.cameras.camera import Camera
 from asterism.cameras.wand.frames import shared_frames, shown, some_frames, spread_frames
 from asterism.cameras.wand.identify import Agreed, Wand, agree
@@ -87,9 +87,10 @@ def _grow(
         posed = [c for c, camera in enumerate(cameras) if camera is not None]
         for _ in range(2):
             agreed = agree(blobs, chosen, wand, cameras, gate)
-            result = adjust_some(blobs, agreed, wand, cameras, known, ("pose", "focal", "k1", "k2"), 2.0, _CAMERA_FRAMES)
-            if result is None:
+            made = adjust_some(blobs, agreed, wand, cameras, known, ("pose", "focal", "k1", "k2"), 2.0, _CAMERA_FRAMES)
+            if made is None:
                 break
+            result = made[0]
             for c, camera in zip(posed, result.cameras, strict=True):
                 cameras[c] = camera
             noise = typical_noise(result.residuals)
@@ -125,8 +126,11 @@ def adjust_some(
     groups: tuple[str, ...],
     scale: float,
     frames_per_camera: int,
-) -> Adjustment | None:
-    """Adjust the posed cameras on some frames of each, by Cauchy's loss of this scale (px); None where too little agrees."""
+) -> tuple[Adjustment, Sightings] | None:
+    """Adjust the posed cameras on some frames of each, and on which sightings, by Cauchy's loss of this scale (px).
+
+    None where too little agrees.
+    """
     posed = [c for c, camera in enumerate(cameras) if camera is not None]
     frames = spread_frames(agreed.seen[:, posed], frames_per_camera * len(posed))
     sightings, kept = agreed.sightings(blobs, frames).compact()
@@ -134,11 +138,13 @@ def adjust_some(
         return None
     rotations, translations = (part[kept] for part in agreed.placements())
     own = [camera for camera in cameras if camera is not None]
-    return adjust(
-        own, wand.template, sightings.among(cameras), rotations, translations,
+    sightings = sightings.among(cameras)
+    result = adjust(
+        own, wand.template, sightings, rotations, translations,
         free=free_parameters(len(posed), *groups), prior=priors(own, [known[c] for c in posed], 0.5), loss="cauchy",
         scale=scale, tolerance=1e-4, steps=20, covariance=False,
     )  # fmt: skip
+    return result, sightings
 
 
 def resected(

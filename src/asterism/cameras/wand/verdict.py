@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from asterism.cameras.wand.steady import PARTS, jumps
 from asterism.recording import Floats
 
 if TYPE_CHECKING:
@@ -22,6 +23,12 @@ BAD_PLACE, POOR_PLACE = 0.015, 0.003
 """Standard deviation of where a camera stands, as a share of its distance to the wand."""
 BAD_LOST, POOR_LOST = 0.3, 0.12
 """Share of the wand's images, all told or of one camera, that contradict the others."""
+BAD_TURN, BAD_TURN_OF_TWO, POOR_TURN = 1.5e-3, 1.3e-4, 1e-4
+"""rad, by which a camera's residuals change at one moment; two cameras show of a turn only what leads off the epipolar lines."""
+ECHO = 0.8
+"""A camera that was moved makes the others seem to be, by up to this share of it."""
+BAD_PART = 0.5
+"""Share of one camera's images of the wand in a tenth of the recording that contradict the others."""
 BAD_DRIFT = 0.5
 """Frames."""
 POOR_COVERAGE = 0.35
@@ -60,6 +67,7 @@ def judge(made: WandCalibration, clocks: Clocks, *, scaled: bool) -> tuple[Findi
     found = [
         *(Finding(f"camera {name} is not in the rig: {why}.") for name, why in made.left_out.items()),
         *_fit(made),
+        *_moved(made),
         *_clocks(made, clocks),
         *_undetermined(made),
         *_waved(made),
@@ -117,16 +125,38 @@ def _fit(made: WandCalibration) -> list[Finding]:
                 abs(made.inner - made.wand.lengths[1]) > 0.015 * whole,
             )
         )
-    for camera, lost in zip(made.rig, made.lost, strict=True):
-        if lost > max(POOR_LOST, 2.5 * float(np.median(made.lost))):
-            sentence = f"{100 * lost:.0f} % of what camera {camera.name} saw contradicts the others; was it moved while recording?"
-            found.append(Finding(sentence, lost > BAD_LOST))
     if made.rejected > POOR_LOST:
         found.append(
             Finding(f"{100 * made.rejected:.0f} % of the wand's images contradict the others and were left out.", made.rejected > BAD_LOST)
         )
     if len(made.used) < FEW_FRAMES:
         found.append(Finding(f"only {len(made.used)} frames could be used; wave the wand for at least half a minute.", len(made.used) < 50))
+    return found
+
+
+def _moved(made: WandCalibration) -> list[Finding]:
+    """Cameras that look elsewhere in one part of the recording than in another."""
+    found = []
+    steps, moments = jumps(made.sightings, made.residuals, len(made.rig))
+    turns = steps / [camera.focal[0] for camera in made.rig]
+    bad_turn = BAD_TURN if len(made.rig) > 2 else BAD_TURN_OF_TWO
+    for camera, step, turn, moment in zip(made.rig, steps, turns, moments, strict=True):
+        if turn > max(POOR_TURN, ECHO * turns.max()):
+            found.append(
+                Finding(
+                    f"camera {camera.name} sees things {step:.1f} px elsewhere after {100 * moment:.0f} % of the recording than before; "
+                    "was it moved while recording?",
+                    bool(turn > bad_turn),
+                )
+            )
+    usual = 2.5 * float(np.median(made.lost))
+    for camera, lost, parts in zip(made.rig, made.lost, made.lost_parts, strict=True):
+        bad = np.nonzero(parts > BAD_PART)[0]
+        if lost > max(POOR_LOST, usual) or len(bad):
+            begins, ends = (100 * edge // PARTS for edge in (bad.min(initial=PARTS), bad.max(initial=-1) + 1))
+            when = f", most of it between {begins} and {ends} % of the recording" if 0 < len(bad) < PARTS else ""
+            sentence = f"{100 * lost:.0f} % of what camera {camera.name} saw contradicts the others{when}; was it moved while recording?"
+            found.append(Finding(sentence, bool(lost > BAD_LOST or parts[-1] > BAD_PART)))
     return found
 
 
