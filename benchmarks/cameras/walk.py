@@ -8,6 +8,7 @@ import numpy as np
 
 from asterism.cameras.files import read_rig
 from asterism.formats import read
+from asterism.motion import smooth_paths
 from asterism.reconstruction import Reconstruction, reconstruct
 from asterism.recording import NULL, Clouds, Floats, Labelling, Recording
 from asterism.simulation.cameras import images_of, walker_capsules
@@ -44,6 +45,9 @@ def walk(bench: Bench) -> Iterator[Figure]:
             f"{row}: markers seen by two cameras, found within 1 mm", asked, float((told.nearest < 0.001).mean()), "fraction", told.seen
         )
         yield Figure(f"{row}: the same, expected from the covariances", "none", _expected(result), "fraction", len(result.residual))
+        paths = smooth_paths(result.clouds, result.covariance)
+        smooth = judged(result.moved(paths.clouds, paths.covariance, rig), recording.positions, shows)
+        yield Figure(f"{row}: the same, smoothed along paths", asked, float((smooth.nearest < 0.001).mean()), "fraction", smooth.seen)
         yield Figure(f"{row}: found within 2 mm", "none", float((told.nearest < 0.002).mean()), "fraction", told.seen)
         yield Figure(f"{row}: found within 5 mm", "none", float((told.nearest < NEAR).mean()), "fraction", told.seen)
         yield Figure(f"{row}: ghosts", "none", 1000 * told.ghosts / told.seen, "per 1,000 points", told.seen)

@@ -38,6 +38,9 @@ def reconstruct(
             show_default=False,
         ),
     ] = None,
+    smooth: Annotated[
+        bool, typer.Option("--smooth", help="Move points to where their paths through time say that they are, as sure as that is.")
+    ] = False,
     rate: Annotated[float | None, typer.Option(metavar="HZ", help="Frames per second. Else as the file says.", show_default=False)] = None,
     overwrite: Overwrite = False,
     json: Json = None,
@@ -48,6 +51,8 @@ def reconstruct(
     are left. Every point carries its reprojection error, covariance and cameras; NPZ keeps all of them, C3D what it can.
     `asterism label` then gives the points names.
     """
+    import numpy as np
+
     from asterism.cameras.accuracy import Volume
     from asterism.cameras.files import read_rig
     from asterism.formats import check_suffix, read_blobs
@@ -70,8 +75,19 @@ def reconstruct(
             volume=None if box is None else (box.low, box.high),
             progress=progress,
         )
-    lost = result.write(output)
     told = summary(result, calibrated)
+    if smooth:
+        from asterism.motion import smooth_paths
+
+        with _console.progress("smoothing") as progress:
+            paths = smooth_paths(result.clouds, result.covariance, progress=progress)
+        result = result.moved(paths.clouds, paths.covariance, calibrated)
+        told["smoothed"] = {
+            "paths": paths.paths,
+            "moved_m": float(np.median(paths.moved)) if len(paths.moved) else None,
+            "deviation_m": float(np.median(result.deviation)) if len(paths.moved) else None,
+        }
+    lost = result.write(output)
     for sentence in (*told["remarks"], *(f"{output} leaves out {what}." for what in lost)):
         _console.complain(sentence)
     if json != "-":
@@ -105,4 +121,8 @@ def _print(output: Path, told: dict[str, Any]) -> None:
     if told["residual_px"]:
         facts.append(("residual", f"{told['residual_px']['median']:.3f} px mostly, {told['residual_px']['p95']:.3f} px for 95 %"))
         facts.append(("one deviation", f"{1000 * told['deviation_m']['median']:.2f} mm mostly"))
+    if told.get("smoothed", {}).get("paths"):
+        paths = told["smoothed"]
+        facts.append(("smoothed", f"{_console.count(paths['paths'])} paths, points moved by {1000 * paths['moved_m']:.2f} mm mostly"))
+        facts.append(("one deviation then", f"{1000 * paths['deviation_m']:.2f} mm mostly"))
     _console.facts(f"{output}: {told['frames']:,} frames", facts)

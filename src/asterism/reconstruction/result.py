@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.cameras import Rig
 from asterism.formats import write_points
 from asterism.reconstruction.columns import columns_of
 from asterism.recording import Blobs, Clouds, Evidence, Floats, Ints
@@ -53,6 +54,16 @@ class Reconstruction:
     def evidence(self) -> Evidence:
         """What each point rests on, as files keep it."""
         return Evidence(self.residual, self.covariance, self.cameras, self.blobs.cameras, self.scale)
+
+    def moved(self, clouds: Clouds, covariance: Floats, rig: Rig) -> Reconstruction:
+        """The same points at other places, (P, 3) m in `clouds`, with covariance (P, 3, 3) m2; residuals are those of the new places."""
+        square, taken = np.zeros(len(self.rays)), self.cameras
+        for c, camera in enumerate(rig.select(self.blobs.cameras)):
+            mine = taken[:, c]
+            off = camera.project(clouds.xyz[mine]) - self.blobs.xy[self.rays[mine, c]]
+            square[mine] += (off**2).sum(axis=1)
+        residual: Floats = np.sqrt(square / taken.sum(axis=1))
+        return replace(self, clouds=clouds, covariance=covariance, residual=residual)
 
     def write(self, path: str | Path) -> list[str]:
         """Write the points, in the format of the suffix, as `asterism.formats.write_points` does. Returns what was lost."""

@@ -1,0 +1,130 @@
+"""The smoothest path that measurements of different exactness allow, on flat arrays. Twin: tests/test_motion.py."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+BAND = 12
+"""Places on and below the diagonal that couple: three coordinates of four neighbouring frames."""
+THIRD = np.array([-1.0, 3.0, -3.0, 1.0])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def smooth_path(measured, information, floor, trust, weights, rounds, path, covariance):
+    """One path as the posterior mean of a motion whose jerk changes its strength along the way.
+
+    The third differences of the path are normal about 0 with a variance s_t, alike in all axes, which is estimated together with it
+    (expectation-maximization): it is what the differences around t are in the mean, `floor` counting as much as `trust` of them.
+
+    IN  measured (n, 3) m, n >= 4; information (n, 6) 1/m2, the inverse covariance of each as (xx, xy, xz, yy, yz, zz)
+        floor m2; trust; weights (2 h + 1,) of the differences around one; rounds
+    OUT path (n, 3) m, covariance (n, 3, 3) m2
+    O(rounds * n) time, O(n) memory: all matrices are banded.
+    """
+    n = len(measured)
+    reach = len(weights) // 2
+    lower, inverse, right = np.empty((3 * n, BAND)), np.zeros((3 * n, BAND)), np.empty(3 * n)
+    variance, square = np.empty(n - 3), np.empty(n - 3)
+    variance[:] = _usual(information)
+    for done in range(rounds):
+        _normal_equations(measured, information, variance, lower, right)
+        _factor(lower)
+        _solve(lower, right)
+        _invert(lower, inverse)
+        if done == rounds - 1:
+            break
+        for t in range(n - 3):
+            square[t] = _expected_square(right, inverse, t)
+        for t in range(n - 3):
+            above, below = trust * floor, trust
+            for k in range(max(-reach, -t), min(reach, n - 4 - t) + 1):
+                above += weights[k + reach] * square[t + k]
+                below += 3.0 * weights[k + reach]
+            variance[t] = above / below
+    for t in range(n):
+        for i in range(3):
+            path[t, i] = right[3 * t + i]
+            for j in range(i + 1):
+                covariance[t, i, j] = covariance[t, j, i] = inverse[3 * t + i, i - j]
+
+
+@njit(cache=True, error_model="numpy")
+def _usual(information):
+    """m2, about what the measurements' variance is in the mean: where the search for the differences' begins."""
+    total = 0.0
+    for t in range(len(information)):
+        total += 3.0 / (information[t, 0] + information[t, 3] + information[t, 5])
+    return total / len(information)
+
+
+@njit(cache=True, error_model="numpy")
+def _normal_equations(measured, information, variance, lower, right):
+    """Inverse covariances of measurements and of third differences, summed: row i holds places (i, i), (i, i - 1), ..."""
+    lower[:] = 0.0
+    for t in range(len(measured)):
+        i, (xx, xy, xz, yy, yz, zz), (x, y, z) = 3 * t, information[t], measured[t]
+        lower[i, 0], lower[i + 1, 0], lower[i + 2, 0] = xx, yy, zz
+        lower[i + 1, 1], lower[i + 2, 1], lower[i + 2, 2] = xy, yz, xz
+        right[i], right[i + 1], right[i + 2] = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
+    for t in range(len(variance)):
+        for a in range(4):
+            for b in range(a + 1):
+                weight = THIRD[a] * THIRD[b] / variance[t]
+                for axis in range(3):
+                    lower[3 * (t + a) + axis, 3 * (a - b)] += weight
+
+
+@njit(cache=True, error_model="numpy")
+def _factor(lower):
+    """Cholesky factor of a banded matrix, in place."""
+    for i in range(len(lower)):
+        reach = min(i, BAND - 1)
+        for k in range(reach, -1, -1):
+            value = lower[i, k]
+            for m in range(k + 1, reach + 1):
+                value -= lower[i, m] * lower[i - k, m - k]
+            lower[i, k] = value / lower[i - k, 0] if k else math.sqrt(value)
+
+
+@njit(cache=True, error_model="numpy")
+def _solve(lower, right):
+    for i in range(len(right)):
+        value = right[i]
+        for k in range(1, min(i, BAND - 1) + 1):
+            value -= lower[i, k] * right[i - k]
+        right[i] = value / lower[i, 0]
+    for i in range(len(right) - 1, -1, -1):
+        value = right[i]
+        for k in range(1, min(len(right) - 1 - i, BAND - 1) + 1):
+            value -= lower[i + k, k] * right[i + k]
+        right[i] = value / lower[i, 0]
+
+
+@njit(cache=True, error_model="numpy")
+def _invert(lower, inverse):
+    """Those places of the inverse that the band holds, from the last row to the first (Takahashi's equations)."""
+    for i in range(len(lower) - 1, -1, -1):
+        reach = min(len(lower) - 1 - i, BAND - 1)
+        for d in range(reach, -1, -1):
+            value = 0.0
+            for k in range(1, reach + 1):
+                value -= lower[i + k, k] * inverse[i + max(k, d), abs(k - d)]
+            value /= lower[i, 0]
+            inverse[i + d, d] = value if d else value + 1.0 / lower[i, 0] ** 2
+
+
+@njit(cache=True, error_model="numpy")
+def _expected_square(path, inverse, t):
+    """m2, the expected squared length of the third difference at t: of its mean, and of what is not known about it."""
+    total = 0.0
+    for axis in range(3):
+        mean = 0.0
+        for a in range(4):
+            mean += THIRD[a] * path[3 * (t + a) + axis]
+            for b in range(a + 1):
+                total += (1.0 if a == b else 2.0) * THIRD[a] * THIRD[b] * inverse[3 * (t + a) + axis, 3 * (a - b)]
+        total += mean * mean
+    return total
