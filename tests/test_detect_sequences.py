@@ -98,7 +98,7 @@ def test_videos_agree_with_images(folders: list[Path], waved: Blobs, tmp_path: P
     broken.write_bytes(whole[: int(0.6 * len(whole))])
     result = detect([broken])
     assert 0 < result.cameras[0].frames < 40
-    assert f"breaks off after frame {result.cameras[0].frames} of " in result.problems[0]
+    assert f"{result.cameras[0].frames} of 40 frames can be read" in result.problems[0]
 
 
 def test_pages_of_16_bits_and_series(waved: Blobs, tmp_path: Path) -> None:
@@ -180,7 +180,9 @@ def test_command_line(folders: list[Path], rig: Rig, waved: Blobs, tmp_path: Pat
     assert told["problems"] == []
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert page.count("data:image/jpeg;base64") == 3
-    assert main([*arguments, "--overwrite", "--threshold", "40,50,250"]) == 0
+    capsys.readouterr()
+    assert main([*arguments, "--overwrite", "--threshold", "40,50,250"]) == 1
+    assert f"camera {waved.cameras[2]}: no marker in 40 images at a threshold of 250" in capsys.readouterr().err
     assert read_blobs(tmp_path / "2d.csv").counts.sum(axis=0)[2] == 0
     assert main([*arguments, "--overwrite", "--threshold", "a"]) == 2
     capsys.readouterr()

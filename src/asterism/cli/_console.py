@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
 
 from asterism.errors import AsterismError
@@ -150,6 +151,25 @@ def check_new(given: Path | str | None, overwrite: bool) -> None:
         raise AsterismError(f"{path} exists; choose another name, or replace it with --overwrite.")
     if not path.absolute().parent.is_dir():
         raise AsterismError(f"{path}: its folder does not exist; make it first.")
+    try:
+        with TemporaryFile(dir=path.absolute().parent):
+            pass
+    except OSError:
+        raise AsterismError(f"{path}: its folder cannot be written to; choose another.") from None
+
+
+def check_outputs(outputs: Sequence[Path | str | None], inputs: Sequence[Path | None], overwrite: bool) -> None:
+    """Raise AsterismError where an output cannot be made (`check_new`), is one of the inputs, or is named twice."""
+    read = {path.resolve() for path in inputs if path is not None}
+    written: set[Path] = set()
+    for given in outputs:
+        check_new(given, overwrite)
+        if given is None or given == "-":
+            continue
+        path = Path(given).resolve()
+        if path in read or path in written:
+            raise AsterismError(f"{given} is {'an input' if path in read else 'named twice'}; write to a file of its own.")
+        written.add(path)
 
 
 def write_json(where: str | None, content: Mapping[str, Any]) -> None:

@@ -83,8 +83,7 @@ def detect(
     Writes one row per blob: frame, camera, x, y, size, and the time where cameras are not triggered together. With --times, blobs are
     interpolated to a common clock. Cameras that run out of step, videos that break off and images that cannot be read are named.
     """
-    for path in (output, report, json):
-        _console.check_new(path, overwrite)
+    _console.check_outputs((output, report, json), (*sources, rig, times), overwrite)
     # OpenCV and FFmpeg would repeat on standard error what is said here in one sentence.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")

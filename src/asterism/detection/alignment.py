@@ -21,11 +21,16 @@ _LINKED = 0.8
 
 def names_of(sources: Sequence[Source], rig: Rig | None) -> list[str]:
     """What the cameras are called: as their files or folders, as the folders these are in where that is not unique, or as in the rig."""
+    paths = [source.path.resolve() for source in sources]
+    twice = next((source.path for i, source in enumerate(sources) if paths[i] in paths[:i]), None)
+    if twice is not None:
+        raise AsterismError(f"{twice} is given twice; give each camera its own images.")
     names = [source.name for source in sources]
     if len(set(names)) < len(names):
-        names = [source.path.resolve().parent.name for source in sources]
+        names = [path.parent.name for path in paths]
     if len(set(names)) < len(names):
-        raise AsterismError(f"two cameras would be called {names[0]}; give each its own file or folder name.")
+        twice_named = next(name for i, name in enumerate(names) if name in names[:i])
+        raise AsterismError(f"two cameras would be called {twice_named}; give each its own file or folder name.")
     if rig is None or set(names) <= set(rig.names):
         return names
     by_number = {_number(name): name for name in rig.names}
@@ -50,8 +55,7 @@ def numbered(
     """For each camera the frame of each place in its sequence, -1 where it belongs to none; times (T, C) s or None; the first frame's
     number."""
     lengths = [max(len(source), int(places.max(initial=-1)) + 1) for source, places in zip(sources, read, strict=True)]
-    by_name = all(source.numbered for source in sources)
-    rows = [source.numbers if by_name else np.arange(length) for source, length in zip(sources, lengths, strict=True)]
+    rows = _counted(sources, lengths)
     if stamps is None:
         first = min(int(frames[0]) for frames in rows)
         last = [int(frames[-1]) for frames in rows]
@@ -87,6 +91,16 @@ def numbered(
         if len(places) < lengths[c]:
             problems.append(f"{stamps.path} has no time of {lengths[c] - len(places)} images of camera {names[c]}; they are left out.")
     return numbers, when, first
+
+
+def _counted(sources: Sequence[Source], lengths: Sequence[int]) -> list[NDArray[np.int64]]:
+    """Each camera's frame numbers: its files', where all cameras' have such, in the largest steps that fit all of them; else those of
+    files, begun at 0, beside mere counts."""
+    if not all(source.numbered for source in sources):
+        return [source.numbers - source.numbers[0] if source.numbered else np.arange(n) for source, n in zip(sources, lengths, strict=True)]
+    every = np.concatenate([source.numbers for source in sources])
+    step = max(int(np.gcd.reduce(every - every[0])), 1)
+    return [source.numbers // step for source in sources]
 
 
 def rate_of(sources: Sequence[Source], given: float | None, when: Floats | None, names: Sequence[str], problems: list[str]) -> float:

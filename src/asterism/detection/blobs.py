@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
 from typing import Any
@@ -18,6 +18,12 @@ Grey = NDArray[np.unsignedinteger[Any]]
 
 _LIT = 0.03
 """Share of bright pixels above which an image shows more than markers."""
+_QUARTILE = 0.6745
+"""Standard deviations from the median to a quartile."""
+_QUIETEST = 1.5
+"""Grey values of noise that every image is taken to have: compression leaves such where a camera has less."""
+_EVERY, _BLOCK = 4, 64
+"""Pixels from one that is looked at to the next, and wide is a block whose light is told."""
 
 
 class Flag(IntFlag):
@@ -81,7 +87,7 @@ def find_blobs(
     image          (H, W) uint8 or uint16
     threshold      grey values above the background that a pixel must exceed; None: `automatic_threshold`
     background     what is dark: an image of the empty scene, or an odd number of pixels: then it is the mean of so many by so many pixels
-                   around each; None: 0 everywhere
+                   around each; None: 0 everywhere, `uneven_light` where there is no threshold either
     mask           (H, W) bool, True where nothing is looked for (see `static_mask`)
     weigh_from     pixels weigh their grey value above the "threshold" (least noise) or above the "background"
     connectivity   8: pixels that share a corner belong together; 4: a side
@@ -98,6 +104,8 @@ def find_blobs(
     """
     grey = as_grey(image)
     _check(connectivity, min_size, max_size, split, step, weigh_from)
+    if threshold is None and background is None:
+        background = uneven_light([grey])
     level, base, threshold = _levels(grey, threshold, background)
     cut = np.ones(grey.shape, np.uint8)
     cut[1:-1, 1:-1] = 0
@@ -118,7 +126,7 @@ def find_blobs(
     out, flags = np.empty((bound, _kernels.COLUMNS)), np.empty(bound, np.uint8)
     base, off = (base, 0.0) if weigh_from == "background" else (level, threshold)
     limits = np.array([min_size**2 * np.pi / 4, max_size**2 * np.pi / 4, max(min_peak or 0.0, threshold) - off])
-    top = np.iinfo(grey.dtype).max
+    top = _brightest(grey)
     found = _kernels.measure(grey, base, cut, rows, firsts, lasts, order, starts, limits, split, step or 0.0, top, out, flags)
     blobs = out[:found]
     fits = (blobs[:, _kernels.WEIGHT] >= min_weight) & (blobs[:, [_kernels.WIDE, _kernels.TALL]] >= min_width).all(axis=1)
@@ -128,23 +136,83 @@ def find_blobs(
 def automatic_threshold(image: ArrayLike, background: ArrayLike | int | None = None) -> float:
     """Grey values above the background that stand out from an image's dark: six times its noise above the median.
 
-    The noise is told from the pixels below the median, which markers do not touch. Where no background is given and more than 3 % of the
-    pixels are above that, as where a room is lit, it is Otsu's threshold if that is higher. Every fourth pixel of every fourth row is
-    looked at.
+    The noise is told from the pixels below the median, which markers do not touch, and from how pixels differ from those beside them.
+    Where more than 3 % of the pixels are above that, as where a room is lit, it is Otsu's threshold if that is higher, unless the
+    background is a mean around each pixel. Every fourth pixel of every fourth row is looked at.
     """
     grey = as_grey(image)
-    most = int(np.iinfo(grey.dtype).max)
-    few, lowest = grey[::4, ::4].ravel().astype(np.int64), 0
-    if background is not None:
-        few -= background_of(grey, background)[::4, ::4].ravel()
-        lowest = int(few.min())
-    counts = np.bincount(few - lowest)
-    shares = np.cumsum(counts) / len(few)
+    few, most = _few(grey), int(np.iinfo(grey.dtype).max)
+    dark = few if background is None else few - _few(background_of(grey, background))
+    lowest = int(dark.min())
+    counts = np.bincount((dark - lowest).ravel())
+    level, _, lit = _level(counts, _noise(grey, few))
+    if lit and not isinstance(background, int | np.integer):
+        level = max(level, _otsu(counts))
+    return float(min(max(level + lowest, 0), most - 1))
+
+
+def uneven_light(images: Sequence[ArrayLike]) -> Grey | None:
+    """The light that lies unevenly over images of one camera, of their shape and type: a background for `find_blobs`; None where it is
+    even, or too sharp to be told from markers.
+
+    It is uneven where the darker half of the pixels differ by more than twice the noise of pixels side by side, or where more than 3 % are
+    brighter than six times the noise. The light is the lower quartile of each 128 by 128 pixels of the median image, with straight lines
+    between their centres, so that markers are no part of it; taken off, it must leave less than those 3 %.
+    """
+    import cv2
+
+    first = as_grey(images[0])
+    few = _few(first) if len(images) == 1 else np.median([_few(as_grey(image)) for image in images], axis=0).astype(np.int64)
+    noise = _noise(first, _few(first))
+    level, spread, lit = _level(np.bincount(few.ravel()), noise)
+    if spread <= 2.0 * max(noise, _QUIETEST) and not lit:
+        return None
+    side = _BLOCK // _EVERY
+    tall, wide = (max(round(length / side), 1) for length in few.shape)
+    even = np.asarray(cv2.resize(few.astype(np.float32), (wide * side, tall * side), interpolation=cv2.INTER_NEAREST))
+    blocks = np.quantile(even.reshape(tall, side, wide, side), 0.25, axis=(1, 3))
+    smooth = _lines(first.shape[0], tall) @ blocks @ _lines(first.shape[1], wide).T
+    light = np.clip(np.rint(smooth), 0, np.iinfo(first.dtype).max).astype(first.dtype)
+    left = few - _few(light)
+    lower, _, lit = _level(np.bincount((left - left.min()).ravel()), noise)
+    return None if lit or lower + left.min() >= level else light
+
+
+def _lines(length: int, blocks: int) -> Floats:
+    """(length, blocks) how much each pixel takes of the values of equal blocks: straight lines through their centres, and on."""
+    place = (np.arange(length) + 0.5) * blocks / length - 0.5
+    low = np.clip(np.floor(place), 0, max(blocks - 2, 0)).astype(np.int64)
+    shares = np.zeros((length, blocks))
+    shares[np.arange(length), low] = 1.0
+    if blocks > 1:
+        shares[np.arange(length), low] -= place - low
+        shares[np.arange(length), low + 1] = place - low
+    return shares
+
+
+def _few(grey: Grey) -> NDArray[np.int64]:
+    return grey[::_EVERY, ::_EVERY].astype(np.int64)
+
+
+def _level(counts: NDArray[np.int64], noise: float) -> tuple[int, float, bool]:
+    """Of grey values that are counted from 0: what stands out from them, the standard deviation that the distance from the median to the
+    lower quartile tells, and whether more stand out than markers would."""
+    shares = np.cumsum(counts) / counts.sum()
     quarter, middle = (int(np.searchsorted(shares, share, side="right")) for share in (0.25, 0.5))
-    dark = int(middle + 6.0 * max((middle - quarter) / 0.6745, 1.0)) + 1
-    if background is None and dark < len(counts) and 1.0 - shares[dark] > _LIT:
-        dark = max(dark, _otsu(counts))
-    return float(min(max(dark + lowest, 0), most - 1))
+    spread = (middle - quarter) / _QUARTILE
+    level = int(middle + 6.0 * max(spread, noise, _QUIETEST)) + 1
+    return level, spread, level < len(counts) and bool(1.0 - shares[level] > _LIT)
+
+
+def _noise(grey: Grey, few: NDArray[np.int64]) -> float:
+    """The standard deviation of the noise, by how pixels differ from those to their right: nine of ten by less than 2.33 times that.
+
+    Where a quarter of the pixels is black, the noise below is cut off, and they differ by that much less.
+    """
+    beside = grey[::_EVERY, 1::_EVERY]
+    steps = np.bincount(np.abs(few[:, : beside.shape[1]] - beside).ravel(), minlength=1)
+    cut = 1.6 if np.count_nonzero(few) < 0.75 * few.size else 1.0
+    return cut * float(np.searchsorted(np.cumsum(steps), 0.9 * steps.sum())) / 2.33
 
 
 def _otsu(counts: NDArray[np.int64]) -> int:
@@ -211,6 +279,12 @@ def _check(connectivity: int, min_size: float, max_size: float, split: float, st
         raise AsterismError(f"pixels cannot weigh from {weigh_from!r}; choose 'threshold' or 'background'.")
 
 
+def _brightest(grey: Grey) -> int:
+    """The end of the grey scale: where the brightest pixel has all of 9 to 15 bits set, a camera of as many bits wrote the image."""
+    most, brightest = int(np.iinfo(grey.dtype).max), int(grey.max())
+    return brightest if 255 < brightest < most and brightest & (brightest + 1) == 0 else most
+
+
 def background_of(grey: Grey, background: ArrayLike | int | None) -> Grey:
     """The dark behind an image, of its shape and type: see `find_blobs`. Raises AsterismError where it does not fit."""
     if background is None:
@@ -241,7 +315,9 @@ def _levels(grey: Grey, threshold: float | None, background: ArrayLike | int | N
         raise AsterismError(f"threshold {threshold} is outside the grey scale; give 0 to {most - 1} for images of {grey.dtype}.")
     if background is None:
         return np.full_like(grey, int(threshold)), base, float(int(threshold))
-    return np.minimum(base.astype(np.uint32) + int(threshold), most).astype(grey.dtype), base, float(int(threshold))
+    import cv2
+
+    return np.asarray(cv2.add(base, np.full_like(base, int(threshold)))), base, float(int(threshold))
 
 
 def _spots(rows: Floats, flags: NDArray[np.uint8], off: float, min_roundness: float, round_from: float) -> Spots:

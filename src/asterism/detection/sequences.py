@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, CancelledError, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from asterism.cameras import Rig
 from asterism.detection.alignment import names_of, numbered, on_common_clock, rate_of
-from asterism.detection.blobs import Flag, Grey, Spots, automatic_threshold, find_blobs, static_mask
+from asterism.detection.blobs import Flag, Grey, Spots, automatic_threshold, background_of, find_blobs, static_mask, uneven_light
 from asterism.detection.sources import Source, images, open_source, some_images
 from asterism.detection.synchrony import lags, slips
 from asterism.detection.times import read_times
@@ -25,6 +26,12 @@ Progress = Callable[[float, str], None]
 _LOOKED_AT = 24
 _BEHIND = 2
 """Frames that a camera must lag to be called unsynchronised where no rig is known; one with a rig."""
+_FEWEST_TO_MASK = 10
+"""Images that tell what stands still."""
+_MOST_LIT = 0.03
+"""Share of an image that may be bright and no blob."""
+_CLOCK_S = 1e-3
+"""How finely some videos tell when a frame is shown."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +110,8 @@ def detect(
     """Blobs in the images of one or more cameras, one path each: see `open_source` for what a path may be.
 
     rig          cameras are matched to it by name, else by order; images must have its sizes, and lags between cameras are told by it
-    threshold    as in `find_blobs`, one for all cameras or one for each; None: the median of the automatic ones of some 24 images
+    threshold    as in `find_blobs`, one for all cameras or one for each; None: the median of the automatic ones of some 24 images; there
+                 `uneven_light` is the background where none is given
     mask_static  leave out what is bright in nearly all of some 24 images: see `static_mask`
     times        CSV file of when each image was taken: blobs are interpolated to common instants (`to_common_clock`); where too few can
                  be linked from frame to frame, they stay as they are and `Blobs.times` says when they were seen
@@ -124,17 +132,28 @@ def detect(
     stamps = None if times is None else read_times(times)
     total = max(sum(len(source) for source in sources), 1)
     done = [0] * len(sources)
+    stop = Event()
 
     def advance(c: int) -> None:
+        if stop.is_set():
+            raise CancelledError
         done[c] += 1
         if progress is not None and done[c] % 10 == 0:
             progress(min(sum(done) / total, 1.0), f"detecting: {names[c]}")
 
     def one(c: int) -> _Found:
-        return _search(sources[c], names[c], rig, mask_static, {**settings, "threshold": thresholds[c]}, lambda: advance(c))
+        own = {**settings, "threshold": thresholds[c]}
+        return _search(sources[c], names[c], rig, mask_static, stamps is not None, own, lambda: advance(c))
 
     with ThreadPoolExecutor(workers) as pool:
-        found = list(pool.map(one, range(len(sources))))
+        futures = [pool.submit(one, c) for c in range(len(sources))]
+        try:
+            finished = wait(futures, return_when=FIRST_EXCEPTION).done
+            found = [future.result() for future in futures if future in finished]
+        except BaseException:
+            stop.set()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
     problems = [sentence for camera in found for sentence in camera.problems]
     numbers, when, first = numbered(sources, [camera.read for camera in found], names, stamps, problems)
     blobs = _gathered(found, names, numbers, when, first, rate_of(sources, rate, when, names, problems))
@@ -211,56 +230,120 @@ class _Found:
         )
 
 
-def _search(source: Source, name: str, rig: Rig | None, mask_static: bool, settings: dict[str, Any], advance: Callable[[], None]) -> _Found:
-    """Blobs in all images of one camera."""
+def _search(
+    source: Source, name: str, rig: Rig | None, mask_static: bool, timed: bool, settings: dict[str, Any], advance: Callable[[], None]
+) -> _Found:
+    """Blobs in all images of one camera; `timed`: when they were taken is known."""
     some = some_images(source, _LOOKED_AT)
     if not some:
         raise AsterismError(f"{source.path}: none of its images can be read; record or copy them again.")
-    height, width = some[0][1].shape
+    first = some[0][1]
+    height, width = first.shape
     if rig is not None and rig[name].size not in (None, (width, height)):
         wide, tall = rig[name].size or (0, 0)
         raise AsterismError(f"{source.path}: images are {width} x {height}, the rig says {wide} x {tall}; give the rig of these images.")
-    background = settings.get("background")
-    if settings["threshold"] is None:
-        settings["threshold"] = float(np.median([automatic_threshold(image, background) for _, image in some]))
+    for place, image in some:
+        _alike(source, place, image, first)
+    looked_at = [image for _, image in some]
+    told = settings["threshold"] is None
+    threshold = _tell_threshold(looked_at, settings) if told else float(settings["threshold"])
     if mask_static:
-        settings["mask"] = static_mask((image for _, image in some), threshold=settings["threshold"], background=background)
+        if len(some) < _FEWEST_TO_MASK:
+            raise AsterismError(f"{source.path}: {len(some)} images do not tell what stands still; leave the mask of static things off.")
+        settings["mask"] = static_mask(looked_at, threshold=settings["threshold"], background=settings.get("background"))
     read: list[int] = []
-    found: list[Spots] = []
-    problems: list[str] = []
+    at_border = 0
+    parts: list[tuple[Floats, Floats, NDArray[np.uint8]]] = []
     broken: list[int] = []
-    for place, image in images(source):
+    shown: list[float] = []
+    for place, grey in images(source, None if timed else shown):
         advance()
-        if image is None:
+        if grey is None:
             broken.append(place)
             continue
-        if image.shape != (height, width):
-            file = source.files[place] if source.files else f"{source.path}, image {place}"
-            raise AsterismError(f"{file}: {image.shape[1]} x {image.shape[0]} after images of {width} x {height}; give one camera's.")
+        _alike(source, place, grey, first)
+        spots = find_blobs(grey, **settings)
+        whole = (spots.flags & Flag.AT_BORDER) == 0
+        at_border += int((~whole).sum())
         read.append(place)
-        found.append(find_blobs(image, **settings))
-    if broken:
-        problems.append(f"{source.path}: {len(broken)} of {len(source)} images cannot be read, image {broken[0]} first; they are left out.")
-    if source.kind == "video" and len(read) + 1 < len(source):
-        problems.append(f"{source.path} breaks off after frame {len(read)} of {len(source)}; what was read is used, copy it again.")
-    kept = [(spots.flags & Flag.AT_BORDER) == 0 for spots in found]
-    places = np.repeat(np.array(read, dtype=np.int64), [int(keep.sum()) for keep in kept])
+        parts.append((spots.xy[whole], spots.size[whole], spots.flags[whole]))
     middle = some[len(some) // 2]
+    sample = find_blobs(middle[1], **settings)
+    problems = _wrong(source, len(read), broken, np.diff(shown))
+    xy, sizes, flags = (np.concatenate(column) for column in zip(*parts, strict=True))
+    if not len(xy):
+        problems.append(f"camera {name}: no marker in {len(read)} images at a threshold of {threshold:.0f}; is it covered, dark or masked?")
+    elif told and _lit(middle[1], threshold, sample, settings) > _MOST_LIT:
+        problems.append(
+            f"camera {name}: more than {_MOST_LIT:.0%} of its image is bright and no marker, such as windows or a lit room, so that some "
+            "blobs may be no markers; darken the room, or give --threshold, --background or --mask-static."
+        )
+    places = np.repeat(np.array(read, dtype=np.int64), [len(part[0]) for part in parts])
     return _Found(
         source,
         name,
         (width, height),
         np.array(read, dtype=np.int64),
         places,
-        np.concatenate([spots.xy[keep] for spots, keep in zip(found, kept, strict=True)]),
-        np.concatenate([spots.size[keep] for spots, keep in zip(found, kept, strict=True)]),
-        np.concatenate([spots.flags[keep] for spots, keep in zip(found, kept, strict=True)]),
-        int(sum((~keep).sum() for keep in kept)),
-        settings["threshold"],
+        xy,
+        sizes,
+        flags,
+        at_border,
+        threshold,
         settings.get("mask"),
-        (*middle, find_blobs(middle[1], **settings)),
+        (*middle, sample),
         problems,
     )
+
+
+def _tell_threshold(images: Sequence[Grey], settings: dict[str, Any]) -> float:
+    """The median of the images' automatic thresholds. Into the settings go the light where it is uneven, and the threshold, unless some
+    image's dark would be above it, as where a camera changes its gain: then each image has its own."""
+    if settings.get("background") is None:
+        settings["background"] = uneven_light(images)
+    background = settings["background"]
+    threshold = float(np.median([automatic_threshold(image, background) for image in images]))
+    darks = [np.median(image[::4, ::4].astype(np.int64) - background_of(image, background)[::4, ::4]) for image in images]
+    settings["threshold"] = None if max(darks) > threshold else threshold
+    return threshold
+
+
+def _lit(image: Grey, threshold: float, spots: Spots, settings: dict[str, Any]) -> float:
+    """The share of an image that is above the threshold, unmasked, and no blob."""
+    bright = image > np.minimum(background_of(image, settings.get("background")) + threshold, np.iinfo(image.dtype).max)
+    if settings.get("mask") is not None:
+        bright &= ~settings["mask"]
+    return float(bright.mean() - np.pi / 4 * (spots.size**2).sum() / image.size)
+
+
+def _alike(source: Source, place: int, image: Grey, first: Grey) -> None:
+    """Raise AsterismError where an image has another size or depth than the first."""
+    file = source.files[place] if source.files else f"{source.path}, image {place}"
+    if image.shape != first.shape:
+        (tall, wide), (high, broad) = image.shape, first.shape
+        raise AsterismError(f"{file}: {wide} x {tall} after images of {broad} x {high}; give one camera's.")
+    if image.dtype != first.dtype:
+        raise AsterismError(f"{file}: {image.dtype} after images of {first.dtype}; give images of one depth.")
+
+
+def _wrong(source: Source, read: int, broken: Sequence[int], steps: Floats) -> list[str]:
+    """What is wrong with one camera's sequence: sentences. steps (N,) s between the frames of a video by its own clock."""
+    problems = []
+    if broken:
+        problems.append(f"{source.path}: {len(broken)} of {len(source)} images cannot be read, image {broken[0]} first; they are left out.")
+    if source.cut:
+        problems.append(f"{source.path} breaks off after image {read}; what was read is used, copy it again.")
+    if source.kind == "video" and read + 1 < len(source):
+        problems.append(
+            f"{source.path}: {read} of {len(source)} frames can be read: it breaks off, or lost some and shifts later ones; copy it again."
+        )
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    if usual > 0 and steps.min() >= 0 and np.abs(steps - usual).max() > 0.5 * usual + _CLOCK_S:
+        problems.append(
+            f"{source.path}: from one frame to the next {1e3 * steps.min():.0f} to {1e3 * steps.max():.0f} ms pass, mostly "
+            f"{1e3 * usual:.0f}; frames were dropped or the rate changes, so that they do not match other cameras'; give --times."
+        )
+    return problems
 
 
 def _gathered(

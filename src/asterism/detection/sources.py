@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
+import struct
+from collections import Counter
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +17,13 @@ from numpy.typing import NDArray
 from asterism.detection.blobs import Grey, as_grey
 from asterism.errors import AsterismError
 
+if TYPE_CHECKING:
+    import cv2
+
 IMAGES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp", ".jp2"}
 _PAGED = {".tif", ".tiff"}
+_MOST_BYTES = 2**31 - 1
+"""What OpenCV takes as one file in memory."""
 _SPARSE = 10
 """Frame numbers that leave more than this many places for each image are no frame numbers."""
 
@@ -31,6 +39,8 @@ class Source:
              says, which need not be true
     numbered whether the numbers are the file names'
     files    of a folder or series, one for each frame
+    pages    of a TIFF, where in the file each one is described
+    cut      whether a TIFF ends before its last page
     rate     frames per second by the file, NaN where it does not say
     """
 
@@ -40,6 +50,8 @@ class Source:
     numbers: NDArray[np.int64]
     numbered: bool = False
     files: tuple[Path, ...] = ()
+    pages: tuple[int, ...] = ()
+    cut: bool = False
     rate: float = float("nan")
 
     def __len__(self) -> int:
@@ -53,7 +65,7 @@ def open_source(path: str | Path) -> Source:
     is a gap in time. Raises AsterismError where there is no such thing, or nothing in it that can be read.
     """
     path = Path(path)
-    if "%" in path.name:
+    if re.search(r"%0?\d*d", path.name):
         pattern = re.compile(re.sub(r"%0?\d*d", r"(\\d+)", _escaped(path.name)))
         files = [file for file in _listed(path.parent) if pattern.fullmatch(file.name)]
         if not files:
@@ -69,50 +81,75 @@ def open_source(path: str | Path) -> Source:
     import cv2
 
     if path.suffix.casefold() in _PAGED:
-        pages = int(cv2.imcount(str(path)))
-        if pages > 1:
-            return Source(path, path.stem, "pages", np.arange(pages))
+        pages, cut = _pages(path)
+        if len(pages) > 1 or cut:
+            return Source(path, path.stem, "pages", np.arange(len(pages)), pages=pages, cut=cut)
     if path.suffix.casefold() in IMAGES or cv2.haveImageReader(str(path)):
         return _series(path, path.stem, [path])
-    capture = cv2.VideoCapture(str(path))
-    try:
-        if not capture.isOpened() or not capture.grab():
+    with _film(path) as capture:
+        there, image = capture.read()
+        if not there:
             raise AsterismError(f"{path} is neither an image nor a video that can be opened; it may be cut off, record or copy it again.")
+        if _is_deep(capture) and image.dtype != np.uint16:
+            raise AsterismError(f"{path} has more than 8 bits, of which OpenCV {cv2.__version__} reads 8; make 16 bit PNG or TIFF of it.")
         rate = float(capture.get(cv2.CAP_PROP_FPS))
-        count = max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
-    finally:
-        capture.release()
+        count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        if count < 1:
+            count = 1
+            while capture.grab():
+                count += 1
     return Source(path, path.stem, "video", np.arange(count), rate=rate if 0 < rate < 1e5 else float("nan"))
 
 
-def images(source: Source) -> Iterator[tuple[int, Grey | None]]:
+@contextmanager
+def _film(path: Path) -> Iterator[cv2.VideoCapture]:
+    """A video, open; one of more than 8 bits grey delivers all of them, where OpenCV would leave the upper 8."""
+    import cv2
+
+    capture = cv2.VideoCapture(str(path))
+    try:
+        if _is_deep(capture):
+            capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
+        yield capture
+    finally:
+        capture.release()
+
+
+def _is_deep(capture: cv2.VideoCapture) -> bool:
+    """Whether a video holds grey images of more than 8 bits: FFmpeg calls them Y1, 0 and the bits, or backwards."""
+    import cv2
+
+    name = (int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) & 0xFFFFFFFF).to_bytes(4, "little")
+    return re.fullmatch(rb"Y1\0[\x09-\x10]|[\x09-\x10]\0001Y", name, re.DOTALL) is not None
+
+
+def images(source: Source, times: list[float] | None = None) -> Iterator[tuple[int, Grey | None]]:
     """All images in order, each with its place from 0, grey; None for one that cannot be decoded.
 
-    A video ends where it can be read no further, which may be before `len(source)`. Raises AsterismError for images of other depths than
-    8 and 16 bit.
+    A video ends where it can be read no further, which may be before `len(source)`; when its frames are shown, in s by its own clock, is
+    added to `times`. Raises AsterismError for images of other depths than 8 and 16 bit.
     """
-    if source.kind == "video":
-        import cv2
+    if source.kind != "video":
+        yield from ((place, _image(source, place)) for place in range(len(source)))
+        return
+    import cv2
 
-        capture = cv2.VideoCapture(str(source.path))
-        try:
-            place = 0
-            while True:
-                there, image = capture.read()
-                if not there:
-                    return
-                yield place, _grey(source.path, image)
-                place += 1
-        finally:
-            capture.release()
-    for place in range(len(source) if source.kind != "video" else 0):
-        yield place, _image(source, place)
+    with _film(source.path) as capture:
+        place = 0
+        while True:
+            there, image = capture.read()
+            if not there:
+                return
+            if times is not None:
+                times.append(1e-3 * float(capture.get(cv2.CAP_PROP_POS_MSEC)))
+            yield place, _grey(source.path, image)
+            place += 1
 
 
 def some_images(source: Source, count: int) -> list[tuple[int, Grey]]:
     """Up to `count` images spread evenly over the whole, with their places from 0; what cannot be decoded is left out.
 
-    Places in a video are sought, which is as exact as its key frames allow.
+    Places in a video are sought, which is as exact as its key frames allow; one that cannot be sought in is read through.
     """
     places = np.unique(np.linspace(0, max(len(source) - 1, 0), count).round().astype(int)).tolist()
     if source.kind != "video":
@@ -121,33 +158,70 @@ def some_images(source: Source, count: int) -> list[tuple[int, Grey]]:
     import cv2
 
     kept: list[tuple[int, Grey]] = []
-    capture = cv2.VideoCapture(str(source.path))
-    try:
+    with _film(source.path) as capture:
         for place in places:
             capture.set(cv2.CAP_PROP_POS_FRAMES, place)
             there, image = capture.read()
             if there:
                 kept.append((place, _grey(source.path, image)))
-    finally:
-        capture.release()
-    return kept or [(place, image) for place, image in images(source) if place < count and image is not None]
+    if 2 * len(kept) >= len(places):
+        return kept
+    return [(place, image) for place, image in images(source) if place in places and image is not None]
 
 
 def _image(source: Source, place: int) -> Grey | None:
-    if source.kind == "images":
-        image = _decoded(source.files[place])
-        return None if image is None else _grey(source.files[place], image)
+    file = source.files[place] if source.files else source.path
+    image = _page(file, source.pages[place], place) if source.pages else _decoded(np.fromfile(file, np.uint8))
+    return None if image is None else _grey(file, image)
+
+
+def _page(file: Path, at: int, place: int) -> NDArray[Any] | None:
+    """One page of a TIFF: the file as if that page were its first, since OpenCV counts through all pages before the one it is asked for."""
     import cv2
 
-    there, pages = cv2.imreadmulti(str(source.path), start=place, count=1, flags=cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE)
-    return _grey(source.path, np.asarray(pages[0])) if there and len(pages) else None
+    content = np.memmap(file, np.uint8, "c")
+    if len(content) > _MOST_BYTES:
+        there, pages = cv2.imreadmulti(str(file), start=place, count=1, flags=cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE)
+        return np.asarray(pages[0]) if there and len(pages) else None
+    order, big = _tiff(content)
+    struct.pack_into(order + ("Q" if big else "I"), content.data, 8 if big else 4, at)
+    return _decoded(np.asarray(content))
 
 
-def _decoded(file: Path) -> NDArray[Any] | None:
-    """The image in a file, grey, with its own depth; None where it holds none. Read by NumPy: OpenCV trips over names on Windows."""
+def _tiff(content: NDArray[np.uint8]) -> tuple[str, bool]:
+    """The order of bytes in a TIFF, and whether its offsets have eight of them; "" for what is no TIFF."""
+    head = content[:4].tobytes()
+    orders = {b"II*\0": ("<", False), b"MM\0*": (">", False), b"II+\0": ("<", True), b"MM\0+": (">", True)}
+    return orders.get(head, ("", False))
+
+
+def _pages(file: Path) -> tuple[tuple[int, ...], bool]:
+    """Where each page of a TIFF is described, and whether the file ends before the last one; nothing for what is no TIFF."""
+    content = np.memmap(file, np.uint8, "r") if file.stat().st_size else np.zeros(0, np.uint8)
+    order, big = _tiff(content)
+    if not order:
+        return (), False
+    count, entry, offset = ("Q", 20, "Q") if big else ("H", 12, "I")
+
+    def number(kind: str, at: int) -> int:
+        return int(struct.unpack_from(order + kind, content.data, at)[0])
+
+    found: dict[int, None] = {}
+    try:
+        at = number(offset, 8 if big else 4)
+        while at and at not in found:
+            following = number(offset, at + struct.calcsize(order + count) + entry * number(count, at))
+            found[at] = None
+            at = following
+    except struct.error:
+        return tuple(found), True
+    return tuple(found), False
+
+
+def _decoded(content: NDArray[np.uint8]) -> NDArray[Any] | None:
+    """The image in a file's bytes, grey, with its own depth; None where they hold none. OpenCV itself trips over names on Windows."""
     import cv2
 
-    content = np.fromfile(file, np.uint8)
     image: NDArray[Any] | None = cv2.imdecode(content, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE) if len(content) else None
     return image
 
@@ -155,7 +229,9 @@ def _decoded(file: Path) -> NDArray[Any] | None:
 def _grey(file: Path, image: NDArray[Any]) -> Grey:
     import cv2
 
-    if image.ndim == 3 and image.shape[2] == 3:
+    if image.ndim == 3 and image.shape[2] == 1:
+        image = image[..., 0]
+    elif image.ndim == 3 and image.shape[2] == 3:
         image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     try:
         return as_grey(image)
@@ -164,16 +240,24 @@ def _grey(file: Path, image: NDArray[Any]) -> Grey:
 
 
 def _series(path: Path, name: str, files: list[Path]) -> Source:
+    kinds = Counter(_kind(file) for file in files)
+    usual, most = kinds.most_common(1)[0]
+    odd = next((file for file in files if _kind(file) != usual), None)
+    if most > 1 and odd is not None:
+        others = min(file for file in files if _kind(file) == usual)
+        raise AsterismError(f"{path} holds {odd.name} beside {others.name}: are these one camera's? Give the folder or series of one.")
     files = sorted(files, key=lambda file: [(len(d.lstrip("0")), d) if d.isdigit() else (0, d) for d in re.split(r"(\d+)", file.name)])
     last = [re.findall(r"\d+", file.name if file.suffix[1:].isdigit() else file.stem) for file in files]
     numbers = np.array([int(found[-1]) if found and len(found[-1]) < 18 else -1 for found in last], dtype=np.int64)
     steps = np.diff(numbers)
-    if len(files) > 1 and numbers.min() >= 0 and (steps > 0).all():
-        step = int(steps.min())
-        numbers = numbers // step if (steps % step == 0).all() else numbers
-        if np.ptp(numbers) < _SPARSE * len(numbers) + 100:
-            return Source(path, name, "images", numbers, True, tuple(files))
+    if len(files) > 1 and numbers.min() >= 0 and (steps > 0).all() and np.ptp(numbers) // steps.min() < _SPARSE * len(numbers) + 100:
+        return Source(path, name, "images", numbers, True, tuple(files))
     return Source(path, name, "images", np.arange(len(files)), False, tuple(files))
+
+
+def _kind(file: Path) -> str:
+    """A file's name without its numbers: images of one camera have the same."""
+    return re.sub(r"\d+", "#", file.name.casefold())
 
 
 def _listed(folder: Path) -> list[Path]:

@@ -1,0 +1,240 @@
+"""Sequences and light as they should not be: what cannot be trusted is said, the rest is found."""
+
+from __future__ import annotations
+
+import os
+import signal
+import struct
+import threading
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from asterism.cli import main
+from asterism.detection import Flag, automatic_threshold, detect, find_blobs
+from asterism.errors import AsterismError
+from asterism.formats import read_blobs
+
+SIZE = (160, 120)
+
+
+def spots(frame: int, top: int = 255, dark: float = 12.0, noise: float = 2.0, size: tuple[int, int] = SIZE, many: int = 3) -> np.ndarray:
+    """Some markers of 6 px that move by a pixel or so a frame; grey values in 255ths of top."""
+    rng = np.random.default_rng(frame)
+    ys, xs = np.mgrid[: size[1], : size[0]]
+    image = dark + noise * rng.standard_normal((size[1], size[0]))
+    for x, y in where(frame, many):
+        image += 200 / (1 + np.exp(np.clip((np.hypot(xs - x, ys - y) - 3) / 0.4, -50, 50)))
+    return np.clip(np.rint(image * top / 255), 0, top).astype(np.uint8 if top == 255 else np.uint16)
+
+
+def where(frame: int, many: int = 3) -> np.ndarray:
+    number = np.arange(many)
+    return np.column_stack([30 + 45 * number + 10 * np.sin(frame / 7 + number), 60 + 40 * np.cos(frame / 25 + number)])
+
+
+def video(path: Path, code: str = "MJPG", frames: int = 30, top: int = 255) -> Path:
+    deep = [cv2.VIDEOWRITER_PROP_DEPTH, cv2.CV_8U if top == 255 else cv2.CV_16U, cv2.VIDEOWRITER_PROP_IS_COLOR, 0]
+    out = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*code), 50.0, SIZE, deep)
+    assert out.isOpened()
+    for frame in range(frames):
+        out.write(spots(frame, top))
+    out.release()
+    return path
+
+
+def folder(path: Path, frames: int = 12, name: str = "img_%d.png", **light: float) -> Path:
+    path.mkdir(exist_ok=True)
+    for frame in range(frames):
+        cv2.imwrite(str(path / (name % frame)), spots(frame, **light))
+    return path
+
+
+def test_videos_of_16_bits_keep_them(tmp_path: Path) -> None:
+    """12 bits in 16: OpenCV by itself would hand over the upper 8, which are 0 to 15."""
+    result = detect([video(tmp_path / "deep.mkv", "FFV1", 12, top=4095)])
+    assert result.problems == ()
+    assert 200 < result.cameras[0].threshold < 600
+    for frame in range(12):
+        away = np.linalg.norm(result.blobs.of(frame, 0)[:, None] - where(frame), axis=2).min(axis=0)
+        assert away.max() < 0.1
+
+
+def test_a_video_with_uneven_frames_is_named(tmp_path: Path) -> None:
+    """One frame lasts as long as four, some half as long: the table of times in the file is changed by hand."""
+    content = video(tmp_path / "even.mp4", "mp4v").read_bytes()
+    assert detect([tmp_path / "even.mp4"]).problems == ()
+    at = content.index(b"stts")
+    (delta,) = struct.unpack_from(">I", content, at + 16)
+    table = struct.pack(">9I", 4, 10, delta, 1, 4 * delta, 6, delta // 2, 13, delta)
+    grown = bytearray(content[: at + 8] + table + content[at + 20 :])
+    for box in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stts"):
+        start = content.index(box) - 4
+        struct.pack_into(">I", grown, start, struct.unpack_from(">I", content, start)[0] + 24)
+    (tmp_path / "uneven.mp4").write_bytes(grown)
+    assert "10 to 80 ms pass" in detect([tmp_path / "uneven.mp4"]).problems[0]
+
+
+def test_a_video_whose_header_counts_no_frames_is_looked_at_all_over(tmp_path: Path) -> None:
+    """The mask of what stands still must not be learned from the first frame alone."""
+    path = video(tmp_path / "endless.m2v", "mpg2")
+    assert cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT) < 1
+    result = detect([path], mask_static=True)
+    assert result.problems == ()
+    assert result.cameras[0].expected == 30
+    assert (result.blobs.counts >= 2).mean() > 0.9
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_pages_of_a_tiff_are_the_images(tmp_path: Path, bits: int) -> None:
+    pages = [spots(frame, 255 if bits == 8 else 4095) for frame in range(6)]
+    cv2.imwritemulti(str(tmp_path / "cam.tif"), pages)
+    found = detect([tmp_path / "cam.tif"])
+    for frame, page in enumerate(pages):
+        assert np.array_equal(found.blobs.of(frame, 0), find_blobs(page, threshold=found.cameras[0].threshold).xy)
+
+
+def test_a_tiff_that_breaks_off_is_named(tmp_path: Path) -> None:
+    cv2.imwritemulti(str(tmp_path / "cam.tif"), [spots(frame) for frame in range(6)])
+    whole = (tmp_path / "cam.tif").read_bytes()
+    (tmp_path / "cut.tif").write_bytes(whole[: int(0.7 * len(whole))])
+    result = detect([tmp_path / "cut.tif"])
+    assert 1 < result.cameras[0].frames < 6
+    assert f"breaks off after image {result.cameras[0].frames}" in result.problems[0]
+    (tmp_path / "round.tif").write_bytes(whole)
+    changed = bytearray(whole)
+    (first,) = struct.unpack_from("<I", whole, 4)
+    (entries,) = struct.unpack_from("<H", whole, first)
+    struct.pack_into("<I", changed, first + 2 + 12 * entries, first)
+    (tmp_path / "round.tif").write_bytes(changed)
+    assert detect([tmp_path / "round.tif"]).cameras[0].frames == 1
+
+
+def test_a_folder_of_two_cameras_is_refused(tmp_path: Path) -> None:
+    both = folder(folder(tmp_path / "both", name="left_%d.png"), name="right_%d.png")
+    with pytest.raises(AsterismError, match="one camera's"):
+        detect([both])
+    assert detect([both / "left_%d.png", both / "right_%d.png"]).problems == ()
+    one = folder(tmp_path / "one")
+    cv2.imwrite(str(one / "background.png"), spots(0, many=0))
+    with pytest.raises(AsterismError, match=r"holds background\.png beside img_0\.png"):
+        detect([one])
+
+
+def test_frame_numbers_of_several_cameras_are_counted_alike(tmp_path: Path) -> None:
+    """One camera saved every second frame: its images 0, 2, 4 are not the other's 0, 1, 2."""
+    every = folder(tmp_path / "every")
+    second = tmp_path / "second"
+    second.mkdir()
+    for frame in range(0, 12, 2):
+        cv2.imwrite(str(second / f"{frame}.png"), spots(frame))
+    blobs = detect([every, second]).blobs
+    for frame in range(12):
+        expected = blobs.of(frame, 0) if frame % 2 == 0 else np.zeros((0, 2))
+        assert np.array_equal(blobs.of(frame, 1), expected)
+    tens = folder(tmp_path / "tens", name="%d0.png")
+    assert (detect([tens]).blobs.counts > 0).all()
+    (every / "img_3.png").unlink()
+    blobs = detect([every, video(tmp_path / "film.avi", frames=12)]).blobs
+    assert blobs.counts[:, 0].tolist() == [0 if frame == 3 else 3 for frame in range(12)]
+
+
+def test_images_of_two_depths_are_refused(tmp_path: Path) -> None:
+    mixed = folder(tmp_path / "mixed", 40)
+    cv2.imwrite(str(mixed / "img_21.png"), spots(21, 4095))
+    for mask in (False, True):
+        with pytest.raises(AsterismError, match=r"img_21\.png: uint16 after images of uint8"):
+            detect([mixed], mask_static=mask)
+
+
+def test_a_camera_without_markers_is_named(tmp_path: Path) -> None:
+    dark = folder(tmp_path / "dark", many=0)
+    result = detect([folder(tmp_path / "well"), dark])
+    assert result.problems == ("camera dark: no marker in 12 images at a threshold of 25; is it covered, dark or masked?",)
+    with pytest.raises(AsterismError, match="3 images do not tell what stands still"):
+        detect([folder(tmp_path / "few", 3)], mask_static=True)
+
+
+def test_uneven_light_is_taken_off_unasked(tmp_path: Path) -> None:
+    """Half of the image is brighter than the markers of the other half."""
+    (tmp_path / "ramp").mkdir()
+    for frame in range(10):
+        image = spots(frame, size=(320, 240)) * 0.4 + np.linspace(0, 160, 320)
+        cv2.imwrite(str(tmp_path / "ramp" / f"{frame}.png"), np.rint(image).astype(np.uint8))
+    result = detect([tmp_path / "ramp"])
+    assert result.problems == ()
+    assert (result.blobs.counts == 3).all()
+    for frame in range(10):
+        assert np.linalg.norm(result.blobs.of(frame, 0)[:, None] - where(frame), axis=2).min(axis=0).max() < 0.3
+    alone = find_blobs(cv2.imread(str(tmp_path / "ramp" / "4.png"), cv2.IMREAD_UNCHANGED))
+    assert len(alone) == 3
+
+
+@pytest.mark.parametrize("dark", [-3.0, 0.0, 1.0, 3.0])
+def test_noise_that_is_cut_off_at_black_is_told(dark: float) -> None:
+    """The lower half of the pixels is 0 and says nothing of the noise."""
+    image = spots(0, dark=dark, noise=5.0, size=(640, 480))
+    assert automatic_threshold(image) > dark + 20 - 5
+    assert len(find_blobs(image)) == 3
+
+
+def test_a_lit_room_is_named(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    room = np.full((240, 320), 70, np.uint8)
+    for x, y, w, h in rng.integers(10, 120, (12, 4)):
+        cv2.rectangle(room, (int(2 * x), int(y)), (int(2 * x + w), int(y + h)), int(rng.integers(90, 160)), -1)
+    (tmp_path / "room").mkdir()
+    for frame in range(10):
+        image = room + np.maximum(spots(frame, dark=0, noise=0, size=(320, 240)) // 2, rng.integers(0, 3, room.shape))
+        cv2.imwrite(str(tmp_path / "room" / f"{frame}.png"), image.astype(np.uint8))
+    assert "bright and no marker" in detect([tmp_path / "room"]).problems[0]
+    assert detect([tmp_path / "room"], threshold=175).problems == ()
+
+
+def test_a_camera_that_changes_its_gain_keeps_its_markers(tmp_path: Path) -> None:
+    (tmp_path / "gain").mkdir()
+    for frame in range(30):
+        cv2.imwrite(str(tmp_path / "gain" / f"{frame}.png"), spots(frame, dark=10 + 3 * frame) if frame else spots(0, dark=10))
+    result = detect([tmp_path / "gain"])
+    assert (result.blobs.counts == 3).all()
+
+
+def test_saturation_is_told_by_the_bits_that_are_used() -> None:
+    image = np.minimum(spots(0, 4095).astype(int) * 2, 4095).astype(np.uint16)
+    assert (find_blobs(image).flags & Flag.SATURATED).all()
+    assert not (find_blobs(spots(0, 4095)).flags & Flag.SATURATED).any()
+
+
+def test_an_interrupt_does_not_wait_for_the_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nor does a camera that cannot be read wait for the others."""
+    long = video(tmp_path / "long.avi", frames=10)
+    long.write_bytes(long.read_bytes())
+    cameras = [folder(tmp_path / f"c{c}", 400) for c in range(2)]
+    threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+    started = time.monotonic()
+    arguments = ["detect", *map(str, cameras), "-o", str(tmp_path / "2d.csv"), "--workers", "2"]
+    status = main(arguments)
+    assert status == 130
+    assert time.monotonic() - started < 5
+    assert "interrupted" in capsys.readouterr().err
+    assert not list(tmp_path.glob("*2d.csv*"))
+
+
+def test_outputs_are_no_inputs_and_not_each_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    film = video(tmp_path / "film.avi", frames=12)
+    content = film.read_bytes()
+    for arguments, message in [
+        (["-o", str(film), "--overwrite"], "is an input"),
+        (["-o", str(tmp_path / "a.csv"), "--json", str(tmp_path / "a.csv")], "named twice"),
+        (["-o", "/proc/a.csv"], "cannot be written to"),
+    ]:
+        assert main(["detect", str(film), *arguments]) == 2
+        assert message in capsys.readouterr().err
+    assert film.read_bytes() == content
+    assert main(["detect", str(film), "-o", str(tmp_path / "a.csv")]) == 0
+    assert len(read_blobs(tmp_path / "a.csv")) == 12
+    with pytest.raises(AsterismError, match="given twice"):
+        detect([film, film])
