@@ -456,14 +456,15 @@ def test_sorting_is_numpys(values: list[float]) -> None:
 
 
 def test_real_particles_as_many_as_the_peer_matched(data: Path) -> None:
-    """The first time step of OpenPTV's cavity, its blobs, its tolerance: it has put 377 points into all four cameras."""
+    """The four time steps of OpenPTV's cavity, its blobs, its tolerance: it has put 1,508 points into all four cameras."""
     folder = data / "cameras" / "particles-4cam"
     rig = read_rig(folder)
-    spots = [np.loadtxt(folder / "images" / f"cam{c + 1}.10001_targets", skiprows=1)[:, 1:3] for c in range(4)]
-    camera = np.repeat(np.arange(4), [len(xy) for xy in spots])
-    blobs = Blobs.from_rows(np.zeros(len(camera)), camera, np.concatenate(spots), rig.names)
+    files = [(t, c, folder / "images" / f"cam{c + 1}.{10001 + t}_targets") for t in range(4) for c in range(4)]
+    spots = [(t, c, np.loadtxt(file, skiprows=1)[:, 1:3] - 0.5) for t, c, file in files]  # the peer counts from the first pixel's corner
+    frame, camera = (np.concatenate([np.full(len(spot[2]), spot[which]) for spot in spots]) for which in (0, 1))
+    blobs = Blobs.from_rows(frame, camera, np.concatenate([xy for _, _, xy in spots]), rig.names)
     result = reconstruct(blobs, rig, noise=2.5, min_cameras=4)
-    assert len(result.residual) >= 377
+    assert len(result.residual) >= 1508
     used = result.rays.ravel()
     assert len(np.unique(used)) == len(used), "a blob shows one particle"
 

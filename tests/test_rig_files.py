@@ -269,7 +269,7 @@ def test_openptv_cameras_see_the_plate_through_window_and_water(data: Path) -> N
     rig = read_rig(folder)
     assert all(fit["rms"] < 0.25 and fit["largest"] < 1.2 for fit in rig.metadata["fit_px"].values())
     for camera in rig:
-        spots = np.loadtxt(folder / f"{camera.name}.tif_targets", skiprows=1)[:, 1:3]
+        spots = np.loadtxt(folder / f"{camera.name}.tif_targets", skiprows=1)[:, 1:3] - 0.5  # the peer counts from the corner
 
         def miss(camera: Camera, spots: np.ndarray = spots) -> float:
             return float(np.median(np.linalg.norm(camera.project(plate)[:, None] - spots, axis=2).min(axis=1)))

@@ -19,6 +19,7 @@ from asterism.cameras.files import read_rig
 from asterism.reconstruction import reconstruct
 from asterism.recording import Blobs, Floats, Ints
 from benchmarks.bench import Bench
+from benchmarks.cameras.detection import CORNER
 from benchmarks.data import folder
 from benchmarks.figures import Figure
 
@@ -70,7 +71,7 @@ def _targets(rig: Rig) -> tuple[Blobs, Ints]:
             frames.append(np.full(len(rows[-1]), t))
             cameras.append(np.full(len(rows[-1]), c))
     table = np.concatenate(rows)
-    return Blobs.from_rows(np.concatenate(frames), np.concatenate(cameras), table[:, 1:3], rig.names), table[:, 7].astype(np.int64)
+    return Blobs.from_rows(np.concatenate(frames), np.concatenate(cameras), table[:, 1:3] - CORNER, rig.names), table[:, 7].astype(np.int64)
 
 
 def _peers_matches(blobs: Blobs, numbers: Ints) -> Ints:

@@ -13,6 +13,9 @@ from asterism.cameras import _kernels
 from asterism.errors import AsterismError
 from asterism.recording import Floats
 
+LARGEST_IMAGE = 100_000
+"""px, the longest side that an image may have."""
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -49,12 +52,16 @@ class Camera:
         lens = [*self.focal, *self.centre, *self.radial, *self.tangential, *self.denominator]
         if rotation.shape != (3, 3) or translation.shape != (3,) or not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
             raise AsterismError(f"camera {self.name}: its pose is not a 3 x 3 rotation and three metres, all finite.")
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-5 or np.linalg.det(rotation) < 0:
-            raise AsterismError(f"camera {self.name}: its rotation is not one (not orthonormal, or mirrored); was it transposed or scaled?")
+        if np.abs(rotation).max() > 1.1 or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-5 or np.linalg.det(rotation) < 0:
+            raise AsterismError(
+                f"camera {self.name}: its rotation is none (not orthonormal, or mirrored); export it again, unscaled and right-handed."
+            )
         if not np.isfinite(lens).all() or min(self.focal) <= 0:
             raise AsterismError(f"camera {self.name}: its focal length must be positive and all its lens parameters finite.")
-        if self.size is not None and min(self.size) <= 0:
-            raise AsterismError(f"camera {self.name}: its image size {self.size[0]} x {self.size[1]} is not positive.")
+        if self.size is not None and not 0 < min(self.size) <= max(self.size) <= LARGEST_IMAGE:
+            raise AsterismError(
+                f"camera {self.name}: its image size {self.size[0]:g} x {self.size[1]:g} is not that of an image, in pixels."
+            )
         object.__setattr__(self, "rotation", rotation)
         object.__setattr__(self, "translation", translation)
         object.__setattr__(self, "radial", tuple(float(k) for k in self.radial))
@@ -76,8 +83,10 @@ class Camera:
         """
         k = np.asarray(matrix, dtype=np.float64)
         d = np.asarray(distortion, dtype=np.float64).ravel()
-        if k.shape != (3, 3) or abs(k[0, 1]) > 1e-9 * abs(k[0, 0]):
-            raise AsterismError(f"camera {name}: its matrix is not 3 x 3 without skew.")
+        if k.shape != (3, 3) or np.abs([k[0, 1], k[1, 0], *(k[2] - [0.0, 0.0, 1.0])]).max() > 1e-9 * np.abs(k).max():
+            raise AsterismError(
+                f"camera {name}: its matrix is not (fx, 0, cx), (0, fy, cy), (0, 0, 1): transposed, scaled, or with skew; export it again."
+            )
         if len(d) not in (0, 4, 5, 8, 12, 14) or np.any(d[8:]):
             raise AsterismError(f"camera {name}: {len(d)} distortion coefficients; OpenCV's 4, 5 or 8 are understood, thin prisms are not.")
         d = np.concatenate([d[:8], np.zeros(8 - min(len(d), 8))])

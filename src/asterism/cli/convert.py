@@ -45,10 +45,12 @@ def convert(
 
 
 def _rig_converted(source: Path, target: Path, vertical: Any, markers: Any) -> list[str]:
-    from asterism.cameras.files import read_rig, write_rig
+    from asterism.cameras.files import guesses, read_rig, write_rig
     from asterism.recording import as_vertical
 
     if markers is not None:
         raise AsterismError(f"{source} is a rig and has no markers; leave out --markers.")
     rig = read_rig(source)
+    for phrase in guesses(rig):
+        _console.complain(f"{source} does not say {phrase}.")
     return write_rig(rig if vertical is None else replace(rig, vertical=as_vertical(vertical)), target)

@@ -54,7 +54,7 @@ def reconstruct(
     import numpy as np
 
     from asterism.cameras.accuracy import Volume
-    from asterism.cameras.files import read_rig
+    from asterism.cameras.files import guesses, read_rig
     from asterism.formats import check_suffix, read_blobs
     from asterism.reconstruction import reconstruct as points_of
     from asterism.reconstruction import summary
@@ -88,7 +88,8 @@ def reconstruct(
             "deviation_m": float(np.median(result.deviation)) if len(paths.moved) else None,
         }
     lost = result.write(output)
-    for sentence in (*told["remarks"], *(f"{output} leaves out {what}." for what in lost)):
+    guessed = [f"{rig} does not say {phrase}." for phrase in guesses(calibrated)]
+    for sentence in (*guessed, *told["remarks"], *(f"{output} leaves out {what}." for what in lost)):
         _console.complain(sentence)
     if json != "-":
         _print(output, told)

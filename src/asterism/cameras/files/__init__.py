@@ -1,5 +1,5 @@
 """Rig files in, rigs out, and back; what a file holds chooses who reads it, its name who writes it."""
 
-from asterism.cameras.files._dispatch import describe_rig, is_rig_file, read_rig, write_rig
+from asterism.cameras.files._dispatch import describe_rig, guesses, is_rig_file, read_rig, write_rig
 
-__all__ = ["describe_rig", "is_rig_file", "read_rig", "write_rig"]
+__all__ = ["describe_rig", "guesses", "is_rig_file", "read_rig", "write_rig"]

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from asterism.cameras.camera import Camera
+from asterism.cameras.camera import LARGEST_IMAGE, Camera, rotation_from_vector
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
 from asterism.formats._text import read_bytes
@@ -17,6 +18,13 @@ from asterism.recording import Floats
 
 MILLIMETRES_ABOVE = 50.0
 """Cameras that stand further from the origin than this many units are in millimetres: no room is 50 m, no rig 50 mm wide."""
+
+UNIT_TAKEN = "the unit of length"
+"""How the phrase in `Rig.lacks` begins that says which unit was taken."""
+
+_ABSURD = 1e15
+_ROUNDED = 2e-4
+_OFF_CENTRE = 0.25
 
 OPENCV_FROM_UPRIGHT = np.diag([1.0, -1.0, -1.0])
 """From axes x right, y up, z backwards (QTM, photogrammetry) to OpenCV's."""
@@ -28,10 +36,38 @@ def numbers(where: str, what: str, values: Any, count: int | None = None) -> Flo
         found = np.array(values.split() if isinstance(values, str) else values, dtype=np.float64).ravel()
     except (TypeError, ValueError):
         found = np.array([np.nan])
-    if not np.isfinite(found).all() or (count is not None and len(found) != count):
+    if not (np.abs(found) < _ABSURD).all() or (count is not None and len(found) != count):
         wanted = "numbers" if count is None else "a number" if count == 1 else f"{count} numbers"
         raise AsterismError(f"{where}: its {what} is not {wanted}; the file is damaged, export it again.")
     return found
+
+
+def image_size(where: str, values: Any) -> tuple[int, int]:
+    """Width and height, px. Raises AsterismError, naming the place, where they are not whole numbers above zero."""
+    width, height = (float(side) for side in numbers(where, "image size", values, 2))
+    if not (width.is_integer() and height.is_integer() and 0 < min(width, height) <= max(width, height) <= LARGEST_IMAGE):
+        raise AsterismError(f"{where}: its image size {width:g} x {height:g} is not that of an image, in pixels; mend it.")
+    return int(width), int(height)
+
+
+def rotation_of(where: str, values: Any) -> Floats:
+    """The rotation matrix (3, 3) of nine numbers, row by row, that may be rounded to four decimals, or of a rotation vector (3,) rad.
+
+    Raises AsterismError, naming the place, for anything else, and for one that mirrors.
+    """
+    found = numbers(where, "rotation", values)
+    if len(found) == 3:
+        return rotation_from_vector(found)
+    if len(found) != 9:
+        raise AsterismError(f"{where}: its rotation has {len(found)} numbers, not 3 or 9; the file is damaged, export it again.")
+    given = found.reshape(3, 3)
+    left, _, right = np.linalg.svd(given)
+    nearest: Floats = left @ right
+    if np.abs(nearest - given).max() > _ROUNDED:
+        raise AsterismError(f"{where}: its rotation is none: its rows are not of length 1 and at right angles; export it again.")
+    if np.linalg.det(nearest) < 0:
+        raise AsterismError(f"{where}: its rotation mirrors the room, its axes are left-handed; export it again with right-handed axes.")
+    return nearest
 
 
 def rig_of(
@@ -40,10 +76,11 @@ def rig_of(
     """A rig that says where it came from and what it lacks: what every format may lack is added to `lacks`."""
     made = tuple(cameras)
     missing = [
-        *_of_whom("the image size", made, [camera.size is None for camera in made]),
-        *_of_whom("the pose", made, [not camera.posed for camera in made]),
-        *_of_whom("the reprojection error", made, [camera.error != camera.error for camera in made]),
+        *of_whom("the image size", made, [camera.size is None for camera in made]),
+        *of_whom("the pose", made, [not camera.posed for camera in made]),
+        *of_whom("the reprojection error", made, [camera.error != camera.error for camera in made]),
         *(["which way is up"] if vertical is None and any(camera.posed for camera in made) else []),
+        *of_whom("a lens in the middle of the image (is the image size that of the calibration?)", made, [_aside(c) for c in made]),
     ]
     try:
         return Rig(made, vertical, {"file": str(path), "format": kind, **metadata}, (*missing, *lacks))
@@ -51,27 +88,46 @@ def rig_of(
         raise AsterismError(f"{path}: {problem}") from None
 
 
-def _of_whom(what: str, cameras: Sequence[Camera], absent: list[bool]) -> list[str]:
+def of_whom(what: str, cameras: Sequence[Camera], absent: list[bool]) -> list[str]:
+    """One phrase that names the cameras of which something is absent; none where it is of none."""
     if not any(absent):
         return []
     names = [camera.name for camera, lacks in zip(cameras, absent, strict=True) if lacks]
     return [f"{what} of every camera" if all(absent) else f"{what} of {', '.join(names)}"]
 
 
-def metres_per_unit(positions: Sequence[Floats]) -> tuple[float, str]:
-    """The scale of a rig whose file names no unit, by how far its cameras stand from the origin; and a phrase that says so."""
-    far = float(np.median([np.linalg.norm(position) for position in positions]))
-    millimetres = far > MILLIMETRES_ABOVE
-    scale = 1e-3 if millimetres else 1.0
-    unit = "millimetres" if millimetres else "metres"
-    return scale, f"the unit of length ({unit} taken: the cameras then stand {far * scale:.2g} m from the origin)"
+def _aside(camera: Camera) -> bool:
+    """Whether the principal point is nearer to the image's border than to its middle, as none of a camera's own images has it."""
+    return camera.size is not None and bool(np.any(np.abs(np.array(camera.centre) / camera.size - 0.5) > _OFF_CENTRE))
+
+
+def in_metres(cameras: list[Camera]) -> tuple[list[Camera], list[str]]:
+    """Cameras whose file names no unit, in metres; and a phrase that says which unit was taken.
+
+    Told by how far they stand from the origin, of those that do not stand in it.
+    """
+    far = [float(np.linalg.norm(camera.translation)) for camera in cameras if camera.posed and np.any(camera.translation)]
+    if not far:
+        return cameras, []
+    middle = float(np.median(far))
+    scale, unit = (1e-3, "millimetres") if middle > MILLIMETRES_ABOVE else (1.0, "metres")
+    made = [replace(camera, translation=scale * camera.translation) for camera in cameras]
+    return made, [f"{UNIT_TAKEN} ({unit} taken: the cameras then stand {middle * scale:.2g} m from the origin)"]
+
+
+def read_otherwise(rig: Rig, units_per_metre: float) -> list[str]:
+    """What to say where a file without a unit of length, written in this one, would be read in another by `in_metres`."""
+    written = [replace(camera, translation=units_per_metre * camera.translation) for camera in rig]
+    read, _ = in_metres(written)
+    same = all(np.allclose(one.translation, other.translation) for one, other in zip(rig, read, strict=True))
+    return [] if same else [f"{UNIT_TAKEN}, and readers that guess it will take another for cameras so near or so far"]
 
 
 def xml_root(path: Path, name: str) -> ET.Element:
     """The root of an XML file. Raises AsterismError where the file is no XML, breaks off, or its root is not called `name`."""
     try:
         root = ET.fromstring(read_bytes(path))
-    except ET.ParseError as problem:
+    except (ET.ParseError, LookupError, ValueError) as problem:  # ill-formed, or of an encoding that is none
         raise AsterismError(f"{path} is damaged: it is no whole XML ({problem}); export it again.") from problem
     if root.tag != name:
         raise AsterismError(f"{path}: its root is <{root.tag}>, not <{name}>; this is no rig file that Asterism knows.")

@@ -8,6 +8,7 @@ from typing import Any
 
 from asterism.cameras.camera import Camera
 from asterism.cameras.files import anipose, datasets, opencv, openptv, own, qualisys, vicon
+from asterism.cameras.files._common import UNIT_TAKEN
 from asterism.cameras.files._toml import read_toml
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
@@ -69,6 +70,11 @@ def write_rig(rig: Rig, path: str | Path) -> list[str]:
     raise AsterismError(
         f"{path}: a rig is written as .toml, *anipose.toml, camera_array.toml, .yml, .xml, .xcp, .qca.txt or .ori; choose one."
     )
+
+
+def guesses(rig: Rig) -> list[str]:
+    """What a reader had to guess that scales everything measured with the rig: of `rig.lacks` what is about the unit of length."""
+    return [phrase for phrase in rig.lacks if phrase.startswith(UNIT_TAKEN)]
 
 
 def describe_rig(rig: Rig) -> dict[str, Any]:

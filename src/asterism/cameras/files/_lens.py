@@ -17,6 +17,9 @@ POLYNOMIALS = tuple((count, 0) for count in range(2, 9))
 RATIONALS = tuple((count, 3) for count in range(2, 9))
 OPENCV = ((3, 0), (3, 3))
 _LEAST_DENOMINATOR = 1e-3
+_FISHEYE_TERMS = 4
+_WIDEST = np.radians(75.0)
+"""From the axis, of a fisheye lens that a radial one can follow."""
 _BEYOND = 4.0
 _RADII = 400
 
@@ -109,6 +112,31 @@ def with_shapes(place: str, camera: Camera, shapes: Sequence[tuple[int, int]]) -
             "write Asterism's own .toml instead."
         )
     return replace(camera, radial=radial, denominator=denominator), left
+
+
+def with_fisheye(where: str, camera: Camera, distortion: Floats) -> Camera:
+    """A camera with the radial lens nearest to OpenCV's fisheye: angle (1 + k1 angle2 + k2 angle4 + ...) instead of its tangent.
+
+    distortion  up to four coefficients. Raises AsterismError for more than 150 degrees, and where the fit leaves more than 0.1 px.
+    """
+    if len(distortion) > _FISHEYE_TERMS:
+        raise AsterismError(
+            f"{where}: {len(distortion)} distortion coefficients, a fisheye lens of OpenCV's has {_FISHEYE_TERMS}; mend it."
+        )
+    size = camera.size or (2.0 * camera.centre[0], 2.0 * camera.centre[1])
+    reach = corner_radius(size, camera.centre) / min(camera.focal)
+    angle = np.linspace(0.0, _WIDEST, 4001)[1:]
+    seen = angle * (1.0 + sum(k * angle ** (2 * i + 2) for i, k in enumerate(distortion)))
+    inside = np.cumprod(np.diff(seen, prepend=0.0) > 0).astype(bool) & (seen < 1.02 * reach)
+    if seen[inside].max(initial=0.0) < reach:
+        raise AsterismError(
+            f"{where}: a fisheye lens of more than {2 * np.degrees(_WIDEST):.0f} degrees, which this camera model cannot have."
+        )
+    some = np.nonzero(inside)[0][:: max(1, int(inside.sum()) // 400)]
+    (radial, denominator), left = fitted_radial(np.tan(angle[some]), seen[some], camera.focal[0], POLYNOMIALS + RATIONALS)
+    if left > TOLERABLE_PX:
+        raise AsterismError(f"{where}: a fisheye lens that this camera model misses by {left:.2g} px; calibrate it with a pinhole model.")
+    return replace(camera, radial=radial, denominator=denominator)
 
 
 def lens_lost(lefts: Mapping[str, float]) -> list[str]:

@@ -20,7 +20,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file. Raises AsterismError where it is none, or breaks off."""
     try:
         return tomllib.loads(decoded(path, read_bytes(path)))
-    except tomllib.TOMLDecodeError as problem:
+    except (tomllib.TOMLDecodeError, RecursionError) as problem:
         raise AsterismError(f"{path} is damaged: it is no TOML ({problem}); write it again.") from problem
 
 

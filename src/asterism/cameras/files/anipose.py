@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from asterism.cameras.camera import Camera, vector_from_rotation
-from asterism.cameras.files._common import metres_per_unit, numbers, rig_of, within
-from asterism.cameras.files._lens import OPENCV, POLYNOMIALS, RATIONALS, TOLERABLE_PX, corner_radius, fitted_radial, lens_lost, with_shapes
+from asterism.cameras.files._common import image_size, in_metres, numbers, of_whom, read_otherwise, rig_of, rotation_of, within
+from asterism.cameras.files._lens import OPENCV, lens_lost, with_fisheye, with_shapes
 from asterism.cameras.files._toml import toml_line
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
 from asterism.formats._text import write_atomically
-from asterism.recording import Floats
 
-_WIDEST = np.radians(75.0)
 ANIPOSE, CALISCOPE = "anipose TOML", "caliscope TOML"
 
 
@@ -31,7 +26,7 @@ def tables_of(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
 def rig_of_tables(path: Path, document: dict[str, Any]) -> Rig:
     """A rig from anipose's, Pose2Sim's or caliscope's tables.
 
-    Anipose names no unit of length (millimetres, mostly; Pose2Sim writes metres): `metres_per_unit` tells them apart and `lacks` says
+    Anipose names no unit of length (millimetres, mostly; Pose2Sim writes metres): `in_metres` tells them apart and `lacks` says
     so. Caliscope's cameras have a `cam_id`, metres, rotation matrices or vectors, and no pose where they were not solved.
     A fisheye lens (OpenCV's) becomes a radial one by a fit over its image. Raises AsterismError, naming the camera, where that misses
     it by more than 0.1 px, and for what is damaged.
@@ -46,55 +41,31 @@ def rig_of_tables(path: Path, document: dict[str, Any]) -> Rig:
             ignored.append(name)
         cameras.append(within(path, lambda name=name, where=where, table=table: _camera(name, where, table)))
     metadata = {"error": document["metadata"].get("error")} if isinstance(document.get("metadata"), dict) else {}
-    lacks = [f"a calibration of {', '.join(ignored)}: its makers ignored it"] if ignored else []
+    lacks = of_whom("the lens distortion", cameras, ["distortions" not in table for table in tables.values()])
+    lacks += [f"a calibration of {', '.join(ignored)}: its makers ignored it"] if ignored else []
     if caliscope:
         return rig_of(path, CALISCOPE, cameras, metadata, lacks)
-    posed = [camera.translation for camera in cameras if camera.posed]
-    if posed:
-        scale, phrase = metres_per_unit(posed)
-        lacks.append(phrase)
-        cameras = [Camera(**{**vars(camera), "translation": scale * camera.translation}) for camera in cameras]
-    return rig_of(path, ANIPOSE, cameras, metadata, lacks)
+    cameras, unit = in_metres(cameras)
+    return rig_of(path, ANIPOSE, cameras, metadata, [*lacks, *unit])
 
 
 def _camera(name: str, where: str, table: dict[str, Any]) -> Camera:
-    size = [int(side) for side in numbers(where, "size", table["size"], 2)] if table.get("size") is not None else None
+    size = image_size(where, table["size"]) if table.get("size") is not None else None
     matrix = numbers(where, "matrix", table["matrix"], 9).reshape(3, 3)
     distortion = numbers(where, "distortions", table.get("distortions") or [])
     posed = table.get("translation") is not None and table.get("rotation") is not None
-    rotation = numbers(where, "rotation", table["rotation"]) if posed else None
-    if rotation is not None and len(rotation) not in (3, 9):
-        raise AsterismError(f"{where}: its rotation has {len(rotation)} numbers, not 3 or 9; the file is damaged, export it again.")
     camera = Camera.from_opencv(
         name,
         matrix,
         [] if table.get("fisheye") else distortion,
-        rotation if rotation is None or len(rotation) == 3 else rotation.reshape(3, 3),
+        rotation_of(where, table["rotation"]) if posed else None,
         numbers(where, "translation", table["translation"], 3) if posed else None,
         size,
     )
     if table.get("fisheye"):
-        camera = _with_fisheye(where, camera, distortion)
+        camera = with_fisheye(where, camera, distortion)
     error = table.get("error")
     return camera if error is None else Camera(**{**vars(camera), "error": float(numbers(where, "error", error, 1)[0])})
-
-
-def _with_fisheye(where: str, camera: Camera, distortion: Floats) -> Camera:
-    """A camera with the radial lens nearest to OpenCV's fisheye: angle (1 + k1 angle2 + k2 angle4 + ...) instead of its tangent."""
-    size = camera.size or (2.0 * camera.centre[0], 2.0 * camera.centre[1])
-    reach = corner_radius(size, camera.centre) / min(camera.focal)
-    angle = np.linspace(0.0, _WIDEST, 4001)[1:]
-    seen = angle * (1.0 + sum(k * angle ** (2 * i + 2) for i, k in enumerate(distortion[:4])))
-    inside = np.cumprod(np.diff(seen, prepend=0.0) > 0).astype(bool) & (seen < 1.02 * reach)
-    if seen[inside].max(initial=0.0) < reach:
-        raise AsterismError(
-            f"{where}: a fisheye lens of more than {2 * np.degrees(_WIDEST):.0f} degrees, which this camera model cannot have."
-        )
-    some = np.nonzero(inside)[0][:: max(1, int(inside.sum()) // 400)]
-    (radial, denominator), left = fitted_radial(np.tan(angle[some]), seen[some], camera.focal[0], POLYNOMIALS + RATIONALS)
-    if left > TOLERABLE_PX:
-        raise AsterismError(f"{where}: a fisheye lens that this camera model misses by {left:.2g} px; calibrate it with a pinhole model.")
-    return replace(camera, radial=radial, denominator=denominator)
 
 
 def write_anipose(path: Path, rig: Rig) -> list[str]:
@@ -113,7 +84,8 @@ def write_anipose(path: Path, rig: Rig) -> list[str]:
     error = rig.metadata.get("error")
     lines += [toml_line("error", float(error))] if isinstance(error, int | float) else []
     write_atomically(path, ("\n".join(lines) + "\n").encode())
-    return [*(["the vertical"] if rig.vertical is not None else []), *_errors_lost(rig), *lens_lost(lefts)]
+    lost = [*(["the vertical"] if rig.vertical is not None else []), *_errors_lost(rig), *lens_lost(lefts)]
+    return lost + read_otherwise(rig, 1000.0)
 
 
 def write_caliscope(path: Path, rig: Rig) -> list[str]:

@@ -6,10 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from asterism.cameras.camera import Camera
-from asterism.cameras.files._common import numbers, rig_of, within
+from asterism.cameras.files._common import numbers, rig_of, rotation_of, within
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
 from asterism.formats._text import decoded, read_bytes
@@ -23,7 +21,7 @@ def read_json(path: Path) -> Rig:
     """
     try:
         content = json.loads(decoded(path, read_bytes(path)))
-    except ValueError as problem:
+    except (ValueError, RecursionError) as problem:
         raise AsterismError(f"{path} is damaged: it is no JSON ({problem}); fetch it again.") from problem
     if isinstance(content, dict) and {"intrinsics", "extrinsics"} <= set(content):
         return _human36m(path, content)
@@ -38,8 +36,12 @@ def _human36m(path: Path, content: dict[str, Any]) -> Rig:
         raise AsterismError(f"{path} is damaged: its intrinsics or extrinsics are empty; fetch it again.")
     subject = next(iter(subjects))
     cameras = []
+    if not isinstance(subjects[subject], dict) or not subjects[subject]:
+        raise AsterismError(f"{path} is damaged: subject {subject} has no cameras; fetch it again.")
     for name, pose in subjects[subject].items():
-        where, lens = f"{path}, camera {name}", intrinsics.get(name, {})
+        where, lens = f"{path}, camera {name}", intrinsics.get(name)
+        if not isinstance(pose, dict) or not isinstance(lens, dict):
+            raise AsterismError(f"{where}: it lacks its intrinsics or extrinsics; fetch the file again.")
         cameras.append(
             within(
                 path,
@@ -47,7 +49,7 @@ def _human36m(path: Path, content: dict[str, Any]) -> Rig:
                     name,
                     numbers(where, "calibration_matrix", lens.get("calibration_matrix"), 9).reshape(3, 3),
                     numbers(where, "distortion", lens.get("distortion")),
-                    numbers(where, "R", pose.get("R"), 9).reshape(3, 3),
+                    rotation_of(where, pose.get("R")),
                     1e-3 * numbers(where, "t", pose.get("t"), 3),
                 ),
             )
@@ -59,12 +61,8 @@ def _human36m(path: Path, content: dict[str, Any]) -> Rig:
 
 def _shelf(path: Path, name: str, camera: dict[str, Any]) -> Camera:
     where = f"{path}, camera {name}"
-    rotation = numbers(where, "R", camera["R"], 9).reshape(3, 3)
-    left, _, right = np.linalg.svd(rotation)
     radial, (p1, p2) = numbers(where, "k", camera.get("k", [0, 0, 0])), numbers(where, "p", camera.get("p", [0, 0]), 2)
     fx, fy, cx, cy = (float(numbers(where, key, camera.get(key), 1)[0]) for key in ("fx", "fy", "cx", "cy"))
-    if np.abs(left @ right - rotation).max() > 1e-5:
-        raise AsterismError(f"{where}: its R is no rotation; fetch the file again.")
     place = 1e-3 * numbers(where, "T", camera["T"], 3)
-    turn = left @ right
+    turn = rotation_of(where, camera["R"])
     return Camera(name, None, (fx, fy), (cx, cy), turn, -turn @ place, tuple(radial), (float(p1), float(p2)))

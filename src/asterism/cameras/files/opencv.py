@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from asterism.cameras.camera import Camera
-from asterism.cameras.files._common import metres_per_unit, numbers, rig_of, within
-from asterism.cameras.files._lens import OPENCV, lens_lost, with_shapes
+from asterism.cameras.files._common import image_size, in_metres, numbers, read_otherwise, rig_of, rotation_of, within
+from asterism.cameras.files._lens import OPENCV, lens_lost, with_fisheye, with_shapes
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
 from asterism.formats._text import decoded, read_bytes, write_atomically
@@ -21,9 +22,15 @@ KIND = "OpenCV"
 _MATRIX = re.compile(r"(?i)(?:camera_?matrix|intrinsic(?:s|_?matrix)?|K|M)_?(\w*)")
 _DISTORTION = re.compile(r"(?i)(?:distortion_?coeff(?:icient)?s?|dist_?coeffs?|distortion|dist|D)_?(\w*)")
 _SIZE = re.compile(r"(?i)(?:image_?size|camera_?resolution|size)_?(\w*)")
-_TURN = re.compile(r"(?i)(?:rot|R|rotation)_?(\w*)")
+_TURN = re.compile(r"(?i)(?:rvec|rotation|rot|R)_?(\w*)")
+_MODEL = re.compile(r"(?i)(?:distortion_model|camera_model|fisheye_model|fisheye)_?(\w*)")
+_PINHOLES = ("", "0", "plumb_bob", "rational_polynomial", "radtan", "brown", "brown_conrady", "pinhole", "perspective", "opencv", "false")
+_FISHEYES = ("1", "fisheye", "equidistant", "kannala_brandt", "opencv_fisheye", "true")
 _SHIFT = re.compile(r"(?i)(?:T|translation|tvec)_?(\w*)")
 _ERROR = re.compile(r"(?i)(?:avg_reprojection_error|reprojection_error|rms|error)_?(\w*)")
+
+_LONGEST = 20_000
+"""Items of a list that are looked at: OpenCV counts them from the first each time."""
 
 
 def read_opencv(paths: Sequence[Path]) -> Rig:
@@ -40,30 +47,26 @@ def read_opencv(paths: Sequence[Path]) -> Rig:
     for _, content in contents:
         values.update({key: value for key, value in content.items() if not _is_bare(key)})
     titles = [str(title) for title in values.get("names", [])]
-    marks = [match[1] for key in values if (match := _MATRIX.fullmatch(key))]
+    marks = [match[1] for key, value in values.items() if (match := _MATRIX.fullmatch(key)) and np.shape(value) == (3, 3)]
     if set(marks) <= set(titles):
         titles = []  # the suffixes are the names themselves
+    lacks: list[str] = []
     for path, content in contents:
         for key, value in content.items():
             match = _MATRIX.fullmatch(key)
-            if match and isinstance(value, np.ndarray) and value.shape == (3, 3):
+            if match and np.shape(value) == (3, 3):
                 own = content if match[1] == "" else values
                 number = int(match[1]) if match[1].isdigit() else -1
                 listed = titles[number] if 0 <= number < len(titles) else match[1]
-                cameras.append(within(path, lambda m=match[1], t=listed, v=value, p=path, o=own: _camera(p, m, t, v, o)))
+                cameras.append(within(path, lambda m=match[1], t=listed, v=value, p=path, o=own: _camera(p, m, t, v, o, lacks)))
     if not cameras:
         lists = any(isinstance(value, list) for _, content in contents for value in content.values())
         what = "lists files" if lists else "holds no camera matrix"
         use = "; to calibrate from the images that it lists, give it to asterism calibrate board" if lists else "; export it again"
         raise AsterismError(f"{', '.join(map(str, paths))} {what} and no camera{use}.")
-    cameras = _stereo(cameras, [content for _, content in contents])
-    posed = [camera.position for camera in cameras if camera.posed and np.any(camera.translation)]
-    lacks: list[str] = []
-    if posed:
-        scale, phrase = metres_per_unit(posed)
-        lacks.append(phrase)
-        cameras = [Camera(**{**vars(camera), "translation": scale * camera.translation}) for camera in cameras]
-    return rig_of(paths[0], KIND, cameras, {"files": [str(path) for path in paths]} if len(paths) > 1 else {}, lacks)
+    cameras = _stereo(f"{paths[0]}, R and T", cameras, [content for _, content in contents])
+    cameras, unit = in_metres(cameras)
+    return rig_of(paths[0], KIND, cameras, {"files": [str(path) for path in paths]} if len(paths) > 1 else {}, [*lacks, *unit])
 
 
 def write_opencv(path: Path, rig: Rig) -> list[str]:
@@ -89,34 +92,52 @@ def write_opencv(path: Path, rig: Rig) -> list[str]:
             file.write(f"R_{i}", camera.rotation)
             file.write(f"T_{i}", camera.translation.reshape(3, 1))
     write_atomically(path, file.releaseAndGetString().encode())
-    return [*(["the vertical"] if rig.vertical is not None else []), *lens_lost(lefts)]
+    return [*(["the vertical"] if rig.vertical is not None else []), *lens_lost(lefts), *read_otherwise(rig, 1.0)]
 
 
 def _is_bare(key: str) -> bool:
     """Whether a key names a value of the only camera of its file."""
-    matches = (pattern.fullmatch(key) for pattern in (_MATRIX, _DISTORTION, _SIZE, _ERROR))
+    matches = (pattern.fullmatch(key) for pattern in (_MATRIX, _DISTORTION, _SIZE, _ERROR, _MODEL))
     return any(match and match[1] == "" for match in matches) or key.startswith("image_")
 
 
-def _camera(path: Path, mark: str, title: str, matrix: Floats, values: dict[str, Any]) -> Camera:
+def _camera(path: Path, mark: str, title: str, matrix: Floats, values: dict[str, Any], lacks: list[str]) -> Camera:
     name = title or path.stem
     where = f"{path}, camera {name}"
     distortion = _one(values, _DISTORTION, mark)
     size = _one(values, _SIZE, mark)
     if size is None and {"image_width", "image_height"} <= set(values):
         size = [values["image_width"], values["image_height"]]
-    turn, shift = (_one(values, _TURN, mark), _one(values, _SHIFT, mark)) if mark else (None, None)
+    turn, shift = _one(values, _TURN, mark), _one(values, _SHIFT, mark)
     posed = turn is not None and shift is not None
+    bends = numbers(where, "distortion", [] if distortion is None else distortion)
+    fisheye = _is_fisheye(where, values, mark)
+    if distortion is None:
+        lacks.append(f"the lens distortion of {name}")
+    elif fisheye is None and len(bends) == 4:
+        lacks.append(f"the lens model of {name}: its four coefficients were taken as k1, k2, p1, p2, not as a fisheye's")
     camera = Camera.from_opencv(
         name,
         matrix,
-        [] if distortion is None else numbers(where, "distortion", distortion),
-        _turn(turn) if posed else None,
+        [] if fisheye else bends,
+        rotation_of(where, turn) if posed else None,
         numbers(where, "translation", shift, 3) if posed else None,
-        None if size is None else [int(side) for side in numbers(where, "size", size, 2)],
+        None if size is None else image_size(where, size),
     )
+    if fisheye:
+        camera = with_fisheye(where, camera, bends)
     error = _one(values, _ERROR, mark)
     return camera if error is None else Camera(**{**vars(camera), "error": float(numbers(where, "error", error, 1)[0])})
+
+
+def _is_fisheye(where: str, values: dict[str, Any], mark: str) -> bool | None:
+    """Whether the lens is OpenCV's fisheye, None where the file does not say. Raises AsterismError for a model of another kind."""
+    said = [value for key, value in values.items() if (match := _MODEL.fullmatch(key)) and match[1] == mark]
+    models = [value.casefold() if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else "" for value in said]
+    for model in models:
+        if model not in (*_PINHOLES, *_FISHEYES):
+            raise AsterismError(f"{where}: the lens model {model[:40]} is not understood; calibrate it with OpenCV's pinhole or fisheye.")
+    return any(model in _FISHEYES for model in models) if any(models) else None
 
 
 def _one(values: dict[str, Any], pattern: re.Pattern[str], mark: str) -> Any:
@@ -125,23 +146,13 @@ def _one(values: dict[str, Any], pattern: re.Pattern[str], mark: str) -> Any:
     return max(found, key=np.size) if found else None
 
 
-def _turn(values: Any) -> Floats:
-    """A rotation matrix (3, 3) or vector (3,)."""
-    found = np.asarray(values, dtype=np.float64)
-    return found.reshape(3, 3) if found.size == 9 else found.ravel()
-
-
-def _stereo(cameras: list[Camera], contents: list[dict[str, Any]]) -> list[Camera]:
-    """A pair with one R and T between: the first camera is the world frame."""
-    turn = next((content["R"] for content in contents if np.shape(content.get("R", 0)) in ((3, 3), (3, 1))), None)
-    shift = next((content["T"] for content in contents if np.size(content.get("T", 0)) == 3), None)
-    if len(cameras) != 2 or turn is None or shift is None or any(camera.posed for camera in cameras):
+def _stereo(where: str, cameras: list[Camera], contents: list[dict[str, Any]]) -> list[Camera]:
+    """A pair of which the first has no pose, and with one R and T between: the first camera is the world frame."""
+    between = [content for content in contents if np.size(content.get("R", 0)) in (3, 9) and np.size(content.get("T", 0)) == 3]
+    if len(cameras) != 2 or len(between) != 1 or cameras[0].posed:
         return cameras
-    first, second = cameras
-    return [
-        Camera(**{**vars(first), "posed": True}),
-        Camera.from_opencv(second.name, second.matrix, second.distortion, _turn(turn), np.ravel(shift), second.size),
-    ]
+    turn, shift = rotation_of(where, between[0]["R"]), numbers(where, "translation", between[0]["T"], 3)
+    return [replace(cameras[0], posed=True), replace(cameras[1], rotation=turn, translation=shift, posed=True)]
 
 
 def _values(path: Path) -> dict[str, Any]:
@@ -169,13 +180,13 @@ def _value(node: Any) -> Any:
         keys = set(node.keys())
         if {"rows", "cols", "data"} <= keys:
             cells = node.getNode("data")
-            data = [_number(cells.at(i)) for i in range(cells.size())]
+            data = [_number(cells.at(i)) for i in range(min(cells.size(), _LONGEST))]
             shape = (_number(node.getNode("rows")), _number(node.getNode("cols")))
             fits = len(data) == shape[0] * shape[1]
             return np.array(data).reshape(int(shape[0]), int(shape[1])) if fits else np.array([])
         return {}
     if node.isSeq():
-        items = [node.at(i) for i in range(node.size())]
+        items = [node.at(i) for i in range(min(node.size(), _LONGEST))]
         return [item.string() if item.isString() else _number(item) for item in items]
     return node.string() if node.isString() else _number(node)
 

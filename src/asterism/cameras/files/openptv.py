@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from asterism.cameras.camera import Camera, rotation_from_vector
-from asterism.cameras.files._common import OPENCV_FROM_UPRIGHT, numbers, rig_of, within
+from asterism.cameras.files._common import OPENCV_FROM_UPRIGHT, image_size, numbers, rig_of, rotation_of, within
 from asterism.cameras.files._lens import TOLERABLE_PX, corner_radius, lens_lost
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
@@ -60,10 +60,11 @@ class Orientation:
 def read_openptv(paths: Sequence[Path]) -> Rig:
     """The cameras of .ori files as one rig, each with its .addpar (else an ideal lens) and the parameters folder's ptv.par.
 
-    Pixels and directions follow OpenPTV's own geometry: x to the right, y up on the sensor, the rows of the .ori's matrix are the world's
-    axes. Where a window and a medium bend the light, or the lens is not centred on the principal point, an equivalent camera without
-    either is fitted over the image and the depth of the measuring volume (criteria.par; else 0.2 of the distance around where each
-    ray passes the origin): the metadata has the residuals (`fit_px`, RMS and largest). It is right behind the window only.
+    Directions follow OpenPTV's own geometry: x to the right, y up on the sensor, the rows of the .ori's matrix are the world's axes. Pixels
+    are ours, half a pixel less than in OpenPTV's own target files. Where a window and a medium bend the light, or the lens is not centred
+    on the principal point, an equivalent camera without either is fitted over the image and the depth of the measuring volume
+    (criteria.par; else 0.2 of the distance around where each ray passes the origin): the metadata has the residuals (`fit_px`, RMS and
+    largest). It is right behind the window only.
     Raises AsterismError where ptv.par is missing or a file is damaged.
     """
     setup = _setup(paths[0])
@@ -95,13 +96,15 @@ def _setup(path: Path) -> Setup:
     if count < 1 or len(tail) < 7:
         raise AsterismError(f"{folder / 'ptv.par'} is damaged: it breaks off before the pixel size; copy it again.")
     glass = tail[8:12] if len(tail) >= 12 else np.array([1.0, 1.0, 1.0, 0.0])
+    if min(*tail[5:7], *glass[:3]) <= 0 or glass[3] < 0:
+        raise AsterismError(f"{folder / 'ptv.par'} is damaged: its pixels, indices or window are not positive; copy it again.")
     depth = None
     if (folder / "criteria.par").is_file():
         limits = numbers(f"{folder / 'criteria.par'}", "limits", _words(folder / "criteria.par"))
         if len(limits) >= 6:
             depth = (float(min(limits[1], limits[4])), float(max(limits[2], limits[5])))
     return Setup(
-        (int(tail[3]), int(tail[4])),
+        image_size(str(folder / "ptv.par"), tail[3:5]),
         (float(tail[5]), float(tail[6])),
         (float(glass[0]), float(glass[1]), float(glass[2])),
         float(glass[3]),
@@ -113,16 +116,20 @@ def _orientation(path: Path) -> Orientation:
     values = numbers(str(path), "orientation", _words(path))
     if len(values) not in (18, 21):
         raise AsterismError(f"{path} is damaged: it has {len(values)} numbers, an orientation has 18 or 21; copy it again.")
-    left, _, right = np.linalg.svd(values[6:15].reshape(3, 3))
-    axes = left @ right
-    if np.abs(axes - values[6:15].reshape(3, 3)).max() > 1e-4 or np.linalg.det(axes) < 0 or values[17] <= 0:
-        raise AsterismError(f"{path} is damaged: its matrix is no rotation or its distance not positive; copy it again.")
+    axes = rotation_of(str(path), values[6:15])
+    if values[17] <= 0:
+        raise AsterismError(f"{path} is damaged: the distance of its principal point is not positive; copy it again.")
     lens = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
     beside = path.with_name(path.name.removesuffix(".ori") + ".addpar")
     if beside.is_file():
         lens = numbers(str(beside), "lens", _words(beside), 7)
     window = values[18:21] if len(values) == 21 else np.zeros(3)
     return Orientation(axes, values[:3], window, values[15:18], lens)
+
+
+def _middle(size: tuple[int, int]) -> Floats:
+    """The middle of the sensor (2,) px: OpenPTV counts pixels from the corner of the first one, we from its centre."""
+    return (np.array(size) - 1) / 2
 
 
 def _words(path: Path) -> list[str]:
@@ -154,7 +161,7 @@ def _as_camera(path: Path, name: str, orientation: Orientation, setup: Setup) ->
     cc = float(orientation.inner[2])
     turn = OPENCV_FROM_UPRIGHT @ orientation.axes.T
     focal = (cc * float(scale) / setup.pixel[0], cc * float(np.cos(shear)) / setup.pixel[1])
-    middle = np.array(setup.size) / 2
+    middle = _middle(setup.size)
     camera = within(
         path,
         lambda: Camera(
@@ -181,7 +188,7 @@ def _sample(path: Path, orientation: Orientation, setup: Setup) -> tuple[Floats,
     """Pixels all over the image (n, 2), and the points (n, 3) m in the measuring volume that they see."""
     columns, rows, layers = _GRID
     grid = np.stack(np.meshgrid(np.linspace(0, setup.size[0], columns), np.linspace(0, setup.size[1], rows)), axis=-1).reshape(-1, 2)
-    sensor = (grid - np.array(setup.size) / 2) * np.array([setup.pixel[0], -setup.pixel[1]])
+    sensor = (grid - _middle(setup.size)) * np.array([setup.pixel[0], -setup.pixel[1]])
     flat = _off_sensor(orientation, sensor)
     rays = np.concatenate([flat, np.full((len(flat), 1), -orientation.inner[2])], axis=1) @ orientation.axes.T
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
@@ -278,6 +285,8 @@ def write_openptv(path: Path, rig: Rig) -> list[str]:
         if left > TOLERABLE_PX:
             raise AsterismError(f"{path}: camera {camera.name} has a lens that OpenPTV's misses by {left:.2g} px; write .toml instead.")
         lefts[camera.name] = left
+        if Path(camera.name).name != camera.name:
+            raise AsterismError(f"{path}: camera {camera.name!r} cannot be part of a file's name; rename it, or write .toml instead.")
         stem = f"{path.name.removesuffix('.ori')}_{camera.name}" if len(rig) > 1 else path.name.removesuffix(".ori")
         names.append(stem)
         files.append((path.with_name(f"{stem}.ori"), _ori_text(orientation)))
@@ -307,9 +316,10 @@ def _as_orientation(camera: Camera) -> tuple[Orientation, float]:
     grid = np.stack(np.meshgrid(np.linspace(0, width, 17), np.linspace(0, height, 13)), axis=-1).reshape(-1, 2)
     flat = camera.undistort(grid)
     there = np.isfinite(flat[:, 0])
-    seen = ((grid - np.array([width, height]) / 2) * [_PIXEL_MM, -_PIXEL_MM])[there]
+    middle = _middle((width, height))
+    seen = ((grid - middle) * [_PIXEL_MM, -_PIXEL_MM])[there]
     k = (*camera.radial, 0.0, 0.0, 0.0)
-    offset = [(camera.centre[0] - width / 2) * _PIXEL_MM, -(camera.centre[1] - height / 2) * _PIXEL_MM]
+    offset = (camera.centre - middle) * [_PIXEL_MM, -_PIXEL_MM]
     scale = camera.focal[0] / camera.focal[1]
     start = np.array([offset[0] / scale, offset[1], cc, k[0], k[1], k[2], camera.tangential[1], -camera.tangential[0], scale])
     powers = np.array([1.0, 1.0, 1.0, cc**2, cc**4, cc**6, cc, cc, 1.0])

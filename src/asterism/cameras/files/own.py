@@ -72,7 +72,7 @@ def _camera(path: Path, place: int, table: dict[str, Any]) -> Camera:
         rotation = np.array([_floats(row, 3) for row in table["rotation"]]) if posed else np.eye(3)
         return Camera(
             str(name),
-            (int(table["size"][0]), int(table["size"][1])) if "size" in table else None,
+            _size(table["size"]) if "size" in table else None,
             _pair(table["focal"]),
             _pair(table["centre"]),
             rotation,
@@ -85,8 +85,13 @@ def _camera(path: Path, place: int, table: dict[str, Any]) -> Camera:
         )
     except AsterismError as problem:
         raise AsterismError(f"{path}, {problem}") from None
-    except (TypeError, ValueError, IndexError) as problem:
+    except (TypeError, ValueError, IndexError, OverflowError) as problem:
         raise AsterismError(f"{where}: one of its values has the wrong type or length ({problem}); {_REMADE}.") from problem
+
+
+def _size(values: Any) -> tuple[int, int]:
+    width, height = _pair(values)
+    return int(width), int(height)
 
 
 def _pair(values: Any) -> tuple[float, float]:

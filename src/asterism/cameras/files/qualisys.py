@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from asterism.cameras.camera import Camera
-from asterism.cameras.files._common import OPENCV_FROM_UPRIGHT, attribute, numbers, rig_of, within, xml_root
+from asterism.cameras.files._common import OPENCV_FROM_UPRIGHT, attribute, image_size, numbers, rig_of, rotation_of, within, xml_root
 from asterism.cameras.files._lens import POLYNOMIALS, lens_lost, with_shapes
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
@@ -28,7 +28,7 @@ def read_qualisys(path: Path) -> Rig:
     """
     root = xml_root(path, "calibration")
     cameras: list[Camera] = []
-    inactive, turned = [], []
+    inactive, turned, cropped = [], [], []
     residuals: dict[str, float] = {}
     for element in root.iterfind("cameras/camera"):
         name = element.get("serial") or str(len(cameras) + 1)
@@ -37,14 +37,26 @@ def read_qualisys(path: Path) -> Rig:
             continue
         cameras.append(within(path, lambda e=element, n=name: _camera(path, n, e)))
         residuals[name] = float(numbers(f"{path}, camera {name}", "avg-residual", element.get("avg-residual", "0"), 1)[0])
+        if _is_cropped(element.find("fov_video"), cameras[-1]):
+            cropped.append(name)
         if element.get("viewrotation", "0") != "0":
             turned.append(name)
     results = root.find("results")
     metadata = {"residuals_mm": residuals, "wand_length_std_mm": None if results is None else results.get("std-dev")}
     lacks = ["reprojection errors in pixels (its residuals are millimetres, see the metadata)"] if residuals else []
     lacks += [f"a calibration of {', '.join(inactive)}, which is not active"] if inactive else []
+    lacks += [
+        f"videos of the whole sensor of {', '.join(cropped)}: theirs are cropped or scaled (fov_video), pixels here are the sensor's"
+    ] * bool(cropped)
     lacks += [f"upright images of {', '.join(turned)}: pixels are those of the sensor, whose view is turned"] if turned else []
     return rig_of(path, "Qualisys", cameras, metadata, lacks)
+
+
+def _is_cropped(video: ET.Element | None, camera: Camera) -> bool:
+    """Whether the pixels of a camera's videos are not those of its sensor."""
+    width, height = camera.size or (0, 0)
+    whole = {"left": 0, "top": 0, "right": width - 1, "bottom": height - 1}
+    return video is not None and any(video.get(side, str(end)) != str(end) for side, end in whole.items())
 
 
 def _camera(path: Path, name: str, element: ET.Element) -> Camera:
@@ -59,19 +71,15 @@ def _camera(path: Path, name: str, element: ET.Element) -> Camera:
 
     if of_lens("skew") != 0:
         raise AsterismError(f"{where}: its sensor is skewed, which this camera model does not have.")
-    rotation = OPENCV_FROM_UPRIGHT @ np.array([[of_pose(f"r{i}{j}") for j in (1, 2, 3)] for i in (1, 2, 3)])
-    left, _, right = np.linalg.svd(rotation)
-    if np.abs(left @ right - rotation).max() > 1e-4:
-        raise AsterismError(f"{where}: its r11 to r33 are no rotation; export it again.")
+    turn = OPENCV_FROM_UPRIGHT @ rotation_of(where, [of_pose(f"r{i}{j}") for i in (1, 2, 3) for j in (1, 2, 3)])
     low, high = [of_lens("sensorMinU"), of_lens("sensorMinV")], [of_lens("sensorMaxU"), of_lens("sensorMaxV")]
-    size = np.floor((np.array(high) - low) / SUBPIXELS).astype(int) + 1
     return Camera(
         name,
-        (int(size[0]), int(size[1])),
+        image_size(where, np.floor((np.array(high) - low) / SUBPIXELS) + 1),
         (of_lens("focalLengthU") / SUBPIXELS, of_lens("focalLengthV") / SUBPIXELS),
         (of_lens("centerPointU") / SUBPIXELS, of_lens("centerPointV") / SUBPIXELS),
-        left @ right,
-        -left @ right @ (1e-3 * np.array([of_pose("x"), of_pose("y"), of_pose("z")])),
+        turn,
+        -turn @ (1e-3 * np.array([of_pose("x"), of_pose("y"), of_pose("z")])),
         tuple(of_lens(f"radialDistortion{i}") for i in (1, 2, 3)),
         (of_lens("tangentalDistortion1"), of_lens("tangentalDistortion2")),
     )

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from asterism.cameras.camera import Camera
-from asterism.cameras.files._common import attribute, numbers, rig_of, within, xml_root
+from asterism.cameras.files._common import attribute, image_size, numbers, rig_of, within, xml_root
 from asterism.cameras.files._lens import POLYNOMIALS, RATIONALS, TOLERABLE_PX, Radial, corner_radius, fitted_radial, lens_lost
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
@@ -74,21 +74,21 @@ def _camera(path: Path, name: str, element: ET.Element, frame: ET.Element) -> tu
     def of(key: str, count: int) -> Floats:
         return numbers(where, key, attribute(frame, key, where), count)
 
-    size = numbers(where, "SENSOR_SIZE", attribute(element, "SENSOR_SIZE", where), 2)
+    size = image_size(where, attribute(element, "SENSOR_SIZE", where))
     focal, centre = float(of("FOCAL_LENGTH", 1)[0]), of("PRINCIPAL_POINT", 2)
     quaternion, place = of("ORIENTATION", 4), 1e-3 * of("POSITION", 3)
     if not np.linalg.norm(quaternion) > 0:
         raise AsterismError(f"{where}: its ORIENTATION is all zero; the file is damaged, export it again.")
     rotation = Rotation.from_quat(quaternion).as_matrix()
-    inward = _inward(where, frame)
-    (radial, denominator), left, reach = _turned(inward, focal, corner_radius(size.tolist(), centre.tolist()))
+    corner = corner_radius(size, centre.tolist())
+    (radial, denominator), left, reach = _turned(_inward(where, frame, centre, corner), focal, corner)
     aspect = float(numbers(where, "PIXEL_ASPECT_RATIO", element.get("PIXEL_ASPECT_RATIO", "1"), 1)[0])
     error = frame.get("IMAGE_ERROR")
     camera = within(
         path,
         lambda: Camera(
             name,
-            (int(size[0]), int(size[1])),
+            size,
             (focal, focal / aspect),
             (float(centre[0]), float(centre[1])),
             rotation,
@@ -101,15 +101,23 @@ def _camera(path: Path, name: str, element: ET.Element, frame: ET.Element) -> tu
     return camera, left, reach
 
 
-def _inward(where: str, frame: ET.Element) -> Floats:
-    """k1, k2, ... per px2, px4, ... of the map from the distorted to the ideal image."""
+def _inward(where: str, frame: ET.Element, centre: Floats, corner: float) -> Floats:
+    """k1, k2, ... per px2, px4, ... of the map from the distorted to the ideal image, of which the corner is so many px from the centre.
+
+    Raises AsterismError for another lens model, and for a lens about another centre than the principal point.
+    """
     newer = frame.get("VICON_RADIAL2")
     if newer is None:
         return numbers(where, "VICON_RADIAL", frame.get("VICON_RADIAL", "0 0"))
     model, _, values = newer.partition(" ")
     if model != _MODEL:
         raise AsterismError(f"{where}: the lens model {model[:40]} is not understood, only {_MODEL}; export without it.")
-    return numbers(where, "VICON_RADIAL2", values, 5)[2:]
+    found = numbers(where, "VICON_RADIAL2", values, 5)
+    # moving the centre moves a pixel by at most so many times as much
+    steepest = sum((2 * i + 3) * abs(k) * corner ** (2 * i + 2) for i, k in enumerate(found[2:]))
+    if np.linalg.norm(found[:2] - centre) * steepest > TOLERABLE_PX:
+        raise AsterismError(f"{where}: the centre of its lens is not its PRINCIPAL_POINT, which this camera model cannot have.")
+    return found[2:]
 
 
 def _turned(inward: Floats, focal: float, reach: float) -> tuple[Radial, float, float]:
