@@ -13,8 +13,8 @@ from asterism.labelling.tracks.linking import LinkRules, find_tracklets
 from asterism.motion._kernels import smooth_path
 from asterism.recording import Clouds, Floats
 
-_MISS = 0.01
-"""m that a link's prediction may miss: points that two cameras see at a narrow angle are as inexact."""
+_MISS = 0.02
+"""m that a link's prediction may miss: points that two cameras see at a narrow angle are as inexact. With 0.03 neighbours are linked."""
 _SHORTEST = 6
 """Frames; of shorter pieces of a path little is to be learned."""
 _JERK = 100.0
