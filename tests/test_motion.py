@@ -1,161 +1,219 @@
-"""Smooth paths: against the truth, against a slow twin, and what must not change them."""
+"""Features of motion: what tracks tell, that no rigid motion or reversal changes it, and that training, search and models take it."""
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.ndimage import gaussian_filter1d
-from typer.testing import CliRunner
 
-from asterism import AsterismError
-from asterism.cameras import Rig
-from asterism.cameras.files import write_rig
-from asterism.cli import app
-from asterism.formats import read_clouds, write_blobs
-from asterism.motion import smooth_paths
-from asterism.motion._kernels import THIRD, smooth_path
-from asterism.reconstruction import Reconstruction, reconstruct
-from asterism.recording import Clouds
+from asterism import AsterismError, Clouds, Recording, SolverEnsemble
+from asterism.hiding import hide_in_gaps
+from asterism.labelling import _kernels
+from asterism.labelling.ensemble import TrainingRules
+from asterism.labelling.features import FEATURES, TEMPORAL, kinds_of, needs_motion, pool
+from asterism.labelling.matrix import PartialSolvers, label_by_matrix
+from asterism.labelling.mining import Mining, mine
+from asterism.labelling.motion._kernels import WIDTH
+from asterism.labelling.motion.points import frames_with_motion, motion_of
+from asterism.labelling.solver import FullSolver, stack
+from asterism.labelling.weak import Spread, StrongClassifier
 from asterism.simulation import simulate_walks
-from asterism.simulation.cameras import images_of, ring_rig, walker_capsules
 
-Case = tuple[Rig, np.ndarray, Reconstruction]
+WALKS = simulate_walks(subjects=3, frames=120, seed=2)
+QUICK = Mining(glance=60, exposures=200, proof=300, breadth=20, largest=5, most_solvers=25)
+BOTH = ("g2", "g4", "g9", *TEMPORAL)
+
+
+def wandering(frames=80, markers=3, rate=100.0, seed=0):
+    """A recording of points on random parabolas with a little noise, one with a gap."""
+    rng = np.random.default_rng(seed)
+    seconds = np.arange(frames)[:, None, None] / rate
+    place, speed, pull = rng.normal(size=(3, markers, 3))
+    positions = place + speed * seconds + 0.5 * pull * seconds**2 + rng.normal(scale=1e-3, size=(frames, markers, 3))
+    positions[30:34, 0] = np.nan
+    return Recording(positions, tuple("ABCDEFGH"[:markers]), rate), speed, pull
+
+
+@pytest.mark.parametrize("rate", [25.0, 50.0, 100.0, 240.0])
+def test_motion_equals_its_twin(rate):
+    recording, _, _ = wandering(frames=120, rate=rate)
+    frames = frames_with_motion(recording)
+    for marker in range(3):
+        np.testing.assert_allclose(frames[:, marker], twins.motion(recording.positions[:, marker], rate), rtol=1e-6, atol=1e-6)
+
+
+def test_motion_is_that_of_the_body():
+    """Of a point at 2 m/s that speeds up by 3 m/s2, in the middle: velocity, acceleration, and where it was and will be."""
+    seconds = np.arange(61) / 100.0 - 0.3
+    positions = np.zeros((61, 1, 3))
+    positions[:, 0, 0] = 2.0 * seconds + 1.5 * seconds**2
+    middle = frames_with_motion(Recording(positions, ("A",), 100.0))[30, 0]
+    assert middle[9:12] == pytest.approx([2.0, 0.0, 0.0], abs=1e-9)
+    assert middle[12:15] == pytest.approx([3.0, 0.0, 0.0], abs=1e-7)
+    assert middle[[3, 6]] == pytest.approx([-0.4 + 0.06, 0.4 + 0.06])
+
+
+def test_motion_is_unknown_beside_a_gap_and_without_tracks():
+    recording, _, _ = wandering()
+    frames = frames_with_motion(recording)
+    known = ~np.isnan(frames)
+    assert known[30:34, 0].sum() == 0
+    assert known[[29, 34], 0, :3].all()
+    assert not known[[25, 29, 34, 38], 0, 9:].any(), "no parabola reaches over the gap"
+    assert known[[24, 39], 0, 9:].all()
+    assert not known[[0, 19, 60], 1, 3:9].all(axis=1)[[0, 1, 2]].any()
+    assert known[20:60, 1].all()
+    slow = motion_of(replace(recording.clouds(), rate=10.0))
+    assert np.isnan(slow[:, 3:]).all(), "ten frames a second do not say how a point moves"
+    assert np.isfinite(slow[:, :3]).all()
+
+
+def rigid(positions, angle, shift):
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    return positions @ turn.T + shift
+
+
+@given(seed=st.integers(0, 50), angle=st.floats(-3, 3), backwards=st.booleans())
+@settings(max_examples=25, deadline=None)
+def test_neither_heading_nor_place_nor_direction_of_time_changes_a_feature(seed, angle, backwards):
+    recording, _, _ = wandering(seed=seed)
+    positions = rigid(recording.positions, angle, [3.0, -2.0, 0.7])
+    other = frames_with_motion(replace(recording, positions=positions[::-1] if backwards else positions))
+    other = other[::-1] if backwards else other
+    frames = frames_with_motion(recording)
+    kinds, slots = pool(3, [feature.name for feature in FEATURES if feature.points < 4])
+    for kind, slot in zip(kinds, slots, strict=True):
+        for t in (22, 55):
+            before, after = (_kernels.feature(kind, np.ascontiguousarray(f[t]), *slot) for f in (frames, other))
+            assert after == pytest.approx(before, rel=1e-6, abs=1e-6, nan_ok=True), FEATURES[kind].name
+
+
+def test_a_vertical_of_its_own():
+    recording, _, _ = wandering()
+    tipped = replace(recording, positions=recording.positions[..., [1, 2, 0]], vertical=np.array([0.0, 1.0, 0.0]))
+    frames, other = frames_with_motion(recording), frames_with_motion(tipped)
+    for kind in kinds_of(TEMPORAL):
+        values = [_kernels.feature(kind, np.ascontiguousarray(f[55]), 0, 1, 2, 0) for f in (frames, other)]
+        assert values[0] == pytest.approx(values[1])
+
+
+def test_intervals_and_rejections_of_motion():
+    """The rate at which a distance changes tells a rigid pair from a pair of two limbs where lengths alone do not."""
+    rng = np.random.default_rng(0)
+    seconds = np.arange(200) / 100.0
+    swing = 0.3 + 0.1 * np.sin(2 * np.pi * seconds)
+    positions = np.zeros((200, 3, 3)) + rng.normal(scale=2e-4, size=(200, 3, 3))
+    positions[:, 1, 0] += 0.3
+    positions[:, 2, 1] += swing
+    frames, groups = stack([Recording(positions, ("A", "B", "C"), 100.0, metadata={"subject": "S"})], motion=True)
+    inner = slice(25, 175)
+    plain, moving = (Spread.measure(frames, groups, names).weak("range") for names in (("g2",), ("g2", "g11", "g15")))
+    swap = np.tile([0, 2, 1], (200, 1))
+    caught = [(~StrongClassifier(weak, np.ones(len(weak)), 3).accepts(frames, swap))[inner].mean() for weak in (plain, moving)]
+    assert caught[0] < 0.995
+    assert caught[1] == 1.0
+    right = np.tile([0, 1, 2], (200, 1))
+    assert StrongClassifier(moving, np.ones(len(moving)), 3).accepts(frames, right).all()
+
+
+def test_frames_without_motion_are_refused_where_it_is_needed():
+    frames, groups = stack(WALKS)
+    with pytest.raises(AsterismError, match="motion"):
+        Spread.measure(frames, groups, BOTH)
+    wide, _ = stack(WALKS, motion=True)
+    assert wide.shape == (*frames.shape[:2], WIDTH)
+    weak = Spread.measure(wide, groups, ("g10",)).weak("range")
+    with pytest.raises(AsterismError, match="motion"):
+        StrongClassifier(weak, np.ones(len(weak)), 15).accepts(frames, np.tile(np.arange(15), (len(frames), 1)))
 
 
 @pytest.fixture(scope="module")
-def walk() -> Case:
-    """A walker before seven cameras with 0.3 px of noise: the rig, the true markers (T, M, 3) m, and the points.
-
-    The measurement noise of half a millimetre that simulated walks have is no motion, and is taken off.
-    """
-    rng = np.random.default_rng(5)
-    rig, recording = ring_rig(7, rng=rng), simulate_walks(1, frames=150, seed=5)[0]
-    truth = gaussian_filter1d(recording.positions, 2.0, axis=0)
-    blobs, _ = images_of(rig, truth, noise=0.3, body=walker_capsules(recording), strays=0.3, rng=rng)
-    return rig, truth, reconstruct(blobs, rig, noise=0.3)
+def mined():
+    frames, groups = stack(WALKS, motion=True)
+    return mine(frames, groups, targets=0.98, features=BOTH, settings=QUICK, widen=0.5, seed=0)
 
 
-def errors(clouds: Clouds, truth: np.ndarray) -> np.ndarray:
-    """(P,) m, how far each point is from the nearest marker."""
-    return np.concatenate(
-        [np.linalg.norm(points[:, None] - truth[t][None], axis=2).min(axis=1) for t, points in enumerate(clouds) if len(points)]
-    )
+def test_miners_and_searches_take_features_of_motion(mined):
+    used = {FEATURES[kind].name for kind in np.unique(mined.solvers.kinds)}
+    assert set(TEMPORAL) - {"g18"} <= used
+    assert mined.reads_motion
+    clouds, truth = hide_in_gaps(WALKS[1], 2, 0, seed=1)
+    indices = label_by_matrix(clouds, mined).indices
+    right = ((indices == truth) & (indices >= 0)).sum()
+    assert right / (indices >= 0).sum() > 0.99
+    assert right / (truth >= 0).sum() > 0.6
 
 
-def some_path(frames: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A path with a kink: measured (n, 3) m, covariances (n, 3, 3) m2 that differ, and the truth."""
-    time = np.arange(frames) / 100
-    truth = np.stack([np.abs(time - time.mean()), 0.3 * np.sin(5 * time), 0.1 * time], axis=1)
-    spread = rng.normal(size=(frames, 3, 3)) * 4e-4
-    covariance = spread @ spread.transpose(0, 2, 1) + 1e-7 * np.eye(3)
-    return truth + np.einsum("nij,nj->ni", np.linalg.cholesky(covariance), rng.normal(size=(frames, 3))), covariance, truth
+def test_what_motion_rules_out_is_what_each_search_would_find(mined):
+    """Rules shared by all solvers of a frame give the proposals that each solver's own search gives with its own classifiers."""
+    clouds, _ = hide_in_gaps(WALKS[0].frames(slice(0, 60)), 2, 1, seed=3)
+    points = motion_of(clouds)
+    few = PartialSolvers(
+        mined.solvers, mined.hit_rates, mined.targets, mined.covered, np.ones_like(mined.trusted), mined.whole
+    )  # every solver may propose
+    votes = label_by_matrix(clouds, few, budget=10**7, complete=False).indices
+    for t in range(0, 60, 12):
+        frame, proposals = points[clouds.offsets[t] : clouds.offsets[t + 1]], []
+        for s in range(len(few)):
+            begin, end = few.solvers.first_depth[s : s + 2]
+            found = np.empty((5000, end - begin), dtype=np.int64)
+            count = _kernels.search(few.solvers, s, frame, np.arange(len(frame)), 10**7, found, np.zeros(2, dtype=np.int64))
+            agreed = [set(found[: max(count, 0), depth].tolist()) for depth in range(end - begin)]
+            markers = few.solvers.markers[begin:end].tolist()
+            proposals.append({m: a.pop() for m, a in zip(markers, agreed, strict=True) if len(a) == 1 and count <= 32})
+        assert votes[t].tolist() == twins.matrix(proposals, 15)
 
 
-def test_smoothing_halves_the_error_and_says_how_exact_it_is(walk: Case) -> None:
-    rig, truth, result = walk
-    paths = smooth_paths(result.clouds, result.covariance)
-    before, after = errors(result.clouds, truth), errors(paths.clouds, truth)
-    real = before < 0.02
-    assert np.sqrt(np.mean(after[real] ** 2)) < 0.6 * np.sqrt(np.mean(before[real] ** 2))
-    deviation = np.sqrt(np.trace(paths.covariance, axis1=1, axis2=2))[real]
-    assert 0.8 < np.sqrt(np.mean(after[real] ** 2)) / np.sqrt(np.mean(deviation**2)) < 1.3
-    np.testing.assert_allclose(paths.moved, np.linalg.norm(paths.clouds.xyz - result.clouds.xyz, axis=1))
-    smooth = result.moved(paths.clouds, paths.covariance, rig)
-    again = result.moved(result.clouds, result.covariance, rig)
-    np.testing.assert_allclose(again.residual, result.residual, atol=1e-4)
-    assert smooth.residual.mean() > result.residual.mean()
+def test_clouds_without_tracks_or_with_one_frame_still_get_labels(mined):
+    clouds, truth = hide_in_gaps(WALKS[1].frames(slice(50, 51)), 0, 0, seed=1)
+    for tracks in (clouds.tracks, None, np.full(len(clouds.xyz), -1)):
+        indices = label_by_matrix(replace(clouds, tracks=tracks), mined).indices
+        assert ((indices == truth) | (indices < 0)).all()
+        assert (indices >= 0).any()
+    empty = Clouds.from_points([np.empty((0, 3))] * 3, 100.0)
+    assert (label_by_matrix(empty, mined).indices == -1).all()
 
 
-def test_a_path_is_that_of_the_dense_twin() -> None:
-    frames, floor, trust, rounds = 15, 1e-9, 1.0, 4
-    measured, covariance, _ = some_path(frames, np.random.default_rng(0))
-    weights = np.exp(-0.5 * np.arange(-3, 4) ** 2 / 2.0)
-    information = np.linalg.inv(covariance)
-    differences = np.zeros((3 * (frames - 3), 3 * frames))
-    for t in range(frames - 3):
-        for axis in range(3):
-            differences[3 * t + axis, 3 * t + axis : 3 * t + axis + 12 : 3] = THIRD
-    told = np.zeros((3 * frames, 3 * frames))
-    for t in range(frames):
-        told[3 * t : 3 * t + 3, 3 * t : 3 * t + 3] = information[t]
-    variance = np.full(frames - 3, np.mean(3.0 / np.trace(information, axis1=1, axis2=2)))
-    for done in range(rounds):
-        inverse = np.linalg.inv(told + differences.T @ np.diag(1 / np.repeat(variance, 3)) @ differences)
-        mean = inverse @ told @ measured.ravel()
-        if done < rounds - 1:
-            square = ((differences @ mean) ** 2 + np.diag(differences @ inverse @ differences.T)).reshape(-1, 3).sum(axis=1)
-            for t in range(frames - 3):
-                near = [(weights[k + 3], t + k) for k in range(-3, 4) if 0 <= t + k < frames - 3]
-                variance[t] = (trust * floor + sum(w * square[i] for w, i in near)) / (trust + 3 * sum(w for w, _ in near))
-    path, known = np.empty((frames, 3)), np.empty((frames, 3, 3))
-    rows, columns = np.triu_indices(3)
-    smooth_path(measured, information[:, rows, columns], floor, trust, weights, rounds, path, known)
-    np.testing.assert_allclose(path, mean.reshape(-1, 3), atol=1e-9)
-    expected = [inverse[3 * t : 3 * t + 3, 3 * t : 3 * t + 3] for t in range(frames)]
-    np.testing.assert_allclose(known, expected, rtol=1e-6, atol=1e-12)
+def test_the_order_of_the_points_does_not_matter(mined):
+    clouds, truth = hide_in_gaps(WALKS[2], 1, 0, seed=5)
+    other, again = hide_in_gaps(WALKS[2], 1, 0, seed=5)
+    rng = np.random.default_rng(0)
+    order = np.concatenate([clouds.offsets[t] + rng.permutation(clouds.counts[t]) for t in range(len(clouds))])
+    mixed = replace(other, xyz=other.xyz[order], tracks=other.tracks[order])
+    place = np.argsort(order) - np.repeat(clouds.offsets[:-1], clouds.counts)
+    one, two = label_by_matrix(clouds, mined).indices, label_by_matrix(mixed, mined).indices
+    frames, markers = np.nonzero(one >= 0)
+    assert np.array_equal(two >= 0, one >= 0)
+    assert np.array_equal(two[frames, markers], place[clouds.offsets[frames] + one[frames, markers]])
+    assert np.array_equal(truth, again)
 
 
-def test_a_marker_that_stops_dead_is_not_carried_on() -> None:
-    rng = np.random.default_rng(1)
-    time = np.arange(200) / 200
-    truth = np.stack([np.minimum(time, 0.5) * 2.0, 0 * time, 0 * time], axis=1)
-    measured = truth + rng.normal(scale=3e-4, size=truth.shape)
-    clouds = Clouds.from_points(list(measured[:, None]), 200.0)
-    after = np.linalg.norm(smooth_paths(clouds, np.tile(9e-8 * np.eye(3), (200, 1, 1))).clouds.xyz - truth, axis=1)
-    assert after.max() < 1.2e-3
-    assert np.sqrt(np.mean(after[120:] ** 2)) < 0.5 * 3e-4 * np.sqrt(3)
+def test_full_solver_with_motion_labels_and_rejects():
+    clouds, truth = hide_in_gaps(WALKS[0], 0, 0, seed=2)
+    solver = FullSolver.fit(WALKS, features=("g2", "g4", "g18"), weak_classifiers=30, seed=0)
+    labelling = solver.label(clouds)
+    given_labels = labelling.indices >= 0
+    assert (labelling.indices == truth)[given_labels].all()
+    assert given_labels.mean() > 0.9
+    assert needs_motion(solver.strong.weak.kinds)
+    assert solver.accuracy(WALKS, wrong=20_000) > 0.99
 
 
-@settings(max_examples=10, deadline=None)
-@given(st.integers(0, 10_000))
-def test_the_order_of_points_and_where_the_world_stands_change_nothing(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    frames, apart = 25, np.array([0.0, 0.4, 0.0])
-    measured, covariance, _ = some_path(frames, rng)
-    turned = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    clouds = Clouds.from_points([np.stack([point, point + apart]) for point in measured], 100.0)
-    other = Clouds.from_points([(np.stack([point + apart, point]) @ turned.T) + 1.0 for point in measured], 100.0)
-    spread = np.repeat(covariance, 2, axis=0)
-    one, two = smooth_paths(clouds, spread), smooth_paths(other, turned @ spread @ turned.T)
-    swapped = two.clouds.xyz.reshape(frames, 2, 3)[:, ::-1].reshape(-1, 3)
-    assert one.paths == two.paths > 0
-    np.testing.assert_allclose(swapped, one.clouds.xyz @ turned.T + 1.0, atol=1e-8)
-
-
-def test_points_that_hang_on_no_path_stay_where_they_are() -> None:
-    rng = np.random.default_rng(2)
-    clouds = Clouds.from_points([rng.uniform(-3, 3, (count, 3)) for count in (3, 0, 5, 1, 0)], 100.0)
-    spread = np.tile(1e-6 * np.eye(3), (len(clouds.xyz), 1, 1))
-    paths = smooth_paths(clouds, spread)
-    assert paths.paths == 0
-    np.testing.assert_array_equal(paths.clouds.xyz, clouds.xyz)
-    np.testing.assert_array_equal(paths.covariance, spread)
-    assert len(smooth_paths(Clouds.from_points([], 100.0), np.empty((0, 3, 3))).clouds) == 0
-
-
-def test_covariances_that_are_none_are_refused() -> None:
-    clouds = Clouds.from_points([np.zeros((1, 3))] * 8, 100.0)
-    with pytest.raises(AsterismError, match="8 points"):
-        smooth_paths(clouds, np.tile(np.eye(3), (7, 1, 1)))
-    for bad in (np.zeros((3, 3)), np.diag([1.0, 1.0, -1.0]), np.full((3, 3), np.nan)):
-        with pytest.raises(AsterismError, match="positive definite"):
-            smooth_paths(clouds, np.tile(bad, (8, 1, 1)))
-
-
-def test_reconstruct_smooths_when_asked(walk: Case, tmp_path: Path) -> None:
-    rig, truth, result = walk
-    write_rig(rig, tmp_path / "rig.toml")
-    write_blobs(result.blobs, tmp_path / "2d.csv")
-    given = ["reconstruct", str(tmp_path / "2d.csv"), "--rig", str(tmp_path / "rig.toml"), "--noise", "0.3"]
-    for name, more in (("raw.npz", []), ("smooth.npz", ["--smooth"])):
-        told = CliRunner().invoke(app, [*given, "-o", str(tmp_path / name), *more])
-        assert told.exit_code == 0, told.output
-        assert ("paths, points moved by" in told.output) == bool(more)
-    raw, smooth = read_clouds(tmp_path / "raw.npz"), read_clouds(tmp_path / "smooth.npz")
-    np.testing.assert_array_equal(raw.counts, smooth.counts)
-    near = errors(raw, truth) < 0.02
-    assert errors(smooth, truth)[near].mean() < 0.7 * errors(raw, truth)[near].mean()
+def test_a_model_with_features_of_motion_is_saved_and_read_again(tmp_path):
+    features = ("g2", "g4", "g9", "g11", "g16")
+    walks = [walk.select(walk.labels[:5]) for walk in WALKS]
+    ensemble = SolverEnsemble.fit(walks, features=features, seed=0, training=TrainingRules(trial_frames=20, folds=2))
+    assert ensemble.about["features"] == list(features)
+    ensemble.save(tmp_path / "moving.model")
+    again = SolverEnsemble.load(tmp_path / "moving.model")
+    clouds, truth = hide_in_gaps(walks[0], 1, 0, seed=1)
+    for rules in ("thesis", "partial-solvers"):
+        one, two = ensemble.label(clouds, rules=rules), again.label(clouds, rules=rules)
+        assert np.array_equal(one.indices, two.indices)
+        assert ((one.indices == truth) | (one.indices < 0)).mean() > 0.98
+    with pytest.raises(AsterismError, match="g99"):
+        SolverEnsemble.fit(walks, features=("g99",))

@@ -1,4 +1,4 @@
-"""The smoothest path that measurements of different exactness allow, on flat arrays. Twin: tests/test_motion.py."""
+"""The smoothest path that measurements of different exactness allow, on flat arrays. Twin: tests/test_smooth_paths.py."""
 
 from __future__ import annotations
 
