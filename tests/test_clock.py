@@ -79,6 +79,18 @@ def test_cameras_of_other_rates_share_evenly_spaced_instants() -> None:
     assert (common.counts == 3).mean() > 0.98
 
 
+def test_a_slow_camera_beside_a_fast_one_keeps_its_blobs() -> None:
+    """Two cameras, 60 and 20 frames/s: neither rate is the mean of both, and the slow one's frames are no gaps."""
+    times = np.full((120, 2), np.nan)
+    times[:, 0], times[:40, 1] = np.arange(120) / 60, 0.003 + np.arange(40) / 20
+    common = to_common_clock(seen(times))
+    assert common.rate == pytest.approx(60.0)
+    assert (common.counts[3:-3] == 3).all()
+    assert misses(common).max() < 2.0
+    times[1:, 1] = np.nan
+    assert (to_common_clock(seen(times)).counts[:, 1] == 0).all()
+
+
 def test_strays_and_missing_blobs_do_not_lead_astray() -> None:
     times = np.arange(300)[:, None] / RATE + np.array([0.0, 0.37, -0.3]) / RATE
     common = to_common_clock(seen(times, noise=0.2, strays=2, gone=0.05, seed=1))

@@ -9,11 +9,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import twins_detection
 
 from asterism.cameras import Rig
 from asterism.cameras.files import write_rig
 from asterism.cli import main
-from asterism.detection import detect, find_blobs, lags
+from asterism.detection import _sync_kernels, detect, find_blobs, lags
 from asterism.detection.synchrony import slips
 from asterism.errors import AsterismError
 from asterism.formats import read_blobs
@@ -162,6 +163,27 @@ def test_a_camera_that_loses_an_image_on_the_way_is_named(rig: Rig, tmp_path: Pa
     assert np.isnan(slips(wand(rig, np.zeros(3), 6), rig)).all(), "40 frames are too few to tell"
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_blobs_on_epipolar_lines_are_counted_as_by_the_twin(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(0, 6, 3 * 20)
+    offsets = np.concatenate([[0], np.cumsum(counts)])
+    given = (rng.normal(size=(offsets[-1], 2)), offsets, 3, 0, 2, np.arange(0, 20, 2), rng.normal(size=(3, 3)), 0.2, 12, 4, 3)
+    scores = np.zeros(25)
+    _sync_kernels.crossing(*given, scores)
+    assert np.allclose(scores, twins_detection.crossing(*given), atol=1e-12, equal_nan=True)
+    assert (scores > 0).any()
+
+
+def test_cameras_some_hundred_frames_out_of_step_are_named() -> None:
+    true = ring_rig(cameras=3, rng=np.random.default_rng(3))
+    blobs, _ = wave_wand(true, frames=800, rng=np.random.default_rng(4), rate=60.0)
+    frame = blobs.frame_of + np.array([0, 200, 0])[blobs.camera_of]
+    kept = frame < len(blobs)
+    moved = Blobs.from_rows(frame[kept], blobs.camera_of[kept], blobs.xy[kept], blobs.cameras, frames=len(blobs))
+    assert lags(moved, true).tolist() == [0, 200, 0]
+
+
 def test_nothing_is_said_of_steps_where_nothing_moves() -> None:
     still = Blobs.from_rows(np.repeat(np.arange(500), 2), np.tile([0, 1], 500), np.tile([[50.0, 60.0], [80.0, 20.0]], (500, 1)), ["a", "b"])
     assert np.isnan(lags(still)).all()
@@ -227,10 +249,10 @@ def test_hostile_sequences(folders: list[Path], rig: Rig, tmp_path: Path) -> Non
         (folders, {"threshold": [30, 40]}, "2 thresholds for 3 cameras"),
         (folders, {"rig": other}, "the rig says 640 x 480"),
         ([tmp_path / "mixed"], {"rig": rig}, "no camera mixed"),
-        (folders[:1], {"times": tmp_path / "none.csv"}, "no column"),
+        (folders[:1], {"times": tmp_path / "none.csv"}, "none.csv is empty"),
         (folders[:1], {"times": tmp_path / "names.csv"}, "no column"),
         (folders[:1], {"times": tmp_path / "word.csv"}, "line 2"),
-        (folders[:1], {"times": tmp_path / "gone.csv"}, "cannot be read"),
+        (folders[:1], {"times": tmp_path / "gone.csv"}, "gone.csv"),
         (folders[:1], {"times": tmp_path / "few.csv"}, "1 times"),
         (folders[1:2], {"times": tmp_path / "few.csv"}, "no times of camera"),
     ]:

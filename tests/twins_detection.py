@@ -44,3 +44,20 @@ def grown(weight: np.ndarray, step: float, lowest: float) -> list[set[tuple[int,
                         group = [group[a] if g == group[b] else g for g in group]
         blobs += [{place for place in owner if group[owner[place]] == g} for g in dict.fromkeys(group)]
     return blobs
+
+
+def crossing(flat, offsets, cameras, a, b, frames, essential, near, longest, crowd, fewest) -> list[float]:
+    """The share of camera a's blobs with one of b's within `near` of their epipolar line, at each lag: see detection's kernel."""
+    of = lambda frame, camera: flat[offsets[frame * cameras + camera] : offsets[frame * cameras + camera + 1]]  # noqa: E731
+    scores = []
+    for lag in range(-longest, longest + 1):
+        pairs = [(of(f, a), of(f + lag, b)) for f in frames if 0 <= f + lag < (len(offsets) - 1) // cameras]
+        pairs = [pair for pair in pairs if 0 < len(pair[1]) <= crowd]
+        hits = []
+        for mine, others in pairs:
+            for place in mine:
+                line = essential @ [*place, 1.0]
+                away = np.abs(np.column_stack([others, np.ones(len(others))]) @ line) / np.hypot(line[0], line[1])
+                hits.append(away.min() < near)
+        scores.append(np.mean(hits) if len(pairs) >= fewest and hits else np.nan)
+    return scores

@@ -122,7 +122,12 @@ def detect(
         _print(result)
         timing = f"at {result.blobs.rate:g} frames/s" + (", which nothing says: give --rate" if result.rate_assumed else "")
         cameras = f"{len(result.cameras)} camera{'s' if len(result.cameras) > 1 else ''}"
-        _console.say(f"{cameras}, {len(result.blobs)} frames {timing}; {_console.count(len(result.blobs.xy))} blobs -> {output}")
+        blobs = f"{_console.count(len(result.blobs.xy))} blobs"
+        if result.not_followed > 0:
+            blobs += (
+                f" at common instants, without the {_console.percent(result.not_followed, 1)} that cannot be followed from frame to frame"
+            )
+        _console.say(f"{cameras}, {len(result.blobs)} frames {timing}; {blobs} -> {output}")
     for sentence in result.problems:
         _console.complain(sentence)
     if report is not None:

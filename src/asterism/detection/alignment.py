@@ -121,16 +121,19 @@ def rate_of(sources: Sequence[Source], given: float | None, when: Floats | None,
     return float(np.median(rates))
 
 
-def on_common_clock(blobs: Blobs, problems: list[str]) -> Blobs:
-    """Interpolated to common instants where most blobs can be followed from frame to frame; else as they are, which is a problem."""
+def on_common_clock(blobs: Blobs, problems: list[str]) -> tuple[Blobs, float]:
+    """Interpolated to common instants where most blobs can be followed from frame to frame; else as they are, which is a problem. And the
+    share of blobs that this leaves out."""
     common = to_common_clock(blobs)
     before, after = blobs.counts.sum(axis=0) / np.maximum(len(blobs), 1), common.counts.sum(axis=0) / np.maximum(len(common), 1)
+    images = np.ones(before.shape) if blobs.times is None else np.isfinite(blobs.times).mean(axis=0)
+    before /= np.maximum(images, 1e-9)
     lost = after < _LINKED * before
     if not lost.any():
-        return common
+        return common, max(0.0, 1.0 - float(after.sum() / max(before.sum(), 1e-9)))
     which = ", ".join(name for name, gone in zip(blobs.cameras, lost, strict=True) if gone)
     problems.append(
         f"camera {which}: fewer than {_LINKED:.0%} of the blobs can be followed from frame to frame, so none are interpolated to a "
         "common clock; each keeps its time."
     )
-    return blobs
+    return blobs, 0.0

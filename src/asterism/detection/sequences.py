@@ -70,13 +70,14 @@ class CameraImages:
 
 @dataclass(frozen=True)
 class Detection:
-    """Blobs of all cameras, what each camera's images were like, what is wrong with them (one sentence each), and whether no clock and no
-    video told the frame rate."""
+    """Blobs of all cameras, what each camera's images were like, what is wrong with them (one sentence each), whether no clock and no
+    video told the frame rate, and the share of blobs left out since they could not be followed to a common clock."""
 
     blobs: Blobs
     cameras: tuple[CameraImages, ...]
     problems: tuple[str, ...]
     rate_assumed: bool
+    not_followed: float
 
     def to_dict(self) -> dict[str, Any]:
         """All but the images, as plain values."""
@@ -86,6 +87,7 @@ class Detection:
             "frames": len(self.blobs),
             "rate": self.blobs.rate,
             "rate_assumed": self.rate_assumed,
+            "not_followed": self.not_followed,
             "blobs": len(self.blobs.xy),
             "cameras": [
                 {key: value for key, value in vars(camera).items() if key not in left_out} | {"blobs_per_frame": float(mean)}
@@ -157,14 +159,13 @@ def detect(
     problems = [sentence for camera in found for sentence in camera.problems]
     numbers, when, first = numbered(sources, [camera.read for camera in found], names, stamps, problems)
     blobs = _gathered(found, names, numbers, when, first, rate_of(sources, rate, when, names, problems))
-    if when is not None:
-        blobs = on_common_clock(blobs, problems)
+    blobs, not_followed = (blobs, 0.0) if when is None else on_common_clock(blobs, problems)
     posed = rig.select(names) if rig is not None and all(camera.posed for camera in rig.select(names)) else None
     behind = lags(blobs, posed)
     problems += _out_of_step(names, behind, slips(blobs, posed) if posed is not None else np.full(len(names), np.nan), rig)
     told = tuple(camera.told(lag) for camera, lag in zip(found, behind.tolist(), strict=True))
     assumed = rate is None and when is None and not all(np.isfinite(source.rate) for source in sources)
-    return Detection(blobs, told, tuple(problems), assumed)
+    return Detection(blobs, told, tuple(problems), assumed, not_followed)
 
 
 def _out_of_step(names: Sequence[str], behind: Floats, slipped: Floats, rig: Rig | None) -> Iterator[str]:

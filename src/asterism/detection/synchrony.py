@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.cameras import Camera, Rig
+from asterism.detection._sync_kernels import crossing
 from asterism.recording import Blobs, Floats
 
-_LONGEST = 120
+_LONGEST = 250
 _FRAMES = 60
 _CROWD = 100
 _NEAR_PX = 2.0
@@ -127,11 +128,11 @@ def _normalized(middles: Floats) -> Floats:
 
 
 def _flat(blobs: Blobs, rig: Rig) -> Floats:
-    """(P, 3) all blobs on their cameras' normalized planes, homogeneous."""
-    flat = np.ones((len(blobs.xy), 3))
+    """(P, 2) all blobs on their cameras' normalized planes."""
+    flat = np.empty((len(blobs.xy), 2))
     camera_of = blobs.camera_of
     for c, camera in enumerate(rig):
-        flat[camera_of == c, :2] = camera.undistort(blobs.xy[camera_of == c])
+        flat[camera_of == c] = camera.undistort(blobs.xy[camera_of == c])
     return flat
 
 
@@ -145,28 +146,13 @@ def _crossing(blobs: Blobs, flat: Floats, cameras: tuple[Camera, Camera], places
     x, y, z = two.translation - turn @ one.translation
     essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ turn
     scores = np.full(2 * longest + 1, np.nan)
-    counts = blobs.counts
-    frames = np.flatnonzero((counts[:, a] > 0) & (counts[:, a] <= _CROWD))
+    counts = blobs.counts[:, a]
+    frames = np.flatnonzero((counts > 0) & (counts <= _CROWD))
     if not len(frames):
         return scores
     frames = frames[np.linspace(0, len(frames) - 1, min(_FRAMES, len(frames))).astype(int)]
-    from_frame = np.repeat(np.arange(len(frames)), counts[frames, a])
-    normal = flat[_ranges(blobs.offsets[frames * counts.shape[1] + a], counts[frames, a])] @ essential.T
-    near = _NEAR_PX / two.focal[0]
-    for lag in range(-longest, longest + 1):
-        other = frames + lag
-        inside = (other >= 0) & (other < len(blobs))
-        inside[inside] = (counts[other[inside], b] > 0) & (counts[other[inside], b] <= _CROWD)
-        ask = np.flatnonzero(inside[from_frame])
-        if inside.sum() < min(_FEWEST, len(blobs) // 3):
-            continue
-        there = other[from_frame[ask]]
-        many = counts[there, b]
-        pair = np.repeat(ask, many)
-        points = flat[_ranges(blobs.offsets[there * counts.shape[1] + b], many)]
-        away = np.abs((normal[pair] * points).sum(axis=1)) / np.linalg.norm(normal[pair, :2], axis=1)
-        hit = np.minimum.reduceat(away, np.concatenate([[0], np.cumsum(many)[:-1]])) < near
-        scores[lag + longest] = hit.mean()
+    near, fewest = _NEAR_PX / two.focal[0], min(_FEWEST, len(blobs) // 3)
+    crossing(flat, blobs.offsets, len(blobs.cameras), a, b, frames, essential, near, longest, _CROWD, fewest, scores)
     return scores
 
 

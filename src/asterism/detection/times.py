@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
+from asterism.formats._text import cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes, some_of
 from asterism.recording import Floats
 
 _COLUMNS = {
@@ -20,6 +20,9 @@ _COLUMNS = {
     "time": r"(frame[_ ]?)?(time|timestamp|t)([_ ]?\(?(s|sec|seconds)\)?)?",
     "sync": r"sync([_ ]?(id|no|number|index))?",
 }
+
+_SLOWEST_S = 2.0
+"""Times between images that are longer are not seconds."""
 
 
 @dataclass(frozen=True)
@@ -60,32 +63,45 @@ class FrameTimes:
 def read_times(path: str | Path) -> FrameTimes:
     """Frame times from a CSV file with the columns camera, frame and time (s), and perhaps sync_index.
 
-    Raises AsterismError, naming file and line, where a column is missing or a cell is no number.
+    Raises AsterismError, naming file and line, where a column is missing, a cell is no number, a camera has two times of one image or two
+    images of one common frame, or times are not seconds.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as problem:
-        raise AsterismError(f"{path}: its frame times cannot be read ({problem}); give a CSV file.") from None
-    lines = [(i + 1, row) for i, row in enumerate(csv.reader(text.splitlines())) if any(row) and not row[0].startswith("#")]
-    head = [cell.strip().casefold() for cell in lines[0][1]] if lines else []
+    lines = [(i + 1, line) for i, line in enumerate(lines_of(decoded(path, read_bytes(path)))) if line.strip(" ,;\t") and line[0] != "#"]
+    delimiter = delimiter_of(lines[0][1]) if lines else None
+    head = [cell.casefold() for cell in cells_of(lines[0][1], delimiter)] if lines else []
     at = {key: next((i for i, name in enumerate(head) if re.fullmatch(pattern, name)), -1) for key, pattern in _COLUMNS.items()}
     missing = [key for key in ("camera", "frame", "time") if at[key] < 0]
     if missing:
-        raise AsterismError(
-            f"{path}: no column {', '.join(missing)} among {', '.join(head) or 'none'}; name one camera, frame and time each."
-        )
-    rows = []
-    for line, cells in lines[1:]:
-        try:
-            common = int(cells[at["sync"]]) if at["sync"] >= 0 else 0
-            rows.append((cells[at["camera"]].strip(), int(cells[at["frame"]]), float(cells[at["time"]]), common))
-        except (ValueError, IndexError):
-            raise AsterismError(f"{path}, line {line}: {','.join(cells)[:60]!r} lacks a number; give camera, frame and time.") from None
-    if not rows:
+        raise AsterismError(f"{path}: no column {', '.join(missing)} among {some_of(head)}; name one camera, frame and time each.")
+    if len(lines) < 2:
         raise AsterismError(f"{path} has no rows; give the time of each frame.")
-    time = np.array([row[2] for row in rows])
-    if not np.isfinite(time).all():
-        raise AsterismError(f"{path}, line {lines[1 + int(np.argmin(np.isfinite(time)))][0]}: the time is not finite; leave the row out.")
-    sync_of = np.array([row[3] for row in rows]) if at["sync"] >= 0 else None
-    return FrameTimes(path, tuple(row[0] for row in rows), np.array([row[1] for row in rows]), time, sync_of)
+    names: list[str] = []
+    numbers = np.zeros((len(lines) - 1, 3))
+    for row, (line, text) in enumerate(lines[1:]):
+        cells = cells_of(text.replace(",", ".") if delimiter == ";" else text, delimiter)
+        told = [number_of(cells[at[key]]) if 0 <= at[key] < len(cells) else None for key in ("frame", "time", "sync")]
+        numbers[row] = [np.nan if number is None else number for number in told]
+        whole = numbers[row, [0, 2] if at["sync"] >= 0 else [0]]
+        if not np.isfinite(numbers[row, 1]) or not (whole == np.rint(whole)).all() or not cells[at["camera"]]:
+            raise AsterismError(f"{path}, line {line}: {text[:60]!r} lacks a number; give camera, frame and time, or leave the row out.")
+        names.append(cells[at["camera"]])
+    frame, time = numbers[:, 0].astype(np.int64), numbers[:, 1].copy()
+    sync = numbers[:, 2].astype(np.int64) if at["sync"] >= 0 else None
+    _check(path, names, frame, time, sync)
+    return FrameTimes(path, tuple(names), frame, time, sync)
+
+
+def _check(path: Path, names: Sequence[str], frame: NDArray[np.int64], time: Floats, sync: NDArray[np.int64] | None) -> None:
+    steps = []
+    for name in dict.fromkeys(names):
+        own = np.flatnonzero(np.array(names) == name)
+        own = own[np.argsort(frame[own], kind="stable")]
+        steps.append(np.diff(time[own]))
+        for what, numbers in (("image", frame), ("common frame", sync)):
+            counted = np.unique(numbers[own], return_counts=True) if numbers is not None else (np.zeros(0), np.zeros(0))
+            if (counted[1] > 1).any():
+                raise AsterismError(f"{path}: camera {name} has two rows of {what} {counted[0][np.argmax(counted[1])]}; leave one out.")
+    usual = float(np.median(np.concatenate(steps))) if any(map(len, steps)) else 0.0
+    if usual > _SLOWEST_S:
+        raise AsterismError(f"{path}: {usual:g} s pass from one image to the next; give times in seconds, not in thousandths or less.")

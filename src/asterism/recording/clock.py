@@ -24,7 +24,8 @@ def to_common_clock(blobs: Blobs) -> Blobs:
     """Blobs of all cameras at the same instants, each interpolated along its own path through the images.
 
     Where the cameras' times of a frame differ by less than a frame period, frames keep their numbers and the instant of each is the mean of
-    its times; else the instants are evenly spaced through the time that all cameras share, and frames are numbered anew. In each camera
+    its times; else the instants are evenly spaced through the time that all cameras share, at the rate that half of the cameras have or
+    exceed, and frames are numbered anew. In each camera
     blobs of neighbouring frames are linked where it is clear which belongs to which (nearest to where its motion leads, both ways, no
     second one near); linked blobs are interpolated by the cubic through four frames, by a line at the ends of a path. Blobs without a link
     are left out unless their frame was taken at the instant; so are those of frames without a time. Result: `times` has equal columns;
@@ -40,10 +41,12 @@ def to_common_clock(blobs: Blobs) -> Blobs:
         if len(known) > 1 and np.diff(known).min() <= 0:
             late = int(np.flatnonzero(np.isfinite(times[:, c]))[np.argmin(np.diff(known)) + 1]) + blobs.first_frame
             raise AsterismError(f"camera {name}, frame {late}: its time is not after that of the frame before; mend the times.")
-    steps = np.concatenate([np.diff(column[np.isfinite(column)]) for column in times.T])
-    if not len(steps):
+    steps = [np.diff(column[np.isfinite(column)]) for column in times.T]
+    periods = [float(np.median(own)) if len(own) else np.nan for own in steps]
+    if np.isnan(periods).all():
         return blobs
-    period = float(np.median(steps))
+    period = float(np.nanquantile(periods, 0.5, method="lower"))
+    periods = [period if np.isnan(own) else own for own in periods]
     instants, anew = _instants(blobs, times, period)
     frame_of, camera_of = blobs.frame_of, blobs.camera_of
     parts = []
@@ -51,7 +54,7 @@ def to_common_clock(blobs: Blobs) -> Blobs:
         taken = np.flatnonzero(np.isfinite(times[:, c]))
         mine = np.flatnonzero((camera_of == c) & np.isfinite(times[frame_of, c]))
         order = np.searchsorted(taken, frame_of[mine])
-        frame, xy, sizes = _at(instants, times[taken, c], order, blobs.xy[mine], blobs.sizes[mine], period)
+        frame, xy, sizes = _at(instants, times[taken, c], order, blobs.xy[mine], blobs.sizes[mine], periods[c])
         parts.append((frame, np.full(len(frame), c), xy, sizes))
     frame, camera, xy, sizes = (np.concatenate(column) for column in zip(*parts, strict=True))
     same = np.repeat(instants[:, None], len(blobs.cameras), axis=1)
