@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism.cameras import Camera, Rig, rotation_from_vector, vector_from_rotation
+from asterism.cameras.files import read_rig, write_rig
 from asterism.errors import AsterismError
 
 MATRIX = np.array([[1500.0, 0, 640], [0, 1490.0, 500], [0, 0, 1]])
@@ -117,3 +120,11 @@ def test_a_camera_that_cannot_be_is_refused(changes: dict, message: str) -> None
 def test_two_cameras_of_one_name_are_refused() -> None:
     with pytest.raises(AsterismError, match="called one"):
         Rig((a_camera(), a_camera()))
+
+
+def test_numbers_are_plain_whatever_they_were_given_as(tmp_path: Path) -> None:
+    focal = np.array([1100.8, 1100.2])
+    camera = Camera("9", (1280, 1024), (focal[0], focal[1]), (focal[0] / 2, focal[1] / 2), error=focal[0] / 1e4)
+    assert {type(value) for value in (*camera.focal, *camera.centre, *camera.tangential, camera.error)} == {float}
+    write_rig(Rig((camera,)), tmp_path / "rig.xcp")
+    assert read_rig(tmp_path / "rig.xcp")["9"].focal == pytest.approx(camera.focal)

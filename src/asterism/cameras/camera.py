@@ -64,7 +64,9 @@ class Camera:
             )
         object.__setattr__(self, "rotation", rotation)
         object.__setattr__(self, "translation", translation)
-        object.__setattr__(self, "radial", tuple(float(k) for k in self.radial))
+        for numbers in ("focal", "centre", "radial", "tangential", "denominator"):
+            object.__setattr__(self, numbers, tuple(float(value) for value in getattr(self, numbers)))
+        object.__setattr__(self, "error", float(self.error))
 
     @classmethod
     def from_opencv(
