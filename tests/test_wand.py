@@ -12,6 +12,7 @@ import pytest
 import twins_wand
 
 from asterism.cameras import Camera, Rig, rotation_from_vector
+from asterism.cameras.aim import looking
 from asterism.cameras.bundle import Sightings, locate
 from asterism.cameras.wand import (
     WandCalibration,
@@ -265,6 +266,70 @@ def test_cameras_that_saw_nothing_or_share_no_view_are_named_and_the_rest_is_cal
     assert unseen_error(rig, made.rig) < 0.001
 
 
+def test_a_chain_of_cameras_in_which_each_sees_the_wand_with_its_neighbours_only() -> None:
+    """No place is seen by three cameras, so that no camera can be posed from points; the hall is far longer than wide, and not a line."""
+    cameras = []
+    for c in range(4):
+        rotation, translation = looking(np.array([3.2 * c, -4.0, 2.0]), np.array([3.2 * c, 0.0, 1.0]))
+        cameras.append(Camera(f"c{c}", SIZE, (1020.0, 1020.0), (645.0, 508.0), rotation, translation, (-0.1, 0.01)))
+    rng = rng_of(22)
+    middle = rng.uniform([-0.5, -0.8, 0.4], [10.0, 1.0, 1.8], (700, 3))
+    along = rng.normal(size=(700, 3))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    points = middle[:, None] + along[:, None] * (np.array(WAND)[:, None] - 0.3)
+    rig = Rig(tuple(cameras), vertical=np.array([0.0, 0.0, 1.0]))
+    blobs, _ = images_of(rig, points, 0.2, rng=rng)
+    assert ((blobs.counts == 3).sum(axis=1) <= 2).all()
+    made = calibrate_wand(blobs, WAND, sizes=SIZE)
+    assert made.usable, sentences(made)
+    assert made.rig.names == rig.names
+    far = np.linalg.norm(made.rig["c0"].position - made.rig["c3"].position)
+    assert abs(far - 9.6) < 0.05
+
+
+def test_lights_that_never_move_are_no_wand() -> None:
+    rig, blobs = waved(4, 400)
+    lamps = np.array([[300.0, 300.0], [333.0, 366.0], [400.0, 500.0]])
+    frame, camera, lamp = (part.ravel() for part in np.meshgrid(np.arange(400), np.arange(4), np.arange(3), indexing="ij"))
+    xy = lamps[lamp] + rng_of(23).normal(0.0, 0.05, (len(lamp), 2))
+    both = [np.concatenate(part) for part in ((blobs.frame_of, frame), (blobs.camera_of, camera), (blobs.xy, xy))]
+    made = calibrate_wand(Blobs.from_rows(*both, rig.names, frames=400), WAND, sizes=SIZE)
+    assert made.lights.tolist() == [3, 3, 3, 3]
+    assert unseen_error(rig, made.rig) < 0.0008
+    with pytest.raises(AsterismError, match="never moves"):
+        calibrate_wand(Blobs.from_rows(frame, camera, xy, rig.names), WAND, sizes=SIZE)
+
+
+def test_two_markers_are_found_beside_lights_that_never_move() -> None:
+    rig = a_rig(4)
+    blobs, _ = wave_wand(rig, (0.0, 0.5), 400, rng=rng_of(24), rate=20.0, reflections=2)
+    made = calibrate_wand(blobs, (0.0, 0.5), sizes=SIZE)
+    assert made.usable, sentences(made)
+    assert unseen_error(rig, made.rig) < 0.001
+
+
+def test_one_marker_before_two_cameras_is_not_enough() -> None:
+    rig = a_rig(2)
+    blobs, _ = wave_wand(rig, (0.0,), 400, rng=rng_of(25), rate=20.0)
+    apart = float(np.linalg.norm(rig[0].position - rig[1].position))
+    made = calibrate_wand(blobs, (0.0,), sizes=SIZE, distance=(*rig.names, apart))
+    assert not made.usable
+    assert "hardly tells their lenses" in sentences(made)
+
+
+@pytest.mark.parametrize(
+    ("waved_with", "given", "message"),
+    [
+        (WAND, (0.0, 0.6), "only .* images show the 2 markers of the wand; most show 3 blobs"),
+        ((0.0, 0.6), WAND, "only 0 images show the 3 markers of the wand; most show 2 blobs"),
+        ((0.0, 0.3, 0.6), WAND, r"inner of three markers sits at 0\.4\d of the length, by the wand's lengths it should at 0\.33"),
+    ],
+)
+def test_another_wand_than_the_one_given_is_said(waved_with: tuple[float, ...], given: tuple[float, ...], message: str) -> None:
+    with pytest.raises(AsterismError, match=message):
+        calibrate_wand(waved(4, 250, 5, 0.0, waved_with)[1], given, sizes=SIZE)
+
+
 @pytest.mark.parametrize(
     ("lengths", "message"),
     [
@@ -290,7 +355,9 @@ def test_markers_given_in_another_order_are_the_same_wand() -> None:
 def test_a_wrong_inner_marker_is_noticed() -> None:
     made = calibrate_wand(waved()[1], [0.0, 0.22, 0.6], sizes=SIZE)
     assert "inner marker" in sentences(made)
-    with pytest.raises(AsterismError, match=r"inner one sits at 0\.3\d of the length, by the wand's lengths it should at 0\.08"):
+    with pytest.raises(
+        AsterismError, match=r"inner of three markers sits at 0\.3\d of the length, by the wand's lengths it should at 0\.08"
+    ):
         calibrate_wand(waved()[1], [0.0, 0.05, 0.6], sizes=SIZE)
 
 
@@ -388,6 +455,21 @@ def test_empty_recordings_are_refused() -> None:
         calibrate_wand(Blobs.from_rows([], [], np.empty((0, 2)), ["a", "b"], frames=100), WAND, sizes=SIZE)
 
 
+def test_a_wrong_image_size_is_seen_in_the_principal_points() -> None:
+    assert "is the image size right?" in sentences(calibrate_wand(waved()[1], WAND, sizes=(1920, 1080)))
+    assert "image size" not in sentences(calibrated()[1])
+
+
+def test_a_wand_that_stayed_in_one_place_says_nothing_about_others() -> None:
+    rig = a_rig(4)
+    rng = rng_of(26)
+    along = rng.normal(size=(250, 3))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    points = rng.uniform(0.9, 1.1, (250, 3))[:, None] + along[:, None] * (np.array(WAND)[:, None] - 0.3)
+    made = calibrate_wand(images_of(rig, points, 0.2, rng=rng)[0], WAND, sizes=SIZE)
+    assert re.search(r"stayed in a small part of the volume, 0\.\d x 0\.\d x 0\.\d m", sentences(made)), sentences(made)
+
+
 def test_one_camera_is_refused() -> None:
     _, blobs = waved()
     own = blobs.camera_of == 0
@@ -444,6 +526,8 @@ def test_a_mirrored_world_is_not_delivered() -> None:
         return edited(of, lambda frame, camera, xy: (frame, camera, np.stack([xy[:, 0], 1023 - xy[:, 1]], axis=1)))
 
     made = calibrate_wand(flipped(blobs), WAND, sizes=SIZE)
+    assert "the rig is mirrored" in sentences(made)
+    assert "mirrored" not in sentences(calibrated()[1])
     with pytest.raises(AsterismError, match=r"upside down.*mirrored"):
         world_from_l_frame(made.rig, flipped(still), L_FRAME)
 

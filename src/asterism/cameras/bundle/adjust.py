@@ -42,6 +42,7 @@ class Adjustment:
     cost          px2, half the sum of squares where all residuals are within the scale of the loss, priors included
     steps         how many steps were tried
     converged     whether the last step no longer changed the cost
+    sizeless      whether objects are single points, which tell no size of the world
     """
 
     cameras: tuple[Camera, ...]
@@ -55,6 +56,7 @@ class Adjustment:
     cost: float
     steps: int
     converged: bool
+    sizeless: bool = False
 
     @property
     def sigma(self) -> Floats:
@@ -78,6 +80,9 @@ class Adjustment:
             by_parameter[rows, first : first + 3] = -camera.rotation.T @ _cross(camera.translation)
             by_parameter[rows, first + 3 : first + 6] = -camera.rotation.T
             rigid[rows] = np.hstack([-_cross(camera.position), np.eye(3)])
+        if self.sizeless:
+            places = np.stack([camera.position for camera in self.cameras])
+            rigid = np.column_stack([rigid, (places - places.mean(axis=0)).ravel()])
         left = np.eye(3 * count) - rigid @ np.linalg.pinv(rigid)
         steps = left @ by_parameter[:, self.free.ravel()]
         variance = np.einsum("ij,jk,ik->i", steps, self.covariance, steps)
@@ -167,6 +172,7 @@ def adjust(
         cost,
         done,
         converged,
+        len(axes) == 3,
     )
 
 

@@ -17,6 +17,7 @@ from asterism.cameras.wand.in_step import in_step
 from asterism.cameras.wand.inputs import check_distance, check_found, lenses_of, why_no_start, why_not
 from asterism.cameras.wand.start import cold_start
 from asterism.cameras.wand.steady import lost_shares
+from asterism.cameras.wand.still import without_still_lights
 from asterism.cameras.wand.verdict import Finding, judge
 from asterism.cameras.wand.world import upright
 from asterism.errors import AsterismError
@@ -44,6 +45,7 @@ class WandCalibration:
     late          (C,) by how many frames each camera started late; its images were moved by as many
     lost          (C,) share of each camera's images of the wand that did not fit those of the others and were left out
     lost_parts    (C, 10) the same of each tenth of the recording; NaN where it hardly shows the wand
+    lights        (C,) how many lights of each camera never moved; they were left out
     inner         m, where the inner one of three markers sits by all images that show it, used or not; NaN for other wands
     left_out      cameras that could not be calibrated, with the reason
     findings      what to know before using the rig, gravest first
@@ -62,6 +64,7 @@ class WandCalibration:
     late: Ints
     lost: Floats
     lost_parts: Floats
+    lights: Ints
     inner: float
     left_out: Mapping[str, str]
     findings: tuple[Finding, ...] = ()
@@ -89,7 +92,7 @@ class WandCalibration:
     def moved(self, rig: Rig, rotation: ArrayLike, translation: ArrayLike, scale: float = 1.0) -> WandCalibration:
         """The same in another world frame, of which `rig` is the rig: X becomes scale rotation X + translation (3,) m."""
         positions = scale * self.positions @ np.asarray(rotation).T + np.asarray(translation)
-        findings = tuple(finding for finding in self.findings if scale == 1.0 or not finding.of_scale)
+        findings = tuple(finding for finding in self.findings if not finding.of_world and (scale == 1.0 or not finding.of_scale))
         return replace(self, rig=rig, positions=positions, place_sigma=scale * self.place_sigma, findings=findings)
 
 
@@ -121,14 +124,15 @@ def calibrate_wand(
     if len(wand.lengths) == 1 and distance is not None:
         check_distance(blobs.cameras, distance)
     told(0.0, "looking for the wand")
+    blobs, lights = without_still_lights(blobs)
     chosen = identify(blobs, wand)
-    check_found(blobs, chosen, wand)
+    check_found(blobs, chosen, wand, lights)
     frames = len(blobs)
     blobs, chosen = common_clock(blobs, chosen, wand)
     told(0.1, "posing cameras")
     start = cold_start(blobs, chosen, wand, extents, lenses, progress)
     if start is None:
-        raise AsterismError(why_no_start(blobs, chosen))
+        raise AsterismError(why_no_start(blobs, chosen, wand))
     cameras = list(start.cameras)
     told(0.6, "comparing clocks")
     blobs, chosen, cameras, clocks = in_step(blobs, chosen, wand, cameras, lenses, extents)
@@ -137,13 +141,15 @@ def calibrate_wand(
     posed = np.array([c for c, camera in enumerate(cameras) if camera is not None])
     told(0.9, "measuring the wand")
     positions = locate(result.cameras, sightings, len(used), len(wand.lengths))
-    left_out = {blobs.cameras[c]: why_not(blobs, chosen, cameras, c) for c in range(len(cameras)) if c not in posed}
+    left_out = {
+        blobs.cameras[c]: why_not(blobs, chosen, wand, cameras, c, lenses[c] is not None) for c in range(len(cameras)) if c not in posed
+    }
     sightings = replace(sightings, frame=used[sightings.frame])
     made = WandCalibration(
         Rig(result.cameras), wand, frames, sightings, result.residuals, positions, used,
         result.sigma, result.place_sigma, result.noise, clocks.late[posed],
         *lost_shares(chosen[offered][:, posed], offered, sightings, len(blobs)),
-        inner_place(blobs, chosen[used][:, posed], wand, result.cameras, positions), left_out,
+        lights[posed], inner_place(blobs, chosen[used][:, posed], wand, result.cameras, positions), left_out,
     )  # fmt: skip
     if len(wand.lengths) == 1 and distance is not None:
         here = np.linalg.norm(made.rig[distance[0]].position - made.rig[distance[1]].position)

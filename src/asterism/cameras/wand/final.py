@@ -10,7 +10,7 @@ from asterism.cameras.bundle import Adjustment, Sightings, adjust, free_paramete
 from asterism.cameras.camera import Camera
 from asterism.cameras.wand.frames import shown, spread_frames, widest
 from asterism.cameras.wand.identify import Wand, agree
-from asterism.cameras.wand.inputs import PERSPECTIVE, shares
+from asterism.cameras.wand.inputs import PERSPECTIVE, instead, shares
 from asterism.cameras.wand.pair import FEWEST, priors
 from asterism.cameras.wand.start import adjust_some, typical_noise
 from asterism.errors import AsterismError
@@ -49,12 +49,9 @@ def adjusted(
     offered = spread_frames(shown(chosen), _FINAL_FRAMES)
     sightings, used = agreed.sightings(blobs, offered).compact()
     if len(used) < FEWEST:
-        share, given = shares(blobs, wand)
-        if abs(share - given) > PERSPECTIVE:
-            raise AsterismError(
-                f"only {len(used)} frames fit the wand: images show the inner marker at {share:.2f} of its length, not {given:.2f}; "
-                "are the lengths right?"
-            )
+        told = instead(blobs, wand)
+        if told:
+            raise AsterismError(f"only {len(used)} frames fit the wand{told}")
         raise AsterismError(f"only {len(used)} frames show the wand to two cameras that agree on it; wave it longer where cameras overlap.")
     sightings = sightings.among(cameras)
     own = [camera for camera in cameras if camera is not None]

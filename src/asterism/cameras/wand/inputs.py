@@ -15,6 +15,8 @@ from asterism.cameras.wand.pair import FEWEST
 from asterism.errors import AsterismError
 from asterism.recording import Blobs, Ints
 
+_FEWEST_SHOW = {1: 0.1, 2: 0.1, 3: 0.05}
+"""Share of the images with enough blobs that must show a wand of so many markers."""
 PERSPECTIVE = 0.045
 """By how much the share at which images show the inner marker may differ from the wand's, all directions together."""
 
@@ -65,26 +67,38 @@ def check_distance(names: Sequence[str], distance: tuple[str, str, float]) -> No
         )
 
 
-def check_found(blobs: Blobs, chosen: Ints, wand: Wand) -> None:
-    """Raise AsterismError where hardly an image shows the wand, saying what the images show instead."""
+def check_found(blobs: Blobs, chosen: Ints, wand: Wand, lights: Ints) -> None:
+    """Raise AsterismError where hardly an image shows the wand, saying what the images show instead; lights (C,) that never moved."""
     images = int(shown(chosen).sum())
-    counts = np.asarray(blobs.counts)
-    enough = int((counts >= len(wand.lengths)).sum())
-    if images >= max(2 * FEWEST, 0.05 * enough):
+    enough = int((np.asarray(blobs.counts) >= len(wand.lengths)).sum())
+    if images >= max(2 * FEWEST, _FEWEST_SHOW[len(wand.lengths)] * enough):
         return
+    if lights.sum() >= len(wand.lengths) and enough < 2 * FEWEST:
+        raise AsterismError("nearly all that the cameras see never moves; is it the recording in which the wand was waved?")
+    told = instead(blobs, wand) or ": is it the right recording, and has the wand that many markers?"
+    raise AsterismError(f"only {images} images show {_what(wand)}{told}")
+
+
+def _what(wand: Wand) -> str:
     markers = len(wand.lengths)
+    return f"the {markers} markers of the wand" if markers > 1 else "the one marker alone"
+
+
+def instead(blobs: Blobs, wand: Wand) -> str:
+    """The end of a sentence: what most images show, where that is not the wand as it was given; else empty."""
+    share, given = shares(blobs, wand)
+    if abs(share - given) > PERSPECTIVE:
+        return (
+            f"; in most, the inner of three markers sits at {share:.2f} of the length, by the wand's lengths it should at {given:.2f}: "
+            "are the lengths right?"
+        )
+    counts = np.asarray(blobs.counts)
     usual = int(np.bincount(counts[counts > 0]).argmax()) if (counts > 0).any() else 0
-    if markers == 3 and usual >= 3:
-        share, given = shares(blobs, wand)
-        if np.isfinite(share):
-            raise AsterismError(
-                f"only {images} images show three blobs as the wand's should be: the inner one sits at {share:.2f} of the length, by the "
-                f"wand's lengths it should at {given:.2f}; are the lengths right?"
-            )
-    raise AsterismError(
-        f"only {images} images show the {markers} markers of the wand; most show {usual} blob{'s' if usual != 1 else ''}: "
-        "is it the right recording, and has the wand that many markers?"
-    )
+    if usual == len(wand.lengths):
+        return ""
+    many = usual > len(wand.lengths)
+    mend = "wave it alone, without other markers and lights, or give all of its lengths" if many else "has the wand that many?"
+    return f"; most show {usual} blob{'s' if usual != 1 else ''}: {mend}"
 
 
 def shares(blobs: Blobs, wand: Wand) -> tuple[float, float]:
@@ -103,11 +117,14 @@ def shares(blobs: Blobs, wand: Wand) -> tuple[float, float]:
     return (float(np.median(order[lined, 0] / order[lined, 2])), given) if lined.sum() >= 20 else (float("nan"), given)
 
 
-def why_no_start(blobs: Blobs, chosen: Ints) -> str:
+def why_no_start(blobs: Blobs, chosen: Ints, wand: Wand) -> str:
     """In a sentence, why no two cameras could be posed."""
     shared = shared_frames(chosen)
     np.fill_diagonal(shared, 0)
     if shared.max(initial=0) < FEWEST:
+        told = instead(blobs, wand)
+        if told:
+            return f"no two cameras show the wand for certain in {FEWEST} frames{told}"
         a, b = np.unravel_index(int(np.argmax(shared)), shared.shape)
         return (
             f"no two cameras show the wand together in {FEWEST} frames (at most {int(shared.max())}, {blobs.cameras[a]} and "
@@ -116,16 +133,22 @@ def why_no_start(blobs: Blobs, chosen: Ints) -> str:
     return "the cameras' images of the wand contradict each other; were they recorded together, with these image sizes and this wand?"
 
 
-def why_not(blobs: Blobs, chosen: Ints, cameras: Sequence[Camera | None], camera: int) -> str:
-    """Why a camera could not be posed."""
+def why_not(blobs: Blobs, chosen: Ints, wand: Wand, cameras: Sequence[Camera | None], camera: int, known: bool) -> str:
+    """Why a camera could not be posed; known: whether its lens was given."""
     whole = shown(chosen)
     own = whole[:, camera]
     posed = [c for c, other in enumerate(cameras) if other is not None]
-    with_others = int((own & (whole[:, posed].sum(axis=1) >= 2)).sum())
+    needed = 2 if len(wand.lengths) == 1 else 1
+    with_others = int((own & (whole[:, posed].sum(axis=1) >= needed)).sum())
     if not blobs.counts[:, camera].any():
         return "it saw nothing; is it switched on, and its lens cap off?"
     if own.sum() < FEWEST:
         return f"it shows the wand in {int(own.sum()) or 'no'} frame{'' if own.sum() < 2 else 's'}; wave it before this camera, too"
     if with_others < FEWEST:
-        return f"it shares only {with_others} frames with two cameras of the rig; wave the wand where their views overlap"
+        others = "a camera" if needed == 1 else "two cameras"
+        return f"it shares only {with_others} frames with {others} of the rig; wave the wand where their views overlap"
+    if known:
+        return (
+            "its images contradict those of the others; is its lens that of the rig given, and was it in step, not mirrored, and not moved?"
+        )
     return "its images contradict those of the others; is it mirrored, out of step by seconds, or was it moved while recording?"

@@ -21,6 +21,8 @@ Bools = NDArray[np.bool_]
 _CAMERA_FRAMES, _WORKING_FRAMES = 50, 500
 _COARSE, _FINE = 0.012, 0.005
 """How far blobs may be off while the lens is not known well, in widths of the image."""
+_JOINT = 0.0012
+"""What two cameras by themselves may miss, where nobody else sees what they see, in widths of the image."""
 
 
 @dataclass(frozen=True)
@@ -104,12 +106,45 @@ def _grow(
                 cameras[c] = resected(blobs, chosen, agreed, wand, c, sizes[c], known[c])
                 added = added or cameras[c] is not None
         if not added:
+            added = _add_neighbour(blobs, chosen, wand, sizes, known, cameras)
+        if not added:
             break
     posed_now = np.array([camera is not None for camera in cameras])
     told = (chosen >= 0) & posed_now[None, :, None]
     told &= (shown(chosen)[:, posed_now].sum(axis=1) >= 2)[:, None, None]
     kept = float((agreed.sights >= 0)[told].sum() / max(told.sum(), 1))
     return Start(tuple(cameras), kept, noise)
+
+
+def _add_neighbour(
+    blobs: Blobs,
+    chosen: Ints,
+    wand: Wand,
+    sizes: Sequence[tuple[int, int]],
+    known: Sequence[Camera | None],
+    cameras: list[Camera | None],
+) -> bool:
+    """Pose, in place, one of the cameras that see the wand with a single posed one only, as in a chain; False where there is none.
+
+    The pair is fitted by itself, its size is the wand's; one moved marker has none.
+    """
+    seen, shared = shown(chosen), shared_frames(chosen)
+    posed = [c for c, camera in enumerate(cameras) if camera is not None]
+    beside = [(int(shared[c, p]), c, p) for c in range(len(sizes)) if cameras[c] is None for p in posed if shared[c, p] >= FEWEST]
+    for _, c, p in sorted(beside, key=lambda s: (-s[0], s[1:])):
+        neighbour = cameras[p]
+        several = int((seen[:, c] & (seen[:, posed].sum(axis=1) >= 2)).sum()) >= FEWEST
+        if neighbour is None or several or len(wand.lengths) < 2:
+            continue
+        lenses = [*known]
+        lenses[p] = replace(neighbour, rotation=np.eye(3), translation=np.zeros(3))
+        pair = first_pair(blobs, chosen, wand, sizes, lenses, p, c)
+        if pair is not None and pair.error < _JOINT * sizes[c][0]:
+            found = pair.cameras[c]
+            rotation, translation = found.rotation @ neighbour.rotation, found.rotation @ neighbour.translation + found.translation
+            cameras[c] = replace(found, rotation=rotation, translation=translation)
+            return True
+    return False
 
 
 def typical_noise(residuals: Floats) -> float:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from asterism.cameras.wand.steady import PARTS, jumps
+from asterism.cameras.wand.world import upright
 from asterism.recording import Floats
 
 if TYPE_CHECKING:
@@ -27,11 +28,17 @@ BAD_TURN, BAD_TURN_OF_TWO, POOR_TURN = 1.5e-3, 1.3e-4, 1e-4
 """rad, by which a camera's residuals change at one moment; two cameras show of a turn only what leads off the epipolar lines."""
 ECHO = 0.8
 """A camera that was moved makes the others seem to be, by up to this share of it."""
+LOOKS_UP = 0.1
+"""The upward part of where a camera looks, as a share of one."""
 BAD_PART = 0.5
 """Share of one camera's images of the wand in a tenth of the recording that contradict the others."""
 BAD_DRIFT = 0.5
 """Frames."""
 POOR_COVERAGE = 0.35
+POOR_PART = 0.2
+"""Share of its image in which the middle camera saw the wand."""
+FAR_CENTRE = 0.07
+"""Of an image's width, by which hardly a lens's centre is off the image's."""
 CELLS = (6, 8)
 """Rows and columns that an image is divided into to say which part of it saw the wand."""
 FEW_FRAMES = 100
@@ -42,12 +49,14 @@ class Finding:
     """One sentence about a calibration: grave, then it should not be used; or mere advice, which speaks against nothing.
 
     of_scale: that the rig's size is unknown, which a world frame with a scale mends
+    of_world: that up may be down, which a world frame tells
     """
 
     sentence: str
     grave: bool = False
     advice: bool = False
     of_scale: bool = False
+    of_world: bool = False
 
 
 def coverage(made: WandCalibration) -> Floats:
@@ -72,7 +81,10 @@ def judge(made: WandCalibration, clocks: Clocks, *, scaled: bool) -> tuple[Findi
         *_undetermined(made),
         *_waved(made),
         *_covered(made),
+        *_looking_up(made),
     ]
+    if len(made.wand.lengths) == 1 and len(made.rig) == 2:
+        found.append(Finding("one moved marker before two cameras hardly tells their lenses; add a camera, or wave a wand.", True))
     if len(made.wand.lengths) == 1 and not scaled:
         found.append(
             Finding(
@@ -149,15 +161,35 @@ def _moved(made: WandCalibration) -> list[Finding]:
                     bool(turn > bad_turn),
                 )
             )
-    usual = 2.5 * float(np.median(made.lost))
+    usual, usual_part = 2.5 * float(np.median(made.lost)), 2.5 * _middle(made.lost_parts)
     for camera, lost, parts in zip(made.rig, made.lost, made.lost_parts, strict=True):
-        bad = np.nonzero(parts > BAD_PART)[0]
+        bad = np.nonzero(parts > np.maximum(BAD_PART, usual_part))[0]
         if lost > max(POOR_LOST, usual) or len(bad):
             begins, ends = (100 * edge // PARTS for edge in (bad.min(initial=PARTS), bad.max(initial=-1) + 1))
             when = f", most of it between {begins} and {ends} % of the recording" if 0 < len(bad) < PARTS else ""
             sentence = f"{100 * lost:.0f} % of what camera {camera.name} saw contradicts the others{when}; was it moved while recording?"
-            found.append(Finding(sentence, bool(lost > BAD_LOST or parts[-1] > BAD_PART)))
+            found.append(Finding(sentence, bool(lost > BAD_LOST or PARTS - 1 in bad)))
     return found
+
+
+def _looking_up(made: WandCalibration) -> list[Finding]:
+    """Whether the cameras hang below what they look at, by their own sense of up: so they seem to where y is counted from the bottom."""
+    up = upright(made.rig, made.positions)[0][2]
+    below = [float(camera.rotation[2] @ up) > LOOKS_UP for camera in made.rig]
+    if not all(below):
+        return []
+    return [
+        Finding(
+            "all cameras look up at the wand from below; if they hang above it, y is counted from the bottom in the images, and the rig "
+            "is mirrored.",
+            of_world=True,
+        )
+    ]
+
+
+def _middle(parts: Floats) -> Floats:
+    """(n,) the median over cameras of (C, n), 0 where none has a number."""
+    return np.array([np.median(part[np.isfinite(part)]) if np.isfinite(part).any() else 0.0 for part in parts.T])
 
 
 def _clocks(made: WandCalibration, clocks: Clocks) -> list[Finding]:
@@ -204,6 +236,14 @@ def _undetermined(made: WandCalibration) -> list[Finding]:
             found.append(
                 Finding(f"where camera {camera.name} stands {known} by this wand; wave it all over what it sees.", place / far > BAD_PLACE)
             )
+        off = np.array(camera.centre) - 0.5 * (np.array(camera.size or camera.centre) - 1.0)
+        if np.linalg.norm(off) > FAR_CENTRE * width:
+            found.append(
+                Finding(
+                    f"the principal point of camera {camera.name} lies {abs(off[0]):.0f} px {'right' if off[0] > 0 else 'left'} of and "
+                    f"{abs(off[1]):.0f} px {'below' if off[1] > 0 else 'above'} the image's middle; is the image size right?"
+                )
+            )
         if np.nanmax(made.sigma[c, 8:10]) > 0.015 * width:
             found.append(
                 Finding(
@@ -222,11 +262,20 @@ def _waved(made: WandCalibration) -> list[Finding]:
     if len(points) < 10:
         return found
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(points.T)), 0.0))
-    if spread[1] < 0.12 * spread[2]:
+    wide = min(float(spread[2]), 0.35 * _distance(made))
+    if spread[1] < 0.12 * wide:
         found.append(Finding("the wand was waved along a line only; wave it through the whole volume, up and down too.", True))
-    elif spread[0] < 0.08 * spread[2]:
+    elif spread[0] < 0.08 * wide:
         found.append(
-            Finding("the wand was waved in a plane only; wave it through the whole volume, up and down too.", spread[0] < 0.03 * spread[2])
+            Finding("the wand was waved in a plane only; wave it through the whole volume, up and down too.", bool(spread[0] < 0.03 * wide))
+        )
+    seen = float(np.median([(cells > 0).mean() for cells in coverage(made)]))
+    if seen < POOR_PART:
+        found.append(
+            Finding(
+                f"the wand stayed in a small part of the volume, {' x '.join(f'{4.0 * part:.1f}' for part in spread[::-1])} m, which fills "
+                f"{100 * seen:.0f} % of an image; points elsewhere can be off by more than is said here."
+            )
         )
     if len(made.wand.lengths) > 1:
         along = made.positions[:, -1] - made.positions[:, 0]
@@ -237,8 +286,19 @@ def _waved(made: WandCalibration) -> list[Finding]:
     return found
 
 
+def _distance(made: WandCalibration) -> float:
+    """m, from the cameras to what they saw of the wand, the median."""
+    seen = made.sightings
+    points = made.positions[np.searchsorted(made.used, seen.frame), seen.point]
+    eyes = np.stack([camera.position for camera in made.rig])
+    return float(np.nanmedian(np.linalg.norm(points - eyes[seen.camera], axis=1)))
+
+
 def _covered(made: WandCalibration) -> list[Finding]:
     found = []
+    if made.lights.any():
+        each = ", ".join(f"{count} in camera {camera.name}" for camera, count in zip(made.rig, made.lights, strict=True) if count)
+        found.append(Finding(f"what never moved was left out: {each}; cover reflections before recording, or mask them.", advice=True))
     for camera, cells in zip(made.rig, coverage(made), strict=True):
         share = float((cells > 0).mean())
         if share < POOR_COVERAGE:

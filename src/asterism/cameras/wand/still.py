@@ -1,0 +1,49 @@
+"""Blobs in; the same without lights that never move, such as reflections and lamps, out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from asterism.recording import Blobs, Floats, Ints
+
+_RADIUS = 3.0
+"""px around a light that never moves in which blobs are it."""
+_SHARE, _WORTH_A_LOOK = 0.4, 0.1
+"""Of the images of a camera that show anything: so many show a light that never moves; one grid cell shows so many of these."""
+_FEWEST_IMAGES = 50
+
+
+def without_still_lights(blobs: Blobs) -> tuple[Blobs, Ints]:
+    """The blobs without those that stay at one place of an image in two of five frames, and how many such places each camera has (C,).
+
+    A wand that lies still for so long is left out while it does, which loses nothing: frames that repeat each other tell nothing new.
+    """
+    frame, camera = blobs.frame_of, blobs.camera_of
+    moving = np.ones(len(blobs.xy), dtype=bool)
+    lights = np.zeros(len(blobs.cameras), dtype=np.int64)
+    for c in range(len(blobs.cameras)):
+        own = np.nonzero(camera == c)[0]
+        images = len(np.unique(frame[own]))
+        if images < _FEWEST_IMAGES:
+            continue
+        xy = blobs.xy[own]
+        for place in _crowded(xy, _WORTH_A_LOOK * images):
+            near = moving[own] & (np.linalg.norm(xy - place, axis=1) < _RADIUS)
+            if len(np.unique(frame[own[near]])) > _SHARE * images:
+                moving[own[near]] = False
+                lights[c] += 1
+    if not lights.any():
+        return blobs, lights
+    counts = np.bincount((frame * len(blobs.cameras) + camera)[moving], minlength=blobs.counts.size)
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return replace(blobs, xy=blobs.xy[moving], sizes=blobs.sizes[moving], offsets=offsets), lights
+
+
+def _crowded(xy: Floats, least: float) -> Floats:
+    """The medians (m, 2) px of what lies in cells of a grid that hold more than `least` of the places (n, 2), fullest first."""
+    _, own, count = np.unique(np.floor(xy / _RADIUS).astype(np.int64), axis=0, return_inverse=True, return_counts=True)
+    full = np.nonzero(count > least)[0]
+    full = full[np.argsort(-count[full], kind="stable")]
+    return np.array([np.median(xy[own.ravel() == cell], axis=0) for cell in full]).reshape(-1, 2)
