@@ -115,6 +115,13 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert re.fullmatch(r"asterism \d+\S*\n", capsys.readouterr().out)
 
 
+def test_the_module_is_the_command(tmp_path: Path) -> None:
+    told = subprocess.run([sys.executable, "-m", "asterism", "info", "none.c3d"], cwd=tmp_path, capture_output=True, text=True)
+    assert told.returncode == 2
+    assert told.stdout == ""
+    assert told.stderr.startswith("asterism: none.c3d")
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
