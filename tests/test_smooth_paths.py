@@ -64,8 +64,8 @@ def test_smoothing_halves_the_error_and_says_how_exact_it_is(walk: Case) -> None
     deviation = np.sqrt(np.trace(paths.covariance, axis1=1, axis2=2))[real]
     assert 0.8 < np.sqrt(np.mean(after[real] ** 2)) / np.sqrt(np.mean(deviation**2)) < 1.3
     np.testing.assert_allclose(paths.moved, np.linalg.norm(paths.clouds.xyz - result.clouds.xyz, axis=1))
-    smooth = result.moved(paths.clouds, paths.covariance, rig)
-    again = result.moved(result.clouds, result.covariance, rig)
+    smooth = result.with_points(paths.clouds, paths.covariance, rig)
+    again = result.with_points(result.clouds, result.covariance, rig)
     np.testing.assert_allclose(again.residual, result.residual, atol=1e-4)
     assert smooth.residual.mean() > result.residual.mean()
 

@@ -46,7 +46,7 @@ def walk(bench: Bench) -> Iterator[Figure]:
         )
         yield Figure(f"{row}: the same, expected from the covariances", "none", _expected(result), "fraction", len(result.residual))
         paths = smooth_paths(result.clouds, result.covariance)
-        smooth = judged(result.moved(paths.clouds, paths.covariance, rig), recording.positions, shows)
+        smooth = judged(result.with_points(paths.clouds, paths.covariance, rig), recording.positions, shows)
         yield Figure(f"{row}: the same, smoothed along paths", asked, float((smooth.nearest < 0.001).mean()), "fraction", smooth.seen)
         yield Figure(f"{row}: found within 2 mm", "none", float((told.nearest < 0.002).mean()), "fraction", told.seen)
         yield Figure(f"{row}: found within 5 mm", "none", float((told.nearest < NEAR).mean()), "fraction", told.seen)

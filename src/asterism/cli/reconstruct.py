@@ -81,7 +81,7 @@ def reconstruct(
 
         with _console.progress("smoothing") as progress:
             paths = smooth_paths(result.clouds, result.covariance, progress=progress)
-        result = result.moved(paths.clouds, paths.covariance, calibrated)
+        result = result.with_points(paths.clouds, paths.covariance, calibrated)
         told["smoothed"] = {
             "paths": paths.paths,
             "moved_m": float(np.median(paths.moved)) if len(paths.moved) else None,

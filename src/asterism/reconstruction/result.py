@@ -55,8 +55,8 @@ class Reconstruction:
         """What each point rests on, as files keep it."""
         return Evidence(self.residual, self.covariance, self.cameras, self.blobs.cameras, self.scale)
 
-    def moved(self, clouds: Clouds, covariance: Floats, rig: Rig) -> Reconstruction:
-        """The same points at other places, (P, 3) m in `clouds`, with covariance (P, 3, 3) m2; residuals are those of the new places."""
+    def with_points(self, clouds: Clouds, covariance: Floats, rig: Rig) -> Reconstruction:
+        """The same points at other places, those of `clouds`, with covariance (P, 3, 3) m2; residuals are those of the new places."""
         square, taken = np.zeros(len(self.rays)), self.cameras
         for c, camera in enumerate(rig.select(self.blobs.cameras)):
             mine = taken[:, c]
