@@ -58,7 +58,7 @@ def told(blobs: Blobs, rig: Rig) -> list[str]:
         lambda c: turned(c, 0.4),
         lambda c: turned(c, 4.0),
         lambda c: zoomed(c, 1.006),
-        lambda c: replace(c, radial=()),
+        lambda c: replace(c, radial=(0.4,)),
     ],
     ids=["a tenth of a degree", "0.4 degrees", "4 degrees", "zoom", "another lens"],
 )

@@ -98,3 +98,58 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "was bumped" in (tmp_path / "page.html").read_text(encoding="utf-8")
     assert main(["calibrate", "refine", str(tmp_path / "walk.csv"), "--rig", str(tmp_path / "true.toml"), "--frames", "40"]) == 0
     assert "no camera was bumped" in capsys.readouterr().out
+
+
+def zoomed(camera: Camera, factor: float) -> Camera:
+    return replace(camera, focal=(factor * camera.focal[0], factor * camera.focal[1]))
+
+
+@pytest.mark.parametrize("cameras", [4, 6])
+def test_a_turned_zoom_ring_is_told_from_a_bump(cameras: int) -> None:
+    true, blobs = filmed(cameras)
+    made = refine_rig(blobs, replace(true, cameras=(true[0], zoomed(true[1], 1.04), *true.cameras[2:])), frames=60)
+    check = made.cameras[1]
+    assert check.state == "bumped" and check.zoomed == pytest.approx(1 / 1.04 - 1, abs=0.004)
+    assert check.shifted < 0.03, "what the zoom did must not be put down to a camera that walked away"
+    assert "focal length changed by -3." in made.findings[0]
+    turned_only = refine_rig(blobs, with_bumps(true, {1: (2.0, 0.02)}), frames=60).cameras[1]
+    assert turned_only.state == "bumped" and turned_only.zoomed == 0.0
+
+
+def late(blobs: Blobs, camera: int, frames: int) -> Blobs:
+    frame = blobs.frame_of + np.where(blobs.camera_of == camera, frames, 0)
+    kept = (frame >= 0) & (frame < len(blobs))
+    return Blobs.from_rows(frame[kept], blobs.camera_of[kept], blobs.xy[kept], blobs.cameras, frames=len(blobs))
+
+
+@pytest.mark.parametrize("frames", [1, -4])
+def test_a_camera_out_of_step_is_not_mended_as_if_it_were_bumped(frames: int) -> None:
+    true, blobs = filmed(6)
+    made = refine_rig(late(blobs, 2, frames), true, frames=40)
+    assert [(check.state, check.behind) for check in made.cameras] == [("good", 0)] * 2 + [("out of step", frames)] + [("good", 0)] * 3
+    assert np.array_equal(made.rig[2].rotation, true[2].rotation)
+
+
+def test_exchanged_names_are_said() -> None:
+    true, blobs = filmed(8)
+    swapped = replace(true, cameras=(replace(true[1], name="c1"), replace(true[0], name="c2"), *true.cameras[2:]))
+    said = refine_rig(blobs, swapped, frames=40).findings
+    assert "camera c1 stands where the rig has camera c2: were their names exchanged?" in said
+
+
+def test_a_rig_that_is_not_the_recordings_is_refused_and_one_other_lens_is_lost() -> None:
+    true, blobs = filmed(4)
+    upside_down = replace(blobs, xy=blobs.xy * [1, -1] + [0, 1023])
+    bent = replace(true, cameras=tuple(replace(camera, radial=(0.3,)) for camera in true))
+    for rig, seen in ((ring_rig(4, radius=3.0, rng=np.random.default_rng(1)), blobs), (true, upside_down), (bent, blobs)):
+        with pytest.raises(AsterismError, match="calibrate the rig again"):
+            refine_rig(seen, rig, frames=24)
+    one_bent = replace(true, cameras=(true[0], bent[1], *true.cameras[2:]))
+    assert [check.state for check in refine_rig(blobs, one_bent, frames=40).cameras] == ["good", "lost", "good", "good"]
+
+
+def test_markers_that_stand_in_few_places_tell_nothing() -> None:
+    true, _ = filmed(6)
+    still = np.tile(np.array([[0.0, 0.0, 1.0], [0.4, 0.1, 1.2], [-0.3, 0.3, 0.6]]), (60, 1, 1))
+    blobs, _ = images_of(true, still, 0.3, rng=np.random.default_rng(0))
+    assert {check.state for check in refine_rig(blobs, true).cameras} == {"unknown"}

@@ -15,7 +15,11 @@ from asterism.reconstruction.result import Reconstruction
 from asterism.reconstruction.setting import image_borders
 from asterism.recording import Blobs, Floats, Ints
 
+OFF_PX, OFF_NOISES = 0.3, 0.5
+"""A camera whose image is off by more than both, in px and in standard deviations of the noise, does not fit."""
 _MOST, _FEWEST = 4000, 50
+_PLACES, _PLACE = 12, 0.02
+"""How many different places of its image, in focal lengths apart, a camera must show points in to be judged."""
 _BORDER = 3.0
 """px: a point nearer to the image border need not be seen."""
 _ROUNDS, _CUT = 4, 3.0
@@ -33,7 +37,7 @@ class Agreement:
     expected  points of three other cameras (of two, in a rig of three) that lie inside its image, of those looked at
     seen      the share of them that it shows, NaN where there are fewer than 50
     off       px, how far its whole image is shifted, turned, scaled or bent against where the others put the points: the part of its
-              residuals that noise does not make (RMS); NaN where fewer than 50 of its blobs tell
+              residuals that noise does not make (RMS); NaN where fewer than 50 of its blobs, or than 12 places in its image, tell
     """
 
     expected: int
@@ -148,11 +152,12 @@ def _off(result: Reconstruction, camera: Camera, c: int) -> float:
     slopes = np.empty((len(points), 2, 3))
     image_slopes(camera.lens, camera.rotation, camera.translation, points, slopes)
     known = np.isfinite(residual).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2))
-    if known.sum() < _FEWEST:
-        return float("nan")
     residual, slopes, mine = residual[known], slopes[known], mine[known]
+    flat = (result.blobs.xy[result.rays[mine, c]] - camera.centre) / camera.focal
+    if len(mine) < _FEWEST or len(np.unique(np.rint(flat / _PLACE), axis=0)) < _PLACES:
+        return float("nan")
     own: Floats = np.eye(2) - slopes @ result.covariance[mine] @ slopes.transpose(0, 2, 1) / result.noise[c] ** 2
-    field = _smooth((result.blobs.xy[result.rays[mine, c]] - camera.centre) / camera.focal)
+    field = _smooth(flat)
     weights, a, normal = np.ones(len(mine)), np.zeros(field.shape[2]), np.eye(field.shape[2])
     for _ in range(_ROUNDS):
         weighted = weights[:, None, None] * field

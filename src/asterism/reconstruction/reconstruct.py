@@ -81,7 +81,7 @@ def reconstruct(
     silent = [name for name, total in zip(blobs.cameras, rays.blobs.counts.sum(axis=0), strict=True) if not total]
     if silent:
         remarks.append(f"camera {', '.join(silent)} saw nothing at all.")
-    return _assembled(parts, rays.blobs, rig, belief, method, tuple(remarks))
+    return replace(_assembled(parts, rays.blobs, rig, belief, method, tuple(remarks)), fits=not untold)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -11,17 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.cameras import Camera, Rig, vector_from_rotation
-from asterism.cameras.bundle import Sightings, adjust, free_parameters
+from asterism.cameras.bundle import PARAMETERS, Sightings, adjust, free_parameters
 from asterism.errors import AsterismError
+from asterism.reconstruction.agreement import OFF_NOISES, OFF_PX, agreement, frames_behind, near, out_of_step
 from asterism.reconstruction.reconstruct import reconstruct
-from asterism.recording import Blobs, Floats, to_common_clock
+from asterism.reconstruction.result import Reconstruction
+from asterism.recording import Blobs, Floats, Ints, to_common_clock
 
 Progress = Callable[[float, str], None]
 
-BUMPED = 0.6
-"""px: a camera whose view of the points has moved by this much, or by twice the noise, was bumped."""
+_CONTRADICT = "the cameras contradict each other so much that none can be trusted; calibrate the rig again."
+_SURE = 4.0
+"""Standard deviations by which a view must have moved, or a focal length have changed, to be called so."""
+_BY_TWO = 2.0
+"""So many times as uncertain are points of two cameras."""
+_SAME = (0.05, 0.1)
+"""rad and m, within which two cameras stand in one place."""
+_ZOOMED = 0.001
+"""The least change of a focal length that is told."""
 _FRAMES, _FEWEST = 80, 40
-_NOISE_FRAMES, _MOST_GROUPS, _USUAL_NOISE = 16, 30, 0.5
+_NOISE_FRAMES, _MOST_GROUPS, _USUAL_NOISE, _MOST_NOISE = 16, 30, 0.5, 3.0
 _REACH, _BIN = 0.25, 0.004
 """How far the images of a bumped camera are looked for, and how finely, in widths of the image."""
 _KEPT = 0.15
@@ -36,9 +46,13 @@ class CameraCheck:
     before   px, median distance by which the recording says that its view has moved from where the rig has it; NaN where nothing is told
     after    px, RMS reprojection error of the points that it shows, with the mended rig
     turned   rad, and shifted m: how far the mended camera is from the rig's
+    zoomed   share by which its focal length changed, 0 where the recording does not tell that it did
     shown    share of the points in its image that it shows, once mended
     points   points of the others that it could be compared with
-    state    "good", "bumped" (and mended), "lost" (it does not fit, and could not be mended) or "unknown" (too little to compare)
+    state    "good", "bumped" (and mended), "out of step", "lost" (it does not fit, and could not be mended) or "unknown" (too little to
+             compare)
+    behind   frames by which it is behind the others
+    place_of another camera of the rig in whose place it stands once mended, else ""
     """
 
     name: str
@@ -46,9 +60,12 @@ class CameraCheck:
     after: float
     turned: float
     shifted: float
+    zoomed: float
     shown: float
     points: int
     state: str
+    behind: int
+    place_of: str
 
 
 @dataclass(frozen=True)
@@ -72,14 +89,26 @@ class Refinement:
         said = []
         for check in self.cameras:
             if check.state == "bumped":
+                if check.place_of:
+                    said.append(f"camera {check.name} stands where the rig has camera {check.place_of}: were their names exchanged?")
+                    continue
+                zoom = f", its focal length changed by {100 * check.zoomed:+.2f} % (zoom or focus)" if check.zoomed else ""
                 said.append(
                     f"camera {check.name} was bumped: it is turned by {np.degrees(check.turned):.2f} degrees and shifted by "
-                    f"{1000 * check.shifted:.0f} mm, {check.before:.1f} px in its image; it was mended."
+                    f"{1000 * check.shifted:.0f} mm{zoom}, {check.before:.1f} px in its image; it was mended."
                 )
+            elif check.state == "out of step":
+                said.append(f"{out_of_step(check.name, check.behind)} It was left as it is.")
             elif check.state == "lost":
-                said.append(f"camera {check.name} does not fit the others and could not be mended; calibrate it again.")
+                said.append(
+                    f"camera {check.name} does not fit the others, and no new pose mends that: its lens, the size of its images or its "
+                    "name in the rig may be another; calibrate it again."
+                )
             elif check.state == "unknown":
-                said.append(f"camera {check.name} sees too few points that others see ({check.points}) to be checked; record more.")
+                said.append(
+                    f"the recording tells too little to check camera {check.name} ({check.points} points that others see too); "
+                    "record markers that move all over the volume."
+                )
         return tuple(said)
 
 
@@ -91,19 +120,21 @@ def refine_rig(blobs: Blobs, rig: Rig, *, frames: int = _FRAMES, progress: Progr
 
     Each camera in turn is left out, and the points that the others compose are looked for in its images: near where they should be, or
     anywhere that all of them together have moved to. The camera that has moved and fits best in a new place is mended first; then the
-    others are looked at without it, and again, until those that are left agree. At last the mended poses are adjusted to all sightings, the
-    others held. Raises AsterismError where fewer than three cameras of the rig have blobs, or nothing can be composed.
+    others are looked at without it, and again, until those that are left agree. A camera that would fit at another frame is out of step and
+    left alone. At last the mended poses, and focal lengths that clearly changed, are adjusted to all sightings, the others held; a camera
+    that is still off is lost. Raises AsterismError where fewer than three cameras of the rig have blobs, nothing can be composed, or no few
+    cameras agree with each other.
     """
     blobs = to_common_clock(blobs) if blobs.times is not None else blobs
     rig = rig.select(blobs.cameras)
-    seeing = [c for c in range(len(rig)) if blobs.counts[:, c].any()]
+    seeing = [c for c in range(len(rig)) if rig[c].posed and blobs.counts[:, c].any()]
     if len(seeing) < 3:
-        raise AsterismError(f"only {len(seeing)} cameras of the rig have blobs; to tell which one was bumped takes three.")
+        raise AsterismError(f"only {len(seeing)} cameras of the rig have blobs and a pose; to tell which one was bumped takes three.")
     told = progress or (lambda fraction, doing: None)
-    some = _some_frames(blobs, seeing, frames)
+    some, picked = _some_frames(blobs, seeing, frames)
     told(0.0, "measuring the noise")
     noise = _noise(some, rig, seeing)
-    sound, mended = list(seeing), list(rig.cameras)
+    sound = list(seeing)
     looks: dict[int, _Look] = {}
     while len(sound) >= 2:
         looks = {}
@@ -112,28 +143,72 @@ def refine_rig(blobs: Blobs, rig: Rig, *, frames: int = _FRAMES, progress: Progr
             others = [other for other in sound if other != c]
             if len(others) >= 2:
                 looks[c] = _look(some, rig, c, others, noise)
-        moved = [c for c in sound if c in looks and looks[c].moved > max(BUMPED, 2.0 * noise)]
+        moved = [c for c in sound if c in looks and looks[c].moved > _least_move(looks[c], noise, len(sound) - 1)]
         if not moved:
             break
         sound.remove(_worst(some, rig, moved, looks, sound, noise))
-    if len(sound) < 2:
-        raise AsterismError("the cameras contradict each other so much that none can be trusted; calibrate the rig again.")
-    bumped = [c for c in seeing if c not in sound and looks[c].camera is not None]
-    for c in bumped:
-        mended[c] = looks[c].camera or rig[c]
+    if len(sound) < max(2, len(seeing) / 2):
+        raise AsterismError(_CONTRADICT)
+    others = [c for c in seeing if c not in sound]
+    behind = {c: _behind(blobs, some, picked, rig, c, sound, noise) for c in others}
+    bumped = [c for c in others if looks[c].camera is not None and not behind[c]]
     told(0.9, "adjusting")
-    fitted, errors, _ = _adjusted(some, replace(rig, cameras=tuple(mended)), bumped, [*sound, *bumped], noise)
-    fits = np.isfinite(errors) & (errors < max(5.0 * noise, 1.5))
-    states = ["lost" if c in seeing else "unknown" for c in range(len(rig))]
-    for c in seeing:
-        if c in bumped and fits[c]:
-            states[c] = "bumped"
-        elif c in sound:
-            states[c] = "good" if fits[c] else "unknown"
+    fitted = _mended(some, rig, bumped, {c: looks[c].camera for c in bumped}, sound, noise)
+    last = _adjusted(some, fitted, [], [*sound, *bumped], noise)
+    limit = max(OFF_PX, OFF_NOISES * noise)
+    unfit = [c for c in bumped if not last.off[c] <= limit]
+    if unfit:
+        last = _adjusted(some, fitted, [], [c for c in (*sound, *bumped) if c not in unfit], noise)
+    states = _states(rig, seeing, sound, looks, behind, last.off, limit)
+    if 2 * sum(states[c] == "lost" for c in sound) >= len(sound):
+        raise AsterismError(_CONTRADICT)
     fitted = replace(fitted, cameras=tuple(fitted[c] if states[c] == "bumped" else rig[c] for c in range(len(rig))))
-    checks = tuple(_check(rig[c], fitted[c], looks.get(c), float(errors[c]), states[c]) for c in range(len(rig)))
+    checks = tuple(_check(rig, c, fitted[c], looks.get(c), float(last.errors[c]), states[c], behind.get(c, 0)) for c in range(len(rig)))
     told(1.0, "done")
     return Refinement(fitted, checks, noise, len(some))
+
+
+def _least_move(look: _Look, noise: float, others: int) -> float:
+    """px that a view must have moved by to be called moved, by what noise makes of a pose from so many points of so many cameras."""
+    least = max(OFF_PX, OFF_NOISES * noise, _SURE * noise * math.sqrt(6.0 / max(look.shown * look.points, 1.0)))
+    return least if others >= 3 else _BY_TWO * least
+
+
+def _behind(blobs: Blobs, some: Blobs, picked: Ints, rig: Rig, camera: int, sound: list[int], noise: float) -> int:
+    """By how many frames a camera, as the rig has it, is behind those that are sound."""
+    clouds = list(_reconstructed(some, rig, sound, noise).clouds)
+    return frames_behind(clouds, picked.tolist(), blobs, camera, rig[camera], near(noise))
+
+
+def _mended(blobs: Blobs, rig: Rig, bumped: list[int], poses: dict[int, Camera | None], sound: list[int], noise: float) -> Rig:
+    """The rig with its bumped cameras adjusted, twice since what they are seen to show changes; focal lengths only where they changed."""
+    fitted = replace(rig, cameras=tuple(poses.get(c) or rig[c] for c in range(len(rig))))
+    cameras = [*sound, *bumped]
+    for _ in range(2 if bumped else 0):
+        trial = _adjusted(blobs, fitted, bumped, cameras, noise, zoomed=bumped)
+        least = np.maximum(_ZOOMED * np.array([camera.focal[0] for camera in rig]), _SURE * trial.focal_sigma)
+        zoomed = [c for c in bumped if abs(trial.rig[c].focal[0] - rig[c].focal[0]) > least[c] and np.isfinite(trial.off[c])]
+        start = tuple(trial.rig[c] if c in zoomed else replace(fitted[c], focal=rig[c].focal) for c in range(len(rig)))
+        fitted = _adjusted(blobs, replace(rig, cameras=start), bumped, cameras, noise, zoomed=zoomed).rig
+    return fitted
+
+
+def _states(
+    rig: Rig, seeing: list[int], sound: list[int], looks: dict[int, _Look], behind: dict[int, int], off: Floats, limit: float
+) -> list[str]:
+    """What became of each camera. Two sound cameras have nobody to look at them but each other."""
+    states = []
+    for c in range(len(rig)):
+        if c not in seeing:
+            states.append("unknown")
+        elif c in sound:
+            known = np.isfinite(off[c]) and (len(sound) < 3 or np.isfinite(looks[c].moved))
+            states.append("unknown" if not known else "good" if off[c] <= limit else "lost")
+        elif behind[c]:
+            states.append("out of step")
+        else:
+            states.append("bumped" if off[c] <= limit else "lost")
+    return states
 
 
 def _worst(blobs: Blobs, rig: Rig, moved: list[int], looks: dict[int, _Look], sound: list[int], noise: float) -> int:
@@ -144,8 +219,8 @@ def _worst(blobs: Blobs, rig: Rig, moved: list[int], looks: dict[int, _Look], so
     merit = {}
     for c in likely:
         trial = replace(rig, cameras=tuple(looks[c].camera or camera if i == c else camera for i, camera in enumerate(rig)))
-        _, errors, sightings = _adjusted(blobs, trial, [c], sound, noise)
-        merit[c] = sightings * (1.0 - float(np.nanmean(errors)) / (8.0 * noise))
+        fit = _adjusted(blobs, trial, [c], sound, noise)
+        merit[c] = fit.sightings * (1.0 - float(np.nanmean(fit.errors)) / (8.0 * noise)) if fit.sightings else -math.inf
     return max(likely, key=lambda c: merit[c])
 
 
@@ -159,8 +234,8 @@ class _Look:
     points: int
 
 
-def _some_frames(blobs: Blobs, seeing: list[int], most: int) -> Blobs:
-    """Frames in which most cameras see something, evenly spread."""
+def _some_frames(blobs: Blobs, seeing: list[int], most: int) -> tuple[Blobs, Ints]:
+    """Frames in which most cameras see something, evenly spread, and their numbers."""
     cameras = (blobs.counts[:, seeing] > 0).sum(axis=1)
     useful = np.nonzero(cameras >= min(3, len(seeing)))[0]
     if not len(useful):
@@ -169,33 +244,41 @@ def _some_frames(blobs: Blobs, seeing: list[int], most: int) -> Blobs:
     place = np.full(len(blobs), -1)
     place[picked] = np.arange(len(picked))
     kept = place[blobs.frame_of] >= 0
-    return Blobs.from_rows(
+    some = Blobs.from_rows(
         place[blobs.frame_of[kept]], blobs.camera_of[kept], blobs.xy[kept], blobs.cameras, rate=blobs.rate, frames=len(picked)
     )
+    return some, picked
 
 
 def _noise(blobs: Blobs, rig: Rig, cameras: list[int]) -> float:
     """px, the pixel noise by the small group of cameras that shows least of it: in some group none was bumped.
 
     Groups are three cameras, neighbours first, two where there are but three; one with no more noise than good blobs have ends it.
+    Raises AsterismError where no group agrees.
     """
-    few = _some_frames(blobs, cameras, _NOISE_FRAMES)
+    few, _ = _some_frames(blobs, cameras, _NOISE_FRAMES)
     groups = list(combinations(cameras, 2 if len(cameras) == 3 else 3))
     places = np.array([camera.position for camera in rig])
     spread = [float(np.linalg.norm(places[list(group)] - places[list(group)].mean(axis=0))) for group in groups]
     least = np.inf
     for n in np.argsort(spread, kind="stable")[:_MOST_GROUPS]:
-        least = min(least, _points(few, rig, list(groups[n]), None)[1])
+        made = _reconstructed(few, rig, list(groups[n]), None)
+        if made.fits:
+            least = min(least, float(np.median(made.noise)))
         if least < _USUAL_NOISE and len(cameras) > 3:
             break
-    return float(least)
+    if least > _MOST_NOISE:
+        raise AsterismError(
+            f"no few cameras agree on points to {_MOST_NOISE:g} px: this is not the rig of the recording (image size, names of cameras, y "
+            "counted from the top?), or too few markers move in it; calibrate the rig again, or record more of them."
+        )
+    return least
 
 
-def _points(blobs: Blobs, rig: Rig, cameras: list[int], noise: float | None) -> tuple[list[Floats], float]:
-    """The points of each frame by some cameras only, those that three of them show where there are four, and the pixel noise told."""
-    own = _of_cameras(blobs, cameras)
-    made = reconstruct(own, replace(rig, cameras=tuple(rig[c] for c in cameras)), noise=noise, min_cameras=3 if len(cameras) >= 4 else 2)
-    return [made.clouds[t] for t in range(len(own))], float(np.median(made.noise))
+def _reconstructed(blobs: Blobs, rig: Rig, cameras: list[int], noise: float | None) -> Reconstruction:
+    """Points by some cameras only, those that three of them show where there are four."""
+    part = replace(rig, cameras=tuple(rig[c] for c in cameras))
+    return reconstruct(_of_cameras(blobs, cameras), part, noise=noise, min_cameras=3 if len(cameras) >= 4 else 2)
 
 
 def _of_cameras(blobs: Blobs, cameras: list[int]) -> Blobs:
@@ -211,7 +294,7 @@ def _of_cameras(blobs: Blobs, cameras: list[int]) -> Blobs:
 def _look(blobs: Blobs, rig: Rig, camera: int, others: list[int], noise: float) -> _Look:
     """Look for the others' points in a camera's images."""
     model = rig[camera]
-    clouds, _ = _points(blobs, rig, others, noise)
+    clouds = _reconstructed(blobs, rig, others, noise).clouds
     size = np.array(model.size or (2.0 * model.centre[0], 2.0 * model.centre[1]))
     images = [blobs.of(t, camera) for t in range(len(blobs))]
     pairs = [(points, xy) for points, xy in zip(clouds, images, strict=True) if len(points) and len(xy)]
@@ -290,34 +373,60 @@ def _matched(camera: Camera, pairs: list[tuple[Floats, Floats]], gate: float, sh
     return np.concatenate(points), np.concatenate(places)
 
 
-def _adjusted(blobs: Blobs, rig: Rig, bumped: list[int], cameras: list[int], noise: float) -> tuple[Rig, Floats, int]:
-    """The bumped cameras' poses by all points that three cameras or more show, the others held.
+@dataclass(frozen=True)
+class _Fit:
+    """An adjusted rig; for each camera its error and how far it is off as a whole (C,) px, NaN where nothing tells; how many blobs show
+    the points; the standard deviations of focal lengths (C,) px, 0 where they were held."""
 
-    Returns the rig, each camera's error (C,) px, and the number of blobs that show such points.
-    """
+    rig: Rig
+    errors: Floats
+    off: Floats
+    sightings: int
+    focal_sigma: Floats
+
+
+def _adjusted(blobs: Blobs, rig: Rig, bumped: list[int], cameras: list[int], noise: float, zoomed: Sequence[int] = ()) -> _Fit:
+    """The bumped cameras' poses, and focal lengths of those zoomed, by all points that three cameras or more show, the others held."""
     order = sorted(cameras)
     own = _of_cameras(blobs, order)
-    part = [rig[c] for c in order]
-    made = reconstruct(own, replace(rig, cameras=tuple(part)), noise=noise, min_cameras=min(3, len(order)))
-    errors = np.full(len(rig), np.nan)
+    part = Rig(tuple(rig[c] for c in order), rig.vertical)
+    made = reconstruct(own, part, noise=noise, min_cameras=min(3, len(order)))
+    errors, off, sigma = np.full(len(rig), np.nan), np.full(len(rig), np.nan), np.zeros(len(rig))
     if not len(made.rays):
-        return rig, errors, 0
+        return _Fit(rig, errors, off, 0, sigma)
+    off[order] = [camera.off for camera in agreement(made, part)]
     point, camera = np.nonzero(made.rays >= 0)
     sightings = Sightings.of(point, camera, np.zeros(len(point), dtype=np.int64), made.blobs.xy[made.rays[point, camera]])
     free = free_parameters(len(order), "pose")
     free[[i for i, c in enumerate(order) if c not in bumped]] = False
-    points = np.concatenate([made.clouds[t] for t in range(len(own))])
+    free |= free_parameters(len(order), "focal") & np.array([c in zoomed for c in order])[:, None]
+    points = made.clouds.xyz
     turned = np.tile(np.eye(3), (len(points), 1, 1))
-    result = adjust(part, np.zeros((1, 3)), sightings, turned, points, free=free, scale=3.0 * noise, covariance=False)
+    told = len(zoomed) > 0
+    result = adjust(list(part), np.zeros((1, 3)), sightings, turned, points, free=free, scale=3.0 * noise, covariance=told)
     cameras_now = list(rig.cameras)
     for i, c in enumerate(order):
         errors[c] = result.cameras[i].error
         if c in bumped:
             cameras_now[c] = result.cameras[i]
-    return replace(rig, cameras=tuple(cameras_now)), errors, len(sightings)
+    if told:
+        sigma[order] = np.nan_to_num(result.sigma[:, PARAMETERS.index("focal")])
+    return _Fit(replace(rig, cameras=tuple(cameras_now)), errors, off, len(sightings), sigma)
 
 
-def _check(was: Camera, now: Camera, look: _Look | None, error: float, state: str) -> CameraCheck:
-    turned = float(np.linalg.norm(vector_from_rotation(now.rotation @ was.rotation.T)))
+def _check(rig: Rig, c: int, now: Camera, look: _Look | None, error: float, state: str, behind: int) -> CameraCheck:
+    was = rig[c]
+    turned, shifted = _apart(was, now)
+    near_it = (
+        other.name for other in rig if other.name != was.name and _apart(other, now)[0] < _SAME[0] and _apart(other, now)[1] < _SAME[1]
+    )
+    place_of = next(near_it, "") if state == "bumped" else ""
+    zoomed = now.focal[0] / was.focal[0] - 1.0
     moved, shown, points = (look.moved, look.shown, look.points) if look is not None else (float("nan"), float("nan"), 0)
-    return CameraCheck(was.name, moved, error, turned, float(np.linalg.norm(now.position - was.position)), shown, points, state)
+    return CameraCheck(was.name, moved, error, turned, shifted, zoomed, shown, points, state, behind, place_of)
+
+
+def _apart(one: Camera, other: Camera) -> tuple[float, float]:
+    """rad and m by which two cameras are turned and shifted against each other."""
+    turned = float(np.linalg.norm(vector_from_rotation(other.rotation @ one.rotation.T)))
+    return turned, float(np.linalg.norm(other.position - one.position))

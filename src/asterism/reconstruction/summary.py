@@ -8,16 +8,14 @@ from typing import Any
 import numpy as np
 
 from asterism.cameras import Rig
-from asterism.reconstruction.agreement import Agreement, agreement, cause
+from asterism.reconstruction.agreement import OFF_NOISES, OFF_PX, Agreement, agreement, cause
 from asterism.reconstruction.belief import noise_of
 from asterism.reconstruction.result import Reconstruction
 
 MUCH_NOISE = 1.5
 """px: blobs of markers are found to a few tenths; more means that the rig is not the recording's, or not what it was."""
-OFF_PX, OFF_NOISES = 0.3, 0.5
-"""A camera whose image is off by more than both, in px and in standard deviations of the noise, does not fit; so does one that
- is off by nearly as much as the worst."""
 _NEARLY = 0.7
+"""Beside the camera that is off most, those are named that are off by this share of it: it draws the others away, too."""
 FEW_SEEN, FEW_USED, MANY_UNUSED = 0.3, 0.5, 0.25
 MANY_OUTSIDE = 0.01
 FAR_APART = 100.0

@@ -13,7 +13,7 @@ from asterism.report.space import rig_in_space
 if TYPE_CHECKING:
     from asterism.reconstruction import Refinement
 
-_TINTS = {"good": 0.0, "bumped": 0.6, "lost": 1.0, "unknown": 0.3}
+_TINTS = {"good": 0.0, "bumped": 0.6, "out of step": 0.6, "lost": 1.0, "unknown": 0.3}
 
 
 def refinement_report(path: str | Path, made: Refinement, *, settings: Mapping[str, Any] | None = None) -> None:
@@ -27,11 +27,21 @@ def refinement_report(path: str | Path, made: Refinement, *, settings: Mapping[s
             _number(check.after, 2),
             _number(math.degrees(check.turned), 3),
             _number(1000 * check.shifted, 1),
+            _number(100 * check.zoomed, 2),
             percent(check.shown) if math.isfinite(check.shown) else NOTHING,
         ]
         for check in made.cameras
     ]
-    head = ["camera", "state", "view moved by, px", "error now, px", "turned, degrees", "shifted, mm", "of the others' points shown"]
+    head = [
+        "camera",
+        "state",
+        "view moved by, px",
+        "error now, px",
+        "turned, degrees",
+        "shifted, mm",
+        "zoomed, %",
+        "of the others' points shown",
+    ]
     lead = " ".join(f"{finding[0].upper()}{finding[1:]}" for finding in made.findings) or "No camera was bumped."
     merits = [
         (str(states.count("bumped")), "cameras bumped and mended", "warn" if "bumped" in states else "good"),

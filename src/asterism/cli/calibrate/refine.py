@@ -64,6 +64,8 @@ def refine(
                     "reprojection_rms_px": check.after,
                     "turned_deg": math.degrees(check.turned),
                     "shifted_m": check.shifted,
+                    "zoomed": check.zoomed,
+                    "behind_frames": check.behind,
                     "points": check.points,
                 }
                 for check in made.cameras
@@ -80,7 +82,7 @@ def refine(
 def _print(made: Refinement) -> None:
     _console.table(
         f"{len(made.cameras)} cameras in {made.frames} frames, {made.noise:.2f} px of noise",
-        ["camera", "state", "moved px", "error px", "turned deg", "shifted mm", "points"],
+        ["camera", "state", "moved px", "error px", "turned deg", "shifted mm", "zoomed %", "points"],
         [
             [
                 check.name,
@@ -89,6 +91,7 @@ def _print(made: Refinement) -> None:
                 f"{check.after:.2f}" if math.isfinite(check.after) else "–",
                 f"{math.degrees(check.turned):.2f}",
                 f"{1000 * check.shifted:.1f}",
+                f"{100 * check.zoomed:+.2f}" if check.zoomed else "–",
                 _console.count(check.points),
             ]
             for check in made.cameras
