@@ -119,6 +119,17 @@ def test_places_say_where_a_group_sits(walk: Recording) -> None:
     assert near[1] < 0.3 and near[0] != int(groups.of_point[np.argmax(clouds.columns == walk.labels.index("LASI"))])
 
 
+def test_the_nearest_groups_are_such_as_are_listed(walk: Recording) -> None:
+    blinks = np.full((len(walk.positions), 4, 3), np.nan)
+    for k in range(4):
+        blinks[20 * k : 20 * k + 3, k] = walk.positions[20 * k : 20 * k + 3, walk.labels.index("LASI")] + [0.03, 0.01, 0.02]
+    positions = np.concatenate([walk.positions, blinks], axis=1)
+    clouds = Recording(positions, (*walk.labels, "*1", "*2", "*3", "*4"), walk.rate, walk.vertical).clouds()
+    groups = own_tracks(clouds)
+    assert len(groups) > groups.often
+    assert all(near < groups.often for place in places(clouds, groups) for near, _ in place.nearest)
+
+
 def test_of_a_standing_subject_no_side_is_told() -> None:
     clouds = Recording(np.tile(np.random.default_rng(0).normal(size=(1, 6, 3)), (50, 1, 1)), tuple("ABCDEF"), 100.0).clouds()
     assert all(np.isnan(place.left) for place in places(clouds, own_tracks(clouds)))

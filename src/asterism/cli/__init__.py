@@ -48,7 +48,8 @@ def _show_version(wanted: bool) -> None:
 
 
 @app.callback(
-    help="Say which anonymous point of a motion capture is which marker. Start with `asterism demo`.",
+    help="Say which anonymous point of a motion capture is which marker. Start with `asterism demo`. From your own cameras' images: "
+    "detect, calibrate, reconstruct; then name the markers of one recording, train, and label the others.",
     epilog="Status on leaving: 0 all done, 1 some files failed (named on standard error), 2 nothing could be done, 130 interrupted.",
 )
 def _asterism(
@@ -67,10 +68,10 @@ _EXAMPLES: dict[Callable[..., None], str] = {
     evaluate: "asterism evaluate --leave-one-subject-out labelled/*.c3d --markers helen-hayes --occlusions 0 2 4",
     audit: "asterism audit labelled/*.c3d --markers helen-hayes",
     capturability: "asterism capturability labelled/*.c3d --markers helen-hayes --report capturability.html",
-    reconstruct: "asterism reconstruct 2d.csv --rig rig.toml -o clouds.npz",
     info: "asterism info walk.c3d",
     convert: "asterism convert walk.c3d walk.trc",
     detect: "asterism detect cam1.mp4 cam2.mp4 cam3.mp4 -o 2d.csv --rig rig.toml --report blobs.html",
+    reconstruct: "asterism reconstruct 2d.csv --rig rig.toml -o clouds.npz",
 }
 
 

@@ -74,7 +74,7 @@ class Place:
 
     height       m above the lowest point of the recording
     left, ahead  m from the middle of the body, to its left and in the direction of its way; NaN where nobody goes anywhere
-    nearest      (group, distance in m) of the groups that are nearest to it when both are seen, the nearest first
+    nearest      (group, distance in m) of the often seen groups that are nearest to it when both are seen, the nearest first
     """
 
     height: float
@@ -114,6 +114,7 @@ def places(clouds: Clouds, groups: Groups, nearest: int = 3) -> list[Place]:
         both = ~np.isnan(apart)
         median = np.array([np.median(apart[both[:, k], k]) if both[:, k].any() else np.inf for k in range(len(groups))])
         median[group] = np.inf
+        median[groups.often :] = np.inf
         order = [int(k) for k in np.argsort(median, kind="stable")[:nearest] if np.isfinite(median[k])]
         out.append(
             Place(
