@@ -174,6 +174,17 @@ def test_uneven_light_is_taken_off_unasked(tmp_path: Path) -> None:
     assert len(alone) == 3
 
 
+def test_particles_before_a_lit_ground_are_found_and_doubted(data: Path) -> None:
+    """Nothing is given: the ground is taken off by the mean around each pixel, and somebody should say what is a particle."""
+    folder = data / "cameras" / "particles-4cam" / "images"
+    peer = np.loadtxt(folder / "cam1.10001_targets", skiprows=1)[:, 1:3] - 0.5
+    result = detect([folder / "cam1.10001"])
+    found = result.blobs.of(0, 0)
+    assert (np.linalg.norm(peer[:, None] - found, axis=2).min(axis=1) < 1).mean() > 0.6
+    assert "more than markers" in result.problems[0]
+    assert detect([folder / "cam1.10001"], background=25).problems == ()
+
+
 @pytest.mark.parametrize("dark", [-3.0, 0.0, 1.0, 3.0])
 def test_noise_that_is_cut_off_at_black_is_told(dark: float) -> None:
     """The lower half of the pixels is 0 and says nothing of the noise."""
@@ -191,7 +202,7 @@ def test_a_lit_room_is_named(tmp_path: Path) -> None:
     for frame in range(10):
         image = room + np.maximum(spots(frame, dark=0, noise=0, size=(320, 240)) // 2, rng.integers(0, 3, room.shape))
         cv2.imwrite(str(tmp_path / "room" / f"{frame}.png"), image.astype(np.uint8))
-    assert "bright and no marker" in detect([tmp_path / "room"]).problems[0]
+    assert "more than markers" in detect([tmp_path / "room"]).problems[0]
     assert detect([tmp_path / "room"], threshold=175).problems == ()
 
 

@@ -22,8 +22,8 @@ _QUARTILE = 0.6745
 """Standard deviations from the median to a quartile."""
 _QUIETEST = 1.5
 """Grey values of noise that every image is taken to have: compression leaves such where a camera has less."""
-_EVERY, _BLOCK = 4, 64
-"""Pixels from one that is looked at to the next, and wide is a block whose light is told."""
+_EVERY, _BLOCK, _AROUND = 4, 64, 25
+"""Pixels from one that is looked at to the next, wide is a block whose light is told, and wide is what counts as around a pixel."""
 
 
 class Flag(IntFlag):
@@ -151,13 +151,13 @@ def automatic_threshold(image: ArrayLike, background: ArrayLike | int | None = N
     return float(min(max(level + lowest, 0), most - 1))
 
 
-def uneven_light(images: Sequence[ArrayLike]) -> Grey | None:
-    """The light that lies unevenly over images of one camera, of their shape and type: a background for `find_blobs`; None where it is
-    even, or too sharp to be told from markers.
+def uneven_light(images: Sequence[ArrayLike]) -> Grey | int | None:
+    """How to take off light that lies unevenly over images of one camera: a background for `find_blobs`; None where it is even.
 
     It is uneven where the darker half of the pixels differ by more than twice the noise of pixels side by side, or where more than 3 % are
-    brighter than six times the noise. The light is the lower quartile of each 128 by 128 pixels of the median image, with straight lines
-    between their centres, so that markers are no part of it; taken off, it must leave less than those 3 %.
+    brighter than six times the noise. The light is the lower quartile of each 64 by 64 pixels of the median image, with straight lines
+    between their centres, so that markers are no part of it. Where that leaves those 3 %, it is the mean of 25 by 25 pixels around each
+    if the darker half was uneven, since the light has texture; else, as with a bright window, nothing is taken off.
     """
     import cv2
 
@@ -165,7 +165,8 @@ def uneven_light(images: Sequence[ArrayLike]) -> Grey | None:
     few = _few(first) if len(images) == 1 else np.median([_few(as_grey(image)) for image in images], axis=0).astype(np.int64)
     noise = _noise(first, _few(first))
     level, spread, lit = _level(np.bincount(few.ravel()), noise)
-    if spread <= 2.0 * max(noise, _QUIETEST) and not lit:
+    uneven = spread > 2.0 * max(noise, _QUIETEST)
+    if not uneven and not lit:
         return None
     side = _BLOCK // _EVERY
     tall, wide = (max(round(length / side), 1) for length in few.shape)
@@ -175,7 +176,9 @@ def uneven_light(images: Sequence[ArrayLike]) -> Grey | None:
     light = np.clip(np.rint(smooth), 0, np.iinfo(first.dtype).max).astype(first.dtype)
     left = few - _few(light)
     lower, _, lit = _level(np.bincount((left - left.min()).ravel()), noise)
-    return None if lit or lower + left.min() >= level else light
+    if not lit and lower + left.min() < level:
+        return light
+    return _AROUND if uneven else None
 
 
 def _lines(length: int, blocks: int) -> Floats:

@@ -246,7 +246,7 @@ def _search(
     for place, image in some:
         _alike(source, place, image, first)
     looked_at = [image for _, image in some]
-    told = settings["threshold"] is None
+    told, around = settings["threshold"] is None, settings.get("background") is not None
     threshold = _tell_threshold(looked_at, settings) if told else float(settings["threshold"])
     if mask_static:
         if len(some) < _FEWEST_TO_MASK:
@@ -274,10 +274,10 @@ def _search(
     xy, sizes, flags = (np.concatenate(column) for column in zip(*parts, strict=True))
     if not len(xy):
         problems.append(f"camera {name}: no marker in {len(read)} images at a threshold of {threshold:.0f}; is it covered, dark or masked?")
-    elif told and _lit(middle[1], threshold, sample, settings) > _MOST_LIT:
+    elif told and (_lit(middle[1], threshold, sample, settings) > _MOST_LIT or (isinstance(settings["background"], int) and not around)):
         problems.append(
-            f"camera {name}: more than {_MOST_LIT:.0%} of its image is bright and no marker, such as windows or a lit room, so that some "
-            "blobs may be no markers; darken the room, or give --threshold, --background or --mask-static."
+            f"camera {name}: its images show more than markers before a dark ground, such as windows or a lit room, so that blobs may be "
+            "none; darken the room, or give --threshold, --background or --mask-static."
         )
     places = np.repeat(np.array(read, dtype=np.int64), [len(part[0]) for part in parts])
     return _Found(
