@@ -39,13 +39,25 @@ def ring(count: int = 5) -> Rig:
     return Rig(tuple(cameras), vertical=np.array([0.0, 0.0, 1.0]))
 
 
-def waved(rig: Rig, frames: int, noise: float = 0.1, seed: int = 1, towards: int | None = None, late: float = 0.0) -> BoardViews:
+def waved(
+    rig: Rig,
+    frames: int,
+    noise: float = 0.1,
+    seed: int = 1,
+    towards: int | None = None,
+    late: float = 0.0,
+    *,
+    board: Board = BOARD,
+    bend: float = 0.0,
+) -> BoardViews:
     """A board that is held up in front of one camera after the other; a camera sees it from less than 60 degrees aside, in full.
 
-    towards: only in front of this camera; late: the last camera sees the board where it will be so many frames later.
+    towards: only in front of this camera; late: the last camera sees the board where it will be so many frames later;
+    bend: how far the middle of the board stands out before its ends, m.
     """
     random = np.random.default_rng(seed)
-    points = BOARD.points - BOARD.points.mean(axis=0)
+    points = board.points - board.points.mean(axis=0)
+    points[:, 2] = -bend * (1 - (points[:, 0] / points[:, 0].max()) ** 2)
     paths = []
     for t in range(frames):
         facing = rig.cameras[(t * len(rig)) // frames if towards is None else towards]
@@ -63,7 +75,7 @@ def waved(rig: Rig, frames: int, noise: float = 0.1, seed: int = 1, towards: int
             if faces and np.isfinite(pixels).all() and (pixels > 5).all() and (pixels < np.array(camera.size) - 5).all():
                 seen[t, c] = pixels + random.normal(0, noise, pixels.shape)
     sightings, kept = Sightings.from_array(seen).compact()
-    return BoardViews(BOARD, rig.names, tuple(camera.size or (0, 0) for camera in rig), kept, sightings, (frames,) * len(rig))
+    return BoardViews(board, rig.names, tuple(camera.size or (0, 0) for camera in rig), kept, sightings, (frames,) * len(rig))
 
 
 def in_axes_of_first(rig: Rig) -> Rig:
@@ -165,6 +177,94 @@ def test_a_board_that_is_never_tilted_is_doubted() -> None:
     made = calibrate_board(views)
     assert any("tilted" in doubt for doubt in made.doubts)
     assert made.focal_std[0] > 0.02 * made.rig.cameras[0].focal[0]
+
+
+def far_off(made: Rig, true: Rig) -> float:
+    """How far the worst camera stands from where it should, m, in the first one's axes."""
+    truth = in_axes_of_first(true.select(made.names))
+    return max(float(np.linalg.norm(one.position - other.position)) for one, other in zip(made, truth, strict=True))
+
+
+EVEN = Board("chessboard", 8, 6, 0.05)
+
+
+@pytest.mark.parametrize("turned", [lambda camera, random: camera == 1, lambda camera, random: random.random() < 0.5])
+def test_a_board_that_looks_the_same_upside_down_is_numbered_alike_by_all(turned) -> None:  # type: ignore[no-untyped-def]
+    views, random = waved(ring(3), 90, seed=2, board=EVEN), np.random.default_rng(0)
+    for made, wrong in ((calibrate_board(views), False), (calibrate_board(renumbered(views, turned, random)), True)):
+        assert made.usable and not made.torn and made.rms < 0.16, f"{made.rms:.3f} px, some turned: {wrong}"
+        assert far_off(made.rig, ring(3)) < 0.05, f"{far_off(made.rig, ring(3)):.3f} m, some turned: {wrong}"
+
+
+def renumbered(views: BoardViews, turned, random: np.random.Generator) -> BoardViews:  # type: ignore[no-untyped-def]
+    seen = views.seen
+    others = {(t, c): turned(c, random) for t, c in sorted(set(zip(seen.frame.tolist(), seen.camera.tolist(), strict=True)))}
+    upside_down = np.array([others[t, c] for t, c in zip(seen.frame.tolist(), seen.camera.tolist(), strict=True)])
+    point = np.where(upside_down, len(views.board.points) - 1 - seen.point, seen.point)
+    return replace(views, seen=Sightings.of(seen.frame, seen.camera, point, seen.xy))
+
+
+def test_one_shared_view_of_such_a_board_links_no_cameras() -> None:
+    for board, usable in ((EVEN, False), (BOARD, True)):
+        views = waved(ring(2), 60, seed=1, board=board)
+        shared = np.nonzero((views.counts > 0).all(axis=1))[0]
+        apart = np.isin(views.seen.frame, shared[1:]) & (views.seen.frame % 2 == views.seen.camera)
+        made = calibrate_board(replace(views, seen=views.seen.select(~apart)))
+        assert made.usable is usable, made.doubts
+        assert any("share 1 view" in doubt or "hang together by 1" in doubt for doubt in made.doubts)
+
+
+@pytest.mark.parametrize(
+    ("kind", "columns", "rows", "alike"),
+    [
+        ("chessboard", 8, 6, True), ("chessboard", 9, 7, True), ("chessboard", 9, 6, False), ("circles", 7, 5, True),
+        ("asymmetric circles", 4, 11, False), ("asymmetric circles", 4, 10, True), ("charuco", 6, 4, False),
+    ],
+)  # fmt: skip
+def test_which_boards_look_the_same_upside_down(kind: str, columns: int, rows: int, alike: bool) -> None:
+    board = Board(kind, columns, rows, 0.05, "DICT_4X4_50" if kind == "charuco" else "", 0.03 if kind == "charuco" else 0.0)  # type: ignore[arg-type]
+    points = board.points
+    same_places = np.allclose(points[0] + points[-1] - points[::-1], points)
+    assert board.turns_alike is alike
+    assert same_places or not alike
+
+
+def test_cameras_that_saw_two_boards_are_not_believed() -> None:
+    """A third of one camera's views are of another board of the same kind."""
+    one, other = waved(ring(2), 80, seed=5), waved(ring(2), 80, seed=6)
+    swapped = np.random.default_rng(0).random(80) < 0.5
+
+    def mine(views: BoardViews, which: np.ndarray) -> tuple[np.ndarray, ...]:
+        seen, moment = views.seen, views.moments[views.seen.frame]
+        rows = (which[moment] & (seen.camera == 1)) | ((seen.camera == 0) & (views is one))
+        return moment[rows], seen.camera[rows], seen.point[rows], seen.xy[rows]
+
+    mixed = Sightings.of(*(np.concatenate(parts) for parts in zip(mine(one, ~swapped), mine(other, swapped), strict=True)))
+    seen, moments = mixed.compact()
+    made = calibrate_board(replace(one, seen=seen, moments=moments))
+    assert not made.usable
+    assert any("of them fit both" in doubt for doubt in made.doubts)
+
+
+def test_views_of_a_board_that_rests_are_not_many() -> None:
+    views = waved(ring(1), 4, noise=0.15, seed=2)
+    again = 40
+    frame = np.concatenate([views.seen.frame + 4 * i for i in range(again)])
+    still = Sightings.of(frame, np.tile(views.seen.camera, again), np.tile(views.seen.point, again), np.tile(views.seen.xy, (again, 1)))
+    many, few = calibrate_board(replace(views, seen=still, moments=np.arange(4 * again))), calibrate_board(views)
+    assert any("only 4 different views" in doubt for doubt in many.doubts)
+    assert many.focal_std[0] == pytest.approx(few.focal_std[0], rel=0.3), "160 images of 4 views tell what 4 tell"
+    two = still.select(still.frame % 4 < 2)
+    with pytest.raises(AsterismError, match="too few different"):
+        calibrate_board(replace(views, seen=two, moments=np.arange(4 * again)))
+
+
+@pytest.mark.parametrize(("bend", "doubted", "usable"), [(0.0, False, True), (0.002, True, True), (0.008, True, False)])
+@pytest.mark.parametrize("cameras", [1, 3])
+def test_a_board_that_bends_is_doubted(cameras: int, bend: float, doubted: bool, usable: bool) -> None:
+    made = calibrate_board(waved(ring(cameras), 60, seed=4, bend=bend))
+    assert any("not flat" in doubt for doubt in made.doubts) is doubted, made.bend
+    assert made.usable is usable, f"{made.bend:.5f}, focal lengths {[camera.focal[0] for camera in made.rig]}"
 
 
 def test_the_origin_is_where_the_board_lay() -> None:

@@ -18,6 +18,7 @@ Single = NDArray[np.float32]
 
 MOST_VIEWS = 60
 LEAST_VIEWS = 3
+_STILL = 0.01
 _OUTLYING, _OUTLYING_PX = 4.0, 1.0
 
 
@@ -31,6 +32,7 @@ class Alone:
     errors      (V,) px, RMS of each view
     left_out    (n,) moments of views that do not fit the others
     focal_std   px, standard deviation of fx by that calibration
+    different   of these views how many show the board elsewhere than another: a board that rests tells nothing new
     """
 
     camera: Camera
@@ -40,6 +42,12 @@ class Alone:
     errors: Floats
     left_out: Ints
     focal_std: float
+    different: int
+
+    @property
+    def repeated(self) -> float:
+        """By how much standard deviations are larger than they would be if each view told something new."""
+        return float(np.sqrt(len(self.frames) / self.different))
 
     @property
     def rms(self) -> float:
@@ -48,7 +56,7 @@ class Alone:
 
 
 def calibrate_alone(name: str, size: tuple[int, int], points: Floats, seen: Sightings, lens: Camera | None = None) -> Alone | None:
-    """The lens of one camera from its views of a board, and the board's pose in each; None with less than three views that agree.
+    """The lens of one camera from its views of a board, and the board's pose in each; None with less than three different views that agree.
 
     With a known lens one view is enough.
 
@@ -62,8 +70,8 @@ def calibrate_alone(name: str, size: tuple[int, int], points: Floats, seen: Sigh
     starts = np.searchsorted(seen.frame, np.append(frames, frames[-1] + 1 if len(frames) else 0))
     objects = [points[seen.point[a:b]].astype(np.float32) for a, b in pairwise(starts.tolist())]
     images = [seen.xy[a:b].astype(np.float32) for a, b in pairwise(starts.tolist())]
-    good = np.ones(len(frames), dtype=bool)
-    while good.sum() >= (LEAST_VIEWS if lens is None else 1):
+    good, elsewhere = np.ones(len(frames), dtype=bool), _elsewhere(images, size)
+    while (good & elsewhere).sum() >= (LEAST_VIEWS if lens is None else 1):
         calibrated = _lens(name, size, objects, images, good) if lens is None else (_bare(lens), 0.0)
         if calibrated is None:
             return None
@@ -82,7 +90,8 @@ def calibrate_alone(name: str, size: tuple[int, int], points: Floats, seen: Sigh
     placed = np.stack([poses[i][1] for i in kept])  # type: ignore[index]
     if lens is not None:
         camera = replace(camera, error=float(np.sqrt(np.mean(errors[kept] ** 2))))
-    return Alone(camera, frames[kept], turned, placed, errors[kept], frames[~good], focal_std)
+    different = max(1, int((good & elsewhere).sum()))
+    return Alone(camera, frames[kept], turned, placed, errors[kept], frames[~good], focal_std, different)
 
 
 def _lens(
@@ -107,6 +116,16 @@ def _lens(
 def _bare(camera: Camera) -> Camera:
     """The lens of a camera, without its pose."""
     return replace(camera, rotation=np.eye(3), translation=np.zeros(3), posed=False)
+
+
+def _elsewhere(images: Sequence[Single], size: tuple[int, int]) -> NDArray[np.bool_]:
+    """(V,) whether a view shows the board elsewhere than all views before: its corner points farther by a hundredth of the image."""
+    ends = np.array([[*image[0], *image[-1], *image.mean(axis=0)] for image in images]).reshape(-1, 6)
+    new = np.ones(len(ends), dtype=bool)
+    for i in range(1, len(ends)):
+        before = ends[:i][new[:i]]
+        new[i] = np.abs(before - ends[i]).max(axis=1).min() > _STILL * max(size)
+    return new
 
 
 def _most_different(images: Sequence[Single], size: tuple[int, int]) -> Ints:

@@ -14,6 +14,8 @@ from asterism.recording import Floats, Ints
 
 Kind = Literal["chessboard", "charuco", "circles", "asymmetric circles"]
 _INNER_WINDOW, _LEAST_WINDOW, _MOST_WINDOW = 0.2, 2, 11
+_WIDEST = 1.0
+"""m, of squares: wider ones were given in centimetres or millimetres."""
 _UNLIKE_PX = 0.3
 _INCH_CM = 2.54
 _END = (3, 50, 1e-4)
@@ -42,15 +44,13 @@ class Board:
     inverted: bool = False
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.spacing) and 1e-4 < self.spacing < 10.0):
+        if not 1e-4 < self.spacing < _WIDEST:
             raise AsterismError(f"the board's squares are {self.spacing:g} m wide; give metres, such as 0.025 for 25 mm.")
         least = 3 if self.kind == "charuco" else 2
         if min(self.columns, self.rows) < least or self.columns * self.rows > 10_000:
             raise AsterismError(f"a {self.kind} of {self.columns} x {self.rows} is too small or too large to be a board.")
-        if self.kind == "chessboard" and self.columns == self.rows:
-            raise AsterismError(
-                f"a chessboard of {self.columns} x {self.rows} corners looks the same from four sides; use one that is longer than wide."
-            )
+        if self.kind in ("chessboard", "circles") and self.columns == self.rows:
+            raise AsterismError(f"{self.kind}, {self.columns} x {self.rows}: it looks the same from four sides; use one longer than wide.")
         if self.kind == "charuco" and not 0 < self.marker < self.spacing:
             raise AsterismError(
                 f"the markers are {self.marker:g} m wide and the squares {self.spacing:g} m; markers must fit into squares."
@@ -94,10 +94,10 @@ class Board:
 
     @property
     def turns_alike(self) -> bool:
-        """Whether the board looks the same upside down, so that cameras cannot agree which of its ends is which."""
+        """Whether the board looks the same upside down, so that one image does not tell which of its ends is which."""
         if self.kind == "chessboard":
             return (self.columns + self.rows) % 2 == 0
-        return self.kind == "circles" or (self.kind == "asymmetric circles" and self.rows % 2 == 1)
+        return self.kind == "circles" or (self.kind == "asymmetric circles" and self.rows % 2 == 0)
 
     @property
     def points(self) -> Floats:

@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 
 from asterism.cameras.boards.alone import Alone, calibrate_alone
-from asterism.cameras.boards.together import Links, first_boards, first_rig, links_between
+from asterism.cameras.boards.board import Board
+from asterism.cameras.boards.flatness import unflat
+from asterism.cameras.boards.together import Links, first_boards, first_rig, links_between, numbered_alike
 from asterism.cameras.boards.views import BoardViews
 from asterism.cameras.bundle import Adjustment, Sightings, adjust, free_parameters
 from asterism.cameras.camera import Camera
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
-from asterism.recording import Floats
+from asterism.recording import Floats, Ints
 
 _LENS = ("focal", "aspect", "centre", "k1", "k2", "k3", "tangential")
 _EXPECTED = {"aspect": 0.02, "centre": 0.1, "k1": 0.5, "k2": 1.0, "k3": 2.0, "tangential": 0.02}
@@ -23,8 +25,12 @@ _EXPECTED = {"aspect": 0.02, "centre": 0.1, "k1": 0.5, "k2": 1.0, "k3": 2.0, "ta
 _NOISE_PX = 0.2
 _OUTLYING, _OUTLYING_PX, _ROUNDS = 4.0, 1.0, 3
 _CELLS, _LITTLE_COVERED = 8, 0.25
-_OUT_OF_STEP, _LEAST_NOISE_PX = 2.0, 0.1
-_FOCAL_DOUBT, _FOCAL_USELESS, _RMS_DOUBT_PX, _FEW_SHARED, _FEW_VIEWS = 0.02, 0.05, 2.0, 3, 8
+_OUT_OF_STEP, _LEAST_NOISE_PX = 1.25, 0.1
+_FOCAL_DOUBT, _FOCAL_USELESS, _RMS_DOUBT_PX, _FEW_SHARED, _LEAST_TURNED, _FEW_VIEWS = 0.02, 0.05, 2.0, 3, 3, 8
+_MOST = 2 / 3
+_BEND_DOUBT, _BEND_USELESS, _BEYOND_NOISE = 0.0007, 0.0025, 2.0
+_LENS_PER_BEND = 30.0
+"""By which share focal lengths are off, for a bend: in simulation, of one camera and of three."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +49,8 @@ class BoardCalibration:
     doubts       what makes the rig doubtful, one sentence each
     links        which cameras share views, of those that were calibrated alone
     linked       their names
+    torn         those of `doubts` that say why cameras cannot be believed to stand to each other as the rig has it
+    bend         how far the board's points lie from where they should be, as a share of its longer side; 0 where noise explains it
     """
 
     rig: Rig
@@ -57,12 +65,14 @@ class BoardCalibration:
     doubts: tuple[str, ...]
     links: Links
     linked: tuple[str, ...]
+    torn: tuple[str, ...]
+    bend: float
 
     @property
     def usable(self) -> bool:
-        """Whether the rig may be used: every camera fits the board within 2 px, and its focal length is known to 5 %."""
+        """Whether the rig may be used: each camera fits within 2 px, knows its focal length to 5 %, is linked, and the board is flat."""
         known = all(std < _FOCAL_USELESS * camera.focal[0] for camera, std in zip(self.rig, self.focal_std, strict=True))
-        return known and all(camera.error < _RMS_DOUBT_PX for camera in self.rig)
+        return not self.torn and self.bend < _BEND_USELESS and known and all(camera.error < _RMS_DOUBT_PX for camera in self.rig)
 
     @property
     def covered(self) -> tuple[float, ...]:
@@ -84,6 +94,7 @@ class BoardCalibration:
             "frames": len(self.views.moments),
             "frames_used": len(self.frames),
             "reprojection_rms_px": self.rms,
+            "board_bend": self.bend,
             "cameras": [
                 {
                     "name": camera.name,
@@ -115,8 +126,9 @@ def calibrate_board(
 
     Each camera alone by OpenCV; relative poses along the strongest links; then lenses, poses and boards together, by least squares with a
     robust loss; views that fit four times worse than the median, and by more than 1 px, are left out. The board's points are believed.
-    Where all together miss the board by more than twice what each alone does, the cameras were not in step (or the board bends): a doubt
-    says so, and the lenses stay those of each camera alone, which such views would spoil.
+    Where all together miss the board by a quarter more than each alone does, the cameras were not in step: a doubt says so, and the lenses
+    stay those of each camera alone, which such views would spoil. A doubt is also a board that bends; a rig is not usable where it bends
+    much, or where a third of the views that link two cameras had to be left out.
 
     known   cameras whose lenses are known, by name: they are kept, and one view is enough for a pose; their poses are not used
     origin  the moment at which the board lay on the floor, print up: it gives the world its origin, x along the board's rows, z up. Else
@@ -138,8 +150,12 @@ def calibrate_board(
     ]
     if progress is not None:
         progress(0.85, "adjusting all cameras together")
-    placed = first_rig({i: alone[c] for i, c in enumerate(order)}, links)
+    middle = 0.5 * (points[0] + points[-1]) if views.board.turns_alike else None
+    placed = first_rig({i: alone[c] for i, c in enumerate(order)}, links, middle)
     started = {order[i]: camera for i, camera in placed.items()}
+    if middle is not None:
+        renumbered, seen = numbered_alike({c: alone[c] for c in chosen}, started, views.seen, len(points) - 1, middle)
+        alone, views = {**alone, **renumbered}, replace(views, seen=seen)
     adjusted = _adjusted(views, points, alone, started, chosen, {c: [] if c in lenses else list(_LENS) for c in chosen})
     own_rms = float(np.sqrt(np.mean([alone[c].rms ** 2 for c in chosen])))
     in_step = len(chosen) < 2 or adjusted[0].rms <= _OUT_OF_STEP * max(own_rms, _LEAST_NOISE_PX)
@@ -150,10 +166,19 @@ def calibrate_board(
     left_out += [(int(views.moments[t]), views.cameras[c]) for c in chosen for t in alone[c].left_out]
     single = tuple(alone[c] for c in chosen)
     freed = zip(adjustment.free[:, 6], adjustment.sigma[:, 6], single, strict=True)
-    focal_std = [float(sigma) if free else one.focal_std for free, sigma, one in freed]
+    focal_std = [one.repeated * float(sigma if free else one.focal_std) for free, sigma, one in freed]
     rig = _in_world(Rig(adjustment.cameras), views, adjustment, frames, origin)
     covered = [_covered(camera, sightings.xy[sightings.camera == c]) for c, camera in enumerate(rig)]
-    doubts = (*([] if in_step else [_out_of_step(views, adjustment.rms, own_rms)]), *_doubts(rig, views, focal_std, covered, links, order))
+    kept = links_between([np.unique(sightings.frame[sightings.camera == c]) for c in range(len(chosen))])
+    torn = _torn(rig, links.shared[np.ix_(links.groups[0], links.groups[0])], kept, views.board)
+    bend = _bend(points, sightings, adjustment)
+    doubts = (
+        *torn,
+        *([_bent(bend, points)] if bend > _BEND_DOUBT else []),
+        *([] if in_step else [_out_of_step(adjustment.rms, own_rms)]),
+        *_doubts(rig, single, focal_std, covered),
+        *([] if torn else _few_shared(rig, kept)),
+    )
     lacks = ("the pose of every camera",) if len(rig) == 1 else ("which way is up",) if rig.vertical is None else ()
     metadata = {
         "format": "Asterism rig",
@@ -176,6 +201,8 @@ def calibrate_board(
         doubts,
         links,
         tuple(views.cameras[c] for c in order),
+        torn,
+        bend,
     )
 
 
@@ -211,8 +238,8 @@ def _each_alone(
             alone[c] = one
             continue
         apart.append(
-            f"camera {name} saw the board in {seen} of {views.looked[c]} images, too few that agree on a lens; show it the board "
-            "tilted, near and far."
+            f"camera {name} saw the board in {seen} of {views.looked[c]} images, too few different ones that agree on a lens; show it "
+            "the board tilted, near and far."
         )
     if not alone:
         raise AsterismError(f"no camera can be calibrated: {' '.join(apart)}")
@@ -287,16 +314,59 @@ def _in_world(rig: Rig, views: BoardViews, adjustment: Adjustment, frames: Any, 
     return replace(rig, vertical=np.array([0.0, 0.0, 1.0]))
 
 
-def _out_of_step(views: BoardViews, together: float, alone: float) -> str:
+def _out_of_step(together: float, alone: float) -> str:
     """What to say where cameras together miss the board by so much more than each alone, px."""
-    board = views.board
-    sentence = (
+    return (
         f"cameras disagree about the board by {together:.2f} px where each alone fits to {alone:.2f} px, so their lenses were taken from "
         "each alone; were they in step? Hold the board still for each view, and film again."
     )
-    if board.turns_alike:
-        sentence += f" A {board.kind} of {board.columns} x {board.rows} also looks the same upside down; use one that does not."
-    return sentence
+
+
+def _torn(rig: Rig, shared: Ints, kept: Links, board: Board) -> tuple[str, ...]:
+    """Why cameras cannot be believed to stand to each other as the rig has it: most of the views that they share say otherwise.
+
+    shared  (C, C) views that two cameras share; kept: the links by those that were not left out
+    """
+    found = []
+    for group in kept.groups[1:]:
+        others = ", ".join(rig.names[c] for c in group)
+        found.append(f"no view that {others} shares with {rig.names[kept.groups[0][0]]} fits both; were they in step? Film again.")
+    for start, end in kept.tree:
+        names, together, fit = f"cameras {rig.names[start]} and {rig.names[end]}", int(shared[start, end]), int(kept.shared[start, end])
+        if fit < _MOST * together:
+            found.append(
+                f"{names} share {together} views of the board and only {fit} of them fit both: were they in step, is it one board, and "
+                "has it as many squares as you say? Film again."
+            )
+        elif fit < _LEAST_TURNED and board.turns_alike:
+            found.append(
+                f"{names} share {fit} {'view' if fit == 1 else 'views'} of a board that looks the same upside down, too few to tell how; "
+                "show both more, or use one with an odd and an even side."
+            )
+    return tuple(found)
+
+
+def _bend(points: Floats, seen: Sightings, adjustment: Adjustment) -> float:
+    off, noise = unflat(points, seen, adjustment)
+    return off / float(np.ptp(points, axis=0).max()) if off > _BEYOND_NOISE * noise else 0.0
+
+
+def _bent(bend: float, points: Floats) -> str:
+    """What to say of a board that is not as it should be, by this share of its longer side."""
+    off = 1000.0 * bend * float(np.ptp(points, axis=0).max())
+    return (
+        f"the board is not flat, or its squares are not alike: its points lie {off:.2g} mm off, which can make focal lengths "
+        f"wrong by {_LENS_PER_BEND * bend:.0%}; glue it on glass and film again."
+    )
+
+
+def _few_shared(rig: Rig, kept: Links) -> list[str]:
+    """Which cameras hang together by few views."""
+    return [
+        f"cameras {rig.names[start]} and {rig.names[end]} hang together by {kept.shared[start, end]} views only; show both more."
+        for start, end in kept.tree
+        if kept.shared[start, end] < _FEW_SHARED
+    ]
 
 
 def _covered(camera: Camera, xy: Floats) -> float:
@@ -305,10 +375,10 @@ def _covered(camera: Camera, xy: Floats) -> float:
     return len(np.unique(cells[:, 0] * _CELLS + cells[:, 1])) / _CELLS**2
 
 
-def _doubts(rig: Rig, views: BoardViews, focal_std: list[float], covered: list[float], links: Links, order: list[int]) -> tuple[str, ...]:
-    """What makes this rig one that should not be used as it is."""
+def _doubts(rig: Rig, alone: tuple[Alone, ...], focal_std: list[float], covered: list[float]) -> list[str]:
+    """What makes the lenses of this rig doubtful."""
     found = []
-    for camera, std, share_seen in zip(rig, focal_std, covered, strict=True):
+    for camera, one, std, share_seen in zip(rig, alone, focal_std, covered, strict=True):
         if std > 0 and share_seen < _LITTLE_COVERED:
             found.append(
                 f"camera {camera.name} saw the board in {share_seen:.0%} of its image only, elsewhere its lens is a guess; show it "
@@ -317,15 +387,10 @@ def _doubts(rig: Rig, views: BoardViews, focal_std: list[float], covered: list[f
         share = std / camera.focal[0]
         if not share < _FOCAL_DOUBT:
             found.append(f"the focal length of camera {camera.name} is only known to {share:.1%}; show it the board tilted, near and far.")
-        count = int((views.counts[:, views.cameras.index(camera.name)] > 0).sum())
-        if std > 0 and count < _FEW_VIEWS:
-            found.append(f"camera {camera.name} has {count} views of the board only; show it more.")
+        if std > 0 and one.different < _FEW_VIEWS:
+            found.append(f"camera {camera.name} has only {one.different} different views of the board; show it more.")
         if not camera.error < _RMS_DOUBT_PX:
             found.append(
                 f"camera {camera.name} misses the board by {camera.error:.1f} px; is the board flat, its size right, the video in step?"
             )
-    for start, end in links.tree:
-        if links.shared[start, end] < _FEW_SHARED:
-            names = views.cameras[order[start]], views.cameras[order[end]]
-            found.append(f"cameras {names[0]} and {names[1]} hang together by {links.shared[start, end]} views only; show both more.")
-    return tuple(found)
+    return found
