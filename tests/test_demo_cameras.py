@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -93,6 +94,13 @@ def test_the_demo_keeps_its_promises_and_says_when_it_does_not(
     labelled = asterism.read(folder / "walk-labelled.c3d", markers="helen-hayes")
     assert labelled.visible.mean() > 0.97
     assert all((folder / name).stat().st_size > 0 for name in ("rig.html", "report.html", "points.npz", "wand.csv", "l-frame.csv"))
+
+    by_hand = [shlex.split(line)[1:] for line in shown.out.splitlines() if line.startswith("  asterism ")]
+    assert [words[0] for words in by_hand] == ["calibrate", "reconstruct", "label"]
+    for words in by_hand:
+        assert main(words) == 0, words
+    assert compare_rigs(read_rig(folder / "my-rig.toml"), read_rig(folder / "rig.toml")).world[0] < 1e-6
+    capsys.readouterr()
 
     damaged = replace(outcomes[0], wrong=500)
     monkeypatch.setattr(chain, "work_through", lambda *given: damaged)

@@ -70,7 +70,7 @@ def demo_cameras(output: Path, seed: int, json: str | None) -> int:
     floor = " ".join(f"{x:g},{y:g}" for x, y, _ in L_FRAME)
     talk(
         f"  asterism calibrate wand {files['wand']} --wand 0 0.2 0.6 --image-size 2048x1536 --floor {files['l_frame']} "
-        f"--l-frame '{floor}' -o {mine[0]}"
+        f'--l-frame "{floor}" -o {mine[0]}'
     )
     talk(f"  asterism reconstruct {files['blobs']} --rig {mine[0]} -o {mine[1]}")
     talk(f"  asterism label {mine[1]} --model {model} -o {output / 'labelled'}")
