@@ -88,6 +88,14 @@ def test_a_row_without_a_position_says_that_the_camera_saw_nothing(tmp_path: Pat
     assert np.array_equal(blobs.times, [[0.5, np.nan], [0.52, np.nan], [np.nan, 0.54]], equal_nan=True)
 
 
+def test_a_blob_that_is_repeated_counts_once(tmp_path: Path) -> None:
+    path = tmp_path / "2d.csv"
+    path.write_text("frame,camera,x,y\n0,a,1.5,2\n0,a,1.5,3\n0,a,1.5,2\n1,a,1.5,2\n0,b,1.5,2\n", encoding="utf-8")
+    blobs = read_blobs(path)
+    assert blobs.counts.tolist() == [[2, 1], [1, 0]]
+    assert blobs.of(0, 0).tolist() == [[1.5, 2.0], [1.5, 3.0]]
+
+
 def test_cameras_by_number_take_the_rigs_names(tmp_path: Path) -> None:
     rig = ("left", "middle", "right")
     from_zero = read_blobs(written(tmp_path, "frame,camera,x,y\n0,0,1,2\n0,1.0,3,4\n"), cameras=rig)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.formats._text import cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes, some_of, write_atomically
@@ -38,8 +39,8 @@ def read_blobs(path: str | Path, cameras: Sequence[str] | None = None, rate: flo
     rate     frames per second; else what the file's comments say, else what its times tell, else 100
 
     Frames may start anywhere and be left out: `first_frame` has the first one's number. A row without x and y says that the camera
-    saw nothing. Raises AsterismError, naming file and line, where a column is missing, a cell is no number, a camera is
-    unknown or its number ambiguous, one camera took one frame at two times, or the file breaks off.
+    saw nothing; a blob that is repeated counts once. Raises AsterismError, naming file and line, where a column is missing, a cell is
+    no number, a camera is unknown or its number ambiguous, one camera took one frame at two times, or the file breaks off.
     """
     path = Path(path)
     lines = lines_of(decoded(path, read_bytes(path)))
@@ -65,7 +66,7 @@ def read_blobs(path: str | Path, cameras: Sequence[str] | None = None, rate: flo
     if total * len(order) > _MOST_SPREAD * len(values) + _MOST_EMPTY:
         raise AsterismError(f"{path}: frame numbers run from {first} to {first + total - 1} for {len(values)} rows; mend the column frame.")
     times = _times(sheet, values[:, 5], frames - first, camera, total, len(order))
-    seen = there.all(axis=1)
+    seen = there.all(axis=1) & _first_of_its_kind(np.column_stack([frames, camera, values[:, 2:4]]))
     blobs = Blobs.from_rows(
         frames[seen] - first,
         camera[seen],
@@ -77,6 +78,14 @@ def read_blobs(path: str | Path, cameras: Sequence[str] | None = None, rate: flo
         times=times,
     )
     return replace(blobs, first_frame=first)
+
+
+def _first_of_its_kind(rows: Floats) -> NDArray[np.bool_]:
+    """(n,) whether no earlier one of the rows (n, m) is the same."""
+    order = np.lexsort(rows.T[::-1])
+    first = np.ones(len(rows), dtype=bool)
+    first[order[1:]] = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
+    return first
 
 
 def write_blobs(blobs: Blobs, path: str | Path) -> None:
