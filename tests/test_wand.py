@@ -530,6 +530,13 @@ def test_a_mirrored_world_is_not_delivered() -> None:
     assert "mirrored" not in sentences(calibrated()[1])
     with pytest.raises(AsterismError, match=r"upside down.*mirrored"):
         world_from_l_frame(made.rig, flipped(still), L_FRAME)
+    along = np.array(WAND)[:, None]
+    twice = np.concatenate([np.tile(along * way, (15, 1, 1)) for way in ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0])])
+    with pytest.raises(AsterismError, match="y is counted from the bottom"):
+        world_from_floor_wand(made.rig, flipped(images_of(rig, twice, 0.2, rng=rng_of(27))[0]), WAND)
+    swapped = world_from_points([0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0])
+    with pytest.raises(AsterismError, match=r"upside down.*x and y are swapped"):
+        in_world(rig, swapped, "three points")
 
 
 @pytest.mark.parametrize(
@@ -567,6 +574,10 @@ def test_the_world_from_a_wand_on_the_floor() -> None:
     picked_up = in_world(made.rig, world_from_floor_wand(made.rig, blobs, WAND), "floor")
     for camera in picked_up:
         assert np.linalg.norm(camera.position - world[camera.name].position) < 0.01, "one recording, the wand carried in between"
+    sloping = np.array([0.1, 0.2, 0.0]) + along * [0.0, 0.8, 0.6]
+    aslant, _ = images_of(rig, np.concatenate([np.tile(first, (15, 1, 1)), np.tile(sloping, (15, 1, 1))]), 0.2, rng=rng_of(15))
+    with pytest.raises(AsterismError, match=r"camera c\d would stand \d\.\d\d m below the floor"):
+        world_from_floor_wand(made.rig, aslant, WAND)
     one_way, _ = images_of(rig, np.tile(first, (15, 1, 1)), 0.2, rng=rng_of(16))
     with pytest.raises(AsterismError, match="two directions"):
         world_from_floor_wand(made.rig, one_way, WAND)

@@ -21,6 +21,8 @@ _AT_REST = 0.01
 """m: a wand whose ends stay this near to where they were lies still."""
 _LONGEST_MISS = 0.02
 """The share of its size by which a measured L-frame may differ from what was given."""
+_DEEPEST, _UPSIDE_DOWN = 0.1, 0.3
+"""m below the floor where no camera stands; the upward part of an image's down (share of one) that no camera has by hanging askew."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 Similarity = tuple[Floats, Floats, float]
@@ -102,7 +104,7 @@ def world_from_floor_wand(rig: Rig, lying: Blobs, lengths: ArrayLike) -> Similar
     """The world whose floor is where a wand lay, in two directions or more.
 
     x is along the wand as it lay first, the origin at its first marker. Frames in which it is carried from one place to the next do not
-    count. Raises AsterismError where it lay in one line only, or did not lie in a plane.
+    count. Raises AsterismError where it lay in one line only, or did not lie in a plane, or on one that is no floor for the cameras.
     """
     wand = wand_of(lengths)
     if len(wand.lengths) < 2:
@@ -123,6 +125,7 @@ def world_from_floor_wand(rig: Rig, lying: Blobs, lengths: ArrayLike) -> Similar
     if off > 0.01 or sizes[2] > 0.15 * sizes[1]:
         raise AsterismError(f"the wand did not lie in one plane (off by {1000 * off:.0f} mm and more); lay it still, on a flat floor.")
     z = vt[2] if np.median([(camera.position - middle) @ vt[2] for camera in rig]) > 0.0 else -vt[2]
+    _check_floor(rig, middle, z)
     origin, end = np.median(rests[0], axis=0)
     return world_from_points(origin, end, origin + np.cross(z, end - origin))
 
@@ -248,6 +251,24 @@ def _laid(points: Floats, wanted: Floats) -> tuple[Floats, Floats]:
     return rotation, there - rotation @ here
 
 
+def _check_floor(rig: Rig, middle: Floats, z: Floats) -> None:
+    """Raise AsterismError where a camera is below the floor that a wand lay on, or all see it upside down: as where y runs upwards.
+
+    A plane has two sides, and the one with the cameras is taken for up: a mirrored world would pass but for that.
+    """
+    heights = {camera.name: float((camera.position - middle) @ z) for camera in rig}
+    lowest = min(heights, key=lambda name: heights[name])
+    if heights[lowest] < -_DEEPEST:
+        raise AsterismError(
+            f"camera {lowest} would stand {-heights[lowest]:.2f} m below the floor; lay the wand flat on the floor, in both directions."
+        )
+    if all(float(camera.rotation[1] @ z) > _UPSIDE_DOWN for camera in rig):
+        raise AsterismError(
+            "all cameras would hang upside down above this floor: y is counted from the bottom in the images, which mirrors the world; "
+            "if they do hang so, give an L-frame or three points."
+        )
+
+
 def _check_up(rig: Rig, cause: str) -> None:
     """Raise AsterismError where most cameras hang below the floor z = 0 of the new world."""
     below = [camera.name for camera in rig if camera.position @ _UP < 0.0]
@@ -259,6 +280,11 @@ def _check_up(rig: Rig, cause: str) -> None:
 
 
 def in_world(rig: Rig, world: Similarity, told: str) -> Rig:
-    """The rig in a world frame with z up; `told` is what gave it, for the rig's metadata."""
+    """The rig in a world frame with z up; `told` is what gave it, for the rig's metadata.
+
+    Raises AsterismError where most cameras hang below it.
+    """
     rotation, translation, scale = world
-    return replace(rig.moved(rotation, translation, scale), vertical=_UP, metadata={**rig.metadata, "world": told})
+    moved = rig.moved(rotation, translation, scale)
+    _check_up(moved, "x and y are swapped")
+    return replace(moved, vertical=_UP, metadata={**rig.metadata, "world": told})
