@@ -105,7 +105,12 @@ def find_blobs(
     grey = as_grey(image)
     _check(connectivity, min_size, max_size, split, step, weigh_from)
     if threshold is None and background is None:
-        background = uneven_light([grey])
+        few = _few(grey)
+        stands_out, uneven, lit = _level(np.bincount(few.ravel()), _noise(grey, few))
+        if uneven or lit:
+            background = uneven_light([grey])
+        else:
+            threshold = min(stands_out, int(np.iinfo(grey.dtype).max) - 1)
     level, base, threshold = _levels(grey, threshold, background)
     cut = np.ones(grey.shape, np.uint8)
     cut[1:-1, 1:-1] = 0
@@ -164,8 +169,7 @@ def uneven_light(images: Sequence[ArrayLike]) -> Grey | int | None:
     first = as_grey(images[0])
     few = _few(first) if len(images) == 1 else np.median([_few(as_grey(image)) for image in images], axis=0).astype(np.int64)
     noise = _noise(first, _few(first))
-    level, spread, lit = _level(np.bincount(few.ravel()), noise)
-    uneven = spread > 2.0 * max(noise, _QUIETEST)
+    level, uneven, lit = _level(np.bincount(few.ravel()), noise)
     if not uneven and not lit:
         return None
     side = _BLOCK // _EVERY
@@ -197,14 +201,15 @@ def _few(grey: Grey) -> NDArray[np.int64]:
     return grey[::_EVERY, ::_EVERY].astype(np.int64)
 
 
-def _level(counts: NDArray[np.int64], noise: float) -> tuple[int, float, bool]:
-    """Of grey values that are counted from 0: what stands out from them, the standard deviation that the distance from the median to the
-    lower quartile tells, and whether more stand out than markers would."""
+def _level(counts: NDArray[np.int64], noise: float) -> tuple[int, bool, bool]:
+    """Of grey values that are counted from 0: what stands out from them, whether the darker half spreads more than noise does, and whether
+    more stand out than markers would."""
     shares = np.cumsum(counts) / counts.sum()
     quarter, middle = (int(np.searchsorted(shares, share, side="right")) for share in (0.25, 0.5))
     spread = (middle - quarter) / _QUARTILE
-    level = int(middle + 6.0 * max(spread, noise, _QUIETEST)) + 1
-    return level, spread, level < len(counts) and bool(1.0 - shares[level] > _LIT)
+    noise = max(noise, _QUIETEST)
+    level = int(middle + 6.0 * max(spread, noise)) + 1
+    return level, spread > 2.0 * noise, level < len(counts) and bool(1.0 - shares[level] > _LIT)
 
 
 def _noise(grey: Grey, few: NDArray[np.int64]) -> float:
@@ -298,8 +303,9 @@ def background_of(grey: Grey, background: ArrayLike | int | None) -> Grey:
         import cv2
 
         # Rounded down: an integer exceeds the mean by more than a threshold if and only if it exceeds the mean so rounded by more.
-        sums = cv2.boxFilter(grey, cv2.CV_64F, (int(background), int(background)), normalize=False)
-        return np.floor(sums / int(background) ** 2).astype(grey.dtype)
+        sums = np.asarray(cv2.boxFilter(grey, cv2.CV_64F, (int(background), int(background)), normalize=False))
+        sums /= int(background) ** 2
+        return sums.astype(grey.dtype)
     base = as_grey(background)
     if base.shape != grey.shape or base.dtype != grey.dtype:
         raise AsterismError(
