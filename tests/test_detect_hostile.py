@@ -206,6 +206,18 @@ def test_a_lit_room_is_named(tmp_path: Path) -> None:
     assert detect([tmp_path / "room"], threshold=175).problems == ()
 
 
+def test_interlaced_video_is_named(tmp_path: Path) -> None:
+    """Each second row shows the markers 10 px farther: combs, not markers."""
+    (tmp_path / "comb").mkdir()
+    for frame in range(4):
+        image = spots(frame)
+        image[1::2] = np.roll(spots(frame), 10, axis=1)[1::2]
+        cv2.imwrite(str(tmp_path / "comb" / f"{frame}.png"), image)
+    result = detect([tmp_path / "comb"])
+    assert (result.blobs.counts > 6).all()
+    assert "one row of pixels" in result.problems[0]
+
+
 def test_a_camera_that_changes_its_gain_keeps_its_markers(tmp_path: Path) -> None:
     (tmp_path / "gain").mkdir()
     for frame in range(30):

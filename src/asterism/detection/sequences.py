@@ -28,6 +28,8 @@ _BEHIND = 2
 """Frames that a camera must lag to be called unsynchronised where no rig is known; one with a rig."""
 _FEWEST_TO_MASK = 10
 """Images that tell what stands still."""
+_MOST_SINGLE = 0.1
+"""Share of blobs that may be one row of pixels."""
 _MOST_LIT = 0.03
 """Share of an image that may be bright and no blob."""
 _CLOCK_S = 1e-3
@@ -253,7 +255,7 @@ def _search(
             raise AsterismError(f"{source.path}: {len(some)} images do not tell what stands still; leave the mask of static things off.")
         settings["mask"] = static_mask(looked_at, threshold=settings["threshold"], background=settings.get("background"))
     read: list[int] = []
-    at_border = 0
+    at_border = single = 0
     parts: list[tuple[Floats, Floats, NDArray[np.uint8]]] = []
     broken: list[int] = []
     shown: list[float] = []
@@ -266,6 +268,7 @@ def _search(
         spots = find_blobs(grey, **settings)
         whole = (spots.flags & Flag.AT_BORDER) == 0
         at_border += int((~whole).sum())
+        single += int((spots.extent[whole, 1] == 1).sum())
         read.append(place)
         parts.append((spots.xy[whole], spots.size[whole], spots.flags[whole]))
     middle = some[len(some) // 2]
@@ -278,6 +281,11 @@ def _search(
         problems.append(
             f"camera {name}: its images show more than markers before a dark ground, such as windows or a lit room, so that blobs may be "
             "none; darken the room, or give --threshold, --background or --mask-static."
+        )
+    if single > _MOST_SINGLE * len(xy):
+        problems.append(
+            f"camera {name}: {single} of {len(xy)} blobs are one row of pixels, as where every other row is taken later (interlaced) "
+            "and one marker becomes several; deinterlace it, or leave them out with --min-width 2."
         )
     places = np.repeat(np.array(read, dtype=np.int64), [len(part[0]) for part in parts])
     return _Found(

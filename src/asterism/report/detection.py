@@ -148,7 +148,8 @@ def _picture(camera: CameraImages) -> str:
     import cv2
 
     image = camera.sample.astype(np.float64)
-    bright = max(2.0 * camera.threshold, float(np.median(camera.spots.peak)) if len(camera.spots) else 0.0, 1.0)
+    above = max(2.0 * camera.threshold, float(np.median(camera.spots.peak)) if len(camera.spots) else 0.0, 1.0)
+    bright = float(np.median(image)) + above
     grey = np.clip(255.0 * image / bright, 0, 255).astype(np.uint8)
     scale = min(1.0, _WIDEST / grey.shape[1])
     if scale < 1:
