@@ -15,7 +15,7 @@ from asterism.cameras import Rig
 from asterism.cameras.files import write_rig
 from asterism.cli import main
 from asterism.detection import _sync_kernels, detect, find_blobs, lags
-from asterism.detection.synchrony import slips
+from asterism.detection.synchrony import out_of_step, slips
 from asterism.errors import AsterismError
 from asterism.formats import read_blobs
 from asterism.recording import Blobs
@@ -147,6 +147,11 @@ def test_cameras_out_of_step_are_named(rig: Rig) -> None:
         assert np.isfinite(told).sum() >= 3
 
 
+def test_the_sentence_says_which_frames_belong_together() -> None:
+    assert out_of_step("c2", 6).startswith("camera c2 is 6 frames out of step: its frame 200 is the others' frame 194;")
+    assert out_of_step("c2", -1).startswith("camera c2 is 1 frame out of step: its frame 200 is the others' frame 201;")
+
+
 def test_a_camera_that_loses_an_image_on_the_way_is_named(rig: Rig, tmp_path: Path) -> None:
     blobs = wand(rig, np.zeros(3), 6, frames=150)
     assert slips(blobs, rig).tolist() == [0, 0, 0]
@@ -158,8 +163,8 @@ def test_a_camera_that_loses_an_image_on_the_way_is_named(rig: Rig, tmp_path: Pa
         video.release()
     found = detect([tmp_path / f"{name}.avi" for name in rig.names], rig=rig)
     assert found.blobs.rate == 50 and not found.rate_assumed
-    [said] = [sentence for sentence in found.problems if "end than" in sentence]
-    assert said.startswith("camera c2 is 1 frame farther ahead of the others at the end than at the beginning: it lost images on the way.")
+    [said] = [sentence for sentence in found.problems if "on the way" in sentence]
+    assert said.startswith("camera c2 lost 1 image on the way and is out of step from there on;")
     assert np.isnan(slips(wand(rig, np.zeros(3), 6), rig)).all(), "40 frames are too few to tell"
 
 

@@ -16,7 +16,7 @@ from asterism.cameras import Rig
 from asterism.detection.alignment import names_of, numbered, on_common_clock, rate_of
 from asterism.detection.blobs import Flag, Grey, Spots, automatic_threshold, background_of, find_blobs, static_mask, uneven_light
 from asterism.detection.sources import Source, images, open_source, some_images
-from asterism.detection.synchrony import lags, slips
+from asterism.detection.synchrony import lags, out_of_step, slips
 from asterism.detection.times import read_times
 from asterism.errors import AsterismError
 from asterism.recording import Blobs, Floats
@@ -174,18 +174,11 @@ def _out_of_step(names: Sequence[str], behind: Floats, slipped: Floats, rig: Rig
     """Cameras that started at another time than the others (`lags`), or that came to be out of step on the way (`slips`)."""
     for name, frames, more in zip(names, behind, slipped, strict=True):
         if abs(more) >= 1:
-            way, why = ("ahead of", "it lost images") if more < 0 else ("behind", "it has images twice, or the others lost some")
-            yield (
-                f"camera {name} is {_frames(more)} farther {way} the others at the end than at the beginning: {why} on the way. "
-                "Record again, or give --times."
-            )
+            images = f"{abs(more):.0f} image{'s' if abs(more) > 1 else ''}"
+            what = f"lost {images} on the way" if more < 0 else f"has {images} twice, or the others lost as many on the way"
+            yield f"camera {name} {what} and is out of step from there on; record again, or give the time of each image."
         elif abs(frames) >= (_BEHIND if rig is None else 1):
-            way = "behind" if frames > 0 else "ahead of"
-            yield f"camera {name} is {_frames(frames)} {way} the others; start them together or give --times."
-
-
-def _frames(count: float) -> str:
-    return f"{abs(count):.0f} frame{'s' if abs(count) != 1 else ''}"
+            yield out_of_step(name, frames)
 
 
 @dataclass

@@ -65,6 +65,15 @@ def lags(blobs: Blobs, rig: Rig | None = None, longest: int = _LONGEST) -> Float
     return behind
 
 
+def out_of_step(name: str, behind: float) -> str:
+    """A sentence about a camera that is so many frames behind most others, see `lags`."""
+    many = f"{abs(behind):.0f} frame{'s' if abs(behind) != 1 else ''}"
+    return (
+        f"camera {name} is {many} out of step: its frame 200 is the others' frame {200 - behind:.0f}; start the cameras together, "
+        "give the time of each image, or renumber its frames."
+    )
+
+
 def slips(blobs: Blobs, rig: Rig) -> Floats:
     """How many frames farther behind most others each camera is in the last third than in the first: (C,); NaN where nothing tells.
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from asterism.cameras import Camera, Rig
 from asterism.cameras.accuracy._kernels import image_slopes
+from asterism.detection.synchrony import out_of_step
 from asterism.reconstruction.result import Reconstruction
 from asterism.reconstruction.setting import image_borders
 from asterism.recording import Blobs, Floats, Ints
@@ -88,13 +89,6 @@ def cause(result: Reconstruction, rig: Rig, c: int) -> str:
 def near(noise: float) -> float:
     """px, how near to where a point should show its blob is."""
     return max(4.0 * noise, 1.0)
-
-
-def out_of_step(name: str, behind: int) -> str:
-    """A sentence about a camera that is so many frames behind."""
-    way = "behind" if behind > 0 else "ahead of"
-    plural = "s" if abs(behind) > 1 else ""
-    return f"camera {name} is {abs(behind)} frame{plural} {way} the others; start them together, or renumber its frames."
 
 
 def frames_behind(clouds: Sequence[Floats], frames: Sequence[int], blobs: Blobs, number: int, camera: Camera, gate: float) -> int:

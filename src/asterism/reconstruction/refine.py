@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from asterism.cameras import Camera, Rig, vector_from_rotation
 from asterism.cameras.bundle import PARAMETERS, Sightings, adjust, free_parameters
+from asterism.detection.synchrony import out_of_step
 from asterism.errors import AsterismError
-from asterism.reconstruction.agreement import OFF_NOISES, OFF_PX, agreement, frames_behind, near, out_of_step
+from asterism.reconstruction.agreement import OFF_NOISES, OFF_PX, agreement, frames_behind, near
 from asterism.reconstruction.reconstruct import reconstruct
 from asterism.reconstruction.result import Reconstruction
 from asterism.recording import Blobs, Floats, Ints, to_common_clock

@@ -74,7 +74,7 @@ def coverage(made: WandCalibration) -> Floats:
 def judge(made: WandCalibration, clocks: Clocks, *, scaled: bool) -> tuple[Finding, ...]:
     """What speaks against a calibration, gravest first. clocks: how late each camera was; scaled: a distance gave the scale."""
     found = [
-        *(Finding(f"camera {name} is not in the rig: {why}.") for name, why in made.left_out.items()),
+        *(Finding(f"camera {name} is not in the rig: {why}{'' if why.endswith('?') else '.'}") for name, why in made.left_out.items()),
         *_fit(made),
         *_moved(made),
         *_clocks(made, clocks),
@@ -197,8 +197,8 @@ def _clocks(made: WandCalibration, clocks: Clocks) -> list[Finding]:
     for camera, whole, part, drift in zip(made.rig, clocks.late, clocks.rest, clocks.drift, strict=True):
         if drift != 0.0:
             sentence = (
-                f"camera {camera.name} falls {abs(drift):.1f} frames {'behind' if drift > 0 else 'ahead'} between the first and the last "
-                "third of the recording; has it lost frames, or another frame rate?"
+                f"camera {camera.name} takes its images {abs(drift):.1f} frames {'later' if drift > 0 else 'earlier'} in the last third "
+                "of the recording than in the first; has it lost images, or another frame rate?"
             )
             found.append(Finding(sentence, abs(drift) > BAD_DRIFT))
         late = int(whole) + float(part)
