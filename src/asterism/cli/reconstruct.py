@@ -38,6 +38,9 @@ def reconstruct(
             show_default=False,
         ),
     ] = None,
+    mask_static: Annotated[
+        bool, typer.Option("--mask-static", help="Leave out blobs that never move: lamps, reflections, and markers that rest.")
+    ] = False,
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Move points to where their paths through time say that they are, as sure as that is.")
     ] = False,
@@ -73,6 +76,7 @@ def reconstruct(
             noise=noise,
             min_cameras=min_cameras,
             volume=None if box is None else (box.low, box.high),
+            mask_static=mask_static,
             progress=progress,
         )
     told = summary(result, calibrated)
@@ -122,6 +126,12 @@ def _print(output: Path, told: dict[str, Any]) -> None:
     if told["residual_px"]:
         facts.append(("residual", f"{told['residual_px']['median']:.3f} px mostly, {told['residual_px']['p95']:.3f} px for 95 %"))
         facts.append(("one deviation", f"{1000 * told['deviation_m']['median']:.2f} mm mostly"))
+    if told["still_points"]:
+        by_many = sum(point["cameras"] > 2 for point in told["still_points"])
+        facts.append(("points that never move", f"{len(told['still_points'])}, {by_many} of them by three cameras or more"))
+    masked = sum(camera["masked_places"] for camera in told["cameras"])
+    if masked:
+        facts.append(("static lights left out", f"{masked} places in all images"))
     if told.get("smoothed", {}).get("paths"):
         paths = told["smoothed"]
         facts.append(("smoothed", f"{_console.count(paths['paths'])} paths, points moved by {1000 * paths['moved_m']:.2f} mm mostly"))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asterism.cameras import Rig
+from asterism.cameras.wand.still import without_still_lights
 from asterism.errors import AsterismError
 from asterism.reconstruction import _frame_kernels, _kernels, _plain_kernels
 from asterism.reconstruction.belief import told_by
@@ -20,7 +21,10 @@ from asterism.reconstruction.setting import Belief, Setting, common_view, image_
 from asterism.recording import Blobs, Clouds, Floats, Ints, as_vertical, to_common_clock
 
 METHODS = ("global", "plain")
+STILL = 0.75
+"""The share of a camera's frames in which a light must stay at one place to be masked: people hide lamps for a while."""
 _CHUNK = 64
+_FEW_LEFT = 0.1
 
 
 def reconstruct(
@@ -32,6 +36,7 @@ def reconstruct(
     min_cameras: int = 2,
     gate: float = 4.0,
     volume: ArrayLike | None = None,
+    mask_static: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Reconstruction:
     """The 3D points that the blobs of each frame show.
@@ -42,6 +47,7 @@ def reconstruct(
     min_cameras  how many cameras must show a point, at least 2
     gate         how many standard deviations a blob may lie from where a point should show
     volume       (2, 3) m, two opposite corners of the box in which points may be; None: anywhere
+    mask_static  leave out blobs that stay at one place of their image in three of four frames: lamps, reflections, and markers that rest
     progress     called with the share done and what is being done
 
     The rig's cameras are found by the blobs' names for them. Cameras that are not triggered together are brought to a common clock
@@ -53,6 +59,15 @@ def reconstruct(
     """
     blobs, rig, remarks = _rig_of(blobs, rig)
     _check(method, noise, min_cameras, gate, len(rig))
+    masked = np.zeros(len(rig), dtype=np.int64)
+    if mask_static:
+        before = len(blobs.xy)
+        blobs, masked = without_still_lights(blobs, STILL)
+        if len(blobs.xy) < _FEW_LEFT * before:
+            remarks.append(
+                f"{100 - 100 * len(blobs.xy) / before:.0f} % of the blobs never move and were left out as reflections or lamps; "
+                "where these are markers, do not mask what is static."
+            )
     if blobs.times is not None:
         before, blobs = len(blobs.xy), to_common_clock(blobs)
         if len(blobs.xy) < before:
@@ -81,7 +96,7 @@ def reconstruct(
     silent = [name for name, total in zip(blobs.cameras, rays.blobs.counts.sum(axis=0), strict=True) if not total]
     if silent:
         remarks.append(f"camera {', '.join(silent)} saw nothing at all.")
-    return replace(_assembled(parts, rays.blobs, rig, belief, method, tuple(remarks)), fits=not untold)
+    return replace(_assembled(parts, rays.blobs, rig, belief, method, masked, tuple(remarks)), fits=not untold)
 
 
 @dataclass(frozen=True)
@@ -137,7 +152,9 @@ def _run_plain(arrays: _kernels.RigArrays, rays: Rays, begin: int, end: int) -> 
     return _Part(taken, points, covariance, residual, counts, notes)
 
 
-def _assembled(parts: list[_Part], blobs: Blobs, rig: Rig, belief: Belief, method: str, remarks: tuple[str, ...]) -> Reconstruction:
+def _assembled(
+    parts: list[_Part], blobs: Blobs, rig: Rig, belief: Belief, method: str, masked: Ints, remarks: tuple[str, ...]
+) -> Reconstruction:
     cameras = len(blobs.cameras)
     taken = np.concatenate([np.empty((0, cameras), dtype=np.int64), *(part.rays for part in parts)])
     xyz = np.concatenate([np.empty((0, 3)), *(part.points for part in parts)])
@@ -159,6 +176,7 @@ def _assembled(parts: list[_Part], blobs: Blobs, rig: Rig, belief: Belief, metho
         np.bincount(cell[~used], minlength=len(blobs) * cameras).reshape(len(blobs), cameras),
         notes[:, 0],
         notes[:, 1] == 0,
+        masked,
         remarks,
     )
 

@@ -30,6 +30,7 @@ class Reconstruction:
     gated       (T,) int: pairs of blobs that passed the epipolar gate
     proved      (T,) bool: whether the choice among the frame's hypotheses is proved to be the best there is; never for "plain"
     remarks     what a user should know, one sentence each
+    masked      (C,) int: places of each image that were left out because what they show never moves
     fits        whether the noise was given or could be told: False where points are too few, or the blobs do not fit the rig
     """
 
@@ -44,6 +45,7 @@ class Reconstruction:
     unused: Ints
     gated: Ints
     proved: NDArray[np.bool_]
+    masked: Ints
     remarks: tuple[str, ...] = ()
     fits: bool = True
 

@@ -11,6 +11,7 @@ from asterism.cameras import Rig
 from asterism.reconstruction.agreement import OFF_NOISES, OFF_PX, Agreement, agreement, cause
 from asterism.reconstruction.belief import noise_of
 from asterism.reconstruction.result import Reconstruction
+from asterism.reconstruction.still import StillPoint, still_points
 
 MUCH_NOISE = 1.5
 """px: blobs of markers are found to a few tenths; more means that the rig is not the recording's, or not what it was."""
@@ -21,6 +22,7 @@ MANY_OUTSIDE = 0.01
 FAR_APART = 100.0
 """m, between cameras: no room is that large, but many a rig is written in millimetres."""
 _FEW_POINTS = 10
+_STATIC, _MOST_PLACES = 0.5, 3
 
 
 def summary(result: Reconstruction, rig: Rig) -> dict[str, Any]:
@@ -32,7 +34,7 @@ def summary(result: Reconstruction, rig: Rig) -> dict[str, Any]:
     counts = result.clouds.counts
     rig = rig.select(result.blobs.cameras)
     blobs, used = result.blobs.counts.sum(axis=0), result.cameras.sum(axis=0)
-    agree = agreement(result, rig)
+    agree, still = agreement(result, rig), still_points(result)
     cameras = []
     for c, camera in enumerate(rig):
         mine = result.cameras[:, c]
@@ -43,6 +45,7 @@ def summary(result: Reconstruction, rig: Rig) -> dict[str, Any]:
                 "blobs": int(blobs[c]),
                 "used": float(1 - result.unused[:, c].sum() / blobs[c]) if blobs[c] else float("nan"),
                 "points": int(used[c]),
+                "masked_places": int(result.masked[c]),
                 "residual_px": float(np.sqrt(np.nanmean((off**2).sum(axis=1)))) if len(off) else float("nan"),
                 "expected": agree[c].expected,
                 "seen": agree[c].seen,
@@ -67,9 +70,23 @@ def summary(result: Reconstruction, rig: Rig) -> dict[str, Any]:
         "unused_blobs": float(result.unused.sum() / max(1, blobs.sum())),
         "gated_pairs_per_frame": float(result.gated.mean()) if len(counts) else 0.0,
         "frames_proved_best": float(result.proved.mean()) if len(counts) else 1.0,
+        "still_points": [{"place_m": point.place.tolist(), "share": point.share, "cameras": point.cameras} for point in still],
         "cameras": cameras,
-        "remarks": [*result.remarks, *doubts(result, rig, agree)],
+        "remarks": [*result.remarks, *doubts(result, rig, agree), *_reflections(result, still)],
     }
+
+
+def _reflections(result: Reconstruction, still: Sequence[StillPoint]) -> Iterator[str]:
+    """Still points that only two of many cameras show, unless most points are still: a static trial."""
+    doubtful = [point for point in still if point.cameras == 2]
+    if len(result.blobs.cameras) < 4 or not doubtful or len(still) > _STATIC * float(np.median(result.clouds.counts)):
+        return
+    where = "; ".join(", ".join(f"{x:.2f}" for x in point.place) for point in doubtful[:_MOST_PLACES])
+    more = " and elsewhere" if len(doubtful) > _MOST_PLACES else ""
+    yield (
+        f"{len(doubtful)} points never move and are shown by two cameras only, at {where} m{more}: most are reflections. "
+        "Cover them, or leave them out with --mask-static, unless markers rest there."
+    )
 
 
 def doubts(result: Reconstruction, rig: Rig, agree: Sequence[Agreement]) -> list[str]:

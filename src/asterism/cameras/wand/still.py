@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.recording import Blobs, Floats, Ints
 
@@ -15,13 +16,26 @@ _SHARE, _WORTH_A_LOOK = 0.4, 0.1
 _FEWEST_IMAGES = 50
 
 
-def without_still_lights(blobs: Blobs) -> tuple[Blobs, Ints]:
-    """The blobs without those that stay at one place of an image in two of five frames, and how many such places each camera has (C,).
+def without_still_lights(blobs: Blobs, share: float = _SHARE) -> tuple[Blobs, Ints]:
+    """The blobs without those that stay at one place of an image in such a share of its frames; how many such places each camera has (C,).
 
     A wand that lies still for so long is left out while it does, which loses nothing: frames that repeat each other tell nothing new.
     """
+    lit, lights = still_lights(blobs, share)
+    if not lights.any():
+        return blobs, lights
+    counts = np.bincount((blobs.frame_of * len(blobs.cameras) + blobs.camera_of)[~lit], minlength=blobs.counts.size)
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return replace(blobs, xy=blobs.xy[~lit], sizes=blobs.sizes[~lit], offsets=offsets), lights
+
+
+def still_lights(blobs: Blobs, share: float = _SHARE) -> tuple[NDArray[np.bool_], Ints]:
+    """(P,) which blobs lie where something stays in such a share of the camera's frames, and how many such places each camera has (C,).
+
+    Cameras with fewer than 50 frames that show anything are not looked at.
+    """
     frame, camera = blobs.frame_of, blobs.camera_of
-    moving = np.ones(len(blobs.xy), dtype=bool)
+    lit = np.zeros(len(blobs.xy), dtype=np.bool_)
     lights = np.zeros(len(blobs.cameras), dtype=np.int64)
     for c in range(len(blobs.cameras)):
         own = np.nonzero(camera == c)[0]
@@ -30,15 +44,11 @@ def without_still_lights(blobs: Blobs) -> tuple[Blobs, Ints]:
             continue
         xy = blobs.xy[own]
         for place in _crowded(xy, _WORTH_A_LOOK * images):
-            near = moving[own] & (np.linalg.norm(xy - place, axis=1) < _RADIUS)
-            if len(np.unique(frame[own[near]])) > _SHARE * images:
-                moving[own[near]] = False
+            near = ~lit[own] & (np.linalg.norm(xy - place, axis=1) < _RADIUS)
+            if len(np.unique(frame[own[near]])) > share * images:
+                lit[own[near]] = True
                 lights[c] += 1
-    if not lights.any():
-        return blobs, lights
-    counts = np.bincount((frame * len(blobs.cameras) + camera)[moving], minlength=blobs.counts.size)
-    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    return replace(blobs, xy=blobs.xy[moving], sizes=blobs.sizes[moving], offsets=offsets), lights
+    return lit, lights
 
 
 def _crowded(xy: Floats, least: float) -> Floats:

@@ -1,0 +1,84 @@
+"""Lights that never move: said where they make points, left out only when asked."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asterism.cameras import Rig
+from asterism.cameras.files import write_rig
+from asterism.cli import main
+from asterism.formats import write_blobs
+from asterism.reconstruction import reconstruct, summary
+from asterism.reconstruction.still import still_points
+from asterism.recording import Blobs
+from asterism.simulation import simulate_walks
+from asterism.simulation.cameras import images_of, ring_rig, walker_capsules
+from asterism.simulation.compared import compare_points
+
+
+@cache
+def filmed(reflections: int, frames: int = 120) -> tuple[Rig, np.ndarray, Blobs]:
+    rng = np.random.default_rng(6)
+    walk = simulate_walks(1, frames=frames, seed=9)[0]
+    rig = ring_rig(6, rng=rng)
+    lamp = np.tile([1.2, -0.9, 0.1], (frames, 1, 1))
+    blobs, _ = images_of(rig, np.concatenate([walk.positions, lamp], axis=1), 0.3, walker_capsules(walk), reflections=reflections, rng=rng)
+    return rig, walk.positions, blobs
+
+
+def ghosts(rig: Rig, truth: np.ndarray, blobs: Blobs, **more: bool) -> float:
+    points = compare_points(reconstruct(blobs, rig, **more).clouds, truth, np.isfinite(truth[:, :, 0]))
+    return 1000 * points.ghosts / points.points
+
+
+def test_masking_takes_ghosts_of_reflections_away_and_no_marker() -> None:
+    rig, truth, blobs = filmed(12)
+    assert ghosts(rig, truth, blobs) > 60, "nothing to mask"
+    assert ghosts(rig, truth, blobs, mask_static=True) < 3
+    masked = reconstruct(blobs, rig, mask_static=True)
+    found = compare_points(masked.clouds, truth, np.isfinite(truth[:, :, 0]))
+    assert found.found(0.01) >= compare_points(reconstruct(blobs, rig).clouds, truth, np.isfinite(truth[:, :, 0])).found(0.01)
+    assert masked.masked.min() >= 12
+
+
+def test_still_points_are_said_with_place_and_cameras() -> None:
+    rig, _, blobs = filmed(0)
+    (lamp,) = still_points(reconstruct(blobs, rig))
+    assert np.linalg.norm(lamp.place - [1.2, -0.9, 0.1]) < 2e-3
+    assert lamp.cameras >= 4 and lamp.share == 1.0
+    told = summary(reconstruct(blobs, rig), rig)
+    assert told["remarks"] == [], "a marker that rests on the floor, seen by many cameras, is no fault"
+    assert len(told["still_points"]) == 1
+
+
+def test_reflections_that_meet_in_two_cameras_are_doubted() -> None:
+    rig, _, blobs = filmed(12)
+    assert any("two cameras only" in said and "--mask-static" in said for said in summary(reconstruct(blobs, rig), rig)["remarks"])
+
+
+def test_a_static_trial_is_not_doubted_and_says_when_masking_took_it() -> None:
+    rig, truth, _ = filmed(0)
+    still = np.repeat(truth[:1], 80, axis=0)
+    blobs, _ = images_of(rig, still, 0.3, missed=0.1, rng=np.random.default_rng(0))
+    made = reconstruct(blobs, rig)
+    assert summary(made, rig)["remarks"] == []
+    assert len(still_points(made)) > 0.8 * still.shape[1]
+    assert any("never move and were left out" in said for said in reconstruct(blobs, rig, mask_static=True).remarks)
+
+
+def test_the_command_says_and_masks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig, _, blobs = filmed(12)
+    write_rig(rig, tmp_path / "rig.toml")
+    write_blobs(blobs, tmp_path / "2d.csv")
+    words = ["reconstruct", str(tmp_path / "2d.csv"), "--rig", str(tmp_path / "rig.toml"), "-o", str(tmp_path / "clouds.npz")]
+    assert main([*words, "--json", str(tmp_path / "told.json")]) == 1
+    shown = capsys.readouterr()
+    assert "points that never move" in shown.out and "reflections" in shown.err
+    assert len(json.loads((tmp_path / "told.json").read_text())["still_points"]) > 1
+    assert main([*words, "--mask-static", "--overwrite"]) == 0
+    assert "static lights left out" in capsys.readouterr().out
