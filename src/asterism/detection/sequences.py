@@ -32,8 +32,8 @@ _MOST_SINGLE = 0.1
 """Share of blobs that may be one row of pixels."""
 _MOST_LIT = 0.03
 """Share of an image that may be bright and no blob."""
-_CLOCK_S = 1e-3
-"""How finely some videos tell when a frame is shown."""
+_CLOCK_S, _LONGEST_S = 1e-3, 3600.0
+"""How finely some videos tell when a frame is shown; between two frames of which it is no clock but garbage when more passes."""
 
 
 @dataclass(frozen=True)
@@ -340,7 +340,8 @@ def _wrong(source: Source, read: int, broken: Sequence[int], steps: Floats) -> l
             f"{source.path}: {read} of {len(source)} frames can be read: it breaks off, or lost some and shifts later ones; copy it again."
         )
     usual = float(np.median(steps)) if len(steps) else 0.0
-    if usual > 0 and steps.min() >= 0 and np.abs(steps - usual).max() > 0.5 * usual + _CLOCK_S:
+    sane = usual > 0 and steps.min() >= 0 and steps.max() < _LONGEST_S
+    if sane and np.abs(steps - usual).max() > 0.5 * usual + _CLOCK_S:
         problems.append(
             f"{source.path}: from one frame to the next {1e3 * steps.min():.0f} to {1e3 * steps.max():.0f} ms pass, mostly "
             f"{1e3 * usual:.0f}; frames were dropped or the rate changes, so that they do not match other cameras'; give --times."
