@@ -51,6 +51,10 @@ class Board:
             raise AsterismError(f"a {self.kind} of {self.columns} x {self.rows} is too small or too large to be a board.")
         if self.kind in ("chessboard", "circles") and self.columns == self.rows:
             raise AsterismError(f"{self.kind}, {self.columns} x {self.rows}: it looks the same from four sides; use one longer than wide.")
+        if self.kind == "asymmetric circles" and self.rows % 2 == 0:
+            raise AsterismError(
+                f"{self.kind}, {self.columns} x {self.rows}: an even number of rows has no upper end; use an odd one, as 4x11."
+            )
         if self.kind == "charuco" and not 0 < self.marker < self.spacing:
             raise AsterismError(
                 f"the markers are {self.marker:g} m wide and the squares {self.spacing:g} m; markers must fit into squares."
@@ -97,7 +101,7 @@ class Board:
         """Whether the board looks the same upside down, so that one image does not tell which of its ends is which."""
         if self.kind == "chessboard":
             return (self.columns + self.rows) % 2 == 0
-        return self.kind == "circles" or (self.kind == "asymmetric circles" and self.rows % 2 == 0)
+        return self.kind == "circles"
 
     @property
     def points(self) -> Floats:
@@ -138,7 +142,7 @@ class Finder:
         import cv2
 
         self.board = board
-        self._charuco: Any = None
+        self._charuco: list[Any] = []
         if board.kind == "charuco":
             number = getattr(cv2.aruco, board.dictionary, None)
             if not isinstance(number, int):
@@ -146,9 +150,11 @@ class Finder:
             dictionary = cv2.aruco.getPredefinedDictionary(number)
             if dictionary.bytesList.shape[0] < board.columns * board.rows // 2:
                 raise AsterismError(f"{board.dictionary} has too few markers for a board of {board.columns} x {board.rows} squares.")
-            self._charuco = cv2.aruco.CharucoDetector(
-                cv2.aruco.CharucoBoard((board.columns, board.rows), board.spacing, board.marker, dictionary)
-            )
+            # an even number of rows: OpenCV before 4.6, and what was printed with it, began with a marker instead of a dark square
+            for before in (False, True) if board.rows % 2 == 0 else (False,):
+                printed = cv2.aruco.CharucoBoard((board.columns, board.rows), board.spacing, board.marker, dictionary)
+                printed.setLegacyPattern(before)
+                self._charuco.append(cv2.aruco.CharucoDetector(printed))
 
     def find(self, image: Any) -> tuple[Ints, Floats]:
         """Which points of the board (n,) are where (n, 2) px in a grey image (H, W) uint8; both empty where it is not in sight."""
@@ -159,8 +165,11 @@ class Finder:
         return (np.arange(len(found)), found) if len(found) else (np.empty(0, dtype=np.int64), np.empty((0, 2)))
 
     def _find_charuco(self, grey: Any) -> tuple[Ints, Floats]:
-        corners, ids, *_ = self._charuco.detectBoard(grey)
-        if ids is None or corners is None:
+        for detector in self._charuco:
+            corners, ids, *_ = detector.detectBoard(grey)
+            if ids is not None and corners is not None:
+                break
+        else:
             return np.empty(0, dtype=np.int64), np.empty((0, 2))
         numbers, first = np.unique(np.asarray(ids).ravel(), return_index=True)
         return numbers.astype(np.int64), self._refined(grey, numbers, np.asarray(corners, dtype=np.float32).reshape(-1, 2)[first])

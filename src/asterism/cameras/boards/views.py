@@ -88,9 +88,11 @@ def find_board(
         sizes.append(usual)
         looked.append(count)
     if not rows:
-        raise AsterismError(
-            f"no camera saw the board ({board}) in {sum(looked)} images; check its size and kind: a chessboard counts inner corners."
-        )
+        how = {
+            "chessboard": "it counts inner corners, and needs a white border",
+            "charuco": "it counts squares, columns first; check the dictionary, and that images are not mirrored",
+        }.get(board.kind, "it counts circles, columns first")
+        raise AsterismError(f"no camera saw the board ({board}) in {sum(looked)} images; check its size and kind: {how}.")
     moments, frame = np.unique(np.array([row[0] for row in rows], dtype=np.int64), return_inverse=True)
     seen = Sightings.of(frame, [row[1] for row in rows], [row[2] for row in rows], [row[3:] for row in rows])
     return BoardViews(
