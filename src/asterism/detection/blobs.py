@@ -85,7 +85,8 @@ def find_blobs(
     """Bright blobs of a grey image: pixels above a threshold that touch, their weighted centroids, shapes and doubts.
 
     image          (H, W) uint8 or uint16
-    threshold      grey values above the background that a pixel must exceed; None: `automatic_threshold`
+    threshold      grey values above the background that a pixel must exceed; None: told from the image, four times the noise, and the
+                   `automatic_threshold` for a blob's brightest pixel
     background     what is dark: an image of the empty scene, or an odd number of pixels: then it is the mean of so many by so many pixels
                    around each; None: 0 everywhere, `uneven_light` where there is no threshold either
     mask           (H, W) bool, True where nothing is looked for (see `static_mask`)
@@ -104,14 +105,13 @@ def find_blobs(
     """
     grey = as_grey(image)
     _check(connectivity, min_size, max_size, split, step, weigh_from)
-    if threshold is None and background is None:
-        few = _few(grey)
-        stands_out, uneven, lit = _level(np.bincount(few.ravel()), _noise(grey, few))
-        if uneven or lit:
+    if threshold is None:
+        threshold, peak, odd = tell_thresholds(grey, background)
+        if odd and background is None:
             background = uneven_light([grey])
-        else:
-            threshold = min(stands_out, int(np.iinfo(grey.dtype).max) - 1)
-    level, base, threshold = _levels(grey, threshold, background)
+            threshold, peak, _ = tell_thresholds(grey, background)
+        min_peak = max(min_peak or 0.0, peak)
+    level, base = _levels(grey, threshold, background)
     cut = np.ones(grey.shape, np.uint8)
     cut[1:-1, 1:-1] = 0
     if mask is not None:
@@ -129,8 +129,8 @@ def find_blobs(
     order, starts = _kernels.by_component(parents, count)
     bound = int((lasts[:count] - firsts[:count]).sum()) + count
     out, flags = np.empty((bound, _kernels.COLUMNS)), np.empty(bound, np.uint8)
-    base, off = (base, 0.0) if weigh_from == "background" else (level, threshold)
-    limits = np.array([min_size**2 * np.pi / 4, max_size**2 * np.pi / 4, max(min_peak or 0.0, threshold) - off])
+    base, off = (base, 0.0) if weigh_from == "background" else (level, float(int(threshold)))
+    limits = np.array([min_size**2 * np.pi / 4, max_size**2 * np.pi / 4, max(min_peak or 0.0, int(threshold)) - off])
     top = _brightest(grey)
     found = _kernels.measure(grey, base, cut, rows, firsts, lasts, order, starts, limits, split, step or 0.0, top, out, flags)
     blobs = out[:found]
@@ -145,15 +145,26 @@ def automatic_threshold(image: ArrayLike, background: ArrayLike | int | None = N
     Where more than 3 % of the pixels are above that, as where a room is lit, it is Otsu's threshold if that is higher, unless the
     background is a mean around each pixel. Every fourth pixel of every fourth row is looked at.
     """
-    grey = as_grey(image)
+    return tell_thresholds(as_grey(image), background)[1]
+
+
+def tell_thresholds(grey: Grey, background: ArrayLike | int | None = None) -> tuple[float, float, bool]:
+    """Grey values above the background: what a blob's pixels exceed, what its brightest one does (`automatic_threshold`), and whether the
+    image is uneven or lit (`uneven_light`).
+
+    A blob reaches down to four times the noise, so that dim ones are whole; that is lower only where there is more noise than compression
+    leaves.
+    """
     few, most = _few(grey), int(np.iinfo(grey.dtype).max)
     dark = few if background is None else few - _few(background_of(grey, background))
     lowest = int(dark.min())
     counts = np.bincount((dark - lowest).ravel())
-    level, _, lit = _level(counts, _noise(grey, few))
+    foot, level, uneven, lit = _level(counts, _noise(grey, few))
     if lit and not isinstance(background, int | np.integer):
-        level = max(level, _otsu(counts))
-    return float(min(max(level + lowest, 0), most - 1))
+        otsu = _otsu(counts)
+        foot, level = (foot, level) if otsu <= level else (otsu, otsu)
+    reach, stands_out = (float(min(max(value + lowest, 0), most - 1)) for value in (foot, level))
+    return reach, stands_out, uneven or lit
 
 
 def uneven_light(images: Sequence[ArrayLike]) -> Grey | int | None:
@@ -169,7 +180,7 @@ def uneven_light(images: Sequence[ArrayLike]) -> Grey | int | None:
     first = as_grey(images[0])
     few = _few(first) if len(images) == 1 else np.median([_few(as_grey(image)) for image in images], axis=0).astype(np.int64)
     noise = _noise(first, _few(first))
-    level, uneven, lit = _level(np.bincount(few.ravel()), noise)
+    _, level, uneven, lit = _level(np.bincount(few.ravel()), noise)
     if not uneven and not lit:
         return None
     side = _BLOCK // _EVERY
@@ -179,7 +190,7 @@ def uneven_light(images: Sequence[ArrayLike]) -> Grey | int | None:
     smooth = _lines(first.shape[0], tall) @ blocks @ _lines(first.shape[1], wide).T
     light = np.clip(np.rint(smooth), 0, np.iinfo(first.dtype).max).astype(first.dtype)
     left = few - _few(light)
-    lower, _, lit = _level(np.bincount((left - left.min()).ravel()), noise)
+    _, lower, _, lit = _level(np.bincount((left - left.min()).ravel()), noise)
     if not lit and lower + left.min() < level:
         return light
     return _AROUND if uneven else None
@@ -201,15 +212,16 @@ def _few(grey: Grey) -> NDArray[np.int64]:
     return grey[::_EVERY, ::_EVERY].astype(np.int64)
 
 
-def _level(counts: NDArray[np.int64], noise: float) -> tuple[int, bool, bool]:
-    """Of grey values that are counted from 0: what stands out from them, whether the darker half spreads more than noise does, and whether
-    more stand out than markers would."""
+def _level(counts: NDArray[np.int64], noise: float) -> tuple[int, int, bool, bool]:
+    """Of grey values that are counted from 0: what a blob reaches down to, what stands out, whether the darker half spreads more than noise
+    does, and whether more stand out than markers would."""
     shares = np.cumsum(counts) / counts.sum()
     quarter, middle = (int(np.searchsorted(shares, share, side="right")) for share in (0.25, 0.5))
     spread = (middle - quarter) / _QUARTILE
     noise = max(noise, _QUIETEST)
-    level = int(middle + 6.0 * max(spread, noise)) + 1
-    return level, spread > 2.0 * noise, level < len(counts) and bool(1.0 - shares[level] > _LIT)
+    most = max(spread, noise)
+    level, foot = int(middle + 6.0 * most) + 1, int(middle + max(4.0 * most, 6.0 * _QUIETEST)) + 1
+    return foot, level, spread > 2.0 * noise, level < len(counts) and bool(1.0 - shares[level] > _LIT)
 
 
 def _noise(grey: Grey, few: NDArray[np.int64]) -> float:
@@ -251,7 +263,8 @@ def static_mask(
     total = 0
     for image in images:
         grey = as_grey(image)
-        bright = grey > _levels(grey, threshold, background)[0]
+        own = automatic_threshold(grey, background) if threshold is None else threshold
+        bright = grey > _levels(grey, own, background)[0]
         if above is not None and above.shape != bright.shape:
             raise AsterismError(f"an image is {_shape(grey)}, the first one {_shape(above)}; give images of one camera.")
         above = bright.astype(np.int64) if above is None else above + bright
@@ -314,19 +327,17 @@ def background_of(grey: Grey, background: ArrayLike | int | None) -> Grey:
     return base
 
 
-def _levels(grey: Grey, threshold: float | None, background: ArrayLike | int | None) -> tuple[Grey, Grey, float]:
-    """Per pixel the grey value that must be exceeded, and the background, both of the image's type; and the threshold."""
+def _levels(grey: Grey, threshold: float, background: ArrayLike | int | None) -> tuple[Grey, Grey]:
+    """Per pixel the grey value that must be exceeded, and the background, both of the image's type."""
     base = background_of(grey, background)
     most = int(np.iinfo(grey.dtype).max)
-    if threshold is None:
-        threshold = automatic_threshold(grey, background)
     if not 0 <= threshold < most:
         raise AsterismError(f"threshold {threshold} is outside the grey scale; give 0 to {most - 1} for images of {grey.dtype}.")
     if background is None:
-        return np.full_like(grey, int(threshold)), base, float(int(threshold))
+        return np.full_like(grey, int(threshold)), base
     import cv2
 
-    return np.asarray(cv2.add(base, np.full_like(base, int(threshold)))), base, float(int(threshold))
+    return np.asarray(cv2.add(base, np.full_like(base, int(threshold)))), base
 
 
 def _spots(rows: Floats, flags: NDArray[np.uint8], off: float, min_roundness: float, round_from: float) -> Spots:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from asterism.cameras import Rig
 from asterism.detection.alignment import names_of, numbered, on_common_clock, rate_of
-from asterism.detection.blobs import Flag, Grey, Spots, automatic_threshold, background_of, find_blobs, static_mask, uneven_light
+from asterism.detection.blobs import Flag, Grey, Spots, background_of, find_blobs, static_mask, tell_thresholds, uneven_light
 from asterism.detection.sources import Source, images, open_source, some_images
 from asterism.detection.synchrony import lags, out_of_step, slips
 from asterism.detection.times import read_times
@@ -43,7 +43,7 @@ class CameraImages:
     name, path   the camera and where its images come from
     size         (width, height) px
     frames       images read, of `expected` that there should be
-    threshold    grey values above the background
+    threshold    grey values above the background that a blob's pixels exceed, and min_peak that its brightest one exceeds
     masked       share of the image under the mask of static reflections, and in how many places
     blobs        found and kept; at_border: left out because the image's edge or the mask cuts them; overlapping, unround, saturated: of
                  those kept
@@ -57,6 +57,7 @@ class CameraImages:
     frames: int
     expected: int
     threshold: float
+    min_peak: float
     masked: float
     masked_places: int
     blobs: int
@@ -195,6 +196,7 @@ class _Found:
     flags: NDArray[np.uint8]
     at_border: int
     threshold: float
+    min_peak: float
     mask: NDArray[np.bool_] | None
     sample: tuple[int, Grey, Spots]
     problems: list[str]
@@ -212,6 +214,7 @@ class _Found:
             len(self.read),
             len(self.source),
             self.threshold,
+            self.min_peak,
             masked,
             places,
             len(self.xy),
@@ -242,7 +245,8 @@ def _search(
         _alike(source, place, image, first)
     looked_at = [image for _, image in some]
     told, around = settings["threshold"] is None, settings.get("background") is not None
-    threshold = _tell_threshold(looked_at, settings) if told else float(settings["threshold"])
+    threshold, peak = _tell_threshold(looked_at, settings) if told else (float(settings["threshold"]), 0.0)
+    peak = max(peak, threshold, settings.get("min_peak") or 0.0)
     if mask_static:
         if len(some) < _FEWEST_TO_MASK:
             raise AsterismError(f"{source.path}: {len(some)} images do not tell what stands still; leave the mask of static things off.")
@@ -269,8 +273,8 @@ def _search(
     problems = _wrong(source, len(read), broken, np.diff(shown))
     xy, sizes, flags = (np.concatenate(column) for column in zip(*parts, strict=True))
     if not len(xy):
-        problems.append(f"camera {name}: no marker in {len(read)} images at a threshold of {threshold:.0f}; is it covered, dark or masked?")
-    elif told and (_lit(middle[1], threshold, sample, settings) > _MOST_LIT or (isinstance(settings["background"], int) and not around)):
+        problems.append(f"camera {name}: no marker in {len(read)} images at a threshold of {peak:.0f}; is it covered, dark or masked?")
+    elif told and (_lit(middle[1], peak, sample, settings) > _MOST_LIT or (isinstance(settings["background"], int) and not around)):
         problems.append(
             f"camera {name}: its images show more than markers before a dark ground, such as windows or a lit room, so that blobs may be "
             "none; darken the room, or give --threshold, --background or --mask-static."
@@ -292,22 +296,26 @@ def _search(
         flags,
         at_border,
         threshold,
+        peak,
         settings.get("mask"),
         (*middle, sample),
         problems,
     )
 
 
-def _tell_threshold(images: Sequence[Grey], settings: dict[str, Any]) -> float:
-    """The median of the images' automatic thresholds. Into the settings go the light where it is uneven, and the threshold, unless some
-    image's dark would be above it, as where a camera changes its gain: then each image has its own."""
+def _tell_threshold(images: Sequence[Grey], settings: dict[str, Any]) -> tuple[float, float]:
+    """The median of the images' automatic thresholds: what blobs' pixels exceed, and what the brightest one does.
+
+    They go into the settings, unless some image's dark would be above them, as where a camera changes its gain: then each image has its
+    own. So does the light where it is uneven."""
     if settings.get("background") is None:
         settings["background"] = uneven_light(images)
     background = settings["background"]
-    threshold = float(np.median([automatic_threshold(image, background) for image in images]))
+    foot, peak = np.median([tell_thresholds(image, background)[:2] for image in images], axis=0).tolist()
     darks = [np.median(image[::4, ::4].astype(np.int64) - background_of(image, background)[::4, ::4]) for image in images]
-    settings["threshold"] = None if max(darks) > threshold else threshold
-    return threshold
+    if max(darks) <= peak:
+        settings["threshold"], settings["min_peak"] = foot, max(peak, settings.get("min_peak") or 0.0)
+    return foot, peak
 
 
 def _lit(image: Grey, threshold: float, spots: Spots, settings: dict[str, Any]) -> float:
