@@ -52,7 +52,10 @@ def adjusted(
         told = instead(blobs, wand)
         if told:
             raise AsterismError(f"only {len(used)} frames fit the wand{told}")
-        raise AsterismError(f"only {len(used)} frames show the wand to two cameras that agree on it; wave it longer where cameras overlap.")
+        raise AsterismError(
+            f"only {len(used)} frames show the wand to two cameras that agree on it; wave it longer where cameras overlap, and check that "
+            "they ran in step."
+        )
     sightings = sightings.among(cameras)
     own = [camera for camera in cameras if camera is not None]
     rotations, translations = (part[used] for part in agreed.placements())

@@ -19,8 +19,8 @@ _REACH = 0.012
 """How far blobs may be off where a camera looks at another moment, in widths of the image."""
 _LEAST, _LEFT, _ROUNDS = 0.08, 0.02, 12
 """Frames: lags smaller than this are let be, and what may be left of larger ones. Rounds of moving images and adjusting cameras to them."""
-_ECHO = 0.3
-"""A camera that drifts makes the others seem to, by up to this share of it."""
+_LEAST_DRIFT, _ECHO = 0.2, 0.3
+"""Frames between the first and the last third; a camera that drifts makes the others seem to, by up to this share of it."""
 _FARTHEST, _STRIDE = 120, 2
 """Frames: how far cameras that do not fit at all are moved, and in which steps."""
 
@@ -80,7 +80,7 @@ def in_step(
                 lags(result.cameras, wand, seen.select(part), agreed.starts, agreed.directions)
                 for part in (3 * seen.frame < len(blobs), 3 * seen.frame >= 2 * len(blobs))
             )
-            drift[posed] = _sure(last[0] - first[0], np.hypot(first[1], last[1]), _LEAST)
+            drift[posed] = _sure(last[0] - first[0], np.hypot(first[1], last[1]), _LEAST_DRIFT)
             drift[np.abs(drift) < _ECHO * np.abs(drift).max()] = 0.0
             break
         cameras = found

@@ -30,8 +30,8 @@ ECHO = 0.8
 """A camera that was moved makes the others seem to be, by up to this share of it."""
 LOOKS_UP = 0.1
 """The upward part of where a camera looks, as a share of one."""
-BAD_PART = 0.5
-"""Share of one camera's images of the wand in a tenth of the recording that contradict the others."""
+BAD_PART, WHOLE_PART = 0.5, 0.8
+"""Share of one camera's images of the wand in a tenth of the recording that contradict the others: most, and nearly all."""
 BAD_DRIFT = 0.5
 """Frames."""
 POOR_COVERAGE = 0.35
@@ -168,7 +168,8 @@ def _moved(made: WandCalibration) -> list[Finding]:
             begins, ends = (100 * edge // PARTS for edge in (bad.min(initial=PARTS), bad.max(initial=-1) + 1))
             when = f", most of it between {begins} and {ends} % of the recording" if 0 < len(bad) < PARTS else ""
             sentence = f"{100 * lost:.0f} % of what camera {camera.name} saw contradicts the others{when}; was it moved while recording?"
-            found.append(Finding(sentence, bool(lost > BAD_LOST or PARTS - 1 in bad)))
+            whole = lost > POOR_LOST and np.nanmax(parts) > WHOLE_PART
+            found.append(Finding(sentence, bool(lost > BAD_LOST or whole or PARTS - 1 in bad)))
     return found
 
 
