@@ -119,7 +119,7 @@ def _fit(made: WandCalibration) -> list[Finding]:
         if spread > POOR_LENGTH:
             found.append(
                 Finding(
-                    f"the measured wand varies by {1000 * spread * whole:.1f} mm (standard deviation) about its {1000 * whole:.0f} mm.",
+                    f"the measured wand varies by {1000 * lengths.std():.1f} mm (standard deviation) about its {1000 * whole:.0f} mm.",
                     spread > BAD_LENGTH,
                 )
             )
@@ -134,7 +134,7 @@ def _fit(made: WandCalibration) -> list[Finding]:
             Finding(
                 f"the wand's inner marker sits {1000 * made.inner:.1f} mm from the first one, not the "
                 f"{1000 * made.wand.lengths[1]:.1f} mm given; measure the wand.",
-                abs(made.inner - made.wand.lengths[1]) > 0.015 * whole,
+                abs(made.inner - made.wand.lengths[1]) > 0.01 * whole,
             )
         )
     if made.rejected > POOR_LOST:
@@ -165,10 +165,11 @@ def _moved(made: WandCalibration) -> list[Finding]:
     for camera, lost, parts in zip(made.rig, made.lost, made.lost_parts, strict=True):
         bad = np.nonzero(parts > np.maximum(BAD_PART, usual_part))[0]
         if lost > max(POOR_LOST, usual) or len(bad):
+            in_one = 0 < len(bad) < PARTS and np.ptp(bad) == len(bad) - 1
             begins, ends = (100 * edge // PARTS for edge in (bad.min(initial=PARTS), bad.max(initial=-1) + 1))
-            when = f", most of it between {begins} and {ends} % of the recording" if 0 < len(bad) < PARTS else ""
+            when = f", most of it between {begins} and {ends} % of the recording" if in_one else ""
             sentence = f"{100 * lost:.0f} % of what camera {camera.name} saw contradicts the others{when}; was it moved while recording?"
-            whole = lost > POOR_LOST and np.nanmax(parts) > WHOLE_PART
+            whole = lost > POOR_LOST and np.nan_to_num(parts).max() > WHOLE_PART
             found.append(Finding(sentence, bool(lost > BAD_LOST or whole or PARTS - 1 in bad)))
     return found
 
