@@ -75,12 +75,12 @@ def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Rig, dict[
     return rig, people
 
 
-def named_by(truth: Recording, path: Path) -> None:
-    """Who is who, as somebody who was there tells it: names.csv."""
+def name_them(path: str, truth: Recording, names: str) -> None:
+    """Who is who in a recording, as somebody who was there tells it."""
     recording = asterism.read(path)
     groups = own_tracks(recording.clouds())
     numbered = name_groups(recording, groups, {g: f"group {g + 1}" for g in range(groups.often)})
-    with Path("names.csv").open("w", newline="", encoding="utf-8") as stream:
+    with Path(names).open("w", newline="", encoding="utf-8") as stream:
         rows = csv.writer(stream)
         rows.writerow(["group", "marker"])
         for number in range(1, groups.often + 1):
@@ -98,8 +98,8 @@ def test_every_command_of_the_page_works_and_labels_are_right(
         verb = words[0]
         if verb in NOT_HERE:
             continue
-        if "names.csv" in words:
-            named_by(people["ann-walk1"], Path("ann-walk1.c3d"))
+        if "--names" in words:
+            name_them(words[1], people[words[1].removesuffix(".c3d")], words[3])
         if verb == "train":
             model = SolverEnsemble.fit(
                 [asterism.read(words[1], markers="helen-hayes")], miner=None, training=TrainingRules(folds=2, trial_frames=40)
@@ -111,7 +111,7 @@ def test_every_command_of_the_page_works_and_labels_are_right(
         status = main(expanded)
         assert status == 0, f"{shlex.join(words)}: {capsys.readouterr().err}"
         done += 1
-    assert done == 21
+    assert done == 23
     errors = compare_rigs(read_rig("rig.toml"), Rig(tuple(replace(camera, name=f"cam{c + 1}") for c, camera in enumerate(rig))))
     assert errors.position.max() < 0.01 and errors.world[0] < 0.01, "m"
     truth, labelled = people["ann-walk2"], asterism.read("ann-walk2.trc")

@@ -194,7 +194,9 @@ def first(walk: Recording, tmp_path: Path) -> Path:
     return tmp_path / "first.c3d"
 
 
-def test_numbers_then_names_then_a_model(first: Path, walk: Recording, capsys: pytest.CaptureFixture[str]) -> None:
+def test_numbers_then_names_then_a_model(
+    first: Path, walk: Recording, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     place = first.parent
     assert run("name", first, "--json", place / "n.json", "--report", place / "n.html") == 0
     told = json.loads((place / "n.json").read_text())
@@ -210,6 +212,11 @@ def test_numbers_then_names_then_a_model(first: Path, walk: Recording, capsys: p
     assert labelled.visible.sum() == formats.read(first).visible.sum()
     taught = SolverEnsemble.fit([formats.read(out, markers=[f"M{g['group']}" for g in often])], miner=None)
     assert (taught.label(walk.clouds()).indices >= 0).mean() > 0.9
+    monkeypatch.setattr(SolverEnsemble, "fit", lambda *given, **settings: taught)
+    capsys.readouterr()
+    assert run("train", out, "-o", place / "mine.model") == 0
+    said = capsys.readouterr().out
+    assert "from 1 recording of 1 subject (" in said and "advice: one person tells little of others" in said
 
 
 @pytest.mark.parametrize(

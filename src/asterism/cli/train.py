@@ -85,10 +85,16 @@ def train(
     ensemble.save(output)
     names, about = ensemble.marker_set.names, ensemble.about
     if json != "-":
+        people = len(about["subjects"])
         _console.say(
-            f"{output}: {len(names)} markers, from {len(recordings)} recordings of {len(about['subjects'])} subjects "
-            f"({about['frames']:,} frames) in {seconds:.0f} s"
+            f"{output}: {len(names)} markers, from {len(recordings)} recording{'s' if len(recordings) > 1 else ''} of {people} "
+            f"subject{'s' if people > 1 else ''} ({about['frames']:,} frames) in {seconds:.0f} s"
         )
+        if people == 1:
+            _console.say(
+                "advice: one person tells little of others, and nothing of postures not shown, where labels can be wrong at a confidence "
+                "near 1: look at what it labels first, and let it learn. Recordings of several people need a folder for each."
+            )
     _console.write_json(
         json,
         {
