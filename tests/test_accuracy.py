@@ -145,6 +145,15 @@ def test_a_ring_meets_and_covers_the_middle() -> None:
     assert result.grid(result.seen_by).shape == tuple(len(axis) for axis in result.axes)
 
 
+def test_a_small_rig_has_a_small_volume() -> None:
+    """A rig of centimetres measures what one of metres does, a hundred times as exactly."""
+    rig = ring_rig(5)
+    large, small = map_rig(rig), map_rig(rig.moved(np.eye(3), np.zeros(3), 0.01))
+    assert np.allclose(100 * small.volume.size, large.volume.size, atol=0.4)
+    assert small.coverage(3) > 0.8
+    assert 100 * small.median_error == pytest.approx(large.median_error, rel=0.1)
+
+
 def test_turned_rooms_have_turned_maps() -> None:
     rig = ring_rig(6, rng=np.random.default_rng(2))
     turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # z up becomes y up: (x, y, z) to (x, z, -y)
@@ -212,6 +221,10 @@ def test_a_rig_that_has_no_map_says_why() -> None:
         map_rig(Rig((rig[0], replace(rig[1], posed=False))))
     with pytest.raises(AsterismError, match="camera c2: its image size"):
         map_rig(Rig((rig[0], replace(rig[1], size=None))))
+    with pytest.raises(AsterismError, match="in one place"):
+        map_rig(Rig((rig[0], replace(rig[0], name="again"))), Volume.parse("1x1x1"))
+    with pytest.raises(AsterismError, match="noise of inf"):
+        map_rig(rig, noise=np.inf)
     with pytest.raises(AsterismError, match="no frame shows"):
         wand_accuracy(np.full((5, 2, 3), np.nan), (0.0, 0.5))
     with pytest.raises(AsterismError, match="shape"):

@@ -83,6 +83,13 @@ def test_a_ceiling_is_used_only_where_there_is_one() -> None:
     assert over.worth > walls.worth, "from 3 m away one measures better than from 6"
 
 
+def test_in_a_low_room_cameras_hang_below_its_ceiling() -> None:
+    assert Mounts.around(Volume.parse("4x4x1.8"), Volume.parse("6x6x2.1")).heights == (2.1, 2.1)
+    assert Mounts.around(Volume.parse("4x4x1.8"), Volume.parse("6x6x2.4")).heights == (2.2, 2.4)
+    assert Mounts.around(Volume.parse("4x4x1.8")).heights == (2.2, 2.6)
+    assert Mounts.around(Volume.parse("4x4x1.8"), heights=(2.0, 3.5)).heights == (2.0, 3.5), "without walls nothing ends above"
+
+
 def test_places_along_the_walls_go_once_around() -> None:
     mounts = Mounts.around(Volume.parse("6x4x2"))
     places = np.array([mounts.position(np.array([along, 2.4, 0.0])) for along in np.linspace(0, mounts.around_m, 801)])
@@ -149,12 +156,14 @@ def test_lenses_from_angles_and_millimetres() -> None:
         (lambda: plan_rig(Volume.parse("2x2x2"), 3, SIZE, -1.0), "positive"),
         (lambda: Mounts.around(Volume.parse("6x4x2"), Volume.parse("5x5x3")), "does not hold"),
         (lambda: Mounts.around(Volume.parse("6x4x2"), heights=(3.0, 2.0)), "lowest height first"),
+        (lambda: Mounts.around(Volume.parse("6x4x2"), Volume.parse("8x6x1.9")), "does not hold"),
+        (lambda: Mounts.around(Volume.parse("6x4x2"), Volume.parse("8x6x2.4"), (2.2, 2.6)), "in a room of 2.4 m"),
         (lambda: focal_length(1000), "--fov"),
         (lambda: focal_length(1000, fov=60, focal_mm=4), "--fov"),
         (lambda: focal_length(1000, fov=190), "190"),
         (lambda: focal_length(1000, focal_mm=-4, pixel_um=5), "positive"),
     ],
-    ids=["one camera", "focal", "room", "heights", "no lens", "two lenses", "fov", "mm"],
+    ids=["one camera", "focal", "room", "heights", "low room", "above the room", "no lens", "two lenses", "fov", "mm"],
 )
 def test_what_makes_no_sense_is_refused(ask, message: str) -> None:
     with pytest.raises(AsterismError, match=message):

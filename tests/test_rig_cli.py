@@ -70,6 +70,20 @@ def test_a_camera_that_looks_away_is_named(folder: Path, capsys: pytest.CaptureF
     assert "camera c2 sees next to nothing" in capsys.readouterr().err
 
 
+def test_a_rig_without_a_vertical_says_which_was_taken(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_rig(replace(read_rig(folder / "ring.toml"), vertical=None), tmp_path / "up.toml")
+    assert run("rig", "report", tmp_path / "up.toml", "--volume", "2x2x2") == 0
+    assert "which way is up: z was taken" in capsys.readouterr().err
+
+
+def test_a_volume_that_one_camera_sees_cannot_be_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    left, right = ring_rig(2, rng=np.random.default_rng(0))
+    rotation, translation = looking(right.position, 3 * right.position)
+    write_rig(Rig((left, replace(right, rotation=rotation, translation=translation)), np.array([0.0, 0.0, 1.0])), tmp_path / "two.toml")
+    assert run("rig", "report", tmp_path / "two.toml", "--volume", "1x1x1") == 1
+    assert "no place of the volume can be measured" in capsys.readouterr().err
+
+
 def test_image_sizes_that_a_rig_lacks_can_be_given(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = read_rig(folder / "ring.toml")
     path = tmp_path / "sizeless.toml"

@@ -133,7 +133,7 @@ def on_common_clock(blobs: Blobs, problems: list[str]) -> tuple[Blobs, float]:
         return common, max(0.0, 1.0 - float(after.sum() / max(before.sum(), 1e-9)))
     which = ", ".join(name for name, gone in zip(blobs.cameras, lost, strict=True) if gone)
     problems.append(
-        f"camera {which}: fewer than {_LINKED:.0%} of the blobs can be followed from frame to frame, so none are interpolated to a "
+        f"camera {which}: fewer than {100 * _LINKED:.0f} % of the blobs can be followed from frame to frame, so none are interpolated to a "
         "common clock; each keeps its time."
     )
     return blobs, 0.0

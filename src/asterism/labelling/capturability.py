@@ -249,12 +249,12 @@ def _verdict(
         opening = f"These {len(names)} markers can be labelled in most frames, not in all"
     else:
         opening = f"These {len(names)} markers cannot be labelled reliably as they are"
-    least = f" ({names[worst]} least often, {hit_rates[worst]:.1%})" if hit_rates[worst] < mean - 0.001 else ""
-    words = [f"{opening}: with all in sight, {mean:.1%} of the labels are found{least}."]
+    least = f" ({names[worst]} least often, {100 * hit_rates[worst]:.1f} %)" if hit_rates[worst] < mean - 0.001 else ""
+    words = [f"{opening}: with all in sight, {100 * mean:.1f} % of the labels are found{least}."]
     if len(by_occlusions) > 1:
         hidden, rate, own = by_occlusions[min(3, len(by_occlusions) - 1)]
         weak = int(own.argmin())
-        words.append(f"With {hidden} hidden, {rate:.1%} of the others are; {names[weak]} suffers most ({own[weak]:.1%}).")
+        words.append(f"With {hidden} hidden, {100 * rate:.1f} % of the others are; {names[weak]} suffers most ({100 * own[weak]:.1f} %).")
     apart = confusion - np.diag(np.diagonal(confusion))
     row, column = divmod(int(apart.argmax()), len(names))
     if apart[row, column] >= 0.005:

@@ -16,6 +16,8 @@ from asterism.recording import Floats, Ints, as_vertical
 
 NOISE = 0.3
 """px, of a blob's centre, where the rig does not say how well it was calibrated."""
+_ONE_PLACE = 1e-6
+"""m apart."""
 FACINGS = 8
 STEEPEST = np.cos(np.radians(80.0))
 """A marker on the skin is seen from within 80 degrees of where it faces."""
@@ -88,19 +90,21 @@ def map_rig(
     step    m, between places; by default so that there are about 4,000
     noise   px; by default the median reprojection error that the rig's calibration left, over the root of 2 because that is a distance in
             the image, not a coordinate; 0.3 where the rig does not say
-    Raises AsterismError where an image size is not known, cameras have no pose, there is one camera only, or no volume is seen.
+    Raises AsterismError where an image size or a pose is not known, cameras stand in one place or are fewer than two, or see no volume.
     """
     for camera in rig:
         if not camera.posed:
             raise AsterismError(f"camera {camera.name}: its pose is not known, so its rig has no map; calibrate the rig first.")
     if len(rig) < 2:
         raise AsterismError("one camera composes nothing: the rig needs at least two.")
+    if np.ptp([camera.position for camera in rig], axis=0).max() < _ONE_PLACE:
+        raise AsterismError("all cameras stand in one place, where nothing can be composed; are their poses known?")
     volume = volume_of(rig) if volume is None else volume
     step = float(np.cbrt(volume.size.prod() / 4000)) if step is None else step
     known = [camera.error for camera in rig if np.isfinite(camera.error) and camera.error > 0]
     noise = (float(np.median(known) / np.sqrt(2)) if known else NOISE) if noise is None else noise
-    if not (step > 0 and noise > 0):
-        raise AsterismError(f"a step of {step} m and a noise of {noise} px make no map; both must be positive.")
+    if not (step > 0 and 0 < noise < np.inf):
+        raise AsterismError(f"a step of {step:.3g} m and a noise of {noise:g} px make no map; both must be positive.")
     axes = volume.axes(step)
     places = volume.places(step)
     seen = sees(rig, places)

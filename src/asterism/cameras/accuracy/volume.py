@@ -13,6 +13,9 @@ from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
 from asterism.recording import Floats, as_vertical
 
+_FARTHEST = 1e5
+"""m from the origin."""
+
 
 @dataclass(frozen=True)
 class Volume:
@@ -23,7 +26,7 @@ class Volume:
 
     def __post_init__(self) -> None:
         low, high = np.asarray(self.low, dtype=np.float64), np.asarray(self.high, dtype=np.float64)
-        if low.shape != (3,) or high.shape != (3,) or not np.isfinite([low, high]).all() or np.any(high <= low):
+        if low.shape != (3,) or high.shape != (3,) or not (np.abs([low, high]) < _FARTHEST).all() or np.any(high <= low):
             raise AsterismError(f"a volume from {low} to {high} m is no box; give a lower and a higher corner.")
         object.__setattr__(self, "low", low)
         object.__setattr__(self, "high", high)
@@ -88,7 +91,9 @@ def lines_of_sight_meet(rig: Rig) -> Floats:
 
 
 def volume_of(rig: Rig, least: int = 3) -> Volume:
-    """The box around what at least `least` cameras see (all of them where there are fewer), 90 % of it along each axis, to 0.1 m.
+    """The box around what at least `least` cameras see (all of them where there are fewer), 90 % of it along each axis.
+
+    It is rounded to 0.1 m, of small rigs to less.
 
     Places are tried around where the lines of sight meet; where the vertical is an axis of the world and all cameras stand above 0, the
     box starts at the floor. Raises AsterismError where so many cameras see no place in common, or an image size is not known.
@@ -110,4 +115,5 @@ def volume_of(rig: Rig, least: int = 3) -> Volume:
             low[axis] = 0.0
         else:
             high[axis] = 0.0
-    return Volume(np.floor(10 * low) / 10, np.ceil(10 * high) / 10)
+    unit = min(0.1, 10.0 ** np.floor(np.log10((high - low).min() / 10)))
+    return Volume(np.round(np.floor(low / unit) * unit, 9), np.round(np.ceil(high / unit) * unit, 9))

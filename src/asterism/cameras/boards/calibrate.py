@@ -356,7 +356,7 @@ def _bent(bend: float, points: Floats) -> str:
     off = 1000.0 * bend * float(np.ptp(points, axis=0).max())
     return (
         f"the board is not flat, or its squares are not alike: its points lie {off:.2g} mm off, which can make focal lengths "
-        f"wrong by {_LENS_PER_BEND * bend:.0%}; glue it on glass and film again."
+        f"wrong by {100 * _LENS_PER_BEND * bend:.0f} %; glue it on glass and film again."
     )
 
 
@@ -381,12 +381,14 @@ def _doubts(rig: Rig, alone: tuple[Alone, ...], focal_std: list[float], covered:
     for camera, one, std, share_seen in zip(rig, alone, focal_std, covered, strict=True):
         if std > 0 and share_seen < _LITTLE_COVERED:
             found.append(
-                f"camera {camera.name} saw the board in {share_seen:.0%} of its image only, elsewhere its lens is a guess; show it "
+                f"camera {camera.name} saw the board in {100 * share_seen:.0f} % of its image only, elsewhere its lens is a guess; show it "
                 "up to the corners."
             )
         share = std / camera.focal[0]
         if not share < _FOCAL_DOUBT:
-            found.append(f"the focal length of camera {camera.name} is only known to {share:.1%}; show it the board tilted, near and far.")
+            found.append(
+                f"the focal length of camera {camera.name} is only known to {100 * share:.1f} %; show it the board tilted, near and far."
+            )
         if std > 0 and one.different < _FEW_VIEWS:
             found.append(f"camera {camera.name} has only {one.different} different views of the board; show it more.")
         if not camera.error < _RMS_DOUBT_PX:

@@ -47,7 +47,7 @@ def read_vicon(path: Path) -> Rig:
         camera, fits[name], reach = _camera(path, name, element, frames[0])
         cameras.append(camera)
         if reach < 1.0:
-            bent.append(f"{name} (beyond {reach:.0%} of the way)")
+            bent.append(f"{name} (beyond {100 * reach:.0f} % of the way)")
         if frames[0].get("WORLD_ERROR"):
             world[name] = float(numbers(f"{path}, camera {name}", "WORLD_ERROR", frames[0].get("WORLD_ERROR"), 1)[0])
         if len(frames) > 1:

@@ -35,8 +35,12 @@ class Mounts:
     ceiling: bool = False
 
     def __post_init__(self) -> None:
-        if not 0 <= self.heights[0] <= self.heights[1]:
+        if not 0 <= self.heights[0] <= self.heights[1] < np.inf:
             raise AsterismError(f"cameras cannot hang from {self.heights[0]} to {self.heights[1]} m; give the lowest height first.")
+        if self.heights[1] > self.room.high[2]:
+            raise AsterismError(
+                f"cameras cannot hang at {self.heights[1]:g} m in a room of {self.room.high[2]:g} m; give lower heights, or a higher room."
+            )
 
     @classmethod
     def around(
@@ -44,15 +48,16 @@ class Mounts:
     ) -> Mounts:
         """The mounts for a volume: walls 1.5 m around it, 2.2 m high and up to 2.6 m or as high as the volume, where nothing else is given.
 
-        Raises AsterismError where the room does not hold the volume.
+        In a room that is lower they hang as high as that. Raises AsterismError where the room does not hold the volume, or ends below them.
         """
+        wanted = max(HIGHEST, float(volume.high[2])) if heights is None else heights[1]
         if room is None:
             aside = np.array([MARGIN, MARGIN, 0.0])
-            room = Volume(volume.low - aside, volume.high + aside + np.array([0.0, 0.0, 0.5]))
-        if np.any(room.low[:2] > volume.low[:2]) or np.any(room.high[:2] < volume.high[:2]):
+            room = Volume(volume.low - aside, np.array([*(volume.high + aside)[:2], max(wanted, volume.high[2] + 0.5)]))
+        if np.any(room.low[:2] > volume.low[:2]) or np.any(room.high < volume.high):
             raise AsterismError("the room does not hold the volume; make it larger, or the volume smaller.")
         if heights is None:
-            top = max(HIGHEST, float(volume.high[2]))
+            top = min(wanted, float(room.high[2]))
             heights = (min(LOWEST, top), top)
         return cls(room, heights, ceiling)
 

@@ -67,6 +67,8 @@ def report(
         raise AsterismError("accuracy against a wand needs both what was seen of it, --blobs, and its lengths, --wand.")
     _console.check_new(output, overwrite)
     _console.check_new(json, overwrite)
+    import numpy as np
+
     from asterism.cameras.accuracy import Volume, map_rig, repeatability, wand_accuracy
     from asterism.cameras.accuracy.seen import measure_still, measure_wand
     from asterism.cameras.files import read_rig
@@ -113,9 +115,14 @@ def report(
             "repeatability_m": resting,
         },
     )
+    if given.vertical is None:
+        _console.complain(f"{rig} does not say which way is up: z was taken (asterism convert --vertical sets it).")
+    blind = not np.isfinite(result.error).any()
+    if blind:
+        _console.complain(f"{rig}: no place of the volume can be measured: two cameras must see it, from two places; move them apart.")
     for name in idle:
         _console.complain(f"{rig}: camera {name} sees next to nothing of the volume; turn it, or give the volume that is meant (--volume).")
-    raise typer.Exit(1 if idle else 0)
+    raise typer.Exit(1 if idle or blind else 0)
 
 
 def print_map(rig: Rig, result: RigMap) -> None:
