@@ -7,11 +7,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import twins_detection
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from twins_detection import grown
 
-from asterism.detection import Flag, automatic_threshold, find_blobs, static_mask
+from asterism.detection import Flag, _kernels, automatic_threshold, find_blobs, static_mask
 from asterism.errors import AsterismError
 
 
@@ -68,11 +69,12 @@ def test_components_equal_opencv(seed: int, height: int, width: int, share: floa
 def test_centroids_of_rendered_markers(top: float) -> None:
     places = apart(40, 1)
     grey = top / 255
-    found = find_blobs(discs(places, top=top, peak=180 * grey, dark=10 * grey, noise=2 * grey))
+    image = discs(places, top=top, peak=180 * grey, dark=10 * grey, noise=2 * grey)
+    found = find_blobs(image)
     rms = np.sqrt((off(found.xy, places) ** 2).mean() / 2)
     assert len(found) == 40
     assert rms < 0.02, f"{rms:.3f} px RMS per axis, allowed 0.02"
-    assert np.abs(found.size - 8.0).max() < 1.5
+    assert np.abs(find_blobs(image, threshold=100 * grey).size - 8.0).max() < 0.5, "at half of their height"
     assert found.roundness.min() > 0.9
     assert not found.flags.any()
 
@@ -205,6 +207,41 @@ def test_blobs_grown_by_steps_equal_their_twin(seed: int, height: int, width: in
     measured = np.column_stack([found.xy, np.pi * found.size**2 / 4, found.weight, found.peak])
     assert len(measured) == len(expected)
     assert np.allclose(sorted(map(tuple, np.round(measured, 6))), sorted(map(tuple, np.round(expected, 6))), atol=1e-5)
+
+
+@given(st.integers(0, 10_000), st.integers(20, 110), st.integers(20, 110), st.sampled_from([8, 16]))
+@settings(max_examples=20, deadline=None)
+def test_large_areas_that_are_raised_equal_their_twin(seed: int, height: int, width: int, bits: int) -> None:
+    rng = np.random.default_rng(seed)
+    smooth = cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), 6)
+    image = np.clip(2 ** (bits - 2) * (1 + smooth / smooth.std()) + rng.normal(0, 3, smooth.shape), 0, 2**bits - 1).astype(f"uint{bits}")
+    level = np.full_like(image, 2 ** (bits - 2))
+    expected = twins_detection.raised(image, level, 50, 1.5, _kernels.SOME)
+    runs = [np.empty(image.size, np.int32) for _ in range(4)]
+    count = _kernels.find_runs(image, level, 1, *runs)
+    order, starts = _kernels.by_component(runs[3], count)
+    before = level.copy()
+    changed = _kernels.raise_levels(image, level, *runs[:3], order, starts, 50.0, 1.5, 2**bits - 1)
+    assert changed == (level != before).any()
+    assert np.array_equal(level, expected)
+
+
+@pytest.mark.parametrize(("skin", "rough"), [(30, 4), (60, 8)])
+def test_markers_on_a_body_that_shines_are_found(skin: float, rough: float) -> None:
+    """A body, brighter than the dark by far more than its noise, is no marker, but those on it are; a threshold that is given stands."""
+    rng = np.random.default_rng(int(skin))
+    body = cv2.GaussianBlur(cv2.ellipse(np.zeros((300, 300)), (150, 150), (60, 120), 0, 0, 360, 1.0, -1), (0, 0), 3)
+    texture = cv2.GaussianBlur(rng.normal(size=body.shape), (0, 0), 3)
+    image = 10 + body * (skin + rough * texture / texture.std())
+    places = np.array([[150.0, 80.3], [120.4, 130.0], [180.0, 150.7], [150.6, 220.0], [20.0, 20.2], [280.0, 250.0]])
+    ys, xs = np.mgrid[:300, :300]
+    for x, y in places:
+        image += 150 / (1 + np.exp(np.clip((np.hypot(xs - x, ys - y) - 3) / 0.4, -50, 50)))
+    grey = np.clip(np.rint(image + rng.normal(0, 2, image.shape)), 0, 255).astype(np.uint8)
+    found = find_blobs(grey)
+    assert len(found) == len(places)
+    assert off(found.xy, places).max() < 0.3
+    assert len(find_blobs(grey, threshold=25)) == 2
 
 
 def test_a_bright_particle_does_not_swallow_a_dim_one() -> None:

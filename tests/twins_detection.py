@@ -61,3 +61,17 @@ def crossing(flat, offsets, cameras, a, b, frames, essential, near, longest, cro
                 hits.append(away.min() < near)
         scores.append(np.mean(hits) if len(pairs) >= fewest and hits else np.nan)
     return scores
+
+
+def raised(image: np.ndarray, level: np.ndarray, largest: float, noise: float, some: int) -> np.ndarray:
+    """The level (H, W) with components larger than `largest` as grounds of their own: see `raise_levels` in detection's kernels."""
+    out = level.astype(float)
+    components, count = label_regions(image > level, np.ones((3, 3)))
+    for component in range(1, count + 1):
+        values = image[components == component].astype(float)
+        if len(values) > largest:
+            values = np.sort(values[:: -(-len(values) // some)])
+            middle, quarter = values[len(values) // 2], values[len(values) // 4]
+            own = middle + 6 * max(noise, (middle - quarter) / 0.6745)
+            out[components == component] = np.maximum(out[components == component], min(own, np.iinfo(image.dtype).max))
+    return np.floor(out).astype(image.dtype)

@@ -18,8 +18,8 @@ Grey = NDArray[np.unsignedinteger[Any]]
 
 _LIT = 0.03
 """Share of bright pixels above which an image shows more than markers."""
-_QUARTILE = 0.6745
-"""Standard deviations from the median to a quartile."""
+_DEEPEST = 3
+"""How many grounds may lie one on the other, such as a window, a body before it, and a shirt."""
 _QUIETEST = 1.5
 """Grey values of noise that every image is taken to have: compression leaves such where a camera has less."""
 _EVERY, _BLOCK, _AROUND = 4, 64, 25
@@ -81,6 +81,7 @@ def find_blobs(
     min_weight: float = 0.0,
     split: float = 0.2,
     step: float | None = None,
+    inside: bool | None = None,
 ) -> Spots:
     """Bright blobs of a grey image: pixels above a threshold that touch, their weighted centroids, shapes and doubts.
 
@@ -100,11 +101,14 @@ def find_blobs(
     split          two peaks in one blob are two blobs where the saddle between them lies this share of the lower peak below it; 1: never
     step           instead of `split`: grey values by which neighbouring pixels must differ for blobs to part there, as particle tracking
                    velocimetry parts its particles
+    inside         whether an area that is larger than markers is a ground of its own, from which markers stand out by six times its noise,
+                   as on a body that shines; None: where no threshold is given
 
     Raises AsterismError for colour or other kinds of image, and for settings out of range.
     """
     grey = as_grey(image)
     _check(connectivity, min_size, max_size, split, step, weigh_from)
+    inside = threshold is None if inside is None else inside
     if threshold is None:
         threshold, peak, odd = tell_thresholds(grey, background)
         if odd and background is None:
@@ -125,12 +129,16 @@ def find_blobs(
     height, width = grey.shape
     capacity = height * ((width + 1) // 2)
     rows, firsts, lasts, parents = (np.empty(capacity, np.int32) for _ in range(4))
-    count = _kernels.find_runs(grey, level, int(connectivity == 8), rows, firsts, lasts, parents)
-    order, starts = _kernels.by_component(parents, count)
+    largest, most = max_size**2 * np.pi / 4, int(np.iinfo(grey.dtype).max)
+    for last in range(_DEEPEST, -1, -1):
+        count = _kernels.find_runs(grey, level, int(connectivity == 8), rows, firsts, lasts, parents)
+        order, starts = _kernels.by_component(parents, count)
+        if not inside or not last or not _kernels.raise_levels(grey, level, rows, firsts, lasts, order, starts, largest, _QUIETEST, most):
+            break
     bound = int((lasts[:count] - firsts[:count]).sum()) + count
     out, flags = np.empty((bound, _kernels.COLUMNS)), np.empty(bound, np.uint8)
     base, off = (base, 0.0) if weigh_from == "background" else (level, float(int(threshold)))
-    limits = np.array([min_size**2 * np.pi / 4, max_size**2 * np.pi / 4, max(min_peak or 0.0, int(threshold)) - off])
+    limits = np.array([min_size**2 * np.pi / 4, largest, max(min_peak or 0.0, int(threshold)) - off])
     top = _brightest(grey)
     found = _kernels.measure(grey, base, cut, rows, firsts, lasts, order, starts, limits, split, step or 0.0, top, out, flags)
     blobs = out[:found]
@@ -141,9 +149,8 @@ def find_blobs(
 def automatic_threshold(image: ArrayLike, background: ArrayLike | int | None = None) -> float:
     """Grey values above the background that stand out from an image's dark: six times its noise above the median.
 
-    The noise is told from the pixels below the median, which markers do not touch, and from how pixels differ from those beside them.
-    Where more than 3 % of the pixels are above that, as where a room is lit, it is Otsu's threshold if that is higher, unless the
-    background is a mean around each pixel. Every fourth pixel of every fourth row is looked at.
+    The noise is told from the pixels below the median, which markers do not touch, and from how pixels differ from those beside them. Every
+    fourth pixel of every fourth row is looked at.
     """
     return tell_thresholds(as_grey(image), background)[1]
 
@@ -160,9 +167,6 @@ def tell_thresholds(grey: Grey, background: ArrayLike | int | None = None) -> tu
     lowest = int(dark.min())
     counts = np.bincount((dark - lowest).ravel())
     foot, level, uneven, lit = _level(counts, _noise(grey, few))
-    if lit and not isinstance(background, int | np.integer):
-        otsu = _otsu(counts)
-        foot, level = (foot, level) if otsu <= level else (otsu, otsu)
     reach, stands_out = (float(min(max(value + lowest, 0), most - 1)) for value in (foot, level))
     return reach, stands_out, uneven or lit
 
@@ -217,7 +221,7 @@ def _level(counts: NDArray[np.int64], noise: float) -> tuple[int, int, bool, boo
     does, and whether more stand out than markers would."""
     shares = np.cumsum(counts) / counts.sum()
     quarter, middle = (int(np.searchsorted(shares, share, side="right")) for share in (0.25, 0.5))
-    spread = (middle - quarter) / _QUARTILE
+    spread = (middle - quarter) / _kernels.QUARTILE
     noise = max(noise, _QUIETEST)
     most = max(spread, noise)
     level, foot = int(middle + 6.0 * most) + 1, int(middle + max(4.0 * most, 6.0 * _QUIETEST)) + 1
@@ -233,15 +237,6 @@ def _noise(grey: Grey, few: NDArray[np.int64]) -> float:
     steps = np.bincount(np.abs(few[:, : beside.shape[1]] - beside).ravel(), minlength=1)
     cut = 1.6 if np.count_nonzero(few) < 0.75 * few.size else 1.0
     return cut * float(np.searchsorted(np.cumsum(steps), 0.9 * steps.sum())) / 2.33
-
-
-def _otsu(counts: NDArray[np.int64]) -> int:
-    """Halfway between the means of the two groups of grey values that have the greatest variance between them."""
-    below, sums = np.cumsum(counts), np.cumsum(counts * np.arange(len(counts)))
-    above = below[-1] - below
-    apart = np.where(above > 0, (sums[-1] - sums) / np.maximum(above, 1), 0.0) - sums / np.maximum(below, 1)
-    best = int(np.argmax(below * above * apart**2))
-    return int(sums[best] / max(below[best], 1) + 0.5 * apart[best])
 
 
 def static_mask(

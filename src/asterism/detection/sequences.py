@@ -30,7 +30,7 @@ _FEWEST_TO_MASK = 10
 """Images that tell what stands still."""
 _MOST_SINGLE = 0.1
 """Share of blobs that may be one row of pixels."""
-_MOST_LIT = 0.03
+_MOST_LIT = 0.25
 """Share of an image that may be bright and no blob."""
 _CLOCK_S, _LONGEST_S = 1e-3, 3600.0
 """How finely some videos tell when a frame is shown; between two frames of which it is no clock but garbage when more passes."""
@@ -310,7 +310,7 @@ def _tell_threshold(images: Sequence[Grey], settings: dict[str, Any]) -> tuple[f
     own. So does the light where it is uneven."""
     if settings.get("background") is None:
         settings["background"] = uneven_light(images)
-    background = settings["background"]
+    background, settings["inside"] = settings["background"], True
     foot, peak = np.median([tell_thresholds(image, background)[:2] for image in images], axis=0).tolist()
     darks = [np.median(image[::4, ::4].astype(np.int64) - background_of(image, background)[::4, ::4]) for image in images]
     if max(darks) <= peak:
