@@ -70,7 +70,7 @@ def calibrate_alone(name: str, size: tuple[int, int], points: Floats, seen: Sigh
     starts = np.searchsorted(seen.frame, np.append(frames, frames[-1] + 1 if len(frames) else 0))
     objects = [points[seen.point[a:b]].astype(np.float32) for a, b in pairwise(starts.tolist())]
     images = [seen.xy[a:b].astype(np.float32) for a, b in pairwise(starts.tolist())]
-    good, elsewhere = np.ones(len(frames), dtype=bool), _elsewhere(images, size)
+    good, elsewhere = np.ones(len(frames), dtype=bool), _elsewhere(points, objects, images, size)
     while (good & elsewhere).sum() >= (LEAST_VIEWS if lens is None else 1):
         calibrated = _lens(name, size, objects, images, good) if lens is None else (_bare(lens), 0.0)
         if calibrated is None:
@@ -118,13 +118,23 @@ def _bare(camera: Camera) -> Camera:
     return replace(camera, rotation=np.eye(3), translation=np.zeros(3), posed=False)
 
 
-def _elsewhere(images: Sequence[Single], size: tuple[int, int]) -> NDArray[np.bool_]:
-    """(V,) whether a view shows the board elsewhere than all views before: its corner points farther by a hundredth of the image."""
-    ends = np.array([[*image[0], *image[-1], *image.mean(axis=0)] for image in images]).reshape(-1, 6)
-    new = np.ones(len(ends), dtype=bool)
+def _elsewhere(points: Floats, objects: Sequence[Single], images: Sequence[Single], size: tuple[int, int]) -> NDArray[np.bool_]:
+    """(V,) whether a view shows the board elsewhere than all views before: one of its corners farther by a hundredth of the image.
+
+    points  (K, 3) m of the board, of which views show some; corners follow by a homography
+    """
+    import cv2
+
+    (left, top), (right, bottom) = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    corners = np.array([[[left, top], [right, top], [left, bottom], [right, bottom]]])
+    ends = np.empty((len(images), 8))
+    for i, (places, image) in enumerate(zip(objects, images, strict=True)):
+        plane, _ = cv2.findHomography(places[:, :2], image)
+        ends[i] = np.nan if plane is None else cv2.perspectiveTransform(corners, plane).ravel()
+    new: NDArray[np.bool_] = np.isfinite(ends[:, 0])
     for i in range(1, len(ends)):
         before = ends[:i][new[:i]]
-        new[i] = np.abs(before - ends[i]).max(axis=1).min() > _STILL * max(size)
+        new[i] &= bool(np.abs(before - ends[i]).max(axis=1).min(initial=np.inf) > _STILL * max(size))
     return new
 
 
