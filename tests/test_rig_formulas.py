@@ -293,6 +293,19 @@ def test_long_lists_in_yaml_take_no_time(tmp_path: Path) -> None:
     assert time.perf_counter() - began < 10, "OpenCV finds the n-th item in n steps"
 
 
+NAMES = [("9", "6", "1", "0"), ("3", "1", "2", "0"), ("front left", "b", "c", "0"), ("1", "01", "_1", "K"), ("Rot", "R", "T", "1")]
+
+
+@pytest.mark.parametrize("names", NAMES, ids=" ".join)
+@pytest.mark.parametrize("suffix", ["yml", "xml"])
+@pytest.mark.parametrize("count", [1, 4])
+def test_cameras_keep_their_names_in_opencvs_files(tmp_path: Path, names: tuple[str, ...], suffix: str, count: int) -> None:
+    cameras = [Camera(name, (640, 480), (500.0 + i, 500.0), (320.0, 240.0), translation=[i, 0, 1.0]) for i, name in enumerate(names)]
+    write_rig(Rig(tuple(cameras[:count])), tmp_path / f"a.{suffix}")
+    again = read_rig(tmp_path / f"a.{suffix}")
+    assert [(c.name, c.focal[0], c.translation[0]) for c in again] == [(name, 500.0 + i, i) for i, name in enumerate(names[:count])]
+
+
 def test_a_unit_that_would_be_guessed_wrong_is_said_when_written(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from asterism.cli import main
 

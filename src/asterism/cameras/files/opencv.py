@@ -46,7 +46,7 @@ def read_opencv(paths: Sequence[Path]) -> Rig:
     contents = [(path, _values(path)) for path in paths]
     for _, content in contents:
         values.update({key: value for key, value in content.items() if not _is_bare(key)})
-    titles = [str(title) for title in values.get("names", [])]
+    titles = _titles(values.get("names", []))
     marks = [match[1] for key, value in values.items() if (match := _MATRIX.fullmatch(key)) and np.shape(value) == (3, 3)]
     if set(marks) <= set(titles):
         titles = []  # the suffixes are the names themselves
@@ -70,7 +70,10 @@ def read_opencv(paths: Sequence[Path]) -> Rig:
 
 
 def write_opencv(path: Path, rig: Rig) -> list[str]:
-    """Write all cameras as K_0, D_0, R_0, T_0, size_0, error_0, ... and their names, in metres. Returns what is lost."""
+    """Write all cameras as K_name, D_name, R_name, T_name, size_name, error_name and their names, in metres. Returns what is lost.
+
+    Where a name cannot be part of a key, numbers from 0 stand for all of them.
+    """
     import cv2
 
     suffix = path.suffix.casefold()
@@ -80,19 +83,26 @@ def write_opencv(path: Path, rig: Rig) -> list[str]:
         file.write("", camera.name)
     file.endWriteStruct()
     lefts: dict[str, float] = {}
+    plain = all(re.fullmatch(r"[A-Za-z0-9_]+", name) for name in rig.names)
     for i, given in enumerate(rig):
+        mark = given.name if plain else str(i)
         camera, lefts[given.name] = with_shapes(str(path), given, OPENCV)
-        file.write(f"K_{i}", camera.matrix)
-        file.write(f"D_{i}", camera.distortion.reshape(1, -1))
+        file.write(f"K_{mark}", camera.matrix)
+        file.write(f"D_{mark}", camera.distortion.reshape(1, -1))
         if camera.size:
-            file.write(f"size_{i}", np.array([camera.size], dtype=np.int32))
+            file.write(f"size_{mark}", np.array([camera.size], dtype=np.int32))
         if camera.error == camera.error:
-            file.write(f"error_{i}", camera.error)
+            file.write(f"error_{mark}", camera.error)
         if camera.posed:
-            file.write(f"R_{i}", camera.rotation)
-            file.write(f"T_{i}", camera.translation.reshape(3, 1))
+            file.write(f"R_{mark}", camera.rotation)
+            file.write(f"T_{mark}", camera.translation.reshape(3, 1))
     write_atomically(path, file.releaseAndGetString().encode())
     return [*(["the vertical"] if rig.vertical is not None else []), *lens_lost(lefts), *read_otherwise(rig, 1.0)]
+
+
+def _titles(names: Any) -> list[str]:
+    """The names of cameras that a file lists; in XML a single one is no list."""
+    return [str(title) for title in ([names] if isinstance(names, str) else names if isinstance(names, list) else [])]
 
 
 def _is_bare(key: str) -> bool:
