@@ -18,6 +18,8 @@ DEPTH_RATIO = 1.7
 """One end of a wand is at most this many times as far from a camera as the other."""
 SHORTEST = 14.0
 SLACK, BEND = 1.2, 0.02
+_LONGEST = 4.0
+"""m, longer than which no wand is."""
 LIKE_ITS_MIRROR = 0.12
 """Wands whose middle marker is nearer than this share of their length to the middle look alike from both ends, in perspective."""
 
@@ -49,10 +51,13 @@ def wand_of(lengths: ArrayLike) -> Wand:
     whole = along[-1]
     if len(along) > 1 and np.diff(along).min() <= 0.0:
         raise AsterismError(f"two markers of the wand {told} are at one place; give each its place along the wand in metres.")
-    if whole > 4.0:
-        unit, size = ("millimetres", 1000.0) if whole > 80.0 else ("centimetres", 100.0)
-        mend = " ".join(f"{length / size:g}" for length in along)
-        raise AsterismError(f"a wand of {whole:g} m is no wand: the lengths look like {unit}; give metres: {mend}.")
+    if whole > _LONGEST:
+        sure = whole > 80.0
+        mend = " ".join(f"{length / (1000.0 if sure else 100.0):g}" for length in along)
+        raise AsterismError(
+            f"a wand of {whole:g} m is no wand: the lengths look like {'millimetres' if sure else 'centimetres'}; "
+            f"give metres: {mend}{'' if sure else ', if they are'}."
+        )
     if len(along) > 1 and whole < 0.02:
         raise AsterismError(f"a wand of {whole * 1000:g} mm is too short to calibrate with; are its lengths {told} metres?")
     either = len(along) < 3 or abs(float(along[1] / whole) - 0.5) < LIKE_ITS_MIRROR

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from asterism.cameras.wand.frames import widest
 from asterism.cameras.wand.steady import PARTS, jumps
 from asterism.cameras.wand.world import upright
 from asterism.recording import Floats
@@ -15,8 +16,8 @@ if TYPE_CHECKING:
     from asterism.cameras.wand.calibrate import WandCalibration
     from asterism.cameras.wand.in_step import Clocks
 
-BAD_RMS, POOR_RMS = 1.5, 0.7
-"""px, reprojection errors that no good wand calibration has, and that most good ones have not."""
+BAD_RMS, POOR_RMS, USUAL_WIDTH = 1.5, 0.7, 1280
+"""px, reprojection errors that no good wand calibration has, and that most good ones have not, in images so wide; wider ones have more."""
 BAD_LENGTH, POOR_LENGTH = 0.015, 0.006
 """Spread of the measured wand as a share of its length."""
 BAD_FOCAL, POOR_FOCAL = 0.02, 0.004
@@ -98,18 +99,20 @@ def judge(made: WandCalibration, clocks: Clocks, *, scaled: bool) -> tuple[Findi
 
 def _fit(made: WandCalibration) -> list[Finding]:
     found = []
-    if made.rms > POOR_RMS:
+    large = max(1.0, widest(made.rig) / USUAL_WIDTH)
+    poor, bad = large * POOR_RMS, large * BAD_RMS
+    if made.rms > poor:
         found.append(
             Finding(
-                f"the reprojection error is {made.rms:.2f} px; good wand calibrations stay below {POOR_RMS}: look for blurred or saturated "
+                f"the reprojection error is {made.rms:.2f} px; good wand calibrations stay below {poor:.1f}: look for blurred or saturated "
                 "markers, cameras that moved, or cameras out of step.",
-                made.rms > BAD_RMS,
+                made.rms > bad,
             )
         )
     for camera in made.rig:
-        if camera.error > max(POOR_RMS, 2.5 * made.rms):
+        if camera.error > max(poor, 2.5 * made.rms):
             found.append(
-                Finding(f"camera {camera.name} fits worse than the others ({camera.error:.2f} px); was it moved?", camera.error > BAD_RMS)
+                Finding(f"camera {camera.name} fits worse than the others ({camera.error:.2f} px); was it moved?", camera.error > bad)
             )
     whole = made.wand.lengths[-1]
     lengths = made.lengths[np.isfinite(made.lengths)]
