@@ -242,6 +242,19 @@ def test_a_camera_that_loses_frames_is_named() -> None:
     )
 
 
+def test_times_may_be_missing_where_a_camera_saw_nothing() -> None:
+    rig = a_rig(4)
+    blobs, _ = wave_wand(rig, WAND, 700, rng=rng_of(28), rate=50.0, delays=np.array([0.0, 0.006, -0.004, 0.008]))
+    times = np.where(rng_of(29).random((700, 4)) < 0.1, np.nan, blobs.times)
+    times[0, 1] = times[-1, 2] = np.nan
+    made = calibrate_wand(replace(blobs, times=times), WAND, sizes=SIZE)
+    assert made.usable, sentences(made)
+    assert unseen_error(rig, made.rig) < 0.001
+    times[:, 3] = np.nan
+    with pytest.raises(AsterismError, match=f"camera {rig[3].name}: its rows have no times"):
+        calibrate_wand(replace(blobs, times=times), WAND, sizes=SIZE)
+
+
 def test_times_do_not_turn_a_wand_around_that_was_out_of_sight() -> None:
     """Which end is which is told by each image; from the image before only where wands look alike from both ends."""
     rig = a_rig(4)

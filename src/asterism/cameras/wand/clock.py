@@ -24,17 +24,20 @@ def common_clock(blobs: Blobs, chosen: Ints, wand: Wand) -> tuple[Blobs, Ints]:
 
     Each marker's path in each image is interpolated by Akima's piecewise cubics, which a single wrong blob disturbs only next to it.
     Blobs are known here, which `recording.to_common_clock` cannot count on: nothing is taken for another marker. What the images do
-    not take for the wand is left out. Raises AsterismError where times do not increase or cameras share no time.
+    not take for the wand is left out. Raises AsterismError where times are missing or do not increase, or cameras share no time.
     """
     if blobs.times is None:
         return blobs, chosen
     times = blobs.times
+    shows = blobs.counts.any(axis=0)
     for c, name in enumerate(blobs.cameras):
         steps = np.diff(times[np.isfinite(times[:, c]), c])
+        if shows[c] and not len(steps):
+            raise AsterismError(f"camera {name}: its rows have no times; give each its time, or leave out the column.")
         if len(steps) and steps.min() <= 0.0:
             raise AsterismError(f"camera {name}: its times do not increase from frame to frame; sort its rows by time.")
     clock = _clock(times)
-    step = float(np.median(np.diff(clock))) if len(clock) > 1 else 1.0 / blobs.rate
+    step = float(np.median(np.diff(clock)))
     if max((float(np.nanmin(own)) for own in times.T if np.isfinite(own).any()), default=0.0) > float(clock[-1]):
         raise AsterismError("the cameras' times do not overlap; were they recorded together, and in seconds?")
     if np.nanmax(np.abs(times - clock[:, None])) < 1e-3 * step:
@@ -65,13 +68,16 @@ def common_clock(blobs: Blobs, chosen: Ints, wand: Wand) -> tuple[Blobs, Ints]:
 
 
 def _clock(times: Floats) -> Floats:
-    """(T,) s, one moment per frame: the mean over the cameras, holes bridged."""
-    known = np.isfinite(times)
-    mean = np.where(known, times, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
-    complete = np.nonzero(known.all(axis=1))[0]
-    if len(complete) < 2:
-        raise AsterismError("fewer than two frames have a time for every camera; give each row its time, or leave out the column.")
-    return np.interp(np.arange(len(times)), complete, mean[complete], left=np.nan, right=np.nan)[complete[0] : complete[-1] + 1]
+    """(T,) s, one moment per frame: the mean over the cameras, each of which goes on at its own rate where its times (T, C) are missing."""
+    frames = np.arange(len(times))
+    every = []
+    for own in times.T:
+        known = np.nonzero(np.isfinite(own))[0]
+        if len(known) >= 2:
+            rate = (own[known[-1]] - own[known[0]]) / (known[-1] - known[0])
+            beyond = frames - np.clip(frames, known[0], known[-1])
+            every.append(np.interp(frames, known, own[known]) + rate * beyond)
+    return np.asarray(np.mean(every, axis=0))
 
 
 def _one_way(paths: Floats) -> Floats:

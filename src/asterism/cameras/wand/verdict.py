@@ -25,8 +25,8 @@ BAD_PLACE, POOR_PLACE = 0.015, 0.003
 """Standard deviation of where a camera stands, as a share of its distance to the wand."""
 BAD_LOST, POOR_LOST = 0.3, 0.12
 """Share of the wand's images, all told or of one camera, that contradict the others."""
-BAD_TURN, BAD_TURN_OF_TWO, POOR_TURN = 1.5e-3, 1.3e-4, 1e-4
-"""rad, by which a camera's residuals change at one moment; two cameras show of a turn only what leads off the epipolar lines."""
+BAD_TURN, POOR_TURN = (1.3e-4, 7e-4, 1.5e-3), 1e-4
+"""rad, by which a camera's residuals change at one moment; of two, three, more cameras: fewer show less of a turn, and suffer more."""
 ECHO = 0.8
 """A camera that was moved makes the others seem to be, by up to this share of it."""
 LOOKS_UP = 0.1
@@ -154,7 +154,7 @@ def _moved(made: WandCalibration) -> list[Finding]:
     found = []
     steps, moments = jumps(made.sightings, made.residuals, len(made.rig))
     turns = steps / [camera.focal[0] for camera in made.rig]
-    bad_turn = BAD_TURN if len(made.rig) > 2 else BAD_TURN_OF_TWO
+    bad_turn = BAD_TURN[min(len(made.rig), 4) - 2]
     for camera, step, turn, moment in zip(made.rig, steps, turns, moments, strict=True):
         if turn > max(POOR_TURN, ECHO * turns.max()):
             found.append(
