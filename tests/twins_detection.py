@@ -75,3 +75,17 @@ def raised(image: np.ndarray, level: np.ndarray, largest: float, noise: float, s
             own = middle + 6 * max(noise, (middle - quarter) / 0.6745)
             out[components == component] = np.maximum(out[components == component], min(own, np.iinfo(image.dtype).max))
     return np.floor(out).astype(image.dtype)
+
+
+def contrast(image: np.ndarray, xy: np.ndarray, extent: np.ndarray) -> float:
+    """How much brighter a blob's box is than the pixels 2 px around it: see `contrasts` in detection's kernels."""
+    left, upper = np.trunc(xy - extent / 2).astype(int) - 2
+    right, lower = np.ceil(xy + extent / 2).astype(int) + 2
+    box = np.full((lower - upper + 1, right - left + 1), np.nan)
+    for row, column in np.ndindex(box.shape):
+        if 0 <= row + upper < image.shape[0] and 0 <= column + left < image.shape[1]:
+            box[row, column] = image[row + upper, column + left]
+    inner = box[1:-1, 1:-1].copy()
+    box[1:-1, 1:-1] = np.nan
+    around = np.sort(box[np.isfinite(box)])
+    return float(max(np.nanmax(inner), 0) - around[len(around) // 2])

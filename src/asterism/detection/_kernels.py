@@ -144,6 +144,33 @@ def raise_levels(image, level, rows, firsts, lasts, order, starts, largest, nois
 
 
 @njit(cache=True, nogil=True)
+def contrasts(image, blobs, out):
+    """How much brighter the brightest pixel of each blob's box is than the median of the pixels that run around the box, 2 px away.
+
+    IN  image (H, W); blobs (N, COLUMNS)
+    OUT out (N,)
+    O(pixels of the boxes). Twin: tests/twins_detection.py
+    """
+    height, width = image.shape
+    for i in range(len(blobs)):
+        aside, above = 0.5 * blobs[i, WIDE], 0.5 * blobs[i, TALL]
+        left, right = int(blobs[i, X] - aside) - 2, math.ceil(blobs[i, X] + aside) + 2
+        upper, lower = int(blobs[i, Y] - above) - 2, math.ceil(blobs[i, Y] + above) + 2
+        around = np.empty(2 * (right - left + lower - upper) + 4)
+        n, brightest = 0, 0.0
+        for row in range(max(upper, 0), min(lower + 1, height)):
+            for column in range(max(left, 0), min(right + 1, width)):
+                value = float(image[row, column])
+                if row in (upper, lower) or column in (left, right):
+                    around[n] = value
+                    n += 1
+                else:
+                    brightest = max(brightest, value)
+        around[:n].sort()
+        out[i] = brightest - around[n // 2] if n > 0 else brightest
+
+
+@njit(cache=True, nogil=True)
 def measure(image, base, cut, rows, firsts, lasts, order, starts, limits, split, step, top, out, flags):
     """Weighted moments of every component of a fitting size; components with several peaks become one blob per peak.
 

@@ -82,6 +82,7 @@ def find_blobs(
     split: float = 0.2,
     step: float | None = None,
     inside: bool | None = None,
+    contrast: float | None = None,
 ) -> Spots:
     """Bright blobs of a grey image: pixels above a threshold that touch, their weighted centroids, shapes and doubts.
 
@@ -103,6 +104,8 @@ def find_blobs(
                    velocimetry parts its particles
     inside         whether an area that is larger than markers is a ground of its own, from which markers stand out by six times its noise,
                    as on a body that shines; None: where no threshold is given
+    contrast       grey values by which a blob's brightest pixel must exceed the median of those around the blob; None: six times the noise
+                   where no threshold is given, else 0
 
     Raises AsterismError for colour or other kinds of image, and for settings out of range.
     """
@@ -110,11 +113,11 @@ def find_blobs(
     _check(connectivity, min_size, max_size, split, step, weigh_from)
     inside = threshold is None if inside is None else inside
     if threshold is None:
-        threshold, peak, odd = tell_thresholds(grey, background)
+        threshold, peak, noise, odd = tell_thresholds(grey, background)
         if odd and background is None:
             background = uneven_light([grey])
-            threshold, peak, _ = tell_thresholds(grey, background)
-        min_peak = max(min_peak or 0.0, peak)
+            threshold, peak, noise, _ = tell_thresholds(grey, background)
+        min_peak, contrast = max(min_peak or 0.0, peak), 6.0 * noise if contrast is None else contrast
     level, base = _levels(grey, threshold, background)
     cut = np.ones(grey.shape, np.uint8)
     cut[1:-1, 1:-1] = 0
@@ -143,6 +146,10 @@ def find_blobs(
     found = _kernels.measure(grey, base, cut, rows, firsts, lasts, order, starts, limits, split, step or 0.0, top, out, flags)
     blobs = out[:found]
     fits = (blobs[:, _kernels.WEIGHT] >= min_weight) & (blobs[:, [_kernels.WIDE, _kernels.TALL]] >= min_width).all(axis=1)
+    if contrast:
+        above = np.empty(found)
+        _kernels.contrasts(grey, blobs, above)
+        fits &= above > contrast
     return _spots(blobs[fits], flags[:found][fits], off, min_roundness, round_from)
 
 
@@ -155,9 +162,9 @@ def automatic_threshold(image: ArrayLike, background: ArrayLike | int | None = N
     return tell_thresholds(as_grey(image), background)[1]
 
 
-def tell_thresholds(grey: Grey, background: ArrayLike | int | None = None) -> tuple[float, float, bool]:
-    """Grey values above the background: what a blob's pixels exceed, what its brightest one does (`automatic_threshold`), and whether the
-    image is uneven or lit (`uneven_light`).
+def tell_thresholds(grey: Grey, background: ArrayLike | int | None = None) -> tuple[float, float, float, bool]:
+    """Grey values above the background: what a blob's pixels exceed, what its brightest one does (`automatic_threshold`), the standard
+    deviation of the noise, and whether the image is uneven or lit (`uneven_light`).
 
     A blob reaches down to four times the noise, so that dim ones are whole; that is lower only where there is more noise than compression
     leaves.
@@ -166,9 +173,9 @@ def tell_thresholds(grey: Grey, background: ArrayLike | int | None = None) -> tu
     dark = few if background is None else few - _few(background_of(grey, background))
     lowest = int(dark.min())
     counts = np.bincount((dark - lowest).ravel())
-    foot, level, uneven, lit = _level(counts, _noise(grey, few))
+    foot, level, noise, uneven, lit = _level(counts, _noise(grey, few))
     reach, stands_out = (float(min(max(value + lowest, 0), most - 1)) for value in (foot, level))
-    return reach, stands_out, uneven or lit
+    return reach, stands_out, noise, uneven or lit
 
 
 def uneven_light(images: Sequence[ArrayLike]) -> Grey | int | None:
@@ -184,7 +191,7 @@ def uneven_light(images: Sequence[ArrayLike]) -> Grey | int | None:
     first = as_grey(images[0])
     few = _few(first) if len(images) == 1 else np.median([_few(as_grey(image)) for image in images], axis=0).astype(np.int64)
     noise = _noise(first, _few(first))
-    _, level, uneven, lit = _level(np.bincount(few.ravel()), noise)
+    _, level, _, uneven, lit = _level(np.bincount(few.ravel()), noise)
     if not uneven and not lit:
         return None
     side = _BLOCK // _EVERY
@@ -194,7 +201,7 @@ def uneven_light(images: Sequence[ArrayLike]) -> Grey | int | None:
     smooth = _lines(first.shape[0], tall) @ blocks @ _lines(first.shape[1], wide).T
     light = np.clip(np.rint(smooth), 0, np.iinfo(first.dtype).max).astype(first.dtype)
     left = few - _few(light)
-    _, lower, _, lit = _level(np.bincount((left - left.min()).ravel()), noise)
+    _, lower, *_, lit = _level(np.bincount((left - left.min()).ravel()), noise)
     if not lit and lower + left.min() < level:
         return light
     return _AROUND if uneven else None
@@ -216,16 +223,16 @@ def _few(grey: Grey) -> NDArray[np.int64]:
     return grey[::_EVERY, ::_EVERY].astype(np.int64)
 
 
-def _level(counts: NDArray[np.int64], noise: float) -> tuple[int, int, bool, bool]:
-    """Of grey values that are counted from 0: what a blob reaches down to, what stands out, whether the darker half spreads more than noise
-    does, and whether more stand out than markers would."""
+def _level(counts: NDArray[np.int64], noise: float) -> tuple[int, int, float, bool, bool]:
+    """Of grey values that are counted from 0: what a blob reaches down to, what stands out, the standard deviation of the dark, whether
+    that is more than the noise's, and whether more stands out than markers would."""
     shares = np.cumsum(counts) / counts.sum()
     quarter, middle = (int(np.searchsorted(shares, share, side="right")) for share in (0.25, 0.5))
     spread = (middle - quarter) / _kernels.QUARTILE
     noise = max(noise, _QUIETEST)
     most = max(spread, noise)
     level, foot = int(middle + 6.0 * most) + 1, int(middle + max(4.0 * most, 6.0 * _QUIETEST)) + 1
-    return foot, level, spread > 2.0 * noise, level < len(counts) and bool(1.0 - shares[level] > _LIT)
+    return foot, level, most, spread > 2.0 * noise, level < len(counts) and bool(1.0 - shares[level] > _LIT)
 
 
 def _noise(grey: Grey, few: NDArray[np.int64]) -> float:

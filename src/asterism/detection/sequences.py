@@ -311,10 +311,10 @@ def _tell_threshold(images: Sequence[Grey], settings: dict[str, Any]) -> tuple[f
     if settings.get("background") is None:
         settings["background"] = uneven_light(images)
     background, settings["inside"] = settings["background"], True
-    foot, peak = np.median([tell_thresholds(image, background)[:2] for image in images], axis=0).tolist()
+    foot, peak, noise = np.median([tell_thresholds(image, background)[:3] for image in images], axis=0).tolist()
     darks = [np.median(image[::4, ::4].astype(np.int64) - background_of(image, background)[::4, ::4]) for image in images]
     if max(darks) <= peak:
-        settings["threshold"], settings["min_peak"] = foot, max(peak, settings.get("min_peak") or 0.0)
+        settings["threshold"], settings["min_peak"], settings["contrast"] = foot, max(peak, settings.get("min_peak") or 0.0), 6.0 * noise
     return foot, peak
 
 
