@@ -29,10 +29,10 @@ def common_clock(blobs: Blobs, chosen: Ints, wand: Wand) -> tuple[Blobs, Ints]:
     if blobs.times is None:
         return blobs, chosen
     times = blobs.times
-    shows = blobs.counts.any(axis=0)
     for c, name in enumerate(blobs.cameras):
-        steps = np.diff(times[np.isfinite(times[:, c]), c])
-        if shows[c] and not len(steps):
+        known = np.isfinite(times[:, c])
+        steps = np.diff(times[known, c])
+        if blobs.counts[:, c].any() and not known.any():
             raise AsterismError(f"camera {name}: its rows have no times; give each its time, or leave out the column.")
         if len(steps) and steps.min() <= 0.0:
             raise AsterismError(f"camera {name}: its times do not increase from frame to frame; sort its rows by time.")
