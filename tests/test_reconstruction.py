@@ -419,6 +419,19 @@ def test_columns_follow_a_point_and_hold_one_of_a_frame() -> None:
     assert len(np.unique(columns[np.abs(clouds.xyz[:, 1] - 0.1) < 1e-9])) == 1
 
 
+def test_a_foot_in_swing_that_was_hidden_for_a_frame_keeps_a_column() -> None:
+    """At 50 Hz and 4 m/s the next marker of the foot is nearer than the way of a frame; the foot's other markers tell the way."""
+    t = np.arange(60) / 50
+    way = np.where(t < 0.4, 5.0 * t**2, 0.8 + 4.0 * (t - 0.4))
+    foot = np.tile([[0.0, 0, 0], [0.07, 0, 0], [0.03, 0.06, 0]], (60, 1, 1))
+    foot[:, :, 0] += way[:, None]
+    frames = [np.delete(foot[k], 1, axis=0) if k == 30 else foot[k] for k in range(60)]
+    clouds = Clouds.from_points(frames, 50.0)
+    columns = columns_of(clouds)
+    heel = [columns[clouds.offsets[k] + 1] for k in range(60) if k != 30]
+    assert len(set(heel[:30])) == len(set(heel[30:])) == 1
+
+
 def test_the_command_makes_points_and_its_json_says_what_the_table_shows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig, blobs, _, _ = images(4, 8, 20)
     write_rig(rig, tmp_path / "rig.toml")
