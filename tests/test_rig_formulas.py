@@ -293,6 +293,12 @@ def test_long_lists_in_yaml_take_no_time(tmp_path: Path) -> None:
     assert time.perf_counter() - began < 10, "OpenCV finds the n-th item in n steps"
 
 
+def test_a_lens_of_openptv_that_cannot_be_followed_is_refused(tmp_path: Path) -> None:
+    path = openptv_folder(tmp_path, lens="0.01 0.01 0 0 0 1 0", indices="1.0 1.46 1.33 6.0", window="0 0 120")
+    with pytest.raises(AsterismError, match="addpar"):
+        read_rig(path)
+
+
 NAMES = [("9", "6", "1", "0"), ("3", "1", "2", "0"), ("front left", "b", "c", "0"), ("1", "01", "_1", "K"), ("Rot", "R", "T", "1")]
 
 

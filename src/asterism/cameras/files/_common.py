@@ -71,19 +71,26 @@ def rotation_of(where: str, values: Any) -> Floats:
 
 
 def rig_of(
-    path: Path, kind: str, cameras: Iterable[Camera], metadata: dict[str, Any], lacks: Sequence[str] = (), vertical: Floats | None = None
+    path: Path, kind: str, cameras: Iterable[Camera], metadata: dict[str, Any], lacks: Sequence[str] = (), *, equivalent: bool = False
 ) -> Rig:
-    """A rig that says where it came from and what it lacks: what every format may lack is added to `lacks`."""
+    """A rig that says where it came from and what it lacks: what every format may lack is added to `lacks`.
+
+    equivalent  whether cameras were fitted to others of another model, so that a lens may be anywhere
+    """
     made = tuple(cameras)
     missing = [
         *of_whom("the image size", made, [camera.size is None for camera in made]),
         *of_whom("the pose", made, [not camera.posed for camera in made]),
         *of_whom("the reprojection error", made, [camera.error != camera.error for camera in made]),
-        *(["which way is up"] if vertical is None and any(camera.posed for camera in made) else []),
-        *of_whom("a lens in the middle of the image (is the image size that of the calibration?)", made, [_aside(c) for c in made]),
+        *(["which way is up"] if any(camera.posed for camera in made) else []),
+        *of_whom(
+            "a lens in the middle of the image (is the image size that of the calibration?)",
+            made,
+            [_aside(camera) and not equivalent for camera in made],
+        ),
     ]
     try:
-        return Rig(made, vertical, {"file": str(path), "format": kind, **metadata}, (*missing, *lacks))
+        return Rig(made, None, {"file": str(path), "format": kind, **metadata}, (*missing, *lacks))
     except AsterismError as problem:
         raise AsterismError(f"{path}: {problem}") from None
 

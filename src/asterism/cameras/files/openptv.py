@@ -18,6 +18,7 @@ from asterism.recording import Floats
 
 _GRID = (17, 13, 5)
 _PIXEL_MM = 0.01
+_WORST_FIT_PX = 3.0
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def read_openptv(paths: Sequence[Path]) -> Rig:
         "files": [str(path) for path in paths],
         "fit_px": {name: {"rms": left[0], "largest": left[1]} for name, left in fits.items()},
     }
-    return rig_of(paths[0].parent, "OpenPTV", cameras, metadata, lacks)
+    return rig_of(paths[0].parent, "OpenPTV", cameras, metadata, lacks, equivalent=bool(fits))
 
 
 def _setup(path: Path) -> Setup:
@@ -150,8 +151,9 @@ def _on_sensor(orientation: Orientation, flat: Floats) -> Floats:
 def _off_sensor(orientation: Orientation, seen: Floats) -> Floats:
     """The inverse of `_on_sensor`, by fixed-point steps."""
     flat = seen - orientation.inner[:2]
-    for _ in range(100):
-        flat = flat + (seen - _on_sensor(orientation, flat))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(100):
+            flat = flat + (seen - _on_sensor(orientation, flat))
     return flat
 
 
@@ -181,7 +183,12 @@ def _as_camera(path: Path, name: str, orientation: Orientation, setup: Setup) ->
     pixels, points = _sample(path, orientation, setup)
     length = float(np.linalg.norm(orientation.window))
     normal = -orientation.window / length if setup.refracts else camera.rotation[2]
-    return _equivalent(camera, normal, pixels, points)
+    fitted, left = _equivalent(camera, normal, pixels, points)
+    if not left[0] < _WORST_FIT_PX:
+        raise AsterismError(
+            f"{path}: no camera without its lens and window comes nearer to it than {left[0]:.2g} px; is its .addpar right?"
+        )
+    return fitted, left
 
 
 def _sample(path: Path, orientation: Orientation, setup: Setup) -> tuple[Floats, Floats]:
