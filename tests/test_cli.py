@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from asterism import formats
-from asterism.cli import main
+from asterism.cli import _console, main
 from asterism.hiding import anonymous
 from asterism.recording import Recording
 from asterism.simulation import simulate_walks
@@ -397,3 +397,20 @@ def test_interrupting_leaves_no_half_file(tmp_path: Path) -> None:
     assert list((tmp_path / "demo").iterdir()) == []
     process.stdout.close()
     process.stderr.close()
+
+
+@pytest.mark.parametrize("width", [60, 80, 200])
+@pytest.mark.parametrize("cameras", [2, 30])
+def test_a_narrow_terminal_cuts_no_number(
+    width: int, cameras: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    columns = ["camera", "size", "images", "threshold", "blobs", "per image", "overlapping", "cut by edge", "frames behind"]
+    _console.table(
+        "Blobs", columns, [[f"cam{c}", "1280 x 1024", "3000", "21", f"{108900 + c:,}", "3.0", "59", "25", "0"] for c in range(cameras)]
+    )
+    shown = capsys.readouterr().out
+    words = shown.split()
+    assert words.count("1024") == words.count("3000") == cameras
+    assert all(f"cam{c}" in words and f"{108900 + c:,}" in words for c in range(cameras))
+    assert cameras > 2 or max(map(len, shown.splitlines())) <= width

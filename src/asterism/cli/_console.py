@@ -49,17 +49,33 @@ def reason(problem: Exception) -> str:
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> None:
-    """Print a table: the first `left` columns are text, the others numbers."""
+    """Print a table: the first `left` columns are text, the others numbers, which are never cut.
+
+    Where it is too wide for the terminal and fits lying on its side, a column for each row, it is printed so.
+    """
     from rich import box
     from rich.table import Table
     from rich.text import Text
 
+    screen = console()
+    lines = [tuple(columns), *(tuple(row) for row in rows)]
+    turned = list(zip(*lines, strict=True))
+    if _width(lines) > screen.width >= _width(turned):
+        lines, left = turned, 1
     sheet = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for i, column in enumerate(columns):
-        sheet.add_column(column, justify="left" if i < left else "right", overflow="fold", no_wrap=i >= left)
-    for row in rows:
-        sheet.add_row(*(Text(cell) for cell in row))
-    console().print(Text(title, style="bold"), sheet, sep="\n")
+    for i, cells in enumerate(zip(*lines, strict=True)):
+        widest = max(map(len, cells[1:]), default=0)
+        sheet.add_column(
+            cells[0], justify="left" if i < left else "right", overflow="fold", min_width=min(widest, 8) if i < left else widest
+        )
+    for line in lines[1:]:
+        sheet.add_row(*(Text(cell) for cell in line))
+    screen.print(Text(title, style="bold"), sheet, sep="\n", crop=False)
+
+
+def _width(lines: Sequence[Sequence[str]]) -> int:
+    """How many characters a table takes whose cells stand in one line each."""
+    return sum(max(map(len, cells)) + 3 for cells in zip(*lines, strict=True))
 
 
 def facts(title: str, rows: Sequence[tuple[str, str]]) -> None:
