@@ -9,28 +9,34 @@ from typing import Any
 import numpy as np
 
 from asterism.cameras.boards.alone import Alone, calibrate_alone
-from asterism.cameras.boards.board import Board
-from asterism.cameras.boards.flatness import unflat
+from asterism.cameras.boards.doubts import (
+    BEND_USELESS,
+    FOCAL_USELESS,
+    LEAST_NOISE_PX,
+    OUT_OF_STEP,
+    RMS_USELESS_PX,
+    bent,
+    few_shared,
+    lens_doubts,
+    other_lenses,
+    out_of_step,
+    share_covered,
+    torn_links,
+)
+from asterism.cameras.boards.flatness import bend_of
 from asterism.cameras.boards.together import Links, first_boards, first_rig, links_between, numbered_alike
 from asterism.cameras.boards.views import BoardViews
 from asterism.cameras.bundle import Adjustment, Sightings, adjust, free_parameters
 from asterism.cameras.camera import Camera
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
-from asterism.recording import Floats, Ints
+from asterism.recording import Floats
 
 _LENS = ("focal", "aspect", "centre", "k1", "k2", "k3", "tangential")
 _EXPECTED = {"aspect": 0.02, "centre": 0.1, "k1": 0.5, "k2": 1.0, "k3": 2.0, "tangential": 0.02}
 """Standard deviations of lenses before anyone has seen them (the centre's: of the image's width): weak, they hold what no view tells."""
 _NOISE_PX = 0.2
 _OUTLYING, _OUTLYING_PX, _ROUNDS = 4.0, 1.0, 3
-_CELLS, _LITTLE_COVERED = 8, 0.25
-_OUT_OF_STEP, _LEAST_NOISE_PX = 1.25, 0.1
-_FOCAL_DOUBT, _FOCAL_USELESS, _RMS_DOUBT_PX, _FEW_SHARED, _LEAST_TURNED, _FEW_VIEWS = 0.02, 0.05, 2.0, 3, 3, 8
-_MOST = 2 / 3
-_BEND_DOUBT, _BEND_USELESS, _BEYOND_NOISE = 0.0007, 0.0025, 2.0
-_LENS_PER_BEND = 30.0
-"""By which share focal lengths are off, for a bend: in simulation, of one camera and of three."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +55,8 @@ class BoardCalibration:
     doubts       what makes the rig doubtful, one sentence each
     links        which cameras share views, of those that were calibrated alone
     linked       their names
-    torn         those of `doubts` that say why cameras cannot be believed to stand to each other as the rig has it
+    grave        those of `doubts` for which the rig should not be used: most views that link cameras speak against it, or a known lens is
+                 another one
     bend         how far the board's points lie from where they should be, as a share of its longer side; 0 where noise explains it
     """
 
@@ -65,19 +72,19 @@ class BoardCalibration:
     doubts: tuple[str, ...]
     links: Links
     linked: tuple[str, ...]
-    torn: tuple[str, ...]
+    grave: tuple[str, ...]
     bend: float
 
     @property
     def usable(self) -> bool:
         """Whether the rig may be used: each camera fits within 2 px, knows its focal length to 5 %, is linked, and the board is flat."""
-        known = all(std < _FOCAL_USELESS * camera.focal[0] for camera, std in zip(self.rig, self.focal_std, strict=True))
-        return not self.torn and self.bend < _BEND_USELESS and known and all(camera.error < _RMS_DOUBT_PX for camera in self.rig)
+        known = all(std < FOCAL_USELESS * camera.focal[0] for camera, std in zip(self.rig, self.focal_std, strict=True))
+        return not self.grave and self.bend < BEND_USELESS and known and all(camera.error < RMS_USELESS_PX for camera in self.rig)
 
     @property
     def covered(self) -> tuple[float, ...]:
         """Per camera of the rig the share of its image in which points of the board were seen, by cells of an eighth of its sides."""
-        return tuple(_covered(camera, self.sightings.xy[self.sightings.camera == c]) for c, camera in enumerate(self.rig))
+        return tuple(share_covered(camera, self.sightings.xy[self.sightings.camera == c]) for c, camera in enumerate(self.rig))
 
     @property
     def rms(self) -> float:
@@ -158,7 +165,7 @@ def calibrate_board(
         alone, views = {**alone, **renumbered}, replace(views, seen=seen)
     adjusted = _adjusted(views, points, alone, started, chosen, {c: [] if c in lenses else list(_LENS) for c in chosen})
     own_rms = float(np.sqrt(np.mean([alone[c].rms ** 2 for c in chosen])))
-    in_step = len(chosen) < 2 or adjusted[0].rms <= _OUT_OF_STEP * max(own_rms, _LEAST_NOISE_PX)
+    in_step = len(chosen) < 2 or adjusted[0].rms <= OUT_OF_STEP * max(own_rms, LEAST_NOISE_PX)
     if not in_step:
         adjusted = _adjusted(views, points, alone, started, chosen, {c: [] for c in chosen})
     adjustment, sightings, frames, dropped = adjusted
@@ -168,16 +175,19 @@ def calibrate_board(
     freed = zip(adjustment.free[:, 6], adjustment.sigma[:, 6], single, strict=True)
     focal_std = [one.repeated * float(sigma if free else one.focal_std) for free, sigma, one in freed]
     rig = _in_world(Rig(adjustment.cameras), views, adjustment, frames, origin)
-    covered = [_covered(camera, sightings.xy[sightings.camera == c]) for c, camera in enumerate(rig)]
+    covered = [share_covered(camera, sightings.xy[sightings.camera == c]) for c, camera in enumerate(rig)]
     kept = links_between([np.unique(sightings.frame[sightings.camera == c]) for c in range(len(chosen))])
-    torn = _torn(rig, links.shared[np.ix_(links.groups[0], links.groups[0])], kept, views.board)
-    bend = _bend(points, sightings, adjustment)
+    others, odd = other_lenses(views, lenses, alone)
+    torn = torn_links(rig, links.shared[np.ix_(links.groups[0], links.groups[0])], kept, views.board)
+    bend = bend_of(points, sightings, adjustment)
     doubts = (
+        *others,
         *torn,
-        *([_bent(bend, points)] if bend > _BEND_DOUBT else []),
-        *([] if in_step else [_out_of_step(adjustment.rms, own_rms)]),
-        *_doubts(rig, single, focal_std, covered),
-        *([] if torn else _few_shared(rig, kept)),
+        *odd,
+        *bent(bend, points),
+        *([] if in_step else [out_of_step(adjustment.rms, own_rms)]),
+        *lens_doubts(rig, single, focal_std, covered),
+        *([] if torn else few_shared(rig, kept)),
     )
     lacks = ("the pose of every camera",) if len(rig) == 1 else ("which way is up",) if rig.vertical is None else ()
     metadata = {
@@ -201,7 +211,7 @@ def calibrate_board(
         doubts,
         links,
         tuple(views.cameras[c] for c in order),
-        torn,
+        (*others, *torn),
         bend,
     )
 
@@ -312,87 +322,3 @@ def _in_world(rig: Rig, views: BoardViews, adjustment: Adjustment, frames: Any, 
     world_from_board = np.diag([1.0, -1.0, -1.0])
     rig = rig.moved(world_from_board @ turned.T, -world_from_board @ turned.T @ placed)
     return replace(rig, vertical=np.array([0.0, 0.0, 1.0]))
-
-
-def _out_of_step(together: float, alone: float) -> str:
-    """What to say where cameras together miss the board by so much more than each alone, px."""
-    return (
-        f"cameras disagree about the board by {together:.2f} px where each alone fits to {alone:.2f} px, so their lenses were taken from "
-        "each alone; were they in step? Hold the board still for each view, and film again."
-    )
-
-
-def _torn(rig: Rig, shared: Ints, kept: Links, board: Board) -> tuple[str, ...]:
-    """Why cameras cannot be believed to stand to each other as the rig has it: most of the views that they share say otherwise.
-
-    shared  (C, C) views that two cameras share; kept: the links by those that were not left out
-    """
-    found = []
-    for group in kept.groups[1:]:
-        others = ", ".join(rig.names[c] for c in group)
-        found.append(f"no view that {others} shares with {rig.names[kept.groups[0][0]]} fits both; were they in step? Film again.")
-    for start, end in kept.tree:
-        names, together, fit = f"cameras {rig.names[start]} and {rig.names[end]}", int(shared[start, end]), int(kept.shared[start, end])
-        if fit < _MOST * together:
-            found.append(
-                f"{names} share {together} views of the board and only {fit} of them fit both: were they in step, is it one board, and "
-                "has it as many squares as you say? Film again."
-            )
-        elif fit < _LEAST_TURNED and board.turns_alike:
-            found.append(
-                f"{names} share {fit} {'view' if fit == 1 else 'views'} of a board that looks the same upside down, too few to tell how; "
-                "show both more, or use one with an odd and an even side."
-            )
-    return tuple(found)
-
-
-def _bend(points: Floats, seen: Sightings, adjustment: Adjustment) -> float:
-    off, noise = unflat(points, seen, adjustment)
-    return off / float(np.ptp(points, axis=0).max()) if off > _BEYOND_NOISE * noise else 0.0
-
-
-def _bent(bend: float, points: Floats) -> str:
-    """What to say of a board that is not as it should be, by this share of its longer side."""
-    off = 1000.0 * bend * float(np.ptp(points, axis=0).max())
-    return (
-        f"the board is not flat, or its squares are not alike: its points lie {off:.2g} mm off, which can make focal lengths "
-        f"wrong by {100 * _LENS_PER_BEND * bend:.0f} %; glue it on glass and film again."
-    )
-
-
-def _few_shared(rig: Rig, kept: Links) -> list[str]:
-    """Which cameras hang together by few views."""
-    return [
-        f"cameras {rig.names[start]} and {rig.names[end]} hang together by {kept.shared[start, end]} views only; show both more."
-        for start, end in kept.tree
-        if kept.shared[start, end] < _FEW_SHARED
-    ]
-
-
-def _covered(camera: Camera, xy: Floats) -> float:
-    """The share of an image's cells with one of these points (n, 2) px."""
-    cells = np.clip((xy / np.array(camera.size or (1, 1)) * _CELLS).astype(np.int64), 0, _CELLS - 1)
-    return len(np.unique(cells[:, 0] * _CELLS + cells[:, 1])) / _CELLS**2
-
-
-def _doubts(rig: Rig, alone: tuple[Alone, ...], focal_std: list[float], covered: list[float]) -> list[str]:
-    """What makes the lenses of this rig doubtful."""
-    found = []
-    for camera, one, std, share_seen in zip(rig, alone, focal_std, covered, strict=True):
-        if std > 0 and share_seen < _LITTLE_COVERED:
-            found.append(
-                f"camera {camera.name} saw the board in {100 * share_seen:.0f} % of its image only, elsewhere its lens is a guess; show it "
-                "up to the corners."
-            )
-        share = std / camera.focal[0]
-        if not share < _FOCAL_DOUBT:
-            found.append(
-                f"the focal length of camera {camera.name} is only known to {100 * share:.1f} %; show it the board tilted, near and far."
-            )
-        if std > 0 and one.different < _FEW_VIEWS:
-            found.append(f"camera {camera.name} has only {one.different} different views of the board; show it more.")
-        if not camera.error < _RMS_DOUBT_PX:
-            found.append(
-                f"camera {camera.name} misses the board by {camera.error:.1f} px; is the board flat, its size right, the video in step?"
-            )
-    return found

@@ -8,14 +8,14 @@ from asterism.cameras.accuracy._kernels import image_slopes
 from asterism.cameras.bundle import Adjustment, Sightings
 from asterism.recording import Floats
 
-_GROSS_PX = 5.0
+_GROSS_PX, _BEYOND_NOISE = 5.0, 2.0
 
 
-def unflat(points: Floats, seen: Sightings, adjusted: Adjustment) -> tuple[float, float]:
-    """How far a board's points (K, 3) m lie from where they should be, RMS in m, and what of the same noise alone would make.
+def bend_of(points: Floats, seen: Sightings, adjusted: Adjustment) -> float:
+    """How far a board's points (K, 3) m lie from where they should be, RMS as a share of its longer side; 0 where noise explains it.
 
     Each point is moved on the board by least squares until it fits its sightings, cameras and boards held; of the mean square, what noise
-    makes is taken off. Poses and lenses hide the better part of a bend of a few views: it is not less than is said.
+    makes is taken off. Poses and lenses hide a part of the bend: it is not less than is said.
     """
     left = seen.xy + np.nan
     slopes = np.full((len(seen), 2, 3), np.nan)
@@ -33,8 +33,9 @@ def unflat(points: Floats, seen: Sightings, adjusted: Adjustment) -> tuple[float
     np.add.at(wanted, point, np.einsum("nij,ni->nj", slopes, left))
     known = np.linalg.matrix_rank(told) == 3
     if not known.any():
-        return 0.0, 0.0
+        return 0.0
     spread = np.linalg.inv(told[known])
     moved = np.einsum("kij,kj->ki", spread, wanted[known])
     noise = float((left**2).mean() * np.trace(spread, axis1=1, axis2=2).mean())
-    return float(np.sqrt(max(0.0, float((moved**2).sum(axis=1).mean()) - noise))), float(np.sqrt(noise))
+    beyond = float((moved**2).sum(axis=1).mean()) - noise
+    return float(np.sqrt(beyond) / np.ptp(points, axis=0).max()) if beyond > _BEYOND_NOISE**2 * noise else 0.0
