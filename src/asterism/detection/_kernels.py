@@ -13,9 +13,11 @@ X, Y, AREA, PEAK, XX, YY, XY, WEIGHT, WIDE, TALL = range(COLUMNS)
 AT_BORDER, SATURATED, OVERLAPPING, UNROUND = 1, 2, 4, 8
 
 STEP = 64
+"""How often the pixels of overlapping blobs are shared anew, until no centre moves by so much; and pixels times blobs beyond which they
+stay cut where the flood cut them, as in the clutter of a lit room."""
 SOME, QUARTILE = 4096, 0.6745
 """Grey values that tell what a large component is like; standard deviations from the median to a quartile."""
-SWEEPS, STILL_PX, MOST_MIXED = 100, 1e-3, 16
+SWEEPS, STILL_PX, MOST_MIXED = 100, 1e-3, 6000
 
 
 @njit(cache=True, nogil=True)
@@ -200,7 +202,7 @@ def measure(image, base, cut, rows, firsts, lasts, order, starts, limits, split,
             if parts > 1 or step > 0.0:
                 mine = out[blobs : blobs + parts]
                 _look(image, cut, weight, ys[:n], xs[:n], label, upper - 1, left - 1, top, mine, flags[blobs:])
-                if step == 0.0 and parts <= MOST_MIXED:
+                if step == 0.0 and parts * n <= MOST_MIXED:
                     _mix(weight, ys[:n], xs[:n], mine)
                 for blob in range(parts):
                     mine[blob, X] += left - 1
