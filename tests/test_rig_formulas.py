@@ -201,6 +201,15 @@ def test_a_fisheye_of_opencv_is_not_read_as_a_pinhole(tmp_path: Path, said: dict
     )
 
 
+def test_one_lens_model_may_be_said_for_all_cameras_of_a_file(tmp_path: Path) -> None:
+    lens = np.array([0.02, 0.01, 0.001, 0.002])
+    (tmp_path / "a.yml").write_text(yml(fisheye_model=1, K1=K, D1=lens, K2=K, D2=lens, R=np.eye(3), T=np.array([-0.1, 0, 0])))
+    (tmp_path / "b.yml").write_text(yml(fisheye_model=0, K1=K, D1=lens, K2=K, D2=lens, R=np.eye(3), T=np.array([-0.1, 0, 0])))
+    fish, pinhole = (read_rig(tmp_path / name) for name in ("a.yml", "b.yml"))
+    assert [camera.radial[0] < 0 for camera in fish] == [True, True], "a fisheye bends inwards"
+    assert [camera.radial[0] for camera in pinhole] == [0.02, 0.02]
+
+
 def test_four_coefficients_of_an_unknown_lens_are_said_and_other_models_refused(tmp_path: Path) -> None:
     (tmp_path / "a.yml").write_text(yml(K=K, D=np.array([0.1, 0.01, 0.001, 0.002])))
     assert any("fisheye" in phrase for phrase in read_rig(tmp_path / "a.yml").lacks)

@@ -43,9 +43,9 @@ def numbers(where: str, what: str, values: Any, count: int | None = None) -> Flo
 
 
 def image_size(where: str, values: Any) -> tuple[int, int]:
-    """Width and height, px. Raises AsterismError, naming the place, where they are not whole numbers above zero."""
+    """Width and height in whole px. Raises AsterismError, naming the place, where they are not those of an image."""
     width, height = (float(side) for side in numbers(where, "image size", values, 2))
-    if not (width.is_integer() and height.is_integer() and 0 < min(width, height) <= max(width, height) <= LARGEST_IMAGE):
+    if not 1 <= min(width, height) <= max(width, height) <= LARGEST_IMAGE:
         raise AsterismError(f"{where}: its image size {width:g} x {height:g} is not that of an image, in pixels; mend it.")
     return int(width), int(height)
 

@@ -107,7 +107,7 @@ def _titles(names: Any) -> list[str]:
 
 def _is_bare(key: str) -> bool:
     """Whether a key names a value of the only camera of its file."""
-    matches = (pattern.fullmatch(key) for pattern in (_MATRIX, _DISTORTION, _SIZE, _ERROR, _MODEL))
+    matches = (pattern.fullmatch(key) for pattern in (_MATRIX, _DISTORTION, _SIZE, _ERROR))
     return any(match and match[1] == "" for match in matches) or key.startswith("image_")
 
 
@@ -142,7 +142,7 @@ def _camera(path: Path, mark: str, title: str, matrix: Floats, values: dict[str,
 
 def _is_fisheye(where: str, values: dict[str, Any], mark: str) -> bool | None:
     """Whether the lens is OpenCV's fisheye, None where the file does not say. Raises AsterismError for a model of another kind."""
-    said = [value for key, value in values.items() if (match := _MODEL.fullmatch(key)) and match[1] == mark]
+    said = [value for key, value in values.items() if (match := _MODEL.fullmatch(key)) and match[1] in (mark, "")]
     models = [value.casefold() if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else "" for value in said]
     for model in models:
         if model not in (*_PINHOLES, *_FISHEYES):
