@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from twins_detection import grown
 
-from asterism.detection import Flag, _kernels, automatic_threshold, find_blobs, static_mask
+from asterism.detection import Flag, _ground_kernels, _kernels, automatic_threshold, find_blobs, static_mask
 from asterism.errors import AsterismError
 
 
@@ -216,12 +216,12 @@ def test_large_areas_that_are_raised_equal_their_twin(seed: int, height: int, wi
     smooth = cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), 6)
     image = np.clip(2 ** (bits - 2) * (1 + smooth / smooth.std()) + rng.normal(0, 3, smooth.shape), 0, 2**bits - 1).astype(f"uint{bits}")
     level = np.full_like(image, 2 ** (bits - 2))
-    expected = twins_detection.raised(image, level, 50, 1.5, _kernels.SOME)
+    expected = twins_detection.raised(image, level, 50, 1.5, _ground_kernels.SOME)
     runs = [np.empty(image.size, np.int32) for _ in range(4)]
     count = _kernels.find_runs(image, level, 1, *runs)
     order, starts = _kernels.by_component(runs[3], count)
     before = level.copy()
-    changed = _kernels.raise_levels(image, level, *runs[:3], order, starts, 50.0, 1.5, 2**bits - 1)
+    changed = _ground_kernels.raise_levels(image, level, *runs[:3], order, starts, 50.0, 1.5, 2**bits - 1)
     assert changed == (level != before).any()
     assert np.array_equal(level, expected)
 
@@ -234,7 +234,7 @@ def test_contrasts_equal_their_twin(seed: int) -> None:
     blobs[:, [_kernels.X, _kernels.Y]] = rng.uniform(0, [49, 39], (30, 2))
     blobs[:, [_kernels.WIDE, _kernels.TALL]] = rng.integers(1, 12, (30, 2))
     out = np.empty(30)
-    _kernels.contrasts(image, blobs, out)
+    _ground_kernels.contrasts(image, blobs, out)
     for blob, measured in zip(blobs, out, strict=True):
         place, extent = blob[[_kernels.X, _kernels.Y]], blob[[_kernels.WIDE, _kernels.TALL]]
         assert measured == twins_detection.contrast(image, place, extent)

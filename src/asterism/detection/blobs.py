@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from asterism.detection import _kernels
+from asterism.detection import _ground_kernels, _kernels
 from asterism.errors import AsterismError
 from asterism.recording import Floats
 
@@ -136,7 +136,11 @@ def find_blobs(
     for last in range(_DEEPEST, -1, -1):
         count = _kernels.find_runs(grey, level, int(connectivity == 8), rows, firsts, lasts, parents)
         order, starts = _kernels.by_component(parents, count)
-        if not inside or not last or not _kernels.raise_levels(grey, level, rows, firsts, lasts, order, starts, largest, _QUIETEST, most):
+        if (
+            not inside
+            or not last
+            or not _ground_kernels.raise_levels(grey, level, rows, firsts, lasts, order, starts, largest, _QUIETEST, most)
+        ):
             break
     bound = int((lasts[:count] - firsts[:count]).sum()) + count
     out, flags = np.empty((bound, _kernels.COLUMNS)), np.empty(bound, np.uint8)
@@ -148,7 +152,7 @@ def find_blobs(
     fits = (blobs[:, _kernels.WEIGHT] >= min_weight) & (blobs[:, [_kernels.WIDE, _kernels.TALL]] >= min_width).all(axis=1)
     if contrast:
         above = np.empty(found)
-        _kernels.contrasts(grey, blobs, above)
+        _ground_kernels.contrasts(grey, blobs, above)
         fits &= above > contrast
     return _spots(blobs[fits], flags[:found][fits], off, min_roundness, round_from)
 
@@ -228,7 +232,7 @@ def _level(counts: NDArray[np.int64], noise: float) -> tuple[int, int, float, bo
     that is more than the noise's, and whether more stands out than markers would."""
     shares = np.cumsum(counts) / counts.sum()
     quarter, middle = (int(np.searchsorted(shares, share, side="right")) for share in (0.25, 0.5))
-    spread = (middle - quarter) / _kernels.QUARTILE
+    spread = (middle - quarter) / _ground_kernels.QUARTILE
     noise = max(noise, _QUIETEST)
     most = max(spread, noise)
     level, foot = int(middle + 6.0 * most) + 1, int(middle + max(4.0 * most, 6.0 * _QUIETEST)) + 1

@@ -240,13 +240,13 @@ def _grey(file: Path, image: NDArray[Any]) -> Grey:
 
 
 def _series(path: Path, name: str, files: list[Path]) -> Source:
+    files = sorted(files, key=lambda file: [(len(d.lstrip("0")), d) if d.isdigit() else (0, d) for d in re.split(r"(\d+)", file.name)])
     kinds = Counter(_kind(file) for file in files)
     usual, most = kinds.most_common(1)[0]
     odd = next((file for file in files if _kind(file) != usual), None)
     if most > 1 and odd is not None:
-        others = min(file for file in files if _kind(file) == usual)
+        others = next(file for file in files if _kind(file) == usual)
         raise AsterismError(f"{path} holds {odd.name} beside {others.name}: are these one camera's? Give the folder or series of one.")
-    files = sorted(files, key=lambda file: [(len(d.lstrip("0")), d) if d.isdigit() else (0, d) for d in re.split(r"(\d+)", file.name)])
     last = [re.findall(r"\d+", file.name if file.suffix[1:].isdigit() else file.stem) for file in files]
     numbers = np.array([int(found[-1]) if found and len(found[-1]) < 18 else -1 for found in last], dtype=np.int64)
     steps = np.diff(numbers)
