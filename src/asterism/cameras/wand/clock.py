@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
@@ -120,7 +121,7 @@ def lags(cameras: Sequence[Camera], wand: Wand, sightings: Sightings, starts: Fl
     fitted together, frames that fit badly weighing less.
     """
     late, spread = np.full(len(cameras), np.nan), np.full(len(cameras), np.nan)
-    velocity = _velocities(sightings)
+    velocity = _velocities(_followed(sightings, directions) if wand.either else sightings)
     moving = np.isfinite(velocity[:, 0]) & np.isfinite(starts[sightings.frame, 0])
     frames = np.unique(sightings.frame[moving])
     frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(_LAG_FRAMES, len(frames))).astype(np.int64))]
@@ -157,6 +158,13 @@ def lags(cameras: Sequence[Camera], wand: Wand, sightings: Sightings, starts: Fl
         variance = np.diag(inverse) + inverse[middle, middle] - 2.0 * inverse[middle]
         spread[known] = typical * np.sqrt(np.maximum(variance[known], 0.0))
     return late, spread
+
+
+def _followed(sightings: Sightings, directions: Floats) -> Sightings:
+    """The same with markers named so that the wand does not turn around from frame to frame, as it may where both ends look alike."""
+    back = (directions[1:] * directions[:-1]).sum(axis=1) < 0.0
+    turned = np.concatenate([[0], np.cumsum(back)])[sightings.frame] % 2 == 1
+    return replace(sightings, point=np.where(turned, sightings.point.max(initial=0) - sightings.point, sightings.point))
 
 
 def _velocities(sightings: Sightings) -> Floats:

@@ -17,7 +17,7 @@ from asterism.recording import Blobs, Floats, Ints
 
 _REACH = 0.012
 """How far blobs may be off where a camera looks at another moment, in widths of the image."""
-_LEAST, _LEFT, _ROUNDS = 0.08, 0.02, 12
+_LEAST, _LEFT, _ROUNDS = 0.08, 0.008, 12
 """Frames: lags smaller than this are let be, and what may be left of larger ones. Rounds of moving images and adjusting cameras to them."""
 _LEAST_DRIFT, _ECHO = 0.2, 0.3
 """Frames between the first and the last third; a camera that drifts makes the others seem to, by up to this share of it."""
@@ -64,7 +64,7 @@ def in_step(
     for _ in range(_ROUNDS):
         gate = _REACH * widest(cameras)
         agreed = agree(blobs, chosen, wand, cameras, gate)
-        made = adjust_some(blobs, agreed, wand, cameras, lenses, ("pose", "focal", "k1", "k2"), 2.0, 60)
+        made = adjust_some(blobs, agreed, wand, cameras, lenses, ("pose", "focal", "k1", "k2"), 0.5 * gate, 60)
         if made is None:
             break
         result = made[0]
