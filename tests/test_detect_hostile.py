@@ -141,6 +141,16 @@ def test_frame_numbers_of_several_cameras_are_counted_alike(tmp_path: Path) -> N
     assert blobs.counts[:, 0].tolist() == [0 if frame == 3 else 3 for frame in range(12)]
 
 
+def test_one_camera_counted_from_0_and_one_from_1_is_named(tmp_path: Path) -> None:
+    zero, one = folder(tmp_path / "zero"), tmp_path / "one"
+    one.mkdir()
+    for frame in range(12):
+        cv2.imwrite(str(one / f"img_{frame + 1}.png"), spots(frame))
+    assert "camera zero has images 0 to 11, one 1 to 12: as many" in detect([zero, one]).problems[0]
+    (one / "img_12.png").unlink()
+    assert detect([zero, one]).problems == (), "its first image was lost"
+
+
 def test_images_of_two_depths_are_refused(tmp_path: Path) -> None:
     mixed = folder(tmp_path / "mixed", 40)
     cv2.imwrite(str(mixed / "img_21.png"), spots(21, 4095))
