@@ -68,8 +68,8 @@ def numbered(
         if len(set(lengths)) == 1 and 0 < rows[late][0] - rows[early][0] == last[late] - last[early] <= 2:
             theirs = f"{names[late]} {rows[late][0]} to {last[late]}"
             problems.append(
-                f"camera {names[early]} has images {rows[early][0]} to {last[early]}, {theirs}: as many, but numbered otherwise; number them "
-                "alike if they were taken together."
+                f"camera {names[early]} has images {rows[early][0]} to {last[early]}, {theirs}: as many, but numbered otherwise; number "
+                "them alike if they were taken together."
             )
         return [frames - first for frames in rows], None, first
     taken = []
