@@ -49,14 +49,16 @@ def waved(
     *,
     board: Board = BOARD,
     bend: float = 0.0,
+    stretched: float = 1.0,
 ) -> BoardViews:
     """A board that is held up in front of one camera after the other; a camera sees it from less than 60 degrees aside, in full.
 
     towards: only in front of this camera; late: the last camera sees the board where it will be so many frames later;
-    bend: how far the middle of the board stands out before its ends, m.
+    bend: how far the middle of the board stands out before its ends, m; stretched: how many times as wide as it should be it is.
     """
     random = np.random.default_rng(seed)
     points = board.points - board.points.mean(axis=0)
+    points[:, 0] *= stretched
     points[:, 2] = -bend * (1 - (points[:, 0] / points[:, 0].max()) ** 2)
     paths = []
     for t in range(frames):
@@ -277,6 +279,31 @@ def test_a_board_that_bends_is_doubted(cameras: int, bend: float, doubted: bool,
     made = calibrate_board(waved(ring(cameras), 60, seed=4, bend=bend))
     assert any("not flat" in doubt for doubt in made.doubts) is doubted, made.bend
     assert made.usable is usable, f"{made.bend:.5f}, focal lengths {[camera.focal[0] for camera in made.rig]}"
+
+
+@pytest.mark.parametrize(("stretched", "doubted"), [(1.0, False), (1.015, True)])
+def test_a_board_printed_longer_than_it_should_be_is_doubted(stretched: float, doubted: bool) -> None:
+    made = calibrate_board(waved(ring(1), 60, seed=4, stretched=stretched))
+    assert any("from square" in doubt for doubt in made.doubts) is doubted
+
+
+def test_the_same_views_give_the_same_bits() -> None:
+    """OpenCV adds up in another order each time where it may use several threads."""
+    views = waved(ring(2), 50, seed=8)
+    threads, made = cv2.getNumThreads(), []
+    try:
+        for count in (1, 2, 2, 4):
+            cv2.setNumThreads(count)
+            made.append(calibrate_board(views))
+            assert cv2.getNumThreads() == count, "as it was"
+    finally:
+        cv2.setNumThreads(threads)
+    for one in made[1:]:
+        assert one.rms == made[0].rms
+        assert all(
+            np.array_equal(a.lens, b.lens) and np.array_equal(a.translation, b.translation)
+            for a, b in zip(one.rig, made[0].rig, strict=True)
+        )
 
 
 def test_the_origin_is_where_the_board_lay() -> None:

@@ -103,6 +103,8 @@ def _lens(
     used = np.nonzero(good)[0]
     used = used[_most_different([images[i] for i in used], size)]
     flags = 0 if len(used) >= 2 * LEAST_VIEWS else cv2.CALIB_FIX_K3
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)  # with more, OpenCV 5 adds up in another order each time, and so do the last digits
     try:
         error, matrix, lens, _, _, spread, *_ = cv2.calibrateCameraExtended(
             [objects[i] for i in used], [images[i] for i in used], size, None, None, flags=flags
@@ -110,6 +112,8 @@ def _lens(
         camera = Camera.from_opencv(name, np.asarray(matrix), np.asarray(lens).ravel()[:5], size=size)
     except (cv2.error, AsterismError):  # views that say nothing, such as many times the same
         return None
+    finally:
+        cv2.setNumThreads(threads)
     return replace(camera, error=float(error)), float(np.ravel(spread)[0])
 
 

@@ -19,7 +19,7 @@ OUT_OF_STEP, LEAST_NOISE_PX = 1.25, 0.1
 _CELLS, _LITTLE_COVERED = 8, 0.25
 _FOCAL_DOUBT, _BEND_DOUBT = 0.02, 0.0007
 _FEW_VIEWS, _FEW_SHARED, _LEAST_TURNED = 8, 3, 3
-_MOST, _SURE = 2 / 3, 3.0
+_MOST, _SURE, _OBLONG = 2 / 3, 3.0, 0.005
 _LENS_PER_BEND = 30.0
 """By which share focal lengths are off, for a bend: in simulation, of one camera and of three."""
 
@@ -117,6 +117,12 @@ def lens_doubts(rig: Rig, alone: tuple[Alone, ...], focal_std: list[float], cove
         if not share < _FOCAL_DOUBT:
             found.append(
                 f"the focal length of camera {camera.name} is only known to {100 * share:.1f} %; show it the board tilted, near and far."
+            )
+        oblong = abs(camera.focal[1] / camera.focal[0] - 1.0)
+        if 0 < _SURE * share < oblong and oblong > _OBLONG:
+            found.append(
+                f"camera {camera.name} has pixels {100 * oblong:.1f} % from square by this board, as few cameras do: is the board printed "
+                "to scale along both sides? Measure it."
             )
         if std > 0 and one.different < _FEW_VIEWS:
             found.append(f"camera {camera.name} has only {one.different} different views of the board; show it more.")
