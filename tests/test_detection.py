@@ -227,17 +227,18 @@ def test_large_areas_that_are_raised_equal_their_twin(seed: int, height: int, wi
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_contrasts_equal_their_twin(seed: int) -> None:
+def test_what_stands_out_equals_its_twin(seed: int) -> None:
     rng = np.random.default_rng(seed)
     image = rng.integers(0, 255, (40, 50)).astype(np.uint8)
     blobs = np.zeros((30, _kernels.COLUMNS))
     blobs[:, [_kernels.X, _kernels.Y]] = rng.uniform(0, [49, 39], (30, 2))
     blobs[:, [_kernels.WIDE, _kernels.TALL]] = rng.integers(1, 12, (30, 2))
-    out = np.empty(30)
-    _ground_kernels.contrasts(image, blobs, out)
-    for blob, measured in zip(blobs, out, strict=True):
+    out = np.empty(30, np.bool_)
+    _ground_kernels.stand_out(image, blobs, 110.0, out)
+    assert 0 < out.sum() < 30
+    for blob, clear in zip(blobs, out, strict=True):
         place, extent = blob[[_kernels.X, _kernels.Y]], blob[[_kernels.WIDE, _kernels.TALL]]
-        assert measured == twins_detection.contrast(image, place, extent)
+        assert clear == (twins_detection.contrast(image, place, extent) > 110)
 
 
 @pytest.mark.parametrize(("skin", "rough"), [(10, 1.5), (30, 4), (60, 8)])

@@ -78,7 +78,7 @@ def raised(image: np.ndarray, level: np.ndarray, largest: float, noise: float, s
 
 
 def contrast(image: np.ndarray, xy: np.ndarray, extent: np.ndarray) -> float:
-    """How much brighter a blob's box is than the pixels 2 px around it: see `contrasts` in detection's kernels."""
+    """How much brighter a blob's box is than the pixels 2 px around it: see `stand_out` in detection's kernels."""
     left, upper = np.trunc(xy - extent / 2).astype(int) - 2
     right, lower = np.ceil(xy + extent / 2).astype(int) + 2
     box = np.full((lower - upper + 1, right - left + 1), np.nan)

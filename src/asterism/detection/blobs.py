@@ -151,9 +151,9 @@ def find_blobs(
     blobs = out[:found]
     fits = (blobs[:, _kernels.WEIGHT] >= min_weight) & (blobs[:, [_kernels.WIDE, _kernels.TALL]] >= min_width).all(axis=1)
     if contrast:
-        above = np.empty(found)
-        _ground_kernels.contrasts(grey, blobs, above)
-        fits &= above > contrast
+        clear = np.empty(found, np.bool_)
+        _ground_kernels.stand_out(grey, blobs, float(contrast), clear)
+        fits &= clear
     return _spots(blobs[fits], flags[:found][fits], off, min_roundness, round_from)
 
 
