@@ -7,8 +7,8 @@ from numba import njit
 
 from asterism.reconstruction._order_kernels import ascending
 
-MOST_WORK = 2_000_000
-"""Looks at a hypothesis that the search in one tangle may take before the best found so far must do."""
+MOST_WORK = 5_000_000
+"""Looks at a rival that the search in one tangle may take before the best found so far must do, and again that exchanges may take."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -66,17 +66,20 @@ def pack(rays, scores, count, blobs):
                 changed = True
                 _strike(rays, starts, holders, alive, n)
     unproved = 0
-    members, falling = np.empty(count, np.int64), np.empty(count)
+    members, falling, local = np.empty(count, np.int64), np.empty(count), np.full(count, -1, np.int64)
     for n in order:
         if alive[n]:
-            many = _tangle(rays, starts, holders, alive, n, members)
+            many = _tangle(rays, starts, holders, alive, n, members, local)
             for k in range(many):
                 falling[k] = -scores[members[k]]
             tangle = members[ascending(falling, many)]
-            if not _search(rays, scores, starts, holders, tangle, chosen):
+            for k in range(many):
+                local[tangle[k]] = k
+            if not _search(rays, scores, starts, holders, local, tangle, chosen):
                 unproved += 1
             for k in range(many):
                 alive[tangle[k]] = False
+                local[tangle[k]] = -1
     return chosen, unproved
 
 
@@ -91,10 +94,12 @@ def _strike(rays, starts, holders, alive, n):
 
 
 @njit(cache=True, error_model="numpy")
-def _tangle(rays, starts, holders, alive, n, members):
-    """All living hypotheses that hang together with one by common blobs; they are written to `members`. Returns how many."""
-    waiting = np.zeros(len(alive), np.bool_)
-    waiting[n] = True
+def _tangle(rays, starts, holders, alive, n, members, local):
+    """All living hypotheses that hang together with one by common blobs, which `local` marks; they are written to `members`.
+
+    Returns how many. Allocates nothing: frames can have thousands of tangles.
+    """
+    local[n] = 0
     members[0] = n
     many, at = 1, 0
     while at < many:
@@ -103,8 +108,8 @@ def _tangle(rays, starts, holders, alive, n, members):
             if blob >= 0:
                 for place in range(starts[blob], starts[blob + 1]):
                     other = holders[place]
-                    if alive[other] and not waiting[other]:
-                        waiting[other] = True
+                    if alive[other] and local[other] < 0:
+                        local[other] = many
                         members[many] = other
                         many += 1
         at += 1
@@ -112,27 +117,22 @@ def _tangle(rays, starts, holders, alive, n, members):
 
 
 @njit(cache=True, error_model="numpy")
-def _search(rays, scores, starts, holders, members, chosen):
+def _search(rays, scores, starts, holders, local, members, chosen):
     """Branch and bound over one tangle, best first into `chosen`. Returns whether the result is proved the best.
 
-    members: by falling score. The bound lets each blob be used once but no more: a cover of the hypotheses by blobs, each blob at
-    the worth of its best.
+    members: by falling score; local: their places among them, -1 for all others. The search begins with the greedy choice. Its bound lets
+    each blob be used once but no more: a cover of the hypotheses by blobs, each blob at the worth of its best.
     """
     many = len(members)
-    local = np.full(len(scores), -1, np.int64)
-    for k in range(many):
-        local[members[k]] = k
     blocked = np.zeros(many, np.int64)
     taken, best = np.zeros(many, np.bool_), np.zeros(many, np.bool_)
     covered = np.full(many, -1, np.int64)
     path = np.empty(many + 1, np.int64)
-    depth, at, value, best_value, steps = 0, 0, 0.0, -1.0, 0
-    most_steps = many + MOST_WORK // many
-    stamp = 0
+    best_value = _greedy(rays, scores, starts, holders, local, members, best)
+    depth, at, value, work, stamp = 0, 0, 0.0, 0, 0
     proved = True
     going = True
     while going:
-        steps += 1
         bound = value
         stamp += 1
         for k in range(at, many):
@@ -143,6 +143,7 @@ def _search(rays, scores, starts, holders, members, chosen):
                     blob = rays[members[k], c]
                     if blob >= 0:
                         wide = 0
+                        work += starts[blob + 1] - starts[blob]
                         for place in range(starts[blob], starts[blob + 1]):
                             j = local[holders[place]]
                             wide += j >= at and blocked[j] == 0 and covered[j] != stamp
@@ -154,7 +155,7 @@ def _search(rays, scores, starts, holders, members, chosen):
                         covered[j] = stamp
         while at < many and blocked[at] != 0:
             at += 1
-        if bound > best_value + 1e-9 and at < many and steps <= most_steps:
+        if bound > best_value + 1e-9 and at < many and work <= MOST_WORK:
             taken[at] = True
             value += scores[members[at]]
             path[depth] = at
@@ -166,7 +167,7 @@ def _search(rays, scores, starts, holders, members, chosen):
             best_value = value
             for k in range(many):
                 best[k] = taken[k]
-        if steps > most_steps:
+        if work > MOST_WORK:
             proved = False
             break
         going = False
@@ -184,6 +185,19 @@ def _search(rays, scores, starts, holders, members, chosen):
         if best[k]:
             chosen[members[k]] = True
     return proved
+
+
+@njit(cache=True, error_model="numpy")
+def _greedy(rays, scores, starts, holders, local, members, best):
+    """Take the hypotheses of a tangle in their order where they still can be, into `best`. Returns what they are worth."""
+    blocked = np.zeros(len(members), np.int64)
+    value = 0.0
+    for k in range(len(members)):
+        if blocked[k] == 0:
+            best[k] = True
+            value += scores[members[k]]
+            _block(rays, starts, holders, local, members[k], blocked, 1)
+    return value
 
 
 @njit(cache=True, error_model="numpy")
@@ -209,17 +223,17 @@ def _exchange(rays, scores, starts, holders, local, members, best):
     out = np.empty(many, np.int64)
     new = np.empty(many, np.int64)
     improved = True
-    rounds = 0
-    while improved and rounds < 20:
+    work = 0
+    while improved and work <= MOST_WORK:
         improved = False
-        rounds += 1
         for k in range(many):
-            if best[k]:
+            if best[k] or work > MOST_WORK:
                 continue
             lost, leaving = 0.0, 0
             for c in range(rays.shape[1]):
                 blob = rays[members[k], c]
                 if blob >= 0:
+                    work += starts[blob + 1] - starts[blob]
                     for place in range(starts[blob], starts[blob + 1]):
                         j = local[holders[place]]
                         if j >= 0 and best[j]:
@@ -235,6 +249,7 @@ def _exchange(rays, scores, starts, holders, local, members, best):
                 for c in range(rays.shape[1]):
                     blob = rays[members[out[o]], c]
                     if blob >= 0:
+                        work += starts[blob + 1] - starts[blob]
                         for place in range(starts[blob], starts[blob + 1]):
                             j = local[holders[place]]
                             if j >= 0 and not best[j] and blocked[j] == 0:

@@ -21,7 +21,7 @@ _SEEN_GUESS = 0.7
 _STRAYS_FLOOR = 0.02
 _LEAST_FRAMES, _MOST_FRAMES, _ENOUGH_BLOBS = 3, 24, 8000
 _MANY_BLOBS = 100
-_ROUNDS = 5
+_ROUNDS = 9
 _FEWEST_POINTS = 10
 _WIDER = 1.3
 _FIT, _CUT = 1 / 3, 1.2
@@ -38,12 +38,13 @@ def told_by(setting: Setting, counts: Ints, run: Run, noise: float | None) -> tu
     counts  (T, C) blobs per frame and camera
     noise   px where it is known already, else None
 
-    The first look allows for much noise, and is widened where that was too little; further ones go on with what was found, never wider.
+    The first look allows for little noise, since in a crowd nothing else tells anything; it is widened while that is too little. Further
+    ones go on with what was found.
     """
     cameras = counts.shape[1]
     filled = counts[counts.sum(axis=1) > 0]
     usual = np.maximum(np.median(filled, axis=0), 1.0) if len(filled) else np.ones(cameras)
-    start = 2 * _NOISE_GUESS if noise is None else noise
+    start = _NOISE_GUESS if noise is None else noise
     belief = Belief(
         np.full(cameras, start), np.full(cameras, _SEEN_GUESS), _STRAYS_FLOOR * usual + 0.1, max(1.0, float(usual.max())), setting.space
     )
