@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asterism.cameras import Rig
-from asterism.cameras.wand.still import without_still_lights
 from asterism.errors import AsterismError
 from asterism.reconstruction import _frame_kernels, _kernels, _plain_kernels
 from asterism.reconstruction.belief import told_by
 from asterism.reconstruction.rays import Rays, rays_of
 from asterism.reconstruction.result import Reconstruction
 from asterism.reconstruction.setting import Belief, Setting, common_view, image_borders
-from asterism.recording import Blobs, Clouds, Floats, Ints, as_vertical, to_common_clock
+from asterism.recording import Blobs, Clouds, Floats, Ints, as_vertical, to_common_clock, without_still_lights
 
 METHODS = ("global", "plain")
 STILL = 0.75

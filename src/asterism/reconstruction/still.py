@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asterism.cameras.wand.still import still_lights
 from asterism.reconstruction.result import Reconstruction
-from asterism.recording import Floats
+from asterism.recording import Floats, still_lights
 
 _STILL = 0.4
 """The share of the frames that a light must stay for, and a point."""

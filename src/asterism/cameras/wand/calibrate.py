@@ -17,11 +17,10 @@ from asterism.cameras.wand.in_step import in_step
 from asterism.cameras.wand.inputs import check_distance, check_found, lenses_of, why_no_start, why_not
 from asterism.cameras.wand.start import cold_start
 from asterism.cameras.wand.steady import lost_shares
-from asterism.cameras.wand.still import without_still_lights
 from asterism.cameras.wand.verdict import Finding, judge
 from asterism.cameras.wand.world import upright
 from asterism.errors import AsterismError
-from asterism.recording import Blobs, Floats, Ints
+from asterism.recording import Blobs, Floats, Ints, without_still_lights
 
 Progress = Callable[[float, str], None]
 

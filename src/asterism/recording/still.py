@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.recording import Blobs, Floats, Ints
+from asterism.recording.arrays import Floats, Ints
+from asterism.recording.blobs import Blobs
 
 _RADIUS = 3.0
 """px around a light that never moves in which blobs are it."""
@@ -19,7 +20,7 @@ _FEWEST_IMAGES = 50
 def without_still_lights(blobs: Blobs, share: float = _SHARE) -> tuple[Blobs, Ints]:
     """The blobs without those that stay at one place of an image in such a share of its frames; how many such places each camera has (C,).
 
-    A wand that lies still for so long is left out while it does, which loses nothing: frames that repeat each other tell nothing new.
+    Whatever rests for so long is left out while it does: a wand that lies still, too, whose frames tell nothing new.
     """
     lit, lights = still_lights(blobs, share)
     if not lights.any():
