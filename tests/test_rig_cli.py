@@ -131,7 +131,7 @@ PLAN = ["plan", "--volume", "3x2x2", "--cameras", "3", "-o", "{}/new.toml"]
         (["report", "{}/ring.toml", "--still", "{}/wand.csv"], "stands still"),
         (PLAN, "--fov"),
         ([*PLAN, "--fov", "60", "--cameras", "1"], "cameras"),
-        ([*PLAN, "--fov", "60", "--size", "large"], "--size large"),
+        ([*PLAN, "--fov", "60", "--image-size", "large"], "--image-size large"),
         ([*PLAN, "--fov", "60", "--heights", "2"], "--heights 2"),
         ([*PLAN, "--fov", "60", "--room", "2x2x2"], "room"),
     ],

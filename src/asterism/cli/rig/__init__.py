@@ -9,6 +9,6 @@ from asterism.cli.rig.report import report
 
 VERBS: dict[Callable[..., None], str] = {
     report: "asterism rig report rig.toml --volume 6x4x2.5 -o rig.html",
-    plan: "asterism rig plan --volume 6x4x2.5 --cameras 8 --size 1280x1024 --fov 56 -o rig.toml",
+    plan: "asterism rig plan --volume 6x4x2.5 --cameras 8 --image-size 1280x1024 --fov 56 -o rig.toml",
 }
 """Each verb with its example."""

@@ -25,7 +25,7 @@ def plan(
     ],
     cameras: Annotated[int, typer.Option("--cameras", metavar="N", min=2, help="How many cameras.", show_default=False)],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The rig to write, .toml.", show_default=False)],
-    size: Annotated[str, typer.Option("--size", metavar="WxH", help="Their images, in pixels.")] = "1280x1024",
+    size: Annotated[str, typer.Option("--image-size", "--size", metavar="WxH", help="Their images, in pixels.")] = "1280x1024",
     fov: Annotated[float | None, typer.Option("--fov", metavar="DEGREES", help="Horizontal angle of view.", show_default=False)] = None,
     focal_mm: Annotated[
         float | None, typer.Option("--focal-mm", metavar="MM", help="Focal length, with --pixel-um.", show_default=False)
@@ -64,7 +64,7 @@ def plan(
     from asterism.cameras.plan import Mounts, focal_length, plan_rig
 
     box = Volume.parse(volume)
-    pixels = image_size(size, "--size")
+    pixels = image_size(size, "--image-size")
     focal = focal_length(pixels[0], fov=fov, focal_mm=focal_mm, pixel_um=pixel_um)
     mounts = Mounts.around(box, None if room is None else Volume.parse(room), _span(heights), ceiling=ceiling)
     with _console.progress("planning") as progress:
