@@ -15,3 +15,9 @@ def data() -> Path:
     if not folder:
         pytest.skip("ASTERISM_DATA is not set: no real recordings on this machine")
     return Path(folder)
+
+
+@pytest.fixture(autouse=True)
+def no_terminal_width(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tables are as wide as they need, whatever width the environment tells."""
+    monkeypatch.delenv("COLUMNS", raising=False)
