@@ -17,7 +17,7 @@ def bend_of(points: Floats, seen: Sightings, adjusted: Adjustment) -> float:
     Each point is moved on the board by least squares until it fits its sightings, cameras and boards held; of the mean square, what noise
     makes is taken off. Poses and lenses hide a part of the bend: it is not less than is said.
     """
-    left = seen.xy + np.nan
+    left = adjusted.residuals
     slopes = np.full((len(seen), 2, 3), np.nan)
     for c, camera in enumerate(adjusted.cameras):
         own = np.nonzero(seen.camera == c)[0]
@@ -25,7 +25,7 @@ def bend_of(points: Floats, seen: Sightings, adjusted: Adjustment) -> float:
         there = np.einsum("nij,nj->ni", turned, points[seen.point[own]]) + placed
         by_world = np.empty((len(own), 2, 3))
         image_slopes(camera.lens, camera.rotation, camera.translation, there, by_world)
-        left[own], slopes[own] = seen.xy[own] - camera.project(there), by_world @ turned
+        slopes[own] = by_world @ turned
     good = np.linalg.norm(left, axis=1) < _GROSS_PX
     left, slopes, point = left[good], slopes[good], seen.point[good]
     told, wanted = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))

@@ -120,6 +120,10 @@ class Agreed:
         frame, camera, point = np.nonzero(there & keep[:, None, None])
         return Sightings.of(frame, camera, point, blobs.xy[self.sights[frame, camera, point]])
 
+    def markers(self, wand: Wand, frames: Ints) -> Floats:
+        """(n, K, 3) m, where the wand's markers were in some frames (n,); NaN where it is not known."""
+        return np.asarray(self.starts[frames, None] + wand.lengths[None, :, None] * self.directions[frames, None])
+
     def placements(self) -> tuple[Floats, Floats]:
         """Rotations (T, 3, 3) and translations (T, 3) m of the wand, as a bundle adjustment takes them; NaN where it is not known."""
         x = self.directions

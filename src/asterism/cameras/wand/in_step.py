@@ -125,8 +125,7 @@ def _far_behind(
             if len(at) < FEWEST:
                 continue
             at = at[np.unique(np.linspace(0, len(at) - 1, 60).astype(np.int64))]
-            world = agreed.starts[at + lag, None] + wand.lengths[None, :, None] * agreed.directions[at + lag, None]
-            xy = blobs.xy[chosen[at, c]]
+            world, xy = agreed.markers(wand, at + lag), blobs.xy[chosen[at, c]]
             if wand.either:
                 world, xy = world.mean(axis=1, keepdims=True), xy.mean(axis=1, keepdims=True)
             guess = lenses[c] or guessed(blobs.cameras[c], size, focal * size[0])

@@ -190,8 +190,7 @@ def resected(
     if len(frames) < FEWEST:
         return None
     frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(150, len(frames))).astype(np.int64))]
-    world = agreed.starts[frames, None] + wand.lengths[None, :, None] * agreed.directions[frames, None]
-    xy = blobs.xy[chosen[frames, camera]]
+    world, xy = agreed.markers(wand, frames), blobs.xy[chosen[frames, camera]]
     if wand.either:
         middle = slice(1, 2) if len(wand.lengths) == 3 else slice(None)
         world, xy = world[:, middle].mean(axis=1, keepdims=True), xy[:, middle].mean(axis=1, keepdims=True)
