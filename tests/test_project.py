@@ -13,7 +13,6 @@ import pytest
 import asterism
 
 ROOT = Path(__file__).parent.parent
-DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 
 
 def _project() -> dict[str, Any]:
@@ -45,9 +44,3 @@ def test_every_room_stands_in_the_contract_and_in_the_documents() -> None:
 def test_every_export_exists_and_explains_itself(name: str) -> None:
     exported = getattr(asterism, name)
     assert isinstance(exported, str) or inspect.getdoc(exported)
-
-
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: p.name)
-def test_python_in_the_documents_is_python(document: Path) -> None:
-    for block in re.findall(r"```python\n(.*?)```", document.read_text(encoding="utf-8"), re.DOTALL):
-        compile(block, document.name, "exec")
