@@ -37,7 +37,7 @@ def test_every_room_stands_in_the_contract_and_in_the_documents() -> None:
     package = Path(asterism.__file__).parent
     rooms = {p.stem for p in package.iterdir() if (p.suffix == ".py" or (p / "__init__.py").is_file()) and not p.stem.startswith("_")}
     [contract] = _project()["tool"]["importlinter"]["contracts"]
-    assert rooms == set(contract["layers"])
+    assert rooms | {"_jit"} == set(contract["layers"])
     text = (ROOT / "docs" / "conventions.md").read_text(encoding="utf-8")
     assert [room for room in rooms if f"`{room}`" not in text] == []
 
