@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from asterism.geometry._kernels import align_about_z, cofactors, fit_about_z
 from asterism.labelling.partial._kernels import search
 
 LOG_2PI = math.log(2.0 * math.pi)
@@ -113,46 +114,6 @@ def _count(rows):
 
 
 @njit(cache=True, nogil=True, fastmath=SUMS)
-def placing(points, rows, mean, markers):
-    """The turn about the vertical and the shift that bring the points at `rows` best onto `mean[markers]`: (cos, sin, from, onto).
-
-    IN  points (n, 3); rows (k,), -1 for none; mean (M, 3); markers (k,). O(k), no allocation.
-    """
-    count, px, py, pz, qx, qy, qz = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(len(rows)):
-        if rows[i] >= 0:
-            count += 1
-            px += points[rows[i], 0]
-            py += points[rows[i], 1]
-            pz += points[rows[i], 2]
-            qx += mean[markers[i], 0]
-            qy += mean[markers[i], 1]
-            qz += mean[markers[i], 2]
-    px, py, pz, qx, qy, qz = px / count, py / count, pz / count, qx / count, qy / count, qz / count
-    along, across = 0.0, 0.0
-    for i in range(len(rows)):
-        if rows[i] >= 0:
-            ax, ay = points[rows[i], 0] - px, points[rows[i], 1] - py
-            bx, by = mean[markers[i], 0] - qx, mean[markers[i], 1] - qy
-            along += ax * bx + ay * by
-            across += ax * by - ay * bx
-    size = math.sqrt(along * along + across * across)
-    cos, sin = (along / size, across / size) if size > 0.0 else (1.0, 0.0)
-    return cos, sin, (px, py, pz), (qx, qy, qz)
-
-
-@njit(cache=True, nogil=True, fastmath=SUMS)
-def align(points, rows, mean, markers, out):
-    """Move all points by `placing`. OUT out (n, 3). O(n + k)."""
-    cos, sin, here, there = placing(points, rows, mean, markers)
-    for i in range(len(points)):
-        x, y = points[i, 0] - here[0], points[i, 1] - here[1]
-        out[i, 0] = cos * x - sin * y + there[0]
-        out[i, 1] = sin * x + cos * y + there[1]
-        out[i, 2] = points[i, 2] - here[2] + there[2]
-
-
-@njit(cache=True, nogil=True, fastmath=SUMS)
 def _cholesky(matrix, column):
     """Lower triangle of a symmetric positive definite matrix replaced by its Cholesky factor; returns log det. O(r^3 / 3)."""
     n = len(matrix)
@@ -245,7 +206,7 @@ def evidence(body, k, points, rows, settings, room):
     O(M r^2 + r^3).
     """
     markers, latents = body.load.shape[1], body.load.shape[3]
-    align(points, rows, body.mean[k], room.everyone, room.aligned)
+    align_about_z(points, rows, body.mean[k], room.everyone, room.aligned)
     room.moment[:] = 0.0
     counted = 0
     for m in range(markers):
@@ -343,9 +304,7 @@ def score_all(body, k, rows, settings, room):
             for b in range(3):
                 h[a, b] = (1.0 if a == b else 0.0) + sign * h[a, b]
         # predictive covariance (whitened): I + h for a hidden marker; (I - h)^-1 leave-one-out for a labelled one
-        c00, c01, c02 = h[1, 1] * h[2, 2] - h[1, 2] * h[2, 1], h[0, 2] * h[2, 1] - h[0, 1] * h[2, 2], h[0, 1] * h[1, 2] - h[0, 2] * h[1, 1]
-        c11, c12, c22 = h[0, 0] * h[2, 2] - h[0, 2] * h[2, 0], h[0, 2] * h[1, 0] - h[0, 0] * h[1, 2], h[0, 0] * h[1, 1] - h[0, 1] * h[1, 0]
-        det = h[0, 0] * c00 + h[0, 1] * (h[1, 2] * h[2, 0] - h[1, 0] * h[2, 2]) + h[0, 2] * (h[1, 0] * h[2, 1] - h[1, 1] * h[2, 0])
+        det, c00, c01, c02, c11, c12, c22 = cofactors(h[0, 0], h[0, 1], h[0, 2], h[1, 0], h[1, 1], h[1, 2], h[2, 0], h[2, 1], h[2, 2])
         det = max(det, 1e-9)
         inverse[0, 0], inverse[0, 1], inverse[0, 2] = c00 / det, c01 / det, c02 / det
         inverse[1, 0], inverse[1, 1], inverse[1, 2] = c01 / det, c11 / det, c12 / det
@@ -472,7 +431,7 @@ def assign_clear(scores, gap, rows):
 @njit(cache=True, nogil=True, fastmath=SUMS)
 def _anchor_displacement(anchors, a, k, body, points, rows3, delta):
     """OUT delta (9,): how far an anchor's points lie from a key pose's, once placed onto it. Returns its squared distance."""
-    cos, sin, here, there = placing(points, rows3, body.mean[k], anchors.markers[a])
+    cos, sin, here, there = fit_about_z(points, rows3, body.mean[k], anchors.markers[a])
     for i in range(3):
         m, row = anchors.markers[a, i], rows3[i]
         x, y = points[row, 0] - here[0], points[row, 1] - here[1]
@@ -505,7 +464,7 @@ def predict(anchors, a, k, body, points, rows3, delta, settings, room):
     """Score every point as every marker from an anchor alone (fills room.scores, like `score_all`). O(M n)."""
     markers, n = body.load.shape[1], len(points)
     _anchor_displacement(anchors, a, k, body, points, rows3, delta)
-    align(points, rows3, body.mean[k], anchors.markers[a], room.aligned)
+    align_about_z(points, rows3, body.mean[k], anchors.markers[a], room.aligned)
     for m in range(markers):
         mx, my, mz = body.mean[k, m, 0], body.mean[k, m, 1], body.mean[k, m, 2]
         for i in range(9):
