@@ -1,0 +1,52 @@
+"""The pages of docs/, README.md and CONTRIBUTING.md: their links lead somewhere, and the glossary is complete and in order."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+GLOSSARY = ROOT / "docs" / "glossary.md"
+
+
+def anchors_of(page: str) -> list[str]:
+    """The anchors of a page's headings, as GitHub makes them."""
+    found: list[str] = []
+    for heading in re.findall(r"^#+ (.+)$", re.sub(r"```.*?```", "", page, flags=re.DOTALL), re.MULTILINE):
+        slug = re.sub(r"[^\w\- ]", "", re.sub(r"\[(.*?)\]\(.*?\)", r"\1", heading).lower()).replace(" ", "-")
+        repeats = sum(anchor == slug or re.fullmatch(re.escape(slug) + r"-\d+", anchor) is not None for anchor in found)
+        found.append(f"{slug}-{repeats}" if repeats else slug)
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_of_a_page_leads_to_a_file_and_a_heading(page: Path) -> None:
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if re.match(r"\w+:", target):
+            continue
+        file, _, anchor = target.partition("#")
+        there = (page.parent / file).resolve() if file else page
+        assert there.exists(), f"{page.name} links to {target}, which does not exist"
+        if anchor and there.suffix == ".md":
+            assert anchor in anchors_of(there.read_text(encoding="utf-8")), f"{page.name} links to {target}: no such heading"
+
+
+def test_every_fence_of_a_page_is_closed() -> None:
+    for page in PAGES:
+        fences = re.findall(r"^ *```(\w*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+        assert len(fences) % 2 == 0 and not any(fences[1::2]), f"{page.name}: {fences}"
+
+
+def test_the_glossary_lists_all_its_terms_and_each_section_is_in_alphabetical_order() -> None:
+    text = GLOSSARY.read_text(encoding="utf-8")
+    terms = re.findall(r"^### (.+)$", text, re.MULTILINE)
+    assert len(set(terms)) == len(terms)
+    index = re.findall(r"\[([^\]]+)\]\(#", text.split("\n## ")[0])
+    assert index == sorted(terms, key=str.lower)
+    for section in text.split("\n## ")[1:]:
+        found = re.findall(r"^### (.+)$", section, re.MULTILINE)
+        assert found == sorted(found, key=str.lower)
