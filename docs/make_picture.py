@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from asterism.hiding import hide_and_haunt
+from asterism.labelling.simulated_occlusions import hide_and_haunt
 from asterism.recording import Floats
 from asterism.simulation import simulate_walks
 

@@ -17,8 +17,8 @@ from asterism.cli import main
 from asterism.labelling import TrainingRules, audit, without
 from asterism.labelling.audit import _kernels as kernels
 from asterism.labelling.body import _kernels as body_kernels
+from asterism.labelling.body.labeller import LookRules
 from asterism.labelling.body.model import BodyRules, fit_body
-from asterism.labelling.look import LookRules
 from asterism.simulation import simulate_walks
 
 PEOPLE = ("Ann", "Ben", "Cem", "Dee", "Eva")

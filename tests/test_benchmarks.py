@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from asterism.errors import AsterismError
-from asterism.hiding import hide_and_haunt, hide_in_gaps
+from asterism.labelling.simulated_occlusions import hide_and_haunt, hide_in_gaps
 from asterism.recording import NULL, Clouds, Labelling, Recording
 
 ROOT = Path(__file__).parents[1]

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
+from asterism.calibration.boards import Board, BoardViews, calibrate_board, find_board, footage_of
+from asterism.calibration.boards.board import Finder
 from asterism.cameras import Camera, Rig, rotation_from_vector, vector_from_rotation
-from asterism.cameras.boards import Board, BoardViews, calibrate_board, find_board, footage_of
-from asterism.cameras.boards.board import Finder
 from asterism.cameras.bundle import Sightings
 from asterism.cameras.files import read_rig
 from asterism.cli import main

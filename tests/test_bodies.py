@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 import asterism
 from asterism import formats
 from asterism.cli import main
-from asterism.hiding import anonymous, hide_in_gaps
 from asterism.labelling import SeveralBodies, join_labellings, label_together
-from asterism.labelling.tracks.bodies import Bodies, follow_bodies
+from asterism.labelling.simulated_occlusions import anonymous, hide_in_gaps
+from asterism.labelling.whole.bodies import Bodies, follow_bodies
 from asterism.recording import Labelling, MarkerSet, Recording
 from asterism.simulation import simulate_walks
 

@@ -8,11 +8,11 @@ import twins_body as twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from asterism.labelling._kernels import search
 from asterism.labelling.body import _kernels as kernels
 from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors, with_intervals
 from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, names_of, place_onto, subsample
 from asterism.labelling.ensemble import LookRules
+from asterism.labelling.partial._kernels import search
 
 SETTINGS = LookRules().settings(1.0)
 MARKERS, LATENTS, POSES = 6, 5, 2

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from asterism.labelling.calibration import LARGEST, Calibration
 from asterism.labelling.evaluation import expected_calibration_error
+from asterism.labelling.training.calibration import LARGEST, Calibration
 
 
 def chance(margin):

@@ -14,7 +14,7 @@ import pytest
 
 from asterism import formats
 from asterism.cli import _console, main
-from asterism.hiding import anonymous
+from asterism.labelling.simulated_occlusions import anonymous
 from asterism.recording import Recording
 from asterism.simulation import simulate_walks
 

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism.errors import AsterismError
-from asterism.recording import Blobs, to_common_clock
+from asterism.recording import Blobs
+from asterism.synchronization import to_common_clock
 
 RATE = 100.0
 

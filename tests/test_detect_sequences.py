@@ -14,12 +14,13 @@ import twins_detection
 from asterism.cameras import Rig
 from asterism.cameras.files import write_rig
 from asterism.cli import main
-from asterism.detection import _sync_kernels, detect, find_blobs, lags
-from asterism.detection.synchrony import out_of_step, slips
+from asterism.detection import detect, find_blobs
 from asterism.errors import AsterismError
 from asterism.formats import read_blobs
 from asterism.recording import Blobs
 from asterism.simulation.cameras import render, ring_rig, wave_wand
+from asterism.synchronization import _sync_kernels, lags
+from asterism.synchronization.lags import out_of_step, slips
 
 SIZE = (320, 256)
 

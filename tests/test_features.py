@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism import AsterismError
-from asterism.labelling import _kernels
-from asterism.labelling.features import FEATURES, TEMPORAL, describe, members, needs_motion, pool, upright
-from asterism.labelling.motion._kernels import G10, G18, WIDTH
+from asterism.labelling.partial import _kernels
+from asterism.labelling.partial._motion_kernels import G10, G18, WIDTH
+from asterism.labelling.partial.features import FEATURES, TEMPORAL, describe, members, needs_motion, pool, upright
 
 coordinates = st.floats(-2.0, 2.0, allow_nan=False).map(lambda x: round(x, 3))
 four_moving_points = st.integers(0, 10**6).map(lambda seed: np.round(np.random.default_rng(seed).uniform(-2, 2, (4, WIDTH)), 3))

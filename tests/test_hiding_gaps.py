@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import asterism
 from asterism.errors import AsterismError
-from asterism.hiding import GHOST_RADIUS, hide_a_few, hide_in_gaps
+from asterism.labelling.simulated_occlusions import GHOST_RADIUS, hide_a_few, hide_in_gaps
 from asterism.recording import NULL, Clouds, Ints, Recording
 
 RATE = 100.0

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from asterism import AsterismError, MarkerSet, Recording, SolverEnsemble, formats
 from asterism.cli import main
 from asterism.labelling.ensemble import TrainingRules
-from asterism.labelling.sample import GRID, Clip, Sample
+from asterism.labelling.training.sample import GRID, Clip, Sample
 from asterism.simulation import hide_and_haunt, simulate_walks
 
 QUICK = {"miner": None, "training": TrainingRules(trial_frames=20, folds=2)}

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from twins_links import is_cut, link_forward, strays
 
 from asterism.formats import read
-from asterism.hiding import anonymous, hide_in_gaps
-from asterism.labelling.tracks._cut_kernels import count_strays, find_cuts
-from asterism.labelling.tracks._link_kernels import link_through
-from asterism.labelling.tracks.linking import LinkRules, Tracklets, _along_numbers, find_tracklets
+from asterism.labelling.simulated_occlusions import anonymous, hide_in_gaps
 from asterism.recording import Clouds, Recording
 from asterism.simulation import simulate_walks
+from asterism.tracking._cut_kernels import count_strays, find_cuts
+from asterism.tracking._link_kernels import link_through
+from asterism.tracking.linking import LinkRules, Tracklets, _along_numbers, find_tracklets
 
 MOVEMENT = (
     "cmu41/01_01_climb.c3d",

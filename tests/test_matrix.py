@@ -8,11 +8,11 @@ import twins
 from test_weak import bodies
 
 from asterism import AsterismError, Clouds, Recording
-from asterism.hiding import hide_and_haunt
-from asterism.labelling._kernels import search
-from asterism.labelling.matrix import PartialSolvers, label_by_matrix, nobody
-from asterism.labelling.mining import Mine, Mining
-from asterism.labelling.solver import pack
+from asterism.labelling.partial._kernels import search
+from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix, nobody
+from asterism.labelling.partial.solver import pack
+from asterism.labelling.partial.solver_search import Mine, Mining
+from asterism.labelling.simulated_occlusions import hide_and_haunt
 
 FRAMES, GROUPS = bodies(people=3, frames=40)
 NAMES = tuple("ABCDEFG")

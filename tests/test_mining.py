@@ -10,11 +10,11 @@ import pytest
 from test_weak import bodies
 
 from asterism import AsterismError
-from asterism.hiding import hide_and_haunt
-from asterism.labelling._kernels import search
-from asterism.labelling.matrix import label_by_matrix
-from asterism.labelling.mining import MINERS, Mine, Mining, bottom_up, hide, mine
-from asterism.labelling.solver import pack, stack
+from asterism.labelling.partial._kernels import search
+from asterism.labelling.partial.matrix import label_by_matrix
+from asterism.labelling.partial.solver import pack, stack
+from asterism.labelling.partial.solver_search import MINERS, Mine, Mining, bottom_up, hide, mine
+from asterism.labelling.simulated_occlusions import hide_and_haunt
 from asterism.simulation import simulate_walks
 
 WALKS = simulate_walks(subjects=3, frames=120, seed=2)

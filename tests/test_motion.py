@@ -11,16 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism import AsterismError, Clouds, Recording, SolverEnsemble
-from asterism.hiding import hide_in_gaps
-from asterism.labelling import _kernels
 from asterism.labelling.ensemble import TrainingRules
-from asterism.labelling.features import FEATURES, TEMPORAL, kinds_of, needs_motion, pool
-from asterism.labelling.matrix import PartialSolvers, label_by_matrix
-from asterism.labelling.mining import Mining, mine
-from asterism.labelling.motion._kernels import WIDTH
-from asterism.labelling.motion.points import frames_with_motion, motion_of
-from asterism.labelling.solver import FullSolver, stack
-from asterism.labelling.weak import Spread, StrongClassifier
+from asterism.labelling.partial import _kernels
+from asterism.labelling.partial._motion_kernels import WIDTH
+from asterism.labelling.partial.features import FEATURES, TEMPORAL, kinds_of, needs_motion, pool
+from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
+from asterism.labelling.partial.motion_points import frames_with_motion, motion_of
+from asterism.labelling.partial.solver import FullSolver, stack
+from asterism.labelling.partial.solver_search import Mining, mine
+from asterism.labelling.partial.weak import Spread, StrongClassifier
+from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.simulation import simulate_walks
 
 WALKS = simulate_walks(subjects=3, frames=120, seed=2)

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from asterism import formats
 from asterism.cli import main
 from asterism.errors import AsterismError
-from asterism.hiding import hide_in_gaps
 from asterism.labelling import Groups, SolverEnsemble, name_groups, own_tracks
 from asterism.labelling.naming import places
+from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.recording import Clouds, Floats, Ints, Recording
 from asterism.simulation import simulate_walks
 

@@ -23,11 +23,11 @@ from asterism.reconstruction import Reconstruction, _kernels, reconstruct
 from asterism.reconstruction._compose_kernels import compose
 from asterism.reconstruction._order_kernels import ascending
 from asterism.reconstruction._pack_kernels import pack
-from asterism.reconstruction.columns import columns_of
 from asterism.reconstruction.rays import rays_of
 from asterism.reconstruction.setting import Belief, Setting, common_view, image_borders
 from asterism.recording import Blobs, Clouds
 from asterism.simulation.cameras import images_of, ring_rig, walker_capsules
+from asterism.tracking.columns import columns_of
 
 EVERYWHERE = np.array([[-np.inf] * 3, [np.inf] * 3])
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from asterism.errors import AsterismError
-from asterism.hiding import anonymous, hide_and_haunt
+from asterism.labelling.simulated_occlusions import anonymous, hide_and_haunt
 from asterism.recording import Clouds, Ints, Labelling, Recording
 from asterism.report import capturability_report, evaluation_report, label_report
 from asterism.simulation import simulate_walks

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from asterism import formats
 from asterism.cli import main
 from asterism.errors import AsterismError
-from asterism.hiding import anonymous, hide_in_gaps
 from asterism.labelling import Item, SolverEnsemble, review, settle
-from asterism.labelling.tracks.certainty import Certainty, Tried
+from asterism.labelling.simulated_occlusions import anonymous, hide_in_gaps
+from asterism.labelling.whole.certainty import Certainty, Tried
 from asterism.recording import Clouds, Ints, Labelling, Recording
 from asterism.report import review_report
 from asterism.simulation import simulate_walks

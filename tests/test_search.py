@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from test_weak import bodies
 
 from asterism import AsterismError, Clouds, Recording
-from asterism.hiding import hide_and_haunt
-from asterism.labelling._kernels import lay_out, make_bench, search, search_by_pairs
-from asterism.labelling.features import FEATURES as REGISTRY
-from asterism.labelling.motion._kernels import WIDTH
-from asterism.labelling.solver import FullSolver, pack, plant, replacements, share_pairs, stack, unpack
-from asterism.labelling.weak import Spread, Weak
+from asterism.labelling.partial._kernels import lay_out, make_bench, search, search_by_pairs
+from asterism.labelling.partial._motion_kernels import WIDTH
+from asterism.labelling.partial.features import FEATURES as REGISTRY
+from asterism.labelling.partial.solver import FullSolver, pack, plant, replacements, share_pairs, stack, unpack
+from asterism.labelling.partial.weak import Spread, Weak
+from asterism.labelling.simulated_occlusions import hide_and_haunt
 from asterism.simulation import simulate_walks
 
 ALL = tuple(feature.name for feature in REGISTRY)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism.errors import AsterismError
-from asterism.hiding import GHOST_RADIUS, anonymous, hide_and_haunt
+from asterism.labelling.simulated_occlusions import GHOST_RADIUS, anonymous, hide_and_haunt
 from asterism.recording import Floats, Labelling, MarkerSet, Recording
 from asterism.simulation import simulate_standing, simulate_walks, simulated_markers
 

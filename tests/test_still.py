@@ -14,7 +14,7 @@ from asterism.cameras.files import write_rig
 from asterism.cli import main
 from asterism.formats import write_blobs
 from asterism.reconstruction import reconstruct, summary
-from asterism.reconstruction.still import still_points
+from asterism.reconstruction.static_points import still_points
 from asterism.recording import Blobs
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import images_of, ring_rig, walker_capsules

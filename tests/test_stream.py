@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import asterism
-from asterism.hiding import hide_in_gaps
 from asterism.labelling.body._kernels import best_pose, make_room
 from asterism.labelling.body.model import BodyRules, factors
 from asterism.labelling.body.subject import SubjectRules, adapt_body
-from asterism.labelling.live_body import LiveBody, LiveRules
-from asterism.labelling.stream import FrameLabels, Stream, _assign, _margins
+from asterism.labelling.live.body import LiveBody, LiveRules
+from asterism.labelling.live.stream import FrameLabels, Stream, _assign, _margins
+from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.recording import Clouds, Recording
 from asterism.simulation import simulate_walks
 

@@ -7,12 +7,12 @@ import twins_tracks as twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from asterism.labelling.body.labeller import LookRules
 from asterism.labelling.body.model import BodyModel
-from asterism.labelling.look import LookRules
-from asterism.labelling.tracks import _distance_kernels as kernels_of_distances
-from asterism.labelling.tracks import _kernels as kernels
-from asterism.labelling.tracks import assignment
-from asterism.labelling.tracks.assignment import assign_tracklets
+from asterism.labelling.whole import _distance_kernels as kernels_of_distances
+from asterism.labelling.whole import _kernels as kernels
+from asterism.labelling.whole import assignment
+from asterism.labelling.whole.assignment import assign_tracklets
 
 SETTINGS = LookRules().settings(1.0)
 MARKERS, LATENTS, POSES = 6, 4, 2

@@ -11,10 +11,7 @@ import numpy as np
 import pytest
 import twins_wand
 
-from asterism.cameras import Camera, Rig, rotation_from_vector
-from asterism.cameras.aim import looking
-from asterism.cameras.bundle import Sightings, locate
-from asterism.cameras.wand import (
+from asterism.calibration.wand import (
     WandCalibration,
     calibrate_wand,
     in_world,
@@ -22,8 +19,11 @@ from asterism.cameras.wand import (
     world_from_l_frame,
     world_from_points,
 )
-from asterism.cameras.wand.clock import lags
-from asterism.cameras.wand.identify import Agreed, agree, identify, wand_of
+from asterism.calibration.wand.clock import lags
+from asterism.calibration.wand.identify import Agreed, agree, identify, wand_of
+from asterism.cameras import Camera, Rig, rotation_from_vector
+from asterism.cameras.aim import looking
+from asterism.cameras.bundle import Sightings, locate
 from asterism.errors import AsterismError
 from asterism.recording import Blobs
 from asterism.simulation.cameras import images_of, random_rig, ring_rig, wave_wand

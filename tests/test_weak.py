@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism import AsterismError
-from asterism.labelling._kernels import popcount
-from asterism.labelling.weak import Spread, StrongClassifier, Trial, choose_widening, readable, wrong_labellings
+from asterism.labelling.partial._kernels import popcount
+from asterism.labelling.partial.weak import Spread, StrongClassifier, Trial, choose_widening, readable, wrong_labellings
 
 
 def bodies(people=4, frames=60, markers=7, seed=0):

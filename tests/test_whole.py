@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import asterism
-from asterism.hiding import hide_in_gaps
 from asterism.labelling.ensemble import ANOTHER_PERSON
+from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.recording import Clouds
 from asterism.simulation import simulate_walks
 

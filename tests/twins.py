@@ -7,7 +7,7 @@ from itertools import permutations
 
 import numpy as np
 
-from asterism.labelling.features import FEATURES
+from asterism.labelling.partial.features import FEATURES
 
 
 def feature(name, points):

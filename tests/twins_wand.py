@@ -6,9 +6,9 @@ from itertools import combinations, permutations
 
 import numpy as np
 
+from asterism.calibration.wand.identify import BEND, DEPTH_RATIO, SHORTEST, SLACK
 from asterism.cameras import Camera
 from asterism.cameras.bundle import Sightings, triangulate
-from asterism.cameras.wand.identify import BEND, DEPTH_RATIO, SHORTEST, SLACK
 from asterism.recording import Blobs
 
 

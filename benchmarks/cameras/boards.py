@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from asterism.cameras.boards import Board, BoardCalibration, calibrate_board, find_board, footage_of
+from asterism.calibration.boards import Board, BoardCalibration, calibrate_board, find_board, footage_of
 from asterism.cameras.bundle import Sightings, adjust, place_objects, triangulate
 from asterism.cameras.bundle.adjust import rms
 from asterism.cameras.files import read_rig

@@ -10,9 +10,9 @@ from statistics import median
 import numpy as np
 from numpy.typing import ArrayLike
 
+from asterism.calibration.wand import WandCalibration, calibrate_wand
 from asterism.cameras import Camera, Rig, rotation_from_vector
 from asterism.cameras.bundle import Sightings, adjust, free_parameters, locate, place_objects
-from asterism.cameras.wand import WandCalibration, calibrate_wand
 from asterism.errors import AsterismError
 from asterism.recording import Floats
 from asterism.simulation.cameras import random_rig, ring_rig, wave_wand

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from asterism.calibration.wand import calibrate_wand
 from asterism.cameras import Camera, Rig, vector_from_rotation
 from asterism.cameras.bundle import locate
-from asterism.cameras.wand import calibrate_wand
 from asterism.recording import Floats
 from asterism.simulation.cameras import ring_rig, wave_wand
 from benchmarks.bench import Bench

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.hiding import hide_and_haunt
+from asterism.labelling.simulated_occlusions import hide_and_haunt
 from asterism.recording import NULL, Clouds, Ints, Labelling, Recording
 from benchmarks.bench import Bench
 from benchmarks.data import Fold, Test, evenly, everything, movement_folds, spread

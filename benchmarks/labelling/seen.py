@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 import asterism
-from asterism.hiding import hide_and_haunt
+from asterism.labelling.simulated_occlusions import hide_and_haunt
 from asterism.recording import NULL, Ints, Labelling, Recording
 from benchmarks.bench import Bench, frames_per_second
 from benchmarks.data import GAIT_BODY, blocks, evenly, gait, people_and_trials

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 
-from asterism.hiding import hide_and_haunt
 from asterism.labelling import FullSolver
+from asterism.labelling.simulated_occlusions import hide_and_haunt
 from benchmarks.bench import Bench, frames_per_second
 from benchmarks.data import blocks, gait, people_and_trials
 from benchmarks.figures import Figure

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from asterism.hiding import hide_and_haunt
+from asterism.labelling.simulated_occlusions import hide_and_haunt
 from benchmarks.bench import Bench
 from benchmarks.data import evenly, gait, people_and_trials, spread
 from benchmarks.figures import Figure

@@ -11,8 +11,8 @@ import numpy as np
 import asterism
 from asterism.labelling.body.model import BodyRules
 from asterism.labelling.body.subject import SubjectRules
-from asterism.labelling.tracks.scene import Looker, TimeRules
-from asterism.labelling.tracks.whole import Member, label_whole
+from asterism.labelling.whole.label import Member, label_whole
+from asterism.labelling.whole.scene import Looker, TimeRules
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 from benchmarks.bench import Bench
 from benchmarks.data import gait

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 
-from asterism.hiding import hide_a_few
+from asterism.labelling.simulated_occlusions import hide_a_few
 from benchmarks.bench import Bench
 from benchmarks.data import gait, spread
 from benchmarks.figures import Figure

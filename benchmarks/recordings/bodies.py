@@ -10,8 +10,8 @@ from itertools import pairwise
 import numpy as np
 
 import asterism
-from asterism.hiding import hide_in_gaps
 from asterism.labelling import SeveralBodies, join_labellings, label_together
+from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.recording import Ints, Labelling, Recording
 from benchmarks.bench import Bench
 from benchmarks.data import gait, people_and_trials

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.hiding import hide_in_gaps
+from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.recording import NULL, Floats, Ints, Labelling, Recording
 from benchmarks.bench import Bench
 from benchmarks.data import DIRTY, Fold, Test, everything, is_unnamed, movement_folds

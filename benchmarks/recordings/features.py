@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from asterism.labelling import FullSolver
-from asterism.labelling.features import TEMPORAL, THESIS, kinds_of
-from asterism.labelling.matrix import PartialSolvers, label_by_matrix
-from asterism.labelling.mining import FEATURES, Mining, mine
-from asterism.labelling.solver import stack
+from asterism.labelling.partial.features import TEMPORAL, THESIS, kinds_of
+from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
+from asterism.labelling.partial.solver import stack
+from asterism.labelling.partial.solver_search import FEATURES, Mining, mine
 from asterism.recording import Clouds, Labelling, Recording
 from benchmarks.bench import Bench
 from benchmarks.data import gait

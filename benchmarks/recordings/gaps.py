@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from asterism.hiding import hide_a_few, hide_in_gaps
+from asterism.labelling.simulated_occlusions import hide_a_few, hide_in_gaps
 from benchmarks.bench import Bench
 from benchmarks.data import gait
 from benchmarks.figures import Figure

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import asterism
-from asterism.hiding import anonymous, hide_in_gaps
 from asterism.labelling import Item, name_groups, own_tracks, review, settle
+from asterism.labelling.simulated_occlusions import anonymous, hide_in_gaps
 from asterism.recording import NULL, Clouds, Ints, Labelling, MarkerSet, Recording
 from benchmarks.bench import Bench
 from benchmarks.data import file_of, gait

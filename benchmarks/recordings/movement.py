@@ -9,7 +9,7 @@ from itertools import groupby
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.hiding import hide_in_gaps
+from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.recording import NULL, Ints, Labelling
 from benchmarks.bench import Bench
 from benchmarks.data import DIRTY, Fold, movement_folds

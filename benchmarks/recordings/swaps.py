@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.hiding import hide_in_gaps
-from asterism.labelling.tracks.linking import Tracklets, find_tracklets
+from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.recording import Clouds, Ints, Recording
+from asterism.tracking.linking import Tracklets, find_tracklets
 from benchmarks.bench import Bench, frames_per_second
 from benchmarks.data import GAIT_BODY, gait
 from benchmarks.figures import Figure

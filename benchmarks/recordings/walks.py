@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import asterism
-from asterism.hiding import hide_in_gaps
+from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.recording import Clouds, Ints, Recording
 from benchmarks.bench import Bench
 from benchmarks.data import file_of, gait, people_and_trials

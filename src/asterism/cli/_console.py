@@ -6,18 +6,18 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
 
 from asterism.errors import AsterismError
+from asterism.progress import Progress
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-Progress = Callable[[float, str], None]
 
 _WIDTH_WHEN_PIPED = 160
 

@@ -105,7 +105,7 @@ def _written(output: Path, session: Session, outcome: Outcome) -> dict[str, Path
     from asterism import formats
     from asterism.cameras.accuracy import Volume, map_rig, wand_accuracy
     from asterism.cameras.files import write_rig
-    from asterism.hiding import anonymous
+    from asterism.labelling.simulated_occlusions import anonymous
     from asterism.report import label_report, rig_report
     from asterism.simulation.session import WAND
 

@@ -52,8 +52,8 @@ def demo(
 
         raise typer.Exit(demo_cameras(output, seed, json))
     from asterism import formats
-    from asterism.hiding import anonymous, hide_and_haunt
     from asterism.labelling import SolverEnsemble, TrainingRules
+    from asterism.labelling.simulated_occlusions import anonymous, hide_and_haunt
     from asterism.recording import MarkerSet
     from asterism.report import label_report
     from asterism.simulation import simulate_walks

@@ -14,8 +14,8 @@ from asterism.cli._options import Files, FrameWise, Json, Models, Overwrite, Rep
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
-    from asterism.cli._console import Progress
     from asterism.labelling import SolverEnsemble
+    from asterism.progress import Progress
     from asterism.recording import Clouds, Labelling, MarkerSet, Recording
 
 

@@ -12,7 +12,8 @@ from asterism.cameras import Rig
 from asterism.detection.sources import Source
 from asterism.detection.times import FrameTimes
 from asterism.errors import AsterismError
-from asterism.recording import Blobs, Floats, to_common_clock
+from asterism.recording import Blobs, Floats
+from asterism.synchronization import to_common_clock
 
 _DEFAULT_RATE = 100.0
 _LINKED = 0.8

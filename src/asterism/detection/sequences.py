@@ -16,12 +16,11 @@ from asterism.cameras import Rig
 from asterism.detection.alignment import names_of, numbered, on_common_clock, rate_of
 from asterism.detection.blobs import Flag, Grey, Spots, background_of, find_blobs, static_mask, tell_thresholds, uneven_light
 from asterism.detection.sources import Source, images, open_source, some_images
-from asterism.detection.synchrony import lags, out_of_step, slips
 from asterism.detection.times import read_times
 from asterism.errors import AsterismError
+from asterism.progress import Progress
 from asterism.recording import Blobs, Floats
-
-Progress = Callable[[float, str], None]
+from asterism.synchronization.lags import lags, out_of_step, slips
 
 _LOOKED_AT = 24
 _BEHIND = 2

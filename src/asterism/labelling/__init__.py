@@ -5,10 +5,10 @@ from asterism.labelling.capturability import Capturability, Change, capturabilit
 from asterism.labelling.ensemble import SolverEnsemble, TrainingRules, label_together
 from asterism.labelling.evaluation import Condition, Evaluation, evaluate, leave_one_subject_out
 from asterism.labelling.naming import Groups, name_groups, own_tracks
+from asterism.labelling.partial.solver import FullSolver
 from asterism.labelling.review import Item, review, settle
-from asterism.labelling.solver import FullSolver
 from asterism.labelling.together import join_labellings
-from asterism.labelling.tracks.bodies import SeveralBodies
+from asterism.labelling.whole.bodies import SeveralBodies
 
 __all__ = [
     "Capturability",

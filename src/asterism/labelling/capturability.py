@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.hiding import hide_and_haunt
-from asterism.labelling._kernels import confusions
-from asterism.labelling.matrix import PartialSolvers, label_by_matrix, whole_model
-from asterism.labelling.mining import Mine, Mining, Progress, Subset, bottom_up, choose, hide
-from asterism.labelling.solver import FullSolver, stack
+from asterism.labelling.partial._kernels import confusions
+from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix, whole_model
+from asterism.labelling.partial.solver import FullSolver, stack
+from asterism.labelling.partial.solver_search import Mine, Mining, Subset, bottom_up, choose, hide
+from asterism.labelling.simulated_occlusions import hide_and_haunt
+from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Recording
 
 Half = tuple[Floats, Ints]

@@ -12,25 +12,26 @@ from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
 from asterism.labelling.body.anchors import Anchors
+from asterism.labelling.body.labeller import LookRules, Prepared
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules
-from asterism.labelling.calibration import Calibration
-from asterism.labelling.features import upright
-from asterism.labelling.learning import Memory, Recipe, TrainingRules, common_marker_set, learn_body, least_confidence
-from asterism.labelling.look import LookRules, Prepared, Progress
-from asterism.labelling.matrix import PartialSolvers, label_by_matrix
-from asterism.labelling.mining import mine
-from asterism.labelling.model_file import reading, write_arrays
-from asterism.labelling.sample import Sample
-from asterism.labelling.solver import person
-from asterism.labelling.tracks.bodies import check_for_one
-from asterism.labelling.tracks.certainty import STEEP, Certainty
-from asterism.labelling.tracks.scene import Looker, TimeRules
-from asterism.labelling.tracks.whole import Member, label_whole, own_body_gain, subject_body
+from asterism.labelling.partial.features import upright
+from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
+from asterism.labelling.partial.solver import person
+from asterism.labelling.partial.solver_search import mine
+from asterism.labelling.training.calibration import Calibration
+from asterism.labelling.training.learning import Memory, Recipe, TrainingRules, common_marker_set, learn_body, least_confidence
+from asterism.labelling.training.model_file import reading, write_arrays
+from asterism.labelling.training.sample import Sample
+from asterism.labelling.whole.bodies import check_for_one
+from asterism.labelling.whole.certainty import STEEP, Certainty
+from asterism.labelling.whole.label import Member, label_whole, own_body_gain, subject_body
+from asterism.labelling.whole.scene import Looker, TimeRules
+from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording
 
 if TYPE_CHECKING:
-    from asterism.labelling.stream import Stream
+    from asterism.labelling.live.stream import Stream
 
 ANOTHER_PERSON = 0.2
 """`subject_fit` of walks of walks: 0.27 to 0.41 after the own standing trial, below 0.2 after 96 % of other people's (gait subjects)."""
@@ -289,8 +290,8 @@ class SolverEnsemble:
         rate: frames per second; delay: frames to wait for, which make the labels surer; vertical: the axis that points up.
         Raises AsterismError where one of them makes no sense.
         """
-        from asterism.labelling.live_body import LiveBody, LiveRules
-        from asterism.labelling.stream import Stream
+        from asterism.labelling.live.body import LiveBody, LiveRules
+        from asterism.labelling.live.stream import Stream
 
         body_rules = BodyRules() if self._memory is None else self._memory.recipe.body
         live = None if self._body.within is None else LiveBody(self._body, body_rules, rate, LiveRules())

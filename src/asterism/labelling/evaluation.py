@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.hiding import hide_and_haunt
-from asterism.labelling.ensemble import Progress, SolverEnsemble
-from asterism.labelling.solver import person
+from asterism.labelling.ensemble import SolverEnsemble
+from asterism.labelling.partial.solver import person
+from asterism.labelling.simulated_occlusions import hide_and_haunt
+from asterism.progress import Progress
 from asterism.recording import Clouds, Floats, Ints, Recording
 
 BINS = 20
@@ -173,7 +174,7 @@ def _part(progress: Progress | None, index: int, count: int, what: str) -> Progr
     """A progress that fills one of `count` equal parts of another."""
     if progress is None:
         return None
-    outer: Callable[[float, str], None] = progress
+    outer: Progress = progress
     return lambda fraction, _: outer((index + fraction) / count, what)
 
 

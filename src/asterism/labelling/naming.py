@@ -12,9 +12,9 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.special import gammaln
 
 from asterism.errors import AsterismError
-from asterism.labelling.features import upright
-from asterism.labelling.tracks.linking import find_tracklets
+from asterism.labelling.partial.features import upright
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording, is_unnamed
+from asterism.tracking.linking import find_tracklets
 
 Bools = NDArray[np.bool_]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.labelling.tracks.linking import find_tracklets
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
+from asterism.tracking.linking import find_tracklets
 
 _NEAR = 0.1
 _CANDIDATES = 3

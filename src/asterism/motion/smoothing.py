@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
-from asterism.labelling.tracks.linking import LinkRules, find_tracklets
 from asterism.motion._kernels import smooth_path
+from asterism.progress import Progress
 from asterism.recording import Clouds, Floats
+from asterism.tracking.linking import LinkRules, find_tracklets
 
 _MISS = 0.02
 """m that a link's prediction may miss: points that two cameras see at a narrow angle are as inexact. With 0.03 neighbours are linked."""
@@ -38,12 +38,12 @@ class SmoothPaths:
     moved: Floats
 
 
-def smooth_paths(clouds: Clouds, covariance: ArrayLike, *, progress: Callable[[float, str], None] | None = None) -> SmoothPaths:
+def smooth_paths(clouds: Clouds, covariance: ArrayLike, *, progress: Progress | None = None) -> SmoothPaths:
     """Use what the frames before and after tell about each point, as much as its covariance leaves open.
 
     covariance  (P, 3, 3) m2, positive definite, errors of different frames independent: those of `asterism.reconstruction`
 
-    Points are linked to paths (`asterism.labelling.tracks.linking`); no point is added, none taken away, and links go no farther than to
+    Points are linked to paths (`asterism.tracking.linking`); no point is added, none taken away, and links go no farther than to
     the next frame. Each path is the mean of what is known of a motion with normal third differences, whose variance is estimated along the
     path together with it, by expectation-maximization over some seven frames: a foot in stance is averaged over tenths of a second, at a
     heel strike over hundredths. The smoother is the banded form of a Kalman smoother with jerk as white noise. How far the variance may

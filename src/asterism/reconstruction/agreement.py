@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from asterism.cameras import Camera, Rig
 from asterism.cameras.accuracy._kernels import image_slopes
-from asterism.detection.synchrony import out_of_step
 from asterism.reconstruction.result import Reconstruction
 from asterism.reconstruction.setting import image_borders
 from asterism.recording import Blobs, Floats, Ints
+from asterism.synchronization.lags import out_of_step
 
 OFF_PX, OFF_NOISES = 0.3, 0.5
 """A camera whose image is off by more than both, in px and in standard deviations of the noise, does not fit."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -11,13 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asterism.cameras import Rig
+from asterism.detection.static_lights import without_still_lights
 from asterism.errors import AsterismError
+from asterism.progress import Progress
 from asterism.reconstruction import _frame_kernels, _kernels, _plain_kernels
 from asterism.reconstruction.belief import told_by
 from asterism.reconstruction.rays import Rays, rays_of
 from asterism.reconstruction.result import Reconstruction
 from asterism.reconstruction.setting import Belief, Setting, common_view, image_borders
-from asterism.recording import Blobs, Clouds, Floats, Ints, as_vertical, to_common_clock, without_still_lights
+from asterism.recording import Blobs, Clouds, Floats, Ints, as_vertical
+from asterism.synchronization import to_common_clock
 
 METHODS = ("global", "plain")
 STILL = 0.75
@@ -36,7 +38,7 @@ def reconstruct(
     gate: float = 4.0,
     volume: ArrayLike | None = None,
     mask_static: bool = False,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Reconstruction:
     """The 3D points that the blobs of each frame show.
 
@@ -50,7 +52,7 @@ def reconstruct(
     progress     called with the share done and what is being done
 
     The rig's cameras are found by the blobs' names for them. Cameras that are not triggered together are brought to a common clock
-    first (`asterism.recording.to_common_clock`). The clouds' vertical is the rig's, z where it has none. Each frame is
+    first (`asterism.synchronization.to_common_clock`). The clouds' vertical is the rig's, z where it has none. Each frame is
     reconstructed by itself: the same blobs give the same points.
 
     Cameras without a pose are left out. Raises AsterismError where the rig lacks a camera of the blobs, fewer than two cameras

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from asterism.cameras import Rig
 from asterism.formats import write_points
-from asterism.reconstruction.columns import columns_of
 from asterism.recording import Blobs, Clouds, Evidence, Floats, Ints
+from asterism.tracking.columns import columns_of
 
 
 @dataclass(frozen=True)

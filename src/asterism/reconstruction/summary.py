@@ -11,7 +11,7 @@ from asterism.cameras import Rig
 from asterism.reconstruction.agreement import OFF_NOISES, OFF_PX, Agreement, agreement, cause
 from asterism.reconstruction.belief import noise_of
 from asterism.reconstruction.result import Reconstruction
-from asterism.reconstruction.still import StillPoint, still_points
+from asterism.reconstruction.static_points import StillPoint, still_points
 
 MUCH_NOISE = 1.5
 """px: blobs of markers are found to a few tenths; more means that the rig is not the recording's, or not what it was."""

@@ -2,10 +2,8 @@
 
 from asterism.recording.arrays import Floats, Ints, as_vertical
 from asterism.recording.blobs import Blobs
-from asterism.recording.clock import to_common_clock
 from asterism.recording.clouds import NULL, Clouds, Evidence, Labelling
 from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, without_subject
-from asterism.recording.still import still_lights, without_still_lights
 from asterism.recording.trajectories import Event, Recording, keep_labels
 
 __all__ = [
@@ -24,8 +22,5 @@ __all__ = [
     "is_unnamed",
     "keep_labels",
     "shipped_marker_sets",
-    "still_lights",
-    "to_common_clock",
-    "without_still_lights",
     "without_subject",
 ]

@@ -123,7 +123,7 @@ class Recording:
             frame = frames[np.argmax(columns < 0)]
             raise AsterismError(
                 f"frame {frame}: a labelled point came from no column of this recording; label the recording's own clouds(), "
-                "or make one of the clouds with asterism.hiding.anonymous()."
+                "or make one of the clouds with asterism.labelling.simulated_occlusions.anonymous()."
             )
         origin = self.origin if self.origin is not None else np.full(self.visible.shape, -1, dtype=np.int64)
         shape = labelling.indices.shape

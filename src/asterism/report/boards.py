@@ -13,7 +13,7 @@ from asterism.report.page import NOTHING, Cell, Page, Section, Table, percent, w
 from asterism.report.space import rig_in_space
 
 if TYPE_CHECKING:
-    from asterism.cameras.boards import BoardCalibration
+    from asterism.calibration.boards import BoardCalibration
 
 _ACROSS = 3
 """Images side by side."""

@@ -11,7 +11,7 @@ from asterism.report.page import NOTHING, Cell, Page, Section, Table, percent, w
 from asterism.report.space import rig_in_space
 
 if TYPE_CHECKING:
-    from asterism.reconstruction import Refinement
+    from asterism.calibration import Refinement
 
 _TINTS = {"good": 0.0, "bumped": 0.6, "out of step": 0.6, "lost": 1.0, "unknown": 0.3}
 

@@ -14,7 +14,7 @@ from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, per
 from asterism.report.space import rig_in_space
 
 if TYPE_CHECKING:
-    from asterism.cameras.wand import WandCalibration
+    from asterism.calibration.wand import WandCalibration
 
 _MOST_POINTS = 1500
 _ACROSS = 4
@@ -28,7 +28,7 @@ def wand_report(path: str | Path, made: WandCalibration, *, settings: Mapping[st
 
     Raises AsterismError where the file cannot be written.
     """
-    from asterism.cameras.wand import coverage
+    from asterism.calibration.wand import coverage
 
     lengths = made.lengths[np.isfinite(made.lengths)]
     cells = coverage(made)

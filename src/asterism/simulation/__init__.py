@@ -1,6 +1,6 @@
 """A number of subjects in; out come recordings of people who never lived, with known truth: for the demo, tests and benchmarks."""
 
-from asterism.hiding import anonymous, hide_and_haunt
+from asterism.labelling.simulated_occlusions import anonymous, hide_and_haunt
 from asterism.simulation.body import simulated_markers
 from asterism.simulation.walks import simulate_standing, simulate_walks
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from asterism.calibration.wand import WandCalibration, calibrate_wand, in_world, world_from_l_frame
 from asterism.cameras import Rig
-from asterism.cameras.wand import WandCalibration, calibrate_wand, in_world, world_from_l_frame
 from asterism.labelling import SolverEnsemble
+from asterism.progress import Progress
 from asterism.reconstruction import Reconstruction, reconstruct
 from asterism.recording import Labelling
 from asterism.simulation.compared import PointErrors, RigErrors, compare_points, compare_rigs
@@ -70,7 +70,7 @@ class Outcome:
         ]
 
 
-def work_through(session: Session, ensemble: SolverEnsemble, progress: Callable[[float, str], None] | None = None) -> Outcome:
+def work_through(session: Session, ensemble: SolverEnsemble, progress: Progress | None = None) -> Outcome:
     """Calibrate by the wand, lay the world into the L-frame, reconstruct the walker, label, and compare with the truth.
 
     Only the blobs, the image sizes and the lengths of wand and L-frame are used; the truth only to compare. Raises AsterismError where a

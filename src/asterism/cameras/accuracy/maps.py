@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +11,7 @@ from asterism.cameras.accuracy.sensitivity import covariance, sees, sensitivity
 from asterism.cameras.accuracy.volume import Volume, volume_of
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
+from asterism.progress import Progress
 from asterism.recording import Floats, Ints, as_vertical
 
 NOISE = 0.3
@@ -82,7 +82,7 @@ def map_rig(
     *,
     step: float | None = None,
     noise: float | None = None,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> RigMap:
     """Coverage, error and sensitivity all over a volume (thesis 3.3).
 

@@ -14,6 +14,7 @@ from asterism.cameras.plan import _kernels
 from asterism.cameras.plan.mounts import Mounts, camera_at
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
+from asterism.progress import Progress
 from asterism.recording import Floats, Ints
 
 PLACES, FINE_PLACES = 400, 2000
@@ -27,8 +28,6 @@ APART = 0.3
 """m, how near the polish may move one camera to another."""
 MOVES = [(which, sign) for which in (0, 1, 3, 4, 5) for sign in (1.0, -1.0)]
 PAIRS = np.array([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)])
-
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from asterism.cli._options import Json, Overwrite, Report
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
-    from asterism.cameras.boards import Board, BoardCalibration
+    from asterism.calibration.boards import Board, BoardCalibration
 
 _SIZE = "columns x rows, such as 9x6"
 
@@ -66,7 +66,7 @@ def board(
     """
     for path in (output, report, json):
         _console.check_new(path, overwrite)
-    from asterism.cameras.boards import calibrate_board, find_board, footage_of
+    from asterism.calibration.boards import calibrate_board, find_board, footage_of
     from asterism.cameras.files import read_rig, write_rig
 
     chosen = _board(board, chessboard, charuco, circles, asymmetric, square, marker, dictionary, inverted)
@@ -105,7 +105,7 @@ def _board(
     dictionary: str,
     inverted: bool,
 ) -> Board:
-    from asterism.cameras.boards import Board, size_of
+    from asterism.calibration.boards import Board, size_of
 
     given = [option for option in (board, chessboard, charuco, circles) if option is not None]
     if len(given) != 1:

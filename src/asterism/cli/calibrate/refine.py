@@ -12,7 +12,7 @@ from asterism.cli import _console
 from asterism.cli._options import Json, Overwrite, Report
 
 if TYPE_CHECKING:
-    from asterism.reconstruction import Refinement
+    from asterism.calibration import Refinement
 
 
 def refine(
@@ -32,9 +32,9 @@ def refine(
     """
     for path in (output, report, json):
         _console.check_new(path, overwrite)
+    from asterism.calibration import refine_rig
     from asterism.cameras.files import read_rig, write_rig
     from asterism.formats import read_blobs
-    from asterism.reconstruction import refine_rig
 
     given = read_rig(rig)
     seen = read_blobs(blobs, given.names)

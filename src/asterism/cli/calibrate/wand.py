@@ -13,8 +13,8 @@ from asterism.cli._options import Json, Overwrite, Report, metres
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
+    from asterism.calibration.wand import WandCalibration
     from asterism.cameras import Rig
-    from asterism.cameras.wand import WandCalibration
 
 Blobs2D = Annotated[
     Path, typer.Argument(metavar="2D.CSV", help="What the cameras saw: frame,camera,x,y[,size][,time].", show_default=False)
@@ -74,8 +74,8 @@ def wand(
         raise AsterismError("--l-frame says where markers are; give the recording in which they lie still as --floor 2D.CSV, too.")
     if floor is not None and points is not None:
         raise AsterismError("--floor and --points both say where the world is; give one of them.")
+    from asterism.calibration.wand import calibrate_wand
     from asterism.cameras.files import read_rig, write_rig
-    from asterism.cameras.wand import calibrate_wand
     from asterism.formats import read_blobs
 
     known = None if rig is None else read_rig(rig)
@@ -116,7 +116,7 @@ def wand(
 
 def _in_its_world(made: WandCalibration, floor: Path | None, l_frame: str | None, points: Path | None, *, scaled: bool) -> WandCalibration:
     """The calibration in the world frame that was asked for."""
-    from asterism.cameras.wand import in_world, world_from_floor_wand, world_from_l_frame, world_from_points
+    from asterism.calibration.wand import in_world, world_from_floor_wand, world_from_l_frame, world_from_points
     from asterism.formats import read_blobs
 
     if floor is not None:
@@ -198,7 +198,7 @@ def _distance(given: str | None) -> tuple[str, str, float] | None:
 def _told(made: WandCalibration, blobs: Path, output: Path | None) -> dict[str, Any]:
     import numpy as np
 
-    from asterism.cameras.wand import coverage
+    from asterism.calibration.wand import coverage
 
     lengths = made.lengths[np.isfinite(made.lengths)]
     measured = len(made.wand.lengths) > 1 and len(lengths) > 0

@@ -69,8 +69,8 @@ def report(
     _console.check_new(json, overwrite)
     import numpy as np
 
+    from asterism.calibration.measured_accuracy import measure_still, measure_wand
     from asterism.cameras.accuracy import Volume, map_rig, repeatability, wand_accuracy
-    from asterism.cameras.accuracy.seen import measure_still, measure_wand
     from asterism.cameras.files import read_rig
     from asterism.formats import read_blobs
     from asterism.report.rig import camera_facts, pair_scalars, rig_report

@@ -18,11 +18,12 @@ from asterism.labelling.audit._kernels import exchange_gains
 from asterism.labelling.audit.findings import ALWAYS, EXCHANGED, MISPLACED, Finding, Run, joined, sentence
 from asterism.labelling.audit.paths import exchanges, jumps, pairs_of
 from asterism.labelling.body._kernels import BodyArrays
+from asterism.labelling.body.labeller import LookRules
 from asterism.labelling.body.model import BodyRules, fit_body, names_of, subsample
-from asterism.labelling.features import upright
-from asterism.labelling.learning import renumbered
-from asterism.labelling.look import LookRules, Progress
-from asterism.labelling.solver import person
+from asterism.labelling.partial.features import upright
+from asterism.labelling.partial.solver import person
+from asterism.labelling.training.learning import renumbered
+from asterism.progress import Progress
 from asterism.recording import Floats, Ints, Recording
 
 FARTHEST = 1000.0

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from asterism.labelling._kernels import search
+from asterism.labelling.partial._kernels import search
 
 LOG_2PI = math.log(2.0 * math.pi)
 LABELLINGS = 24

@@ -13,9 +13,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.labelling._kernels import G2, G4, G9, SolverArrays, feature_ranges, search
 from asterism.labelling.body._kernels import LOG_2PI, AnchorArrays
 from asterism.labelling.body.model import BodyModel
+from asterism.labelling.partial._kernels import G2, G4, G9, SolverArrays, feature_ranges, search
 from asterism.recording import Floats, Ints
 
 CHECKS = ((G4, (0, 1), 1), (G2, (0, 1), 1), (G4, (0, 2), 2), (G2, (0, 2), 2), (G2, (1, 2), 2), (G9, (0, 1, 2), 2))

@@ -1,0 +1,310 @@
+"""The one kernel decorator: one policy of compiler flags, and a compile cache that knows the sources of all kernels that a kernel calls.
+
+Policy of flags, the same for all kernels:
+
+- `nogil`: kernels touch no Python object, so threads run them side by side.
+- `error_model="numpy"`: a division by zero gives an infinity or NaN, as NumPy does, and NaN means missing. Kernels therefore test a divisor
+  that can be zero. Numba's other model puts a branch that raises behind each division, which keeps loops from running in vector registers.
+- no fast-math: the order of additions is the order of the source, and NaN and infinity keep their meaning. So a result does not depend on
+  which kernel was inlined into which.
+- `inline=True` copies a kernel into each of its callers. It is for small kernels in the innermost loops, and for kernels with one caller
+  (which then compile once instead of twice).
+
+Everything that depends on private parts of Numba is in this file. Where a release of Numba has changed them, its own cache takes over.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import os
+import pickle
+import re
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any, overload
+
+import numba
+from numba import njit
+
+Function = Callable[..., Any]
+
+_FLAGS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+_UNUSED_SECONDS = 30 * 86400.0
+"""A folder of compiled kernels from other sources is removed when it has not been used for this long (s)."""
+_DIGEST = hashlib.sha256().digest_size
+"""Bytes in front of a compiled kernel by which a damaged file is recognised."""
+_IMPORT = re.compile(rb"^[ \t]*(?:from[ \t]+([.\w]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)|import[ \t]+([^\n]*))", re.MULTILINE)
+
+_first_compile: Callable[[bool], None] | None = None
+
+
+@overload
+def kernel(function: Function, /) -> Function: ...
+
+
+@overload
+def kernel(*, inline: bool = False) -> Callable[[Function], Function]: ...
+
+
+def kernel(function: Function | None = None, /, *, inline: bool = False) -> Any:
+    """Compile a function with Numba when it is first called, by the policy of this file. Used bare, or as `@kernel(inline=True)`.
+
+    With `NUMBA_DISABLE_JIT=1` the function stays plain Python.
+    """
+
+    def decorate(function: Function) -> Function:
+        flags = _FLAGS | ({"inline": "always"} if inline else {})
+        dispatcher: Any = njit(**flags)(function)
+        if not numba.config.DISABLE_JIT:
+            _keep_compiled(dispatcher, function, flags)
+        return dispatcher
+
+    return decorate if function is None else decorate(function)
+
+
+def on_first_compile(callback: Callable[[bool], None] | None) -> None:
+    """Call `callback(kept)` once in this process, before the first kernel compiles that the cache does not have.
+
+    `kept` is False where no folder for the cache can be written, so that every run compiles again. None removes the callback.
+    """
+    global _first_compile
+    _first_compile = callback
+
+
+@cache
+def source_stamp(module: str) -> str | None:
+    """Hash of the sources of a module and of all modules of its package that it imports, transitively; None where a source is missing.
+
+    Only loaded modules count. Computed once per process and module.
+    """
+    digest = hashlib.sha256()
+    reached, waiting = {module}, [module]
+    while waiting:
+        name = waiting.pop()
+        source, imports = _source(name)
+        if source is None:
+            return None
+        digest.update(name.encode() + b"\0" + source)
+        for other in sorted(imports - reached):
+            reached.add(other)
+            waiting.append(other)
+    return digest.hexdigest()
+
+
+@cache
+def _source(module: str) -> tuple[bytes | None, frozenset[str]]:
+    """The hash of a loaded module's source, and the modules of the same package that it imports."""
+    loaded = sys.modules.get(module)
+    path = getattr(loaded, "__file__", None)
+    if path is None or not path.endswith(".py"):
+        return None, frozenset()
+    try:
+        loader: Any = getattr(loaded, "__loader__", None)
+        text: bytes = loader.get_data(path) if hasattr(loader, "get_data") else Path(path).read_bytes()
+    except OSError:
+        return None, frozenset()
+    package = getattr(loaded, "__package__", None) or ""
+    return hashlib.sha256(text).digest(), frozenset(_imports(text, module, package))
+
+
+def _imports(text: bytes, module: str, package: str) -> Iterator[str]:
+    """Names of loaded modules of the same package that a source imports; text that only looks like an import does no harm."""
+    top = module.partition(".")[0]
+    for origin, names, plain in _IMPORT.findall(text):
+        base = origin.decode()
+        dots = len(base) - len(base.lstrip("."))
+        if dots:
+            base = ".".join([*package.split(".")[: len(package.split(".")) - dots + 1], *filter(None, [base.lstrip(".")])])
+        words = re.findall(r"[\w.]+", (names or plain).decode(errors="replace"))
+        for name in [base, *(f"{base}.{word}" for word in words)] if base else words:
+            if name.partition(".")[0] == top and name != module and name in sys.modules:
+                yield name
+
+
+def _keep_compiled(dispatcher: Any, function: Function, flags: dict[str, Any]) -> None:
+    """Give a dispatcher the cache of this file, or Numba's where that does not work with the Numba that is installed."""
+    try:
+        dispatcher._cache = _cache_class()(function, flags)
+    except (ImportError, AttributeError, TypeError):
+        try:
+            dispatcher.enable_caching()
+        except RuntimeError:  # no folder can be written
+            return
+
+
+@cache
+def _cache_class() -> type:
+    """The cache as a subclass of Numba's, made when it is first needed.
+
+    One file holds one kernel, compiled for one list of argument types on one kind of processor; its name is a hash of all that.
+    """
+    from numba.core.caching import _Cache
+    from numba.core.compiler import CompileResult
+    from numba.core.serialize import dumps
+
+    class KernelCache(_Cache):
+        def __init__(self, function: Function, flags: dict[str, Any]) -> None:
+            self.module, self.name = function.__module__, re.sub(r"[^\w.]", "", function.__qualname__)
+            code = function.__code__
+            own, policy = source_stamp(self.module), source_stamp(__name__)
+            # A function with a closure has values that no source tells.
+            self.known = own is not None and policy is not None and function.__closure__ is None
+            self.stamp = hashlib.sha256(f"{own} {policy}".encode()).hexdigest()[:16]
+            self.what = (numba.__version__, sys.version, sorted(flags.items()), code.co_firstlineno, code.co_code.hex())
+
+        @property
+        def cache_path(self) -> str:
+            return str(_folders(self.module, self.stamp)[0])
+
+        def load_overload(self, sig: Any, target_context: Any) -> Any:
+            target_context.refresh()
+            if self.known:
+                name = self._file_name(sig, target_context.codegen())
+                for folder in _folders(self.module, self.stamp):
+                    try:
+                        content = (folder / name).read_bytes()
+                    except OSError:
+                        continue
+                    if content[:_DIGEST] == hashlib.sha256(content[_DIGEST:]).digest():
+                        return CompileResult._rebuild(target_context, *pickle.loads(content[_DIGEST:]))
+            _report_first_compile(self.module, self.stamp)
+            return None
+
+        def save_overload(self, sig: Any, data: Any) -> None:
+            if not self.known or any(not lifted.can_cache for lifted in data.lifted) or data.library.has_dynamic_globals:
+                return
+            folder = _writable_folder(self.module, self.stamp)
+            if folder is None:
+                return
+            name = self._file_name(sig, data.codegen)
+            compiled = dumps(data._reduce())
+            try:
+                _replace(folder / name, hashlib.sha256(compiled).digest() + compiled)
+                _remove_outdated(folder, f"{self.module.rpartition('.')[2]}.{self.name}-", self.stamp)
+            except OSError:  # the disk is full, or another process holds the file
+                return
+
+        def _file_name(self, sig: Any, codegen: Any) -> str:
+            config = numba.config
+            key = (self.what, codegen.magic_tuple(), _described(sig), config.OPT, config.BOUNDSCHECK, config.LOOP_VECTORIZE)
+            digest = hashlib.sha256(repr(key).encode()).hexdigest()[:20]
+            return f"{self.module.rpartition('.')[2]}.{self.name}-{self.stamp}.{digest}.nbc"
+
+        def enable(self) -> None: ...
+
+        def disable(self) -> None: ...
+
+        def flush(self) -> None: ...
+
+    return KernelCache
+
+
+def _described(sig: Any) -> str:
+    """Argument types as text; of named tuples also the names and the order of their fields, which their text leaves out."""
+    parts, waiting = [repr(sig)], list(sig if isinstance(sig, tuple) else sig.args)
+    while waiting:
+        kind = waiting.pop()
+        given = getattr(kind, "instance_class", None)
+        if given is not None:
+            parts.append(f"{given.__module__}.{given.__qualname__}{getattr(given, '_fields', ())}")
+        waiting.extend(getattr(kind, "types", ()))
+    return " ".join(parts)
+
+
+def _folders(module: str, stamp: str) -> list[Path]:
+    """Where compiled kernels of a module may be, best first: `NUMBA_CACHE_DIR`, beside the source, the user's cache, a temporary folder.
+
+    Folders that several versions of the source may share carry the stamp of the sources in their name.
+    """
+    name = f"{module}-{stamp}"
+    if numba.config.CACHE_DIR:
+        folders = [Path(numba.config.CACHE_DIR) / name]
+    else:
+        folders = [Path(str(sys.modules[module].__file__)).parent / "__pycache__"]
+        user = _user_folder()
+        if user is not None:
+            folders.append(user / name)
+    if _temporary is not None:
+        folders.append(Path(_temporary) / name)
+    return folders
+
+
+def _user_folder() -> Path | None:
+    try:
+        from numba.misc.appdirs import AppDirs
+
+        return Path(AppDirs(appname="asterism", appauthor=False).user_cache_dir) / "kernels"
+    except (ImportError, AttributeError, OSError):
+        return None
+
+
+_temporary: str | None = None
+
+
+@cache
+def _writable_folder(module: str, stamp: str) -> Path | None:
+    """The first of `_folders` that can be written, a temporary one at last; None where not even that can be made."""
+    global _temporary
+    for folder in _folders(module, stamp):
+        try:
+            new = not folder.exists()
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+        except OSError:
+            continue
+        if new:
+            _remove_unused(folder, module)
+        return folder
+    try:
+        _temporary = tempfile.mkdtemp(prefix="asterism-kernels-")
+    except OSError:
+        return None
+    atexit.register(shutil.rmtree, _temporary, ignore_errors=True)
+    folder = Path(_temporary) / f"{module}-{stamp}"
+    folder.mkdir()
+    return folder
+
+
+def _report_first_compile(module: str, stamp: str) -> None:
+    global _first_compile
+    callback, _first_compile = _first_compile, None
+    if callback is not None:
+        folder = _writable_folder(module, stamp)
+        callback(folder is not None and (_temporary is None or Path(_temporary) not in folder.parents))
+
+
+def _replace(path: Path, content: bytes) -> None:
+    """Write a file so that another process sees the old one or the new one, and nothing between."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name[:40], suffix=".part")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def _remove_outdated(folder: Path, prefix: str, stamp: str) -> None:
+    """Remove compiled forms of a kernel that came from other sources, beside the source only."""
+    if folder.name != "__pycache__":
+        return
+    for path in folder.glob(f"{prefix}*.nb[ci]"):
+        if not path.name.startswith(f"{prefix}{stamp}."):
+            path.unlink(missing_ok=True)
+
+
+def _remove_unused(folder: Path, module: str) -> None:
+    """Remove folders of the same module from other sources that have not been written for long."""
+    for other in folder.parent.glob(f"{module}-{'[0-9a-f]' * 16}"):
+        with suppress(OSError):
+            if other != folder and time.time() - other.stat().st_mtime > _UNUSED_SECONDS:
+                shutil.rmtree(other, ignore_errors=True)

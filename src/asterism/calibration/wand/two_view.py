@@ -1,0 +1,220 @@
+"""Two cameras and their images of a wand in; both posed, with nothing known, out: what a cold start begins from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.calibration.wand.frames import shown
+from asterism.calibration.wand.identify import Wand
+from asterism.cameras.bundle import Adjustment, Sightings, adjust, free_parameters, place_objects, triangulate
+from asterism.cameras.camera import Camera
+from asterism.recording import Blobs, Floats, Ints
+
+Bools = NDArray[np.bool_]
+
+GUESSES = (0.55, 0.8, 1.15, 1.65, 2.4, 3.6)
+"""Focal lengths to begin with, in widths of the image."""
+FEWEST = 25
+"""So many frames must two cameras share, or a camera with those that are posed already."""
+_PAIR_FRAMES = 100
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two posed cameras by their places, px that their adjustment misses by, and how unsure (a share) the worse focal length is."""
+
+    cameras: dict[int, Camera]
+    error: float
+    doubt: float
+
+
+def guessed(name: str, size: tuple[int, int], focal: float) -> Camera:
+    """A camera without distortion that looks along its image's middle."""
+    return Camera(name, size, (focal, focal), (0.5 * (size[0] - 1), 0.5 * (size[1] - 1)))
+
+
+def priors(cameras: Sequence[Camera], known: Sequence[Camera | None], noise: float) -> tuple[Floats, Floats]:
+    """What is expected of lenses before anything was seen, as `adjust` takes it: values and standard deviations (C, 15).
+
+    Of an unknown lens: square pixels, a principal point in the middle of the image, little distortion. Of a known one: that it is so.
+    """
+    expected, spread = np.zeros((len(cameras), 15)), np.full((len(cameras), 15), np.inf)
+    for c, (camera, lens) in enumerate(zip(cameras, known, strict=True)):
+        width, height = camera.size or (1280, 1024)
+        if lens is None:
+            centre = (0.5 * (width - 1), 0.5 * (height - 1))
+            expected[c, 6:] = camera.focal[0], 1.0, *centre, 0.0, 0.0, 0.0, 0.0, 0.0
+            spread[c, 6:] = 10.0 * camera.focal[0], 0.003, 0.03 * width, 0.03 * width, 0.5, 0.5, 0.5, 0.005, 0.005
+        else:
+            radial = (*lens.radial, 0.0, 0.0, 0.0)[:3]
+            expected[c, 6:] = lens.focal[0], lens.focal[1] / lens.focal[0], *lens.centre, *radial, *lens.tangential
+            spread[c, 6:] = 0.02 * lens.focal[0], 0.003, 0.01 * width, 0.01 * width, 0.03, 0.05, 0.05, 0.002, 0.002
+    return expected, spread / noise
+
+
+def first_pair(
+    blobs: Blobs, chosen: Ints, wand: Wand, sizes: Sequence[tuple[int, int]], known: Sequence[Camera | None], a: int, b: int
+) -> Pair | None:
+    """The best of several ways to pose two cameras: by the depths that the wand itself shows, by epipolar geometry; from several focals."""
+    both = np.nonzero(shown(chosen)[:, [a, b]].all(axis=1))[0]
+    both = both[np.unique(np.linspace(0, len(both) - 1, min(_PAIR_FRAMES, len(both))).astype(np.int64))]
+    xy = blobs.xy[chosen[both][:, [a, b]]]
+    epipolar = _fundamental(xy, wand, 0.003 * max(sizes[a]))
+    tried: list[tuple[float, int, Adjustment, Bools]] = []
+    for guess in GUESSES:
+        pair = [known[c] or guessed(blobs.cameras[c], sizes[c], guess * sizes[c][0]) for c in (a, b)]
+        poses = []
+        if len(wand.lengths) == 3 and not wand.either:
+            poses.append(_pose_by_depths(xy, pair, wand))
+        if epipolar is not None:
+            poses.append(_pose_by_epipolar_geometry(xy, pair, wand, epipolar))
+        for pose in poses:
+            if pose is None:
+                continue
+            posed = [pair[0], replace(pair[1], rotation=pose[0], translation=pose[1])]
+            fitted = _fit_pair(xy, posed, [known[a], known[b]], wand, pose[2], 8)
+            if fitted is not None:
+                tried.append((_typical(fitted), len(tried), fitted, pose[2]))
+        if known[a] is not None and known[b] is not None:
+            break
+    best: Pair | None = None
+    for _, _, fitted, turned in sorted(tried, key=lambda one: one[:2])[:3]:
+        full = _fit_pair(xy, list(fitted.cameras), [known[a], known[b]], wand, turned, 25)
+        if full is None or (best is not None and _typical(full) >= best.error):
+            continue
+        doubt = float((full.sigma[:, 6] / [camera.focal[0] for camera in full.cameras]).max())
+        best = Pair({a: full.cameras[0], b: full.cameras[1]}, _typical(full), doubt)
+    return best
+
+
+def _typical(fitted: Adjustment) -> float:
+    """px, the median distance of an adjustment's residuals."""
+    return float(np.nanmedian(np.linalg.norm(fitted.residuals, axis=1)))
+
+
+def _fit_pair(
+    xy: Floats, cameras: list[Camera], known: Sequence[Camera | None], wand: Wand, turned: Bools, steps: int
+) -> Adjustment | None:
+    """Adjust two cameras to the wand's images (n, 2, K, 2) px; `turned` (n,): where the second camera's order is the reverse one."""
+    xy = xy.copy()
+    xy[turned, 1] = xy[turned, 1, ::-1]
+    sightings = Sightings.from_array(xy)
+    points = triangulate(cameras, sightings, len(xy), len(wand.lengths))
+    rotations, translations = _placed(wand, points)
+    good: Bools = np.asarray(np.isfinite(translations).all(axis=1))
+    if good.sum() < FEWEST // 2:
+        return None
+    sightings, kept = sightings.select(good[sightings.frame]).compact()
+    free = free_parameters(2, "pose", "focal", "k1")
+    prior = priors(cameras, known, 0.5)
+    prior[1][:, 6] = np.minimum(prior[1][:, 6], 0.7 * np.array([camera.focal[0] for camera in cameras]) / 0.5)
+    return adjust(
+        cameras, wand.template, sightings, rotations[kept], translations[kept],
+        free=free, prior=prior, loss="cauchy", scale=3.0, tolerance=1e-4, steps=steps,
+    )  # fmt: skip
+
+
+def _placed(wand: Wand, points: Floats) -> tuple[Floats, Floats]:
+    """The wand in each frame by its markers' positions (T, K, 3) m; a single dot is where it is."""
+    if len(wand.lengths) == 1:
+        return np.tile(np.eye(3), (len(points), 1, 1)), points[:, 0]
+    return place_objects(wand.template, points)
+
+
+def _pose_by_depths(xy: Floats, pair: Sequence[Camera], wand: Wand) -> tuple[Floats, Floats, Bools] | None:
+    """The second camera's pose (rotation, translation m) in the first one's axes, from the wand as each camera alone sees it.
+
+    Where the inner marker is seen between the others tells how much farther one end is than the other, and the length how far both are:
+    the wand's ends in each camera's own axes, noisy in depth. One set is laid on the other (Kabsch 1976), reweighted.
+    """
+    share, whole = float(wand.lengths[1] / wand.lengths[2]), float(wand.lengths[2])
+    ends = []
+    for c, camera in enumerate(pair):
+        flat = camera.undistort(xy[:, c])
+        ray = np.concatenate([flat, np.ones((*flat.shape[:2], 1))], axis=2)
+        near, far = np.cross(ray[:, 0], ray[:, 1]), np.cross(ray[:, 2], ray[:, 1])
+        ratio = -(1.0 - share) * (near * far).sum(axis=1) / np.maximum(share * (far * far).sum(axis=1), 1e-15)
+        ratio = np.clip(ratio, 0.4, 2.5)
+        depth = whole / np.linalg.norm(ratio[:, None] * ray[:, 2] - ray[:, 0], axis=1)
+        ends.append(np.stack([depth[:, None] * ray[:, 0], (depth * ratio)[:, None] * ray[:, 2]], axis=1))
+    one, other = ends
+    good = np.isfinite(one).all(axis=(1, 2)) & np.isfinite(other).all(axis=(1, 2))
+    if good.sum() < FEWEST // 2:
+        return None
+    one, other = one[good].reshape(-1, 3), other[good].reshape(-1, 3)
+    weight = np.ones(len(one))
+    for _ in range(15):
+        total = weight.sum()
+        middle_one, middle_other = weight @ one / total, weight @ other / total
+        u, _, vt = np.linalg.svd((weight[:, None] * (other - middle_other)).T @ (one - middle_one))
+        rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+        translation = middle_other - rotation @ middle_one
+        miss = np.linalg.norm(other - one @ rotation.T - translation, axis=1)
+        weight = 1.0 / (1.0 + np.square(miss / max(float(np.median(miss)), 1e-9)))
+    return rotation, translation, np.zeros(len(xy), dtype=bool)
+
+
+def _fundamental(xy: Floats, wand: Wand, gate: float) -> tuple[Floats, Bools] | None:
+    """The fundamental matrix of two cameras by RANSAC, and in which frames (n,) the second one's markers come in reverse order.
+
+    Where images leave the order open, first by the middle of the wand, whose images belong together (exactly with three markers, nearly
+    with two); then each frame takes the order that fits.
+    """
+    turned = np.zeros(len(xy), dtype=bool)
+    if not wand.either or len(wand.lengths) == 1:
+        points = xy.transpose(1, 0, 2, 3).reshape(2, -1, 2)
+        matrix = _ransac(points[0], points[1], gate)
+        return None if matrix is None else (matrix, turned)
+    middle = xy[:, :, 1] if len(wand.lengths) == 3 else xy.mean(axis=2)
+    matrix = _ransac(middle[:, 0], middle[:, 1], 3.0 * gate)
+    for _ in range(2):
+        if matrix is None:
+            return None
+        straight = _off_the_lines(matrix, xy[:, 0], xy[:, 1]).sum(axis=1)
+        turned = _off_the_lines(matrix, xy[:, 0], xy[:, 1, ::-1]).sum(axis=1) < straight
+        second = np.where(turned[:, None, None], xy[:, 1, ::-1], xy[:, 1])
+        matrix = _ransac(xy[:, 0].reshape(-1, 2), second.reshape(-1, 2), gate)
+    return None if matrix is None else (matrix, turned)
+
+
+def _ransac(one: Floats, other: Floats, gate: float) -> Floats | None:
+    if len(one) < 15:
+        return None
+    matrix, _ = cv2.findFundamentalMat(np.ascontiguousarray(one), np.ascontiguousarray(other), cv2.FM_RANSAC, gate, 0.999, 2000)
+    return None if matrix is None or matrix.shape != (3, 3) else np.asarray(matrix, dtype=np.float64)
+
+
+def _off_the_lines(matrix: Floats, one: Floats, other: Floats) -> Floats:
+    """px, how far points (n, K, 2) of the second image are from the epipolar lines of those of the first."""
+    lines = np.concatenate([one, np.ones((*one.shape[:-1], 1))], axis=-1) @ matrix.T
+    distance = np.abs((lines[..., :2] * other).sum(axis=-1) + lines[..., 2]) / np.maximum(np.linalg.norm(lines[..., :2], axis=-1), 1e-12)
+    return np.asarray(distance, dtype=np.float64)
+
+
+def _pose_by_epipolar_geometry(
+    xy: Floats, pair: Sequence[Camera], wand: Wand, epipolar: tuple[Floats, Bools]
+) -> tuple[Floats, Floats, Bools] | None:
+    """The second camera's pose in the first one's axes from their fundamental matrix and lenses; scale from the wand."""
+    matrix, turned = epipolar
+    ordered = np.stack([xy[:, 0], np.where(turned[:, None, None], xy[:, 1, ::-1], xy[:, 1])], axis=1)
+    flat = [camera.undistort(ordered[:, c].reshape(-1, 2)) for c, camera in enumerate(pair)]
+    good = np.isfinite(flat[0]).all(axis=1) & np.isfinite(flat[1]).all(axis=1)
+    if good.sum() < 15:
+        return None
+    essential = pair[1].matrix.T @ matrix @ pair[0].matrix
+    _, rotation, translation, _ = cv2.recoverPose(essential, flat[0][good], flat[1][good], np.eye(3))
+    translation = translation.ravel()
+    if len(wand.lengths) > 1:
+        cameras = [pair[0], replace(pair[1], rotation=rotation, translation=translation)]
+        points = triangulate(cameras, Sightings.from_array(ordered), len(xy), len(wand.lengths))
+        seen = np.linalg.norm(points[:, -1] - points[:, 0], axis=1)
+        length = float(np.nanmedian(seen)) if np.isfinite(seen).any() else 0.0
+        if not length > 1e-9:
+            return None
+        translation = translation * (wand.lengths[-1] / length)
+    return rotation, translation, turned

@@ -1,0 +1,50 @@
+"""What a person should know before they use a result: one record for all rooms, and the exit status that follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import IntEnum
+
+
+class Severity(IntEnum):
+    """How much a finding speaks against a result."""
+
+    NOTE = 0
+    """Worth knowing. The result can be used as it is."""
+    WARNING = 1
+    """The result can be used, but part of it is missing, doubtful or needs a look."""
+    ERROR = 2
+    """The result should not be used."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was found out about a result or an input.
+
+    code      a stable name such as "wand-few-frames"; docs/findings.md gives the cause and the mend of each
+    severity  how much it speaks against the result
+    where     the file, camera, marker or frames concerned; empty where it is the whole result
+    sentence  what was found, for a person; it names what `where` names
+    mend      what to do about it; empty where nothing can be done
+    """
+
+    code: str
+    severity: Severity
+    where: str
+    sentence: str
+    mend: str = ""
+
+    def __str__(self) -> str:
+        """The sentence, and the mend behind it."""
+        return f"{self.sentence} {self.mend}".rstrip()
+
+
+def worst(findings: Iterable[Finding]) -> Severity:
+    """The highest severity among findings; a note where there are none."""
+    return max((finding.severity for finding in findings), default=Severity.NOTE)
+
+
+def exit_status(findings: Iterable[Finding]) -> int:
+    """The exit status of a command that has done its work: 1 where a warning or an error was found, else 0."""
+    return int(worst(findings) > Severity.NOTE)

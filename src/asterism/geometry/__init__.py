@@ -1,0 +1,1 @@
+"""Arrays in; rotations, rigid motions, ray intersections and small matrices out."""

@@ -1,0 +1,1 @@
+"""Labels while the points come in, frame by frame."""

@@ -1,0 +1,195 @@
+"""The labelling matrix (thesis 4.5.4): clouds and an ensemble of partial solvers in; labels by safe rules, votes and the work done out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.errors import AsterismError
+from asterism.labelling.partial import _kernels
+from asterism.labelling.partial._kernels import SolverArrays, Whole
+from asterism.labelling.partial.features import FEATURES, members, needs_motion
+from asterism.labelling.partial.motion_points import with_motion
+from asterism.labelling.partial.solver import angles_by_cosine, share_pairs
+from asterism.labelling.partial.weak import Bits, Weak
+from asterism.recording import Clouds, Floats, Ints
+
+BUDGET = 20_000
+"""Feature evaluations that a partial solver may spend on one frame."""
+
+LEAST, OUTVOTE = 20, 5
+"""So many classifiers must have had a say before the whole model gives a label; so many times must a proposal outvote all others."""
+
+WHOLE = 1500
+"""Classifiers of the whole model per marker, those that reject most."""
+
+
+@dataclass(frozen=True)
+class PartialSolvers:
+    """An ensemble of partial solvers.
+
+    solvers    flat arrays of S solvers
+    hit_rates  (S, M) of each solver's proposals the share that was right, NaN for markers it does not know (1st property)
+    targets    (M,) a solver proposes a marker only where its hit rate reaches the marker's target
+    covered    (M,) bool: a solver reaches the target; of a marker that none reaches, the best solvers are in, and trusted nevertheless
+    trusted    (D,) bool by depth of all solvers: may this solver propose this marker
+    whole      the strong classifier of the whole model, marker by marker, for what follows the vote
+    """
+
+    solvers: SolverArrays
+    hit_rates: Floats
+    targets: Floats
+    covered: NDArray[np.bool_]
+    trusted: NDArray[np.bool_]
+    whole: Whole
+
+    def __len__(self) -> int:
+        return len(self.solvers.first_depth) - 1
+
+    @property
+    def reads_motion(self) -> bool:
+        """Whether any of its classifiers reads the points' motion."""
+        return needs_motion(self.solvers.kinds) or needs_motion(self.whole.kinds)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything as plain arrays, for a file."""
+        arrays: dict[str, NDArray[Any]] = {f"solver_{name}": array for name, array in self.solvers._asdict().items()}
+        arrays |= {f"whole_{name}": array for name, array in self.whole._asdict().items()}
+        return arrays | {"hit_rates": self.hit_rates, "targets": self.targets, "covered": self.covered, "trusted": self.trusted}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> PartialSolvers:
+        """What `to_arrays` gave. Raises AsterismError where an array is missing or they do not fit each other."""
+        try:
+            solvers = SolverArrays(*(_typed(arrays[f"solver_{name}"], name) for name in SolverArrays._fields))
+            whole = Whole(*(_typed(arrays[f"whole_{name}"], name) for name in Whole._fields))
+            hit_rates, targets = (np.asarray(arrays[name], dtype=np.float64) for name in ("hit_rates", "targets"))
+            covered, trusted = (np.asarray(arrays[name], dtype=np.bool_) for name in ("covered", "trusted"))
+        except (KeyError, ValueError, TypeError) as problem:
+            raise AsterismError(f"the partial solvers cannot be read ({problem}); train the model again.") from problem
+        sizes = hit_rates.shape == (len(solvers.first_depth) - 1, len(targets)) and targets.ndim == 1
+        sizes = sizes and covered.shape == targets.shape and trusted.shape == solvers.markers.shape
+        if not sizes or not _walkable(solvers, len(targets)) or not _testable(whole, len(targets)):
+            raise AsterismError("the partial solvers do not fit together; the model is damaged, train it again.")
+        return cls(solvers, hit_rates, targets, covered, trusted, whole)
+
+
+def _typed(array: NDArray[Any], name: str) -> NDArray[Any]:
+    return np.ascontiguousarray(array, dtype=np.float64 if name in ("low", "high") else np.int64)
+
+
+def _classifiers(kinds: Ints, slots: Ints, low: Floats, high: Floats) -> bool:
+    count = len(kinds)
+    sizes = kinds.shape == low.shape == high.shape == (count,) and slots.shape == (count, 4)
+    return sizes and bool(((kinds >= 0) & (kinds < len(FEATURES))).all())
+
+
+def _rising(first: Ints, count: int, end: int, step: int) -> bool:
+    return first.shape == (count + 1,) and first[0] == 0 and first[-1] == end and bool((np.diff(first) >= step).all())
+
+
+def _walkable(solvers: SolverArrays, markers: int) -> bool:
+    """Whether the kernels can walk over the solvers without leaving the arrays."""
+    first, depths = solvers.first_depth, len(solvers.markers)
+    if not _classifiers(solvers.kinds, solvers.slots, solvers.low, solvers.high) or not len(first):
+        return False
+    if not _rising(first, len(first) - 1, depths, 1) or not _rising(solvers.first_feature, depths, len(solvers.kinds), 0):
+        return False
+    place = np.arange(depths) - np.repeat(first[:-1], np.diff(first))
+    reach = np.repeat(place, np.diff(solvers.first_feature))
+    known = (solvers.markers >= 0) & (solvers.markers < markers)
+    return bool(known.all() and ((solvers.slots >= 0) & (solvers.slots <= reach[:, None])).all())
+
+
+def _testable(whole: Whole, markers: int) -> bool:
+    """Whether the kernels can walk over the whole model without leaving the arrays."""
+    if not _classifiers(whole.kinds, whole.slots, whole.low, whole.high) or whole.points.shape != whole.kinds.shape:
+        return False
+    known = ((whole.slots >= 0) & (whole.slots < markers)).all()
+    return bool(known) and (len(whole.first) == 1 or _rising(whole.first, markers, len(whole.kinds), 0))
+
+
+def whole_model(weak: Weak, table: Bits) -> Whole:
+    """The strong classifier of the whole model: for each marker the `WHOLE` classifiers that reject most wrong points of it, most first.
+
+    weak, table as from `solver.replacements`.
+    """
+    share = np.unpackbits(np.ascontiguousarray(table).view(np.uint8), axis=2).sum(axis=2)
+    reads = members(weak.kinds, weak.slots, table.shape[1])
+    rows = []
+    for marker in range(table.shape[1]):
+        own = np.nonzero(reads[:, marker])[0]
+        rows.append(own[np.argsort(-share[own, marker].astype(np.int64), kind="stable")[:WHOLE]])
+    chosen = np.concatenate(rows)
+    points = np.array([feature.points for feature in FEATURES], dtype=np.int64)[weak.kinds[chosen]]
+    low, high = angles_by_cosine(weak.kinds[chosen], weak.low[chosen], weak.high[chosen])
+    first = np.cumsum([0, *map(len, rows)]).astype(np.int64)
+    return Whole(first, weak.kinds[chosen], np.ascontiguousarray(weak.slots[chosen]), points, low, high)
+
+
+def nobody() -> Whole:
+    """A whole model without markers: the thesis' rules alone."""
+    none = np.empty(0, dtype=np.int64)
+    return Whole(np.zeros(1, dtype=np.int64), none, np.empty((0, 4), dtype=np.int64), none, np.empty(0), np.empty(0))
+
+
+def slack_of(targets: Floats) -> float:
+    """The share of an interval by which a rival may miss it and still forbid a completion: the higher the target hit rate, the more."""
+    nines = -np.log10(np.maximum(1.0 - targets.mean(), 1e-7))
+    return float(np.clip(0.05 * (nines - 3.0), 0.0, 0.2))
+
+
+class Votes(NamedTuple):
+    """What an ensemble says of each frame.
+
+    indices      (T, M) candidate of each marker, -1 for none
+    votes        (T, M) of the solvers trusted with a marker the share that proposes its candidate; for a null, that proposes the most
+                 proposed candidate. 0 for a label that completion gave without a proposal
+    evaluations  (T,) feature evaluations
+    """
+
+    indices: Ints
+    votes: Floats
+    evaluations: Ints
+
+
+def label_by_matrix(clouds: Clouds, ensemble: PartialSolvers, budget: int = BUDGET, *, complete: bool = True) -> Votes:
+    """Label each frame by the proposals of all solvers.
+
+    A marker gets the candidate on which all proposals for it agree; none where there is no proposal, where two candidates are proposed, or
+    where the candidate is proposed for another marker too. `budget` is in feature evaluations per frame and solver: a solver that exhausts
+    it proposes nothing, the same on every machine. Where classifiers read motion, it is taken once from the tracks of the clouds; of points
+    without a known motion those classifiers say nothing.
+
+    Without `complete` these are the rules of the thesis. With it, a label takes two solvers that propose it, where there are two (on the
+    gait recordings all wrong labels had a single one); a proposal that outvotes all others by `OUTVOTE` stands; and the strong classifier
+    of the whole model has the last word (a classifier whose points are not all labelled is ignored, section 4.4.2): a marker still without
+    a label gets the one free point that goes with the labels given, if that point goes with no other marker, nearly (`slack_of`); then what
+    a single solver proposed counts where it goes with the others.
+    """
+    xyz = with_motion(clouds, ensemble.reads_motion)
+    frames, markers = len(clouds), len(ensemble.targets)
+    indices, votes = np.empty((frames, markers), dtype=np.int64), np.empty((frames, markers))
+    evaluations = np.empty(frames, dtype=np.int64)
+    whole = ensemble.whole if complete else nobody()
+    solvers, pairs = share_pairs(ensemble.solvers, markers)
+    _kernels.label_by_matrix(
+        solvers,
+        pairs,
+        ensemble.trusted,
+        whole,
+        OUTVOTE,
+        slack_of(ensemble.targets),
+        LEAST,
+        xyz,
+        clouds.offsets,
+        budget,
+        indices,
+        votes,
+        evaluations,
+    )
+    return Votes(indices, votes, evaluations)

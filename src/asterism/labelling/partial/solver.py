@@ -1,0 +1,335 @@
+"""Solvers: a strong classifier and a tree search in one (thesis 4.4.2, 4.5.1); the full solver that works on all markers at once (5.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import PurePath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.errors import AsterismError
+from asterism.labelling.partial._kernels import G1, G2, G4, G6, G7, PairRules, SolverArrays, arrange, label_whole, rejections, search
+from asterism.labelling.partial._motion_kernels import G14
+from asterism.labelling.partial.features import FEATURES, THESIS, kinds_of, members, needs_motion, upright
+from asterism.labelling.partial.motion_points import frames_with_motion, with_motion
+from asterism.labelling.partial.weak import Bits, Spread, StrongClassifier, Trial, Weak, choose_widening, readable
+from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
+
+BUDGET = 200_000
+"""Feature evaluations that a search may spend on one frame. Exhausted, it gives no label: deterministic, unlike a limit in seconds."""
+
+WORDS = 2
+"""Replacements per marker that guide the order of a tree, in words of 64."""
+
+MINED_FRAMES, MINED_WEIGHT, ROUNDS = 2000, 64, 3
+"""Training frames searched for wrong labellings that pass, their weight against drawn ones, and how often."""
+
+
+@dataclass(frozen=True)
+class Solver:
+    """One tree search: markers (D,) in the order of assignment, classifiers by the depth at which they can be evaluated.
+
+    weak.slots are depths, not markers; first_feature (D + 1,) classifiers first_feature[d]:first_feature[d + 1] belong to depth d
+    lowest_first: a full solver tries low points first, because its tree starts at a low marker
+    """
+
+    markers: Ints
+    weak: Weak
+    first_feature: Ints
+    lowest_first: bool = False
+
+
+def pack(solvers: Sequence[Solver]) -> SolverArrays:
+    """Solvers in the flat arrays that the kernels walk over."""
+    depths = [0, *(len(solver.markers) for solver in solvers)]
+    counts = [len(solver.weak) for solver in solvers]
+    starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    first = [solver.first_feature[:-1] + start for solver, start in zip(solvers, starts, strict=False)]
+    return SolverArrays(
+        first_depth=np.cumsum(depths).astype(np.int64),
+        markers=np.concatenate([np.empty(0, dtype=np.int64), *(solver.markers for solver in solvers)]),
+        first_feature=np.concatenate([*first, starts[-1:]]).astype(np.int64),
+        kinds=np.concatenate([np.empty(0, dtype=np.int64), *(solver.weak.kinds for solver in solvers)]),
+        slots=np.concatenate([np.empty((0, 4), dtype=np.int64), *(solver.weak.slots for solver in solvers)]),
+        low=np.concatenate([np.empty(0), *(solver.weak.low for solver in solvers)]),
+        high=np.concatenate([np.empty(0), *(solver.weak.high for solver in solvers)]),
+    )
+
+
+def unpack(arrays: SolverArrays) -> list[Solver]:
+    """The solvers of flat arrays, one by one."""
+    solvers = []
+    for begin, end in zip(arrays.first_depth[:-1], arrays.first_depth[1:], strict=True):
+        first = arrays.first_feature[begin : end + 1]
+        rows = slice(first[0], first[-1])
+        weak = Weak(arrays.kinds[rows], arrays.slots[rows], arrays.low[rows], arrays.high[rows])
+        solvers.append(Solver(arrays.markers[begin:end], weak, first - first[0]))
+    return solvers
+
+
+def share_pairs(arrays: SolverArrays, n_markers: int) -> tuple[SolverArrays, PairRules]:
+    """Solvers without their classifiers of distance, height and two points' motion, and these as rules for pairs that all solvers share.
+
+    The intervals of angles become those of their cosines, and classifiers of three points' motion come last at their depth, as
+    `search_by_pairs` reads them.
+    A solver out of `mining` has all such classifiers over its markers, with the same intervals as the others, so that nothing changes but
+    speed.
+    """
+    shape = (n_markers, n_markers)
+    moving = np.array([feature.moving and feature.points == 2 for feature in FEATURES])[arrays.kinds]
+    used = np.unique(arrays.kinds[moving])
+    low, high = np.full((len(used), *shape), -np.inf), np.full((len(used), *shape), np.inf)
+    rules = PairRules(np.full(shape, -np.inf), np.full(shape, np.inf), np.full(shape, -np.inf), np.full(shape, np.inf), used, low, high)
+    depth_of = np.repeat(np.arange(len(arrays.markers)), np.diff(arrays.first_feature))
+    start = np.repeat(arrays.first_depth[:-1], np.diff(arrays.first_depth))[depth_of]
+    a, b = arrays.markers[start + arrays.slots[:, 0]], arrays.markers[start + arrays.slots[:, 1]]
+    far, above = arrays.kinds == G2, arrays.kinds == G4
+    for one, other in ((a, b), (b, a)):
+        np.maximum.at(rules.near, (one[far], other[far]), arrays.low[far])
+        np.minimum.at(rules.far, (one[far], other[far]), arrays.high[far])
+    np.maximum.at(rules.below, (a[above], b[above]), arrays.low[above])
+    np.minimum.at(rules.above, (a[above], b[above]), arrays.high[above])
+    np.maximum.at(rules.below, (b[above], a[above]), -arrays.high[above])
+    np.minimum.at(rules.above, (b[above], a[above]), -arrays.low[above])
+    place = np.searchsorted(used, arrays.kinds)
+    turned = moving & (arrays.kinds == G14)
+    for one, other, low_end, high_end in ((a, b, arrays.low, arrays.high), (b, a, *_either_way(turned, arrays.low, arrays.high))):
+        np.maximum.at(rules.low, (place[moving], one[moving], other[moving]), low_end[moving])
+        np.minimum.at(rules.high, (place[moving], one[moving], other[moving]), high_end[moving])
+    rest = ~(far | above | moving)
+    first = np.concatenate([[0], np.cumsum(rest)])[arrays.first_feature]
+    low, high = angles_by_cosine(arrays.kinds, arrays.low, arrays.high)
+    moving_last = np.lexsort((np.array([feature.moving for feature in FEATURES])[arrays.kinds[rest]], depth_of[rest]))
+    kept = np.nonzero(rest)[0][moving_last]
+    own = (arrays.kinds[kept], arrays.slots[kept], low[kept], high[kept])
+    return SolverArrays(arrays.first_depth, arrays.markers, first.astype(np.int64), *own), rules
+
+
+def _either_way(turned: NDArray[np.bool_], low: Floats, high: Floats) -> tuple[Floats, Floats]:
+    """Intervals with the points exchanged: of those `turned`, the value changes its sign."""
+    return np.where(turned, -high, low), np.where(turned, -low, high)
+
+
+def angles_by_cosine(kinds: Ints, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+    """Intervals of which those of angles (rad) become those of their cosines; what reaches 0 or pi stays open."""
+    angle = np.isin(kinds, (G1, G6, G7))
+    near = np.where(angle, np.where(high >= np.pi, -np.inf, np.cos(np.clip(high, 0.0, np.pi))), low)
+    far = np.where(angle, np.where(low <= 0.0, np.inf, np.cos(np.clip(low, 0.0, np.pi))), high)
+    return near, far
+
+
+def replacements(frames: Floats, weak: Weak, rng: np.random.Generator, words: int = WORDS) -> Bits:
+    """(F, M, words) bits: does a classifier reject when one marker alone is given another marker's point. Guides `plant`."""
+    n = frames.shape[1]
+    visible = ~np.isnan(frames[:, :, 0])
+    complete = np.nonzero(visible.all(axis=1))[0]
+    source = complete if len(complete) else np.nonzero(visible.any(axis=1))[0]
+    size = n * words * 64
+    marker = np.repeat(np.arange(n), words * 64)
+    labels = np.tile(np.arange(n), (size, 1))
+    labels[np.arange(size), marker] = (marker + rng.integers(1, max(2, n), size=size)) % n
+    table = np.zeros((len(weak), n * words), dtype=np.uint64)
+    rejections(np.ascontiguousarray(frames[rng.choice(source, size=size)]), labels, weak.kinds, weak.slots, weak.low, weak.high, table)
+    return table.reshape(len(weak), n, words)
+
+
+def plant(weak: Weak, table: Bits, markers: Ints, start: int) -> Solver:
+    """The search tree of some classifiers (slots: markers) over `markers`, from marker `start` on; `table` as from `replacements`."""
+    order, rank = np.empty(len(markers), dtype=np.int64), np.empty(len(weak), dtype=np.int64)
+    first = np.empty(len(markers) + 1, dtype=np.int64)
+    arrange(table, members(weak.kinds, weak.slots, table.shape[1]), markers, start, order, rank, first)
+    depth_of = np.zeros(table.shape[1], dtype=np.int64)
+    depth_of[order] = np.arange(len(order))
+    ordered = weak.take(rank)
+    unused = np.arange(4) >= np.array([feature.points for feature in FEATURES])[ordered.kinds][:, None]
+    return Solver(order, Weak(ordered.kinds, np.where(unused, 0, depth_of[ordered.slots]), ordered.low, ordered.high), first)
+
+
+def stack(recordings: Sequence[Recording], subjects: Sequence[str] | None = None, *, motion: bool = False) -> tuple[Floats, Ints]:
+    """Labelled recordings as upright frames (N, M, 3) m, with `motion` (N, M, WIDTH), and whose each frame is (N,).
+
+    Without `subjects`, one name per recording, the person is `metadata["subject"]`, else the folder of the file.
+    Raises AsterismError where there is nothing, the labels differ, or the number of subjects does.
+    """
+    if not recordings or not sum(map(len, recordings)):
+        raise AsterismError("there are no frames to learn from; give at least one labelled recording.")
+    for recording in recordings:
+        if recording.labels != recordings[0].labels:
+            name = recording.metadata.get("file", "a recording")
+            raise AsterismError(f"{name} has other columns than the first recording; read all with the same `markers`.")
+    if subjects is not None and len(subjects) != len(recordings):
+        raise AsterismError(f"{len(subjects)} subjects for {len(recordings)} recordings; give one name per recording.")
+    names = [person(recording) for recording in recordings] if subjects is None else list(subjects)
+    number = {name: i for i, name in enumerate(dict.fromkeys(names))}
+    frames = np.concatenate([frames_with_motion(r) if motion else upright(r.positions, r.vertical) for r in recordings])
+    return frames, np.repeat([number[name] for name in names], [len(recording) for recording in recordings]).astype(np.int64)
+
+
+def person(recording: Recording) -> str:
+    """Who moves in a recording, as far as it says: its subject, else the folder of its file."""
+    return str(recording.metadata.get("subject") or PurePath(str(recording.metadata.get("file", ""))).parent)
+
+
+class FullSolver:
+    """A solver for the whole marker set: fast and sure, and silent as soon as one marker is hidden (thesis 5.2).
+
+    names           (M,) markers
+    strong          the strong classifier, slots are markers
+    solver          its search tree
+    hit_rates       (M,) share of training frames in which the marker was given its point
+    evaluations     mean feature evaluations until the first feasible labelling, in the last `label` (frames without one left out)
+    evaluations_in_all  mean until the search has shown that there is no other
+    """
+
+    def __init__(self, names: Sequence[str], strong: StrongClassifier, solver: Solver, hit_rates: Floats) -> None:
+        self.names, self.strong, self.solver, self.hit_rates = tuple(names), strong, solver, hit_rates
+        self.evaluations = self.evaluations_in_all = float("nan")
+
+    @classmethod
+    def fit(
+        cls,
+        recordings: Sequence[Recording],
+        *,
+        weak_classifiers: int = 40,
+        features: Sequence[str] = THESIS,
+        rule: str = "widened",
+        widen: float | None = 0.25,
+        subjects: Sequence[str] | None = None,
+        seed: int = 0,
+    ) -> FullSolver:
+        """Learn from labelled recordings with the same columns.
+
+        widen  factor of rule "widened" (see `weak.Spread.weak`): small for people that training has seen; None: chosen on people left out,
+               larger, which leaves more frames with more than one feasible labelling
+        Raises AsterismError for recordings that differ, an unknown feature or rule, or fewer than three markers.
+        """
+        frames, groups = stack(recordings, subjects, motion=needs_motion(kinds_of(features)))
+        return cls.fit_frames(
+            frames,
+            groups,
+            recordings[0].labels,
+            weak_classifiers=weak_classifiers,
+            features=features,
+            rule=rule,
+            widen=widen,
+            seed=seed,
+        )
+
+    @classmethod
+    def fit_frames(
+        cls,
+        frames: Floats,
+        groups: Ints,
+        names: Sequence[str],
+        *,
+        weak_classifiers: int = 40,
+        features: Sequence[str] = THESIS,
+        rule: str = "widened",
+        widen: float | None = 0.25,
+        seed: int = 0,
+    ) -> FullSolver:
+        """Learn from upright frames (N, M, 3) m, for features of motion (N, M, WIDTH); groups (N,) whose frame each is."""
+        if frames.shape[1] < 3:
+            raise AsterismError(
+                f"{frames.shape[1]} markers cannot be told apart by distances and heights; a marker set needs at least three."
+            )
+        if np.isnan(frames[:, :, 0]).all(axis=0).any():
+            name = names[int(np.argmax(np.isnan(frames[:, :, 0]).all(axis=0)))]
+            raise AsterismError(f"marker {name} is never visible in the training recordings; leave it out of the marker set.")
+        rng = np.random.default_rng(seed)
+        markers = np.arange(frames.shape[1])
+        spread = Spread.measure(frames, groups, features, rng)
+        weak = spread.weak("range")
+        if rule == "widened" and widen is None:
+            trial = Trial.draw(frames, weak, rng)
+            rows, _, _ = trial.boost(readable(weak, len(markers), markers), markers, weak_classifiers)
+            widen = choose_widening(spread, frames, groups, rows, rng)
+        weak = spread.weak(rule, 0.0 if widen is None else widen)
+        candidates = readable(weak, len(markers), markers)
+        weak = weak.take(candidates)
+        table = replacements(frames, weak, rng)
+        trial = Trial.draw(frames, weak, rng)
+        sample = np.ascontiguousarray(frames[np.sort(rng.permutation(len(frames))[:MINED_FRAMES])])
+        for _ in range(ROUNDS):
+            rows, gains, _ = trial.boost(np.arange(len(weak)), markers, weak_classifiers)
+            solver = _quickest(weak.take(rows), table[rows], markers, sample)
+            passed, labels = _wrong_that_pass(solver, sample)
+            if not len(passed):
+                break
+            weight = np.full(-(-len(labels) // 64), MINED_WEIGHT * len(markers), dtype=np.int64)
+            trial = trial.joined(Trial.of(sample[passed], labels, weak, weight))
+        strong = StrongClassifier(weak.take(rows), gains.astype(np.float64), len(markers))
+        given = np.empty((len(sample), len(markers)), dtype=np.int64)
+        truth = _label(solver, sample, given)[0]
+        return cls(names, strong, solver, (given == truth).mean(axis=0))
+
+    def label(self, clouds: Clouds) -> Labelling:
+        """The feasible labelling of each frame where there is only one; where several agree on a marker, that marker; else null.
+
+        The confidence of a label is the marker's hit rate on training frames, that of a null is 0. O(frames times a search).
+        """
+        indices = np.empty((len(clouds), len(self.names)), dtype=np.int64)
+        first, total = np.empty(len(clouds), dtype=np.int64), np.empty(len(clouds), dtype=np.int64)
+        label_whole(
+            pack([self.solver]),
+            self.solver.lowest_first,
+            with_motion(clouds, needs_motion(self.solver.weak.kinds)),
+            clouds.offsets,
+            BUDGET,
+            indices,
+            first,
+            total,
+        )
+        solved = first >= 0
+        self.evaluations = float(first[solved].mean()) if solved.any() else float("nan")
+        self.evaluations_in_all = float(total.mean()) if len(total) else float("nan")
+        return Labelling(indices, np.where(indices == NULL, 0.0, self.hit_rates), self.names)
+
+    def accuracy(self, recordings: Sequence[Recording], *, wrong: int = 10**7, seed: int = 0) -> float:
+        """Share of wrong labellings of the recordings' frames, from two to all labels permuted, that the strong classifier rejects."""
+        return self.strong.accuracy(stack(recordings, motion=needs_motion(self.strong.weak.kinds))[0], wrong, seed)
+
+
+def _label(solver: Solver, frames: Floats, given: Ints) -> tuple[Ints, Ints, Ints]:
+    """The truth as rows of each frame's cloud, and the evaluations to the first labelling and in all. OUT given (N, M)."""
+    visible = ~np.isnan(frames[:, :, 0])
+    offsets = np.concatenate([[0], np.cumsum(visible.sum(axis=1))]).astype(np.int64)
+    first, total = np.empty(len(frames), dtype=np.int64), np.empty(len(frames), dtype=np.int64)
+    label_whole(pack([solver]), solver.lowest_first, np.ascontiguousarray(frames[visible]), offsets, BUDGET, given, first, total)
+    return np.where(visible, np.cumsum(visible, axis=1) - 1, NULL), first, total
+
+
+def _quickest(weak: Weak, table: Bits, markers: Ints, sample: Floats) -> Solver:
+    """The tree, among those from every first marker, that needs the fewest evaluations to the right labelling and in all together."""
+    few = sample[:: max(1, len(sample) // 200)]
+    given = np.empty((len(few), len(markers)), dtype=np.int64)
+    best, fewest = None, float("inf")
+    for start, lowest_first in product(markers, (False, True)):
+        solver = replace(plant(weak, table, markers, start), lowest_first=lowest_first)
+        _, first, total = _label(solver, few, given)
+        cost = float(np.where(first < 0, total, first).mean() + total.mean())
+        if cost < fewest:
+            best, fewest = solver, cost
+    assert best is not None
+    return best
+
+
+def _wrong_that_pass(solver: Solver, sample: Floats) -> tuple[Ints, Ints]:
+    """Wrong labellings that the solver finds feasible: (K,) frames of the sample, (K, M) labels."""
+    arrays, depths = pack([solver]), len(solver.markers)
+    found, counters = np.empty((64, depths), dtype=np.int64), np.zeros(2, dtype=np.int64)
+    passed, labels = [], []
+    for number, points in enumerate(sample):
+        if np.isnan(points[:, :3]).any():
+            continue
+        counters[0] = 0
+        solutions = search(arrays, 0, points, np.argsort(-points[:, 2], kind="stable"), BUDGET, found, counters)
+        by_marker = np.empty((max(solutions, 0), depths), dtype=np.int64)
+        by_marker[:, solver.markers] = found[: max(solutions, 0)]
+        wrong = by_marker[(by_marker != np.arange(depths)).any(axis=1)]
+        passed.append(np.full(len(wrong), number))
+        labels.append(wrong)
+    return np.concatenate([np.empty(0, dtype=np.int64), *passed]), np.concatenate([np.empty((0, depths), dtype=np.int64), *labels])

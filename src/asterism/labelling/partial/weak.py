@@ -1,0 +1,272 @@
+"""Weak classifiers (thesis 4.3, 4.4.1): labelled frames in; intervals, wrong labellings, the boosted choice, the strong classifier out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.errors import AsterismError
+from asterism.labelling.partial._kernels import cover, feature_ranges, rejected, rejections
+from asterism.labelling.partial.features import THESIS, check_motion, members, pool
+from asterism.recording import Floats, Ints
+
+Bits = NDArray[np.uint64]
+
+RULES = ("range", "widened")
+"""How an interval follows from training: eq. 4.4's smallest and largest value, or those moved outward by how much people differ."""
+
+WIDENINGS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0)
+"""The factors among which `choose_widening` chooses."""
+
+ONE_PERSON_SHARE = 0.1
+"""With one person there is no spread over people; this share of the range stands in for it."""
+
+CHUNK = 100_000
+
+
+@dataclass(frozen=True)
+class Weak:
+    """Weak classifiers (eq. 4.4): a feature of some markers, and the interval that right labellings keep to.
+
+    kinds (F,) places in `features.FEATURES`; slots (F, 4) markers; low, high (F,) in the feature's unit
+    """
+
+    kinds: Ints
+    slots: Ints
+    low: Floats
+    high: Floats
+
+    def __len__(self) -> int:
+        return len(self.kinds)
+
+    def take(self, rows: Ints | NDArray[np.bool_]) -> Weak:
+        """Some of them."""
+        return Weak(self.kinds[rows], self.slots[rows], self.low[rows], self.high[rows])
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How the features of a pool spread: low, high (F, P), the smallest and largest value that each of P people showed.
+
+    +inf and -inf where a person never showed all the feature's points.
+    """
+
+    kinds: Ints
+    slots: Ints
+    low: Floats
+    high: Floats
+
+    @classmethod
+    def measure(cls, frames: Floats, groups: Ints, features: Sequence[str] = THESIS, seed: int | np.random.Generator = 0) -> Spread:
+        """Features over all subsets of the columns of upright frames (N, M, 3) m; groups (N,) whose frame each is. O(F N).
+
+        Features of motion take frames (N, M, WIDTH) as `motion.points.frames_with_motion` makes them; an unknown motion does not count.
+        """
+        kinds, slots = pool(frames.shape[1], features, seed)
+        check_motion(kinds, frames)
+        people, group = np.unique(groups, return_inverse=True)
+        low, high = np.empty((len(kinds), len(people))), np.empty((len(kinds), len(people)))
+        feature_ranges(np.ascontiguousarray(frames), group.astype(np.int64), len(people), kinds, slots, low, high)
+        return cls(kinds, slots, low, high)
+
+    def weak(self, rule: str = "range", widen: float = 1.0, people: Sequence[int] | NDArray[np.bool_] | slice = slice(None)) -> Weak:
+        """The intervals that the given people's values make; a feature that none of them showed accepts everything.
+
+        rule "range"    smallest and largest value (eq. 4.4)
+        rule "widened"  each end moved outward by `widen` standard deviations of that end over the people; for one person by `widen`
+                        times `ONE_PERSON_SHARE` of the range
+        """
+        if rule not in RULES:
+            raise AsterismError(f"rule {rule!r} is not known; choose among {', '.join(RULES)}.")
+        low, high = self.low[:, people], self.high[:, people]
+        shown = np.isfinite(low)
+        count = shown.sum(axis=1)
+        alpha, beta = low.min(axis=1), high.max(axis=1)
+        if rule == "widened":
+            spread = np.where(count > 0, beta - alpha, 0.0)
+            alpha = alpha - widen * np.where(count > 1, _deviation(low, shown), ONE_PERSON_SHARE * spread)
+            beta = beta + widen * np.where(count > 1, _deviation(high, shown), ONE_PERSON_SHARE * spread)
+        return Weak(self.kinds, self.slots, np.where(count > 0, alpha, -np.inf), np.where(count > 0, beta, np.inf))
+
+
+def _deviation(values: Floats, shown: NDArray[np.bool_]) -> Floats:
+    count = np.maximum(shown.sum(axis=1), 1)
+    mean = np.where(shown, values, 0.0).sum(axis=1) / count
+    squares = np.where(shown, values - mean[:, None], 0.0) ** 2
+    return np.sqrt(squares.sum(axis=1) / np.maximum(count - 1, 1))
+
+
+def wrong_labellings(n_markers: int, severities: Ints, rng: np.random.Generator) -> Ints:
+    """(K, M) labellings in each of which exactly severities[k] >= 2 labels, drawn at random, are wrong: permuted without a fixed point."""
+    count = len(severities)
+    labels = np.tile(np.arange(n_markers), (count, 1))
+    which = np.argsort(rng.random((count, n_markers)), axis=1)
+    open_rows = np.arange(count)
+    image = np.empty_like(which)
+    inside = np.arange(n_markers) < severities[:, None]
+    while len(open_rows):
+        keys = np.where(inside[open_rows], rng.random((len(open_rows), n_markers)), np.inf)
+        image[open_rows] = np.argsort(keys, axis=1, kind="stable")
+        fixed = (image[open_rows] == np.arange(n_markers)) & inside[open_rows]
+        open_rows = open_rows[fixed.any(axis=1)]
+    np.put_along_axis(labels, which, np.take_along_axis(which, image, axis=1), axis=1)
+    return labels
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Wrong labellings, and which weak classifiers of a pool reject them, as bits.
+
+    frames (K, M, 3) m, labels (K, M); table (F, W) bit k set where classifier f rejects labelling k; moved (M, W) bit k set where
+    labelling k is wrong about marker m; weight (W,) of the labellings of a word: the fewer labels are wrong, the harder and heavier
+    """
+
+    frames: Floats
+    labels: Ints
+    table: Bits
+    moved: Bits
+    weight: Ints
+
+    @classmethod
+    def draw(cls, frames: Floats, weak: Weak, rng: np.random.Generator, count: int = 8192) -> Trial:
+        """Permutations with severities from 2 to M (section 4.4.1), half of them of 2 to 4 labels, of frames without gaps if there are."""
+        n = frames.shape[1]
+        words = max(2, count // 64)
+        few = np.linspace(2, min(4, n), words // 2)
+        severity = np.sort(np.concatenate([few, np.linspace(2, n, words - len(few))]).round().astype(np.int64))
+        complete = np.nonzero(~np.isnan(frames[:, :, 0]).any(axis=1))[0]
+        source = complete if len(complete) >= 64 else np.arange(len(frames))
+        drawn = frames[rng.choice(source, size=64 * words)]
+        labels = wrong_labellings(n, np.repeat(severity, 64), rng)
+        return cls.of(drawn, labels, weak, n + 1 - severity)
+
+    @classmethod
+    def of(cls, frames: Floats, labels: Ints, weak: Weak, weight: Ints) -> Trial:
+        """Given labellings; `weight` is one whole number per 64 of them."""
+        words = -(-len(labels) // 64)
+        table = np.zeros((len(weak), words), dtype=np.uint64)
+        rejections(np.ascontiguousarray(frames), np.ascontiguousarray(labels), weak.kinds, weak.slots, weak.low, weak.high, table)
+        return cls(frames, labels, table, _pack((labels != np.arange(labels.shape[1])).T, words), weight.astype(np.int64))
+
+    def joined(self, other: Trial) -> Trial:
+        """Both trials' labellings."""
+        return Trial(
+            np.concatenate([_padded(self.frames, self.table), other.frames]),
+            np.concatenate([_padded(self.labels, self.table), other.labels]),
+            np.concatenate([self.table, other.table], axis=1),
+            np.concatenate([self.moved, other.moved], axis=1),
+            np.concatenate([self.weight, other.weight]),
+        )
+
+    def boost(self, rows: Ints, markers: Ints | Sequence[int], most: int) -> tuple[Ints, Ints, int]:
+        """The weighted greedy selection of section 4.4.1 among classifiers `rows` for a labelling of `markers` alone.
+
+        A labelling that is right about all of `markers` is no wrong sample for them. Returns at most `most` rows in order of selection,
+        the weight each has earned, and how many of them were taken before every sample that can be rejected was.
+        """
+        wrong = np.bitwise_or.reduce(self.moved[np.asarray(markers, dtype=np.int64)], axis=0)
+        chosen, gains = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
+        count, once = cover(np.ascontiguousarray(self.table[rows]), wrong, self.weight, min(most, len(rows)), chosen, gains)
+        return rows[chosen[:count]], gains[:count].copy(), once
+
+
+def _padded(values: NDArray[np.generic], table: Bits) -> NDArray[np.generic]:
+    short = table.shape[1] * 64 - len(values)
+    return np.concatenate([values, np.repeat(values[-1:], short, axis=0)]) if short else values
+
+
+def _pack(flags: NDArray[np.bool_], words: int) -> Bits:
+    """(R, K) booleans as (R, W) words, flag k in bit k % 64 of word k // 64."""
+    padded = np.zeros((len(flags), words * 64), dtype=np.bool_)
+    padded[:, : flags.shape[1]] = flags
+    return np.packbits(padded, axis=1, bitorder="little").view("<u8").astype(np.uint64)
+
+
+@dataclass(frozen=True)
+class StrongClassifier:
+    """The ensemble of weak classifiers, phi of eq. 4.5, for a set of M markers.
+
+    weak     in order of selection
+    weights  (F,) the weight that each earned when it was selected
+    """
+
+    weak: Weak
+    weights: Floats
+    n_markers: int
+
+    def score(self, frames: Floats, labels: Ints) -> Floats:
+        """(N,) phi in [0, 1]: the weighted share of weak classifiers that accept.
+
+        frames (N, n, 3) m, z up, or with their motion (N, n, WIDTH); labels (N, M) row of the point that each marker is given. A classifier
+        whose points, or the motion that it reads, are missing accepts.
+        """
+        check_motion(self.weak.kinds, frames)
+        table = np.zeros((len(self.weak), -(-len(labels) // 64)), dtype=np.uint64)
+        weak = self.weak
+        rejections(
+            np.ascontiguousarray(frames), np.ascontiguousarray(labels, dtype=np.int64), weak.kinds, weak.slots, weak.low, weak.high, table
+        )
+        bits = np.unpackbits(table.astype("<u8").view(np.uint8), axis=1, bitorder="little")[:, : len(labels)]
+        score: Floats = 1.0 - (self.weights @ bits) / self.weights.sum()
+        return np.where(bits.any(axis=0), np.minimum(score, np.nextafter(1.0, 0.0)), 1.0)
+
+    def accepts(self, frames: Floats, labels: Ints) -> NDArray[np.bool_]:
+        """(N,) whether phi is 1: no weak classifier rejects."""
+        accepted: NDArray[np.bool_] = self.score(frames, labels) == 1.0
+        return accepted
+
+    def accuracy(self, frames: Floats, wrong: int = 10**7, seed: int | np.random.Generator = 0) -> float:
+        """Share of `wrong` wrong labellings of random frames (N, M, 3), of severities 2 to M alike, that are rejected (section 5.2).
+
+        O(wrong), about a microsecond each. Raises AsterismError where no frame shows all markers.
+        """
+        check_motion(self.weak.kinds, frames)
+        complete = np.ascontiguousarray(frames[~np.isnan(frames[:, :, 0]).any(axis=1)])
+        if not len(complete):
+            raise AsterismError("no frame shows all markers, so no wrong labelling can be made; give frames without gaps.")
+        rng = np.random.default_rng(seed)
+        caught = 0
+        for start in range(0, wrong, CHUNK):
+            size = min(CHUNK, wrong - start)
+            labels = wrong_labellings(self.n_markers, rng.integers(2, self.n_markers + 1, size=size), rng)
+            choice = rng.integers(len(complete), size=size)
+            caught += rejected(complete, choice, labels, self.weak.kinds, self.weak.slots, self.weak.low, self.weak.high)
+        return caught / wrong
+
+
+def choose_widening(spread: Spread, frames: Floats, groups: Ints, rows: Ints, seed: int | np.random.Generator = 0) -> float:
+    """The factor of rule "widened" that does best on people left out, one after the other, for the classifiers `rows`.
+
+    Best: the share of a left-out person's frames that is accepted, minus the share of their wrong labellings of 2 or 3 labels that is
+    accepted too, averaged over the people; of equals the smallest. With one person nothing can be left out: 1.
+    """
+    people = np.unique(groups)
+    if len(people) < 2:
+        return 1.0
+    rng = np.random.default_rng(seed)
+    n = frames.shape[1]
+    kept = replace(spread, kinds=spread.kinds[rows], slots=spread.slots[rows], low=spread.low[rows], high=spread.high[rows])
+    merits = np.zeros(len(WIDENINGS))
+    for p, person in enumerate(people):
+        own = np.ascontiguousarray(frames[groups == person])
+        right = np.tile(np.arange(n), (len(own), 1))
+        choice = rng.integers(len(own), size=2000)
+        wrong = wrong_labellings(n, rng.integers(2, min(3, n) + 1, size=len(choice)), rng)
+        for w, widen in enumerate(WIDENINGS):
+            weak = kept.weak("widened", widen, np.arange(len(people)) != p)
+            refused = rejected(own, np.arange(len(own)), right, weak.kinds, weak.slots, weak.low, weak.high)
+            caught = rejected(own, choice, wrong, weak.kinds, weak.slots, weak.low, weak.high)
+            merits[w] += caught / len(choice) - refused / len(own)
+    return WIDENINGS[int(np.argmax(merits))]
+
+
+def readable(weak: Weak, n_markers: int, markers: Ints | Sequence[int]) -> Ints:
+    """Rows of the classifiers that read only the given markers and reject something."""
+    outside = np.ones(n_markers, dtype=np.bool_)
+    outside[np.asarray(markers, dtype=np.int64)] = False
+    strange = members(weak.kinds, weak.slots, n_markers)[:, outside].any(axis=1)
+    rows: Ints = np.nonzero(~strange & np.isfinite(weak.low))[0]
+    return rows

@@ -1,0 +1,1 @@
+"""Labelled recordings in; what a model keeps of them out."""

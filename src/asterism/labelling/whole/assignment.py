@@ -1,0 +1,92 @@
+"""Which tracklet is which marker: every tracklet's gain for every marker in, the labels of the greatest total gain out.
+
+The problem is an integer program: choose for every tracklet j at most one marker m,
+
+    maximise  sum of gain[j, m] x[j, m]    over x[j, m] in {0, 1},
+    sum over m of x[j, m] <= 1,            sum of x[j, m] over the tracklets that are there at time t <= 1  for every m and t.
+
+Where each tracklet's own best marker is free of conflicts, taking it is optimal. Else the tracklets in conflict are solved by themselves,
+exactly, as if all others kept their best markers and did not mind sharing them: no labelling gains more than that. Where the solution
+takes a marker that another tracklet has, too, that one joins, and it is solved again; where none does, it is the best labelling of all.
+Few tracklets are solved by branch and bound, many by HiGHS.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import Bounds, LinearConstraint, milp
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from asterism.labelling.whole._kernels import branch_and_bound, overlaps
+from asterism.recording import NULL, Floats, Ints
+
+BRANCHES = 20_000
+"""Steps of the branch and bound, some milliseconds, after which HiGHS takes over."""
+
+
+def assign_tracklets(gain: Floats, first: Ints, last: Ints) -> Ints:
+    """Labels (J,) of the greatest total gain, -1 for none.
+
+    gain (J, L) for each of L markers (of all bodies), only what is above 0 is ever taken; first, last (J,) frames of the tracklets.
+    O(J L) where nothing conflicts.
+    """
+    best = np.argmax(gain, axis=1) if gain.shape[1] else np.zeros(len(gain), dtype=np.int64)
+    label = np.where(gain[np.arange(len(gain)), best] > 0, best, NULL).astype(np.int64) if gain.shape[1] else np.full(len(gain), NULL)
+    order = np.argsort(first, kind="stable")
+    pairs = overlaps(gain, first, last, order)
+    free = np.zeros(len(gain), dtype=np.bool_)
+    solved: dict[bytes, Ints] = {}
+    while True:
+        clash = pairs[(label[pairs[:, 0]] == label[pairs[:, 1]]) & (label[pairs[:, 0]] != NULL)]
+        if not len(clash):
+            return label
+        free[clash.ravel()] = True
+        inside = pairs[free[pairs].all(axis=1)]
+        links = coo_array((np.ones(len(inside)), (inside[:, 0], inside[:, 1])), shape=(len(gain), len(gain)))
+        part = connected_components(links, directed=False)[1]
+        for p in np.unique(part[free]):
+            own = np.nonzero((part == p) & free)[0]
+            if own.tobytes() not in solved:
+                solved[own.tobytes()] = _solve(gain[own], first[own], last[own])
+            label[own] = solved[own.tobytes()]
+
+
+def _solve(gain: Floats, first: Ints, last: Ints) -> Ints:
+    """The integer program itself."""
+    label = np.empty(len(gain), dtype=np.int64)
+    order = np.argsort(-gain.max(axis=1), kind="stable")
+    done = branch_and_bound(gain[order], first[order], last[order], BRANCHES, label)
+    if not done:
+        return _solve_by_highs(gain, first, last)
+    found = np.empty_like(label)
+    found[order] = label
+    return found
+
+
+def _solve_by_highs(gain: Floats, first: Ints, last: Ints) -> Ints:
+    """The integer program with every variable and constraint written out."""
+    track, marker = np.nonzero(gain > 0)
+    rows, columns, count = [], [], 0
+    for j in np.unique(track):
+        own = np.nonzero(track == j)[0]
+        rows.append(np.full(len(own), count))
+        columns.append(own)
+        count += 1
+    for m in np.unique(marker):
+        own = np.nonzero(marker == m)[0]
+        for time in np.unique(first[track[own]]):
+            there = own[(first[track[own]] <= time) & (last[track[own]] >= time)]
+            if len(there) > 1:
+                rows.append(np.full(len(there), count))
+                columns.append(there)
+                count += 1
+    row, column = np.concatenate(rows), np.concatenate(columns)
+    limits = coo_array((np.ones(len(row)), (row, column)), shape=(count, len(track))).tocsr()
+    found = milp(
+        -gain[track, marker], constraints=LinearConstraint(limits, -np.inf, 1.0), integrality=np.ones(len(track)), bounds=Bounds(0, 1)
+    )
+    label = np.full(len(gain), NULL, dtype=np.int64)
+    taken = found.x > 0.5
+    label[track[taken]] = marker[taken]
+    return label
