@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -74,13 +73,10 @@ def model(folder: Path) -> Path:
 # What the command says about itself
 
 
-def test_help_comes_at_once_and_names_every_command() -> None:
-    started = time.perf_counter()
+def test_help_names_every_command() -> None:
     shown = asterism("--help")
-    seconds = time.perf_counter() - started
     assert shown.returncode == 0
     assert [verb for verb in VERBS if not re.search(rf"^  {verb} ", shown.stdout, re.MULTILINE)] == []
-    assert seconds < 2.0, f"--help took {seconds:.2f} s"
 
 
 def test_help_loads_no_heavy_room() -> None:
