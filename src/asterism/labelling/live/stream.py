@@ -289,7 +289,13 @@ class Stream:
         model, rules = self._model, self._rules
         short = settings
         if len(self._candidates.proposals) < MAX_LABELLINGS:
-            short = settings._replace(budget=rules.budget, agree=1, ask=1, enough=2, per_anchor=min(2, settings.per_anchor))
+            short = settings._replace(
+                max_evaluations=rules.budget,
+                votes_needed=1,
+                extra_anchors=1,
+                max_votes_needed=2,
+                proposals_per_anchor=min(2, settings.proposals_per_anchor),
+            )
         order = np.argsort(-xyz[:, 2], kind="stable")
         counters = np.zeros(4, dtype=np.int64)
         _, best = find_labellings(
