@@ -19,7 +19,7 @@ import numpy as np
 from scipy.cluster.vq import kmeans2
 
 from asterism.geometry import align_about_z
-from asterism.labelling.body._kernels import BodyArrays
+from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.recording import Floats, Ints
 
 
