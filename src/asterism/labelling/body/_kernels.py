@@ -9,8 +9,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from asterism._jit import kernel
 from asterism.labelling.partial._kernels import search
 
 LOG_2PI = math.log(2.0 * math.pi)
@@ -20,8 +20,6 @@ ROUNDS = 8
 """Relabellings after which a labelling that still changes is taken as it is."""
 WORTH_REFINING = 20.0
 """A proposal this many nats behind its anchor's best one is not followed up."""
-SUMS = {"reassoc", "contract"}
-"""Sums may be reordered (a frame's small products then run in vector registers); NaN and infinities keep their meaning."""
 REACH = 0.6
 """No point farther than this from where a marker is expected is looked at (m)."""
 
@@ -104,7 +102,7 @@ class LookSettings(NamedTuple):
     enough: int
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def _count(rows):
     labelled = 0
     for m in range(len(rows)):
@@ -112,7 +110,7 @@ def _count(rows):
     return labelled
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def placing(points, rows, mean, markers):
     """The turn about the vertical and the shift that bring the points at `rows` best onto `mean[markers]`: (cos, sin, from, onto).
 
@@ -141,7 +139,7 @@ def placing(points, rows, mean, markers):
     return cos, sin, (px, py, pz), (qx, qy, qz)
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def align(points, rows, mean, markers, out):
     """Move all points by `placing`. OUT out (n, 3). O(n + k)."""
     cos, sin, here, there = placing(points, rows, mean, markers)
@@ -152,7 +150,7 @@ def align(points, rows, mean, markers, out):
         out[i, 2] = points[i, 2] - here[2] + there[2]
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def _cholesky(matrix, column):
     """Lower triangle of a symmetric positive definite matrix replaced by its Cholesky factor; returns log det. O(r^3 / 3)."""
     n = len(matrix)
@@ -171,7 +169,7 @@ def _cholesky(matrix, column):
     return log_det
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def _inverse_of_factor(factor, inverse):
     """OUT inverse (r, r) of factor factor'. O(r^3 / 2)."""
     n = len(factor)
@@ -217,7 +215,7 @@ class Room(NamedTuple):
     everyone: np.ndarray
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def make_room(n, markers, latents):
     """Working arrays for frames of n points."""
     return Room(
@@ -234,7 +232,7 @@ def make_room(n, markers, latents):
     )
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def evidence(body, k, points, rows, settings, room):
     """How likely the labelled points are all together, under one key pose.
 
@@ -298,7 +296,7 @@ def evidence(body, k, points, rows, settings, room):
     return score + 0.5 * (quadratic - squares)
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def posterior(room):
     """What the labelled points say of the latents, after `evidence`. OUT room.covariance, latent. O(r^3)."""
     _inverse_of_factor(room.information, room.covariance)
@@ -310,7 +308,7 @@ def posterior(room):
         room.latent[i] = total
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def score_all(body, k, rows, settings, room):
     """Score every point as every marker, given all other labelled points (leave one out), after `posterior`.
 
@@ -389,7 +387,7 @@ def score_all(body, k, rows, settings, room):
             room.scores[m, c] = score
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def assign(scores, first_ghost, rows):
     """Give points to markers, best score first; what scores below 0 stays null, unless that saves the only ghosts.
 
@@ -440,7 +438,7 @@ def assign(scores, first_ghost, rows):
             rows[order[g]] = -1
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def assign_clear(scores, gap, rows):
     """Give points to markers only where nothing else comes near: best both ways, and by `gap` nats over the next best and over null.
 
@@ -469,7 +467,7 @@ def assign_clear(scores, gap, rows):
         rows[m] = chosen if clear else -1
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def _anchor_displacement(anchors, a, k, body, points, rows3, delta):
     """OUT delta (9,): how far an anchor's points lie from a key pose's, once placed onto it. Returns its squared distance."""
     cos, sin, here, there = placing(points, rows3, body.mean[k], anchors.markers[a])
@@ -488,7 +486,7 @@ def _anchor_displacement(anchors, a, k, body, points, rows3, delta):
     return distance
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def key_pose(anchors, a, body, points, rows3, delta):
     """The key pose that fits an anchor's own points best: (k, its log density, its squared distance). O(81 K)."""
     best, best_log, best_distance = 0, -np.inf, np.inf
@@ -500,7 +498,7 @@ def key_pose(anchors, a, body, points, rows3, delta):
     return best, best_log, best_distance
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def predict(anchors, a, k, body, points, rows3, delta, settings, room):
     """Score every point as every marker from an anchor alone (fills room.scores, like `score_all`). O(M n)."""
     markers, n = body.load.shape[1], len(points)
@@ -532,7 +530,7 @@ def predict(anchors, a, k, body, points, rows3, delta, settings, room):
         room.scores[m, rows3[i]] = 50.0
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def best_pose(body, points, rows, settings, room):
     """The key pose under which a labelling scores best, and that score: (k, nats)."""
     best, best_score = 0, -np.inf
@@ -543,7 +541,7 @@ def best_pose(body, points, rows, settings, room):
     return best, best_score
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def look_again(body, k, points, rows, settings, room):
     """Score all points by a labelling under key pose k, odd markers set aside: fills room.scores, room.odd; gives the labelling's score.
 
@@ -565,7 +563,7 @@ def look_again(body, k, points, rows, settings, room):
     return score
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def refine(body, k, points, rows, settings, room):
     """Relabel by the whole body until nothing changes: posterior, leave-one-out scores, assignment.
 
@@ -600,7 +598,7 @@ def refine(body, k, points, rows, settings, room):
     return score
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def _known(table, count, rows):
     for h in range(count):
         same = True
@@ -632,7 +630,7 @@ class Board(NamedTuple):
     last_vote: np.ndarray
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def propose(anchors, a, body, points, found, solutions, settings, room, pick, pick_score, pose_of):
     """Which of an anchor's triples are worth following up: those from which the whole body is found best.
 
@@ -672,7 +670,7 @@ def propose(anchors, a, body, points, found, solutions, settings, room, pick, pi
     return picks
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def find_labellings(points, order, solvers, anchors, body, settings, room, board, counters):
     """Let anchors propose and refine what they propose, until enough of them agree on the best labelling.
 
@@ -746,7 +744,7 @@ def find_labellings(points, order, solvers, anchors, body, settings, room, board
     return n_finals, best
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def nearest_changes(body, points, settings, room, rows, margins, counters):
     """For every marker, by how much the labelling beats the nearest one that differs there; a better one replaces it.
 
@@ -808,7 +806,7 @@ def nearest_changes(body, points, settings, room, rows, margins, counters):
     return top
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def second_look(body, points, top, settings, room, rows, margins, counters):
     """Where markers and points are both left over, see whether a doubtful label keeps them apart: take it back and relabel.
 
@@ -829,7 +827,7 @@ def second_look(body, points, top, settings, room, rows, margins, counters):
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def frame_settings(settings, points, markers):
     """The settings for a frame of so many points: the more points there are than markers, the likelier a ghost lies anywhere."""
     crowd = math.log(1.0 + max(0, points - markers))
@@ -851,7 +849,7 @@ def frame_settings(settings, points, markers):
     )
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def label_frame(points, order, solvers, anchors, body, settings, room, board, rows, margins, counters):
     """The best labelling of one frame and by how much it beats the next one, marker by marker.
 
@@ -887,7 +885,7 @@ def label_frame(points, order, solvers, anchors, body, settings, room, board, ro
                 margins[m] = min(margins[m], max(0.0, top - board.scores[h]))
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def label_clouds(xyz, offsets, first, last, solvers, anchors, body, settings, rows, margins, counters):
     """`label_frame` for the frames first..last of clouds whose points are sorted within each frame.
 
