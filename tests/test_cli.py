@@ -14,7 +14,6 @@ import pytest
 
 from asterism import formats
 from asterism.cli import _console, main
-from asterism.labelling.simulated_occlusions import anonymous
 from asterism.recording import Recording
 from asterism.simulation import simulate_walks
 
@@ -58,7 +57,7 @@ def folder(walks: list[Recording], tmp_path_factory: pytest.TempPathFactory) -> 
     place = tmp_path_factory.mktemp("recordings")
     for i, walk in enumerate(walks):
         formats.write(place / f"walk-{i}.c3d", walk)
-    formats.write(place / "nameless.c3d", anonymous(walks[4].clouds()))
+    formats.write(place / "nameless.c3d", Recording.from_clouds(walks[4].clouds()))
     (place / "broken.c3d").write_bytes((place / "walk-0.c3d").read_bytes()[:300])
     return place
 
@@ -310,7 +309,7 @@ def test_keep_leaves_the_labels_of_the_file(folder: Path, model: Path, walks: li
 
 @pytest.mark.parametrize("suffix", ["npz", "csv"])
 def test_anonymous_clouds_are_labelled_too(suffix: str, folder: Path, model: Path, walks: list[Recording], tmp_path: Path) -> None:
-    formats.write(tmp_path / f"cloud.{suffix}", anonymous(walks[4].clouds()))
+    formats.write(tmp_path / f"cloud.{suffix}", Recording.from_clouds(walks[4].clouds()))
     assert run("label", tmp_path / f"cloud.{suffix}", "--model", model, "-o", tmp_path / "out") == 0
     labelled = formats.read(tmp_path / "out" / f"cloud.{suffix}", markers=MARKERS)
     assert labelled.visible.mean() > 0.8

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism.errors import AsterismError
-from asterism.labelling.simulated_occlusions import GHOST_RADIUS, anonymous, hide_and_haunt
+from asterism.labelling.simulated_occlusions import GHOST_RADIUS, hide_and_haunt
 from asterism.recording import Floats, Labelling, MarkerSet, Recording
 from asterism.simulation import simulate_standing, simulate_walks, simulated_markers
 
@@ -250,7 +250,7 @@ def test_impossible_hiding_is_refused(occlusions: int, ghosts: int) -> None:
 @settings(max_examples=40, deadline=None)
 def test_an_anonymous_recording_holds_the_clouds_as_they_are(frames: int, markers: int, seed: int) -> None:
     clouds, truth = hide_and_haunt(gappy(frames, markers, seed), 1, 1, seed)
-    recording = anonymous(clouds)
+    recording = Recording.from_clouds(clouds)
     again = recording.clouds()
     np.testing.assert_array_equal(again.xyz, clouds.xyz)
     np.testing.assert_array_equal(again.offsets, clouds.offsets)

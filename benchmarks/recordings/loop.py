@@ -14,7 +14,7 @@ import numpy as np
 
 import asterism
 from asterism.labelling import Item, name_groups, own_tracks, review, settle
-from asterism.labelling.simulated_occlusions import anonymous, hide_in_gaps
+from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.recording import NULL, Clouds, Ints, Labelling, MarkerSet, Recording
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import file_of, gait
@@ -194,7 +194,7 @@ def _named(trial: Trial, course: Course) -> Recording:
             names[group] = answer
             course.by_name += int(groups.frames[group])
     course.names = len(names)
-    recording = anonymous(trial.clouds)
+    recording = Recording.from_clouds(trial.clouds)
     return name_groups(recording, groups, names)
 
 
