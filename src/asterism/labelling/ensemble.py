@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
 from asterism.labelling.body.anchors import Anchors
-from asterism.labelling.body.labeller import LookRules, Prepared
+from asterism.labelling.body.labeller import BodyLabeller, FrameLabellingSettings
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.partial.features import upright
@@ -25,8 +25,8 @@ from asterism.labelling.training.model_file import reading, write_arrays
 from asterism.labelling.training.sample import Sample
 from asterism.labelling.whole.bodies import check_for_one
 from asterism.labelling.whole.certainty import STEEP, Certainty
-from asterism.labelling.whole.label import Member, label_whole, own_body_gain, subject_body
-from asterism.labelling.whole.scene import Looker, TimeRules
+from asterism.labelling.whole.label import BodyInRecording, label_whole, own_body_gain, subject_body
+from asterism.labelling.whole.scene import TimeRules
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording
 
@@ -54,7 +54,7 @@ class SolverEnsemble:
         usual_score: float,
         calibrations: tuple[Calibration, Calibration],
         least_confidence: float,
-        look: LookRules,
+        look: FrameLabellingSettings,
         partial: PartialSolvers | None,
         about: dict[str, Any],
         memory: Memory | None = None,
@@ -74,7 +74,7 @@ class SolverEnsemble:
         self._memory = memory
         self._in_time = in_time or Certainty(calibrations, least_confidence)
         self._general = general
-        self._prepared: Prepared | None = None
+        self._prepared: BodyLabeller | None = None
 
     @classmethod
     def fit(
@@ -88,7 +88,7 @@ class SolverEnsemble:
         subjects: Sequence[str] | None = None,
         marker_set: MarkerSet | None = None,
         body_rules: BodyRules | None = None,
-        look: LookRules | None = None,
+        look: FrameLabellingSettings | None = None,
         training: TrainingRules | None = None,
         progress: Progress | None = None,
     ) -> SolverEnsemble:
@@ -102,7 +102,9 @@ class SolverEnsemble:
         Raises AsterismError where there is nothing to learn from, or the recordings' labels differ.
         """
         named = None if features is None else tuple(features)
-        recipe = Recipe(seed, target_hit_rate, miner, body_rules or BodyRules(), look or LookRules(), training or TrainingRules(), named)
+        recipe = Recipe(
+            seed, target_hit_rate, miner, body_rules or BodyRules(), look or FrameLabellingSettings(), training or TrainingRules(), named
+        )
         marker_set = marker_set or common_marker_set(recordings)
         memory = Memory(Sample(), recipe).with_recordings(recordings, subjects, marker_set)
         return cls._from_memory(marker_set, memory, progress or _silent)
@@ -277,11 +279,11 @@ class SolverEnsemble:
         return indices, confidence, counters
 
     def _margins(self, clouds: Clouds, workers: int = 1, progress: Progress | None = None) -> tuple[Ints, Floats, Ints, Any]:
-        return self._parts().margins(clouds, workers, progress)
+        return self._parts().label(clouds, workers, progress)
 
-    def _parts(self) -> Prepared:
+    def _parts(self) -> BodyLabeller:
         if self._prepared is None:
-            self._prepared = Prepared.of(self._body, self._anchors, self._look.settings(self._usual_score))
+            self._prepared = BodyLabeller.from_model(self._body, self._anchors, self._look.with_usual_score(self._usual_score))
         return self._prepared
 
     def stream(self, rate: float, delay: int = 0, vertical: ArrayLike | str = "z") -> Stream:
@@ -368,7 +370,7 @@ class SolverEnsemble:
                 float(head["usual_score"]),
                 calibrations,
                 float(head["least_confidence"]),
-                LookRules(**head["look"]),
+                FrameLabellingSettings.from_dict(head["look"]),
                 PartialSolvers.from_arrays(partial) if partial else None,
                 dict(head["about"]),
                 memory,
@@ -405,7 +407,7 @@ def label_together(
     clouds: T frames. An ensemble may be given twice, for two people who wear the same markers. Whole recordings only: see
     `SolverEnsemble.label` with `time`.
     """
-    members = [Member(Looker(e._parts(), e._body), e.marker_set.names, e._markers, e._in_time) for e in ensembles]
+    members = [BodyInRecording(e._parts(), e.marker_set.names, e._markers, e._in_time) for e in ensembles]
     body_rules = next((e._memory.recipe.body for e in ensembles if e._memory is not None), BodyRules())
     return label_whole(members, clouds, TimeRules(), SubjectRules(), body_rules, workers, progress)[0]
 

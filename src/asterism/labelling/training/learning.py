@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.labelling.body._kernels import best_pose, make_room
+from asterism.labelling.body._score_kernels import best_pose
+from asterism.labelling.body._workspace_kernels import make_body_workspace
 from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors, with_intervals
-from asterism.labelling.body.labeller import LookRules, Prepared
+from asterism.labelling.body.labeller import BodyLabeller, FrameLabellingSettings
 from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, subsample
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.partial.features import kinds_of, needs_motion
@@ -20,9 +21,9 @@ from asterism.labelling.partial.solver import person
 from asterism.labelling.simulated_occlusions import hide_and_haunt
 from asterism.labelling.training.calibration import Calibration
 from asterism.labelling.training.sample import FEWEST_SHOWN, Sample
-from asterism.labelling.whole.certainty import Certainty, Tried
+from asterism.labelling.whole.certainty import Certainty, TrialLabels
 from asterism.labelling.whole.label import trial
-from asterism.labelling.whole.scene import Looker, TimeRules
+from asterism.labelling.whole.scene import TimeRules
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording
 
@@ -67,7 +68,7 @@ class Recipe:
     target_hit_rate: float = 0.999
     miner: str | None = "bottom-up"
     body: BodyRules = field(default_factory=BodyRules)
-    look: LookRules = field(default_factory=LookRules)
+    look: FrameLabellingSettings = field(default_factory=FrameLabellingSettings)
     training: TrainingRules = field(default_factory=TrainingRules)
     features: tuple[str, ...] | None = None
 
@@ -96,7 +97,13 @@ class Recipe:
         )
         training = replace(training, trials=trials, time_trials=time_trials)
         return cls(
-            **{**plain, "body": BodyRules(**plain["body"]), "look": LookRules(**plain["look"]), "training": training, "features": features}
+            **{
+                **plain,
+                "body": BodyRules(**plain["body"]),
+                "look": FrameLabellingSettings.from_dict(plain["look"]),
+                "training": training,
+                "features": features,
+            }
         )
 
 
@@ -195,13 +202,13 @@ def learn_body(frames: Floats, people: Ints, stretches: Sequence[tuple[int, Reco
             continue
         usual.append(float(np.quantile(scores, rules.usual)))
         own_anchors = with_intervals(_among(anchors.triples, worn), others, whose, AnchorRules())
-        tried = Prepared.of(own, own_anchors, recipe.look.settings(usual[-1]))
+        tried = BodyLabeller.from_model(own, own_anchors, recipe.look.with_usual_score(usual[-1]))
         outcomes.append(_trial(tried, tested, people[out], rules, seed + i))
         others_stretches = _some_stretches(stretches, np.unique(people[out]), worn, rules)
-        in_time.append(trial(Looker(tried, own), others_stretches, rules.time_trials, TimeRules(), SubjectRules(), recipe.body, seed + i))
+        in_time.append(trial(tried, others_stretches, rules.time_trials, TimeRules(), SubjectRules(), recipe.body, seed + i))
     margin, right, spare = (np.concatenate(parts) for parts in zip(*outcomes, strict=True))
     calibrations = (Calibration.fit(margin[~spare], right[~spare]), Calibration.fit(margin[spare], right[spare]))
-    certainty = Certainty.fit(Tried.together(in_time), recipe.target_hit_rate, len(np.unique(people)))
+    certainty = Certainty.fit(TrialLabels.together(in_time), recipe.target_hit_rate, len(np.unique(people)))
     return Learned(body, anchors, float(np.median(usual)), calibrations, certainty)
 
 
@@ -255,20 +262,22 @@ def _among(triples: Ints, worn: Ints) -> Ints:
     return np.searchsorted(worn, triples[np.isin(triples, worn).all(axis=1)]).astype(np.int64)
 
 
-def _scores_of_truth(body: BodyModel, frames: Floats, look: LookRules, rules: TrainingRules, rng: np.random.Generator) -> Floats:
+def _scores_of_truth(
+    body: BodyModel, frames: Floats, look: FrameLabellingSettings, rules: TrainingRules, rng: np.random.Generator
+) -> Floats:
     """Score per label, in nats, of rightly labelled frames of people left out, some of their markers hidden."""
-    arrays, settings = body.arrays(), look.settings(0.0)
+    arrays, settings = body.arrays(), look.with_usual_score(0.0)
     scores = []
     for frame in frames[rng.choice(len(frames), min(300, len(frames)), replace=False)]:
         shown = ~np.isnan(frame[:, 0]) & (rng.random(len(frame)) >= rules.usually_hidden)
         if shown.sum() >= 3:
             rows = np.where(shown, np.cumsum(shown) - 1, NULL)
-            room = make_room(int(shown.sum()), len(rows), arrays.load.shape[3])
-            scores.append(best_pose(arrays, np.ascontiguousarray(frame[shown]), rows, settings, room)[1] / shown.sum())
+            workspace = make_body_workspace(int(shown.sum()), len(rows), arrays.load.shape[3])
+            scores.append(best_pose(arrays, np.ascontiguousarray(frame[shown]), rows, settings, workspace)[1] / shown.sum())
     return np.array(scores)
 
 
-def _trial(tried: Prepared, frames: Floats, people: Ints, rules: TrainingRules, seed: int) -> tuple[Floats, Any, Any]:
+def _trial(tried: BodyLabeller, frames: Floats, people: Ints, rules: TrainingRules, seed: int) -> tuple[Floats, Any, Any]:
     """Hide and haunt left-out frames and label them: margins, rightness and whether points were left over, of all labels given."""
     rng = np.random.default_rng(seed)
     margins, rights, spares = [], [], []
@@ -277,7 +286,7 @@ def _trial(tried: Prepared, frames: Floats, people: Ints, rules: TrainingRules, 
     for share, ghosts in rules.trials:
         recording = Recording(frames[rows_of], labels, 100.0)
         clouds, truth = hide_and_haunt(recording, round(share * len(labels)), ghosts, rng)
-        rows, margin, _, spare = tried.margins(clouds)
+        rows, margin, _, spare = tried.label(clouds)
         given = rows >= 0
         margins.append(margin[given])
         rights.append((rows == truth)[given])

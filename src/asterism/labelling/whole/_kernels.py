@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from asterism.labelling.body._kernels import best_pose, frame_settings, look_again, make_room
+from asterism.labelling.body._frame_kernels import frame_settings
+from asterism.labelling.body._score_kernels import best_pose, rescore
+from asterism.labelling.body._workspace_kernels import make_body_workspace
 
 
 @njit(cache=True, nogil=True)
@@ -20,7 +22,7 @@ def score_frames(xyz, offsets, track, label, body, settings, out, totals, poses)
     """
     markers, latents = body.load.shape[1], body.load.shape[3]
     rows = np.empty(markers, dtype=np.int64)
-    room = make_room(0, markers, latents)
+    workspace = make_body_workspace(0, markers, latents)
     for t in range(len(offsets) - 1):
         first, n = offsets[t], offsets[t + 1] - offsets[t]
         rows[:] = -1
@@ -34,17 +36,17 @@ def score_frames(xyz, offsets, track, label, body, settings, out, totals, poses)
             out[first : first + n] = 0.0
             totals[t], poses[t] = np.nan, 0
             continue
-        if n != len(room.aligned):
-            room = make_room(n, markers, latents)
+        if n != len(workspace.aligned):
+            workspace = make_body_workspace(n, markers, latents)
         points = xyz[first : first + n]
         own = frame_settings(settings, n, markers)
-        room.odd[:] = False
-        k, _ = best_pose(body, points, rows, own, room)
+        workspace.outlier[:] = False
+        k, _ = best_pose(body, points, rows, own, workspace)
         poses[t] = k
-        totals[t] = look_again(body, k, points, rows, own, room)
+        totals[t] = rescore(body, k, points, rows, own, workspace)
         for c in range(n):
             for m in range(markers):
-                out[first + c, m] = room.scores[m, c]
+                out[first + c, m] = workspace.scores[m, c]
 
 
 @njit(cache=True, nogil=True)
