@@ -5,12 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from asterism._jit import kernel
-
-SUMS = {"reassoc", "contract"}
-"""Sums may be reordered; NaN and infinities keep their meaning."""
 
 
 @kernel(inline=True)
@@ -118,7 +114,7 @@ def where_lines_approach(d0, d1, d2, e0, e1, e2, o0, o1, o2):
     return (od * ee - oe * de) / under, (od * de - oe * dd) / under, True
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def fit_about_z(points, rows, template, markers):
     """The turn about +z and the shift that lay the points at `rows` best on `template[markers]`: (cos, sin, from, onto).
 
@@ -148,7 +144,7 @@ def fit_about_z(points, rows, template, markers):
     return cos, sin, (px, py, pz), (qx, qy, qz)
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def align_about_z(points, rows, template, markers, out):
     """Move all points as `fit_about_z` says. OUT out (n, 3) m. O(n + k), no allocation."""
     cos, sin, here, there = fit_about_z(points, rows, template, markers)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from asterism._jit import kernel
 from asterism.cameras._kernels import CX, CY, FX, FY, distorted
 from asterism.geometry._kernels import nearest_to_rays
 
@@ -16,7 +16,7 @@ PARALLEL = 1e-7
 """Of the normal equations' determinant per cubed number of rays: rays below it count as parallel."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_lines(xy, offsets, share, depth_ratio, slack, bend, shortest, either, chosen, certain):
     """The three blobs of a wand in each image: in line, the inner one where the ratio and perspective allow it.
 
@@ -70,7 +70,7 @@ def find_lines(xy, offsets, share, depth_ratio, slack, bend, shortest, either, c
         certain[cell] = chosen[cell, 0] >= 0 and second > best + 0.35
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def _pixel(lens, rotation, translation, x, y, z):
     depth = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z + translation[2]
     if not depth > 1e-6:
@@ -83,7 +83,7 @@ def _pixel(lens, rotation, translation, x, y, z):
     return lens[FX] * a + lens[CX], lens[FY] * b + lens[CY]
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def _lay(lengths, points, there, start, direction):
     """The wand nearest to its markers' positions (K, 3): its first marker's place and its direction; False where it has none."""
     n, mean = 0, 0.0
@@ -115,7 +115,7 @@ def _lay(lengths, points, there, start, direction):
     return True
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def _support(frame, lengths, start, direction, lens, rotation, translation, posed, xy, offsets, gate, sights):
     """How well the images agree with a wand lying there: 0 to 1 per marker and camera; writes the blobs (C, K) that do."""
     total, cameras = 0.0, len(posed)
@@ -147,7 +147,7 @@ def _support(frame, lengths, start, direction, lens, rotation, translation, pose
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def agree(
     xy, rays, offsets, chosen, lengths, either, lens, rotation, translation, origins, posed, gate, starts, directions, sights, support
 ):
