@@ -120,7 +120,7 @@ def _in_its_world(made: WandCalibration, floor: Path | None, l_frame: str | None
     from asterism.formats import read_blobs
 
     if floor is not None:
-        lying = read_blobs(floor, tuple([*made.rig.names, *made.left_out]))
+        lying = read_blobs(floor, tuple([*made.rig.names, *made.excluded]))
         if l_frame is not None:
             world, told = world_from_l_frame(made.rig, lying, _points(l_frame), scaled=scaled), f"the L-frame of {floor.name}"
         else:
@@ -218,7 +218,7 @@ def _told(made: WandCalibration, blobs: Path, output: Path | None) -> dict[str, 
         "wand_length_std_m": float(lengths.std()) if measured else None,
         "reprojection_rms_px": made.rms,
         "noise_px": made.noise,
-        "rejected": made.rejected,
+        "rejected": made.mean_rejected_share,
         "cameras": [
             {
                 "name": camera.name,
@@ -230,14 +230,14 @@ def _told(made: WandCalibration, blobs: Path, output: Path | None) -> dict[str, 
                 "radial": camera.radial,
                 "tangential": camera.tangential,
                 "position_m": camera.position,
-                "rejected": made.lost[c],
-                "position_sigma_m": made.place_sigma[c],
-                "late_frames": int(made.late[c]),
+                "rejected": made.rejected_share[c],
+                "position_sigma_m": made.position_sigma[c],
+                "lag_frames": int(made.lag_frames[c]),
                 "image_covered": float((cells[c] > 0).mean()),
             }
             for c, camera in enumerate(made.rig)
         ],
-        "left_out": dict(made.left_out),
+        "excluded": {name: " ".join(why) for name, why in made.excluded.items()},
     }  # fmt: skip
 
 
@@ -261,7 +261,7 @@ def _print(made: WandCalibration) -> None:
     )
     lengths = made.lengths[np.isfinite(made.lengths)]
     wand = f", wand {1000 * lengths.mean():.2f} ± {1000 * lengths.std():.2f} mm" if len(made.wand.lengths) > 1 and len(lengths) else ""
-    _console.say(f"reprojection error {made.rms:.3f} px{wand}, {_console.percent(made.rejected)} of the wand's images left out")
+    _console.say(f"reprojection error {made.rms:.3f} px{wand}, {_console.percent(made.mean_rejected_share)} of the wand's images left out")
     for finding in made.findings:
         if finding.advice:
             _console.say(f"advice: {finding.sentence}")
