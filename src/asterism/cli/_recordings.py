@@ -15,6 +15,15 @@ from asterism.recording import Clouds, Labelling, MarkerSet, Recording, is_unnam
 _FEWEST_MARKERS = 4
 
 
+def is_rig(path: Path) -> bool:
+    """Whether a name is that of a rig file or of a folder of them; names of recordings need no look at the formats of rigs."""
+    if formats.is_recording_file(path) and not path.is_dir():
+        return False
+    from asterism.cameras.files import is_rig_file
+
+    return is_rig_file(path)
+
+
 def read_labelled(
     files: Sequence[Path], markers: str | MarkerSet | None, vertical: str | None, batch: _console.Batch, *, complete: bool = False
 ) -> list[Recording]:

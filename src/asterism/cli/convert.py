@@ -28,12 +28,12 @@ def convert(
     What the other format cannot carry is named on standard error.
     """
     from asterism import formats
-    from asterism.cameras.files import is_rig_file
+    from asterism.cli._recordings import is_rig
 
     _console.check_new(target, overwrite)
     _console.check_new(json, overwrite)
     axis, wanted = vertical_axis(vertical), marker_names(markers)
-    if is_rig_file(source):
+    if is_rig(source):
         lost = _rig_converted(source, target, axis, wanted)
     else:
         lost = formats.convert(source, target, axis) if wanted is None else formats.write(target, formats.read(source, wanted, axis))

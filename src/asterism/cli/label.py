@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from asterism import __version__
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import (
@@ -159,6 +158,7 @@ def _check(options: LabelOptions) -> None:
 
 def _labelled(labeller: _Labeller, batch: _console.Batch, path: Path, target: Path, progress: Progress | None) -> _Result:
     """Label one file and write it."""
+    from asterism import __version__
     from asterism.cli._recordings import labels_kept, outcome
     from asterism.labelling.ensemble import ANOTHER_PERSON
 
