@@ -87,7 +87,7 @@ def _with_common_markers(files: Sequence[Path], recordings: Sequence[Recording])
     left_out = sorted({name for names in named for name in names} - set(common))
     if left_out:
         few = ", ".join(left_out[:8]) + (", ..." if len(left_out) > 8 else "")
-        _console.complain(f"using the {len(common)} markers that all files have; {len(left_out)} are in some files only ({few}).")
+        _console.error(f"using the {len(common)} markers that all files have; {len(left_out)} are in some files only ({few}).")
     return [recording.select(common) for recording in recordings]
 
 
