@@ -1,6 +1,6 @@
 """Kernels of features: points in; the values of features, their ranges over people, and which weak classifiers reject, out.
 
-All kernels of this folder take the vertical as +z; `features.upright` has turned the points before. Twins: tests/twins.py.
+All kernels of this folder take the vertical as +z; `geometry.rotate_z_up` has turned the points before. Twins: tests/twins.py.
 """
 
 from __future__ import annotations
