@@ -55,18 +55,32 @@ Json = Annotated[
     typer.Option("--json", metavar="FILE", help="Write all results as JSON; - prints them instead of the table.", show_default=False),
 ]
 Report = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Write an HTML report.", show_default=False)]
-MinerOption = Annotated[Miner, typer.Option("--miner", help="How the partial solvers are chosen.")]
+MinerOption = Annotated[
+    Miner | None,
+    typer.Option(
+        "--miner",
+        help="Also search the partial solvers that the rules partial-solvers and thesis need, in this way; takes minutes.",
+        show_default=False,
+    ),
+]
 Features = Annotated[
     str | None,
     typer.Option(
         "--features",
         metavar="NAMES",
-        help="What the partial solvers look at, such as g2,g4,g9,g13: docs/labelling.md lists all. Else what single frames show.",
+        help="What the partial solvers read, such as g2,g4,g9,g13 (docs/labelling.md lists all); implies --miner bottom-up.",
         show_default=False,
     ),
 ]
 RulesOption = Annotated[Rules, typer.Option("--rules", help="How a frame is labelled: by the whole body, or by solvers' votes.")]
 FrameWise = Annotated[bool, typer.Option("--frame-wise", help="Each frame by itself, without time and tracks.")]
+KeepLabels = Annotated[bool, typer.Option("--keep-labels", help="Labels that a file already has stay; only points without a name get one.")]
+Subject = Annotated[
+    Path | None,
+    typer.Option(
+        "--subject", metavar="FILE", help="A trial of the person, best standing: narrows the model to this body.", show_default=False
+    ),
+]
 HitRate = Annotated[
     float, typer.Option("--target-hit-rate", metavar="SHARE", help="Share of the labels given that should be right, below 1.")
 ]

@@ -83,7 +83,7 @@ class SolverEnsemble:
         *,
         seed: int = 0,
         target_hit_rate: float = 0.999,
-        miner: str | None = "bottom-up",
+        miner: str | None = None,
         features: Sequence[str] | None = None,
         subjects: Sequence[str] | None = None,
         marker_set: MarkerSet | None = None,
@@ -95,13 +95,15 @@ class SolverEnsemble:
         """Learn from labelled recordings that share their labels (read with `markers=`).
 
         subjects: whose recording each is; by default what the recordings' metadata says, else their folder. Confidence is
-        calibrated on people left out in turn, so more people make it honest. `miner` finds the partial
-        solvers of the thesis' rules ("bottom-up", "top-down", "genetic"; None leaves them out and saves most of the time), of the
-        `features` named (`features.FEATURES`; those of motion among them), by default `mining.FEATURES`, of single frames.
+        calibrated on people left out in turn, so more people make it honest. `miner` ("bottom-up", "top-down" or "genetic")
+        also searches the partial solvers that the rules "partial-solvers" and "thesis" need; that takes most of the training's time.
+        `features` names what they read (`features.FEATURES`, those of motion among them; by default `solver_search.FEATURES`, of single
+        frames), and asks for them: the miner is then "bottom-up" where it is None.
         The same recordings and seed give the same model, bit for bit.
         Raises AsterismError where there is nothing to learn from, or the recordings' labels differ.
         """
         named = None if features is None else tuple(features)
+        miner = "bottom-up" if miner is None and named is not None else miner
         recipe = Recipe(
             seed, target_hit_rate, miner, body_rules or BodyRules(), look or FrameLabellingSettings(), training or TrainingRules(), named
         )
@@ -122,13 +124,15 @@ class SolverEnsemble:
         The model carries a sample of what it was trained on, so the old files are not needed: learning is training on all that was ever
         given, and the order in which it came does not matter, bit for bit. A recording given twice counts once. Recordings may lack
         markers, and be of new people or of known ones (`subjects`, one name each; by default as for `fit`). The confidence is calibrated
-        anew on people left out, so a model of one person becomes honest as people come in. Partial solvers stay as they were mined,
+        anew on people left out, so a model of one person becomes honest as people come in. Partial solvers stay as they were found,
         unless `mine_again`, which takes as long as it did in `fit`.
-        Raises AsterismError where there is nothing to learn from, a recording has none of the markers, or the model was written by an
-        Asterism that kept no sample.
+        Raises AsterismError where there is nothing to learn from, a recording has none of the markers, the model was written by an
+        Asterism that kept no sample, or `mine_again` is given and the model was trained without partial solvers.
         """
         if self._memory is None:
             raise AsterismError("this model was written by an earlier Asterism and keeps nothing to learn on from; train it again.")
+        if mine_again and self._memory.recipe.miner is None:
+            raise AsterismError("this model was trained without partial solvers; train it again with --miner bottom-up to add them.")
         memory = self._memory.with_recordings(recordings, subjects, self.marker_set)
         mined_before = None if mine_again else self
         return self._from_memory(self.marker_set, memory, progress or _silent, mined_before)
@@ -258,7 +262,9 @@ class SolverEnsemble:
     def _vote(self, clouds: Clouds, rules: str) -> tuple[Labelling, Ints]:
         """Label by the partial solvers' proposals: the matrix of section 4.5.4 ("thesis"), or completed by the whole model."""
         if self._partial is None:
-            raise AsterismError(f"this model holds no partial solvers for the rules {rules!r}; train it with a miner.")
+            raise AsterismError(
+                f"this model has no partial solvers, which the rules {rules!r} need; train it again with --miner bottom-up."
+            )
         votes = label_by_matrix(clouds, self._partial, complete=rules == "partial-solvers")
         indices = np.full((len(clouds), len(self.marker_set)), NULL, dtype=np.int64)
         confidence = np.zeros(indices.shape)

@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from asterism._jit import kernel
 from asterism.reconstruction._kernels import (
     END,
     FEWEST,
@@ -32,7 +32,7 @@ FIRM = 4
 """Blobs that hypotheses of this many cameras explain are not composed with each other: what else they show is found from the rest."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _pencil(rig, frame, pair, which, angle, spread):
     """The angle of each blob's epipolar plane about a pair's baseline, and its variance by the pixel noise.
 
@@ -78,7 +78,7 @@ class Hypotheses(NamedTuple):
     links: np.ndarray
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _put(found, at, rays, x, worth):
     """Write a hypothesis to its place in the lists."""
     for c in range(len(rays)):
@@ -88,7 +88,7 @@ def _put(found, at, rays, x, worth):
     found.scores[at] = worth
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _room(found, count):
     """The lists with room for one more."""
     size = len(found.scores)
@@ -109,7 +109,7 @@ def _room(found, count):
     return Hypotheses(rays, points, scores, links)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _together(found, head, a, b, i, j):
     """Whether a hypothesis in the lists holds both blob i of camera a and blob j of camera b."""
     at = head[i]
@@ -120,7 +120,7 @@ def _together(found, head, a, b, i, j):
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _grown(rig, frame, a, b, i, j, free, rays, x, h, g, out):
     """The hypothesis that starts with blob i of camera a and blob j of camera b and takes the best blob of every other camera.
 
@@ -154,7 +154,7 @@ def _grown(rig, frame, a, b, i, j, free, rays, x, h, g, out):
     return many, score(rig, frame, rays, x, h, square)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def compose(rig, frame):
     """All hypotheses of a frame that are likelier than strays: pairs of blobs that pass the gate, grown through all other cameras.
 
@@ -229,7 +229,7 @@ def compose(rig, frame):
     return found, count, gated
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _listed(found, head, rays):
     """Whether a hypothesis with exactly these rays is in the lists."""
     for c in range(len(rays)):
@@ -246,7 +246,7 @@ def _listed(found, head, rays):
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def with_reduced(rig, frame, found, count):
     """Add hypotheses without the blobs that a rival of three cameras or more claims too, so that both can be chosen.
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from asterism._jit import kernel
 from asterism.reconstruction._compose_kernels import compose, with_reduced
 from asterism.reconstruction._kernels import (
     NOISE,
@@ -26,7 +26,7 @@ from asterism.reconstruction._pack_kernels import pack
 FINAL_STEPS = 6
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def reconstruct_frames(rig, flat, slopes, offsets, begin, end, out_rays, out_points, out_covariance, out_residual, counts, notes):
     """Compose, merge and choose the points of frames `begin` to `end`, each frame by itself.
 
@@ -92,7 +92,7 @@ def reconstruct_frames(rig, flat, slopes, offsets, begin, end, out_rays, out_poi
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _join(rig, frame, rays, x, h, g, free, out):
     """Give a chosen point the free blobs that it fits in the cameras that it lacks, unless that costs it others.
 
@@ -115,7 +115,7 @@ def _join(rig, frame, rays, x, h, g, free, out):
             free[before[c]] = True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def seen_shares(rig, points, rays, in_sight, seen):
     """Count how often each camera saw what it should.
 

@@ -10,8 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from asterism._jit import kernel
 from asterism.cameras._kernels import CX, CY, FX, FY, distorted
 from asterism.reconstruction._order_kernels import ascending
 
@@ -60,7 +60,7 @@ class FrameArrays(NamedTuple):
     bins: np.ndarray
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def lens_slopes(lens, flat, out):
     """How far a blob moves in the image when its ray does.
 
@@ -73,7 +73,7 @@ def lens_slopes(lens, flat, out):
         out[i, 2], out[i, 3] = lens[FY] * vx, lens[FY] * vy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def first_of_equals(xy, offsets, out):
     """Whether a blob is the first of its image at its place.
 
@@ -96,7 +96,7 @@ def first_of_equals(xy, offsets, out):
                 back -= 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def frame_arrays(flat, slopes, first):
     """Lay a grid over each camera's blobs, about one blob a cell. O(blobs).
 
@@ -137,7 +137,7 @@ def frame_arrays(flat, slopes, first):
     return FrameArrays(blobs, grid, bins)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline=True)
 def _cell(grid, c, x, y):
     side = int(grid[c, SIDE])
     column = min(max(int((x - grid[c, LEFT]) * grid[c, PER_X]), 0), side - 1)
@@ -145,7 +145,7 @@ def _cell(grid, c, x, y):
     return row * side + column
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline=True)
 def _in_camera(cameras, c, x, y, z):
     """A world point in the axes of camera c."""
     return (
@@ -155,14 +155,14 @@ def _in_camera(cameras, c, x, y, z):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def clear(values):
     """Set all of (n,) to 0."""
     for i in range(len(values)):
         values[i] = 0.0
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline=True)
 def inverse(h):
     """The inverse of a symmetric 3 x 3 matrix given as (xx, xy, xz, yy, yz, zz), and its determinant before."""
     a, b, c = h[3] * h[5] - h[4] * h[4], h[2] * h[4] - h[1] * h[5], h[1] * h[4] - h[2] * h[3]
@@ -181,7 +181,7 @@ def inverse(h):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_ray(rig, frame, c, blob, x, h, g):
     """Add a ray's share to the normal equations at point x: h (6,) information, g (3,). Returns its squared residual in noise.
 
@@ -217,7 +217,7 @@ def add_ray(rig, frame, c, blob, x, h, g):
     return r0 * r0 + r1 * r1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def fit(rig, frame, rays, x, h, g, steps):
     """Move a point to where its rays' reprojection error is least: Gauss-Newton, thesis eq. 3.8 for any number of cameras.
 
@@ -251,7 +251,7 @@ def fit(rig, frame, rays, x, h, g, steps):
     return total, worst, whose
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def best_blob(rig, frame, c, x, h, free, out):
     """The blob of camera c that fits a point best, by its residual against the spread that point and blob have together.
 
@@ -313,7 +313,7 @@ def best_blob(rig, frame, c, x, h, free, out):
     return chosen
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _blob_near(frame, c, x, y, wide_x, wide_y):
     grid = frame.grid
     side = int(grid[c, SIDE])
@@ -334,7 +334,7 @@ def _blob_near(frame, c, x, y, wide_x, wide_y):
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def in_view(rig, c, x):
     """Whether camera c has a point inside its image, and where on the normalized plane."""
     u, v, w = _in_camera(rig.cameras, c, x[0], x[1], x[2])
@@ -353,7 +353,7 @@ def in_view(rig, c, x):
     return inside, px, py
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def score(rig, frame, rays, x, h, square):
     """The log-likelihood ratio, in nats, of "one point made these blobs" to "each of them is a stray".
 
@@ -375,7 +375,7 @@ def score(rig, frame, rays, x, h, square):
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def settle(rig, frame, rays, x, h, g, steps):
     """Fit a point and drop rays that do not fit, worst first. Returns squared residual and rays left; infinite where it cannot be."""
     count = 0
@@ -395,7 +395,7 @@ def settle(rig, frame, rays, x, h, g, steps):
     return np.inf, count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def meeting(rig, frame, a, b, i, j, x):
     """Where the rays of two blobs come nearest to each other, into x; False where that is not in front of both cameras."""
     cameras = rig.cameras
@@ -426,8 +426,9 @@ def meeting(rig, frame, a, b, i, j, x):
     return True
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline=True)
 def within(rig, x):
+    """Whether a place x (3,) m lies in the volume of the rig's settings. O(1)."""
     return (
         rig.setting[3] <= x[0] <= rig.setting[6] and rig.setting[4] <= x[1] <= rig.setting[7] and rig.setting[5] <= x[2] <= rig.setting[8]
     )

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from asterism._jit import kernel
 
 RUN = 8
 """Numbers that are sorted by insertion before runs are merged."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def ascending(values, count):
     """The order (count,) that sorts the first `count` values, ties in place; none is NaN. Merge sort, O(n log n). Twin: np.argsort."""
     order, spare = np.empty(count, np.int64), np.empty(count, np.int64)

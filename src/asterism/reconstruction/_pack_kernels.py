@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from asterism._jit import kernel
 from asterism.reconstruction._order_kernels import ascending
 
 MOST_WORK = 5_000_000
 """Looks at a rival that the search in one tangle may take before the best found so far must do, and again that exchanges may take."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def pack(rays, scores, count, blobs):
     """Choose hypotheses of the greatest total score, no two with a blob in common.
 
@@ -83,7 +83,7 @@ def pack(rays, scores, count, blobs):
     return chosen, unproved
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _strike(rays, starts, holders, alive, n):
     """Take a hypothesis and all its rivals off the list."""
     alive[n] = False
@@ -93,7 +93,7 @@ def _strike(rays, starts, holders, alive, n):
                 alive[holders[place]] = False
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _tangle(rays, starts, holders, alive, n, members, local):
     """All living hypotheses that hang together with one by common blobs, which `local` marks; they are written to `members`.
 
@@ -116,7 +116,7 @@ def _tangle(rays, starts, holders, alive, n, members, local):
     return many
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _search(rays, scores, starts, holders, local, members, chosen):
     """Branch and bound over one tangle, best first into `chosen`. Returns whether the result is proved the best.
 
@@ -187,7 +187,7 @@ def _search(rays, scores, starts, holders, local, members, chosen):
     return proved
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _greedy(rays, scores, starts, holders, local, members, best):
     """Take the hypotheses of a tangle in their order where they still can be, into `best`. Returns what they are worth."""
     blocked = np.zeros(len(members), np.int64)
@@ -200,7 +200,7 @@ def _greedy(rays, scores, starts, holders, local, members, best):
     return value
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _block(rays, starts, holders, local, n, blocked, by):
     """Count one more (or less) chosen rival for everything that shares a blob with hypothesis n."""
     for c in range(rays.shape[1]):
@@ -212,7 +212,7 @@ def _block(rays, starts, holders, local, n, blocked, by):
                     blocked[j] += by
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _exchange(rays, scores, starts, holders, local, members, best):
     """Improve a choice while putting one hypothesis in and its rivals out, then what became free in, is worth more."""
     many = len(members)

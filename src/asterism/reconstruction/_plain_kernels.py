@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from asterism._jit import kernel
 from asterism.reconstruction._kernels import END, FEWEST, FIRST, GATE, NOISE, add_ray, clear, fit, frame_arrays, inverse, meeting, within
 from asterism.reconstruction._order_kernels import ascending
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _composed(rig, frame, rays, points, spreads):
     """Algorithm 3.1: every pair of blobs of every pair of cameras whose rays meet within the sensitivity.
 
@@ -41,7 +41,7 @@ def _composed(rig, frame, rays, points, spreads):
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _merged(rays, points, spreads, count, limit):
     """Algorithm 3.2: versions of a point nearer than the sensitivity and without different blobs of one camera become one.
 
@@ -77,7 +77,7 @@ def _merged(rays, points, spreads, count, limit):
     return groups
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def plain_frame(rig, flat, slopes, first, rays, points, covariance, residual):
     """One frame by algorithms 3.1 and 3.2: no triangulation from all rays, and a blob may serve many points.
 

@@ -6,10 +6,11 @@ The plain twins are in `tests/twins_links.py`.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from asterism._jit import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sort_frames(xyz, offsets, order):
     """Sort each frame's points by x, then y, then z.
 
@@ -29,7 +30,7 @@ def sort_frames(xyz, offsets, order):
             order[where] = p
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def combine_directions(forward, backward, previous, following):
     """The links that both directions found, or that one found and the other could not judge: its track had fewer than three points yet.
 
@@ -60,7 +61,7 @@ def combine_directions(forward, backward, previous, following):
             following[p], previous[q] = q, p
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def number_chains(previous, of_point):
     """Number the chains of linked points, in the order of their first points. OUT of_point (P,). Returns how many. O(P)."""
     count = 0

@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from asterism._jit import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def prediction_error(xyz, a, b, links):
     """How far point b of a frame lies from the smooth continuation of point a of the frame before.
 
@@ -39,13 +40,13 @@ def prediction_error(xyz, a, b, links):
     return math.sqrt(least), vx, vy, vz
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def error_length(xyz, a, b, links):
     """The length of `prediction_error`, in m. O(1)."""
     return prediction_error(xyz, a, b, links)[0]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rival_wins(xyz, rival, error, direction, from_, to, links, limits):
     """Whether a rival link is right, and a link with a larger prediction error therefore wrong.
 
@@ -62,7 +63,7 @@ def rival_wins(xyz, rival, error, direction, from_, to, links, limits):
     return rival < its_error and x * direction[0] + y * direction[1] + z * direction[2] < 0.5 * its_error * error
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def second_difference(xyz, p, links):
     """The length of a track's second difference at a point, in m; 0 at its ends. O(1)."""
     a, b = links.previous[p], links.following[p]
@@ -74,7 +75,7 @@ def second_difference(xyz, p, links):
     return math.sqrt(total)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def recent_jerk(xyz, a, b, links):
     """The largest second difference, in m, within three frames before a and after b, of the tracks that end in a and begin in b. O(1)."""
     most = 0.0
@@ -93,7 +94,7 @@ def recent_jerk(xyz, a, b, links):
     return most
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def has_jumped(xyz, a, b, error, links, limits):
     """Whether a track broke between a and b without any rival: it is offset, with the same velocity before and after. O(1)."""
     c, d = links.previous[a], links.following[b]
@@ -105,7 +106,7 @@ def has_jumped(xyz, a, b, error, links, limits):
     return error > 3.0 * math.sqrt(change2) and error > 4.0 * recent_jerk(xyz, a, b, links)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_cuts(xyz, offsets, links, limits, cut):
     """Where links along track numbers are wrong.
 
@@ -141,7 +142,7 @@ def find_cuts(xyz, offsets, links, limits, cut):
             cut[b] = wrong
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_strays(xyz, offsets, following, ratio, least):
     """How many links there are, and how many of them pass by a point that lies `ratio` times nearer: (links, strays).
 
@@ -166,7 +167,7 @@ def count_strays(xyz, offsets, following, ratio, least):
     return links, strays
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def repair_links(xyz, offsets, links, forbidden, limits):
     """Join a track that ends with one that begins in the next frame, where the motion on both sides agrees and no rival comes near.
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from asterism._jit import kernel
 from asterism.tracking._link_workspace_kernels import make_link_workspace, make_track_ends
 from asterism.tracking._prediction_kernels import extend_tracks, predict_tracks, start_links
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _doubled(array, capacity):
     """A copy of an array with more capacity."""
     out = np.empty(capacity, dtype=array.dtype)
@@ -22,7 +22,7 @@ def _doubled(array, capacity):
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def link_step(ends, count, points, limits, workspace, previous, following):
     """Which track goes on with which point of the next frame: where both are each other's nearest and no rival comes near.
 
@@ -112,7 +112,7 @@ def link_step(ends, count, points, limits, workspace, previous, following):
     extend_tracks(ends, points, predicted, previous, following)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def link_frames(xyz, offsets, limits, backwards, linked):
     """`link_step` through all frames, from the first to the last or backwards.
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from asterism._jit import kernel
 
 
 class LinkLimits(NamedTuple):
@@ -80,13 +81,13 @@ class LinkWorkspace(NamedTuple):
     pair_distance: np.ndarray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def make_track_ends(n):
     """The ends of n tracks, to be filled. O(n) memory."""
     return TrackEnds(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.ones(n, dtype=np.int64), np.zeros(n))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def make_link_workspace(n):
     """Working arrays for frames of up to n points. O(n) memory."""
     return LinkWorkspace(

@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from asterism._jit import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def predict_tracks(ends, count, limits, predicted, gate):
     """Where every track is expected in the next frame, and how far from there its point may be.
 
@@ -70,7 +71,7 @@ def predict_tracks(ends, count, limits, predicted, gate):
         gate[a] = min(limits.noise + away, limits.max_step)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def start_links(ends, count, points, limits, next_point, previous):
     """First links, where no track has a velocity yet: a point is linked if it moves like its neighbours.
 
@@ -133,7 +134,7 @@ def start_links(ends, count, points, limits, next_point, previous):
             previous[nearest[a]] = a
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def extend_tracks(ends, points, predicted, previous, following):
     """The tracks' ends in the next frame: every point continues its track, or begins one.
 

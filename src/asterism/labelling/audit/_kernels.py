@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from asterism._jit import kernel
 from asterism.labelling.body._score_kernels import best_pose, evidence, rescore
-from asterism.labelling.body._workspace_kernels import SUMS, make_body_workspace
+from asterism.labelling.body._workspace_kernels import make_body_workspace
 
 FREEDOM = 3.0
 """Degrees of freedom of the heavy-tailed steps: impacts and the like are no wonders."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def surprise(before, at, after, early, late, scale):
     """Log density (nats, up to a constant) of a step: how far a point lies from where its last two let expect it.
 
@@ -29,7 +29,7 @@ def surprise(before, at, after, early, late, scale):
     return -0.5 * (FREEDOM + 3.0) * math.log(1.0 + square / (FREEDOM * usual * usual))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def path_score(paths, times, scales, emission, switch, states):
     """How well two paths are explained if their points are exchanged where `states` says so, in nats.
 
@@ -49,7 +49,7 @@ def path_score(paths, times, scales, emission, switch, states):
     return score
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def exchange_path(paths, times, scales, emission, switch, states):
     """Where two markers' points are best taken as exchanged: the most likely path of a two-state chain (Viterbi over pairs of frames).
 
@@ -95,7 +95,7 @@ def exchange_path(paths, times, scales, emission, switch, states):
     return top - never
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def all_exchanges(positions, scales, emission, switch, pairs, gains):
     """`exchange_path` of many pairs of markers over the frames that show both.
 
@@ -118,7 +118,7 @@ def all_exchanges(positions, scales, emission, switch, pairs, gains):
         gains[p] = exchange_path(paths[:n], times[:n], ends, own[:n], switch, states[:n])
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def exchange_gains(frames, body, settings, pairs, look, most, gains, own):
     """By how many nats each frame is explained better with two markers exchanged.
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from asterism.labelling.body._workspace_kernels import SUMS
+from asterism._jit import kernel
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def assign_greedily(scores, first_ghost, point_of):
     """Give points to markers, best score first; what scores below 0 stays null, unless that saves the only ghosts.
 
@@ -59,7 +58,7 @@ def assign_greedily(scores, first_ghost, point_of):
             point_of[order[g]] = -1
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def assign_unambiguous(scores, gap, point_of):
     """Give points to markers only where nothing else comes near: best both ways, and by `gap` nats over the next best and over null.
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from asterism._jit import kernel
 from asterism.labelling.body._refine_kernels import refine
 from asterism.labelling.body._score_kernels import best_pose, evidence, rescore
 from asterism.labelling.body._search_kernels import MAX_LABELLINGS, CandidateLabellings, find_labellings
-from asterism.labelling.body._workspace_kernels import SUMS, FrameSettings, count_labelled, make_body_workspace
+from asterism.labelling.body._workspace_kernels import FrameSettings, count_labelled, make_body_workspace
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def nearest_changes(body, points, settings, workspace, point_of, margins, counters):
     """For every marker, by how much the labelling beats the nearest one that differs there; a better one replaces it.
 
@@ -75,7 +75,7 @@ def nearest_changes(body, points, settings, workspace, point_of, margins, counte
     return top
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def retry_doubtful(body, points, top, settings, workspace, point_of, margins, counters):
     """Where markers and points are both left over, see whether a doubtful label keeps them apart: take it back and relabel.
 
@@ -96,7 +96,7 @@ def retry_doubtful(body, points, top, settings, workspace, point_of, margins, co
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def frame_settings(settings, points, markers):
     """The settings for a frame of so many points: the more points there are than markers, the likelier a ghost lies anywhere."""
     log_surplus = math.log(1.0 + max(0, points - markers))
@@ -118,7 +118,7 @@ def frame_settings(settings, points, markers):
     )
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def label_frame(points, order, solvers, anchors, body, settings, workspace, candidates, point_of, margins, counters):
     """The best labelling of one frame and by how much it beats the next one, marker by marker.
 
@@ -154,7 +154,7 @@ def label_frame(points, order, solvers, anchors, body, settings, workspace, cand
                 margins[m] = min(margins[m], max(0.0, top - candidates.scores[h]))
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def label_clouds(xyz, offsets, first, last, solvers, anchors, body, settings, point_of, margins, counters):
     """`label_frame` for the frames first..last of clouds whose points are sorted within each frame.
 

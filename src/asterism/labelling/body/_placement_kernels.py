@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
-from asterism.labelling.body._workspace_kernels import SUMS
+from asterism._jit import kernel
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def placement(points, point_of, mean, markers):
     """The turn about the vertical and the shift that bring the points at `point_of` best onto `mean[markers]`: (cos, sin, from, onto).
 
@@ -38,7 +36,7 @@ def placement(points, point_of, mean, markers):
     return cos, sin, (px, py, pz), (qx, qy, qz)
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def place_points(points, point_of, mean, markers, out):
     """Move all points by `placement`. OUT out (n, 3). O(n + k)."""
     cos, sin, here, there = placement(points, point_of, mean, markers)

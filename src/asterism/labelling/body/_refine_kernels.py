@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from asterism._jit import kernel
 from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
 from asterism.labelling.body._score_kernels import best_pose, rescore
-from asterism.labelling.body._workspace_kernels import SUMS, count_labelled
+from asterism.labelling.body._workspace_kernels import count_labelled
 
 MAX_ROUNDS = 8
 """Relabellings after which a labelling that still changes is taken as it is."""
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def refine(body, k, points, point_of, settings, workspace):
     """Relabel by the whole body until nothing changes: posterior, leave-one-out scores, assignment.
 

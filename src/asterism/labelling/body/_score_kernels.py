@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from asterism._jit import kernel
 from asterism.labelling.body._placement_kernels import place_points
-from asterism.labelling.body._workspace_kernels import LOG_2PI, SUMS
+from asterism.labelling.body._workspace_kernels import LOG_2PI
 
 MAX_DISTANCE = 0.6
 """No point farther than this from where a marker is expected is looked at (m)."""
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def _cholesky(matrix, column):
     """Lower triangle of a symmetric positive definite matrix replaced by its Cholesky factor; returns log det. O(r^3 / 3)."""
     n = len(matrix)
@@ -33,7 +33,7 @@ def _cholesky(matrix, column):
     return log_det
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def _inverse_of_factor(factor, inverse):
     """OUT inverse (r, r) of factor factor'. O(r^3 / 2)."""
     n = len(factor)
@@ -64,7 +64,7 @@ def _inverse_of_factor(factor, inverse):
             inverse[a, b] = inverse[b, a]
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def evidence(body, k, points, point_of, settings, workspace):
     """How likely the labelled points are all together, under one key pose.
 
@@ -128,7 +128,7 @@ def evidence(body, k, points, point_of, settings, workspace):
     return score + 0.5 * (quadratic - squares)
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def posterior(workspace):
     """What the labelled points say of the latents, after `evidence`. OUT workspace.covariance, latent. O(r^3)."""
     _inverse_of_factor(workspace.information, workspace.covariance)
@@ -140,7 +140,7 @@ def posterior(workspace):
         workspace.latent[i] = total
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def leave_one_out_scores(body, k, point_of, settings, workspace):
     """Score every point as every marker, given all other labelled points (leave one out), after `posterior`.
 
@@ -219,7 +219,7 @@ def leave_one_out_scores(body, k, point_of, settings, workspace):
             workspace.scores[m, c] = score
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def best_pose(body, points, point_of, settings, workspace):
     """The key pose under which a labelling scores best, and that score: (k, nats)."""
     best, best_score = 0, -np.inf
@@ -230,7 +230,7 @@ def best_pose(body, points, point_of, settings, workspace):
     return best, best_score
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def rescore(body, k, points, point_of, settings, workspace):
     """Score all points by a labelling under one key pose; labelled markers that lie too far from their prediction become outliers.
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from asterism._jit import kernel
 from asterism.labelling.body._anchor_kernels import anchor_key_pose, score_from_anchor
 from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
 from asterism.labelling.body._refine_kernels import refine
-from asterism.labelling.body._workspace_kernels import SUMS, count_labelled
+from asterism.labelling.body._workspace_kernels import count_labelled
 from asterism.labelling.partial._kernels import search
 
 MAX_LABELLINGS = 24
@@ -19,7 +19,7 @@ MAX_PROPOSAL_GAP = 20.0
 """A proposal this many nats behind its anchor's best one is not followed up."""
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def _index_of(table, count, point_of):
     """Where a labelling is among the first `count` rows of a table, -1 where it is not. O(count M)."""
     for h in range(count):
@@ -54,7 +54,7 @@ class CandidateLabellings(NamedTuple):
     last_vote: np.ndarray
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def propose(anchors, a, body, points, found, solutions, settings, workspace, pick, pick_score, pose_of):
     """Which of an anchor's triples are worth following up: those from which the whole body is found best.
 
@@ -94,7 +94,7 @@ def propose(anchors, a, body, points, found, solutions, settings, workspace, pic
     return picks
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def find_labellings(points, order, solvers, anchors, body, settings, workspace, candidates, counters):
     """Let anchors propose and refine what they propose, until enough of them agree on the best labelling.
 

@@ -9,11 +9,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from asterism._jit import kernel
 
 LOG_2PI = math.log(2.0 * math.pi)
-SUMS = {"reassoc", "contract"}
-"""Sums may be reordered (a frame's small products then run in vector registers); NaN and infinities keep their meaning."""
 
 
 class BodyArrays(NamedTuple):
@@ -109,7 +108,7 @@ class BodyWorkspace(NamedTuple):
     all_markers: np.ndarray
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def make_body_workspace(n, markers, latents):
     """Working arrays for frames of n points. O(M n + r^2) memory."""
     return BodyWorkspace(
@@ -126,7 +125,7 @@ def make_body_workspace(n, markers, latents):
     )
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def count_labelled(point_of):
     """How many markers have a point. IN point_of (M,), -1 for none. O(M)."""
     labelled = 0

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.labelling.body._score_kernels import best_pose
@@ -66,7 +69,7 @@ class Recipe:
 
     seed: int = 0
     target_hit_rate: float = 0.999
-    miner: str | None = "bottom-up"
+    miner: str | None = None
     body: BodyRules = field(default_factory=BodyRules)
     look: FrameLabellingSettings = field(default_factory=FrameLabellingSettings)
     training: TrainingRules = field(default_factory=TrainingRules)
@@ -185,31 +188,68 @@ def learn_body(frames: Floats, people: Ints, stretches: Sequence[tuple[int, Reco
     The body and its anchors are learned from all. Then people are left out in turn, what is learned from the others is tried on them with
     markers hidden and ghosts added, and all these trials together calibrate the confidence (frames without and with points left over).
     """
-    rules, seed = recipe.training, recipe.seed
+    seed = recipe.seed
     progress(0.0, "learning the body")
     body = fit_body(frames, people, recipe.body, seed)
     anchors = choose_anchors(frames, people, body, AnchorRules(), np.random.default_rng(seed))
-    outcomes, in_time, usual = [], [], []
-    folds = _folds(people, rules.folds)
-    for i, out in enumerate(folds):
-        progress(0.2 + 0.8 * i / len(folds), "trying it on people left out")
-        worn = np.nonzero(~np.isnan(frames[~out, :, 0]).all(axis=0))[0]
-        others, whose = frames[np.ix_(~out, worn)], renumbered(people[~out])
-        tested = frames[np.ix_(out, worn)]
-        own = fit_body(others, whose, recipe.body, seed)
-        scores = _scores_of_truth(own, tested, recipe.look, rules, np.random.default_rng([seed, i]))
-        if len(scores) == 0:
-            continue
-        usual.append(float(np.quantile(scores, rules.usual)))
-        own_anchors = with_intervals(_among(anchors.triples, worn), others, whose, AnchorRules())
-        tried = BodyLabeller.from_model(own, own_anchors, recipe.look.with_usual_score(usual[-1]))
-        outcomes.append(_trial(tried, tested, people[out], rules, seed + i))
-        others_stretches = _some_stretches(stretches, np.unique(people[out]), worn, rules)
-        in_time.append(trial(tried, others_stretches, rules.time_trials, TimeRules(), SubjectRules(), recipe.body, seed + i))
-    margin, right, spare = (np.concatenate(parts) for parts in zip(*outcomes, strict=True))
+    folds = _folds(people, recipe.training.folds)
+
+    def try_fold(number: int) -> _FoldOutcome | None:
+        return _try_fold(frames, people, stretches, folds[number], anchors.triples, recipe, seed + number, number)
+
+    outcomes: list[_FoldOutcome] = []
+    progress(0.2, "trying it on people left out")
+    with ThreadPoolExecutor(min(len(folds), os.cpu_count() or 1)) as pool:
+        for i, outcome in enumerate(pool.map(try_fold, range(len(folds)))):
+            outcomes += [] if outcome is None else [outcome]
+            progress(0.2 + 0.8 * (i + 1) / len(folds), "trying it on people left out")
+    margin, right, spare = (np.concatenate(parts) for parts in zip(*(outcome.frames for outcome in outcomes), strict=True))
     calibrations = (Calibration.fit(margin[~spare], right[~spare]), Calibration.fit(margin[spare], right[spare]))
-    certainty = Certainty.fit(TrialLabels.together(in_time), recipe.target_hit_rate, len(np.unique(people)))
-    return Learned(body, anchors, float(np.median(usual)), calibrations, certainty)
+    in_time = TrialLabels.together([outcome.in_time for outcome in outcomes])
+    certainty = Certainty.fit(in_time, recipe.target_hit_rate, len(np.unique(people)))
+    return Learned(body, anchors, float(np.median([outcome.usual_score for outcome in outcomes])), calibrations, certainty)
+
+
+@dataclass(frozen=True)
+class _FoldOutcome:
+    """What a model learned from the other people showed on one group of people left out.
+
+    usual_score  nats per label, see `TrainingRules.usual`
+    frames       margin (nats), whether right, and whether points were left over in the frame, of each label given in single frames
+    in_time      the labels of whole stretches
+    """
+
+    usual_score: float
+    frames: tuple[Floats, Any, Any]
+    in_time: TrialLabels
+
+
+def _try_fold(
+    frames: Floats,
+    people: Ints,
+    stretches: Sequence[tuple[int, Recording]],
+    out: NDArray[np.bool_],
+    triples: Ints,
+    recipe: Recipe,
+    seed: int,
+    number: int,
+) -> _FoldOutcome | None:
+    """Learn from the frames that are not `out` (N,), and label those that are; None where no frame of the people left out can be scored."""
+    rules = recipe.training
+    worn = np.nonzero(~np.isnan(frames[~out, :, 0]).all(axis=0))[0]
+    others, whose = frames[np.ix_(~out, worn)], renumbered(people[~out])
+    tested = frames[np.ix_(out, worn)]
+    body = fit_body(others, whose, recipe.body, recipe.seed)
+    scores = _scores_of_truth(body, tested, recipe.look, rules, np.random.default_rng([recipe.seed, number]))
+    if len(scores) == 0:
+        return None
+    usual_score = float(np.quantile(scores, rules.usual))
+    anchors = with_intervals(_among(triples, worn), others, whose, AnchorRules())
+    model = BodyLabeller.from_model(body, anchors, recipe.look.with_usual_score(usual_score))
+    in_frames = _trial(model, tested, people[out], rules, seed)
+    chosen = _some_stretches(stretches, np.unique(people[out]), worn, rules)
+    in_time = trial(model, chosen, rules.time_trials, TimeRules(), SubjectRules(), recipe.body, seed)
+    return _FoldOutcome(usual_score, in_frames, in_time)
 
 
 def least_confidence(target_hit_rate: float) -> float:
