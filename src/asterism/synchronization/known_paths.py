@@ -23,9 +23,7 @@ def check_times(blobs: Blobs) -> None:
         known = blobs.times[there, c]
         if len(known) > 1 and np.diff(known).min() <= 0:
             frame = int(np.flatnonzero(there)[np.argmin(np.diff(known)) + 1]) + blobs.first_frame
-            raise AsterismError(
-                f"camera {name}, frame {frame}: its times do not increase, this one is not after that of the frame before; correct the times."
-            )
+            raise AsterismError(f"camera {name}, frame {frame}: its time is not after that of the frame before; correct the times.")
 
 
 def mean_clock(times: Floats) -> Floats:

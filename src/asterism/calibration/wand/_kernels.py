@@ -157,11 +157,12 @@ def locate_wand(
     Every pair of cameras that found a wand proposes one; the one that most blobs of all posed cameras lie on is taken, laid again by all of
     these, and the blobs on it are its sightings.
 
-    IN  xy (P, 2) px and rays (P, 3), unit directions in the world, of all blobs; offsets (T * C + 1,); detections (T, C, K): blobs by single
-        images, -1 for none; lengths (K,) m from the wand's first marker; symmetric: whether images leave the order of the markers open;
-        lens (C, LENS), rotation (C, 3, 3), translation (C, 3), origins (C, 3) m of the cameras, posed (C,) bool; gate (C,) px
+    IN  xy (P, 2) px and rays (P, 3), unit directions in the world, of all blobs; offsets (T * C + 1,); detections (T, C, K): blobs
+        by single images, -1 for none; lengths (K,) m from the wand's first marker; symmetric: whether images leave the order of the
+        markers open; lens (C, LENS), rotation (C, 3, 3), translation (C, 3), origins (C, 3) m of the cameras, posed (C,) bool;
+        gate (C,) px
     OUT starts (T, 3) m, directions (T, 3): NaN where no two cameras agree; observations (T, C, K) int: blobs on the wand; support (T,)
-    O(T * C^2 * C * K). Twin: tests/twins_wand.py, for the wand that most blobs lie on
+    O(T * C^2 * C * K). Twin: tests/twins_wand.py
     """
     frames, cameras, markers = detections.shape
     origin, ray, normal, right = np.empty((cameras, 3)), np.empty((cameras, 3)), np.empty((3, 3)), np.empty(3)
