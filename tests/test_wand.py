@@ -413,7 +413,7 @@ def test_blobs_outside_the_image_are_refused() -> None:
 
 def test_an_image_size_that_differs_from_the_rigs_is_refused() -> None:
     rig, blobs = waved()
-    with pytest.raises(AsterismError, match="said to be 1280 x 960, but the rig says 1280 x 1024"):
+    with pytest.raises(AsterismError, match="image size given is 1280 x 960, but the rig says 1280 x 1024"):
         calibrate_wand(blobs, WAND, sizes=(1280, 960), known=rig)
     with pytest.raises(AsterismError, match="size of its images is not known"):
         calibrate_wand(blobs, WAND)
