@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from models import trained
 
 from asterism import AsterismError, Clouds, MarkerSet, Recording, SolverEnsemble
 from asterism.labelling.ensemble import TrainingRules
@@ -27,7 +28,7 @@ def walkers():
 
 @pytest.fixture(scope="module")
 def model(walkers):
-    return SolverEnsemble.fit(walkers[:10], **QUICK)
+    return trained(walkers[:10], **QUICK)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +51,7 @@ def few():
 
 @pytest.fixture(scope="module")
 def small(few):
-    return SolverEnsemble.fit(few, **QUICKEST)
+    return trained(few, **QUICKEST)
 
 
 @pytest.fixture(scope="module")
