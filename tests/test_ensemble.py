@@ -16,7 +16,7 @@ from asterism.labelling.ensemble import TrainingRules
 from asterism.simulation import hide_and_haunt, simulate_walks
 
 QUICK = {"miner": None, "training": TrainingRules(trial_frames=40, folds=5)}
-QUICKEST = {"miner": None, "training": TrainingRules(trial_frames=20, folds=2)}
+QUICKEST = {"miner": None, "training": TrainingRules(trial_frames=8, folds=2)}
 rooms = settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 

@@ -17,7 +17,7 @@ from asterism.labelling.ensemble import TrainingRules
 from asterism.labelling.training.sample import GRID, Clip, Sample
 from asterism.simulation import hide_and_haunt, simulate_walks
 
-QUICK = {"miner": None, "training": TrainingRules(trial_frames=20, folds=2)}
+QUICK = {"miner": None, "training": TrainingRules(trial_frames=8, folds=2)}
 PEOPLE = ("Ann", "Ben", "Cem", "Dee", "Eva", "Fay")
 
 
