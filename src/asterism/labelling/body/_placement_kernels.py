@@ -7,7 +7,7 @@ import math
 from asterism._jit import kernel
 
 
-@kernel(reassociate=True)
+@kernel
 def placement(points, point_of, mean, markers):
     """The turn about the vertical and the shift that bring the points at `point_of` best onto `mean[markers]`: (cos, sin, from, onto).
 
@@ -36,7 +36,7 @@ def placement(points, point_of, mean, markers):
     return cos, sin, (px, py, pz), (qx, qy, qz)
 
 
-@kernel(reassociate=True)
+@kernel
 def place_points(points, point_of, mean, markers, out):
     """Move all points by `placement`. OUT out (n, 3). O(n + k)."""
     cos, sin, here, there = placement(points, point_of, mean, markers)
