@@ -8,7 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from asterism.cameras import Camera, Rig, rotation_from_vector
+from asterism.cameras import Camera, Rig
+from asterism.geometry import rotation_from_vector
 from asterism.reconstruction import reconstruct, summary
 from asterism.reconstruction.agreement import agreement
 from asterism.recording import Blobs

@@ -27,7 +27,10 @@ from asterism.cli.reconstruct import reconstruct
 from asterism.cli.review import review
 from asterism.cli.train import train
 from asterism.errors import AsterismError
+from asterism.progress import on_first_compile
 
+_RENAMED = {"--keep": "--keep-labels"}
+"""Options that had another name once: the old name, which is no longer shown, and the new one."""
 _LISTS = ("--occlusions", "--ghosts", "--wand")
 
 app = typer.Typer(
@@ -103,11 +106,13 @@ def main(args: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
+    if args is None:
+        on_first_compile(_console.announce_first_compile)
     try:
-        words = _lists_joined(_globbed(sys.argv[1:] if args is None else args))
+        words = _lists_joined(_globbed(_respelled(sys.argv[1:] if args is None else args)))
         status = app(args=words or ["--help"], prog_name="asterism", standalone_mode=False)
     except AsterismError as problem:
-        _console.complain(str(problem))
+        _console.error(str(problem))
         return 2
     except (KeyboardInterrupt, typer.Abort):
         status = 130
@@ -115,16 +120,21 @@ def main(args: Sequence[str] | None = None) -> int:
         sys.stdout = None  # the reader is gone: nothing is left to flush at exit
         return 1
     except OSError as problem:
-        _console.complain(_console.reason(problem))
+        _console.error(_console.reason(problem))
         return 2
     except Exception as problem:
         if not hasattr(problem, "format_message"):
             raise
-        _console.complain(f"{problem.format_message().rstrip('.')}; `asterism COMMAND --help` shows what it takes.")
+        _console.error(f"{problem.format_message().rstrip('.')}; `asterism COMMAND --help` shows what it takes.")
         return 2
     if status == 130:
-        _console.complain("interrupted; finished files stay, and no half-written file is left.")
+        _console.error("interrupted; finished files stay, and no half-written file is left.")
     return status if isinstance(status, int) else 0
+
+
+def _respelled(args: Sequence[str]) -> list[str]:
+    """Options under the names that they have now; an earlier name goes on working."""
+    return ["=".join([_RENAMED.get(name, name), *value]) for name, *value in (arg.split("=", 1) for arg in args)]
 
 
 def _globbed(args: Sequence[str]) -> list[str]:

@@ -13,6 +13,7 @@ from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding, exit_status
 from asterism.progress import Progress
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 
 _WIDTH_WHEN_PIPED = 160
+_COMPILE_SECONDS = 30
+"""How long the kernels of one command take to compile on two idle cores of 2024 (s)."""
 
 
 def console() -> Console:
@@ -30,15 +33,32 @@ def console() -> Console:
     return Console(width=width, highlight=False, soft_wrap=False)
 
 
-def say(line: str) -> None:
+def result(line: str) -> None:
     """One plain line of result."""
     print(line, flush=True)
 
 
-def complain(sentence: str) -> None:
+def error(sentence: str) -> None:
     """One plain line on standard error."""
     sys.stdout.flush()
     print(f"asterism: {sentence}", file=sys.stderr, flush=True)
+
+
+def report(finding: Finding) -> None:
+    """A finding as one line on standard error: where, what, the mend, and the code that docs/findings.md explains."""
+    sentence = str(finding) if finding.where in finding.sentence else f"{finding.where}: {finding}"
+    error(f"{sentence} [{finding.code}]")
+
+
+def as_json(finding: Finding) -> dict[str, str]:
+    """A finding as plain values."""
+    return {
+        "code": finding.code,
+        "severity": finding.severity.name.lower(),
+        "where": finding.where,
+        "sentence": finding.sentence,
+        "mend": finding.mend,
+    }
 
 
 def reason(problem: Exception) -> str:
@@ -101,6 +121,10 @@ def count(number: float) -> str:
     return "–" if math.isnan(number) else f"{number:,.0f}"
 
 
+_bars: list[Callable[[str], None]] = []
+"""The progress bar that is on the terminal: sets its description."""
+
+
 @contextmanager
 def progress(what: str) -> Iterator[Progress | None]:
     """A bar with the remaining time on standard error, where that is a terminal; None elsewhere."""
@@ -114,7 +138,32 @@ def progress(what: str) -> Iterator[Progress | None]:
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Bar(*columns, console=Console(stderr=True), transient=True, redirect_stdout=sys.stdout.isatty()) as bar:
         task = bar.add_task(what, total=1.0)
-        yield lambda fraction, doing: bar.update(task, completed=fraction, description=doing or what)
+        _bars.append(lambda text: bar.update(task, description=text))
+        try:
+            yield lambda fraction, doing: bar.update(task, completed=fraction, description=doing or what)
+        finally:
+            _bars.pop()
+
+
+def announce_first_compile(kept: bool) -> None:
+    """Say once on standard error why the first run takes longer: in the progress line where there is one, else as a line."""
+    if kept:
+        sentence = f"Compiling numerical kernels; this happens once (about {_COMPILE_SECONDS} s)"
+        if _bars:
+            _bars[-1](sentence)
+            return
+    else:
+        sentence = (
+            f"Compiling numerical kernels (about {_COMPILE_SECONDS} s). No folder for compiled kernels can be written, so every run"
+            " compiles them again; name a writable one in NUMBA_CACHE_DIR"
+        )
+    if _bars:
+        from rich.console import Console
+
+        Console(stderr=True, highlight=False).print(f"{sentence}.", markup=False)
+        return
+    sys.stdout.flush()
+    print(f"{sentence}.", file=sys.stderr, flush=True)
 
 
 class Batch:
@@ -124,7 +173,7 @@ class Batch:
         self.verb = verb
         self.done: list[Path] = []
         self.failed: list[Path] = []
-        self.doubted: list[Path] = []
+        self.findings: list[Finding] = []
 
     @contextmanager
     def file(self, path: Path) -> Iterator[None]:
@@ -133,26 +182,26 @@ class Batch:
             yield
         except (AsterismError, OSError) as problem:
             sentence = reason(problem)
-            complain(sentence if path.name in sentence else f"{path}: {sentence}")
+            error(sentence if path.name in sentence else f"{path}: {sentence}")
             self.failed.append(path)
         else:
             self.done.append(path)
 
-    def doubt(self, path: Path, sentence: str) -> None:
-        """Say what was found about a file that was done all the same."""
-        complain(f"{path}: {sentence}")
-        self.doubted.append(path)
+    def found(self, finding: Finding) -> None:
+        """Name what was found about a file that was done all the same."""
+        report(finding)
+        self.findings.append(finding)
 
     @property
     def status(self) -> int:
-        """0 all files done and nothing found, 1 some, 2 none done."""
-        return 2 if self.failed and not self.done else 1 if self.failed or self.doubted else 0
+        """0 all files done and nothing found, 1 some files failed or something was found, 2 none done."""
+        return 2 if self.failed and not self.done else 1 if self.failed else exit_status(self.findings)
 
     def close(self) -> int:
         """Name the failed files once more where the batch was longer than one; returns the status."""
         total = len(self.done) + len(self.failed)
         if self.failed and total > 1:
-            complain(f"{total} files: {len(self.done)} {self.verb}, {len(self.failed)} failed: {', '.join(map(str, self.failed))}")
+            error(f"{total} files: {len(self.done)} {self.verb}, {len(self.failed)} failed: {', '.join(map(str, self.failed))}")
         return self.status
 
 

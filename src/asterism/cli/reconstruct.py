@@ -94,7 +94,7 @@ def reconstruct(
     lost = result.write(output)
     guessed = [f"{rig} does not say {phrase}." for phrase in guesses(calibrated)]
     for sentence in (*guessed, *told["remarks"], *(f"{output} leaves out {what}." for what in lost)):
-        _console.complain(sentence)
+        _console.error(sentence)
     if json != "-":
         _print(output, told)
     _console.write_json(json, {"command": "reconstruct", "blobs": blobs, "rig": rig, "output": output, **told, "not_carried": lost})

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.geometry._kernels import symmetric_inverse
 from asterism.reconstruction._kernels import (
     END,
     FEWEST,
@@ -18,7 +19,6 @@ from asterism.reconstruction._kernels import (
     best_blob,
     clear,
     fit,
-    inverse,
     meeting,
     score,
     settle,
@@ -144,7 +144,7 @@ def _grown(rig, frame, a, b, i, j, free, rays, x, h, g, out):
         clear(g)
         if add_ray(rig, frame, c, blob, x, h, g) < np.inf:
             rays[c] = blob
-            _, i0, i1, i2, i3, i4, i5 = inverse(h)
+            _, i0, i1, i2, i3, i4, i5 = symmetric_inverse(h)
             x[0] += i0 * g[0] + i1 * g[1] + i2 * g[2]
             x[1] += i1 * g[0] + i3 * g[1] + i4 * g[2]
             x[2] += i2 * g[0] + i4 * g[1] + i5 * g[2]

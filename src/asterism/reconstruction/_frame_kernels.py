@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.geometry._kernels import symmetric_inverse
 from asterism.reconstruction._compose_kernels import compose, with_reduced
 from asterism.reconstruction._kernels import (
     NOISE,
@@ -16,7 +17,6 @@ from asterism.reconstruction._kernels import (
     fit,
     frame_arrays,
     in_view,
-    inverse,
     settle,
     within,
 )
@@ -71,7 +71,7 @@ def reconstruct_frames(rig, flat, slopes, offsets, begin, end, out_rays, out_poi
             square = fit(rig, frame, rays, x, h, g, FINAL_STEPS)[0]
             if not (square < np.inf and within(rig, x)):
                 continue
-            _, i0, i1, i2, i3, i4, i5 = inverse(h)
+            _, i0, i1, i2, i3, i4, i5 = symmetric_inverse(h)
             many, pixels = 0, 0.0
             for c in range(cameras):
                 out_rays[total, c] = -1

@@ -13,6 +13,7 @@ import numpy as np
 
 from asterism._jit import kernel
 from asterism.cameras._kernels import CX, CY, FX, FY, distorted
+from asterism.geometry._kernels import symmetric_inverse, where_lines_approach
 from asterism.reconstruction._order_kernels import ascending
 
 BORDER = 3.0
@@ -162,25 +163,6 @@ def clear(values):
         values[i] = 0.0
 
 
-@kernel(inline=True)
-def inverse(h):
-    """The inverse of a symmetric 3 x 3 matrix given as (xx, xy, xz, yy, yz, zz), and its determinant before."""
-    a, b, c = h[3] * h[5] - h[4] * h[4], h[2] * h[4] - h[1] * h[5], h[1] * h[4] - h[2] * h[3]
-    determinant = h[0] * a + h[1] * b + h[2] * c
-    if not determinant > 0.0:
-        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    k = 1.0 / determinant
-    return (
-        determinant,
-        a * k,
-        b * k,
-        c * k,
-        (h[0] * h[5] - h[2] * h[2]) * k,
-        (h[1] * h[2] - h[0] * h[4]) * k,
-        (h[0] * h[3] - h[1] * h[1]) * k,
-    )
-
-
 @kernel
 def add_ray(rig, frame, c, blob, x, h, g):
     """Add a ray's share to the normal equations at point x: h (6,) information, g (3,). Returns its squared residual in noise.
@@ -236,7 +218,7 @@ def fit(rig, frame, rays, x, h, g, steps):
                 total += square
                 if square > worst:
                     worst, whose = square, c
-        determinant, i0, i1, i2, i3, i4, i5 = inverse(h)
+        determinant, i0, i1, i2, i3, i4, i5 = symmetric_inverse(h)
         if not (determinant > 0.0 and total < np.inf):
             return np.inf, np.inf, whose
         if step == steps:
@@ -262,7 +244,7 @@ def best_blob(rig, frame, c, x, h, free, out):
     u, v, w = _in_camera(rig.cameras, c, x[0], x[1], x[2])
     if not w > 1e-9 or frame.grid[c, FIRST] == frame.grid[c, END]:
         return -1
-    determinant, i0, i1, i2, i3, i4, i5 = inverse(h)
+    determinant, i0, i1, i2, i3, i4, i5 = symmetric_inverse(h)
     if not determinant > 0.0:
         return -1
     px, py = u / w, v / w
@@ -361,7 +343,7 @@ def score(rig, frame, rays, x, h, square):
     The integral over where the point may be is taken by its Gaussian shape around the best place (Laplace). A camera that has the place
     in its image and shows nothing there speaks against it, unless a blob is so near that both may have merged.
     """
-    determinant = inverse(h)[0]
+    determinant = symmetric_inverse(h)[0]
     if not (determinant > 0.0 and square < np.inf):
         return -np.inf
     total = rig.setting[PRIOR] - 0.5 * math.log(determinant) - 0.5 * square
@@ -412,13 +394,8 @@ def meeting(rig, frame, a, b, i, j, x):
         cameras[b, 2] * fx + cameras[b, 5] * fy + cameras[b, 8],
     )
     o0, o1, o2 = cameras[b, 12] - cameras[a, 12], cameras[b, 13] - cameras[a, 13], cameras[b, 14] - cameras[a, 14]
-    dd, ee, de = d0 * d0 + d1 * d1 + d2 * d2, e0 * e0 + e1 * e1 + e2 * e2, d0 * e0 + d1 * e1 + d2 * e2
-    od, oe = o0 * d0 + o1 * d1 + o2 * d2, o0 * e0 + o1 * e1 + o2 * e2
-    under = dd * ee - de * de
-    if not under > 1e-8 * dd * ee:
-        return False
-    s, t = (od * ee - oe * de) / under, (od * de - oe * dd) / under
-    if not (s > 1e-6 and t > 1e-6):
+    s, t, cross = where_lines_approach(d0, d1, d2, e0, e1, e2, o0, o1, o2)
+    if not (cross and s > 1e-6 and t > 1e-6):
         return False
     x[0] = 0.5 * (cameras[a, 12] + s * d0 + cameras[b, 12] + t * e0)
     x[1] = 0.5 * (cameras[a, 13] + s * d1 + cameras[b, 13] + t * e1)

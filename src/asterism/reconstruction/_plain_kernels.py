@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.reconstruction._kernels import END, FEWEST, FIRST, GATE, NOISE, add_ray, clear, fit, frame_arrays, inverse, meeting, within
+from asterism.geometry._kernels import symmetric_inverse
+from asterism.reconstruction._kernels import END, FEWEST, FIRST, GATE, NOISE, add_ray, clear, fit, frame_arrays, meeting, within
 from asterism.reconstruction._order_kernels import ascending
 
 
@@ -35,7 +36,7 @@ def _composed(rig, frame, rays, points, spreads):
                 if not (square <= limit and within(rig, x)):
                     continue
                 if count < len(points):
-                    _, i0, _, _, i3, _, i5 = inverse(h)
+                    _, i0, _, _, i3, _, i5 = symmetric_inverse(h)
                     rays[count], points[count], spreads[count] = one, x, i0 + i3 + i5
                 count += 1
     return count
@@ -100,7 +101,7 @@ def plain_frame(rig, flat, slopes, first, rays, points, covariance, residual):
             if rays[n, c] >= 0:
                 many += 1
                 pixels += add_ray(rig, frame, c, rays[n, c], points[n], h, g) * rig.cameras[c, NOISE] ** 2
-        determinant, i0, i1, i2, i3, i4, i5 = inverse(h)
+        determinant, i0, i1, i2, i3, i4, i5 = symmetric_inverse(h)
         if many < rig.setting[FEWEST] or not (determinant > 0.0 and pixels < np.inf):
             continue
         rays[kept], points[kept], residual[kept] = rays[n], points[n], math.sqrt(pixels / many)
