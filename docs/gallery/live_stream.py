@@ -29,7 +29,7 @@ def main(picture: str = "live_stream.png", subjects: int = 6, frames: int = 500,
             labels.append(stream.push(clouds[frame]))
             seconds.append(time.perf_counter() - began)
         given = [frame for frame in (*labels, *stream.flush()) if frame is not None]
-        right.append(sum(int(((frame.indices == truth[frame.frame]) & (frame.indices >= 0)).sum()) for frame in given) / in_view)
+        right.append(sum(int(((frame.indices == truth[frame.frame]) & (frame.indices >= 0)).sum()) for frame in given) / int(in_view))
         print(f"delay {delay}: {right[-1]:.2%} of the markers in view are labelled right")
 
     figure, (shares, speed) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")

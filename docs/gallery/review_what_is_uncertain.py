@@ -1,25 +1,24 @@
 """Look at the pieces that need a person, and at nothing else.
 
-A model of two people labels a third one, with markers hidden and ghosts beside them. `review` ranks the pieces of paths by the number
+A model of three people labels a fourth one, with markers hidden and ghosts beside them. `review` ranks the pieces of paths by the number
 of samples that an answer is expected to correct. Here the truth answers. The picture shows how fast the errors go.
 """
 
 import matplotlib.pyplot as plt
-import numpy as np
 
 import asterism
 from asterism.labelling import review, settle
 from asterism.simulation import hide_in_gaps, simulate_walks
 
 
-def main(picture: str = "review_what_is_uncertain.png", frames: int = 400) -> list[int]:
+def main(picture: str = "review_what_is_uncertain.png", subjects: int = 4, frames: int = 400) -> list[int]:
     """Draw the picture; returns how many samples are wrong or missing after each answer."""
-    *training, walk = simulate_walks(3, frames, markers="helen-hayes", seed=5)
+    *training, walk = simulate_walks(subjects, frames, markers="helen-hayes", seed=5)
     ensemble = asterism.SolverEnsemble.fit(training, seed=0)
     clouds, truth = hide_in_gaps(walk, hidden=4, ghosts=4, seed=6)
     labelling = ensemble.label(clouds, time=True)
 
-    items = review(labelling, clouds)
+    items = review(labelling, clouds, top=25)
     remaining = [int((labelling.indices != truth).sum())]
     for item in items:
         places = item.points - clouds.offsets[clouds.frame_of[item.points]]
@@ -27,8 +26,7 @@ def main(picture: str = "review_what_is_uncertain.png", frames: int = 400) -> li
         answer = walk.labels[is_marker.argmax()] if is_marker.any() else None
         labelling = settle(labelling, clouds, [(item, answer)])
         remaining.append(int((labelling.indices != truth).sum()))
-    samples = np.cumsum([0, *(item.samples for item in items)])
-    print(f"{len(items)} of the recording's pieces need a look; wrong or missing samples: {remaining[0]} before, {remaining[-1]} after")
+    print(f"wrong or missing samples: {remaining[0]} before, {remaining[-1]} after {len(items)} answers")
 
     figure, (ranks, errors) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
     ranks.barh(range(len(items)), [item.gain for item in items], color="#0f7b8a")
@@ -36,9 +34,7 @@ def main(picture: str = "review_what_is_uncertain.png", frames: int = 400) -> li
     ranks.invert_yaxis()
     ranks.set(title="what to look at first", xlabel="samples that an answer is expected to correct")
     errors.step(range(len(remaining)), remaining, where="post", color="#d1495b")
-    errors.set(
-        title=f"after {len(items)} answers, {samples[-1]} samples", xlabel="answers", ylabel="samples wrong or missing", ylim=(0, None)
-    )
+    errors.set(title="what the answers correct", xlabel="answers", ylabel="samples wrong or missing", ylim=(0, None))
     errors.grid(alpha=0.3)
     figure.savefig(picture, dpi=110)
     return remaining
