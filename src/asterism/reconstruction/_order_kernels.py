@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from asterism._jit import kernel
 
 RUN = 8
 """Numbers that are sorted by insertion before runs are merged."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def ascending(values, count):
-    """The order (count,) that sorts the first `count` values, ties in place; none is NaN. Merge sort, O(n log n). Twin: np.argsort."""
+    """The order that sorts values: a stable merge sort.
+
+    IN  values (n,), the first `count` of which count, without NaN
+    Returns order (count,). O(n log n). Twin: np.argsort
+    """
     order, spare = np.empty(count, np.int64), np.empty(count, np.int64)
     for begin in range(0, count, RUN):
         for i in range(begin, min(begin + RUN, count)):
