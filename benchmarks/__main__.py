@@ -13,7 +13,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from asterism.errors import AsterismError
 from benchmarks import cameras, docs, figures, labelling, recordings
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import folder
 
 CHAPTERS = {"labelling": labelling, "recordings": recordings, "cameras": cameras}
@@ -44,21 +44,21 @@ def main(arguments: list[str] | None = None) -> int:
     except AsterismError as problem:
         print(problem, file=sys.stderr)
         return 2
-    bench = Bench(given.quick, given.models, given.jobs)
-    failed = [row for chapter, row in rows if not _measure(chapter, row, bench)]
+    benchmark = BenchmarkRun(given.quick, given.models, given.jobs)
+    failed = [row for chapter, row in rows if not _measure(chapter, row, benchmark)]
     if not given.quick:
         docs.write()
     return 1 if failed else 0
 
 
-def _measure(chapter: str, row: str, bench: Bench) -> bool:
+def _measure(chapter: str, row: str, benchmark: BenchmarkRun) -> bool:
     started = time.perf_counter()
     print(f"{row} ...", file=sys.stderr, flush=True)
     try:
-        for figure in CHAPTERS[chapter].ROWS[row](bench):
+        for figure in CHAPTERS[chapter].ROWS[row](benchmark):
             reached = {True: "reached", False: "MISSED", None: ""}[figures.reached(figure.asked, figure.measured)]
             print(f"{figure.row:90} {figure.asked:>12} {figure.measured:12.5g} {figure.unit:18} n={figure.n:<8} {reached}", flush=True)
-            if not bench.quick:
+            if not benchmark.quick:
                 figures.record(CHAPTERS[chapter].ISSUE, [figure], f"python -m benchmarks {chapter} --rows {row}")
     except AsterismError as problem:
         print(f"{row}: {problem}", file=sys.stderr, flush=True)

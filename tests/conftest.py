@@ -4,8 +4,42 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import settings
+
+# The same examples in every run, here and in CI; HYPOTHESIS_PROFILE=explore draws new ones.
+settings.register_profile("fixed", derandomize=True, deadline=None, database=None)
+settings.register_profile("explore", deadline=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if hasattr(config, "workerinput"):
+        from distribution import in_row
+
+        items[:] = in_row(items)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    if config.getoption("dist") != "loadfile":
+        return None
+    from distribution import FromBothEnds
+
+    config.option.loadscopereorder = False
+    return FromBothEnds(config, log)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--record-snapshots", action="store_true", help="write tests/snapshots anew instead of comparing with them")
+
+
+@pytest.fixture(scope="session")
+def record_snapshots(request: pytest.FixtureRequest) -> bool:
+    """Whether the outputs of the commands are recorded anew."""
+    return bool(request.config.getoption("--record-snapshots"))
 
 
 @pytest.fixture(scope="session")

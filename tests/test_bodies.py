@@ -14,7 +14,7 @@ import asterism
 from asterism import formats
 from asterism.cli import main
 from asterism.labelling import SeveralBodies, join_labellings, label_together
-from asterism.labelling.simulated_occlusions import anonymous, hide_in_gaps
+from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.labelling.whole.bodies import Bodies, follow_bodies
 from asterism.recording import Labelling, MarkerSet, Recording
 from asterism.simulation import simulate_walks
@@ -172,7 +172,7 @@ def test_the_command_labels_two_walkers_and_a_box(walks, walker, tmp_path: Path,
     box.save(tmp_path / "box.model")
     three = beside(beside(walks[5], walks[6], (0.8, 0.3, 0.0)), tumbling_box(rng), (0.0, 1.5, 0.2))
     clouds, truth = hide_in_gaps(three, 3, 0, 1)
-    formats.write(tmp_path / "three.c3d", anonymous(clouds))
+    formats.write(tmp_path / "three.c3d", Recording.from_clouds(clouds))
     models = ["-m", str(tmp_path / "gait.model"), "-m", str(tmp_path / "box.model"), "-m", str(tmp_path / "gait.model")]
     told = ["--json", str(tmp_path / "told.json"), "--report", str(tmp_path / "page.html")]
     assert main(["label", str(tmp_path / "three.c3d"), *models, "-o", str(tmp_path / "out"), *told]) == 0
@@ -193,7 +193,7 @@ def test_the_command_labels_two_walkers_and_a_box(walks, walker, tmp_path: Path,
 def test_the_command_says_that_there_are_two_and_labels_one(walks, walker, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     walker.save(tmp_path / "gait.model")
     both = beside(walks[5], walks[6], (0.8, 0.3, 0.0))
-    formats.write(tmp_path / "two.c3d", anonymous(both.clouds()))
+    formats.write(tmp_path / "two.c3d", Recording.from_clouds(both.clouds()))
     assert main(["label", str(tmp_path / "two.c3d"), "-m", str(tmp_path / "gait.model"), "-o", str(tmp_path / "out")]) == 1
     said = capsys.readouterr().err
     assert said.count("\n") == 1

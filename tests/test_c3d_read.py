@@ -208,7 +208,7 @@ def test_events_carry_side_and_time(data: Path) -> None:
     assert {(event.label, event.context) for event in recording.events} <= {
         (a, b) for a in ("Foot Strike", "Foot Off") for b in ("Left", "Right")
     }
-    first, rate = recording.metadata["first_frame"], recording.rate
+    first, rate = recording.first_frame, recording.rate
     assert all((first - 1) / rate - 0.5 <= event.time <= (first - 1 + len(recording)) / rate + 0.5 for event in recording.events)
     header = read(data / "conformance/c3d/sample_02/pc_real.c3d")
     assert [event.label for event in header.events][:2] == ["RHS", "STRT"]

@@ -33,7 +33,7 @@ def body(frames: int = 20, rate: float = 100.0, missing: bool = True) -> Recordi
     positions[:, :, 2] = heights
     if missing:
         positions[3:5, 2] = np.nan
-    return Recording(positions, NAMES, rate, as_vertical("z"), (Event("Foot Strike", 0.05, "Left"),), {"subject": "Ann", "first_frame": 11})
+    return Recording(positions, NAMES, rate, as_vertical("z"), (Event("Foot Strike", 0.05, "Left"),), {"subject": "Ann"}, first_frame=11)
 
 
 positions_of_bodies = arrays(np.float64, (5, 8, 3), elements=st.floats(-2.0, 2.0, width=32)).map(
@@ -84,7 +84,7 @@ def test_nothing_is_lost_in_our_own_formats(tmp_path, suffix):
     back = read(path)
     np.testing.assert_array_equal(back.vertical, [0, 0, 1])
     assert back.metadata["subject"] == "Ann"
-    assert back.metadata["first_frame"] == 11
+    assert back.first_frame == 11
 
 
 def test_npz_is_bit_exact_and_plain(tmp_path):
@@ -313,7 +313,7 @@ def test_wide_csv_in_every_dress(tmp_path, header):
     assert recording.labels == ("LKNE", "RKNE")
     np.testing.assert_allclose(recording.positions, TRUTH, equal_nan=True)
     assert recording.rate == pytest.approx(100.0)
-    assert recording.metadata["first_frame"] == 7
+    assert recording.first_frame == 7
 
 
 def test_semicolons_with_decimal_commas(tmp_path):
@@ -602,7 +602,7 @@ def test_nexus_sections_in_any_order_with_events(tmp_path):
     recording = read(tmp_path / "walk.csv", vertical="y")
     np.testing.assert_allclose(recording.positions, TRUTH, equal_nan=True)
     assert recording.labels == ("LKNE", "RKNE")
-    assert (recording.metadata["subject"], recording.metadata["first_frame"]) == ("Ann", 7)
+    assert (recording.metadata["subject"], recording.first_frame) == ("Ann", 7)
     assert recording.events == (Event("Foot Strike", 0.02, "Left"),)
     assert tuple(read(tmp_path / "walk.csv").vertical) == (0, 0, 1)
 

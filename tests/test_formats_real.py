@@ -51,7 +51,7 @@ def test_trc_written_again_holds_the_same(data, tmp_path):
         again = read(tmp_path / "again.trc")
         columns = [again.labels.index(label) for label in recording.labels]
         np.testing.assert_allclose(again.positions[:, columns], recording.positions, atol=1e-8, equal_nan=True, err_msg=path.name)
-        assert (again.rate, again.metadata["first_frame"]) == (recording.rate, recording.metadata["first_frame"])
+        assert (again.rate, again.first_frame) == (recording.rate, recording.first_frame)
 
 
 def test_five_spellings_of_nan_are_missing(data):
@@ -83,7 +83,7 @@ def test_motive_takes_measured_markers_and_no_poses(data):
     assert set(rigid["computed"]) == {"Rigid Body 1", "Rigid Body 1_1", "Rigid Body 1_2", "Rigid Body 1_3"}
     sticks = read(data / "conformance/motive-csv/motive_v1.22_rigidbodies.csv")
     assert len(sticks.labels) == 11
-    assert sticks.metadata["first_frame"] == 4092
+    assert sticks.first_frame == 4092
     np.testing.assert_allclose(sticks.positions[0, 0], [0.182859, 0.009604, 0.878486])
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from twins_links import is_cut, link_forward, strays
 
 from asterism.formats import read
-from asterism.labelling.simulated_occlusions import anonymous, hide_in_gaps
+from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.recording import Clouds, Recording
 from asterism.simulation import simulate_walks
 from asterism.tracking._cut_kernels import count_strays, find_cuts
@@ -246,7 +246,7 @@ def test_the_strays_equal_their_twin() -> None:
 @pytest.mark.parametrize("ghosts", [0, 3])
 def test_columns_that_only_count_the_points_of_a_frame_are_not_followed(ghosts: int) -> None:
     clouds, truth = hide_in_gaps(walks()[1], 3, ghosts, 0, number_tracks=False)
-    file = anonymous(clouds).clouds()  # its columns are places in an order that changes with every frame
+    file = Recording.from_clouds(clouds).clouds()  # its columns are places in an order that changes with every frame
     assert file.tracks is not None
     tracklets = find_tracklets(file)
     np.testing.assert_array_equal(tracklets.of_point, find_tracklets(clouds).of_point)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import inspect
 import re
+import sys
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,12 @@ import pytest
 import asterism
 
 ROOT = Path(__file__).parent.parent
-DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+
+_spec = importlib.util.spec_from_file_location("check", ROOT / "tools" / "check.py")
+assert _spec is not None and _spec.loader is not None
+check = importlib.util.module_from_spec(_spec)
+sys.modules["check"] = check
+_spec.loader.exec_module(check)
 
 
 def _project() -> dict[str, Any]:
@@ -24,7 +30,21 @@ def _project() -> dict[str, Any]:
 def test_the_readme_checks_what_ci_checks() -> None:
     [line] = re.findall(r'^pip install -e ".*', (ROOT / ".ci" / "run").read_text(encoding="utf-8"), re.MULTILINE)
     assert f"\n{line}\n" in (ROOT / "README.md").read_text(encoding="utf-8")
-    assert all(tool in line for tool in ("ruff check", "ruff format --check", "mypy", "lint-imports", "pytest"))
+    assert line.endswith("&& python tools/check.py")
+    assert set(check.TOOLS) == {"ruff check", "ruff format --check", "mypy", "lint-imports"}
+
+
+@pytest.mark.parametrize(("tests", "tool", "status"), [(0, 0, 0), (1, 0, 1), (0, 1, 1), (1, 1, 1)])
+def test_one_failure_among_the_checks_fails_them_all(
+    tests: int, tool: int, status: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The tool that fails is named with its output; pytest's closing line comes last."""
+    monkeypatch.setattr(check, "TOOLS", {"passes": ["-c", ""], "judges": ["-c", f"print('as it is'); raise SystemExit({tool})"]})
+    monkeypatch.setattr(check, "PYTEST", ["-c", f"print('..'); print('9 passed in 1 s'); raise SystemExit({tests})"])
+    assert check.main([]) == status
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[0] == ".." and shown[-1] == "9 passed in 1 s"
+    assert ("judges: FAILED (exit status 1)" in shown) == ("as it is" in shown) == ("failed: judges" in shown) == (tool == 1)
 
 
 def test_one_version() -> None:
@@ -42,31 +62,7 @@ def test_every_room_stands_in_the_contract_and_in_the_documents() -> None:
     assert [room for room in rooms if f"`{room}`" not in text] == []
 
 
-def test_the_reference_page_lists_what_the_package_exports() -> None:
-    text = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
-    documented = set(re.findall(r"^### `asterism\.(\w+)", text, re.MULTILINE))
-    assert documented == {name for name in asterism.__all__ if name != "__version__"}
-
-
 @pytest.mark.parametrize("name", asterism.__all__)
 def test_every_export_exists_and_explains_itself(name: str) -> None:
     exported = getattr(asterism, name)
     assert isinstance(exported, str) or inspect.getdoc(exported)
-
-
-def _links(document: Path) -> Iterator[str]:
-    text = re.sub(r"```.*?```", "", document.read_text(encoding="utf-8"), flags=re.DOTALL)
-    for target in re.findall(r"\]\(([^)\s]+)\)", text):
-        if not re.match(r"https?:|mailto:|#", target):
-            yield target.split("#")[0]
-
-
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: p.name)
-def test_links_between_documents_lead_somewhere(document: Path) -> None:
-    assert [target for target in _links(document) if not (document.parent / target).exists()] == []
-
-
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: p.name)
-def test_python_in_the_documents_is_python(document: Path) -> None:
-    for block in re.findall(r"```python\n(.*?)```", document.read_text(encoding="utf-8"), re.DOTALL):
-        compile(block, document.name, "exec")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from asterism.errors import AsterismError
-from asterism.labelling.simulated_occlusions import anonymous, hide_and_haunt
+from asterism.labelling.simulated_occlusions import hide_and_haunt
 from asterism.recording import Clouds, Ints, Labelling, Recording
 from asterism.report import capturability_report, evaluation_report, label_report
 from asterism.simulation import simulate_walks
@@ -89,7 +89,7 @@ def make_label_page(path: Path, walk: Recording, **changes: Any) -> Reader:
     arguments: dict[str, Any] = {
         "title": "A walk",
         "files": [{"file": "folder/walk.c3d", "frames": len(clouds), "frames_per_second": 1234.0}],
-        "recording": anonymous(clouds),
+        "recording": Recording.from_clouds(clouds),
         "labelling": labelling,
         "clouds": clouds,
         "model_info": {"model": "gait.model", "seed": 7},
@@ -178,7 +178,9 @@ def test_positions_in_the_scene_are_those_of_the_labels(tmp_path: Path) -> None:
     sideways = simulate_walks(1, frames=120, vertical="-y", seed=3)[0]
     clouds, truth = hide_and_haunt(sideways, 0, 0)
     labelling = Labelling(truth, np.ones(truth.shape), sideways.labels)
-    page = make_label_page(tmp_path / "p.html", sideways, labelling=labelling, clouds=clouds, recording=anonymous(clouds), truth=truth)
+    page = make_label_page(
+        tmp_path / "p.html", sideways, labelling=labelling, clouds=clouds, recording=Recording.from_clouds(clouds), truth=truth
+    )
     (scene,) = json.loads(page.json)["scenes"].values()
     for points, frame in zip(scene["points"], scene["frames"], strict=True):
         shown, true = np.array(points) / 1000, sideways.positions[frame - 1]

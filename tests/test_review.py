@@ -15,7 +15,7 @@ from asterism import formats
 from asterism.cli import main
 from asterism.errors import AsterismError
 from asterism.labelling import Item, SolverEnsemble, review, settle
-from asterism.labelling.simulated_occlusions import anonymous, hide_in_gaps
+from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.labelling.whole.certainty import Certainty, Tried
 from asterism.recording import Clouds, Ints, Labelling, Recording
 from asterism.report import review_report
@@ -227,7 +227,7 @@ def folder(walks: list[Recording], tmp_path_factory: pytest.TempPathFactory) -> 
     SolverEnsemble.fit(walks[:2], miner=None, subjects=["a", "b"]).save(place / "two.model")
     formats.write(place / "labelled.c3d", walks[4])
     clouds, _ = hide_in_gaps(walks[4], 4, 1, seed=2)
-    formats.write(place / "raw.c3d", anonymous(clouds))
+    formats.write(place / "raw.c3d", Recording.from_clouds(clouds))
     (place / "broken.c3d").write_bytes(b"no")
     return place
 
@@ -261,7 +261,7 @@ def test_a_batch_goes_on_after_a_bad_file(folder: Path, capsys: pytest.CaptureFi
 
 def test_frames_are_counted_as_the_file_counts(folder: Path, walks: list[Recording], capsys: pytest.CaptureFixture[str]) -> None:
     source = formats.read(folder / "raw.c3d")
-    formats.write(folder / "later.npz", replace(source, metadata={**source.metadata, "first_frame": 501}))
+    formats.write(folder / "later.npz", replace(source, first_frame=501))
     for name, first in (("raw.c3d", 1), ("later.npz", 501)):
         assert run("review", folder / name, "-m", folder / "two.model", "--json", "-") == 0
         item = json.loads(capsys.readouterr().out)["items"][0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.cameras.accuracy import accuracy, plan
 from benchmarks.cameras.boards import charuco, rig_files, stereo
 from benchmarks.cameras.demo import demo
@@ -19,7 +19,7 @@ from benchmarks.figures import Figure
 
 ISSUE = "From cameras to points: calibrate, detect, compose, merge"
 
-ROWS: dict[str, Callable[[Bench], Iterator[Figure]]] = {
+ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
     "rig-files": rig_files,
     "stereo": stereo,
     "charuco": charuco,

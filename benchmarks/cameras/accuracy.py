@@ -9,7 +9,7 @@ import numpy as np
 from asterism.cameras.accuracy import Volume, map_rig, sensitivity
 from asterism.cameras.plan import focal_length, plan_rig
 from asterism.simulation.cameras import random_rig
-from benchmarks.bench import Bench, frames_per_second
+from benchmarks.benchmark_run import BenchmarkRun, frames_per_second
 from benchmarks.figures import Figure
 
 SHIFT = 0.3
@@ -17,9 +17,9 @@ HALLS = (("6x4x2.5", 8, 56.0), ("4x3x2", 6, 50.0), ("3x3x2", 4, 45.0), ("10x6x2.
 """Volume, cameras of 1280 x 1024, horizontal angle of view in degrees."""
 
 
-def accuracy(bench: Bench) -> Iterator[Figure]:
+def accuracy(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """The 12 scalars both ways at random places of random rigs, wherever a pair composes a point to 1 cm or better."""
-    rigs = 5 if bench.quick else 40
+    rigs = 5 if benchmark.quick else 40
     off, seconds = [], {}
     for seed in range(rigs):
         rng = np.random.default_rng(seed)
@@ -40,9 +40,9 @@ def accuracy(bench: Bench) -> Iterator[Figure]:
     )
 
 
-def plan(bench: Bench) -> Iterator[Figure]:
+def plan(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Planned rigs and plain rings of the same cameras on the same walls."""
-    for spec, cameras, fov in HALLS[:1] if bench.quick else HALLS:
+    for spec, cameras, fov in HALLS[:1] if benchmark.quick else HALLS:
         volume = Volume.parse(spec)
         proposal = plan_rig(volume, cameras, (1280, 1024), focal_length(1280, fov=fov))
         for name, rig, glare in (("planned", proposal.rig, proposal.glare), ("plain ring", proposal.ring, proposal.ring_glare)):

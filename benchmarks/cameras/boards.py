@@ -14,7 +14,7 @@ from asterism.cameras.bundle.adjust import rms
 from asterism.cameras.files import read_rig
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import folder
 from benchmarks.figures import Figure
 
@@ -39,7 +39,7 @@ RIG_FILES = (
 )
 
 
-def rig_files(bench: Bench) -> Iterator[Figure]:
+def rig_files(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """How many of the sample rig files are read, and say what they lack."""
     read = [name for name in RIG_FILES if _read(folder() / "cameras" / name)]
     yield Figure("rig files, sample files read that say what they lack", f"== {len(RIG_FILES)}", len(read), "files", len(RIG_FILES))
@@ -52,7 +52,7 @@ def _read(path: Path) -> bool:
         return False
 
 
-def stereo(bench: Bench) -> Iterator[Figure]:
+def stereo(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """13 stereo pairs of a chessboard: each camera alone, the pair, and OpenCV's pair of the very same points."""
     views = find_board(footage_of([folder() / "cameras" / "chessboard-stereo"]), Board("chessboard", 9, 6, 0.025))
     made = calibrate_board(views)
@@ -74,7 +74,7 @@ def _opencv_pair(made: BoardCalibration) -> float:
     return float(error)
 
 
-def charuco(bench: Bench) -> Iterator[Figure]:
+def charuco(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Four web cameras and a hand-held ChArUco board: each alone against the error in the peer's file, all against its rig."""
     place = folder() / "cameras" / "charuco-4cam"
     peer = read_rig(place / "camera_array.toml")

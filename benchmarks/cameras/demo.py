@@ -13,7 +13,7 @@ from asterism.recording import Floats
 from asterism.simulation import simulate_walks
 from asterism.simulation.chain import Outcome, work_through
 from asterism.simulation.session import NOISE, Session, simulate_session
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 
 WALKERS, FRAMES = 9, 300
@@ -35,14 +35,14 @@ def _best_possible(session: Session) -> Floats:
     return errors
 
 
-def demo(bench: Bench) -> Iterator[Figure]:
+def demo(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """A rig and a walker of its own for each seed; 39 markers, whose model has not seen the walker."""
     outcomes: list[Outcome] = []
     possible: list[Floats] = []
     seconds: list[float] = []
-    for seed in range(1 if bench.quick else SEEDS):
+    for seed in range(1 if benchmark.quick else SEEDS):
         walks = simulate_walks(subjects=WALKERS, frames=FRAMES, rate=100.0, markers=MARKERS, seed=seed)
-        ensemble: SolverEnsemble = bench.fit(walks[:-1], [str(walk.metadata["subject"]) for walk in walks[:-1]])
+        ensemble: SolverEnsemble = benchmark.fit(walks[:-1], [str(walk.metadata["subject"]) for walk in walks[:-1]])
         session = simulate_session(walks[-1], seed)
         started = time.perf_counter()
         outcomes.append(work_through(session, ensemble))

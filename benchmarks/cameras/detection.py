@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from asterism.detection import Flag, find_blobs
 from asterism.recording import Blobs, Floats
 from asterism.simulation.cameras import render
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import folder
 from benchmarks.figures import Figure
 
@@ -29,9 +29,9 @@ WINDOW = 25
 """The peer takes off the mean of so many by so many pixels (its high-pass filter)."""
 
 
-def particles(bench: Bench) -> Iterator[Figure]:
+def particles(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Particles in four cameras and four time steps: blobs against the peer's targets, with the peer's thresholds and with ours."""
-    images = [(camera, step) for camera in range(1, 5) for step in range(10001, 10002 if bench.quick else 10005)]
+    images = [(camera, step) for camera in range(1, 5) for step in range(10001, 10002 if benchmark.quick else 10005)]
     pairs = {"the peer's thresholds": [], "automatic": []}
     for camera, step in images:
         image, targets = _image(camera, step), _targets(camera, step)
@@ -49,7 +49,7 @@ def particles(bench: Bench) -> Iterator[Figure]:
         yield Figure(f"{row}: centroid difference, median", "< 0.1" if asked else "none", float(np.median(near)), "px", len(near))
 
 
-def detection(bench: Bench) -> Iterator[Figure]:
+def detection(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Time for one image of 300 markers, with the threshold given and not, beside OpenCV's own blob detector."""
     places = _apart(300, 24.0, np.random.default_rng(1))
     image = _rendered(places, 7.0, "disc", 0.01, np.random.default_rng(2))
@@ -66,17 +66,17 @@ def detection(bench: Bench) -> Iterator[Figure]:
     try:
         for row, (asked, run) in ways.items():
             assert len(run()) == 300, row
-            yield Figure(row, asked, 1e3 * _seconds(run, 11 if bench.quick else 101), "ms", 300)
+            yield Figure(row, asked, 1e3 * _seconds(run, 11 if benchmark.quick else 101), "ms", 300)
     finally:
         cv2.setNumThreads(threads)
 
 
-def centroids(bench: Bench) -> Iterator[Figure]:
+def centroids(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Centroids of rendered markers against where they were drawn, beside the Cramer-Rao bound of these pixels and this noise."""
     for shape in ("disc", "gaussian"):
         for diameter in (3.0, 6.0, 10.0):
             away, noise = [], 0.01
-            for seed in range(1 if bench.quick else 4):
+            for seed in range(1 if benchmark.quick else 4):
                 rng = np.random.default_rng(seed)
                 places = _apart(300, 40.0, rng)
                 found = find_blobs(_rendered(places, diameter, shape, noise, rng)).xy

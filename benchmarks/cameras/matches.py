@@ -18,7 +18,7 @@ from asterism.cameras.bundle import Adjustment, Sightings, adjust, free_paramete
 from asterism.cameras.files import read_rig
 from asterism.reconstruction import reconstruct
 from asterism.recording import Blobs, Floats, Ints
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.cameras.detection import CORNER
 from benchmarks.data import folder
 from benchmarks.figures import Figure
@@ -34,7 +34,7 @@ _LENS = ("pose", "focal", "centre", "k1", "k2", "tangential")
 _MENDING = ((2.5, ("pose",)), (1.5, ("pose", "focal")), (1.0, _LENS), (0.7, _LENS), (TIGHT, _LENS), (TIGHT, _LENS))
 
 
-def matches(bench: Bench) -> Iterator[Figure]:
+def matches(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Points matched in all four cameras over four time steps, from the peer's own blobs."""
     rig = read_rig(folder() / "cameras" / "particles-4cam")
     blobs, numbers = _targets(rig)

@@ -14,7 +14,7 @@ from asterism.cameras import Rig
 from asterism.reconstruction import Reconstruction, reconstruct
 from asterism.recording import Blobs, Floats, Ints
 from asterism.simulation.cameras import images_of, ring_rig
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 
 NOISE = 0.3
@@ -28,10 +28,10 @@ HARD = {"missed": 0.3, "strays": 0.5}
 """A third of all images of markers missing, a stray light in every second image."""
 
 
-def speed(bench: Bench) -> Iterator[Figure]:
+def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Frames per second of CPU time on one core, all in: undistortion, telling the noise, covariances."""
     for cameras, markers, frames, asked in ((8, 50, 2000, "> 1000"), (12, 200, 200, "> 50")):
-        frames = frames // 8 if bench.quick else frames
+        frames = frames // 8 if benchmark.quick else frames
         rig, blobs, _, _ = scene(cameras, markers, frames)
         row = f"composition + merging, {cameras} cameras {markers} markers, one core"
         yield Figure(f"{row}, {OWN}", asked, _rate(blobs, rig, "global"), "frames/s", frames)
@@ -51,9 +51,9 @@ def speed(bench: Bench) -> Iterator[Figure]:
     yield Figure(f"{row} seconds", "none", float(times), "x", 40)
 
 
-def ghosts(bench: Bench) -> Iterator[Figure]:
+def ghosts(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Points without a marker and markers without a point, eight cameras, fifty markers anywhere in two cubic metres."""
-    frames = 100 if bench.quick else 2000
+    frames = 100 if benchmark.quick else 2000
     for case, more in (("all seen", {}), ("30 % missed, 0.5 strays an image", HARD)):
         rig, blobs, truth, shows = scene(8, 50, frames, **more)
         for name, method in ((OWN, "global"), (PLAIN, "plain")):

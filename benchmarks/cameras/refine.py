@@ -12,7 +12,7 @@ from asterism.calibration import refine_rig
 from asterism.cameras import Camera, Rig, rotation_from_vector
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import images_of, ring_rig, walker_capsules
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 
 TRIALS, NOISE, FRAMES = 40, 0.3, 300
@@ -20,10 +20,10 @@ SMALLEST, LARGEST, SHIFT = 0.1, 8.0, 0.02
 """Degrees by which cameras are turned, and metres by which they are shifted at most."""
 
 
-def refine(bench: Bench) -> Iterator[Figure]:
+def refine(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Rigs of 4 to 10 cameras, none, one or two of them bumped; a walker whose body hides markers, with strays."""
-    trials = 6 if bench.quick else TRIALS
-    told = list(bench.each(_trial, list(range(trials))))
+    trials = 6 if benchmark.quick else TRIALS
+    told = list(benchmark.each(_trial, list(range(trials))))
     row = "refine, 4 to 10 cameras, none to two bumped by 0.1 to 8 degrees"
     yield Figure(
         f"{row}: recordings in which just the bumped are named", "none", 100.0 * float(np.mean([right for right, _ in told])), "%", trials
@@ -33,7 +33,7 @@ def refine(bench: Bench) -> Iterator[Figure]:
     yield Figure(f"{row}: the same, worst camera", "none", max(left), "px", len(left))
 
 
-def _trial(_bench: Bench, seed: int) -> tuple[bool, list[float]]:
+def _trial(_bench: BenchmarkRun, seed: int) -> tuple[bool, list[float]]:
     """Whether just the bumped cameras were named, and by how many px the images of the mended ones are off (median over the volume)."""
     rng = np.random.default_rng(seed)
     true = ring_rig(int(rng.integers(4, 11)), rng=rng)

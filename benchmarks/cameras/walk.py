@@ -12,7 +12,7 @@ from asterism.motion import smooth_paths
 from asterism.reconstruction import Reconstruction, reconstruct
 from asterism.recording import NULL, Clouds, Floats, Labelling, Recording
 from asterism.simulation.cameras import images_of, walker_capsules
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.cameras.reconstruction import NEAR, NOISE, judged
 from benchmarks.data import folder
 from benchmarks.figures import Figure
@@ -24,7 +24,7 @@ RIGS_OWN_NOISE = 0.15
 SAMPLES = 20
 
 
-def walk(bench: Bench) -> Iterator[Figure]:
+def walk(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Twelve Vicon cameras, 34 markers, about half of the images hidden by the body; the model is trained on the walk's first half.
 
     It is trained on the reconstructed points of that half under their true names, as a laboratory would train it that has labelled them
@@ -32,7 +32,7 @@ def walk(bench: Bench) -> Iterator[Figure]:
     """
     place = folder() / "cameras" / "vicon-rig-walk"
     rig, recording = read_rig(place / "walking_1.xcp"), read(place / "walking_1.c3d")
-    recording = recording.frames(slice(0, 200)) if bench.quick else recording
+    recording = recording.frames(slice(0, 200)) if benchmark.quick else recording
     body = walker_capsules(recording)
     for noise in (NOISE, RIGS_OWN_NOISE):
         rng = np.random.default_rng(0)
@@ -53,7 +53,7 @@ def walk(bench: Bench) -> Iterator[Figure]:
         yield Figure(f"{row}: ghosts", "none", 1000 * told.ghosts / told.seen, "per 1,000 points", told.seen)
         if noise == NOISE:
             half = len(recording) // 2
-            ensemble = bench.fit([_named(result, recording).frames(slice(0, half))], ["S01"])
+            ensemble = benchmark.fit([_named(result, recording).frames(slice(0, half))], ["S01"])
             clouds = _from(result.clouds, half)
             for how, in_time in (("as a whole", True), ("frame by frame", False)):
                 right, wrong, there = _labels(ensemble.label(clouds, time=in_time), clouds, recording.positions[half:])

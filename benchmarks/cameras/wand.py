@@ -16,7 +16,7 @@ from asterism.cameras.bundle import Sightings, adjust, free_parameters, locate, 
 from asterism.errors import AsterismError
 from asterism.recording import Floats
 from asterism.simulation.cameras import random_rig, ring_rig, wave_wand
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 
 WAND = (0.0, 0.2, 0.6)
@@ -29,14 +29,14 @@ RIGHT_FOCAL, RIGHT_POINTS = 0.01, 0.003
 UNSEEN = 1000
 
 
-def wand(bench: Bench) -> Iterator[Figure]:
+def wand(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Eight cameras in a ring, nothing known: time, accuracy, and the best that any method could do with these images."""
-    seeds = 1 if bench.quick else SEEDS
+    seeds = 1 if benchmark.quick else SEEDS
     seconds, final, focal, unseen, noisy, bound, likely, lengths, arms = ([] for _ in range(9))
     for seed in range(seeds + 1):
         rng = np.random.default_rng(seed)
         rig = ring_rig(CAMERAS, rng=rng)
-        blobs, truth = wave_wand(rig, WAND, 600 if bench.quick else FRAMES, rng=rng, noise=NOISE)
+        blobs, truth = wave_wand(rig, WAND, 600 if benchmark.quick else FRAMES, rng=rng, noise=NOISE)
         started = time.perf_counter()
         made = calibrate_wand(blobs, WAND, sizes={camera.name: camera.size for camera in rig})
         if seed == 0:
@@ -68,10 +68,10 @@ def wand(bench: Bench) -> Iterator[Figure]:
     yield Figure(f"{row}: wand length, mean's error", "none", max(arms), "mm", seeds * FRAMES)
 
 
-def wand_rigs(bench: Bench) -> Iterator[Figure]:
+def wand_rigs(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Rigs of all kinds with outliers: how many converge to the right one, and whether the others say so."""
-    rigs = 10 if bench.quick else RIGS
-    told = list(bench.each(_arrives, [(bench.quick, seed) for seed in range(1000, 1000 + rigs)]))
+    rigs = 10 if benchmark.quick else RIGS
+    told = list(benchmark.each(_arrives, [(benchmark.quick, seed) for seed in range(1000, 1000 + rigs)]))
     right = [arrived for arrived, _, _ in told]
     row = f"wand, cold starts of {rigs} random rigs of 3 to 12 cameras, {100 * OUTLIERS:.0f} % outliers"
     yield Figure(f"{row}: converge to the right rig", ">= 99", 100.0 * float(np.mean(right)), "%", rigs)
@@ -82,7 +82,7 @@ def wand_rigs(bench: Bench) -> Iterator[Figure]:
     yield Figure(f"{row}: 3D of unseen points, RMS, median rig", "none", 1000.0 * median(error for _, _, error in told), "mm", rigs)
 
 
-def _arrives(bench: Bench, which: tuple[bool, int]) -> tuple[bool, bool, float]:
+def _arrives(benchmark: BenchmarkRun, which: tuple[bool, int]) -> tuple[bool, bool, float]:
     """Of one rig: whether all its cameras were found right, whether the calibration calls itself usable, and its error, m."""
     rng = np.random.default_rng(which[1])
     rig = random_rig(rng=rng)
@@ -95,7 +95,7 @@ def _arrives(bench: Bench, which: tuple[bool, int]) -> tuple[bool, bool, float]:
     error = points_error(rig, made.rig, volume(rng, 0.5), 0.0, rng)
     if len(made.rig) < len(rig) or focal > RIGHT_FOCAL or not error < RIGHT_POINTS:
         posed = f"{len(made.rig)} of {len(rig)} cameras"
-        bench.say(f"rig {which[1]}: {posed}, focal {100 * focal:.2f} %, points {1000 * error:.2f} mm, usable: {made.usable}")
+        benchmark.report(f"rig {which[1]}: {posed}, focal {100 * focal:.2f} %, points {1000 * error:.2f} mm, usable: {made.usable}")
         return False, made.usable, error
     return True, made.usable, error
 

@@ -13,12 +13,12 @@ from asterism.cameras import Camera, Rig, vector_from_rotation
 from asterism.cameras.bundle import locate
 from asterism.recording import Floats
 from asterism.simulation.cameras import ring_rig, wave_wand
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.cameras.wand import CAMERAS, FRAMES, NOISE, UNSEEN, WAND, points_error, volume
 from benchmarks.figures import Figure
 
 
-def wand_peer(bench: Bench) -> Iterator[Figure]:
+def wand_peer(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """aniposelib's bundle adjustment on the images that our calibration identified, from focal lengths 1 % and places 2 cm off.
 
     It knows no wand: its size is set afterwards by the mean length. Its points begin where ours would (its own way to triangulate
@@ -28,11 +28,11 @@ def wand_peer(bench: Bench) -> Iterator[Figure]:
         from aniposelib.cameras import Camera as PeerCamera
         from aniposelib.cameras import CameraGroup
     except ImportError:
-        bench.say("aniposelib is not installed: pip install aniposelib")
+        benchmark.report("aniposelib is not installed: pip install aniposelib")
         return
     rng = np.random.default_rng(1)
     rig = ring_rig(CAMERAS, rng=rng)
-    blobs, _ = wave_wand(rig, WAND, 200 if bench.quick else FRAMES, rng=rng, noise=NOISE)
+    blobs, _ = wave_wand(rig, WAND, 200 if benchmark.quick else FRAMES, rng=rng, noise=NOISE)
     made = calibrate_wand(blobs, WAND, sizes={camera.name: camera.size for camera in rig})
     sightings = replace(made.sightings, frame=np.searchsorted(made.used, made.sightings.frame))
     seen = np.full((len(made.rig), len(made.used) * len(WAND), 2), np.nan)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 from benchmarks.labelling.files import conformance, physical
 from benchmarks.labelling.movement import movement
@@ -14,7 +14,7 @@ from benchmarks.labelling.unseen import unseen
 
 ISSUE = "Label a real recording end to end: the solver ensemble"
 
-ROWS: dict[str, Callable[[Bench], Iterator[Figure]]] = {
+ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
     "conformance": conformance,
     "physical": physical,
     "strong-classifier": strong_classifier,

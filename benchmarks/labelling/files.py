@@ -13,7 +13,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.formats import describe, read, read_table
 from asterism.recording import Recording, without_subject
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import GAIT_BODY, folder, is_unnamed
 from benchmarks.figures import Figure
 
@@ -28,11 +28,11 @@ STATIC_ONLY = tuple(side + name for side in "LR" for name in ("MMA", "PCA", "TPF
 """Markers that gait subjects wear while standing: they move by themselves, no model computed them."""
 
 
-def conformance(bench: Bench) -> Iterator[Figure]:
+def conformance(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Files that open with the right number of frames; where one does not, its sentence goes to the log."""
     root = folder() / "conformance"
     paths = _c3d_files(root)
-    yield Figure("conformance: C3D files read", f">= {len(paths) - 1}", sum(_opens(bench, path) for path in paths), "files", len(paths))
+    yield Figure("conformance: C3D files read", f">= {len(paths) - 1}", sum(_opens(benchmark, path) for path in paths), "files", len(paths))
     sample = root / "c3d" / "sample_02"
     for kind, pattern, asked in (("three real", "*_real", 0.001), ("three integer", "*_int", ONE_STEP_MM), ("six", "*", ONE_STEP_MM)):
         some = [read(path) for path in sorted(sample.glob(f"{pattern}.c3d"))]
@@ -41,11 +41,15 @@ def conformance(bench: Bench) -> Iterator[Figure]:
     for suffix in ("trc", "mot", "sto", "csv"):
         paths = sorted(root.rglob(f"*.{suffix}"))
         yield Figure(
-            f"conformance: {suffix.upper()} files read", f">= {len(paths)}", sum(_opens(bench, path) for path in paths), "files", len(paths)
+            f"conformance: {suffix.upper()} files read",
+            f">= {len(paths)}",
+            sum(_opens(benchmark, path) for path in paths),
+            "files",
+            len(paths),
         )
 
 
-def physical(bench: Bench) -> Iterator[Figure]:
+def physical(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Points of every C3D file whose kinds are known: markers, named or not, told from computed points."""
     right = points = lost = markers = 0
     for path in _c3d_files(folder()):
@@ -58,7 +62,7 @@ def physical(bench: Bench) -> Iterator[Figure]:
         lost, markers, points = lost + wrongly_lost.total(), markers + real.total(), points + everything.total()
         right += everything.total() - wrongly_lost.total() - wrongly_kept.total()
         if wrongly_lost or wrongly_kept:
-            bench.say(f"{_name(path)}: lost {sorted(wrongly_lost)}, kept {sorted(wrongly_kept)}")
+            benchmark.report(f"{_name(path)}: lost {sorted(wrongly_lost)}, kept {sorted(wrongly_kept)}")
     yield Figure("physical markers told from computed points", ">= 0.99", right / points, "fraction", points)
     yield Figure("physical markers taken for computed points", "== 0", lost, "markers", markers)
 
@@ -80,16 +84,16 @@ def _index() -> dict[str, dict[str, Any]]:
     return known
 
 
-def _opens(bench: Bench, path: Path) -> bool:
+def _opens(benchmark: BenchmarkRun, path: Path) -> bool:
     """Whether a file opens, as a recording or as a table, with as many frames as the index knows (where it does)."""
     try:
         frames = len(read(path, vertical="z")) if path.suffix not in (".mot", ".sto") else len(read_table(path).values)
     except AsterismError as problem:
-        bench.say(str(problem))
+        benchmark.report(str(problem))
         return False
     expected = TRUE_FRAMES.get(path.name) or _index().get(_name(path), {}).get("frames") or frames
     if frames != expected or frames == 0:
-        bench.say(f"{_name(path)}: {frames} frames instead of {expected}")
+        benchmark.report(f"{_name(path)}: {frames} frames instead of {expected}")
     return frames == expected and frames > 0
 
 

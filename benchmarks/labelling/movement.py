@@ -13,7 +13,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.labelling.simulated_occlusions import hide_and_haunt
 from asterism.recording import NULL, Clouds, Ints, Labelling, Recording
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import Fold, Test, evenly, everything, movement_folds, spread
 from benchmarks.figures import Figure
 from benchmarks.score import Tally
@@ -25,10 +25,10 @@ REAL_DIRT = ("pig39/test_movement.c3d", "qtm-fullbody/static_lower_body_U.c3d", 
 """Files with points that nobody labelled. The other dirty ones have gaps only, and every row of theirs keeps its gaps."""
 
 
-def movement(bench: Bench) -> Iterator[Figure]:
+def movement(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """FA and missed with 0 and 3 occlusions by person, then the files with real unlabelled points as they were recorded."""
-    folds = _folds(bench.quick)
-    outcomes = zip(folds, bench.each(_tested, range(len(folds))), strict=True)
+    folds = _folds(benchmark.quick)
+    outcomes = zip(folds, benchmark.each(_tested, range(len(folds))), strict=True)
     for (label, person), group in groupby(outcomes, key=lambda outcome: (outcome[0].label, outcome[0].person)):
         tallies: dict[str, Tally] = defaultdict(Tally)
         for fold, found in group:
@@ -47,13 +47,13 @@ def _folds(quick: bool) -> list[Fold]:
     return list(movement_folds(("clinical-lower",) if quick else None))
 
 
-def _tested(bench: Bench, number: int) -> dict[str, Tally]:
-    fold = _folds(bench.quick)[number]
-    train = [evenly(recording, 40) for recording in fold.train] if bench.quick else fold.train
+def _tested(benchmark: BenchmarkRun, number: int) -> dict[str, Tally]:
+    fold = _folds(benchmark.quick)[number]
+    train = [evenly(recording, 40) for recording in fold.train] if benchmark.quick else fold.train
     try:
-        ensemble = bench.fit(train, fold.train_people)
+        ensemble = benchmark.fit(train, fold.train_people)
     except AsterismError as problem:
-        bench.say(f"{fold.label}, {fold.person}: nothing learned, so every marker is missed: {problem}")
+        benchmark.report(f"{fold.label}, {fold.person}: nothing learned, so every marker is missed: {problem}")
         ensemble = None
     tallies: dict[str, Tally] = defaultdict(Tally)
 
@@ -61,12 +61,12 @@ def _tested(bench: Bench, number: int) -> dict[str, Tally]:
         tallies[condition].add(ensemble.label(clouds) if ensemble else _silence(truth, fold.train[0].labels), truth)
 
     for place, test in enumerate(fold.test):
-        frames = test.frames[spread(len(test.frames), 50 if bench.quick else FRAMES)]
+        frames = test.frames[spread(len(test.frames), 50 if benchmark.quick else FRAMES)]
         for hidden in (0, 3):
             count(f"{hidden} occlusions", *hide_and_haunt(test.recording.frames(frames), hidden, 0, seed=place))
         if test.file in REAL_DIRT:
             count(f"{Path(test.file).stem} as recorded", *_as_recorded(test, frames))
-    bench.say(f"{fold.label}, {fold.person}: {', '.join(f'{c} FA {t.false_assignments:.4f}' for c, t in tallies.items())}")
+    benchmark.report(f"{fold.label}, {fold.person}: {', '.join(f'{c} FA {t.false_assignments:.4f}' for c, t in tallies.items())}")
     return dict(tallies)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import asterism
 from asterism.labelling.simulated_occlusions import hide_and_haunt
 from asterism.recording import NULL, Ints, Labelling, Recording
-from benchmarks.bench import Bench, frames_per_second
+from benchmarks.benchmark_run import BenchmarkRun, frames_per_second
 from benchmarks.data import GAIT_BODY, blocks, evenly, gait, people_and_trials
 from benchmarks.figures import Figure
 from benchmarks.score import Tally
@@ -38,17 +38,17 @@ THESIS_FO = {
 }
 
 
-def tables(bench: Bench) -> Iterator[Figure]:
+def tables(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Tables 5.4 and 5.5 cell by cell, 5.3 marker by marker, and the two figures that the issue asks for by themselves."""
-    for figures in bench.each(_column, TARGETS[2:3] if bench.quick else TARGETS):
+    for figures in benchmark.each(_column, TARGETS[2:3] if benchmark.quick else TARGETS):
         yield from figures
 
 
-def _column(bench: Bench, target: float) -> list[Figure]:
+def _column(benchmark: BenchmarkRun, target: float) -> list[Figure]:
     """One target hit rate over all occlusions."""
-    ensemble, column, figures = _ensemble(bench, target), TARGETS.index(target), []
-    for hidden in (4,) if bench.quick else range(1, 6):
-        clouds, truth = hide_and_haunt(test_frames(1024 if bench.quick else FRAMES), hidden, 0, seed=hidden)
+    ensemble, column, figures = _ensemble(benchmark, target), TARGETS.index(target), []
+    for hidden in (4,) if benchmark.quick else range(1, 6):
+        clouds, truth = hide_and_haunt(test_frames(1024 if benchmark.quick else FRAMES), hidden, 0, seed=hidden)
         labelling = ensemble.label(clouds)
         tally = Tally()
         tally.add(labelling, truth)
@@ -73,20 +73,20 @@ def _by_marker(cell: str, labelling: Labelling, truth: Ints) -> Iterator[Figure]
         yield Figure(f"table 5.3, {cell}, {name}: FO", "none", float(null[marker]), "fraction", len(truth))
 
 
-def speed(bench: Bench) -> Iterator[Figure]:
+def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """The ensemble on one core, everything compiled, median of five runs."""
-    ensemble = _ensemble(bench, 0.9999)
-    recording = test_frames(1024 if bench.quick else 4096)
+    ensemble = _ensemble(benchmark, 0.9999)
+    recording = test_frames(1024 if benchmark.quick else 4096)
     for hidden, ghosts, asked in ((0, 0, "none"), (4, 0, "none"), (4, 3, "> 5000")):
         clouds, _ = hide_and_haunt(recording, hidden, ghosts, seed=0)
         rate = frames_per_second(partial(ensemble.label, clouds, workers=1), len(clouds))
         yield Figure(f"ensemble, {hidden} occlusions + {ghosts} ghosts, one core", asked, rate, "frames/s", len(clouds))
 
 
-def training(bench: Bench) -> Iterator[Figure]:
+def training(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Training from all gait recordings, 15 markers."""
     people, recordings = people_and_trials(gait())
-    if bench.quick:
+    if benchmark.quick:
         recordings = [evenly(recording, 60) for recording in recordings]
     started = time.perf_counter()
     asterism.SolverEnsemble.fit(recordings, seed=0, subjects=people)
@@ -95,10 +95,10 @@ def training(bench: Bench) -> Iterator[Figure]:
     )
 
 
-def full_body(bench: Bench) -> Iterator[Figure]:
+def full_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """All physical markers that every gait subject wears, from training to labels."""
     people, recordings = people_and_trials(gait(GAIT_BODY))
-    if bench.quick:
+    if benchmark.quick:
         people, recordings = people[:6], [evenly(recording, 60) for recording in recordings[:6]]
     train = [blocks(recording, odd=False) for recording in recordings]
     started = time.perf_counter()
@@ -118,12 +118,12 @@ def full_body(bench: Bench) -> Iterator[Figure]:
             yield Figure(f"full body, {markers} markers: labelling, one core", "> 1000", rate, "frames/s", len(clouds))
 
 
-def _ensemble(bench: Bench, target: float) -> asterism.SolverEnsemble:
+def _ensemble(benchmark: BenchmarkRun, target: float) -> asterism.SolverEnsemble:
     people, recordings = people_and_trials(gait())
     train = [blocks(recording, odd=False) for recording in recordings]
-    if bench.quick:
+    if benchmark.quick:
         train = [evenly(recording, 40) for recording in train]
-    return bench.fit(train, people, target_hit_rate=target)
+    return benchmark.fit(train, people, target_hit_rate=target)
 
 
 def test_frames(frames: int) -> Recording:

@@ -7,7 +7,7 @@ from functools import partial
 
 from asterism.labelling import FullSolver
 from asterism.labelling.simulated_occlusions import hide_and_haunt
-from benchmarks.bench import Bench, frames_per_second
+from benchmarks.benchmark_run import BenchmarkRun, frames_per_second
 from benchmarks.data import blocks, gait, people_and_trials
 from benchmarks.figures import Figure
 from benchmarks.labelling.seen import test_frames
@@ -17,10 +17,10 @@ WEAK = 40
 WRONG = 10**7
 
 
-def strong_classifier(bench: Bench) -> Iterator[Figure]:
+def strong_classifier(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Wrong labellings of frames outside training, from two to all markers permuted: the share that 40 weak classifiers refuse."""
     solver, test = _solver(), [blocks(recording, odd=True) for recording in people_and_trials(gait())[1]]
-    wrong = 10**5 if bench.quick else WRONG
+    wrong = 10**5 if benchmark.quick else WRONG
     yield Figure(
         f"strong classifier, {WEAK} weak classifiers: accuracy over wrong labellings",
         "> 0.999",
@@ -30,10 +30,10 @@ def strong_classifier(bench: Bench) -> Iterator[Figure]:
     )
 
 
-def full_solver(bench: Bench) -> Iterator[Figure]:
+def full_solver(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Frames outside training, nothing hidden: evaluations to the right labelling, and frames per second on one core."""
     solver = _solver()
-    clouds, truth = hide_and_haunt(test_frames(1024 if bench.quick else 16384), 0, 0, seed=0)
+    clouds, truth = hide_and_haunt(test_frames(1024 if benchmark.quick else 16384), 0, 0, seed=0)
     tally = Tally()
     tally.add(solver.label(clouds), truth)
     first, in_all = solver.evaluations, solver.evaluations_in_all

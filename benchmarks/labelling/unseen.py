@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from asterism.labelling.simulated_occlusions import hide_and_haunt
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import evenly, gait, people_and_trials, spread
 from benchmarks.figures import Figure
 from benchmarks.peer import KeyPoses
@@ -46,10 +46,10 @@ class Outcome:
     peer_seconds: float = 0.0
 
 
-def unseen(bench: Bench) -> Iterator[Figure]:
+def unseen(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Leave one subject out over all of them: ours, the peer, the confidence's error, and every subject by name."""
-    subjects = list(gait())[: 1 if bench.quick else None]
-    outcomes = dict(zip(subjects, bench.each(_left_out, subjects), strict=True))
+    subjects = list(gait())[: 1 if benchmark.quick else None]
+    outcomes = dict(zip(subjects, benchmark.each(_left_out, subjects), strict=True))
     pooled = Tally()
     for name in CONDITIONS.values():
         total, peers = Tally(), Tally()
@@ -71,12 +71,12 @@ def unseen(bench: Bench) -> Iterator[Figure]:
             yield Figure(f"subject {subject} not seen, {name}: missed", "none", tally.missed_share, "fraction", tally.frames)
 
 
-def _left_out(bench: Bench, subject: str) -> Outcome:
+def _left_out(benchmark: BenchmarkRun, subject: str) -> Outcome:
     trials = gait()
     people, train = people_and_trials(trials, leave_out=subject)
-    if bench.quick:
+    if benchmark.quick:
         train = [evenly(recording, 40) for recording in train]
-    ensemble, peer, outcome = bench.fit(train, people), KeyPoses.fit(train), Outcome()
+    ensemble, peer, outcome = benchmark.fit(train, people), KeyPoses.fit(train), Outcome()
     for (hidden, ghosts), name in CONDITIONS.items():
         for number, recording in enumerate(trials[subject]):
             clouds, truth = hide_and_haunt(recording, hidden, ghosts, seed=number)
@@ -87,7 +87,7 @@ def _left_out(bench: Bench, subject: str) -> Outcome:
             outcome.peer_seconds += time.perf_counter() - started
             outcome.peers[name].add(labelling, few_truth)
     told = (f"{name} FA {tally.false_assignments:.5f} missed {tally.missed_share:.5f}" for name, tally in outcome.ours.items())
-    bench.say(f"{subject} left out: {', '.join(told)}")
+    benchmark.report(f"{subject} left out: {', '.join(told)}")
     outcome.ours, outcome.peers = dict(outcome.ours), dict(outcome.peers)
     return outcome
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 from benchmarks.recordings.ablation import ablation
 from benchmarks.recordings.baselines import baselines
@@ -21,7 +21,7 @@ from benchmarks.recordings.swaps import swaps
 
 ISSUE = "Label whole recordings: tracks, time, the subject's own body, and corrections that teach"
 
-ROWS: dict[str, Callable[[Bench], Iterator[Figure]]] = {
+ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
     "swaps": swaps,
     "speed-time": speed,
     "bodies": bodies,

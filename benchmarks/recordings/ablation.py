@@ -14,7 +14,7 @@ from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.whole.label import Member, label_whole
 from asterism.labelling.whole.scene import Looker, TimeRules
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import gait
 from benchmarks.figures import Figure
 from benchmarks.recordings.gaps import Tallies, summed
@@ -47,23 +47,23 @@ METHODS: tuple[tuple[str, Callable[[Case, Clouds], Labelling]], ...] = (
 """Each does what the one above it does, and more."""
 
 
-def ablation(bench: Bench) -> Iterator[Figure]:
+def ablation(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Right and FA by method and condition, over the subjects that have a standing trial."""
-    subjects = [subject for subject in gait() if standing(subject)][: 1 if bench.quick else None]
-    for (condition, method), tally in summed(list(bench.each(_left_out, subjects))).items():
+    subjects = [subject for subject in gait() if standing(subject)][: 1 if benchmark.quick else None]
+    for (condition, method), tally in summed(list(benchmark.each(_left_out, subjects))).items():
         yield Figure(f"ablation, {method}, {condition}: right", "none", tally.right_share, "fraction", tally.frames)
         yield Figure(f"ablation, {method}, {condition}: FA", "none", tally.false_assignments, "fraction", tally.frames)
 
 
-def _left_out(bench: Bench, subject: str) -> Tallies:
-    ensemble, tallies = unseen_ensemble(bench, subject), defaultdict(Tally)
+def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:
+    ensemble, tallies = unseen_ensemble(benchmark, subject), defaultdict(Tally)
     case = Case(ensemble, ensemble.adapt(standing(subject)))
     for condition, (hidden, ghosts) in CONDITIONS.items():
-        for clouds, truth in with_gaps(bench, subject, hidden, ghosts, seeds=1):
+        for clouds, truth in with_gaps(benchmark, subject, hidden, ghosts, seeds=1):
             for name, label in METHODS:
                 tallies[condition, name].add(label(case, clouds), truth)
     told = (f"{c}, {m} {tally.right_share:.5f}" for (c, m), tally in tallies.items())
-    bench.say(f"{subject} left out: {'; '.join(told)}")
+    benchmark.report(f"{subject} left out: {'; '.join(told)}")
     return dict(tallies)
 
 

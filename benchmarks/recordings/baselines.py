@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 
 from asterism.labelling.simulated_occlusions import hide_a_few
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import gait, spread
 from benchmarks.figures import Figure
 from benchmarks.peer import KeyPoses
@@ -20,20 +20,20 @@ POSES_FRAMES = 8
 """Frames of each cloud that the slow peer gets, evenly spread; each frame stands alone for it."""
 
 
-def baselines(bench: Bench) -> Iterator[Figure]:
+def baselines(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Right, FA and missed of both peers by condition."""
-    subjects = list(gait())[: 1 if bench.quick else None]
-    for (condition, method), tally in summed(list(bench.each(_left_out, subjects))).items():
+    subjects = list(gait())[: 1 if benchmark.quick else None]
+    for (condition, method), tally in summed(list(benchmark.each(_left_out, subjects))).items():
         yield from rates(condition, method, tally, asked=False)
 
 
-def _left_out(bench: Bench, subject: str) -> Tallies:
+def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:
     tallies: Tallies = defaultdict(Tally)
-    poses = KeyPoses.fit(unseen_training(bench, subject)[1])
+    poses = KeyPoses.fit(unseen_training(benchmark, subject)[1])
     own = walks(subject)
-    repeats = 1 if bench.quick else SEEDS
+    repeats = 1 if benchmark.quick else SEEDS
     for condition, (hidden, ghosts) in CONDITIONS.items():
-        for number, (clouds, truth) in enumerate(with_gaps(bench, subject, hidden, ghosts)):
+        for number, (clouds, truth) in enumerate(with_gaps(benchmark, subject, hidden, ghosts)):
             first = own[number // repeats].positions[0]
             tallies[condition, TRACKING].add(follow(first, clouds, poses.names), truth)
             few, few_truth = some_frames(clouds, truth, spread(len(truth), POSES_FRAMES))
@@ -42,5 +42,5 @@ def _left_out(bench: Bench, subject: str) -> Tallies:
         for seed in range(repeats):
             clouds, truth = hide_a_few(walk, 5, seed=SEEDS * number + seed)
             tallies[FEW, TRACKING].add(follow(walk.positions[0], clouds, walk.labels), truth)
-    bench.say(f"{subject} left out: {'; '.join(f'{c}, {m} {tally.right_share:.4f}' for (c, m), tally in tallies.items())}")
+    benchmark.report(f"{subject} left out: {'; '.join(f'{c}, {m} {tally.right_share:.4f}' for (c, m), tally in tallies.items())}")
     return dict(tallies)

@@ -13,7 +13,7 @@ import asterism
 from asterism.labelling import SeveralBodies, join_labellings, label_together
 from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.recording import Ints, Labelling, Recording
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import gait, people_and_trials
 from benchmarks.figures import Figure
 from benchmarks.recordings.walks import standing, walks
@@ -24,11 +24,11 @@ AWAY = ((1.0, 0.0, 0.0), (0.4, 0.3, 0.0))
 """Where the second one's middle is from the first one's, in metres."""
 
 
-def bodies(bench: Bench) -> Iterator[Figure]:
+def bodies(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Every third subject with the next one, side by side and elbow to elbow; whether one model says that there are two; and one alone."""
     twice, own, said, false, alone = defaultdict(Tally), defaultdict(Tally), 0, 0, 0
-    for pair in list(pairwise(gait("helen-hayes")))[:: 11 if bench.quick else 3]:
-        ensemble = _unseen(bench, pair)
+    for pair in list(pairwise(gait("helen-hayes")))[:: 11 if benchmark.quick else 3]:
+        ensemble = _unseen(benchmark, pair)
         statics = [standing(subject) for subject in pair]
         adapted = [ensemble.adapt(static) for static in statics if static is not None]
         for number, (first, second) in enumerate(zip(walks(pair[0]), walks(pair[1]), strict=False)):
@@ -68,11 +68,11 @@ def beside(first: Recording, second: Recording, away: tuple[float, float, float]
     )
 
 
-def _unseen(bench: Bench, subjects: Sequence[str]) -> asterism.SolverEnsemble:
+def _unseen(benchmark: BenchmarkRun, subjects: Sequence[str]) -> asterism.SolverEnsemble:
     """An ensemble that has seen neither of them."""
     others = {subject: trials for subject, trials in gait("helen-hayes").items() if subject not in subjects}
     people, train = people_and_trials(others)
-    return bench.fit(train, people)
+    return benchmark.fit(train, people)
 
 
 def _joined(labellings: Sequence[Labelling], ensemble: asterism.SolverEnsemble) -> Labelling:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from asterism.errors import AsterismError
 from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.recording import NULL, Floats, Ints, Labelling, Recording
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import DIRTY, Fold, Test, everything, is_unnamed, movement_folds
 from benchmarks.figures import Figure
 from benchmarks.recordings.movement import silence
@@ -42,10 +42,10 @@ class Found:
     pieces: Ints = field(default_factory=lambda: np.zeros(4, dtype=np.int64))
 
 
-def dirt(bench: Bench) -> Iterator[Figure]:
+def dirt(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Hand labels found again and FA by set, what becomes of the pieces without a name, and what the raw trial shows."""
-    folds = _folds(bench.quick)
-    for label, group in groupby(zip(folds, bench.each(_tested, range(len(folds))), strict=True), key=lambda outcome: outcome[0].label):
+    folds = _folds(benchmark.quick)
+    for label, group in groupby(zip(folds, benchmark.each(_tested, range(len(folds))), strict=True), key=lambda outcome: outcome[0].label):
         total = Found()
         for _, found in group:
             total.tally += found.tally
@@ -62,8 +62,8 @@ def dirt(bench: Bench) -> Iterator[Figure]:
         if strange:
             row = f"dirt, {label}: samples of pieces that can be no marker, left null"
             yield Figure(row, ">= 0.995", strange_null / strange, "fraction", int(strange))
-    if not bench.quick:
-        yield from _raw(bench)
+    if not benchmark.quick:
+        yield from _raw(benchmark)
 
 
 @cache
@@ -71,12 +71,12 @@ def _folds(quick: bool) -> list[Fold]:
     return list(movement_folds(("optitrack-wheelchair/racing_full",) if quick else DIRTY, halves=True))
 
 
-def _tested(bench: Bench, number: int) -> Found:
-    fold, found = _folds(bench.quick)[number], Found()
+def _tested(benchmark: BenchmarkRun, number: int) -> Found:
+    fold, found = _folds(benchmark.quick)[number], Found()
     try:
-        ensemble = bench.fit(fold.train, fold.train_people)
+        ensemble = benchmark.fit(fold.train, fold.train_people)
     except AsterismError as problem:
-        bench.say(f"{fold.label}: nothing learned, so every marker is missed: {problem}")
+        benchmark.report(f"{fold.label}: nothing learned, so every marker is missed: {problem}")
         ensemble = None
     for place, test in enumerate(fold.test):
         markers = len(test.recording.labels)
@@ -87,7 +87,7 @@ def _tested(bench: Bench, number: int) -> Found:
         found.framewise.add(ensemble.label(clouds) if ensemble else nothing, truth[:, :markers])
         found.pieces += _pieces(labelling, truth)
     told = f"found again {found.tally.right_share:.5f}, FA {found.tally.false_assignments:.5f}, pieces {found.pieces}"
-    bench.say(f"{fold.label}: {told}, frame by frame {found.framewise.right_share:.5f}")
+    benchmark.report(f"{fold.label}: {told}, frame by frame {found.framewise.right_share:.5f}")
     return found
 
 
@@ -113,11 +113,11 @@ def _pieces(labelling: Labelling, truth: Ints) -> Ints:
     return counts
 
 
-def _raw(bench: Bench) -> Iterator[Figure]:
+def _raw(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """A trial that nobody labelled, with the model of both labelled ones: how much gets a label, and whether bodies agree."""
     folds = [fold for fold in _folds(False) if fold.label == RAW.split("/")[0]]
     labelled = [recording for fold in folds for recording in fold.train]
-    ensemble = bench.fit(labelled, [folds[0].label] * len(labelled))
+    ensemble = benchmark.fit(labelled, [folds[0].label] * len(labelled))
     clouds = everything(RAW).clouds()
     positions = ensemble.label(clouds, time=True).positions(clouds)
     given = ~np.isnan(positions[:, :, 0])

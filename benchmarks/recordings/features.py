@@ -14,7 +14,7 @@ from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
 from asterism.labelling.partial.solver import stack
 from asterism.labelling.partial.solver_search import FEATURES, Mining, mine
 from asterism.recording import Clouds, Labelling, Recording
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import gait
 from benchmarks.figures import Figure
 from benchmarks.recordings.walks import CONDITIONS, unseen_training, walks, with_gaps
@@ -62,12 +62,12 @@ class Outcome:
         return self
 
 
-def features(bench: Bench) -> Iterator[Figure]:
+def features(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Right, FA and evaluations of the partial solvers under both rules, and how sure a full solver is, by pool."""
-    subjects = list(gait())[SUBJECTS][: 1 if bench.quick else None]
-    pools = ("single frames", "+ both") if bench.quick else tuple(POOLS)
+    subjects = list(gait())[SUBJECTS][: 1 if benchmark.quick else None]
+    pools = ("single frames", "+ both") if benchmark.quick else tuple(POOLS)
     outcomes: dict[str, Outcome] = defaultdict(Outcome)
-    for pool, outcome in bench.each(_left_out, [(subject, pool) for pool in pools for subject in subjects]):
+    for pool, outcome in benchmark.each(_left_out, [(subject, pool) for pool in pools for subject in subjects]):
         outcomes[pool] += outcome
     for pool, outcome in outcomes.items():
         for case, tally in outcome.tallies.items():
@@ -80,14 +80,14 @@ def features(bench: Bench) -> Iterator[Figure]:
         yield Figure(f"{row}: weak classifiers of a solver", "none", outcome.weak / n, "classifiers", n)
         yield Figure(f"{row}: of them of motion", "none", outcome.of_motion / outcome.weak, "fraction", outcome.weak)
         yield Figure(f"{row}: hit rate in training", "none", float(np.mean(outcome.hit_rates)), "fraction", len(outcome.hit_rates))
-        wrong = len(outcome.accuracies) * _wrong(bench)
+        wrong = len(outcome.accuracies) * _wrong(benchmark)
         row = f"feature pool {pool}, full solver: accuracy over wrong labellings"
         yield Figure(row, "none", float(np.mean(outcome.accuracies)), "fraction", wrong)
 
 
-def _left_out(bench: Bench, item: tuple[str, str]) -> tuple[str, Outcome]:
+def _left_out(benchmark: BenchmarkRun, item: tuple[str, str]) -> tuple[str, Outcome]:
     subject, pool = item
-    people, train = unseen_training(bench, subject)
+    people, train = unseen_training(benchmark, subject)
     outcome = Outcome()
     solvers = _mined(people, train, pool)
     outcome.solvers, outcome.weak, outcome.markers = len(solvers), len(solvers.solvers.kinds), len(solvers.solvers.markers)
@@ -95,24 +95,24 @@ def _left_out(bench: Bench, item: tuple[str, str]) -> tuple[str, Outcome]:
     outcome.hit_rates = solvers.hit_rates[np.isfinite(solvers.hit_rates)].tolist()
     names = train[0].labels
     for condition, (hidden, ghosts) in CONDITIONS.items():
-        for clouds, truth in with_gaps(bench, subject, hidden, ghosts, seeds=1):
+        for clouds, truth in with_gaps(benchmark, subject, hidden, ghosts, seeds=1):
             for rules in ("thesis", "partial-solvers"):
                 labelling, made = _labelled(clouds, solvers, rules, names)
                 outcome.tallies[f"{rules}, {condition}"].add(labelling, truth)
                 outcome.evaluations[f"{rules}, {condition}"] += made
     own = tuple(name for name in POOLS[pool] if name in TEMPORAL)
     full = FullSolver.fit(train, features=THESIS + own, subjects=people, seed=0)
-    outcome.accuracies.append(full.accuracy(walks(subject), wrong=_wrong(bench), seed=0))
-    for clouds, truth in with_gaps(bench, subject, 0, 0, seeds=1):
+    outcome.accuracies.append(full.accuracy(walks(subject), wrong=_wrong(benchmark), seed=0))
+    for clouds, truth in with_gaps(benchmark, subject, 0, 0, seeds=1):
         outcome.tallies["full solver, none hidden"].add(full.label(clouds), truth)
         outcome.evaluations["full solver, none hidden"] += round(full.evaluations_in_all * len(clouds))
     told = "; ".join(f"{case} {tally.right_share:.4f} {tally.false_assignments:.5f}" for case, tally in outcome.tallies.items())
-    bench.say(f"{subject} left out, {pool}: {told}")
+    benchmark.report(f"{subject} left out, {pool}: {told}")
     return pool, outcome
 
 
-def _wrong(bench: Bench) -> int:
-    return 10**4 if bench.quick else WRONG
+def _wrong(benchmark: BenchmarkRun) -> int:
+    return 10**4 if benchmark.quick else WRONG
 
 
 def _mined(people: list[str], train: list[Recording], pool: str) -> PartialSolvers:

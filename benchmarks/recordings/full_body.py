@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from asterism.recording import Labelling
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import GAIT_BODY, gait
 from benchmarks.figures import Figure
 from benchmarks.recordings.contradictions import contradicted
@@ -22,10 +22,10 @@ CONDITIONS = {"3 hidden": (3, 0), "3 hidden + 3 ghosts": (3, 3)}
 ASKED = {("3 hidden", "right"): ">= 0.999", ("3 hidden", "FA"): "<= 0.0005"}
 
 
-def full_body(bench: Bench) -> Iterator[Figure]:
+def full_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Right, FA and missed; every subject by name. Not all subjects: learning one such model takes minutes."""
-    subjects = list(gait(GAIT_BODY))[:1] if bench.quick else list(gait(GAIT_BODY))[::3]
-    outcomes = dict(zip(subjects, bench.each(_left_out, subjects), strict=True))
+    subjects = list(gait(GAIT_BODY))[:1] if benchmark.quick else list(gait(GAIT_BODY))[::3]
+    outcomes = dict(zip(subjects, benchmark.each(_left_out, subjects), strict=True))
     for (condition, method), tally in summed(list(outcomes.values())).items():
         for rate, measured in (("right", tally.right_share), ("FA", tally.false_assignments), ("missed", tally.missed_share)):
             asked = ASKED.get((condition, rate), "none") if method == WHOLE else "none"
@@ -37,10 +37,10 @@ def full_body(bench: Bench) -> Iterator[Figure]:
         yield Figure(f"{row}: FA", "none", tally.false_assignments, "fraction", tally.frames)
 
 
-def _left_out(bench: Bench, subject: str) -> Tallies:
-    ensemble, tallies = unseen_ensemble(bench, subject, GAIT_BODY), defaultdict(Tally)
+def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:
+    ensemble, tallies = unseen_ensemble(benchmark, subject, GAIT_BODY), defaultdict(Tally)
     for condition, (hidden, ghosts) in CONDITIONS.items():
-        trials = with_gaps(bench, subject, hidden, ghosts, GAIT_BODY, seeds=1)
+        trials = with_gaps(benchmark, subject, hidden, ghosts, GAIT_BODY, seeds=1)
         for walk, (clouds, truth) in zip(walks(subject, GAIT_BODY), trials, strict=True):
             labelling = ensemble.label(clouds, time=True)
             tallies[condition, WHOLE].add(labelling, truth)
@@ -49,5 +49,5 @@ def _left_out(bench: Bench, subject: str) -> Tallies:
             tallies[condition, CONSISTENT].add(few, truth[:, kept])
             tallies[condition, FRAMEWISE].add(ensemble.label(clouds), truth)
     told = (f"{c}, {m} {t.right_share:.5f}, FA {t.false_assignments:.5f}" for (c, m), t in tallies.items())
-    bench.say(f"{subject} left out: {'; '.join(told)}")
+    benchmark.report(f"{subject} left out: {'; '.join(told)}")
     return dict(tallies)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from asterism.labelling.simulated_occlusions import hide_a_few, hide_in_gaps
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import gait
 from benchmarks.figures import Figure
 from benchmarks.recordings.walks import CONDITIONS, SEEDS, standing, unseen_ensemble, walks, with_gaps
@@ -36,10 +36,10 @@ Tallies = dict[tuple[str, str], Tally]
 """By condition and method."""
 
 
-def gaps(bench: Bench) -> Iterator[Figure]:
+def gaps(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Leave one subject out over all of them: right, FA and missed by condition, what is lost without track numbers and backwards, ECE."""
-    subjects = list(gait())[: 1 if bench.quick else None]
-    outcomes = dict(zip(subjects, bench.each(_left_out, subjects), strict=True))
+    subjects = list(gait())[: 1 if benchmark.quick else None]
+    outcomes = dict(zip(subjects, benchmark.each(_left_out, subjects), strict=True))
     total = summed(outcomes.values())
     for (condition, method), tally in total.items():
         yield from rates(condition, method, tally, asked=method == WHOLE)
@@ -79,10 +79,10 @@ def summed(outcomes: Iterator[Tallies] | list[Tallies]) -> Tallies:
     return dict(total)
 
 
-def _left_out(bench: Bench, subject: str) -> Tallies:
-    ensemble, tallies = unseen_ensemble(bench, subject), defaultdict(Tally)
+def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:
+    ensemble, tallies = unseen_ensemble(benchmark, subject), defaultdict(Tally)
     for condition, (hidden, ghosts) in CONDITIONS.items():
-        for clouds, truth in with_gaps(bench, subject, hidden, ghosts):
+        for clouds, truth in with_gaps(benchmark, subject, hidden, ghosts):
             tallies[condition, WHOLE].add(ensemble.label(clouds, time=True), truth)
             tallies[condition, FRAMEWISE].add(ensemble.label(clouds), truth)
             bare = replace(clouds, tracks=None)
@@ -90,7 +90,7 @@ def _left_out(bench: Bench, subject: str) -> Tallies:
             reverse, reverse_truth = some_frames(clouds, truth, np.arange(len(truth))[::-1])
             tallies[f"{condition}, {VARIANTS[1]}", WHOLE].add(ensemble.label(reverse, time=True), reverse_truth)
     still = standing(subject)
-    for seed in range(1 if bench.quick else SEEDS):
+    for seed in range(1 if benchmark.quick else SEEDS):
         for number, walk in enumerate(walks(subject)):
             clouds, truth = hide_a_few(walk, 5, seed=SEEDS * number + seed)
             tallies[FEW, WHOLE].add(ensemble.label(clouds, time=True), truth)
@@ -100,5 +100,5 @@ def _left_out(bench: Bench, subject: str) -> Tallies:
             tallies[STANDING, WHOLE].add(ensemble.label(clouds, time=True), truth)
             tallies[STANDING, FRAMEWISE].add(ensemble.label(clouds), truth)
     told = (f"{c} {tallies[c, WHOLE].right_share:.5f}, FA {tallies[c, WHOLE].false_assignments:.5f}" for c in CONDITIONS)
-    bench.say(f"{subject} left out: {'; '.join(told)}")
+    benchmark.report(f"{subject} left out: {'; '.join(told)}")
     return dict(tallies)

@@ -14,9 +14,9 @@ import numpy as np
 
 import asterism
 from asterism.labelling import Item, name_groups, own_tracks, review, settle
-from asterism.labelling.simulated_occlusions import anonymous, hide_in_gaps
+from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.recording import NULL, Clouds, Ints, Labelling, MarkerSet, Recording
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import file_of, gait
 from benchmarks.figures import Figure
 from benchmarks.recordings.loop_picture import PICTURE, Line, picture
@@ -88,16 +88,16 @@ class Course:
         return min(tally.right_share for tally in self.after.values())
 
 
-def loop(bench: Bench) -> Iterator[Figure]:
+def loop(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """The loop from each start; draws docs/loop.svg in a full run."""
     people = list(gait())
-    starts = people[:: max(1, len(people) // STARTS)][: 1 if bench.quick else STARTS]
+    starts = people[:: max(1, len(people) // STARTS)][: 1 if benchmark.quick else STARTS]
     kinds = [(condition, named) for condition, (hidden, _) in CONDITIONS.items() for named in ((False, True) if hidden else (False,))]
-    courses = list(bench.each(run, [(start, *kind) for kind in kinds for start in starts]))
+    courses = list(benchmark.each(run, [(start, *kind) for kind in kinds for start in starts]))
     for condition, named in kinds:
         some = [course for course in courses if course.task[1:] == (condition, named)]
         yield from _figures(f"loop, {condition}, one trial {'named' if named else 'labelled'}", some)
-    if not bench.quick:
+    if not benchmark.quick:
         haunted = [course for course in courses if course.task[1] == list(CONDITIONS)[-1]]
         lines = [Line(f"{course.task[0]}{', named' if course.task[2] else ''}", course.task[2], course.line) for course in haunted]
         PICTURE.write_text(picture(lines, len(people)), encoding="utf-8")
@@ -123,13 +123,13 @@ def _figures(row: str, courses: Sequence[Course]) -> Iterator[Figure]:
         yield Figure(f"{row}: names for a start", "none", sum(c.names for c in courses) / len(courses), "names", len(courses))
 
 
-def run(bench: Bench, task: tuple[str, str, bool]) -> Course:
+def run(benchmark: BenchmarkRun, task: tuple[str, str, bool]) -> Course:
     """One loop: (subject, condition, whether the subject's straight walk is named, not labelled); it ends with all trials labelled.
 
     At its end all are labelled once more by the model that has seen all, the answers stand, and what is flagged anew is settled.
     """
     start, condition, named = task
-    trials = _trials(bench, *CONDITIONS[condition])
+    trials = _trials(benchmark, *CONDITIONS[condition])
     one = next(trial for trial in trials if trial.subject == start and file_of(trial.recording).stem == "straight")
     waiting = trials if named else [trial for trial in trials if trial is not one]
     course = Course(task, sum(trial.samples for trial in waiting))
@@ -166,7 +166,7 @@ def run(bench: Bench, task: tuple[str, str, bool]) -> Course:
     wrong = sum(tally.missed + tally.given - tally.right for tally in course.after.values())
     course.line.append((course.touched / course.samples, wrong / course.samples))
     right = sum(tally.right for tally in course.after.values())
-    bench.say(
+    benchmark.report(
         f"{start}, {condition}{', named' if named else ''}: right {course.before.right_share:.5f}, then {right / course.samples:.5f}, "
         f"worst {course.worst:.5f}; touched {course.touched / course.samples:.5f} by {course.touches} of {course.looks} looks; "
         f"{course.names} names for {course.by_name / course.samples:.5f}"
@@ -174,10 +174,10 @@ def run(bench: Bench, task: tuple[str, str, bool]) -> Course:
     return course
 
 
-def _trials(bench: Bench, hidden: int, ghosts: int) -> list[Trial]:
+def _trials(benchmark: BenchmarkRun, hidden: int, ghosts: int) -> list[Trial]:
     """Everyone's trials without their labels."""
     out = []
-    for subject, recordings in list(gait().items())[: 3 if bench.quick else None]:
+    for subject, recordings in list(gait().items())[: 3 if benchmark.quick else None]:
         for number, recording in enumerate(recordings):
             clouds, truth = hide_in_gaps(recording, hidden, ghosts, seed=1000 + number)
             out.append(Trial(subject, recording, clouds, truth))
@@ -194,7 +194,7 @@ def _named(trial: Trial, course: Course) -> Recording:
             names[group] = answer
             course.by_name += int(groups.frames[group])
     course.names = len(names)
-    recording = anonymous(trial.clouds)
+    recording = Recording.from_clouds(trial.clouds)
     return name_groups(recording, groups, names)
 
 

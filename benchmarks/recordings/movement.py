@@ -11,7 +11,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.recording import NULL, Ints, Labelling
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import DIRTY, Fold, movement_folds
 from benchmarks.figures import Figure
 from benchmarks.score import Tally
@@ -20,10 +20,10 @@ LONGEST = 2000
 """Frames of each recording that are labelled, from its middle."""
 
 
-def movement(bench: Bench) -> Iterator[Figure]:
+def movement(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Right, FA and missed with three gaps open at every moment; what is asked of a person seen is not asked of real dirt besides."""
-    folds = _folds(bench.quick)
-    outcomes = zip(folds, bench.each(_tested, range(len(folds))), strict=True)
+    folds = _folds(benchmark.quick)
+    outcomes = zip(folds, benchmark.each(_tested, range(len(folds))), strict=True)
     for (label, person), group in groupby(outcomes, key=lambda outcome: (outcome[0].label, outcome[0].person)):
         tally, framewise, unseen = Tally(), Tally(), False
         for fold, found in group:
@@ -44,13 +44,13 @@ def _folds(quick: bool) -> list[Fold]:
     return list(movement_folds(("clinical-lower",) if quick else None, halves=True))
 
 
-def _tested(bench: Bench, number: int) -> tuple[Tally, Tally]:
+def _tested(benchmark: BenchmarkRun, number: int) -> tuple[Tally, Tally]:
     """The whole recordings, and the same frame by frame."""
-    fold, tally, framewise = _folds(bench.quick)[number], Tally(), Tally()
+    fold, tally, framewise = _folds(benchmark.quick)[number], Tally(), Tally()
     try:
-        ensemble = bench.fit(fold.train, fold.train_people)
+        ensemble = benchmark.fit(fold.train, fold.train_people)
     except AsterismError as problem:
-        bench.say(f"{fold.label}, {fold.person}: nothing learned, so every marker is missed: {problem}")
+        benchmark.report(f"{fold.label}, {fold.person}: nothing learned, so every marker is missed: {problem}")
         ensemble = None
     for place, test in enumerate(fold.test):
         spare = max(0, len(test.frames) - LONGEST) // 2
@@ -59,7 +59,7 @@ def _tested(bench: Bench, number: int) -> tuple[Tally, Tally]:
         tally.add(ensemble.label(clouds, time=True) if ensemble else nothing, truth)
         framewise.add(ensemble.label(clouds) if ensemble else nothing, truth)
     told = f"right {tally.right_share:.5f}, FA {tally.false_assignments:.5f}, frame by frame {framewise.right_share:.5f}"
-    bench.say(f"{fold.label}, {fold.person}: {told}")
+    benchmark.report(f"{fold.label}, {fold.person}: {told}")
     return tally, framewise
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from asterism.recording import Clouds
-from benchmarks.bench import Bench, frames_per_second
+from benchmarks.benchmark_run import BenchmarkRun, frames_per_second
 from benchmarks.data import GAIT_BODY, spread
 from benchmarks.figures import Figure
 from benchmarks.peer import KeyPoses
@@ -19,12 +19,12 @@ SUBJECT = "HC031"
 """Who is left out: one of those that the row `full-body` leaves out too."""
 
 
-def speed(bench: Bench) -> Iterator[Figure]:
+def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """One subject's walks, each labelled by a call of its own: 15 markers, then all of them."""
-    ensemble, poses = unseen_ensemble(bench, SUBJECT), KeyPoses.fit(unseen_training(bench, SUBJECT)[1])
+    ensemble, poses = unseen_ensemble(benchmark, SUBJECT), KeyPoses.fit(unseen_training(benchmark, SUBJECT)[1])
     first = [walk.positions[0] for walk in walks(SUBJECT)]
     for condition in ("3 hidden", "3 hidden + 3 ghosts"):
-        pairs = list(with_gaps(bench, SUBJECT, *CONDITIONS[condition], seeds=1))
+        pairs = list(with_gaps(benchmark, SUBJECT, *CONDITIONS[condition], seeds=1))
         clouds = [cloud for cloud, _ in pairs]
         few = [some_frames(cloud, truth, spread(len(cloud), POSES_FRAMES))[0] for cloud, truth in pairs]
         row = f"speed, 15 markers, {condition}"
@@ -33,9 +33,9 @@ def speed(bench: Bench) -> Iterator[Figure]:
         places = dict(zip(map(id, clouds), first, strict=True))
         yield _rate(f"{row}, {TRACKING}", "none", lambda cloud, at=places: follow(at[id(cloud)], cloud, poses.names), clouds)
         yield _rate(f"{row}, {POSES}", "none", poses.label, few)
-    if not bench.quick:
-        body = unseen_ensemble(bench, SUBJECT, GAIT_BODY)
-        clouds = [cloud for cloud, _ in with_gaps(bench, SUBJECT, 3, 0, GAIT_BODY, seeds=1)]
+    if not benchmark.quick:
+        body = unseen_ensemble(benchmark, SUBJECT, GAIT_BODY)
+        clouds = [cloud for cloud, _ in with_gaps(benchmark, SUBJECT, 3, 0, GAIT_BODY, seeds=1)]
         row = f"speed, {len(GAIT_BODY)} markers, 3 hidden"
         yield _rate(f"{row}, {WHOLE}", "> 1000", lambda cloud: body.label(cloud, time=True), clouds)
         yield _rate(f"{row}, {FRAMEWISE}", "none", body.label, clouds)

@@ -10,7 +10,7 @@ import numpy as np
 
 import asterism
 from asterism.recording import Clouds, Floats, Labelling
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import GAIT_BODY, gait
 from benchmarks.figures import Figure
 from benchmarks.recordings.walks import Markers, unseen_ensemble, with_gaps
@@ -21,16 +21,16 @@ DELAYS = (0, 10, 50)
 """Frames, at 100 Hz."""
 
 
-def stream(bench: Bench) -> Iterator[Figure]:
+def stream(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """The subjects of the row `full-body`, each with an ensemble that has not seen it; 15 markers, then all. Times need a quiet machine."""
-    sets: tuple[Markers, ...] = ("helen-hayes",) if bench.quick else ("helen-hayes", GAIT_BODY)
+    sets: tuple[Markers, ...] = ("helen-hayes",) if benchmark.quick else ("helen-hayes", GAIT_BODY)
     for markers in sets:
-        subjects = list(gait(markers))[:: 11 if bench.quick else 3]
+        subjects = list(gait(markers))[:: 11 if benchmark.quick else 3]
         tallies, times = defaultdict(Tally), defaultdict(list)
         for subject in subjects:
-            ensemble = unseen_ensemble(bench, subject, markers)
+            ensemble = unseen_ensemble(benchmark, subject, markers)
             for condition, (hidden, ghosts) in CONDITIONS.items():
-                for clouds, truth in with_gaps(bench, subject, hidden, ghosts, markers, seeds=1):
+                for clouds, truth in with_gaps(benchmark, subject, hidden, ghosts, markers, seeds=1):
                     for delay in DELAYS:
                         labelling, spent = pushed(ensemble, clouds, delay)
                         tallies[condition, delay].add(labelling, truth)

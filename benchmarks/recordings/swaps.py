@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.recording import Clouds, Ints, Recording
 from asterism.tracking.linking import Tracklets, find_tracklets
-from benchmarks.bench import Bench, frames_per_second
+from benchmarks.benchmark_run import BenchmarkRun, frames_per_second
 from benchmarks.data import GAIT_BODY, gait
 from benchmarks.figures import Figure
 
@@ -21,11 +21,11 @@ NEIGHBOURS = 3
 """A marker swaps with one of so many nearest ones."""
 
 
-def swaps(bench: Bench) -> Iterator[Figure]:
+def swaps(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Two neighbouring columns exchange their markers for the rest of the trial; then the recordings as they are; then raw clouds."""
     for markers in ("helen-hayes", GAIT_BODY):
         rng = np.random.default_rng(0)
-        trials = [trial for recordings in gait(markers).values() for trial in recordings][: 3 if bench.quick else None]
+        trials = [trial for recordings in gait(markers).values() for trial in recordings][: 3 if benchmark.quick else None]
         name = f"{len(trials[0].labels)} markers"
         tried, cut, false, cleanly = 0, 0, 0, 0
         for trial in trials:

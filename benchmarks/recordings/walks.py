@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import asterism
 from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.recording import Clouds, Ints, Recording
-from benchmarks.bench import Bench
+from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import file_of, gait, people_and_trials
 
 CONDITIONS = {
@@ -35,24 +35,24 @@ def standing(subject: str, markers: Markers = "helen-hayes") -> Recording | None
 
 
 def with_gaps(
-    bench: Bench, subject: str, hidden: int, ghosts: int, markers: Markers = "helen-hayes", seeds: int = SEEDS
+    benchmark: BenchmarkRun, subject: str, hidden: int, ghosts: int, markers: Markers = "helen-hayes", seeds: int = SEEDS
 ) -> Iterator[tuple[Clouds, Ints]]:
     """The subject's walks with gaps and ghosts, the same ones for every method: clouds and the truth (T, M) about them."""
     for number, walk in enumerate(walks(subject, markers)):
-        for seed in range(1 if bench.quick else seeds):
+        for seed in range(1 if benchmark.quick else seeds):
             yield hide_in_gaps(walk, hidden, ghosts, seed=SEEDS * number + seed)
 
 
-def unseen_training(bench: Bench, subject: str, markers: Markers = "helen-hayes") -> tuple[list[str], list[Recording]]:
+def unseen_training(benchmark: BenchmarkRun, subject: str, markers: Markers = "helen-hayes") -> tuple[list[str], list[Recording]]:
     """Everyone's recordings but this subject's, with a name for each; a quick run takes a second of the straight walks of three people."""
     people, train = people_and_trials(gait(markers), leave_out=subject)
     pairs = list(zip(people, train, strict=True))
-    if bench.quick:
+    if benchmark.quick:
         pairs = [(person, trial.frames(slice(100))) for person, trial in pairs if file_of(trial).stem == "straight"][:3]
     return [person for person, _ in pairs], [trial for _, trial in pairs]
 
 
-def unseen_ensemble(bench: Bench, subject: str, markers: Markers = "helen-hayes") -> asterism.SolverEnsemble:
+def unseen_ensemble(benchmark: BenchmarkRun, subject: str, markers: Markers = "helen-hayes") -> asterism.SolverEnsemble:
     """An ensemble that has learned from all other subjects."""
-    people, train = unseen_training(bench, subject, markers)
-    return bench.fit(train, people)
+    people, train = unseen_training(benchmark, subject, markers)
+    return benchmark.fit(train, people)

@@ -1,5 +1,7 @@
 """The one exception that a user of Asterism is meant to read."""
 
+__all__ = ["AsterismError"]
+
 
 class AsterismError(Exception):
     """Input that cannot be worked with.

@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 
+__all__ = ["Finding", "Severity", "exit_status", "worst"]
+
 
 class Severity(IntEnum):
     """How much a finding speaks against a result."""

@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike
 from asterism.cameras.camera import Camera
 from asterism.errors import AsterismError
 from asterism.recording import Floats, as_vertical
+from asterism.recording.display import Rows, as_html, as_text, listed
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Rig:
     """Cameras in one world frame.
 
@@ -39,6 +40,24 @@ class Rig:
         object.__setattr__(self, "cameras", tuple(self.cameras))
         if self.vertical is not None:
             object.__setattr__(self, "vertical", as_vertical(self.vertical))
+
+    def _facts(self) -> Rows:
+        posed = sum(camera.posed for camera in self.cameras)
+        sizes = sorted({f"{camera.size[0]} x {camera.size[1]}" for camera in self.cameras if camera.size})
+        return (
+            ("file", str(self.metadata.get("file", ""))),
+            ("cameras", listed(self.names)),
+            ("with a pose", str(posed) if posed < len(self) else ""),
+            ("image sizes", listed(sizes)),
+            ("vertical", "" if self.vertical is None else ", ".join(f"{value:.3g}" for value in self.vertical)),
+            ("lacks", ", ".join(self.lacks)),
+        )
+
+    def __repr__(self) -> str:
+        return as_text("Rig", self._facts())
+
+    def _repr_html_(self) -> str:
+        return as_html("Rig", self._facts())
 
     def __len__(self) -> int:
         return len(self.cameras)

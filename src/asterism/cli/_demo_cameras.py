@@ -102,10 +102,9 @@ def _facts(outcome: Outcome) -> dict[str, Any]:
 
 def _written(output: Path, session: Session, outcome: Outcome) -> dict[str, Path]:
     """Everything as files, those of an earlier demo replaced."""
-    from asterism import formats
+    from asterism import Recording, formats
     from asterism.cameras.accuracy import Volume, map_rig, wand_accuracy
     from asterism.cameras.files import write_rig
-    from asterism.labelling.simulated_occlusions import anonymous
     from asterism.report import label_report, rig_report
     from asterism.simulation.session import WAND
 
@@ -128,7 +127,7 @@ def _written(output: Path, session: Session, outcome: Outcome) -> dict[str, Path
         formats.write_blobs(blobs, files[key])
     outcome.reconstruction.write(files["points"])
     clouds = outcome.reconstruction.clouds
-    recording = anonymous(clouds)
+    recording = Recording.from_clouds(clouds)
     formats.write(files["unlabelled"], recording)
     formats.write(files["labelled"], recording.with_labelling(outcome.labelling))
     rig_report(

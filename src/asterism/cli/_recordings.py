@@ -99,11 +99,6 @@ def labels_kept(path: Path, labelling: Labelling, recording: Recording, clouds: 
         raise AsterismError(f"{path}: {problem}") from None
 
 
-def first_frame_of(recording: Recording) -> int:
-    """The number that a file gives its first frame."""
-    return int(recording.metadata.get("first_frame", 1))
-
-
 @dataclass(frozen=True)
 class Outcome:
     """How a labelling of a recording came out, as shares of all markers in all frames that add up to 1.

@@ -55,9 +55,8 @@ def audit(
 
 def as_numbered(finding: Finding, recordings: Sequence[Recording]) -> Finding:
     """The finding with frames numbered as its file numbers them."""
-    from asterism.cli._recordings import first_frame_of
 
-    first = first_frame_of(recordings[finding.recording])
+    first = recordings[finding.recording].first_frame
     return replace(finding, first_frame=finding.first_frame + first, last_frame=finding.last_frame + first)
 
 

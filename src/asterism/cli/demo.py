@@ -51,9 +51,9 @@ def demo(
         from asterism.cli._demo_cameras import demo_cameras
 
         raise typer.Exit(demo_cameras(output, seed, json))
-    from asterism import formats
+    from asterism import Recording, formats
     from asterism.labelling import SolverEnsemble, TrainingRules
-    from asterism.labelling.simulated_occlusions import anonymous, hide_and_haunt
+    from asterism.labelling.simulated_occlusions import hide_and_haunt
     from asterism.recording import MarkerSet
     from asterism.report import label_report
     from asterism.simulation import simulate_walks
@@ -92,7 +92,7 @@ def demo(
 
     # The last condition, the hardest, is the one to look at.
     raw, labelled, page = output / "walk-unlabelled.c3d", output / "walk-labelled.c3d", output / "report.html"
-    recording = anonymous(clouds)
+    recording = Recording.from_clouds(clouds)
     formats.write(raw, recording)
     formats.write(labelled, recording.with_labelling(labelling))
     label_report(

@@ -36,7 +36,6 @@ def name(
     train` learns.
     """
     from asterism import formats
-    from asterism.cli._recordings import first_frame_of
     from asterism.labelling import own_tracks
     from asterism.labelling.naming import places
 
@@ -65,7 +64,7 @@ def name(
             groups,
             where,
             names=given,
-            first_frame=first_frame_of(recording),
+            first_frame=recording.first_frame,
             title=f"{file.name}: which marker is which?",
             facts={"file": str(file)},
         )

@@ -104,9 +104,8 @@ class _Listed:
     @property
     def first(self) -> int:
         """The number that the file gives its first frame."""
-        from asterism.cli._recordings import first_frame_of
 
-        return first_frame_of(self.recording)
+        return self.recording.first_frame
 
     @property
     def column(self) -> str:

@@ -15,7 +15,7 @@ from asterism.errors import AsterismError
 from asterism.formats._physical import COMPUTED, UNNAMED, kinds_by_name
 from asterism.formats._text import some_of
 from asterism.formats._vertical import tell_vertical, vertical_from_positions
-from asterism.recording import Event, Floats, MarkerSet, Recording, as_vertical, canonical, without_subject
+from asterism.recording import Event, Floats, MarkerSet, ProcessingStep, Recording, as_vertical, canonical, without_subject
 
 __all__ = [
     "Points",
@@ -50,6 +50,7 @@ class Points:
     declared   the vertical that the file or its format lays down, or None
     fallback   the vertical to take where nothing else tells, or None
     oddities   what was strange about the file and how it was taken
+    log        what was done to the recording before it was written
     """
 
     positions: Floats
@@ -66,6 +67,7 @@ class Points:
     subject: str = ""
     oddities: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
+    log: tuple[ProcessingStep, ...] = ()
 
     @property
     def kind_of_points(self) -> tuple[str, ...]:
@@ -103,7 +105,6 @@ def recording_of(path: Path, points: Points, markers: Any = None, vertical: Arra
         "format": points.format,
         "units": points.units,
         "subject": points.subject or subject,
-        "first_frame": points.first_frame,
         "vertical_from": how,
         **({} if points.first_time is None else {"first_time": points.first_time}),
         **({"oddities": list(oddities)} if oddities else {}),
@@ -119,6 +120,8 @@ def recording_of(path: Path, points: Points, markers: Any = None, vertical: Arra
         source=points,
         origin=origin.astype(np.int64),
         taken=tuple(int(c) for c in (physical if markers is None else columns[there])),
+        first_frame=points.first_frame,
+        log=points.log,
     )
 
 

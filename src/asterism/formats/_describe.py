@@ -14,7 +14,7 @@ from asterism.recording import Floats
 
 
 def described(path: Path, points: Points) -> dict[str, Any]:
-    """Format, frames, rate, duration (s), units, vertical and where it comes from, points by kind, share missing, gaps, events, oddities.
+    """Format, frames, rate, duration (s), units, vertical and where it comes from, points by kind, missing, gaps, events, log, oddities.
 
     Missing and gaps count the physical named points; a gap is a run of missing frames between two seen ones.
     """
@@ -50,6 +50,7 @@ def described(path: Path, points: Points) -> dict[str, Any]:
         "missing": float(1 - seen.mean()) if seen.size else 0.0,
         "gaps": gaps(seen),
         "events": [{"label": e.label, "context": e.context, "time": e.time} for e in points.events],
+        "log": [str(step) for step in points.log],
         "oddities": [*points.oddities, *(f"the label {label} occurs {labels.count(label)} times" for label in twice)],
     }
 

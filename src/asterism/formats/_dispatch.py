@@ -129,7 +129,7 @@ def write_points(path: str | Path, clouds: Clouds, evidence: Evidence, columns: 
     lost = ["what each point rests on (residual, covariance, cameras)"]
     if suffix == ".csv":
         return write(path, clouds) + lost
-    frames, many = np.repeat(np.arange(len(clouds)), clouds.counts), int(columns.max(initial=-1)) + 1
+    frames, many = clouds.frame_of, int(columns.max(initial=-1)) + 1
     positions = np.full((len(clouds), many, 3), np.nan)
     positions[frames, columns] = clouds.xyz
     recording = Recording(positions, tuple(f"*{i + 1}" for i in range(many)), clouds.rate, clouds.vertical)

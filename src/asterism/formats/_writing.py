@@ -30,19 +30,6 @@ def all_points(recording: Recording, format: str, *, events: bool = False) -> tu
     return positions, tuple(labels), lost
 
 
-def first_frame_of(recording: Recording) -> int:
-    """The number that the recording's first frame had in its file; 1 where it is not known."""
-    first = recording.metadata.get("first_frame")
-    return int(first) if isinstance(first, int | np.integer) else 1
-
-
-def times_of(recording: Recording) -> Floats:
-    """(T,) seconds: on from the first time in its file, else from the first frame's number."""
-    start = recording.metadata.get("first_time")
-    begin = float(start) if isinstance(start, int | float) and np.isfinite(start) else (first_frame_of(recording) - 1) / recording.rate
-    return begin + np.arange(len(recording)) / recording.rate
-
-
 def dense_rows(values: Floats, decimals: int) -> Floats:
     """(T, 3 P) numbers of a text file. A point exactly at zero moves by one last digit, since zeros read as missing."""
     values = np.round(values, decimals) + 0.0

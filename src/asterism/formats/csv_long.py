@@ -13,7 +13,7 @@ from asterism.errors import AsterismError
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
 from asterism.formats._text import cells_of, decoded, delimiter_of, lines_of, number_of, rate_of, read_bytes, some_of, write_atomically
-from asterism.formats._writing import all_points, first_frame_of, times_of
+from asterism.formats._writing import all_points
 from asterism.recording import Clouds, Floats, Recording
 
 _AXIS = re.compile(r"(?i)(?:pos(?:ition)?[_ .]?|coord(?:inate)?[_ .]?)?([xyz])(?:\s*[\[(_ ]\s*(mm|cm|m)\s*[\])]?)?")
@@ -91,7 +91,7 @@ def read_long(path: Path) -> Points:
 def write_long(path: Path, recording: Recording) -> list[str]:
     """Write one row per visible sample: frame, time, marker, x, y, z in metres, 17 digits."""
     positions, labels, lost = all_points(recording, "CSV", events=True)
-    first, times = first_frame_of(recording), times_of(recording)
+    first, times = recording.first_frame, recording.times
     head = comment_lines(
         "m", recording.rate, recording.vertical, len(positions), first, str(recording.metadata.get("subject", "")), recording.events
     )
@@ -111,7 +111,7 @@ def write_long(path: Path, recording: Recording) -> list[str]:
 def write_clouds(path: Path, clouds: Clouds) -> list[str]:
     """Write anonymous clouds, one row per point: frame, x, y, z in metres, 17 digits; frames count from 0."""
     head = comment_lines("m", clouds.rate, clouds.vertical, len(clouds), 0)
-    frames = np.repeat(np.arange(len(clouds)), clouds.counts)
+    frames = clouds.frame_of
     rows = [f"{t},{x:.17g},{y:.17g},{z:.17g}" for t, (x, y, z) in zip(frames.tolist(), clouds.xyz.tolist(), strict=True)]
     write_atomically(path, ("\n".join([*head, "frame,x,y,z", *rows]) + "\n").encode())
     return [] if (clouds.columns < 0).all() else ["the columns that the points came from"]

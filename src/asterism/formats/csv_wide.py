@@ -24,7 +24,7 @@ from asterism.formats._text import (
     some_of,
     write_atomically,
 )
-from asterism.formats._writing import all_points, dense_rows, first_frame_of, spelled_numbers, times_of
+from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.recording import Recording
 
 _FRAME = re.compile(r"(?i)(frame|frames|frame[ _]?(no|number|id|index)?\.?#?|index|sample|#|nr|no)?")
@@ -93,7 +93,7 @@ def write_wide(path: Path, recording: Recording) -> list[str]:
     units = str(recording.metadata.get("units", "")).casefold()
     units = units if units in ("mm", "cm", "m") else "m"
     decimals = {"mm": 6, "cm": 7, "m": 9}[units]
-    first, times = first_frame_of(recording), times_of(recording)
+    first, times = recording.first_frame, recording.times
     head = comment_lines(
         units, recording.rate, recording.vertical, len(positions), first, str(recording.metadata.get("subject", "")), recording.events
     )

@@ -15,7 +15,7 @@ from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._mat5 import variables_of
 from asterism.formats._physical import MARKER, UNNAMED
 from asterism.formats._text import read_bytes, write_atomically
-from asterism.formats._writing import all_points, first_frame_of
+from asterism.formats._writing import all_points
 from asterism.recording import Event, Floats, Recording, as_vertical
 
 
@@ -118,7 +118,7 @@ def write_mat(path: Path, recording: Recording) -> list[str]:
     take: dict[str, Any] = {
         "File": path.name,
         "Timestamp": str(recording.metadata.get("time_stamp", "")),
-        "StartFrame": float(first_frame_of(recording)),
+        "StartFrame": float(recording.first_frame),
         "Frames": float(len(positions)),
         "FrameRate": recording.rate,
         "Trajectories": parts,

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from asterism.errors import AsterismError
 from asterism.formats._columns import Points
 from asterism.formats._text import read_bytes, write_atomically
-from asterism.formats._writing import all_points, first_frame_of
-from asterism.recording import Clouds, Event, Evidence, Recording, as_vertical
+from asterism.formats._writing import all_points
+from asterism.recording import Clouds, Event, Evidence, Recording, as_vertical, log_as_text, log_from_text
 
 VERSION = 1
 _MOST_BYTES = 8 << 30
@@ -54,6 +54,7 @@ def read_npz(path: Path) -> Points:
             first_time=None if first_time is None else float(first_time),
             events=events,
             subject=str(notes.get("subject", "")),
+            log=log_from_text(str(notes.get("log", "[]"))),
         )
     except (KeyError, TypeError, ValueError, IndexError, OverflowError, AttributeError, AsterismError) as problem:
         raise AsterismError(f"{path} is no recording or clouds of Asterism, or is damaged ({problem}); write it again.") from problem
@@ -90,9 +91,10 @@ def write_npz(path: Path, recording: Recording) -> list[str]:
         kinds = ["marker"] * len(recording.labels) + ["computed"] * (len(labels) - len(recording.labels))
     notes = {
         "events": [[event.label, event.time, event.context] for event in recording.events],
-        "first_frame": first_frame_of(recording),
+        "first_frame": recording.first_frame,
         "subject": str(recording.metadata.get("subject", "")),
         "kinds": kinds,
+        "log": log_as_text(recording.log),
     }
     start = recording.metadata.get("first_time")
     if isinstance(start, int | float):
@@ -223,7 +225,6 @@ def _points_of_clouds(clouds: Clouds) -> Points:
     counts = clouds.counts
     most = int(counts.max()) if len(counts) else 0
     positions = np.full((len(clouds), most, 3), np.nan)
-    frame = np.repeat(np.arange(len(clouds)), counts)
-    place = np.arange(len(clouds.xyz)) - clouds.offsets[frame]
-    positions[frame, place] = clouds.xyz
+    place = np.arange(len(clouds.xyz)) - clouds.offsets[clouds.frame_of]
+    positions[clouds.frame_of, place] = clouds.xyz
     return Points(positions, tuple(f"*{i + 1}" for i in range(most)), clouds.rate, "NPZ", declared=clouds.vertical)

@@ -24,7 +24,7 @@ from asterism.formats._text import (
     some_of,
     write_atomically,
 )
-from asterism.formats._writing import all_points, times_of
+from asterism.formats._writing import all_points
 from asterism.recording import Floats, Recording, as_vertical
 
 _HEADER_LINES = 400
@@ -195,7 +195,7 @@ def write_marker_table(path: Path, recording: Recording) -> list[str]:
     positions, labels, lost = all_points(recording, path.suffix[1:].upper())
     bare = [re.sub(r"[\s,;]+", "_", label) for label in labels]
     names = tuple(f"{name}_t{axis}" for name in bare for axis in "xyz")
-    times = np.round(times_of(recording), 9)
+    times = np.round(recording.times, 9)
     values = np.round(positions, 9) + 0.0
     values[(values == 0).all(axis=2), 0] = 1e-9
     write_table(path, Table(names, values.reshape(len(values), len(names)), times, _MARKERS, units="m", said_rate=recording.rate))

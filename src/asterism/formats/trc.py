@@ -21,7 +21,7 @@ from asterism.formats._text import (
     rows_of_numbers,
     write_atomically,
 )
-from asterism.formats._writing import all_points, dense_rows, first_frame_of, spelled_numbers, times_of
+from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.recording import Recording, as_vertical
 
 Y_UP = as_vertical("y")
@@ -98,7 +98,7 @@ def write_trc(path: Path, recording: Recording) -> list[str]:
     values = positions / _METRES[units]
     decimals = {"mm": 5, "cm": 6, "m": 8}[units]
     frames, points = values.shape[:2]
-    first, times = first_frame_of(recording), times_of(recording)
+    first, times = recording.first_frame, recording.times
     rate = f"{recording.rate:.10g}"
     names = [re.sub(r"[\t\r\n]", " ", label) for label in labels]
     head = [

@@ -10,7 +10,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._text import decoded, frames_in_place, lines_of, number_of, rate_of, read_bytes, rows_of_numbers, write_atomically
-from asterism.formats._writing import all_points, dense_rows, first_frame_of, spelled_numbers, times_of
+from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.formats.csv_long import is_long, read_long
 from asterism.formats.csv_wide import read_wide
 from asterism.recording import Event, Recording, as_vertical
@@ -87,7 +87,7 @@ def read_tsv(path: Path) -> Points:
 def write_tsv(path: Path, recording: Recording) -> list[str]:
     """Write a QTM-like TSV: millimetres, columns Frame and Time, blank where missing. Returns what was lost."""
     positions, labels, lost = all_points(recording, "TSV", events=True)
-    first, times = first_frame_of(recording), times_of(recording)
+    first, times = recording.first_frame, recording.times
     names = [re.sub(r"[\t\r\n]", " ", label) for label in labels]
     head = [
         f"NO_OF_FRAMES\t{len(positions)}",

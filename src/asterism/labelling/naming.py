@@ -140,7 +140,7 @@ def name_groups(recording: Recording, groups: Groups, names: Mapping[int, str], 
     if not markers:
         raise AsterismError("no group has a name; give at least one.")
     indices = np.full((len(clouds), len(markers)), NULL, dtype=np.int64)
-    frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
+    frame_of = clouds.frame_of
     owner = np.full(indices.shape, -1, dtype=np.int64)
     for group, name in names.items():
         if not 0 <= group < len(groups):
@@ -293,7 +293,7 @@ class _Joining:
 
 def _body_frame(clouds: Clouds, of_point: Ints) -> Floats:
     """(T, J, 3) m the paths of J tracklets or groups, NaN where not seen, z up, in axes that turn with the body about the vertical."""
-    frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
+    frame_of = clouds.frame_of
     path = np.full((len(clouds), int(of_point.max(initial=-1)) + 1, 3), np.nan)
     path[frame_of, of_point] = upright(clouds.xyz, clouds.vertical)
     turn = _turn(path, clouds.rate)

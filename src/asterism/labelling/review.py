@@ -61,7 +61,7 @@ def review(labelling: Labelling, clouds: Clouds, *, top: int | None = None, leas
     if not least_gain >= 0:
         raise AsterismError(f"a least gain of {least_gain} makes no sense; give 0 or more samples.")
     piece_of = find_tracklets(clouds).of_point
-    frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
+    frame_of = clouds.frame_of
     marker_of, confidence = labels_of_points(labelling, clouds)
     votes = _votes(piece_of, marker_of, confidence, len(labelling.names))
     chance = _chances_of_free_points(labelling, clouds, marker_of, piece_of, votes)
@@ -104,7 +104,7 @@ def settle(labelling: Labelling, clouds: Clouds, answers: Iterable[tuple[Item, s
     """
     _check(labelling, clouds)
     indices, confidence = labelling.indices.copy(), labelling.confidence.copy()
-    frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
+    frame_of = clouds.frame_of
     for item, name in answers:
         if name is not None and name not in labelling.names:
             raise AsterismError(f"{name!r} is none of the labelling's markers ({', '.join(labelling.names[:8])}, ...); give one, or None.")
@@ -137,7 +137,7 @@ def _check(labelling: Labelling, clouds: Clouds) -> None:
 def _chances_of_free_points(labelling: Labelling, clouds: Clouds, marker_of: Ints, piece_of: Ints, votes: Floats) -> Floats:
     """(F, M) for the F points without a label, in order, the chance to be each of the markers that are missing in their frame."""
     free = np.nonzero(marker_of == NULL)[0]
-    frames = np.repeat(np.arange(len(clouds)), clouds.counts)[free]
+    frames = clouds.frame_of[free]
     missing = labelling.indices[frames] == NULL
     apart = np.linalg.norm(clouds.xyz[free, None] - _paths(labelling.positions(clouds))[frames], axis=2)
     near = np.exp(-np.where(np.isnan(apart), _NEAR, apart) / _NEAR)

@@ -184,19 +184,6 @@ def _rides(recording: Recording, ghosts: int, seconds: tuple[float, float], rng:
     return positions, number
 
 
-def anonymous(clouds: Clouds) -> Recording:
-    """Clouds as a recording of unlabelled columns *1, *2, ...: the n-th point of each frame lies in column n.
-
-    Its own `clouds()` are the given ones, point for point, so a labelling of them fits `with_labelling`, and it can be written to a file.
-    """
-    counts = clouds.counts
-    column = np.arange(len(clouds.xyz)) - np.repeat(clouds.offsets[:-1], counts)
-    positions = np.full((len(clouds), int(counts.max(initial=0)), 3), np.nan)
-    positions[np.repeat(np.arange(len(clouds)), counts), column] = clouds.xyz
-    labels = tuple(f"*{i + 1}" for i in range(positions.shape[1]))
-    return Recording(positions, labels, clouds.rate, clouds.vertical)
-
-
 def _ranks(keys: Floats) -> Ints:
     """(T, N) the place of each key in its sorted row."""
     return np.argsort(np.argsort(keys, axis=1), axis=1).astype(np.int64)

@@ -4,6 +4,7 @@ from asterism.recording.arrays import Floats, Ints, as_vertical
 from asterism.recording.blobs import Blobs
 from asterism.recording.clouds import NULL, Clouds, Evidence, Labelling
 from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, without_subject
+from asterism.recording.processing import ProcessingStep, log_as_text, log_from_text
 from asterism.recording.trajectories import Event, Recording, keep_labels
 
 __all__ = [
@@ -16,11 +17,14 @@ __all__ = [
     "Ints",
     "Labelling",
     "MarkerSet",
+    "ProcessingStep",
     "Recording",
     "as_vertical",
     "canonical",
     "is_unnamed",
     "keep_labels",
+    "log_as_text",
+    "log_from_text",
     "shipped_marker_sets",
     "without_subject",
 ]

@@ -31,6 +31,18 @@ def as_vertical(vertical: ArrayLike | str) -> Floats:
     return vector / np.linalg.norm(vector)
 
 
+def frame_rows(offsets: Ints, cells: Ints) -> tuple[Ints, Ints]:
+    """Where the rows of some cells of a flat array lie, and the cells' new offsets.
+
+    offsets (n + 1,): cell i owns the rows offsets[i]:offsets[i + 1]. cells (m,): those wanted, in order.
+    Returns the rows (r,) and the offsets (m + 1,) of the array that these rows make.
+    """
+    counts = np.diff(offsets)[cells]
+    new = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    rows = np.repeat(offsets[cells] - new[:-1], counts) + np.arange(new[-1])
+    return rows, new
+
+
 def checked_rate(rate: float) -> float:
     """A frame rate as a float. Raises AsterismError where it is no positive number."""
     if not np.isfinite(rate) or rate <= 0:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
-from asterism.recording.arrays import Floats, Ints, checked_rate
+from asterism.recording.arrays import Floats, Ints, checked_rate, frame_rows
+from asterism.recording.display import Rows, as_html, as_text, duration, listed
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Blobs:
     """2D points per frame and camera, in one flat array.
 
@@ -77,6 +78,50 @@ class Blobs:
 
     def __len__(self) -> int:
         return (len(self.offsets) - 1) // len(self.cameras)
+
+    def select(self, kept: NDArray[np.bool_]) -> Blobs:
+        """Some of the blobs: `kept` (P,) says which. All frames and cameras stay, also those without a blob."""
+        before = np.concatenate([[0], np.cumsum(kept)])
+        return replace(self, xy=self.xy[kept], offsets=before[self.offsets].astype(np.int64), sizes=self.sizes[kept])
+
+    def select_cameras(self, cameras: Sequence[str]) -> Blobs:
+        """The blobs of these cameras, in this order. Raises AsterismError where a name is absent."""
+        absent = [name for name in cameras if name not in self.cameras]
+        if absent or not cameras:
+            raise AsterismError(f"there are no blobs of camera {absent[0] if absent else '(none)'}; there are {', '.join(self.cameras)}.")
+        at = np.array([self.cameras.index(name) for name in cameras], dtype=np.int64)
+        return self._cells(np.arange(len(self)), at)
+
+    def frames(self, which: slice | ArrayLike) -> Blobs:
+        """Some of the frames, in the order given: a slice, frame numbers or a mask (T,). `first_frame` follows the first."""
+        chosen = np.arange(len(self))[which if isinstance(which, slice) else np.asarray(which)]
+        some = self._cells(chosen, np.arange(len(self.cameras)))
+        return replace(some, first_frame=self.first_frame + int(chosen[0]) if len(chosen) else self.first_frame)
+
+    def _cells(self, frames: Ints, cameras: Ints) -> Blobs:
+        rows, offsets = frame_rows(self.offsets, (frames[:, None] * len(self.cameras) + cameras).ravel())
+        return replace(
+            self,
+            xy=self.xy[rows],
+            offsets=offsets,
+            cameras=tuple(self.cameras[camera] for camera in cameras),
+            sizes=self.sizes[rows],
+            times=None if self.times is None else self.times[np.ix_(frames, cameras)],
+        )
+
+    def _facts(self) -> Rows:
+        return (
+            ("frames", duration(len(self), self.rate)),
+            ("first frame", str(self.first_frame) if self.first_frame else ""),
+            ("cameras", listed(self.cameras)),
+            ("blobs", str(len(self.xy))),
+        )
+
+    def __repr__(self) -> str:
+        return as_text("Blobs", self._facts())
+
+    def _repr_html_(self) -> str:
+        return as_html("Blobs", self._facts())
 
     def of(self, frame: int, camera: int) -> Floats:
         """The blobs of one camera in one frame, (N, 2) px."""

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
-from asterism.recording.arrays import Floats, Ints, as_vertical, checked_rate
+from asterism.recording.arrays import Floats, Ints, as_vertical, checked_rate, frame_rows
+from asterism.recording.display import Rows, as_html, as_text, duration, listed
 
 NULL = -1
 """The null candidate: this marker has no point in this frame (the thesis' label 0)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Clouds:
     """Unlabelled points, frame by frame, in one flat array.
 
@@ -81,6 +83,52 @@ class Clouds:
         """(T,) points per frame."""
         return np.diff(self.offsets)
 
+    @property
+    def frame_of(self) -> Ints:
+        """(P,) the frame of each point."""
+        return np.repeat(np.arange(len(self)), self.counts)
+
+    def select(self, kept: NDArray[np.bool_]) -> Clouds:
+        """The clouds with some of their points: `kept` (P,) says which. All frames stay, also those without a point."""
+        before = np.concatenate([[0], np.cumsum(kept)])
+        return replace(
+            self,
+            xyz=self.xyz[kept],
+            offsets=before[self.offsets].astype(np.int64),
+            columns=self.columns[kept],
+            tracks=None if self.tracks is None else self.tracks[kept],
+        )
+
+    def frames(self, which: slice | ArrayLike) -> Clouds:
+        """Some of the frames, in the order given: a slice, frame numbers or a mask (T,). The rate stays as it is."""
+        rows, offsets = frame_rows(self.offsets, np.arange(len(self))[_index(which)])
+        return replace(
+            self,
+            xyz=self.xyz[rows],
+            offsets=offsets,
+            columns=self.columns[rows],
+            tracks=None if self.tracks is None else self.tracks[rows],
+        )
+
+    def _facts(self) -> Rows:
+        counts = self.counts
+        spread = f"{counts.min()} to {counts.max()}" if len(counts) else ""
+        return (
+            ("frames", duration(len(self), self.rate)),
+            ("points per frame", spread),
+            ("tracks", "" if self.tracks is None else str(len(np.unique(self.tracks[self.tracks >= 0])))),
+        )
+
+    def __repr__(self) -> str:
+        return as_text("Clouds", self._facts())
+
+    def _repr_html_(self) -> str:
+        return as_html("Clouds", self._facts())
+
+
+def _index(which: Any) -> Any:
+    return which if isinstance(which, slice) else np.asarray(which)
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -100,7 +148,7 @@ class Evidence:
     depth_scale: Floats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Labelling:
     """Which candidate of its frame's cloud each marker is (the thesis' L, section 4.1).
 
@@ -114,6 +162,18 @@ class Labelling:
     confidence: Floats
     names: tuple[str, ...]
     candidates: Ints | None = None
+
+    def _facts(self) -> Rows:
+        given = self.indices >= 0
+        share = f"{100 * given.mean():.4g} % of {given.size}" if given.size else ""
+        lowest = f"{self.confidence[given].min():.3f}" if given.any() else ""
+        return (("frames", str(len(self.indices))), ("markers", listed(self.names)), ("labelled", share), ("lowest confidence", lowest))
+
+    def __repr__(self) -> str:
+        return as_text("Labelling", self._facts())
+
+    def _repr_html_(self) -> str:
+        return as_html("Labelling", self._facts())
 
     def positions(self, clouds: Clouds) -> Floats:
         """The labelled trajectories: (T, M, 3) m, NaN where a marker has no candidate."""

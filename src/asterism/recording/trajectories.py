@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 from asterism.errors import AsterismError
 from asterism.recording.arrays import Floats, Ints, as_vertical, checked_rate
 from asterism.recording.clouds import NULL, Clouds, Labelling
+from asterism.recording.display import Rows, as_html, as_text, duration, listed
 from asterism.recording.marker_set import MarkerSet, is_unnamed
+from asterism.recording.processing import ProcessingStep
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
 
 
 @dataclass(frozen=True)
@@ -28,7 +34,7 @@ class Event:
     context: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording:
     """Labelled positions over time, and everything that must survive until they are written again.
 
@@ -37,10 +43,13 @@ class Recording:
     rate       frames per second
     vertical   (3,) unit vector, up
     events     instants that the file marks
-    metadata   plain values worth showing: file, format, units, subject, first frame, ...
+    metadata   plain values worth showing: file, format, units, subject, ...; `first_time`, in seconds, where a file
+               gives its first frame another time than (first_frame - 1) / rate
     source     the file's whole content as its format keeps it, or None (belongs to `formats`)
     origin     (T, M) int: the point column of `source` that each sample came from, -1 where it came from none
     taken      the point columns of `source` that this recording stands for: a writer replaces those and keeps the others
+    first_frame  the number that the file gives the first frame; 1 for a trial that is stored from its start
+    log        what was done to the recording since it was captured, oldest step first
     """
 
     positions: Floats
@@ -52,6 +61,8 @@ class Recording:
     source: Any = None
     origin: Ints | None = None
     taken: tuple[int, ...] = ()
+    first_frame: int = 1
+    log: tuple[ProcessingStep, ...] = ()
 
     def __post_init__(self) -> None:
         positions = np.asarray(self.positions, dtype=np.float64)
@@ -67,9 +78,85 @@ class Recording:
         object.__setattr__(self, "labels", tuple(self.labels))
         object.__setattr__(self, "rate", checked_rate(self.rate))
         object.__setattr__(self, "vertical", as_vertical(self.vertical))
+        object.__setattr__(self, "first_frame", int(self.first_frame))
+
+    @classmethod
+    def from_clouds(cls, clouds: Clouds, labelling: Labelling | None = None) -> Recording:
+        """Clouds as a recording that can be written to a file.
+
+        Without a labelling its columns are *1, *2, ...: the n-th point of each frame lies in column n. Its `clouds()` are the given ones,
+        point for point, so a labelling of them fits `with_labelling`. With a labelling of these clouds the markers come first, and the
+        points that no marker took follow.
+        """
+        column = np.arange(len(clouds.xyz)) - np.repeat(clouds.offsets[:-1], clouds.counts)
+        positions = np.full((len(clouds), int(clouds.counts.max(initial=0)), 3), np.nan)
+        positions[clouds.frame_of, column] = clouds.xyz
+        labels = tuple(f"*{i + 1}" for i in range(positions.shape[1]))
+        recording = cls(positions, labels, clouds.rate, clouds.vertical)
+        return recording if labelling is None else recording.with_labelling(labelling)
 
     def __len__(self) -> int:
         return len(self.positions)
+
+    def _facts(self) -> Rows:
+        file = str(self.metadata.get("file", ""))
+        there = self.visible
+        missing = f"{100 * (1 - there.mean()):.2g} % of the samples" if there.size and not there.all() else ""
+        return (
+            ("file", file),
+            ("frames", duration(len(self), self.rate)),
+            ("first frame", str(self.first_frame) if self.first_frame != 1 else ""),
+            ("labels", listed(self.labels)),
+            ("missing", missing),
+            ("events", str(len(self.events)) if self.events else ""),
+            ("log", "; ".join(map(str, self.log))),
+        )
+
+    def __repr__(self) -> str:
+        return as_text("Recording", self._facts())
+
+    def _repr_html_(self) -> str:
+        return as_html("Recording", self._facts())
+
+    @property
+    def times(self) -> Floats:
+        """(T,) s on the file's clock, on which the events are: the first frame's time is that of its number, or `first_time`."""
+        start = self.metadata.get("first_time")
+        known = isinstance(start, int | float) and np.isfinite(start)
+        return (float(start) if known else (self.first_frame - 1) / self.rate) + np.arange(len(self)) / self.rate
+
+    def logged(self, action: str, by: str = "", **settings: Any) -> Recording:
+        """The same recording with one more step in its processing log, see `ProcessingStep`."""
+        return replace(self, log=(*self.log, ProcessingStep(action, by, settings)))
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """The positions as a pandas table: an index of times in seconds, columns (label, axis), metres.
+
+        Needs pandas, which Asterism does not install. Raises AsterismError where it is missing.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise AsterismError("a data frame needs pandas; install it with `pip install pandas`.") from None
+        columns = pandas.MultiIndex.from_product([self.labels, ["x", "y", "z"]], names=["label", "axis"])
+        return pandas.DataFrame(self.positions.reshape(len(self), -1), pandas.Index(self.times, name="time_s"), columns)
+
+    def to_xarray(self) -> xarray.DataArray:
+        """The positions as an xarray array with the dimensions time (s), label and axis, metres; rate and vertical are attributes.
+
+        Needs xarray, which Asterism does not install. Raises AsterismError where it is missing.
+        """
+        try:
+            import xarray
+        except ImportError:
+            raise AsterismError("an xarray array needs xarray; install it with `pip install xarray`.") from None
+        return xarray.DataArray(
+            self.positions,
+            dims=("time", "label", "axis"),
+            coords={"time": self.times, "label": list(self.labels), "axis": ["x", "y", "z"]},
+            name="position",
+            attrs={"units": "m", "rate": self.rate, "vertical": self.vertical.tolist()},
+        )
 
     @property
     def visible(self) -> NDArray[np.bool_]:
@@ -105,16 +192,36 @@ class Recording:
         )
 
     def frames(self, which: slice | Sequence[int] | NDArray[Any]) -> Recording:
-        """Some of the frames as a recording of its own, without the source file (its analog data would no longer fit)."""
-        return replace(self, positions=self.positions[which], source=None, origin=None, taken=())
+        """Some of the frames as a recording of its own, without the source file (its analog data would no longer fit).
 
-    def with_labelling(self, labelling: Labelling, clouds: Clouds | None = None, *, keep_names: bool = False) -> Recording:
+        `first_frame`, times and events follow. Frames at equal steps, such as every second one, keep the clock, and the rate falls with
+        the step. Any other choice joins pieces: their frames follow each other at the old rate, and each event stays at its frame.
+        Events whose frame is not chosen are left out.
+        """
+        chosen = np.arange(len(self))[which]
+        kept = replace(self, positions=self.positions[which], source=None, origin=None, taken=())
+        if not len(chosen):
+            return replace(kept, events=())
+        steps = np.unique(np.diff(chosen))
+        evenly = len(steps) == 0 or (len(steps) == 1 and steps[0] > 0)
+        step = int(steps[0]) if evenly and len(steps) else 1
+        times, first, metadata = self.times[chosen], self.first_frame + int(chosen[0]), dict(self.metadata)
+        if step > 1:
+            first = (first - 1) // step + 1
+        if step > 1 or "first_time" in metadata:
+            metadata["first_time"] = float(times[0])
+        kept = replace(kept, rate=self.rate / step, first_frame=first, metadata=metadata)
+        later = np.zeros(len(times)) if evenly else kept.times - times
+        return replace(kept, events=_events_at(self.events, times, later, kept.rate))
+
+    def with_labelling(self, labelling: Labelling, clouds: Clouds | None = None, *, keep_names: bool = False, by: str = "") -> Recording:
         """This recording's points under the labels that `labelling` gives them.
 
         The columns are the labelling's markers, then, as unlabelled columns *1, *2, ..., the samples that no marker took, each
         still apart from samples of other columns: nothing is lost. With `keep_names` such a column that had a name keeps it, as
         long as no marker has it. `clouds` are the clouds that were labelled, by default `self.clouds()`. What the recording carries
-        besides (source, events, metadata) goes on. Raises AsterismError where the clouds are not this recording's.
+        besides (source, events, metadata) goes on, and `by`, such as the model's file, goes into the processing log.
+        Raises AsterismError where the clouds are not this recording's.
         """
         clouds = self.clouds() if clouds is None else clouds
         frames, markers = np.nonzero(labelling.indices >= 0)
@@ -123,7 +230,7 @@ class Recording:
             frame = frames[np.argmax(columns < 0)]
             raise AsterismError(
                 f"frame {frame}: a labelled point came from no column of this recording; label the recording's own clouds(), "
-                "or make one of the clouds with asterism.labelling.simulated_occlusions.anonymous()."
+                "or make one of the clouds with Recording.from_clouds()."
             )
         origin = self.origin if self.origin is not None else np.full(self.visible.shape, -1, dtype=np.int64)
         shape = labelling.indices.shape
@@ -143,7 +250,20 @@ class Recording:
             positions=np.concatenate([positions, left[:, rest]], axis=1),
             labels=(*labelling.names, *names),
             origin=np.concatenate([new_origin, rest_origin], axis=1),
-        )
+        ).logged("labelled", by)
+
+
+def _events_at(events: Sequence[Event], times: Floats, later: Floats, rate: float) -> tuple[Event, ...]:
+    """The events within half a frame of the chosen frames, each as much later as its frame.
+
+    times (n,) s of the chosen frames on the old clock, later (n,) s by which each is later on the new one; `rate` frames per second.
+    """
+    moved = list[Event]()
+    for event in events:
+        nearest = int(np.argmin(np.abs(times - event.time)))
+        if abs(times[nearest] - event.time) <= 0.5 / rate:
+            moved.append(replace(event, time=event.time + float(later[nearest])))
+    return tuple(moved)
 
 
 def keep_labels(labelling: Labelling, recording: Recording, clouds: Clouds, marker_set: MarkerSet) -> Labelling:
@@ -161,7 +281,7 @@ def keep_labels(labelling: Labelling, recording: Recording, clouds: Clouds, mark
     columns = marker_set.columns_of(recording.labels)
     marker_of_column[columns[columns >= 0]] = np.nonzero(columns >= 0)[0]
     named = (marker_of_column >= 0) | np.array([not is_unnamed(label) for label in recording.labels], dtype=np.bool_)
-    frame_of_point = np.repeat(np.arange(len(clouds)), clouds.counts)
+    frame_of_point = clouds.frame_of
     marker_of_point = marker_of_column[clouds.columns]
     kept = np.nonzero(marker_of_point >= 0)[0]
     frames, markers = frame_of_point[kept], marker_of_point[kept]

@@ -80,7 +80,7 @@ def beside(place: Place) -> str:
 
 def _telling_frames(clouds: Clouds, groups: Groups) -> list[int]:
     """Frames that together show all groups that are seen often: each shows most of those that the others before it do not."""
-    frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
+    frame_of = clouds.frame_of
     shown = np.zeros((len(clouds), len(groups)), dtype=np.bool_)
     shown[frame_of, groups.of_point] = True
     left, frames = set(range(groups.often)), list[int]()

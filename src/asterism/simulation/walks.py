@@ -196,7 +196,7 @@ def _recording(
     ahead -= up * (ahead @ up)
     ahead /= np.linalg.norm(ahead)
     axes = np.stack([ahead, np.cross(up, ahead), up])
-    metadata = {"file": f"simulated {facts['subject']} {facts['trial']}", "format": "simulated", "units": "m", "first_frame": 1, **facts}
+    metadata = {"file": f"simulated {facts['subject']} {facts['trial']}", "format": "simulated", "units": "m", **facts}
     return Recording(positions @ axes, marker_set.names, rate, up, events, metadata)
 
 

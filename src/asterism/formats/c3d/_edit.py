@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,10 +11,12 @@ from asterism.errors import AsterismError
 from asterism.formats.c3d._file import C3DFile, numbered
 from asterism.formats.c3d._numbers import Processor
 from asterism.formats.c3d._parameters import CHARACTER, FLOAT, INTEGER, Parameters, Record, make_group, make_parameter
-from asterism.recording import Event
+from asterism.recording import Event, ProcessingStep, log_as_text, log_from_text
 
 MOST_STRINGS = 255
+LOG_GROUP, LOG = "ASTERISM", "LOG"
 _WIDEST = 127
+_LOG_WIDTH = 120
 _EVENT_WIDTHS = {"CONTEXTS": 16, "LABELS": 32, "DESCRIPTIONS": 80, "SUBJECTS": 32}
 
 
@@ -84,24 +87,45 @@ def label_parameters(file: C3DFile, labels: Sequence[bytes], descriptions: Seque
 
 def with_events(parameters: Parameters, events: Sequence[Event]) -> Parameters:
     """The parameters with these events in the group EVENT, in place of those that were there."""
-    group = parameters.group_id("EVENT")
+    parameters, group = _with_group(parameters, "EVENT")
     changes: dict[tuple[str, str], Record | None] = {}
-    if group is None:
-        used = {record.group for record in parameters.records if record.is_group}
-        group = next(number for number in range(1, 128) if number not in used)
-        parameters = Parameters(
-            parameters.head,
-            (make_group("EVENT", group, processor=parameters.processor), *parameters.records),
-            parameters.tail,
-            parameters.processor,
-            parameters.oddities,
-        )
     for name in (*_EVENT_WIDTHS, "TIMES", "ICON_IDS", "GENERIC_FLAGS"):
         changes.update({("EVENT", key): None for key in numbered(parameters, "EVENT", name)})
     subject = next(iter(parameters.strings("SUBJECTS", "NAMES")), "")
     for record in event_records(events, group, parameters.processor, subject):
         changes["EVENT", record.name] = record
     return parameters.replaced(changes)
+
+
+def with_log(parameters: Parameters, log: Sequence[ProcessingStep]) -> Parameters:
+    """The parameters with this processing log in the group ASTERISM, in place of the one that was there."""
+    parameters, group = _with_group(parameters, LOG_GROUP)
+    return parameters.replaced({(LOG_GROUP, LOG): log_record(log, group, parameters.processor)})
+
+
+def log_record(log: Sequence[ProcessingStep], group: int, processor: Processor) -> Record:
+    """A processing log as one text, cut into lines that a parameter can hold. The oldest steps go where it is too long."""
+    log = tuple(log)
+    while len(text := log_as_text(log).encode("ascii")) > _LOG_WIDTH * MOST_STRINGS:
+        log = log[1:]
+    lines = [text[at : at + _LOG_WIDTH] for at in range(0, len(text), _LOG_WIDTH)]
+    return strings_record(LOG, group, lines, _LOG_WIDTH, processor)
+
+
+def log_of(parameters: Parameters) -> tuple[ProcessingStep, ...]:
+    """The processing log in the group ASTERISM; empty where there is none."""
+    record = parameters.find(LOG_GROUP, LOG)
+    return () if record is None or record.kind != CHARACTER else log_from_text(record.data.decode("ascii", "replace"))
+
+
+def _with_group(parameters: Parameters, name: str) -> tuple[Parameters, int]:
+    """The parameters with a group of this name, and its number."""
+    group = parameters.group_id(name)
+    if group is not None:
+        return parameters, group
+    used = {record.group for record in parameters.records if record.is_group}
+    group = next(number for number in range(1, 128) if number not in used)
+    return replace(parameters, records=(make_group(name, group, processor=parameters.processor), *parameters.records)), group
 
 
 def event_records(events: Sequence[Event], group: int, processor: Processor, subject: str = "") -> list[Record]:

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.formats.c3d._edit import MOST_STRINGS, event_records, floats_record, integers_record, strings_record
+from asterism.formats.c3d._edit import LOG_GROUP, MOST_STRINGS, event_records, floats_record, integers_record, log_record, strings_record
 from asterism.formats.c3d._file import BLOCK
 from asterism.formats.c3d._numbers import PC
 from asterism.formats.c3d._parameters import CHARACTER, Record, make_group, make_parameter
 from asterism.recording import Floats, Recording
 
-_POINT, _ANALOG, _FORCE_PLATFORM, _TRIAL, _EVENT, _SUBJECTS, _MANUFACTURER = range(1, 8)
+_POINT, _ANALOG, _FORCE_PLATFORM, _TRIAL, _EVENT, _SUBJECTS, _MANUFACTURER, _LOG = range(1, 9)
 _MOST = 65535
 _SCREENS = {"x": "+Y", "y": "+X", "z": "+X"}
 
@@ -33,8 +33,7 @@ def fresh_c3d(recording: Recording, target: str, residual: Floats | None = None,
     frames, points = recording.positions.shape[:2]
     if points > _MOST:
         raise AsterismError(f"{target}: {points} points are more than the {_MOST} that a C3D file can hold; write fewer columns.")
-    first = recording.metadata.get("first_frame", 1)
-    first = first if isinstance(first, int) and first >= 1 and first + frames - 1 < 2**31 else 1
+    first = recording.first_frame if recording.first_frame >= 1 and recording.first_frame + frames - 1 < 2**31 else 1
     step = 1.0 if residual is None else _RESIDUAL_STEP
     try:
         section = _section(recording, first, step)
@@ -107,6 +106,8 @@ def _chain(recording: Recording, first: int, data_start: int, step: float) -> by
         records.append(strings_record("NAMES", _SUBJECTS, [subject.encode("utf-8")], 4, PC))
     records += [_group("MANUFACTURER", _MANUFACTURER), _text("COMPANY", _MANUFACTURER, "Asterism")]
     records += [_text("SOFTWARE", _MANUFACTURER, "Asterism"), _text("VERSION_LABEL", _MANUFACTURER, _version())]
+    if recording.log:
+        records += [_group(LOG_GROUP, _LOG), log_record(recording.log, _LOG, PC)]
     return bytes([1, 0x50, 0, PC.code]) + b"".join(record.raw for record in records) + b"\0\0"
 
 

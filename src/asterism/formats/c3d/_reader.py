@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from asterism.errors import AsterismError
 from asterism.formats._columns import Points, metres_per_unit, recording_of
 from asterism.formats._physical import COMPUTED, point_kinds
+from asterism.formats.c3d._edit import log_of
 from asterism.formats.c3d._file import C3DFile, numbered, open_c3d
 from asterism.recording import Floats, Recording, as_vertical
 
@@ -58,6 +59,7 @@ def points_of(file: C3DFile) -> Points:
         subject=subject_of(file),
         oddities=(*file.oddities, *([remark] if remark else [])),
         extra={"encoding": encoding_of(file), "metres_per_unit": scale},
+        log=log_of(file.parameters),
     )
 
 

@@ -17,7 +17,7 @@ from asterism.errors import AsterismError
 from asterism.formats._columns import without_common_subject
 from asterism.formats._physical import is_unnamed
 from asterism.formats._text import write_atomically
-from asterism.formats.c3d._edit import label_parameters, with_events, with_number
+from asterism.formats.c3d._edit import label_parameters, log_of, with_events, with_log, with_number
 from asterism.formats.c3d._file import BLOCK, C3DFile
 from asterism.formats.c3d._fresh import fresh_c3d
 from asterism.formats.c3d._numbers import Words
@@ -97,6 +97,8 @@ def rewritten(file: C3DFile, recording: Recording, target: str) -> bytes:
         parameters = parameters.replaced(label_parameters(file, labels, descriptions))
     if recording.events != file.events:
         parameters = with_events(parameters, recording.events)
+    if recording.log != log_of(file.parameters):
+        parameters = with_log(parameters, recording.log)
     rate = recording.rate if recording.rate != file.rate else None
     if rate is not None:
         parameters = _with_rate(parameters, rate / file.rate)

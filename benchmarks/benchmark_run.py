@@ -22,7 +22,7 @@ Result = TypeVar("Result")
 
 
 @dataclass
-class Bench:
+class BenchmarkRun:
     """One run: `quick` takes few frames and folds; `models` is a folder that keeps trained ensembles between runs, or None.
 
     `jobs` processes share the folds of a row; rows that measure time run in one.
@@ -33,11 +33,11 @@ class Bench:
     jobs: int = 1
     trained: dict[str, asterism.SolverEnsemble] = field(default_factory=dict)
 
-    def say(self, text: str) -> None:
-        """Tell whoever waits what is being done."""
+    def report(self, text: str) -> None:
+        """Print what is being done, to standard error."""
         print(f"  {text}", file=sys.stderr, flush=True)
 
-    def each(self, work: Callable[[Bench, Item], Result], items: Sequence[Item]) -> Iterator[Result]:
+    def each(self, work: Callable[[BenchmarkRun, Item], Result], items: Sequence[Item]) -> Iterator[Result]:
         """The results of a function over items, in their order; with several jobs both must be picklable."""
         if self.jobs == 1 or len(items) == 1:
             yield from (work(self, item) for item in items)
@@ -55,7 +55,9 @@ class Bench:
         if key not in self.trained:
             started = time.perf_counter()
             self.trained[key] = asterism.SolverEnsemble.fit(list(recordings), seed=0, subjects=list(people), miner=None, **options)
-            self.say(f"trained on {len(recordings)} recordings, {len(recordings[0].labels)} markers: {time.perf_counter() - started:.1f} s")
+            self.report(
+                f"trained on {len(recordings)} recordings, {len(recordings[0].labels)} markers: {time.perf_counter() - started:.1f} s"
+            )
             if kept:
                 kept.parent.mkdir(parents=True, exist_ok=True)
                 self.trained[key].save(kept)

@@ -1,0 +1,35 @@
+"""How the nouns show themselves: a few lines of text in a console, a small table in a notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+Rows = Sequence[tuple[str, str]]
+"""What there is to say about an object: names and values."""
+
+
+def as_text(name: str, rows: Rows) -> str:
+    """`Name(first: value, second: value)` on one line, rows without a value left out."""
+    return f"{name}({', '.join(f'{key}: {value}' for key, value in rows if value)})"
+
+
+def as_html(name: str, rows: Rows) -> str:
+    """A table for `_repr_html_`, its content escaped."""
+    cells = "".join(
+        f"<tr><th style='text-align:left'>{escape(key)}</th><td style='text-align:left'>{escape(value)}</td></tr>"
+        for key, value in rows
+        if value
+    )
+    return f"<table><caption>{escape(name)}</caption>{cells}</table>"
+
+
+def listed(names: Sequence[str], most: int = 6) -> str:
+    """The first names of a list, and how many there are in all: "LASI, RASI, ... (15)"."""
+    shown = ", ".join(names[:most])
+    return shown if len(names) <= most else f"{shown}, ... ({len(names)})"
+
+
+def duration(frames: int, rate: float) -> str:
+    """Frames, rate and seconds: "500 at 100 Hz (5 s)"."""
+    return f"{frames} at {rate:g} Hz ({frames / rate:.4g} s)"

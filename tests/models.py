@@ -1,0 +1,110 @@
+"""Trained models that tests share: trained once, and kept on disk for the other workers and for the next run."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import scipy
+
+import asterism
+
+_WAIT = 300.0
+"""Seconds after which another process's lock is taken for one that was left behind."""
+
+
+def trained(recordings: Sequence[asterism.Recording], **settings: Any) -> asterism.SolverEnsemble:
+    """What `SolverEnsemble.fit(recordings, **settings)` gives, read back from a file; from the disk where the same sources have trained it.
+
+    A test of training itself calls `SolverEnsemble.fit`.
+    """
+    path = folder() / f"{_key(recordings, settings)}.model"
+    if not path.exists():
+        with _locked(path.with_suffix(".lock")):
+            if not path.exists():
+                _save(asterism.SolverEnsemble.fit(list(recordings), **settings), path)
+    return asterism.SolverEnsemble.load(path)
+
+
+def folder() -> Path:
+    """Where the models are kept: `ASTERISM_TEST_CACHE`, or a folder in the user's cache."""
+    chosen = os.environ.get("ASTERISM_TEST_CACHE")
+    if chosen:
+        place = Path(chosen)
+    elif sys.platform == "win32":
+        place = Path(os.environ.get("LOCALAPPDATA", tempfile.gettempdir())) / "asterism-tests"
+    else:
+        place = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "asterism-tests"
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        place = Path(tempfile.gettempdir()) / "asterism-tests"
+        place.mkdir(exist_ok=True)
+    return place
+
+
+def _save(model: asterism.SolverEnsemble, path: Path) -> None:
+    """Write under another name, then rename: nobody reads half a model."""
+    part = path.with_suffix(f".{os.getpid()}")
+    model.save(part)
+    part.replace(path)
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """One process at a time."""
+    while True:
+        try:
+            os.close(os.open(path, os.O_CREAT | os.O_EXCL))
+            break
+        except (FileExistsError, PermissionError):  # Windows: the other is just removing it
+            try:
+                if time.time() - path.stat().st_mtime > _WAIT:
+                    path.unlink(missing_ok=True)
+            except FileNotFoundError:
+                pass
+            time.sleep(0.05)
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def _key(recordings: Sequence[asterism.Recording], settings: dict[str, Any]) -> str:
+    """A name for the model that these recordings, settings, sources and libraries give."""
+    digest = hashlib.sha256(_sources())
+    digest.update(repr(sorted(settings.items())).encode())
+    for recording in recordings:
+        parts = (recording.labels, recording.rate, np.asarray(recording.vertical).tolist(), recording.positions.shape)
+        digest.update(repr((parts, sorted((name, value) for name, value in vars(recording).items() if isinstance(value, str)))).encode())
+        digest.update(np.ascontiguousarray(recording.positions).tobytes())
+    return digest.hexdigest()[:32]
+
+
+@cache
+def _sources() -> bytes:
+    """The digest of all that can change a model: the rooms up to labelling, and what compiles and computes."""
+    package = Path(asterism.__file__).parent
+    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))
+    rooms = project["tool"]["importlinter"]["contracts"][0]["layers"]
+    names = [name.strip() for layer in rooms[rooms.index("labelling") :] for name in layer.split("|")]
+    versions = (np.__version__, scipy.__version__, numba.__version__, platform.machine(), sys.version_info[:2])
+    digest = hashlib.sha256(repr(versions).encode())
+    for name in names:
+        for source in sorted([package / f"{name}.py", *(package / name).rglob("*.py")]):
+            if source.is_file():
+                digest.update(source.relative_to(package).as_posix().encode())
+                digest.update(source.read_bytes())
+    return digest.digest()
