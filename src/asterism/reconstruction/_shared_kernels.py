@@ -82,7 +82,7 @@ def _without_shared(found, n, rival, rays):
 @kernel
 def _is_among(found, begin, end, rays):
     """Whether one of the hypotheses from `begin` to `end` has exactly these rays."""
+    known = False
     for n in range(begin, end):
-        if same_rays(found, n, rays):
-            return True
-    return False
+        known = known or same_rays(found, n, rays)
+    return known

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asterism.cameras import Rig
 from asterism.reconstruction._frame_kernels import RayArrays
@@ -44,7 +43,7 @@ def to_rays(blobs: Blobs, rig: Rig) -> tuple[Rays, int, int]:
     first_of_duplicates(blobs.xy, blobs.offsets, single)
     kept = reached & single
     if not kept.all():
-        blobs, normalised, camera_of = only(blobs, kept), normalised[kept], camera_of[kept]
+        blobs, normalised, camera_of = blobs.select(kept), normalised[kept], camera_of[kept]
     jacobian = np.empty((len(normalised), 4))
     for number, camera in enumerate(rig):
         rows = np.nonzero(camera_of == number)[0]
@@ -52,9 +51,3 @@ def to_rays(blobs: Blobs, rig: Rig) -> tuple[Rays, int, int]:
         pixel_jacobian(camera.lens, normalised[rows], of_camera)
         jacobian[rows] = of_camera
     return Rays(blobs, normalised, jacobian), int((~reached).sum()), int((reached & ~single).sum())
-
-
-def only(blobs: Blobs, kept: NDArray[np.bool_]) -> Blobs:
-    """Some of the blobs; `kept` (P,) says which."""
-    before = np.concatenate([[0], np.cumsum(kept)])
-    return replace(blobs, xy=blobs.xy[kept], offsets=before[blobs.offsets].astype(np.int64), sizes=blobs.sizes[kept])
