@@ -16,8 +16,9 @@ from asterism import AsterismError, Recording, SolverEnsemble, formats
 from asterism.cli import main
 from asterism.labelling import TrainingRules, audit, without
 from asterism.labelling.audit import _kernels as kernels
-from asterism.labelling.body import _kernels as body_kernels
-from asterism.labelling.body.labeller import LookRules
+from asterism.labelling.body._score_kernels import best_pose, evidence
+from asterism.labelling.body._workspace_kernels import make_body_workspace
+from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyRules, fit_body
 from asterism.simulation import simulate_walks
 
@@ -256,18 +257,18 @@ def test_an_exchange_gains_what_its_evidence_gains(walks):
     tried[1, 3] = np.nan
     pairs = np.array([(a, b) for a in range(15) for b in range(a + 1, 15)])
     gains, own = np.zeros((len(pairs), len(tried))), np.zeros((len(tried), 15))
-    rules = LookRules().settings(0.0)
+    rules = FrameLabellingSettings().with_usual_score(0.0)
     kernels.exchange_gains(tried, body, rules, pairs, 30.0, 50.0, gains, own)
     for t, frame in enumerate(tried):
         shown = ~np.isnan(frame[:, 0])
         points, rows = np.ascontiguousarray(frame[shown]), np.where(shown, np.cumsum(shown) - 1, -1)
-        room = body_kernels.make_room(len(points), 15, body.load.shape[3])
-        k, _ = body_kernels.best_pose(body, points, rows, rules, room)
-        top = body_kernels.evidence(body, k, points, rows, rules, room)
+        workspace = make_body_workspace(len(points), 15, body.load.shape[3])
+        k, _ = best_pose(body, points, rows, rules, workspace)
+        top = evidence(body, k, points, rows, rules, workspace)
         for p, (a, b) in enumerate(pairs):
             other = rows.copy()
             other[[a, b]] = rows[[b, a]]
-            wanted = body_kernels.evidence(body, k, points, other, rules, room) - top
+            wanted = evidence(body, k, points, other, rules, workspace) - top
             if not shown[[a, b]].all():
                 assert gains[p, t] == 0.0
             elif gains[p, t] > -50.0:

@@ -19,11 +19,11 @@ from asterism.recording import NULL, Clouds, Labelling, Recording
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
-benchmark_data, docs, figures, peer, score, tracking, ablation, dirt, loop_picture, main = (
+benchmark_data, docs, figures, peer, score, tracking, equality, structure, ablation, dirt, loop_picture, main = (
     import_module(f"benchmarks.{name}")
     for name in (
         *("data", "docs", "figures", "peer", "score", "tracking"),
-        *("recordings.ablation", "recordings.dirt", "recordings.loop_picture", "__main__"),
+        *("house.equality", "house.structure", "recordings.ablation", "recordings.dirt", "recordings.loop_picture", "__main__"),
     )
 )
 
@@ -273,6 +273,27 @@ def test_page_shows_cells_where_they_belong_and_what_was_missed() -> None:
     assert "| 3 hidden, backwards in time | -0.02 % (asked <= 0.1 %) |" in page
     assert "| + tracks | 50 % |" in page and "3 hidden, frame by frame: FA |" in page
     assert "3 of 4 figures asked for are reached" in page
+
+
+def test_arguments_lines_and_complexity_are_counted_as_the_row_says(tmp_path: Path) -> None:
+    source = tmp_path / "room.py"
+    branches = "\n".join(f"    if a == {n}:\n        return {n}" for n in range(16))
+    source.write_text(
+        'class A:\n    def f(self, a, b, *c, d=1, **e):\n        """Text\n\n        more."""\n        # a comment\n\n        return a\n\n\n'
+        f"@kernel\ndef k(a):\n    return a\n\n\ndef branched(a):\n{branches}\n",
+        encoding="utf-8",
+    )
+    found = {function.name: function for function in structure.functions(tmp_path)}
+    assert (found["f"].arguments, found["f"].lines) == (5, 2)
+    assert found["k"].kernel and not found["f"].kernel
+    assert structure.too_complex(tmp_path) == {(source, found["branched"].line)}
+
+
+def test_numbers_that_differ_are_counted_and_missing_values_are_equal() -> None:
+    before = np.array([1.0, np.nan, 3.0])
+    assert equality._differing(before, before.copy()) == 0
+    assert equality._differing(before, np.array([1.0, np.nan, 4.0])) == 1
+    assert equality._differing(before, before[:2]) == equality._differing(before, None) == 3
 
 
 def test_the_picture_of_the_loop_shows_every_round() -> None:

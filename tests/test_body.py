@@ -8,13 +8,17 @@ import twins_body as twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from asterism.labelling.body import _kernels as kernels
+from asterism.labelling.body._anchor_kernels import anchor_key_pose, score_from_anchor
+from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
+from asterism.labelling.body._placement_kernels import place_points
+from asterism.labelling.body._score_kernels import _cholesky, _inverse_of_factor, evidence, leave_one_out_scores, posterior
+from asterism.labelling.body._workspace_kernels import make_body_workspace
 from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors, with_intervals
+from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, names_of, place_onto, subsample
-from asterism.labelling.ensemble import LookRules
 from asterism.labelling.partial._kernels import search
 
-SETTINGS = LookRules().settings(1.0)
+SETTINGS = FrameLabellingSettings().with_usual_score(1.0)
 MARKERS, LATENTS, POSES = 6, 5, 2
 races = settings(max_examples=40, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**31)
@@ -37,7 +41,7 @@ def random_model(rng):
 
 
 def random_frame(model, rng, least=1):
-    """A pose's body, turned and shifted: points (n, 3), some of them ghosts; rows (M,), some -1; odd flags of some labelled ones."""
+    """A pose's body, turned and shifted: points (n, 3), some of them ghosts; rows (M,), some -1; outlier flags of some labelled ones."""
     body = rng.multivariate_normal(model.mean[0].reshape(-1), model.covariance(0)).reshape(-1, 3)
     shown = rng.permutation(MARKERS)[: rng.integers(least, MARKERS + 1)]
     ghosts = rng.normal(0.0, 0.4, (rng.integers(0, 3), 3))
@@ -45,14 +49,14 @@ def random_frame(model, rng, least=1):
     order = rng.permutation(len(points))
     rows = np.full(MARKERS, -1)
     rows[shown] = np.argsort(order)[: len(shown)]
-    odd = (rows >= 0) & (rng.random(MARKERS) < 0.2)
-    return np.ascontiguousarray(points[order]), rows, odd
+    outlier = (rows >= 0) & (rng.random(MARKERS) < 0.2)
+    return np.ascontiguousarray(points[order]), rows, outlier
 
 
-def ready(points, odd):
-    room = kernels.make_room(len(points), MARKERS, LATENTS)
-    room.odd[:] = odd
-    return room
+def ready(points, outlier):
+    workspace = make_body_workspace(len(points), MARKERS, LATENTS)
+    workspace.outlier[:] = outlier
+    return workspace
 
 
 # --- kernels and twins
@@ -64,8 +68,8 @@ def test_placing(seed):
     rng = np.random.default_rng(seed)
     points, rows, _ = random_frame(random_model(rng), rng, least=2)
     mean, out = rng.normal(0.0, 0.4, (MARKERS, 3)), np.empty_like(points)
-    kernels.align(points, rows, mean, np.arange(MARKERS), out)
-    np.testing.assert_allclose(out, twins.align(points, rows, mean, range(MARKERS)), atol=1e-9)
+    place_points(points, rows, mean, np.arange(MARKERS), out)
+    np.testing.assert_allclose(out, twins.place_points(points, rows, mean, range(MARKERS)), atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +79,7 @@ def test_placing_where_no_heading_can_be_told(points):
     """Nothing turns, the centres meet."""
     points, out = np.array(points), np.empty((len(points), 3))
     mean = np.arange(9.0).reshape(3, 3)
-    kernels.align(points, np.arange(len(points)), mean, np.arange(len(points)), out)
+    place_points(points, np.arange(len(points)), mean, np.arange(len(points)), out)
     np.testing.assert_allclose(out, points - points.mean(axis=0) + mean[: len(points)].mean(axis=0))
 
 
@@ -86,10 +90,10 @@ def test_cholesky_and_inverse(seed, size):
     root = rng.normal(size=(size, size + 2))
     matrix = root @ root.T + 0.1 * np.eye(size)
     factor, inverse = matrix.copy(), np.empty_like(matrix)
-    log_det = kernels._cholesky(factor, np.empty(size))
+    log_det = _cholesky(factor, np.empty(size))
     np.testing.assert_allclose(np.tril(factor), np.linalg.cholesky(matrix), rtol=1e-7, atol=1e-9)
     assert log_det == pytest.approx(np.linalg.slogdet(matrix)[1], abs=1e-8)
-    kernels._inverse_of_factor(factor, inverse)
+    _inverse_of_factor(factor, inverse)
     np.testing.assert_allclose(inverse @ matrix, np.eye(size), atol=1e-6)
     np.testing.assert_array_equal(inverse, inverse.T)
 
@@ -100,10 +104,10 @@ def test_evidence_is_the_joint_density_of_all_labelled_points(seed):
     """The kernel integrates the latents out by Woodbury; the twin evaluates the full Gaussian."""
     rng = np.random.default_rng(seed)
     model = random_model(rng)
-    points, rows, odd = random_frame(model, rng)
+    points, rows, outlier = random_frame(model, rng)
     for k in range(POSES):
-        score = kernels.evidence(model.arrays(), k, points, rows, SETTINGS, ready(points, odd))
-        assert score == pytest.approx(twins.evidence(model, k, points, rows, odd, SETTINGS), rel=1e-8, abs=1e-6)
+        score = evidence(model.arrays(), k, points, rows, SETTINGS, ready(points, outlier))
+        assert score == pytest.approx(twins.evidence(model, k, points, rows, outlier, SETTINGS), rel=1e-8, abs=1e-6)
 
 
 def test_evidence_counts_the_ghost_once():
@@ -113,8 +117,8 @@ def test_evidence_counts_the_ghost_once():
     scores = []
     for ghosts in range(3):
         cloud = np.concatenate([points, rng.normal(size=(ghosts, 3))])
-        scores.append(kernels.evidence(model.arrays(), 0, cloud, np.arange(MARKERS), SETTINGS, ready(cloud, False)))
-    assert scores[0] - scores[1] == pytest.approx(SETTINGS.first_ghost)
+        scores.append(evidence(model.arrays(), 0, cloud, np.arange(MARKERS), SETTINGS, ready(cloud, False)))
+    assert scores[0] - scores[1] == pytest.approx(SETTINGS.first_ghost_cost)
     assert scores[1] == pytest.approx(scores[2])
 
 
@@ -123,13 +127,13 @@ def test_evidence_counts_the_ghost_once():
 def test_posterior(seed):
     rng = np.random.default_rng(seed)
     model = random_model(rng)
-    points, rows, odd = random_frame(model, rng)
-    room = ready(points, odd)
-    kernels.evidence(model.arrays(), 1, points, rows, SETTINGS, room)
-    kernels.posterior(room)
-    latent, covariance = twins.posterior(model, 1, points, rows, odd)
-    np.testing.assert_allclose(room.latent, latent, atol=1e-6)
-    np.testing.assert_allclose(room.covariance, covariance, atol=1e-7)
+    points, rows, outlier = random_frame(model, rng)
+    workspace = ready(points, outlier)
+    evidence(model.arrays(), 1, points, rows, SETTINGS, workspace)
+    posterior(workspace)
+    latent, covariance = twins.posterior(model, 1, points, rows, outlier)
+    np.testing.assert_allclose(workspace.latent, latent, atol=1e-6)
+    np.testing.assert_allclose(workspace.covariance, covariance, atol=1e-7)
 
 
 @given(seed=seeds)
@@ -138,12 +142,14 @@ def test_scores_leave_the_marker_itself_out(seed):
     """The kernel downdates the posterior; the twin conditions on all other points by the full covariance, marker by marker."""
     rng = np.random.default_rng(seed)
     model = random_model(rng)
-    points, rows, odd = random_frame(model, rng)
-    room = ready(points, odd)
-    kernels.evidence(model.arrays(), 0, points, rows, SETTINGS, room)
-    kernels.posterior(room)
-    kernels.score_all(model.arrays(), 0, rows, SETTINGS, room)
-    np.testing.assert_allclose(room.scores, twins.score_all(model, 0, points, rows, odd, SETTINGS), rtol=1e-6, atol=1e-4)
+    points, rows, outlier = random_frame(model, rng)
+    workspace = ready(points, outlier)
+    evidence(model.arrays(), 0, points, rows, SETTINGS, workspace)
+    posterior(workspace)
+    leave_one_out_scores(model.arrays(), 0, rows, SETTINGS, workspace)
+    np.testing.assert_allclose(
+        workspace.scores, twins.leave_one_out_scores(model, 0, points, rows, outlier, SETTINGS), rtol=1e-6, atol=1e-4
+    )
 
 
 @given(seed=seeds)
@@ -156,17 +162,17 @@ def test_an_anchor_predicts_the_whole_body(seed):
     triple = rng.permutation(np.nonzero(rows >= 0)[0])[:3]
     ends = np.zeros((1, 6))
     anchors = Anchors(triple[None], ends, ends).arrays(model)
-    room, delta = ready(points, False), np.empty(9)
+    workspace, delta = ready(points, False), np.empty(9)
     for k in range(POSES):
-        kernels.predict(anchors, 0, k, model.arrays(), points, rows[triple], delta, SETTINGS, room)
-        expected = twins.predict(model, k, points, rows[triple], triple, SETTINGS)
+        score_from_anchor(anchors, 0, k, model.arrays(), points, rows[triple], delta, SETTINGS, workspace)
+        expected = twins.score_from_anchor(model, k, points, rows[triple], triple, SETTINGS)
         others = np.isfinite(expected)
         assert others.sum() == (MARKERS - 3) * len(points)
-        looked_at = np.isfinite(room.scores) & others
-        np.testing.assert_allclose(room.scores[looked_at], expected[looked_at], rtol=1e-6, atol=1e-4)
+        looked_at = np.isfinite(workspace.scores) & others
+        np.testing.assert_allclose(workspace.scores[looked_at], expected[looked_at], rtol=1e-6, atol=1e-4)
         assert (expected[others & ~looked_at] <= 1e-6).all()
-        assert (room.scores[triple].argmax(axis=1) == rows[triple]).all()
-        assert np.isfinite(room.scores[triple]).sum() == 3
+        assert (workspace.scores[triple].argmax(axis=1) == rows[triple]).all()
+        assert np.isfinite(workspace.scores[triple]).sum() == 3
 
 
 @given(seed=seeds)
@@ -177,7 +183,7 @@ def test_an_anchor_knows_its_key_pose(seed):
     points, rows, _ = random_frame(model, rng, least=3)
     triple = np.nonzero(rows >= 0)[0][:3]
     anchors = Anchors(triple[None], np.zeros((1, 6)), np.zeros((1, 6))).arrays(model)
-    k, log_density, distance = kernels.key_pose(anchors, 0, model.arrays(), points, rows[triple], np.empty(9))
+    k, log_density, distance = anchor_key_pose(anchors, 0, model.arrays(), points, rows[triple], np.empty(9))
     expected, squares = zip(*(twins.anchor_density(model, pose, points, rows[triple], triple) for pose in range(POSES)), strict=True)
     assert k == np.argmax(expected)
     assert log_density == pytest.approx(expected[k], rel=1e-7, abs=1e-6)
@@ -195,8 +201,8 @@ def random_scores(rng):
 def test_assignment(seed):
     scores = random_scores(np.random.default_rng(seed))
     rows = np.empty(len(scores), dtype=np.int64)
-    kernels.assign(scores, 6.0, rows)
-    np.testing.assert_array_equal(rows, twins.assign(scores, 6.0))
+    assign_greedily(scores, 6.0, rows)
+    np.testing.assert_array_equal(rows, twins.assign_greedily(scores, 6.0))
     assert len(set(rows[rows >= 0])) == (rows >= 0).sum()
 
 
@@ -212,7 +218,7 @@ def test_assignment(seed):
 )
 def test_assignment_by_hand(scores, rows):
     out = np.empty(len(scores), dtype=np.int64)
-    kernels.assign(np.array(scores), 6.0, out)
+    assign_greedily(np.array(scores), 6.0, out)
     assert out.tolist() == rows
 
 
@@ -221,8 +227,8 @@ def test_assignment_by_hand(scores, rows):
 def test_clear_assignment(seed, gap):
     scores = random_scores(np.random.default_rng(seed))
     rows = np.empty(len(scores), dtype=np.int64)
-    kernels.assign_clear(scores, gap, rows)
-    np.testing.assert_array_equal(rows, twins.assign_clear(scores, gap))
+    assign_unambiguous(scores, gap, rows)
+    np.testing.assert_array_equal(rows, twins.assign_unambiguous(scores, gap))
 
 
 # --- what is learned
@@ -251,7 +257,7 @@ def test_frames_are_placed_onto_a_body(people):
     frames, _, body = people
     placed = place_onto(frames[:20], body)
     for frame, got in zip(frames[:20], placed, strict=True):
-        np.testing.assert_allclose(got, twins.align(frame, np.arange(7), body, range(7)), atol=1e-9)
+        np.testing.assert_allclose(got, twins.place_points(frame, np.arange(7), body, range(7)), atol=1e-9)
     gone = frames[:20].copy()
     gone[:, 2] = np.nan
     assert np.isnan(place_onto(gone, body)[:, 2]).all()
@@ -262,7 +268,7 @@ def test_the_mean_body_is_found(learned, people):
     assert learned.mean.shape == (1, 7, 3), "450 frames are one key pose"
     body = people[2]
     for mean in learned.mean:
-        miss = np.linalg.norm(twins.align(mean, np.arange(7), body, range(7)) - body, axis=1).max()
+        miss = np.linalg.norm(twins.place_points(mean, np.arange(7), body, range(7)) - body, axis=1).max()
         assert miss < 0.01, f"a marker of the mean body is {1000 * miss:.1f} mm off, allowed 10"
 
 
@@ -286,7 +292,7 @@ def test_gaps_hardly_change_the_model(learned, people):
     rng = np.random.default_rng(2)
     holed = np.where(rng.random(frames.shape[:2])[:, :, None] < 0.15, np.nan, frames)
     model = fit_body(holed, whose, BodyRules(), seed=0)
-    miss = np.linalg.norm(twins.align(model.mean[0], np.arange(7), learned.mean[0], range(7)) - learned.mean[0], axis=1).max()
+    miss = np.linalg.norm(twins.place_points(model.mean[0], np.arange(7), learned.mean[0], range(7)) - learned.mean[0], axis=1).max()
     assert miss < 0.01, f"{1000 * miss:.1f} mm"
 
 

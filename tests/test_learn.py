@@ -128,6 +128,11 @@ def test_solvers_of_the_thesis_stay_unless_mined_again(walks, tmp_path):
     assert content(again, tmp_path) == content(SolverEnsemble.fit(few[:3], subjects=PEOPLE[:3], **rules), tmp_path)
 
 
+def test_solvers_that_were_never_searched_cannot_be_searched_again(first, walks):
+    with pytest.raises(AsterismError, match="without partial solvers; train it again with --miner bottom-up"):
+        first.learn([walks[3]], mine_again=True)
+
+
 def test_progress_rises_to_one(first, walks):
     told = []
     first.learn([walks[3]], progress=lambda fraction, what: told.append(fraction))

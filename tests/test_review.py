@@ -16,7 +16,7 @@ from asterism.cli import main
 from asterism.errors import AsterismError
 from asterism.labelling import Item, SolverEnsemble, review, settle
 from asterism.labelling.simulated_occlusions import hide_in_gaps
-from asterism.labelling.whole.certainty import Certainty, Tried
+from asterism.labelling.whole.certainty import Certainty, TrialLabels
 from asterism.recording import Clouds, Ints, Labelling, Recording
 from asterism.report import review_report
 from asterism.simulation import simulate_walks
@@ -174,7 +174,7 @@ def test_items_are_disjoint_ranked_and_never_promise_more_than_they_hold(seed: i
 
 def test_where_all_trials_failed_a_tracklet_is_still_offered() -> None:
     """Two people, one stands and one walks: tried on each other every label is wrong, which proves little about the third."""
-    failed = Tried(np.linspace(0.0, 30.0, 200), np.zeros(200), np.zeros(200, dtype=np.int64))
+    failed = TrialLabels(np.linspace(0.0, 30.0, 200), np.zeros(200), np.zeros(200, dtype=np.int64))
     margin = np.array([-20.0, 0.0, 20.0])
     sure = Certainty.fit(failed, 0.999, 5).confidence(margin, np.zeros(3, dtype=np.int64))
     assert sure[2] == pytest.approx(0.1, abs=0.01) and sure[0] < 1e-6 and (np.diff(sure) > 0).all()
@@ -186,7 +186,7 @@ def test_where_all_trials_failed_a_tracklet_is_still_offered() -> None:
 
 def test_few_people_are_believed_less() -> None:
     """All trials went well: with one person that proves less of a small margin than with five."""
-    well = Tried(np.linspace(0.0, 30.0, 200), np.ones(200), np.zeros(200, dtype=np.int64))
+    well = TrialLabels(np.linspace(0.0, 30.0, 200), np.ones(200), np.zeros(200, dtype=np.int64))
     one, two, five, ten = (
         Certainty.fit(well, 0.999, people).confidence(np.array([1.0]), np.zeros(1, dtype=np.int64))[0] for people in (1, 2, 5, 10)
     )

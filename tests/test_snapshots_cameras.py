@@ -24,8 +24,8 @@ CASES = {
     "rig-report": ["rig report rig.toml --volume 2x2x2 --noise 0.2"],
     "errors-cameras": [
         "rig plan --volume 2x2 --cameras 4 --image-size 1280x1024 --fov 60 -o plan.toml",
-        "calibrate wand rig.toml --wand 0 0.2 0.6 --image-size 1280x1024 -o waved.toml",
-        "calibrate wand wand.csv --wand 0.6 --image-size 1280x1024 -o waved.toml",
+        "calibrate wand rig.toml --wand 0 0.2 0.6 --image-size 1280x1024 -o none.toml",
+        "calibrate wand wand.csv --wand 0.6 --image-size 1280x1024 -o none.toml",
         "reconstruct body.csv --rig wand.csv -o out.npz",
         "reconstruct missing.csv --rig rig.toml -o out.npz",
         "detect missing -o out.csv",

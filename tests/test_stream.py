@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import asterism
-from asterism.labelling.body._kernels import best_pose, make_room
+from asterism.labelling.body._score_kernels import best_pose
+from asterism.labelling.body._workspace_kernels import make_body_workspace
 from asterism.labelling.body.model import BodyRules, factors
 from asterism.labelling.body.subject import SubjectRules, adapt_body
 from asterism.labelling.live.body import LiveBody, LiveRules
@@ -174,8 +175,8 @@ def test_the_body_that_a_stream_learns_is_the_one_that_is_there(walks, ensemble)
     rng = np.random.default_rng(0)
 
     def look(body, t: int) -> tuple[int, float]:
-        room = make_room(15, *model.load.shape[1::2])
-        return best_pose(body, np.ascontiguousarray(walk[t]), np.arange(15), settings, room)
+        workspace = make_body_workspace(15, *model.load.shape[1::2])
+        return best_pose(body, np.ascontiguousarray(walk[t]), np.arange(15), settings, workspace)
 
     for t in range(0, 160, 2):
         if live.wants(t):

@@ -7,14 +7,14 @@ import twins_tracks as twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from asterism.labelling.body.labeller import LookRules
+from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyModel
 from asterism.labelling.whole import _distance_kernels as kernels_of_distances
 from asterism.labelling.whole import _kernels as kernels
 from asterism.labelling.whole import assignment
 from asterism.labelling.whole.assignment import assign_tracklets
 
-SETTINGS = LookRules().settings(1.0)
+SETTINGS = FrameLabellingSettings().with_usual_score(1.0)
 MARKERS, LATENTS, POSES = 6, 4, 2
 races = settings(max_examples=25, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**31)

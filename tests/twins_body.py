@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import multivariate_normal
 
-from asterism.labelling.body._kernels import REACH
+from asterism.labelling.body._score_kernels import MAX_DISTANCE
 
 
-def placing(points, rows, mean, markers):
+def placement(points, rows, mean, markers):
     """The rotation about z and the two centres that bring points[rows] best onto mean[markers] (Procrustes, by SVD in the plane)."""
     here = np.array([points[row] for row in rows if row >= 0])
     there = np.array([mean[m] for m, row in zip(markers, rows, strict=True) if row >= 0])
@@ -19,9 +19,9 @@ def placing(points, rows, mean, markers):
     return turn, here.mean(axis=0), there.mean(axis=0)
 
 
-def align(points, rows, mean, markers):
+def place_points(points, rows, mean, markers):
     """All points, placed."""
-    turn, here, there = placing(points, rows, mean, markers)
+    turn, here, there = placement(points, rows, mean, markers)
     return (points - here) @ turn.T + there
 
 
@@ -54,52 +54,52 @@ def conditional(joint, wanted, known, deviation):
     return gain @ deviation, joint[np.ix_(wanted, wanted)] - gain @ joint[np.ix_(known, wanted)]
 
 
-def told(k, points, rows, odd, model):
+def observed(k, points, rows, outlier, model):
     """The markers that say something of the body, and how far they all deviate from the mean: names, flat deviation."""
-    aligned = align(points, rows, model.mean[k], range(len(rows)))
-    markers = [m for m in range(len(rows)) if rows[m] >= 0 and not odd[m]]
+    aligned = place_points(points, rows, model.mean[k], range(len(rows)))
+    markers = [m for m in range(len(rows)) if rows[m] >= 0 and not outlier[m]]
     deviation = [aligned[rows[m]] - model.mean[k, m] for m in markers]
     return markers, np.concatenate(deviation) if markers else np.empty(0)
 
 
-def evidence(model, k, points, rows, odd, settings):
+def evidence(model, k, points, rows, outlier, settings):
     """Joint log density of the placed points, the latents integrated out, and the rewards."""
-    markers, deviation = told(k, points, rows, odd, model)
+    markers, deviation = observed(k, points, rows, outlier, model)
     at = coordinates(markers)
     score = model.log_weight[k] + log_density(deviation, covariance(model, k)[np.ix_(at, at)])
-    score += settings.reward * len(markers) + settings.odd * sum(odd[m] for m in range(len(rows)) if rows[m] >= 0)
-    return score - settings.first_ghost if sum(row >= 0 for row in rows) < len(points) else score
+    score += settings.reward * len(markers) + settings.outlier_score * sum(outlier[m] for m in range(len(rows)) if rows[m] >= 0)
+    return score - settings.first_ghost_cost if sum(row >= 0 for row in rows) < len(points) else score
 
 
-def posterior(model, k, points, rows, odd):
+def posterior(model, k, points, rows, outlier):
     """Mean and covariance of the latents, from their joint distribution with the points."""
-    markers, deviation = told(k, points, rows, odd, model)
+    markers, deviation = observed(k, points, rows, outlier, model)
     load = model.load[k].reshape(-1, model.load.shape[3])
     joint = np.block([[covariance(model, k), load], [load.T, np.eye(load.shape[1])]])
     return conditional(joint, len(load) + np.arange(load.shape[1]), coordinates(markers), deviation)
 
 
-def score_all(model, k, points, rows, odd, settings):
-    """Every point as every marker, each marker predicted from the others' points alone, at most `REACH` away: (M, n)."""
-    aligned = align(points, rows, model.mean[k], range(len(rows)))
+def leave_one_out_scores(model, k, points, rows, outlier, settings):
+    """Every point as every marker, each marker predicted from the others' points alone, at most `MAX_DISTANCE` away: (M, n)."""
+    aligned = place_points(points, rows, model.mean[k], range(len(rows)))
     out = np.empty((len(rows), len(points)))
     for m in range(len(rows)):
         without = [-1 if other == m else row for other, row in enumerate(rows)]
-        markers = [other for other in range(len(rows)) if without[other] >= 0 and not odd[other]]
+        markers = [other for other in range(len(rows)) if without[other] >= 0 and not outlier[other]]
         deviation = np.concatenate([np.empty(0), *(aligned[rows[other]] - model.mean[k, other] for other in markers)])
         centre, spread = conditional(covariance(model, k), coordinates([m]), coordinates(markers), deviation)
         for c, point in enumerate(aligned):
             away = point - model.mean[k, m] - centre
             score = settings.reward + log_density(away, spread)
-            if np.linalg.norm(away) < settings.odd_radius:
-                score = max(score, settings.odd)
-            out[m, c] = score if np.linalg.norm(away) <= REACH else -np.inf
+            if np.linalg.norm(away) < settings.outlier_radius:
+                score = max(score, settings.outlier_score)
+            out[m, c] = score if np.linalg.norm(away) <= MAX_DISTANCE else -np.inf
     return out
 
 
 def placed_anchor(model, k, points, rows3, triple):
     """All points, placed by an anchor's three, and how far these deviate from a key pose: (n, 3), (9,)."""
-    aligned = align(points, rows3, model.mean[k], triple)
+    aligned = place_points(points, rows3, model.mean[k], triple)
     return aligned, np.concatenate([aligned[row] - model.mean[k, m] for m, row in zip(triple, rows3, strict=True)])
 
 
@@ -111,7 +111,7 @@ def anchor_density(model, k, points, rows3, triple):
     return model.log_weight[k] + log_density(deviation, own), deviation @ np.linalg.solve(own, deviation)
 
 
-def predict(model, k, points, rows3, triple, settings):
+def score_from_anchor(model, k, points, rows3, triple, settings):
     """Every point as every marker that is not the anchor's, given the anchor's nine coordinates: (M, n), NaN for the anchor's own."""
     aligned, deviation = placed_anchor(model, k, points, rows3, triple)
     out = np.full((len(model.mean[k]), len(points)), np.nan)
@@ -122,7 +122,7 @@ def predict(model, k, points, rows3, triple, settings):
     return out
 
 
-def assign(scores, first_ghost):
+def assign_greedily(scores, first_ghost):
     """Best pair first. Pairs that score nothing are added only if they leave no point over, and cost less than the first ghost."""
 
     def best_first(rows, worth):
@@ -146,7 +146,7 @@ def assign(scores, first_ghost):
     return complete if set(range(scores.shape[1])) <= set(complete) else gains
 
 
-def assign_clear(scores, gap):
+def assign_unambiguous(scores, gap):
     """Pairs that beat every other pair of their marker and of their point, and null (0), by more than `gap`."""
     rows = [-1] * len(scores)
     for m in range(len(scores)):

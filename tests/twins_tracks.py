@@ -20,15 +20,17 @@ def score_frames(model, frames, tracks, label, settings):
             poses.append(0)
             continue
         crowd = np.log(1 + max(0, len(points) - markers))
-        own = settings._replace(reward=settings.reward - crowd, odd=settings.odd - crowd, good=settings.good - crowd)
+        own = settings._replace(
+            reward=settings.reward - crowd, outlier_score=settings.outlier_score - crowd, usual_score=settings.usual_score - crowd
+        )
         none = np.zeros(markers, dtype=bool)
         k = int(np.argmax([twins_body.evidence(model, k, points, rows, none, own) for k in range(len(model.mean))]))
-        found = twins_body.score_all(model, k, points, rows, none, own)
-        odd = np.array([rows[m] >= 0 and found[m, rows[m]] <= own.odd for m in range(markers)])
-        if odd.any():
-            found = twins_body.score_all(model, k, points, rows, odd, own)
+        found = twins_body.leave_one_out_scores(model, k, points, rows, none, own)
+        outlier = np.array([rows[m] >= 0 and found[m, rows[m]] <= own.outlier_score for m in range(markers)])
+        if outlier.any():
+            found = twins_body.leave_one_out_scores(model, k, points, rows, outlier, own)
         scores.append(found.T)
-        totals.append(twins_body.evidence(model, k, points, rows, odd, own))
+        totals.append(twins_body.evidence(model, k, points, rows, outlier, own))
         poses.append(k)
     return np.concatenate(scores), np.array(totals), np.array(poses)
 

@@ -50,17 +50,17 @@ def kernel(function: Function, /) -> Function: ...
 
 
 @overload
-def kernel(*, inline: bool = False) -> Callable[[Function], Function]: ...
+def kernel(*, inline: bool = False, reassociate: bool = False) -> Callable[[Function], Function]: ...
 
 
-def kernel(function: Function | None = None, /, *, inline: bool = False) -> Any:
+def kernel(function: Function | None = None, /, *, inline: bool = False, reassociate: bool = False) -> Any:
     """Compile a function with Numba when it is first called, by the policy of this file. Used bare, or as `@kernel(inline=True)`.
 
     With `NUMBA_DISABLE_JIT=1` the function stays plain Python.
     """
 
     def decorate(function: Function) -> Function:
-        flags = _FLAGS | ({"inline": "always"} if inline else {})
+        flags = _FLAGS | ({"inline": "always"} if inline else {}) | ({"fastmath": {"reassoc", "contract"}} if reassociate else {})
         dispatcher: Any = njit(**flags)(function)
         if not numba.config.DISABLE_JIT:
             _keep_compiled(dispatcher, function, flags)
@@ -157,7 +157,13 @@ def _cache_class() -> type:
             # A function with a closure has values that no source tells.
             self.known = own is not None and policy is not None and function.__closure__ is None
             self.stamp = hashlib.sha256(f"{own} {policy}".encode()).hexdigest()[:16]
-            self.what = (numba.__version__, sys.version, sorted(flags.items()), code.co_firstlineno, code.co_code.hex())
+            self.what = (
+                numba.__version__,
+                sys.version,
+                sorted((name, sorted(flag) if isinstance(flag, set) else flag) for name, flag in flags.items()),
+                code.co_firstlineno,
+                code.co_code.hex(),
+            )
 
         @property
         def cache_path(self) -> str:

@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from asterism._jit import kernel
 
 FX, FY, CX, CY, P1, P2, DENOMINATOR, RADIAL = 0, 1, 2, 3, 4, 5, 6, 9
 NEWTON_STEPS = 30
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def _radial(lens, square):
     """The radial factor at r2 = `square`, and its derivative by r2."""
     top, top_slope, power = 1.0, 0.0, 1.0
@@ -31,7 +32,7 @@ def _radial(lens, square):
     return top / under, (top_slope - top / under * under_slope) / under
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def distorted(lens, x, y):
     """Where the lens puts a point of the normalized plane, and how that moves with it: u, v, du/dx, du/dy, dv/dx, dv/dy. O(coefficients).
 
@@ -53,7 +54,7 @@ def distorted(lens, x, y):
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def project_points(lens, rotation, translation, points, out):
     """Project points into one camera.
 
@@ -75,7 +76,7 @@ def project_points(lens, rotation, translation, points, out):
             out[i, 1] = lens[FY] * v + lens[CY]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def undistort_points(lens, pixels, out):
     """The normalized plane's point behind each pixel: the inverse of the lens, by Newton's method.
 

@@ -55,13 +55,20 @@ Json = Annotated[
     typer.Option("--json", metavar="FILE", help="Write all results as JSON; - prints them instead of the table.", show_default=False),
 ]
 Report = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Write an HTML report.", show_default=False)]
-MinerOption = Annotated[Miner, typer.Option("--miner", help="How the partial solvers are chosen.")]
+MinerOption = Annotated[
+    Miner | None,
+    typer.Option(
+        "--miner",
+        help="Also search the partial solvers that the rules partial-solvers and thesis need, in this way; takes minutes.",
+        show_default=False,
+    ),
+]
 Features = Annotated[
     str | None,
     typer.Option(
         "--features",
         metavar="NAMES",
-        help="What the partial solvers look at, such as g2,g4,g9,g13: docs/labelling.md lists all. Else what single frames show.",
+        help="What the partial solvers read, such as g2,g4,g9,g13 (docs/labelling.md lists all); implies --miner bottom-up.",
         show_default=False,
     ),
 ]

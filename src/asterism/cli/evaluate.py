@@ -13,7 +13,6 @@ from asterism.cli._options import (
     HitRate,
     Json,
     Markers,
-    Miner,
     MinerOption,
     Overwrite,
     Report,
@@ -41,7 +40,7 @@ def evaluate(
     markers: Markers = None,
     rules: RulesOption = Rules.WHOLE_BODY,
     target_hit_rate: HitRate = 0.999,
-    miner: MinerOption = Miner.BOTTOM_UP,
+    miner: MinerOption = None,
     seed: Seed = 0,
     vertical: Vertical = None,
     overwrite: Overwrite = False,
@@ -57,7 +56,8 @@ def evaluate(
     Perfect: share of frames without an error. ECE: expected calibration error, how far the confidence is off.
 
     With --leave-one-subject-out the figures hold for people that
-    the model has not seen; --markers, --target-hit-rate and --miner belong to it.
+    the model has not seen; --markers, --target-hit-rate and --miner belong to it. Rules other than whole-body need a miner:
+    bottom-up where none is named.
     """
     if (model is None) == (not leave_one_subject_out):
         raise AsterismError("evaluate takes either --model FILE or --leave-one-subject-out; give one of them.")
@@ -81,10 +81,10 @@ def evaluate(
         if ensemble is not None:
             evaluation = labelling.evaluate(ensemble, recordings, **settings, progress=progress)
         else:
-            # the whole-body rules need no partial solvers, and mining takes most of the training
-            mined = None if rules is Rules.WHOLE_BODY else miner.value
+            # the whole-body rules need no partial solvers, and their search takes most of the training
+            searched = None if rules is Rules.WHOLE_BODY or miner is None else miner.value
             evaluation = labelling.leave_one_subject_out(
-                recordings, **settings, progress=progress, target_hit_rate=target_hit_rate, miner=mined
+                recordings, **settings, progress=progress, target_hit_rate=target_hit_rate, miner=searched
             )
     if json != "-":
         _print(evaluation)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from asterism._jit import kernel
 from asterism.detection._kernels import TALL, WIDE, X, Y
 
 SOME, QUARTILE = 4096, 0.6745
 """Grey values that tell what a large component is like; standard deviations from the median to a quartile."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def raise_levels(image, level, rows, firsts, lasts, order, starts, largest, noise, top):
     """Make each component that is too large for a marker a ground of its own: its pixels must stand out from it.
 
@@ -52,7 +52,7 @@ def raise_levels(image, level, rows, firsts, lasts, order, starts, largest, nois
     return raised
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def stand_out(image, blobs, contrast, out):
     """Whether the brightest pixel of each blob's box is brighter by more than a contrast than the median of those around it, 2 px away.
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from asterism._jit import kernel
 
 COLUMNS = 10
 X, Y, AREA, PEAK, XX, YY, XY, WEIGHT, WIDE, TALL = range(COLUMNS)
@@ -18,7 +19,7 @@ SWEEPS, STILL_PX, MOST_MIXED = 100, 1e-3, 6000
 stay cut where the flood cut them, as in the clutter of a lit room."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _root(parents, i):
     while parents[i] != i:
         parents[i] = parents[parents[i]]
@@ -26,7 +27,7 @@ def _root(parents, i):
     return i
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _dark(image, level, row, start):
     """Whether none of the next STEP pixels is above its level: no branch and no index that could be negative, so that the processor
     takes many at once."""
@@ -37,7 +38,7 @@ def _dark(image, level, row, start):
     return not above
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_runs(image, level, reach, rows, firsts, lasts, parents):
     """Runs of pixels above their level, row by row, joined where they touch.
 
@@ -80,7 +81,7 @@ def find_runs(image, level, reach, rows, firsts, lasts, parents):
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def by_component(parents, count):
     """Runs in the order of their components: order (count,), starts (components + 1,) into it. O(count). Parents are roots already."""
     number = np.empty(count, np.int64)
@@ -104,7 +105,7 @@ def by_component(parents, count):
     return order, starts
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def measure(image, base, cut, rows, firsts, lasts, order, starts, limits, split, step, top, out, flags):
     """Weighted moments of every component of a fitting size; components with several peaks become one blob per peak.
 
@@ -152,7 +153,7 @@ def measure(image, base, cut, rows, firsts, lasts, order, starts, limits, split,
     return blobs
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _whole(image, base, cut, rows, firsts, lasts, runs, top, out, flag):
     """One component as one blob: moments about its first pixel, moved to the centroid."""
     x0, y0 = firsts[runs[0]], rows[runs[0]]
@@ -183,7 +184,7 @@ def _whole(image, base, cut, rows, firsts, lasts, runs, top, out, flag):
     flag[0] = (SATURATED if full else 0) | (AT_BORDER if ends else 0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _window(image, base, rows, firsts, lasts, runs, upper, lower, left, right):
     """A component's weights in its bounding box, with one pixel of 0 around it; pixels of other components are 0 too."""
     weight = np.zeros((lower - upper + 3, right - left + 3), np.int64)
@@ -193,7 +194,7 @@ def _window(image, base, rows, firsts, lasts, runs, upper, lower, left, right):
     return weight
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _split(weight, split, ys, xs, label):
     """Part a component at the saddles between its peaks: watershed by flooding from the brightest pixel down.
 
@@ -252,7 +253,7 @@ def _split(weight, split, ys, xs, label):
     return n, _numbered(parents, ys[:n], xs[:n], label)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _grow(weight, step, lowest, ys, xs, label):
     """Part a component where its grey values rise by more than a step: the peak fitting of particle tracking velocimetry.
 
@@ -305,7 +306,7 @@ def _grow(weight, step, lowest, ys, xs, label):
     return n, _numbered(parents, ys[:n], xs[:n], label)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _level_between(weight, a, b, step):
     """Whether no pixel between two centres (x sum, y sum, weight sum, peak) is darker than their peaks by more than a step, or they are
     near."""
@@ -320,7 +321,7 @@ def _level_between(weight, a, b, step):
     return darkest >= max(a[3], b[3]) - step
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _is_peak(height, y, x):
     """Whether none of the eight pixels around is higher."""
     for dy in range(-1, 2):
@@ -330,7 +331,7 @@ def _is_peak(height, y, x):
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _numbered(parents, ys, xs, label):
     """Label pixels (n,) by their groups, counted from 0 in the order in which they are met; returns how many groups there are."""
     number = np.full(len(parents), -1)
@@ -344,7 +345,7 @@ def _numbered(parents, ys, xs, label):
     return groups
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _look(image, cut, weight, ys, xs, label, upper, left, top, out, flags):
     """Moments, area, extent, peak and flags of the blobs that the pixels (n,) of a window belong to; the window begins at upper, left.
 
@@ -379,7 +380,7 @@ def _look(image, cut, weight, ys, xs, label, upper, left, top, out, flags):
         _central(out[blob])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _central(blob):
     """Sums of weighted coordinates and their products to mean and covariance, in place."""
     for k in (X, Y, XX, YY, XY):
@@ -389,7 +390,7 @@ def _central(blob):
     blob[XY] -= blob[X] * blob[Y]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _mix(weight, ys, xs, out):
     """Share the pixels (n,) of blobs that overlap by a mixture of round Gaussians, one per blob: expectation and maximization in turn.
 
@@ -429,7 +430,7 @@ def _mix(weight, ys, xs, out):
             break
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _from_edge(weight):
     """Each pixel's distance from the nearest one without weight, in thirds of a pixel: the chamfer of 3 aside and 4 across."""
     tall, wide = weight.shape

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
 from asterism.labelling.body.anchors import Anchors
-from asterism.labelling.body.labeller import LookRules, Prepared
+from asterism.labelling.body.labeller import BodyLabeller, FrameLabellingSettings
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.partial.features import upright
@@ -25,8 +25,8 @@ from asterism.labelling.training.model_file import reading, write_arrays
 from asterism.labelling.training.sample import Sample
 from asterism.labelling.whole.bodies import check_for_one
 from asterism.labelling.whole.certainty import STEEP, Certainty
-from asterism.labelling.whole.label import Member, label_whole, own_body_gain, subject_body
-from asterism.labelling.whole.scene import Looker, TimeRules
+from asterism.labelling.whole.label import BodyInRecording, label_whole, own_body_gain, subject_body
+from asterism.labelling.whole.scene import TimeRules
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording
 
@@ -54,7 +54,7 @@ class SolverEnsemble:
         usual_score: float,
         calibrations: tuple[Calibration, Calibration],
         least_confidence: float,
-        look: LookRules,
+        look: FrameLabellingSettings,
         partial: PartialSolvers | None,
         about: dict[str, Any],
         memory: Memory | None = None,
@@ -74,7 +74,7 @@ class SolverEnsemble:
         self._memory = memory
         self._in_time = in_time or Certainty(calibrations, least_confidence)
         self._general = general
-        self._prepared: Prepared | None = None
+        self._prepared: BodyLabeller | None = None
 
     @classmethod
     def fit(
@@ -83,26 +83,30 @@ class SolverEnsemble:
         *,
         seed: int = 0,
         target_hit_rate: float = 0.999,
-        miner: str | None = "bottom-up",
+        miner: str | None = None,
         features: Sequence[str] | None = None,
         subjects: Sequence[str] | None = None,
         marker_set: MarkerSet | None = None,
         body_rules: BodyRules | None = None,
-        look: LookRules | None = None,
+        look: FrameLabellingSettings | None = None,
         training: TrainingRules | None = None,
         progress: Progress | None = None,
     ) -> SolverEnsemble:
         """Learn from labelled recordings that share their labels (read with `markers=`).
 
         subjects: whose recording each is; by default what the recordings' metadata says, else their folder. Confidence is
-        calibrated on people left out in turn, so more people make it honest. `miner` finds the partial
-        solvers of the thesis' rules ("bottom-up", "top-down", "genetic"; None leaves them out and saves most of the time), of the
-        `features` named (`features.FEATURES`; those of motion among them), by default `mining.FEATURES`, of single frames.
+        calibrated on people left out in turn, so more people make it honest. `miner` ("bottom-up", "top-down" or "genetic")
+        also searches the partial solvers that the rules "partial-solvers" and "thesis" need; that takes most of the training's time.
+        `features` names what they read (`features.FEATURES`, those of motion among them; by default `solver_search.FEATURES`, of single
+        frames), and asks for them: the miner is then "bottom-up" where it is None.
         The same recordings and seed give the same model, bit for bit.
         Raises AsterismError where there is nothing to learn from, or the recordings' labels differ.
         """
         named = None if features is None else tuple(features)
-        recipe = Recipe(seed, target_hit_rate, miner, body_rules or BodyRules(), look or LookRules(), training or TrainingRules(), named)
+        miner = "bottom-up" if miner is None and named is not None else miner
+        recipe = Recipe(
+            seed, target_hit_rate, miner, body_rules or BodyRules(), look or FrameLabellingSettings(), training or TrainingRules(), named
+        )
         marker_set = marker_set or common_marker_set(recordings)
         memory = Memory(Sample(), recipe).with_recordings(recordings, subjects, marker_set)
         return cls._from_memory(marker_set, memory, progress or _silent)
@@ -120,13 +124,15 @@ class SolverEnsemble:
         The model carries a sample of what it was trained on, so the old files are not needed: learning is training on all that was ever
         given, and the order in which it came does not matter, bit for bit. A recording given twice counts once. Recordings may lack
         markers, and be of new people or of known ones (`subjects`, one name each; by default as for `fit`). The confidence is calibrated
-        anew on people left out, so a model of one person becomes honest as people come in. Partial solvers stay as they were mined,
+        anew on people left out, so a model of one person becomes honest as people come in. Partial solvers stay as they were found,
         unless `mine_again`, which takes as long as it did in `fit`.
-        Raises AsterismError where there is nothing to learn from, a recording has none of the markers, or the model was written by an
-        Asterism that kept no sample.
+        Raises AsterismError where there is nothing to learn from, a recording has none of the markers, the model was written by an
+        Asterism that kept no sample, or `mine_again` is given and the model was trained without partial solvers.
         """
         if self._memory is None:
             raise AsterismError("this model was written by an earlier Asterism and keeps nothing to learn on from; train it again.")
+        if mine_again and self._memory.recipe.miner is None:
+            raise AsterismError("this model was trained without partial solvers; train it again with --miner bottom-up to add them.")
         memory = self._memory.with_recordings(recordings, subjects, self.marker_set)
         mined_before = None if mine_again else self
         return self._from_memory(self.marker_set, memory, progress or _silent, mined_before)
@@ -256,7 +262,9 @@ class SolverEnsemble:
     def _vote(self, clouds: Clouds, rules: str) -> tuple[Labelling, Ints]:
         """Label by the partial solvers' proposals: the matrix of section 4.5.4 ("thesis"), or completed by the whole model."""
         if self._partial is None:
-            raise AsterismError(f"this model holds no partial solvers for the rules {rules!r}; train it with a miner.")
+            raise AsterismError(
+                f"this model has no partial solvers, which the rules {rules!r} need; train it again with --miner bottom-up."
+            )
         votes = label_by_matrix(clouds, self._partial, complete=rules == "partial-solvers")
         indices = np.full((len(clouds), len(self.marker_set)), NULL, dtype=np.int64)
         confidence = np.zeros(indices.shape)
@@ -277,11 +285,11 @@ class SolverEnsemble:
         return indices, confidence, counters
 
     def _margins(self, clouds: Clouds, workers: int = 1, progress: Progress | None = None) -> tuple[Ints, Floats, Ints, Any]:
-        return self._parts().margins(clouds, workers, progress)
+        return self._parts().label(clouds, workers, progress)
 
-    def _parts(self) -> Prepared:
+    def _parts(self) -> BodyLabeller:
         if self._prepared is None:
-            self._prepared = Prepared.of(self._body, self._anchors, self._look.settings(self._usual_score))
+            self._prepared = BodyLabeller.from_model(self._body, self._anchors, self._look.with_usual_score(self._usual_score))
         return self._prepared
 
     def stream(self, rate: float, delay: int = 0, vertical: ArrayLike | str = "z") -> Stream:
@@ -368,7 +376,7 @@ class SolverEnsemble:
                 float(head["usual_score"]),
                 calibrations,
                 float(head["least_confidence"]),
-                LookRules(**head["look"]),
+                FrameLabellingSettings.from_dict(head["look"]),
                 PartialSolvers.from_arrays(partial) if partial else None,
                 dict(head["about"]),
                 memory,
@@ -405,7 +413,7 @@ def label_together(
     clouds: T frames. An ensemble may be given twice, for two people who wear the same markers. Whole recordings only: see
     `SolverEnsemble.label` with `time`.
     """
-    members = [Member(Looker(e._parts(), e._body), e.marker_set.names, e._markers, e._in_time) for e in ensembles]
+    members = [BodyInRecording(e._parts(), e.marker_set.names, e._markers, e._in_time) for e in ensembles]
     body_rules = next((e._memory.recipe.body for e in ensembles if e._memory is not None), BodyRules())
     return label_whole(members, clouds, TimeRules(), SubjectRules(), body_rules, workers, progress)[0]
 

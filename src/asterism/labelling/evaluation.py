@@ -112,14 +112,16 @@ def leave_one_subject_out(
 ) -> Evaluation:
     """Train on all people but one, label that one, for each in turn: how well people are labelled whom nobody trained on.
 
-    `fit_options` go to `SolverEnsemble.fit`. Raises AsterismError where there are fewer than two people, or more markers should be hidden
-    than there are.
+    `fit_options` go to `SolverEnsemble.fit`; `miner` is "bottom-up" where the rules need partial solvers and no miner is named.
+    Raises AsterismError where there are fewer than two people, or more markers should be hidden than there are.
     """
     whose = _subjects(recordings, subjects)
     people = list(dict.fromkeys(whose))
     if len(people) < 2:
         raise AsterismError("leaving one subject out needs recordings of at least two; name them with `subjects`, or put each in a folder.")
     _check_occlusions(occlusions, len(recordings[0].labels))
+    if rules != "whole-body" and fit_options.get("miner") is None:
+        fit_options["miner"] = "bottom-up"
     total: dict[tuple[int, int], _Tally] = {}
     names: tuple[str, ...] = ()
     for i, out in enumerate(people):

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from asterism._jit import kernel
 
 BAND = 12
 """Places on and below the diagonal that couple: three coordinates of four neighbouring frames."""
 THIRD = np.array([-1.0, 3.0, -3.0, 1.0])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def smooth_path(measured, information, floor, trust, weights, rounds, path, covariance):
     """One path as the posterior mean of a motion whose jerk changes its strength along the way.
 
@@ -51,7 +52,7 @@ def smooth_path(measured, information, floor, trust, weights, rounds, path, cova
                 covariance[t, i, j] = covariance[t, j, i] = inverse[3 * t + i, i - j]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _usual(information):
     """m2, about what the measurements' variance is in the mean: where the search for the differences' begins."""
     total = 0.0
@@ -60,7 +61,7 @@ def _usual(information):
     return total / len(information)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _normal_equations(measured, information, variance, lower, right):
     """Inverse covariances of measurements and of third differences, summed: row i holds places (i, i), (i, i - 1), ..."""
     lower[:] = 0.0
@@ -77,7 +78,7 @@ def _normal_equations(measured, information, variance, lower, right):
                     lower[3 * (t + a) + axis, 3 * (a - b)] += weight
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _factor(lower):
     """Cholesky factor of a banded matrix, in place."""
     for i in range(len(lower)):
@@ -89,7 +90,7 @@ def _factor(lower):
             lower[i, k] = value / lower[i - k, 0] if k else math.sqrt(value)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _solve(lower, right):
     for i in range(len(right)):
         value = right[i]
@@ -103,7 +104,7 @@ def _solve(lower, right):
         right[i] = value / lower[i, 0]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _invert(lower, inverse):
     """Those places of the inverse that the band holds, from the last row to the first (Takahashi's equations)."""
     for i in range(len(lower) - 1, -1, -1):
@@ -116,7 +117,7 @@ def _invert(lower, inverse):
             inverse[i + d, d] = value if d else value + 1.0 / lower[i, 0] ** 2
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _expected_square(path, inverse, t):
     """m2, the expected squared length of the third difference at t: of its mean, and of what is not known about it."""
     total = 0.0

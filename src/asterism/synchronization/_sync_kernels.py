@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from asterism._jit import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def crossing(flat, offsets, cameras, a, b, frames, essential, near, longest, crowd, fewest, scores):
     """The share of one camera's blobs that have one of another's on their epipolar line, at each lag of the other.
 

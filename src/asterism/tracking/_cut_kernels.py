@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from asterism._jit import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def departure(xyz, a, b, previous, following):
     """How far point b of a frame is from going on smoothly from point a of the frame before: (m, and its x, y, z).
 
@@ -38,13 +39,13 @@ def departure(xyz, a, b, previous, following):
     return math.sqrt(least), vx, vy, vz
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def misfit(xyz, a, b, previous, following):
     """The length of `departure`, in m."""
     return departure(xyz, a, b, previous, following)[0]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def claims(xyz, rival, miss, off, own_from, own_to, previous, following, limits):
     """Whether a rival that misses by `rival` is right against a link that misses by `miss`, in the direction `off`.
 
@@ -60,7 +61,7 @@ def claims(xyz, rival, miss, off, own_from, own_to, previous, following, limits)
     return rival < own and x * off[0] + y * off[1] + z * off[2] < 0.5 * own * miss
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def bend(xyz, p, previous, following):
     """How far the point between two others is from going straight on, in m; 0 where there are not two."""
     a, b = previous[p], following[p]
@@ -72,7 +73,7 @@ def bend(xyz, p, previous, following):
     return math.sqrt(total)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def restless(xyz, a, b, previous, following):
     """How far the tracks that end in a and begin in b have strayed from straight on within three frames of it, in m."""
     most = 0.0
@@ -91,7 +92,7 @@ def restless(xyz, a, b, previous, following):
     return most
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def jumped(xyz, a, b, miss, previous, following, limits):
     """Whether a track broke between a and b although nobody else claims either: it is offset, with the same velocity before and after."""
     c, d = previous[a], following[b]
@@ -103,7 +104,7 @@ def jumped(xyz, a, b, miss, previous, following, limits):
     return miss > 3.0 * math.sqrt(change2) and miss > 4.0 * restless(xyz, a, b, previous, following)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_cuts(xyz, offsets, previous, following, limits, cut):
     """Where links of numbered tracks are wrong. IN links (P,) both ways. OUT cut (P,) whether the link to a point's previous one is wrong.
 
@@ -136,7 +137,7 @@ def find_cuts(xyz, offsets, previous, following, limits, cut):
             cut[b] = wrong
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_strays(xyz, offsets, following, farther, least):
     """How many links there are, and how many of them lead past a point that lies `farther` times nearer: (links, strays).
 
@@ -161,7 +162,7 @@ def count_strays(xyz, offsets, following, farther, least):
     return links, strays
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mend(xyz, offsets, previous, following, barred, limits):
     """Join a track that ends with one that begins in the next frame, where motion says so clearly and nothing rivals it.
 

@@ -9,7 +9,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from asterism._jit import kernel
 
 
 class LinkLimits(NamedTuple):
@@ -56,7 +57,7 @@ class Ends(NamedTuple):
     spread: np.ndarray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def make_ends(n):
     """Room for the ends of n tracks."""
     return Ends(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.ones(n, dtype=np.int64), np.zeros(n))
@@ -79,7 +80,7 @@ class Bench(NamedTuple):
     miss: np.ndarray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def make_bench(n):
     """Working arrays for frames of up to n points."""
     return Bench(
@@ -98,7 +99,7 @@ def make_bench(n):
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def expect(ends, count, limits, at, gate):
     """Where every track is expected in the next frame, and how far from there it may be.
 
@@ -154,7 +155,7 @@ def expect(ends, count, limits, at, gate):
         gate[a] = min(limits.noise + away, limits.fastest)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def begin(ends, count, points, limits, goes, previous):
     """Where no track has a velocity yet, link what moves like its neighbours.
 
@@ -215,7 +216,7 @@ def begin(ends, count, points, limits, goes, previous):
             previous[nearest[a]] = a
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def advance(ends, points, at, previous, following):
     """Every point goes on with its track, or begins one. IN at (count, 3) where the tracks were expected. OUT following. O(n)."""
     for b in range(len(points)):
@@ -232,7 +233,7 @@ def advance(ends, points, at, previous, following):
         following.spread[b] = max(0.8 * ends.spread[a], math.sqrt(missed2)) if age > 3 else math.sqrt(change2)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def link_step(ends, count, points, limits, bench, previous, following):
     """Which track goes on with which point of the next frame: where both are each other's nearest and no rival comes near.
 
@@ -317,14 +318,14 @@ def link_step(ends, count, points, limits, bench, previous, following):
     advance(ends, points, at, previous, following)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _twice(array, room):
     out = np.empty(room, dtype=array.dtype)
     out[: len(array)] = array
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def link_through(xyz, offsets, limits, backwards, linked):
     """`link_step` through all frames, from the first to the last or backwards.
 
@@ -347,7 +348,7 @@ def link_through(xyz, offsets, limits, backwards, linked):
         count, begins = last - first, first
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sort_frames(xyz, offsets, order):
     """A frame's points in an order of their own (by x, then y, then z). OUT order (P,), indices into xyz. O(n^2) a frame at worst."""
     for t in range(len(offsets) - 1):
@@ -364,7 +365,7 @@ def sort_frames(xyz, offsets, order):
             order[where] = p
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def agree(forward, backward, previous, following):
     """The links that both directions found, or that one found and the other could not judge: its track had fewer than three points yet.
 
@@ -394,7 +395,7 @@ def agree(forward, backward, previous, following):
             following[p], previous[q] = q, p
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def number_chains(previous, of_point):
     """Number the chains of linked points, in the order of their first points. OUT of_point (P,). Returns how many. O(P)."""
     count = 0

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from asterism._jit import kernel
 from asterism.cameras._kernels import CX, CY, FX, FY, distorted
 
 MOST_BLOBS = 40
 """Images with more blobs than this are not searched for a wand."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_lines(xy, offsets, share, depth_ratio, slack, bend, shortest, either, chosen, certain):
     """The three blobs of a wand in each image: in line, the inner one where the ratio and perspective allow it.
 
@@ -67,7 +67,7 @@ def find_lines(xy, offsets, share, depth_ratio, slack, bend, shortest, either, c
         certain[cell] = chosen[cell, 0] >= 0 and second > best + 0.35
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def _pixel(lens, rotation, translation, x, y, z):
     depth = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z + translation[2]
     if not depth > 1e-6:
@@ -80,7 +80,7 @@ def _pixel(lens, rotation, translation, x, y, z):
     return lens[FX] * a + lens[CX], lens[FY] * b + lens[CY]
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def _meet(origin, ray, rays, normal, right, out):
     """The point nearest to the rays (n of them in `ray` (n, 3), from `origin` (n, 3)); False where they are parallel."""
     normal[:] = 0.0
@@ -106,7 +106,7 @@ def _meet(origin, ray, rays, normal, right, out):
     return True
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def _lay(lengths, points, there, start, direction):
     """The wand nearest to its markers' positions (K, 3): its first marker's place and its direction; False where it has none."""
     n, mean = 0, 0.0
@@ -138,7 +138,7 @@ def _lay(lengths, points, there, start, direction):
     return True
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def _support(frame, lengths, start, direction, lens, rotation, translation, posed, xy, offsets, gate, sights):
     """How well the images agree with a wand lying there: 0 to 1 per marker and camera; writes the blobs (C, K) that do."""
     total, cameras = 0.0, len(posed)
@@ -170,7 +170,7 @@ def _support(frame, lengths, start, direction, lens, rotation, translation, pose
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def agree(
     xy, rays, offsets, chosen, lengths, either, lens, rotation, translation, origins, posed, gate, starts, directions, sights, support
 ):

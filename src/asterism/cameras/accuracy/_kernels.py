@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from asterism._jit import kernel
 from asterism.cameras._kernels import CX, CY, FX, FY, distorted
 
 STEPS = 20
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def _seen(lens, rotation, translation, point, pixel, slope):
     """The pixel (2,) of a point (3,) m and how it moves with the point, slope (2, 3) px/m; False where it is behind the camera."""
     z = rotation[2, 0] * point[0] + rotation[2, 1] * point[1] + rotation[2, 2] * point[2] + translation[2]
@@ -28,7 +28,7 @@ def _seen(lens, rotation, translation, point, pixel, slope):
     return ux * vy - uy * vx > 0.0 and ux + vy > 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def image_slopes(lens, rotation, translation, points, out):
     """How a camera's pixel moves with the point that it shows.
 
@@ -43,7 +43,7 @@ def image_slopes(lens, rotation, translation, points, out):
             out[i] = slope
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def one_at_a_time(lens_a, rotation_a, translation_a, lens_b, rotation_b, translation_b, points, shift, out):
     """The 12 one-factor-at-a-time sensitivities of the composition of two cameras.
 

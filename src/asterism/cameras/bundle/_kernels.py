@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from asterism._jit import kernel
 from asterism.cameras._kernels import CX, CY, DENOMINATOR, FX, FY, distorted
 
 PARAMETERS = 15
@@ -20,7 +20,7 @@ BEHIND = 1e4
 """px, the residual of a point behind its camera: a step that moves one there is no step down."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def project_with_derivatives(lens, rotation, translation, point, pixel, by_camera, by_point):
     """Where a camera sees a point of the world, and how that moves with the camera and with the point.
 
@@ -65,7 +65,7 @@ def project_with_derivatives(lens, rotation, translation, point, pixel, by_camer
     return True
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def _loss(kind, scale, size):
     """Cost and weight of a residual of this size, both px: Huber, or Cauchy which forgets what is far off."""
     if kind == HUBER:
@@ -76,7 +76,7 @@ def _loss(kind, scale, size):
     return 0.5 * scale * scale * math.log1p(part * part), 1.0 / (1.0 + part * part)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def residuals_and_cost(
     lens, rotation, translation, turned, placed, template, frame, camera, point, xy, kind, scale, relative, residuals, weights
 ):  # fmt: skip
@@ -112,7 +112,7 @@ def residuals_and_cost(
     return cost
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def linearise(
     lens, rotation, translation, turned, placed, template, starts, camera, point, residuals, weights, columns, axes, damping,
     blocks, gradient, reduced, factors, shifted,
@@ -197,7 +197,7 @@ def linearise(
                 blocks[c, p, q] = blocks[c, q, p]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def turn_by(rotation, x, y, z, own_axes):
     """Turn (3, 3) rotations in place by the rotation vector x, y, z (rad): about their own axes, or about those they lead to. Rodrigues."""
     angle = math.sqrt(x * x + y * y + z * z)
@@ -208,7 +208,7 @@ def turn_by(rotation, x, y, z, own_axes):
     rotation[:] = np.ascontiguousarray(rotation) @ step if own_axes else step @ np.ascontiguousarray(rotation)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def move_objects(turned, placed, factors, remaining, axes):
     """Solve each frame's object for its step and take it.
 
@@ -231,7 +231,7 @@ def move_objects(turned, placed, factors, remaining, axes):
     return largest
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def intersect_rays(origins, rays, starts, out):
     """The point nearest to several rays, by linear least squares of its distances to them.
 

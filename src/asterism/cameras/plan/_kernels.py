@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from asterism._jit import kernel
 
 COVERED = (0.0, 0.1, 0.4, 1.0)
 """What a place is worth that none, one, two, or three cameras and more see."""
@@ -14,7 +15,7 @@ WORST_DECADE, DECADES = -2.0, 2.0
 """Log10 of the error in metres that is worth nothing, and how many decades less are worth all."""
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def _quality(a, b, c, d, e, f):
     """What precision is worth, 0 to 1, of a point with information ((a, b, c), (b, d, e), (c, e, f)) 1/m2."""
     aa, dd, ff = d * f - e * e, a * f - c * c, a * d - b * b
@@ -26,7 +27,7 @@ def _quality(a, b, c, d, e, f):
     return min(max(worth, 0.0), 1.0)
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def _side(count, told, more):
     """What a place seen by so many cameras from one side is worth, 0 to 2: that two see it, and how exactly; told + more (6,) 1/m2."""
     if count < 2:
@@ -34,7 +35,7 @@ def _side(count, told, more):
     return 1.0 + _quality(told[0] + more[0], told[1] + more[1], told[2] + more[2], told[3] + more[3], told[4] + more[4], told[5] + more[5])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def worth_with(count, facing_count, facing_told, sees, told, faces, mount, out):
     """The worth of a rig to which each candidate is added, see `Plan`.
 

@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from asterism.labelling.body._kernels import SUMS, best_pose, evidence, look_again, make_room
+from asterism._jit import kernel
+from asterism.labelling.body._score_kernels import best_pose, evidence, rescore
+from asterism.labelling.body._workspace_kernels import make_body_workspace
 
 FREEDOM = 3.0
 """Degrees of freedom of the heavy-tailed steps: impacts and the like are no wonders."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def surprise(before, at, after, early, late, scale):
     """Log density (nats, up to a constant) of a step: how far a point lies from where its last two let expect it.
 
@@ -28,7 +29,7 @@ def surprise(before, at, after, early, late, scale):
     return -0.5 * (FREEDOM + 3.0) * math.log(1.0 + square / (FREEDOM * usual * usual))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def path_score(paths, times, scales, emission, switch, states):
     """How well two paths are explained if their points are exchanged where `states` says so, in nats.
 
@@ -48,7 +49,7 @@ def path_score(paths, times, scales, emission, switch, states):
     return score
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def exchange_path(paths, times, scales, emission, switch, states):
     """Where two markers' points are best taken as exchanged: the most likely path of a two-state chain (Viterbi over pairs of frames).
 
@@ -94,7 +95,7 @@ def exchange_path(paths, times, scales, emission, switch, states):
     return top - never
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def all_exchanges(positions, scales, emission, switch, pairs, gains):
     """`exchange_path` of many pairs of markers over the frames that show both.
 
@@ -117,11 +118,11 @@ def all_exchanges(positions, scales, emission, switch, pairs, gains):
         gains[p] = exchange_path(paths[:n], times[:n], ends, own[:n], switch, states[:n])
 
 
-@njit(cache=True, nogil=True, fastmath=SUMS)
+@kernel(reassociate=True)
 def exchange_gains(frames, body, settings, pairs, look, most, gains, own):
     """By how many nats each frame is explained better with two markers exchanged.
 
-    IN   frames (N, M, 3) m, z up, NaN where missing; body BodyArrays; settings LookSettings; pairs (P, 2);
+    IN   frames (N, M, 3) m, z up, NaN where missing; body BodyArrays; settings FrameSettings; pairs (P, 2);
          look nats: an exchange that the leave-one-out scores put farther behind is not computed exactly; most nats that count
     OUT  gains (P, N), within -most and most, 0 where a marker is missing; own (N, M) each point's score as its own marker,
          given all others, NaN where missing
@@ -142,14 +143,14 @@ def exchange_gains(frames, body, settings, pairs, look, most, gains, own):
         own[t] = np.nan
         if n < 4:
             continue
-        room = make_room(n, markers, latents)
-        k, _ = best_pose(body, points[:n], rows, settings, room)
-        look_again(body, k, points[:n], rows, settings, room)
-        scores = room.scores.copy()
+        workspace = make_body_workspace(n, markers, latents)
+        k, _ = best_pose(body, points[:n], rows, settings, workspace)
+        rescore(body, k, points[:n], rows, settings, workspace)
+        scores = workspace.scores.copy()
         for m in range(markers):
             if rows[m] >= 0:
                 own[t, m] = scores[m, rows[m]]
-        room.odd[:] = False
+        workspace.outlier[:] = False
         top = -np.inf
         for p in range(len(pairs)):
             a, b = pairs[p]
@@ -159,8 +160,8 @@ def exchange_gains(frames, body, settings, pairs, look, most, gains, own):
             gain = -most
             if estimate > -look:
                 if top == -np.inf:
-                    top = evidence(body, k, points[:n], rows, settings, room)
+                    top = evidence(body, k, points[:n], rows, settings, workspace)
                 trial[:] = rows
                 trial[a], trial[b] = rows[b], rows[a]
-                gain = evidence(body, k, points[:n], trial, settings, room) - top
+                gain = evidence(body, k, points[:n], trial, settings, workspace) - top
             gains[p, t] = min(max(gain, -most), most)

@@ -17,8 +17,8 @@ from asterism.errors import AsterismError
 from asterism.labelling.audit._kernels import exchange_gains
 from asterism.labelling.audit.findings import ALWAYS, EXCHANGED, MISPLACED, Finding, Run, joined, sentence
 from asterism.labelling.audit.paths import exchanges, jumps, pairs_of
-from asterism.labelling.body._kernels import BodyArrays
-from asterism.labelling.body.labeller import LookRules
+from asterism.labelling.body._workspace_kernels import BodyArrays
+from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyRules, fit_body, names_of, subsample
 from asterism.labelling.partial.features import upright
 from asterism.labelling.partial.solver import person
@@ -85,7 +85,7 @@ class _Witness:
             np.zeros((len(mine), len(at))),
             np.full((len(at), len(self.worn)), np.nan),
         )
-        settings = replace(LookRules(), odd=-1e3).settings(0.0)
+        settings = replace(FrameLabellingSettings(), outlier_score=-1e3).with_usual_score(0.0)
         some = np.ascontiguousarray(positions[np.ix_(at, self.worn)])
         exchange_gains(some, self.body, settings, known, 2.0 * self.rules.say, FARTHEST, said, own)
         gains, places = np.zeros((len(pairs), len(at))), np.full((len(at), markers), np.nan)

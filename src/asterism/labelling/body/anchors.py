@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.labelling.body._kernels import LOG_2PI, AnchorArrays
+from asterism.labelling.body._workspace_kernels import LOG_2PI, AnchorArrays
 from asterism.labelling.body.model import BodyModel
 from asterism.labelling.partial._kernels import G2, G4, G9, SolverArrays, feature_ranges, search
 from asterism.recording import Floats, Ints
@@ -82,10 +82,10 @@ class Anchors:
             spread = blocks - gain @ cross.transpose(0, 1, 3, 2)
             spread[np.arange(count)[:, None], self.triples] = 1e-4 * np.eye(3)
             lower = np.linalg.cholesky(spread)
-            log_own = body.log_weight[k] - 0.5 * np.linalg.slogdet(own)[1] - 4.5 * LOG_2PI
+            log_peak = body.log_weight[k] - 0.5 * np.linalg.slogdet(own)[1] - 4.5 * LOG_2PI
             log_scale = -np.log(np.diagonal(lower, axis1=2, axis2=3)).sum(axis=2)
             widest = np.trace(spread, axis1=2, axis2=3)
-            parts.append((precision, log_own, gain, np.linalg.inv(lower), log_scale, widest))
+            parts.append((precision, log_peak, gain, np.linalg.inv(lower), log_scale, widest))
         return AnchorArrays(np.ascontiguousarray(self.triples), *(np.stack(part) for part in zip(*parts, strict=True)))
 
 

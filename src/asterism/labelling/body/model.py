@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
-from asterism.labelling.body._kernels import BodyArrays
+from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.recording import Floats, Ints
 
 

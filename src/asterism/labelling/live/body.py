@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asterism.labelling.body._kernels import BodyArrays
+from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules, adapt_in_steps
 from asterism.recording import Floats

@@ -16,19 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
-from asterism.labelling.body._kernels import (
-    LABELLINGS,
-    Board,
-    LookSettings,
-    Room,
-    best_pose,
-    find_labellings,
-    frame_settings,
-    look_again,
-    make_room,
-    refine,
-)
-from asterism.labelling.body.labeller import Prepared
+from asterism.labelling.body._frame_kernels import frame_settings
+from asterism.labelling.body._refine_kernels import refine
+from asterism.labelling.body._score_kernels import best_pose, rescore
+from asterism.labelling.body._search_kernels import MAX_LABELLINGS, CandidateLabellings, find_labellings
+from asterism.labelling.body._workspace_kernels import BodyWorkspace, FrameSettings, make_body_workspace
+from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.live.body import LiveBody
 from asterism.labelling.partial.features import upright
 from asterism.labelling.training.calibration import Calibration
@@ -98,7 +91,7 @@ class Stream:
 
     def __init__(
         self,
-        model: Prepared,
+        model: BodyLabeller,
         live: LiveBody | None,
         markers: Ints,
         count: int,
@@ -122,15 +115,17 @@ class Stream:
         self._limits = LinkRules().limits(self.rate)
         self._forget = math.exp(-1.0 / (self._rules.memory * self.rate))
         self._new = 1.0 / (self._rules.repeats * self.rate)
-        starts = int(np.clip(self._rules.effort // len(markers), 4, LABELLINGS))
+        starts = int(np.clip(self._rules.effort // len(markers), 4, MAX_LABELLINGS))
         shape = (starts, len(markers))
         slots = [np.empty(starts, dtype=np.int64) for _ in range(4)]
         starting, finals = np.empty(shape, dtype=np.int64), np.empty(shape, dtype=np.int64)
-        self._board = Board(starting, slots[0], finals, np.empty(starts), *slots[1:])
+        self._candidates = CandidateLabellings(starting, slots[0], finals, np.empty(starts), *slots[1:])
         self._restart()
         for _ in range(2):  # the first push must not wait for kernels to be read or compiled
             self.push(model.body.mean[0])
-        self._search(np.ascontiguousarray(model.body.mean[0]), model.settings, make_room(len(markers), *model.body.load.shape[1::2]))
+        self._search(
+            np.ascontiguousarray(model.body.mean[0]), model.settings, make_body_workspace(len(markers), *model.body.load.shape[1::2])
+        )
         self._restart()
 
     def _restart(self) -> None:
@@ -225,22 +220,22 @@ class Stream:
         if len(xyz) < 3:
             return
         settings = frame_settings(model.settings, len(xyz), markers)
-        room = make_room(len(xyz), markers, latents)
+        workspace = make_body_workspace(len(xyz), markers, latents)
         rows = _assign(self._totals(self._track))
-        score, pose = self._refine(xyz, rows, settings, room)
+        score, pose = self._refine(xyz, rows, settings, workspace)
         lead, challenge = self._lead, np.full(markers, NULL, dtype=np.int64)
         if (rival >= 0).sum() >= 3:
             challenge[rival[rival >= 0]] = np.nonzero(rival >= 0)[0]
         labelled = int((rows >= 0).sum())
-        explained = score >= settings.good * labelled - settings.first_ghost and labelled >= min(len(xyz), markers) - 1
+        explained = score >= settings.usual_score * labelled - settings.first_ghost_cost and labelled >= min(len(xyz), markers) - 1
         self._age += 1
         young = self._age * self._new < 1.0
         wait = 0.0 if young else (rules.search if explained else rules.again) * self.rate
         if self._pushed - self._searched >= wait and (challenge < 0).all():
             self._searched = self._pushed
-            challenge, lead = self._search(xyz, settings, room), 0.0
+            challenge, lead = self._search(xyz, settings, workspace), 0.0
         if (challenge >= 0).sum() >= 3 and not np.array_equal(challenge, rows):
-            other, other_pose = self._refine(xyz, challenge, settings, room)
+            other, other_pose = self._refine(xyz, challenge, settings, workspace)
             lead += max(self._new, 1.0 / self._age) * (other - score) if np.isfinite(score) else np.inf
             hopeless = labelled < 0.5 * min(len(xyz), markers) and other > score
             if np.array_equal(challenge, rows) or lead < -rules.lead:
@@ -256,21 +251,21 @@ class Stream:
         self._lead = lead
         if (rows >= 0).sum() < 3:
             return
-        look_again(self._body, pose, xyz, rows, settings, room)
-        self._evidence[self._track] += np.clip(room.scores.T, -rules.most, rules.most)
+        rescore(self._body, pose, xyz, rows, settings, workspace)
+        self._evidence[self._track] += np.clip(workspace.scores.T, -rules.most, rules.most)
         self._weight[self._track] += 1.0
         if self._live is not None and not young and self._live.wants(self._pushed):
-            self._learn(xyz, self._live, room, settings)
+            self._learn(xyz, self._live, workspace, settings)
 
-    def _learn(self, xyz: Floats, live: LiveBody, room: Room, settings: LookSettings) -> None:
+    def _learn(self, xyz: Floats, live: LiveBody, workspace: BodyWorkspace, settings: FrameSettings) -> None:
         """Let the frame teach what this body is like, where enough of it is labelled surely."""
         scores = self._totals(self._track)
         rows = _assign(scores)
         sure = (rows >= 0) & (_margins(scores, self._totals(self._track, self._rules.riding), rows) >= live.rules.sure)
         if sure.sum() < live.rules.share * len(rows):
             return
-        room.odd[:] = False
-        pose = best_pose(self._model.body, xyz, np.where(sure, rows, NULL), settings, room)[0]
+        workspace.outlier[:] = False
+        pose = best_pose(self._model.body, xyz, np.where(sure, rows, NULL), settings, workspace)[0]
         live.see(self._pushed, np.where(sure[:, None], xyz[rows], np.nan), int(pose))
 
     def _forget_person(self) -> None:
@@ -279,22 +274,28 @@ class Stream:
         if self._live is not None:
             self._live.restart()
 
-    def _refine(self, xyz: Floats, rows: Ints, settings: LookSettings, room: Room) -> tuple[float, int]:
+    def _refine(self, xyz: Floats, rows: Ints, settings: FrameSettings, workspace: BodyWorkspace) -> tuple[float, int]:
         """Mend and complete a labelling of the frame, in place: its score in nats, and the key pose."""
         body = self._body
         if (rows >= 0).sum() < 3:
             return -np.inf, 0
-        room.odd[:] = False
-        pose = best_pose(body, xyz, rows, settings, room)[0]
-        score = float(refine(body, pose, xyz, rows, settings, room))
-        return score, int(best_pose(body, xyz, rows, settings, room)[0]) if (rows >= 0).sum() >= 3 else 0
+        workspace.outlier[:] = False
+        pose = best_pose(body, xyz, rows, settings, workspace)[0]
+        score = float(refine(body, pose, xyz, rows, settings, workspace))
+        return score, int(best_pose(body, xyz, rows, settings, workspace)[0]) if (rows >= 0).sum() >= 3 else 0
 
-    def _search(self, xyz: Floats, settings: LookSettings, room: Room) -> Ints:
+    def _search(self, xyz: Floats, settings: FrameSettings, workspace: BodyWorkspace) -> Ints:
         """The best labelling of the frame that a search finds, whatever came before: (M,). For large marker sets it is a short one."""
         model, rules = self._model, self._rules
         short = settings
-        if len(self._board.starts) < LABELLINGS:
-            short = settings._replace(budget=rules.budget, agree=1, ask=1, enough=2, per_anchor=min(2, settings.per_anchor))
+        if len(self._candidates.proposals) < MAX_LABELLINGS:
+            short = settings._replace(
+                max_evaluations=rules.budget,
+                votes_needed=1,
+                extra_anchors=1,
+                max_votes_needed=2,
+                proposals_per_anchor=min(2, settings.proposals_per_anchor),
+            )
         order = np.argsort(-xyz[:, 2], kind="stable")
         counters = np.zeros(4, dtype=np.int64)
         _, best = find_labellings(
@@ -304,13 +305,13 @@ class Stream:
             model.anchors,
             model.body,
             short,
-            room,
-            self._board,
+            workspace,
+            self._candidates,
             counters,
         )
         rows = np.full(model.body.load.shape[1], NULL, dtype=np.int64)
-        if best >= 0 and np.isfinite(self._board.scores[best]):
-            found = self._board.finals[best]
+        if best >= 0 and np.isfinite(self._candidates.scores[best]):
+            found = self._candidates.labellings[best]
             rows = np.where(found >= 0, order[found], NULL)
         return rows
 

@@ -10,21 +10,21 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from asterism._jit import kernel
 from asterism.labelling.partial._motion_kernels import moving_feature
 
 # Order of `features.FEATURES`: the registry and `feature` below agree, and a test holds them to it.
 G1, G2, G3, G4, G5, G6, G7, G8, G9 = range(9)
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def _length(points, a, b):
     x, y, z = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
     return math.sqrt(x * x + y * y + z * z)
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def _cosine(ux, uy, uz, vx, vy, vz):
     norm = math.sqrt((ux * ux + uy * uy + uz * uz) * (vx * vx + vy * vy + vz * vz))
     if norm == 0.0:
@@ -32,7 +32,7 @@ def _cosine(ux, uy, uz, vx, vy, vz):
     return (ux * vx + uy * vy + uz * vz) / norm
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def feature(kind, points, a, b, c, d):
     """One feature over the points at rows a, b, c, d (those that the kind does not need are ignored).
 
@@ -53,7 +53,7 @@ def feature(kind, points, a, b, c, d):
     return value
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def bare_feature(kind, points, a, b, c, d):
     """`feature` up to G9, but of angles the cosine: as good for a comparison, and quicker. O(1).
 
@@ -83,7 +83,7 @@ def bare_feature(kind, points, a, b, c, d):
     return 0.5 * math.sqrt(x * x + y * y + z * z)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def feature_ranges(frames, groups, n_groups, kinds, slots, low, high):
     """Smallest and largest value of each feature over the frames of each group (person).
 
@@ -103,7 +103,7 @@ def feature_ranges(frames, groups, n_groups, kinds, slots, low, high):
                 high[f, groups[t]] = value
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rejections(frames, labels, kinds, slots, low, high, out):
     """Which weak classifiers reject which labellings, as bits.
 
@@ -139,7 +139,7 @@ class SolverArrays(NamedTuple):
     high: np.ndarray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def search(solvers, s, points, order, budget, found, counters):
     """All labellings of one solver's markers that every weak classifier accepts: the tree search of section 4.4.2.
 
@@ -158,7 +158,7 @@ def search(solvers, s, points, order, budget, found, counters):
     return search_in(solvers, s, points, n, np.empty((0, 0)), order, budget, found, counters, path, tried, used)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def search_in(solvers, s, points, n, distance, order, budget, found, counters, path, tried, used):
     """`search` over the first n points with the caller's memory: path, tried (>= depths,), used (>= n,).
 
@@ -225,7 +225,7 @@ def search_in(solvers, s, points, n, distance, order, budget, found, counters, p
     return solutions
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def common(found, solutions, depths, out):
     """Where all labellings that a solver found agree.
 
@@ -239,7 +239,7 @@ def common(found, solutions, depths, out):
                 break
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def distances(points, n, out):
     """OUT out (>= n, >= n) m: distances between the first n points. O(n^2)."""
     for i in range(n):
@@ -249,7 +249,7 @@ def distances(points, n, out):
             out[j, i] = out[i, j]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def highest_first(points, n, order):
     """OUT order (>= n,): rows of the first n points, highest first, equal heights in row order. O(n^2), n is small."""
     for i in range(n):
@@ -260,7 +260,7 @@ def highest_first(points, n, order):
         order[j] = i
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def popcount(word):
     """How many bits of a uint64 are set."""
     word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
@@ -269,7 +269,7 @@ def popcount(word):
     return np.int64((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cover(table, wrong, weight, most, chosen, gains):
     """Greedy choice of weak classifiers that together reject as many wrong labellings as they can (section 4.4.1).
 
@@ -312,7 +312,7 @@ def cover(table, wrong, weight, most, chosen, gains):
     return count, first_round if first_round >= 0 else count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rejected(frames, choice, labels, kinds, slots, low, high):
     """How many of some labellings at least one of the weak classifiers rejects (eq. 4.5 below 1).
 
@@ -332,7 +332,7 @@ def rejected(frames, choice, labels, kinds, slots, low, high):
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def label_whole(solvers, lowest_first, xyz, offsets, budget, indices, first, total):
     """Label frames with solver 0 alone: a marker is given where all feasible labellings of the frame agree on its point.
 
@@ -407,7 +407,7 @@ class Bench(NamedTuple):
     counters: np.ndarray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def make_bench(markers, n, depths, width, motions):
     """Memory for M markers, n points of so many numbers, D depths, K features of two points' motion."""
     words = (n + 63) // 64
@@ -426,7 +426,7 @@ def make_bench(markers, n, depths, width, motions):
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def lay_out(points, n, kinds, bench):
     """Put a frame's first n points on the bench, highest first, with their distances and features (K,) of their motion. O(n^2 K)."""
     highest_first(points, n, bench.order)
@@ -440,7 +440,7 @@ def lay_out(points, n, kinds, bench):
                 bench.motion[k, i, j] = moving_feature(kinds[k], bench.points, i, j, 0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def search_by_pairs(solvers, pairs, s, n, now, budget, bench):
     """`search` for an ensemble: what pairs of points allow is looked up as bits, made when first needed and shared by the frame's solvers.
 
@@ -527,7 +527,7 @@ def search_by_pairs(solvers, pairs, s, n, now, budget, bench):
     return solutions
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def moves_as_learned(solvers, begin, end, points, path):
     """Whether classifiers begin to end, all of motion, accept the points of a path; and how many were evaluated. O(end - begin)."""
     for f in range(begin, end):
@@ -538,7 +538,7 @@ def moves_as_learned(solvers, begin, end, points, path):
     return True, end - begin
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def everything(mask, depth, n):
     """OUT mask[depth]: the first n bits set."""
     for w in range((n + 63) // 64):
@@ -546,7 +546,7 @@ def everything(mask, depth, n):
         mask[depth, w] = ~np.uint64(0) if left >= 64 else (np.uint64(1) << np.uint64(left)) - np.uint64(1)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def allowed_points(pairs, a, b, i, n, bench):
     """OUT bench.rows[a, b, i]: the points that marker b may have while marker a has point i. Returns the evaluations made. O(n)."""
     near, far, below, above = pairs.near[a, b], pairs.far[a, b], pairs.below[a, b], pairs.above[a, b]
@@ -561,7 +561,7 @@ def allowed_points(pairs, a, b, i, n, bench):
     return n
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def forbid_by_motion(pairs, a, b, i, n, bench):
     """OUT bench.rows[a, b, i]: without the points whose motion does not go with that of point i. Returns the evaluations made. O(n K).
 
@@ -580,7 +580,7 @@ def forbid_by_motion(pairs, a, b, i, n, bench):
     return evaluations
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def expose(solvers, pairs, s, frames, choice, hidden, lost, budget, allowed, bench, now, hits, failures, silent):
     """Expose one solver to frames some of whose markers are hidden, and count against the truth (section 4.5.1, hit rates).
 
@@ -651,7 +651,7 @@ class Whole(NamedTuple):
     high: np.ndarray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fits(whole, m, place, points, slack, least):
     """How well marker m at its place goes with all the markers that have one.
 
@@ -679,7 +679,7 @@ def fits(whole, m, place, points, slack, least):
     return level if said >= least else min(level, 1), evaluations
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def complete(whole, points, n, place, taken, levels, rounds, slack, least):
     """Give the free points to markers without one, where the strong classifier of the whole model leaves no choice.
 
@@ -721,7 +721,7 @@ def complete(whole, points, n, place, taken, levels, rounds, slack, least):
     return evaluations
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def label_by_matrix(solvers, pairs, trusted, whole, outvote, slack, least, xyz, offsets, budget, indices, votes, evaluations):
     """Label frames with an ensemble of partial solvers through the labelling matrix and its safe rules (section 4.5.4).
 
@@ -801,7 +801,7 @@ def label_by_matrix(solvers, pairs, trusted, whole, outvote, slack, least, xyz, 
             indices[t, m] = bench.order[place[m]] if place[m] >= 0 else -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def arrange(table, reads, markers, start, order, rank, first_feature):
     """In which order to assign markers and to evaluate weak classifiers, so that wrong branches die early.
 
@@ -866,7 +866,7 @@ def arrange(table, reads, markers, start, order, rank, first_feature):
     first_feature[len(markers)] = count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def confusions(whole, frames, choice, known, taken_for, shown):
     """In how many frames a marker's point could be taken for another marker, when only some labels are known, and these are right.
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from asterism._jit import kernel
 
 # Order of `features.FEATURES`, going on from the constants in `labelling._kernels`.
 G10, G11, G12, G13, G14, G15, G16, G17, G18 = range(9, 18)
@@ -17,7 +18,7 @@ G10, G11, G12, G13, G14, G15, G16, G17, G18 = range(9, 18)
 BEFORE, AFTER, VELOCITY, ACCELERATION, WIDTH = 3, 6, 9, 12, 15
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def moving_feature(kind, points, a, b, c):
     """One feature over neighbouring frames or derivatives, of the points at rows a, b and (G18) c.
 
@@ -54,19 +55,19 @@ def moving_feature(kind, points, a, b, c):
     return speed + pull
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def _between(points, a, at, b, other):
     x, y, z = points[b, other] - points[a, at], points[b, other + 1] - points[a, at + 1], points[b, other + 2] - points[a, at + 2]
     return math.sqrt(x * x + y * y + z * z)
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def _spread(x, y, z):
     # plain comparisons would take a NaN for no spread
     return max(x, y, z) - min(x, y, z) + 0.0 * (x + y + z)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def follow(xyz, frame, track, order, away, reach, rate, out):
     """What each point's track tells of its motion.
 

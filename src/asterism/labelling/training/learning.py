@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.labelling.body._kernels import best_pose, make_room
+from asterism.labelling.body._score_kernels import best_pose
+from asterism.labelling.body._workspace_kernels import make_body_workspace
 from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors, with_intervals
-from asterism.labelling.body.labeller import LookRules, Prepared
+from asterism.labelling.body.labeller import BodyLabeller, FrameLabellingSettings
 from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, subsample
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.partial.features import kinds_of, needs_motion
@@ -20,9 +24,9 @@ from asterism.labelling.partial.solver import person
 from asterism.labelling.simulated_occlusions import hide_and_haunt
 from asterism.labelling.training.calibration import Calibration
 from asterism.labelling.training.sample import FEWEST_SHOWN, Sample
-from asterism.labelling.whole.certainty import Certainty, Tried
+from asterism.labelling.whole.certainty import Certainty, TrialLabels
 from asterism.labelling.whole.label import trial
-from asterism.labelling.whole.scene import Looker, TimeRules
+from asterism.labelling.whole.scene import TimeRules
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording
 
@@ -65,9 +69,9 @@ class Recipe:
 
     seed: int = 0
     target_hit_rate: float = 0.999
-    miner: str | None = "bottom-up"
+    miner: str | None = None
     body: BodyRules = field(default_factory=BodyRules)
-    look: LookRules = field(default_factory=LookRules)
+    look: FrameLabellingSettings = field(default_factory=FrameLabellingSettings)
     training: TrainingRules = field(default_factory=TrainingRules)
     features: tuple[str, ...] | None = None
 
@@ -96,7 +100,13 @@ class Recipe:
         )
         training = replace(training, trials=trials, time_trials=time_trials)
         return cls(
-            **{**plain, "body": BodyRules(**plain["body"]), "look": LookRules(**plain["look"]), "training": training, "features": features}
+            **{
+                **plain,
+                "body": BodyRules(**plain["body"]),
+                "look": FrameLabellingSettings.from_dict(plain["look"]),
+                "training": training,
+                "features": features,
+            }
         )
 
 
@@ -178,31 +188,68 @@ def learn_body(frames: Floats, people: Ints, stretches: Sequence[tuple[int, Reco
     The body and its anchors are learned from all. Then people are left out in turn, what is learned from the others is tried on them with
     markers hidden and ghosts added, and all these trials together calibrate the confidence (frames without and with points left over).
     """
-    rules, seed = recipe.training, recipe.seed
+    seed = recipe.seed
     progress(0.0, "learning the body")
     body = fit_body(frames, people, recipe.body, seed)
     anchors = choose_anchors(frames, people, body, AnchorRules(), np.random.default_rng(seed))
-    outcomes, in_time, usual = [], [], []
-    folds = _folds(people, rules.folds)
-    for i, out in enumerate(folds):
-        progress(0.2 + 0.8 * i / len(folds), "trying it on people left out")
-        worn = np.nonzero(~np.isnan(frames[~out, :, 0]).all(axis=0))[0]
-        others, whose = frames[np.ix_(~out, worn)], renumbered(people[~out])
-        tested = frames[np.ix_(out, worn)]
-        own = fit_body(others, whose, recipe.body, seed)
-        scores = _scores_of_truth(own, tested, recipe.look, rules, np.random.default_rng([seed, i]))
-        if len(scores) == 0:
-            continue
-        usual.append(float(np.quantile(scores, rules.usual)))
-        own_anchors = with_intervals(_among(anchors.triples, worn), others, whose, AnchorRules())
-        tried = Prepared.of(own, own_anchors, recipe.look.settings(usual[-1]))
-        outcomes.append(_trial(tried, tested, people[out], rules, seed + i))
-        others_stretches = _some_stretches(stretches, np.unique(people[out]), worn, rules)
-        in_time.append(trial(Looker(tried, own), others_stretches, rules.time_trials, TimeRules(), SubjectRules(), recipe.body, seed + i))
-    margin, right, spare = (np.concatenate(parts) for parts in zip(*outcomes, strict=True))
+    folds = _folds(people, recipe.training.folds)
+
+    def try_fold(number: int) -> _FoldOutcome | None:
+        return _try_fold(frames, people, stretches, folds[number], anchors.triples, recipe, seed + number, number)
+
+    outcomes: list[_FoldOutcome] = []
+    progress(0.2, "trying it on people left out")
+    with ThreadPoolExecutor(min(len(folds), os.cpu_count() or 1)) as pool:
+        for i, outcome in enumerate(pool.map(try_fold, range(len(folds)))):
+            outcomes += [] if outcome is None else [outcome]
+            progress(0.2 + 0.8 * (i + 1) / len(folds), "trying it on people left out")
+    margin, right, spare = (np.concatenate(parts) for parts in zip(*(outcome.frames for outcome in outcomes), strict=True))
     calibrations = (Calibration.fit(margin[~spare], right[~spare]), Calibration.fit(margin[spare], right[spare]))
-    certainty = Certainty.fit(Tried.together(in_time), recipe.target_hit_rate, len(np.unique(people)))
-    return Learned(body, anchors, float(np.median(usual)), calibrations, certainty)
+    in_time = TrialLabels.together([outcome.in_time for outcome in outcomes])
+    certainty = Certainty.fit(in_time, recipe.target_hit_rate, len(np.unique(people)))
+    return Learned(body, anchors, float(np.median([outcome.usual_score for outcome in outcomes])), calibrations, certainty)
+
+
+@dataclass(frozen=True)
+class _FoldOutcome:
+    """What a model learned from the other people showed on one group of people left out.
+
+    usual_score  nats per label, see `TrainingRules.usual`
+    frames       margin (nats), whether right, and whether points were left over in the frame, of each label given in single frames
+    in_time      the labels of whole stretches
+    """
+
+    usual_score: float
+    frames: tuple[Floats, Any, Any]
+    in_time: TrialLabels
+
+
+def _try_fold(
+    frames: Floats,
+    people: Ints,
+    stretches: Sequence[tuple[int, Recording]],
+    out: NDArray[np.bool_],
+    triples: Ints,
+    recipe: Recipe,
+    seed: int,
+    number: int,
+) -> _FoldOutcome | None:
+    """Learn from the frames that are not `out` (N,), and label those that are; None where no frame of the people left out can be scored."""
+    rules = recipe.training
+    worn = np.nonzero(~np.isnan(frames[~out, :, 0]).all(axis=0))[0]
+    others, whose = frames[np.ix_(~out, worn)], renumbered(people[~out])
+    tested = frames[np.ix_(out, worn)]
+    body = fit_body(others, whose, recipe.body, recipe.seed)
+    scores = _scores_of_truth(body, tested, recipe.look, rules, np.random.default_rng([recipe.seed, number]))
+    if len(scores) == 0:
+        return None
+    usual_score = float(np.quantile(scores, rules.usual))
+    anchors = with_intervals(_among(triples, worn), others, whose, AnchorRules())
+    model = BodyLabeller.from_model(body, anchors, recipe.look.with_usual_score(usual_score))
+    in_frames = _trial(model, tested, people[out], rules, seed)
+    chosen = _some_stretches(stretches, np.unique(people[out]), worn, rules)
+    in_time = trial(model, chosen, rules.time_trials, TimeRules(), SubjectRules(), recipe.body, seed)
+    return _FoldOutcome(usual_score, in_frames, in_time)
 
 
 def least_confidence(target_hit_rate: float) -> float:
@@ -255,20 +302,22 @@ def _among(triples: Ints, worn: Ints) -> Ints:
     return np.searchsorted(worn, triples[np.isin(triples, worn).all(axis=1)]).astype(np.int64)
 
 
-def _scores_of_truth(body: BodyModel, frames: Floats, look: LookRules, rules: TrainingRules, rng: np.random.Generator) -> Floats:
+def _scores_of_truth(
+    body: BodyModel, frames: Floats, look: FrameLabellingSettings, rules: TrainingRules, rng: np.random.Generator
+) -> Floats:
     """Score per label, in nats, of rightly labelled frames of people left out, some of their markers hidden."""
-    arrays, settings = body.arrays(), look.settings(0.0)
+    arrays, settings = body.arrays(), look.with_usual_score(0.0)
     scores = []
     for frame in frames[rng.choice(len(frames), min(300, len(frames)), replace=False)]:
         shown = ~np.isnan(frame[:, 0]) & (rng.random(len(frame)) >= rules.usually_hidden)
         if shown.sum() >= 3:
             rows = np.where(shown, np.cumsum(shown) - 1, NULL)
-            room = make_room(int(shown.sum()), len(rows), arrays.load.shape[3])
-            scores.append(best_pose(arrays, np.ascontiguousarray(frame[shown]), rows, settings, room)[1] / shown.sum())
+            workspace = make_body_workspace(int(shown.sum()), len(rows), arrays.load.shape[3])
+            scores.append(best_pose(arrays, np.ascontiguousarray(frame[shown]), rows, settings, workspace)[1] / shown.sum())
     return np.array(scores)
 
 
-def _trial(tried: Prepared, frames: Floats, people: Ints, rules: TrainingRules, seed: int) -> tuple[Floats, Any, Any]:
+def _trial(tried: BodyLabeller, frames: Floats, people: Ints, rules: TrainingRules, seed: int) -> tuple[Floats, Any, Any]:
     """Hide and haunt left-out frames and label them: margins, rightness and whether points were left over, of all labels given."""
     rng = np.random.default_rng(seed)
     margins, rights, spares = [], [], []
@@ -277,7 +326,7 @@ def _trial(tried: Prepared, frames: Floats, people: Ints, rules: TrainingRules, 
     for share, ghosts in rules.trials:
         recording = Recording(frames[rows_of], labels, 100.0)
         clouds, truth = hide_and_haunt(recording, round(share * len(labels)), ghosts, rng)
-        rows, margin, _, spare = tried.margins(clouds)
+        rows, margin, _, spare = tried.label(clouds)
         given = rows >= 0
         margins.append(margin[given])
         rights.append((rows == truth)[given])

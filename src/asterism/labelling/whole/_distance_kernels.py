@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from asterism._jit import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def misfits(xyz, frame, track, label, frames, markers, noise, rigid, least, partners, most, out):
     """Compare each tracklet's distances to other markers with those that the other tracklets of its marker have to them.
 
@@ -65,7 +66,7 @@ def misfits(xyz, frame, track, label, frames, markers, noise, rigid, least, part
         out[j] = deviation[steadiest].mean()
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def foreign_distances(xyz, frame, track, label, frames, low, high, noise, size, rigid, least, partners, most, out):
     """Compare each tracklet's distances to other labelled markers with what they were in the training.
 
@@ -130,14 +131,14 @@ def foreign_distances(xyz, frame, track, label, frames, low, high, noise, size, 
     return np.median(usual[:pairs]) if pairs > 0 else 0.0
 
 
-@njit(cache=True)
+@kernel
 def _excess(middle, std, low, high, noise, size):
     """How far a distance is outside its range, in standard deviations, and one of those in metres."""
     spread = np.sqrt(std * std + noise * noise + (size * middle) ** 2)
     return max(low - middle, middle - high, 0.0) / spread, spread
 
 
-@njit(cache=True)
+@kernel
 def _distances(xyz, row, track, m, o, only, out):
     """Distances of markers m and o in the frames that show both, where `only` is not -1 those in which that tracklet is m; how many."""
     known = 0
@@ -149,7 +150,7 @@ def _distances(xyz, row, track, m, o, only, out):
     return known
 
 
-@njit(cache=True)
+@kernel
 def _middle_and_std(values, n):
     """The median of the first n values, and the standard deviation that their median distance from it amounts to."""
     middle = np.median(values[:n])

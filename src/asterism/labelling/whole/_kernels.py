@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from asterism.labelling.body._kernels import best_pose, frame_settings, look_again, make_room
+from asterism._jit import kernel
+from asterism.labelling.body._frame_kernels import frame_settings
+from asterism.labelling.body._score_kernels import best_pose, rescore
+from asterism.labelling.body._workspace_kernels import make_body_workspace
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def score_frames(xyz, offsets, track, label, body, settings, out, totals, poses):
     """Score every point of every frame as every marker, given the labels of all other points of its frame.
 
@@ -20,7 +22,7 @@ def score_frames(xyz, offsets, track, label, body, settings, out, totals, poses)
     """
     markers, latents = body.load.shape[1], body.load.shape[3]
     rows = np.empty(markers, dtype=np.int64)
-    room = make_room(0, markers, latents)
+    workspace = make_body_workspace(0, markers, latents)
     for t in range(len(offsets) - 1):
         first, n = offsets[t], offsets[t + 1] - offsets[t]
         rows[:] = -1
@@ -34,20 +36,20 @@ def score_frames(xyz, offsets, track, label, body, settings, out, totals, poses)
             out[first : first + n] = 0.0
             totals[t], poses[t] = np.nan, 0
             continue
-        if n != len(room.aligned):
-            room = make_room(n, markers, latents)
+        if n != len(workspace.aligned):
+            workspace = make_body_workspace(n, markers, latents)
         points = xyz[first : first + n]
         own = frame_settings(settings, n, markers)
-        room.odd[:] = False
-        k, _ = best_pose(body, points, rows, own, room)
+        workspace.outlier[:] = False
+        k, _ = best_pose(body, points, rows, own, workspace)
         poses[t] = k
-        totals[t] = look_again(body, k, points, rows, own, room)
+        totals[t] = rescore(body, k, points, rows, own, workspace)
         for c in range(n):
             for m in range(markers):
-                out[first + c, m] = room.scores[m, c]
+                out[first + c, m] = workspace.scores[m, c]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gather(track, scores, least, most, sums, counts):
     """Add up each tracklet's scores over the frames looked at, each held between `least` and `most`.
 
@@ -61,7 +63,7 @@ def gather(track, scores, least, most, sums, counts):
             sums[j, m] += min(most, max(least, scores[p, m]))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def still_there(there, count, last, frame):
     """Keep those of the first `count` tracklets in `there` that last until `frame`, in their order, in place; returns how many."""
     kept = 0
@@ -72,7 +74,7 @@ def still_there(there, count, last, frame):
     return kept
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def overlaps(gain, first, last, order):
     """Pairs (n, 2) of tracklets that are there at the same time and both gain by a common marker.
 
@@ -109,7 +111,7 @@ def overlaps(gain, first, last, order):
     return pairs[:count]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def branch_and_bound(gain, first, last, steps, label):
     """The labels of the greatest total gain, one marker once at a time, depth first: a tracklet's markers from the best to none.
 
@@ -167,7 +169,7 @@ def branch_and_bound(gain, first, last, steps, label):
     return j < 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def margins_of(gain, label, first, last, order):
     """By how much each tracklet's label beats what it or its neighbours in time could have been instead.
 

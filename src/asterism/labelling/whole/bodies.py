@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from asterism.errors import AsterismError
-from asterism.labelling.body.labeller import Prepared
+from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.partial.features import upright
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints
@@ -60,7 +60,7 @@ class Bodies:
 
 
 def find_bodies(
-    parts: Sequence[Prepared], xyz: Floats, offsets: Ints, vote_limit: float, workers: int = 1, report: Progress | None = None
+    parts: Sequence[BodyLabeller], xyz: Floats, offsets: Ints, vote_limit: float, workers: int = 1, report: Progress | None = None
 ) -> Bodies:
     """Find one body for each model in every frame, no point in two of them.
 
@@ -90,7 +90,7 @@ def find_bodies(
 
 
 def _look(
-    model: Prepared, xyz: Floats, offsets: Ints, free: NDArray[np.bool_], which: Ints, vote_limit: float, workers: int
+    model: BodyLabeller, xyz: Floats, offsets: Ints, free: NDArray[np.bool_], which: Ints, vote_limit: float, workers: int
 ) -> tuple[Ints, Floats]:
     """What a model finds among the free points of some frames: rows, votes (n, M)."""
     chosen = np.zeros(len(offsets) - 1, dtype=np.bool_)
@@ -98,7 +98,7 @@ def _look(
     frame_of = np.repeat(np.arange(len(chosen)), np.diff(offsets))
     points = np.nonzero(free & chosen[frame_of])[0]
     own = np.concatenate([[0], np.cumsum(np.bincount(frame_of[points], minlength=len(chosen))[which])]).astype(np.int64)
-    rows, margins, _ = model.look(np.ascontiguousarray(xyz[points]), own, workers, at_once=50)
+    rows, margins, _ = model.label_frames(np.ascontiguousarray(xyz[points]), own, workers, at_once=50)
     given = rows != NULL
     rows[given] = points[(own[:-1, None] + rows)[given]]
     return rows, np.where(given, np.clip(margins, 0.1, vote_limit), 0.0)
@@ -130,7 +130,7 @@ def follow_bodies(bodies: Bodies, track: Ints) -> Ints:
     return who
 
 
-def body_votes(parts: Sequence[Prepared], bodies: Bodies, who: Ints, track: Ints) -> Floats:
+def body_votes(parts: Sequence[BodyLabeller], bodies: Bodies, who: Ints, track: Ints) -> Floats:
     """What the bodies, followed through time, say for each tracklet: (J, L) nats, the markers of all models one after the other.
 
     parts: the models that `find_bodies` was given, in that order; each followed body goes by the one that found it best on the whole.
@@ -150,7 +150,7 @@ def body_votes(parts: Sequence[Prepared], bodies: Bodies, who: Ints, track: Ints
     return votes
 
 
-def check_for_one(model: Prepared, clouds: Clouds, rules: CrowdRules | None = None) -> None:
+def check_for_one(model: BodyLabeller, clouds: Clouds, rules: CrowdRules | None = None) -> None:
     """Raise SeveralBodies where a recording surely shows two bodies of a model, in too large a share of its frames.
 
     A few frames are looked at, of those that have points enough for two: 2 looks each. What is left of one person who wears more markers

@@ -19,7 +19,7 @@ person was tried on that person only, so its trials are believed less; from five
 
 
 @dataclass(frozen=True)
-class Tried:
+class TrialLabels:
     """Labels given in trials whose truth is known: margin (n,) nats, right (n,) 0 or 1, beside (n,) whether a ghost may have been near."""
 
     margin: Floats
@@ -27,7 +27,7 @@ class Tried:
     beside: Ints
 
     @classmethod
-    def together(cls, parts: Sequence[Tried]) -> Tried:
+    def together(cls, parts: Sequence[TrialLabels]) -> TrialLabels:
         """All trials as one."""
         if not parts:
             return cls(np.empty(0), np.empty(0), np.empty(0, dtype=np.int64))
@@ -58,7 +58,7 @@ class Certainty:
         return np.clip(np.where(beside > 0, crowded, alone), LEAST_TRUST * bound, bound)
 
     @classmethod
-    def fit(cls, tried: Tried, target: float, people: int) -> Certainty:
+    def fit(cls, tried: TrialLabels, target: float, people: int) -> Certainty:
         """Calibrate on trials of a model of so many people.
 
         `target` is the share of the labels given that shall be right, where ghosts are near.

@@ -8,36 +8,37 @@ from dataclasses import dataclass
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.labelling.body._kernels import LookSettings
+from asterism.labelling.body._workspace_kernels import FrameSettings
+from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules, length_scale
 from asterism.labelling.body.subject import SubjectRules, adapt_body, tells_enough
 from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.labelling.whole._kernels import score_frames
-from asterism.labelling.whole.certainty import Certainty, Tried, beside_spare
+from asterism.labelling.whole.certainty import Certainty, TrialLabels, beside_spare
 from asterism.labelling.whole.joint import Outcome, label_scene
-from asterism.labelling.whole.scene import Looker, TimeRules, lay_out, marker_starts, own_labels
+from asterism.labelling.whole.scene import TimeRules, lay_out, marker_starts, own_labels
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
 from asterism.tracking.linking import find_tracklets
 
 
 @dataclass(frozen=True)
-class Member:
+class BodyInRecording:
     """A model as one of the bodies in a recording.
 
-    looker          what finds the body
+    labeller        finds the body in single frames
     names, markers  all names of its marker set, and which of them (M,) the body has learned
     certainty       how sure a tracklet's label is, and when it is taken back
     """
 
-    looker: Looker
+    labeller: BodyLabeller
     names: tuple[str, ...]
     markers: Ints
     certainty: Certainty
 
 
 def label_whole(
-    members: Sequence[Member],
+    members: Sequence[BodyInRecording],
     clouds: Clouds,
     rules: TimeRules,
     subject_rules: SubjectRules,
@@ -48,14 +49,14 @@ def label_whole(
     """One labelling for each member, each point given to one of them at most; and how it came about, None where there are no points."""
     if not len(clouds.xyz):
         return [_nothing(member, clouds) for member in members], None
-    lookers = [member.looker for member in members]
-    unit = min(length_scale(looker.body.mean[0], body_rules) for looker in lookers)
+    labellers = [member.labeller for member in members]
+    unit = min(length_scale(labeller.model.mean[0], body_rules) for labeller in labellers)
     scene = lay_out(clouds, find_tracklets(clouds), rules, unit)
-    outcome = label_scene(lookers, scene, rules, subject_rules, body_rules, workers, progress)
+    outcome = label_scene(labellers, scene, rules, subject_rules, body_rules, workers, progress)
     labellings = []
     frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
     beside = beside_spare(outcome.label, scene.first, scene.last)
-    starts = marker_starts(lookers)
+    starts = marker_starts(labellers)
     for number, member in enumerate(members):
         label, rival = own_labels(outcome.label, starts, number), own_labels(outcome.rival, starts, number)
         blank = _nothing(member, clouds)
@@ -81,7 +82,7 @@ def label_whole(
 
 
 def subject_body(
-    settings: LookSettings, body: BodyModel, frames: Floats, rate: float, rules: SubjectRules, body_rules: BodyRules
+    settings: FrameSettings, body: BodyModel, frames: Floats, rate: float, rules: SubjectRules, body_rules: BodyRules
 ) -> BodyModel:
     """The body model of the one person whose labelled frames these are: (T, M, 3) m, z up, NaN where missing.
 
@@ -92,12 +93,12 @@ def subject_body(
     looked, scores, _, poses = _scored(settings, body, frames, rate, rules)
     if not len(looked):
         raise AsterismError("no frame of the subject's recording shows enough labelled markers; give a standing trial with all of them.")
-    if np.median(scores) <= settings.odd:
+    if np.median(scores) <= settings.outlier_score:
         raise AsterismError("the subject's labelled markers fit no body that the model knows; check the labels, or train on such bodies.")
     return adapt_body(body, frames[looked], poses, np.ones(len(looked)), rules, body_rules)
 
 
-def own_body_gain(settings: LookSettings, own: BodyModel, general: BodyModel, frames: Floats, rate: float, rules: SubjectRules) -> float:
+def own_body_gain(settings: FrameSettings, own: BodyModel, general: BodyModel, frames: Floats, rate: float, rules: SubjectRules) -> float:
     """Nats per frame by which a subject's body explains labelled frames (T, M, 3) better than the body of people at large.
 
     NaN where no frame shows enough markers.
@@ -106,7 +107,9 @@ def own_body_gain(settings: LookSettings, own: BodyModel, general: BodyModel, fr
     return float(np.mean(ours - theirs)) if len(ours) else float("nan")
 
 
-def _scored(settings: LookSettings, body: BodyModel, frames: Floats, rate: float, rules: SubjectRules) -> tuple[Ints, Floats, Floats, Ints]:
+def _scored(
+    settings: FrameSettings, body: BodyModel, frames: Floats, rate: float, rules: SubjectRules
+) -> tuple[Ints, Floats, Floats, Ints]:
     """Frames that tell something new and show enough markers (n,), the score of each label there, and the frames' totals and key poses."""
     shown = ~np.isnan(frames[:, :, 0])
     looked = np.nonzero(tells_enough(frames))[0][:: max(1, round(rules.independent * rate))]
@@ -119,14 +122,14 @@ def _scored(settings: LookSettings, body: BodyModel, frames: Floats, rate: float
 
 
 def trial(
-    looker: Looker,
+    labeller: BodyLabeller,
     stretches: Sequence[Recording],
     trials: Sequence[tuple[float, int]],
     rules: TimeRules,
     subject_rules: SubjectRules,
     body_rules: BodyRules,
     seed: int,
-) -> Tried:
+) -> TrialLabels:
     """Label stretches of recordings whose truth is known, markers hidden in gaps and ghosts added.
 
     trials: (share of the markers hidden at every moment, ghosts). One entry for each label in each frame that was looked at.
@@ -138,17 +141,17 @@ def trial(
             clouds, truth = hide_in_gaps(stretch, round(share * len(stretch.labels)), ghosts, rng)
             if not len(clouds.xyz):
                 continue
-            scene = lay_out(clouds, find_tracklets(clouds), rules, length_scale(looker.body.mean[0], body_rules))
-            outcome = label_scene([looker], scene, rules, subject_rules, body_rules)
+            scene = lay_out(clouds, find_tracklets(clouds), rules, length_scale(labeller.model.mean[0], body_rules))
+            outcome = label_scene([labeller], scene, rules, subject_rules, body_rules)
             label, beside = outcome.label[scene.track], beside_spare(outcome.label, scene.first, scene.last)
             frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
             looked = np.isin(frame_of, scene.looked) & (label != NULL)
             right = truth[frame_of[looked], label[looked]] == scene.place[looked]
             track = scene.track[looked]
-            parts.append(Tried(outcome.margin[track], right.astype(np.float64), beside[track]))
-    return Tried.together(parts)
+            parts.append(TrialLabels(outcome.margin[track], right.astype(np.float64), beside[track]))
+    return TrialLabels.together(parts)
 
 
-def _nothing(member: Member, clouds: Clouds) -> Labelling:
+def _nothing(member: BodyInRecording, clouds: Clouds) -> Labelling:
     shape = (len(clouds), len(member.names))
     return Labelling(np.full(shape, NULL, dtype=np.int64), np.zeros(shape), member.names)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules, length_scale
 from asterism.labelling.whole._distance_kernels import foreign_distances, misfits
 from asterism.labelling.whole._kernels import score_frames
 from asterism.labelling.whole.certainty import beside_spare
-from asterism.labelling.whole.scene import Looker, Scene, TimeRules, own_labels
+from asterism.labelling.whole.scene import Scene, TimeRules, own_labels
 from asterism.recording import NULL, Floats, Ints
 
 LEAST, PARTNERS, MOST = 5, 6, 8.0
@@ -46,16 +47,16 @@ def riding_along(scene: Scene, label: Ints, starts: Ints, rules: TimeRules) -> F
     return rules.misfit_cost * np.maximum(off - rules.misfit, 0.0) ** 2 * (spare > 0)
 
 
-def strange(looker: Looker, body: BodyModel, scene: Scene, own: Ints, rules: TimeRules, body_rules: BodyRules) -> NDArray[np.bool_]:
+def strange(labeller: BodyLabeller, body: BodyModel, scene: Scene, own: Ints, rules: TimeRules, body_rules: BodyRules) -> NDArray[np.bool_]:
     """Labelled tracklets (J,) whose distances to near-rigid neighbours are not those that their marker had in the training.
 
     Where most frames of a tracklet explain their labels worse than nearly every frame of people left out did, it is a movement that the
     model knows nothing of: there a label must prove itself by distances that fit better, and is doubted where there are none to compare.
     own (J,): labels as markers of this body, -1 for none; body: the model as adapted to the subject.
     """
-    markers = looker.body.mean.shape[1]
-    apart = np.linalg.norm(looker.body.mean[:, :, None] - looker.body.mean[:, None], axis=3)
-    unit = length_scale(looker.body.mean[0], body_rules)
+    markers = labeller.model.mean.shape[1]
+    apart = np.linalg.norm(labeller.model.mean[:, :, None] - labeller.model.mean[:, None], axis=3)
+    unit = length_scale(labeller.model.mean[0], body_rules)
     off = np.empty(len(own))
     usual = foreign_distances(
         scene.seen_xyz,
@@ -74,14 +75,14 @@ def strange(looker: Looker, body: BodyModel, scene: Scene, own: Ints, rules: Tim
         out=off,
     )
     scores, totals = np.empty((len(scene.seen_xyz), markers)), np.empty(len(scene.looked))
-    arrays = looker.parts.body if body is looker.body else body.arrays()
+    arrays = labeller.body if body is labeller.model else body.arrays()
     poses = np.empty(len(scene.looked), dtype=np.int64)
-    score_frames(scene.seen_xyz, scene.seen_offsets, scene.seen_track, own, arrays, looker.parts.settings, scores, totals, poses)
+    score_frames(scene.seen_xyz, scene.seen_offsets, scene.seen_track, own, arrays, labeller.settings, scores, totals, poses)
     points = np.nonzero(own[scene.seen_track] != NULL)[0]
     frame, track = scene.seen_frame[points], scene.seen_track[points]
     # the more points there are, the less one more that lies well tells; see `frame_settings`
     crowd = np.log1p(np.maximum(np.diff(scene.seen_offsets) - markers, 0))
-    poor = _medians(scores[points, own[track]], frame, len(scene.looked)) < looker.parts.settings.good - crowd
+    poor = _medians(scores[points, own[track]], frame, len(scene.looked)) < labeller.settings.usual_score - crowd
     looks, poorly = np.bincount(track, minlength=len(own)), np.bincount(track, weights=poor[frame], minlength=len(own))
     unfamiliar = poorly > 0.5 * looks
     # a body that differs all over, as another person does from the only one of the training, says little against single labels

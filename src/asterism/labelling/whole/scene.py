@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.labelling.body.labeller import Prepared
-from asterism.labelling.body.model import BodyModel
+from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.partial.features import upright
 from asterism.recording import NULL, Clouds, Floats, Ints
 from asterism.tracking.linking import Tracklets
@@ -61,14 +60,6 @@ class TimeRules:
     familiar: float = 5.0
     unfamiliar: float = 2.5
     calibrate: int = 2
-
-
-@dataclass(frozen=True)
-class Looker:
-    """One body to be found, and what frames are looked at with to find it."""
-
-    parts: Prepared
-    body: BodyModel
 
 
 @dataclass(frozen=True)
@@ -159,9 +150,9 @@ def _doubles(xyz: Floats, offsets: Ints, track: Ints, duration: Floats, rules: T
     return double
 
 
-def marker_starts(lookers: Sequence[Looker]) -> Ints:
+def marker_starts(labellers: Sequence[BodyLabeller]) -> Ints:
     """Where each body's markers begin among the columns of all bodies, and their number at the end."""
-    return np.concatenate([[0], np.cumsum([looker.parts.body.mean.shape[1] for looker in lookers])]).astype(np.int64)
+    return np.concatenate([[0], np.cumsum([labeller.body.mean.shape[1] for labeller in labellers])]).astype(np.int64)
 
 
 def own_labels(label: Ints, starts: Ints, number: int) -> Ints:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from asterism._jit import kernel
 
 
-@njit(cache=True, inline="always")
+@kernel(inline=True)
 def _gap2(p, q, a, b):
     """The squared distance between the segments p q and a b, m2; of a point where a segment has no length."""
     ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
@@ -28,7 +29,7 @@ def _gap2(p, q, a, b):
     return dx * dx + dy * dy + dz * dz
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def hidden(eye, points, starts, ends, radii, clearance, out):
     """Which points capsules hide from an eye. A capsule never swallows a point: for it, the capsule is thin enough to leave it outside.
 
@@ -48,7 +49,7 @@ def hidden(eye, points, starts, ends, radii, clearance, out):
                     break
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def merge(offsets, xy, sizes, out):
     """Which blobs of a cell (one camera, one frame) run into each other: those nearer than the mean of their diameters, in chains.
 
@@ -73,7 +74,7 @@ def merge(offsets, xy, sizes, out):
                                 out[k] = low
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def draw(xy, sizes, gaussian, peak, image):
     """Add blobs to an image: discs with edges one pixel soft, or Gaussians whose width at half of their height is the diameter.
 

@@ -1,0 +1,27 @@
+"""The issue "A house that others can carry on": one function per row of its table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from benchmarks.benchmark_run import BenchmarkRun
+from benchmarks.figures import Figure
+from benchmarks.house.equality import equality
+from benchmarks.house.install import ci, install
+from benchmarks.house.names import reference
+from benchmarks.house.startup import startup
+from benchmarks.house.structure import structure
+from benchmarks.house.training import training
+
+ISSUE = "A house that others can carry on: the field's names, rooms for what comes, deciders one can check, a suite of five minutes"
+
+ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
+    "structure": structure,
+    "reference": reference,
+    "startup": startup,
+    "training-default": training,
+    "equality": equality,
+    "install": install,
+    "ci": ci,
+}
+"""Cheap rows first: a run that is cut short has measured most of them."""

@@ -1,0 +1,87 @@
+"""Assignment: scores of every point as every marker in; one point per marker out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from asterism._jit import kernel
+
+
+@kernel(reassociate=True)
+def assign_greedily(scores, first_ghost, point_of):
+    """Give points to markers, best score first; what scores below 0 stays null, unless that saves the only ghosts.
+
+    IN  scores (M, n) nats; first_ghost nats that may be paid to leave no point over
+    OUT point_of (M,), -1 for none
+    O(M n + labels * entries above -first_ghost).
+    """
+    markers, n = scores.shape
+    point_of[:] = -1
+    entry_marker = np.empty(markers * n, dtype=np.int64)
+    entry_row = np.empty(markers * n, dtype=np.int64)
+    entries = 0
+    for m in range(markers):
+        for c in range(n):
+            if scores[m, c] > -first_ghost:
+                entry_marker[entries], entry_row[entries] = m, c
+                entries += 1
+    taken = np.zeros(n, dtype=np.bool_)
+    given, sure = 0, -1
+    order = np.empty(min(markers, n), dtype=np.int64)
+    credit = first_ghost
+    while True:
+        best, chosen, kept = -first_ghost, -1, 0
+        for e in range(entries):
+            m, c = entry_marker[e], entry_row[e]
+            if point_of[m] >= 0 or taken[c]:
+                continue
+            entry_marker[kept], entry_row[kept] = m, c
+            if scores[m, c] > best:
+                best, chosen = scores[m, c], kept
+            kept += 1
+        entries = kept
+        if sure < 0 and (chosen < 0 or best <= 0.0):
+            sure = given
+        if chosen < 0:
+            break
+        if best <= 0.0:
+            credit += best
+            if credit <= 0.0:
+                break
+        m = entry_marker[chosen]
+        point_of[m] = entry_row[chosen]
+        taken[point_of[m]] = True
+        order[given] = m
+        given += 1
+    if given < n:
+        for g in range(sure, given):
+            point_of[order[g]] = -1
+
+
+@kernel(reassociate=True)
+def assign_unambiguous(scores, gap, point_of):
+    """Give points to markers only where nothing else comes near: best both ways, and by `gap` nats over the next best and over null.
+
+    IN  scores (M, n) nats. OUT point_of (M,), -1 for none. O(M n).
+    """
+    markers, n = scores.shape
+    best_marker, best_score, rival = np.full(n, -1, dtype=np.int64), np.zeros(n), np.zeros(n)
+    for c in range(n):
+        for m in range(markers):
+            if scores[m, c] > best_score[c]:
+                rival[c] = best_score[c]
+                best_score[c] = scores[m, c]
+                best_marker[c] = m
+            elif scores[m, c] > rival[c]:
+                rival[c] = scores[m, c]
+    for m in range(markers):
+        best, second, chosen = 0.0, 0.0, -1
+        for c in range(n):
+            if scores[m, c] > best:
+                second = best
+                best = scores[m, c]
+                chosen = c
+            elif scores[m, c] > second:
+                second = scores[m, c]
+        clear = chosen >= 0 and best_marker[chosen] == m and best - second > gap and best - rival[chosen] > gap
+        point_of[m] = chosen if clear else -1

@@ -1,0 +1,48 @@
+"""Refinement: a labelling in; the labelling that the whole body settles on out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from asterism._jit import kernel
+from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
+from asterism.labelling.body._score_kernels import best_pose, rescore
+from asterism.labelling.body._workspace_kernels import count_labelled
+
+MAX_ROUNDS = 8
+"""Relabellings after which a labelling that still changes is taken as it is."""
+
+
+@kernel(reassociate=True)
+def refine(body, k, points, point_of, settings, workspace):
+    """Relabel by the whole body until nothing changes: posterior, leave-one-out scores, assignment.
+
+    First only clear labels are taken (`assign_unambiguous`), which narrow down where the others must be; then all.
+    IN k key pose to begin with; IN/OUT point_of (M,). Returns the score of the labelling, in nats.
+    """
+    score = -np.inf
+    previous = np.empty_like(point_of)
+    workspace.outlier[:] = False
+    only_unambiguous = True
+    for step in range(MAX_ROUNDS):
+        previous[:] = point_of
+        if count_labelled(point_of) < 3:
+            point_of[:] = -1
+            return -np.inf
+        if step == 1:
+            k, _ = best_pose(body, points, point_of, settings, workspace)
+        score = rescore(body, k, points, point_of, settings, workspace)
+        if only_unambiguous:
+            assign_unambiguous(workspace.scores, settings.assign_margin, point_of)
+            only_unambiguous = count_labelled(point_of) > count_labelled(previous) and step < MAX_ROUNDS // 2
+        if not only_unambiguous:
+            assign_greedily(workspace.scores, settings.first_ghost_cost, point_of)
+        same = True
+        for m in range(len(point_of)):
+            if point_of[m] != previous[m]:
+                same = False
+                break
+        if same:
+            return score
+    point_of[:] = previous
+    return score

@@ -1,0 +1,254 @@
+"""Scores: a frame's points and a labelling in; its log evidence and every point's leave-one-out score as every marker out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from asterism._jit import kernel
+from asterism.labelling.body._placement_kernels import place_points
+from asterism.labelling.body._workspace_kernels import LOG_2PI
+
+MAX_DISTANCE = 0.6
+"""No point farther than this from where a marker is expected is looked at (m)."""
+
+
+@kernel(reassociate=True)
+def _cholesky(matrix, column):
+    """Lower triangle of a symmetric positive definite matrix replaced by its Cholesky factor; returns log det. O(r^3 / 3)."""
+    n = len(matrix)
+    log_det = 0.0
+    for j in range(n):
+        pivot = math.sqrt(matrix[j, j])
+        log_det += 2.0 * math.log(pivot)
+        matrix[j, j] = pivot
+        for i in range(j + 1, n):
+            matrix[i, j] /= pivot
+            column[i] = matrix[i, j]
+        for i in range(j + 1, n):
+            weight = column[i]
+            for k in range(j + 1, i + 1):
+                matrix[i, k] -= weight * column[k]
+    return log_det
+
+
+@kernel(reassociate=True)
+def _inverse_of_factor(factor, inverse):
+    """OUT inverse (r, r) of factor factor'. O(r^3 / 2)."""
+    n = len(factor)
+    # the factor's inverse, row by row, into the lower triangle
+    for i in range(n):
+        inverse[i, : i + 1] = 0.0
+        for k in range(i):
+            weight = factor[i, k]
+            for j in range(k + 1):
+                inverse[i, j] -= weight * inverse[k, j]
+        inverse[i, i] = 1.0
+        for j in range(i + 1):
+            inverse[i, j] /= factor[i, i]
+    # its transpose times itself: sums over rows i >= max(a, b), which are overwritten last
+    for a in range(n):
+        for b in range(a + 1, n):
+            inverse[a, b] = 0.0
+        for i in range(a + 1, n):
+            weight = inverse[i, a]
+            for b in range(a + 1, i + 1):
+                inverse[a, b] += weight * inverse[i, b]
+        total = 0.0
+        for i in range(a, n):
+            total += inverse[i, a] * inverse[i, a]
+        inverse[a, a] = total
+    for a in range(n):
+        for b in range(a):
+            inverse[a, b] = inverse[b, a]
+
+
+@kernel(reassociate=True)
+def evidence(body, k, points, point_of, settings, workspace):
+    """How likely the labelled points are all together, under one key pose.
+
+    IN   body BodyArrays; k key pose; points (n, 3); point_of (M,), -1 for none; settings FrameSettings
+    OUT  workspace.aligned, residual, moment, information (its Cholesky factor)
+    Markers flagged in workspace.outlier count with `settings.outlier_score` and say nothing of the body.
+    Returns the labelling's score: log density of its points plus the rewards, in nats (0 is the empty labelling).
+    O(M r^2 + r^3).
+    """
+    markers, latents = body.load.shape[1], body.load.shape[3]
+    place_points(points, point_of, body.mean[k], workspace.all_markers, workspace.aligned)
+    workspace.moment[:] = 0.0
+    counted = 0
+    for m in range(markers):
+        counted += point_of[m] >= 0 and not workspace.outlier[m]
+    if 2 * counted > markers:
+        workspace.information[:] = body.full[k]
+    else:
+        workspace.information[:] = 0.0
+        for i in range(latents):
+            workspace.information[i, i] = 1.0
+    for m in range(markers):
+        present = point_of[m] >= 0 and not workspace.outlier[m]
+        if present != (2 * counted > markers):
+            sign = 1.0 if present else -1.0
+            for i in range(latents):
+                for j in range(i + 1):
+                    workspace.information[i, j] += sign * body.gram[k, m, i, j]
+    score, squares, labelled = body.log_weight[k], 0.0, 0
+    for m in range(markers):
+        row = point_of[m]
+        if row < 0:
+            continue
+        labelled += 1
+        if workspace.outlier[m]:
+            score += settings.outlier_score
+            continue
+        for a in range(3):
+            total = 0.0
+            for b in range(3):
+                total += body.whiten[k, m, a, b] * (workspace.aligned[row, b] - body.mean[k, m, b])
+            workspace.residual[m, a] = total
+            squares += total * total
+        for i in range(latents):
+            workspace.moment[i] += (
+                body.load[k, m, 0, i] * workspace.residual[m, 0]
+                + body.load[k, m, 1, i] * workspace.residual[m, 1]
+                + body.load[k, m, 2, i] * workspace.residual[m, 2]
+            )
+        score += body.log_scale[k, m] - 1.5 * LOG_2PI + settings.reward
+    if labelled < len(points):
+        score -= settings.first_ghost_cost
+    score -= 0.5 * _cholesky(workspace.information, workspace.latent)
+    quadratic = 0.0
+    for i in range(latents):
+        total = workspace.moment[i]
+        for j in range(i):
+            total -= workspace.information[i, j] * workspace.latent[j]
+        workspace.latent[i] = total / workspace.information[i, i]
+        quadratic += workspace.latent[i] * workspace.latent[i]
+    return score + 0.5 * (quadratic - squares)
+
+
+@kernel(reassociate=True)
+def posterior(workspace):
+    """What the labelled points say of the latents, after `evidence`. OUT workspace.covariance, latent. O(r^3)."""
+    _inverse_of_factor(workspace.information, workspace.covariance)
+    latents = len(workspace.latent)
+    for i in range(latents):
+        total = 0.0
+        for j in range(latents):
+            total += workspace.covariance[i, j] * workspace.moment[j]
+        workspace.latent[i] = total
+
+
+@kernel(reassociate=True)
+def leave_one_out_scores(body, k, point_of, settings, workspace):
+    """Score every point as every marker, given all other labelled points (leave one out), after `posterior`.
+
+    OUT workspace.scores (M, n): nats by which "point c is marker m" beats "m is hidden and c is a ghost"; -inf where far
+    O(M (r^2 + n)).
+    """
+    markers, latents, n = body.load.shape[1], body.load.shape[3], len(workspace.aligned)
+    h, inverse = np.empty((3, 3)), np.empty((3, 3))
+    centre, shift = np.empty(3), np.empty(3)
+    for m in range(markers):
+        for a in range(3):
+            workspace.slope[a] = 0.0
+            for j in range(latents):
+                weight = body.load[k, m, a, j]
+                for i in range(latents):
+                    workspace.slope[a, i] += weight * workspace.covariance[j, i]
+        for a in range(3):
+            for b in range(3):
+                total = 0.0
+                for i in range(latents):
+                    total += workspace.slope[a, i] * body.load[k, m, b, i]
+                h[a, b] = total
+            total = 0.0
+            for i in range(latents):
+                total += body.load[k, m, a, i] * workspace.latent[i]
+            centre[a] = total
+        counts = point_of[m] >= 0 and not workspace.outlier[m]
+        sign = -1.0 if counts else 1.0
+        for a in range(3):
+            for b in range(3):
+                h[a, b] = (1.0 if a == b else 0.0) + sign * h[a, b]
+        # predictive covariance (whitened): I + h for a hidden marker; (I - h)^-1 leave-one-out for a labelled one
+        c00, c01, c02 = h[1, 1] * h[2, 2] - h[1, 2] * h[2, 1], h[0, 2] * h[2, 1] - h[0, 1] * h[2, 2], h[0, 1] * h[1, 2] - h[0, 2] * h[1, 1]
+        c11, c12, c22 = h[0, 0] * h[2, 2] - h[0, 2] * h[2, 0], h[0, 2] * h[1, 0] - h[0, 0] * h[1, 2], h[0, 0] * h[1, 1] - h[0, 1] * h[1, 0]
+        det = h[0, 0] * c00 + h[0, 1] * (h[1, 2] * h[2, 0] - h[1, 0] * h[2, 2]) + h[0, 2] * (h[1, 0] * h[2, 1] - h[1, 1] * h[2, 0])
+        det = max(det, 1e-9)
+        inverse[0, 0], inverse[0, 1], inverse[0, 2] = c00 / det, c01 / det, c02 / det
+        inverse[1, 0], inverse[1, 1], inverse[1, 2] = c01 / det, c11 / det, c12 / det
+        inverse[2, 0], inverse[2, 1], inverse[2, 2] = c02 / det, c12 / det, c22 / det
+        base = body.log_scale[k, m] - 1.5 * LOG_2PI + settings.reward
+        if counts:
+            # leave-one-out centre: e - (I - h)^-1 (e - centre)
+            base += 0.5 * math.log(det)
+            for a in range(3):
+                shift[a] = workspace.residual[m, a]
+                for b in range(3):
+                    shift[a] -= inverse[a, b] * (workspace.residual[m, b] - centre[b])
+            q = h
+        else:
+            base -= 0.5 * math.log(det)
+            shift[:] = centre
+            q = inverse
+        at_x = body.mean[k, m, 0] + body.spread[k, m, 0, 0] * shift[0]
+        at_y = body.mean[k, m, 1] + body.spread[k, m, 1, 0] * shift[0] + body.spread[k, m, 1, 1] * shift[1]
+        at_z = body.mean[k, m, 2] + body.spread[k, m, 2, 0] * shift[0] + body.spread[k, m, 2, 1] * shift[1]
+        at_z += body.spread[k, m, 2, 2] * shift[2]
+        for c in range(n):
+            dx, dy, dz = workspace.aligned[c, 0] - at_x, workspace.aligned[c, 1] - at_y, workspace.aligned[c, 2] - at_z
+            near2 = dx * dx + dy * dy + dz * dz
+            if near2 > MAX_DISTANCE * MAX_DISTANCE:
+                workspace.scores[m, c] = -np.inf
+                continue
+            dx = workspace.aligned[c, 0] - body.mean[k, m, 0]
+            dy = workspace.aligned[c, 1] - body.mean[k, m, 1]
+            dz = workspace.aligned[c, 2] - body.mean[k, m, 2]
+            x = body.whiten[k, m, 0, 0] * dx + body.whiten[k, m, 0, 1] * dy + body.whiten[k, m, 0, 2] * dz - shift[0]
+            y = body.whiten[k, m, 1, 0] * dx + body.whiten[k, m, 1, 1] * dy + body.whiten[k, m, 1, 2] * dz - shift[1]
+            z = body.whiten[k, m, 2, 0] * dx + body.whiten[k, m, 2, 1] * dy + body.whiten[k, m, 2, 2] * dz - shift[2]
+            score = base - 0.5 * (
+                x * (q[0, 0] * x + q[0, 1] * y + q[0, 2] * z)
+                + y * (q[1, 0] * x + q[1, 1] * y + q[1, 2] * z)
+                + z * (q[2, 0] * x + q[2, 1] * y + q[2, 2] * z)
+            )
+            if score < settings.outlier_score and near2 < settings.outlier_radius * settings.outlier_radius:
+                score = settings.outlier_score
+            workspace.scores[m, c] = score
+
+
+@kernel(reassociate=True)
+def best_pose(body, points, point_of, settings, workspace):
+    """The key pose under which a labelling scores best, and that score: (k, nats)."""
+    best, best_score = 0, -np.inf
+    for k in range(len(body.log_weight)):
+        score = evidence(body, k, points, point_of, settings, workspace)
+        if score > best_score:
+            best, best_score = k, score
+    return best, best_score
+
+
+@kernel(reassociate=True)
+def rescore(body, k, points, point_of, settings, workspace):
+    """Score all points by a labelling under one key pose; labelled markers that lie too far from their prediction become outliers.
+
+    A marker is an outlier where its point scores no more than `settings.outlier_score`, given all other points.
+    IN   body BodyArrays; k key pose; points (n, 3) m; point_of (M,), -1 for none; settings FrameSettings
+    OUT  workspace.scores, workspace.outlier. Returns the labelling's score in nats. O(M (r^2 + n) + r^3).
+    """
+    score = evidence(body, k, points, point_of, settings, workspace)
+    posterior(workspace)
+    leave_one_out_scores(body, k, point_of, settings, workspace)
+    changed = False
+    for m in range(len(point_of)):
+        is_outlier = point_of[m] >= 0 and workspace.scores[m, point_of[m]] <= settings.outlier_score
+        if is_outlier != workspace.outlier[m]:
+            workspace.outlier[m] = is_outlier
+            changed = True
+    if changed:
+        score = evidence(body, k, points, point_of, settings, workspace)
+        posterior(workspace)
+        leave_one_out_scores(body, k, point_of, settings, workspace)
+    return score

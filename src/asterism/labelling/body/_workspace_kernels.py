@@ -1,0 +1,134 @@
+"""The arrays that the whole-body kernels share: body model, anchors, settings and working arrays.
+
+The mathematics is in `model.py`. All kernels take the vertical as +z. Their plain twins are in `tests/twins_body.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from asterism._jit import kernel
+
+LOG_2PI = math.log(2.0 * math.pi)
+
+
+class BodyArrays(NamedTuple):
+    """A body model as the kernels read it; K key poses, M markers, r latent directions (pose, size, then small moves of the whole body).
+
+    mean        (K, M, 3) m, the mean body
+    whiten      (K, M, 3, 3) takes a residual in m to unit variance
+    load        (K, M, 3, r) whitened displacement per unit of each latent
+    gram        (K, M, r, r) load' load
+    full        (K, r, r) identity plus the sum of gram over all markers
+    spread      (K, M, 3, 3) inverse of whiten
+    log_scale   (K, M) log |det whiten|
+    log_weight  (K,) log share of the training frames
+    """
+
+    mean: np.ndarray
+    whiten: np.ndarray
+    load: np.ndarray
+    gram: np.ndarray
+    full: np.ndarray
+    spread: np.ndarray
+    log_scale: np.ndarray
+    log_weight: np.ndarray
+
+
+class AnchorArrays(NamedTuple):
+    """What follows for the whole body once an anchor's three markers are known; A anchors.
+
+    markers       (A, 3)
+    precision     (K, A, 9, 9) 1/m2, inverse covariance of the anchor's own points
+    log_peak      (K, A) log density at the anchor's mean, with the key pose's weight
+    gain          (K, A, M, 3, 9) prediction of every marker per displacement of the anchor's points
+    whiten        (K, A, M, 3, 3) takes a prediction's residual to unit variance
+    log_scale     (K, A, M) log |det whiten|
+    max_variance  (K, A, M) m2, trace of a prediction's covariance
+    """
+
+    markers: np.ndarray
+    precision: np.ndarray
+    log_peak: np.ndarray
+    gain: np.ndarray
+    whiten: np.ndarray
+    log_scale: np.ndarray
+    max_variance: np.ndarray
+
+
+class FrameSettings(NamedTuple):
+    """`labeller.FrameLabellingSettings` as the kernels read them, and the usual score of the model at hand.
+
+    usual_score  nats per label: nearly every correctly labelled frame scores at least that
+    """
+
+    reward: float
+    first_ghost_cost: float
+    outlier_score: float
+    outlier_radius: float
+    max_anchor_distance2: float
+    votes_needed: int
+    max_votes_needed: int
+    extra_anchors: int
+    max_evaluations: int
+    proposals_per_anchor: int
+    min_found_share: float
+    assign_margin: float
+    exact_margin: float
+    usual_score: float
+
+
+class BodyWorkspace(NamedTuple):
+    """Working arrays of one thread for frames of n points, so that no frame allocates: see `make_body_workspace`.
+
+    aligned      (n, 3) m, the points placed onto the mean body
+    residual     (M, 3) whitened residuals of the labelled points
+    information  (r, r) posterior precision of the latents, or its Cholesky factor
+    covariance   (r, r) posterior covariance of the latents
+    moment       (r,) load' residual, summed over the labelled markers
+    latent       (r,) posterior mean of the latents
+    slope        (3, r) scratch
+    outlier      (M,) bool, labelled markers that lie too far from where the others predict them
+    scores       (M, n) nats, every point as every marker
+    all_markers  (M,) 0, 1, ..., M - 1
+    """
+
+    aligned: np.ndarray
+    residual: np.ndarray
+    information: np.ndarray
+    covariance: np.ndarray
+    moment: np.ndarray
+    latent: np.ndarray
+    slope: np.ndarray
+    outlier: np.ndarray
+    scores: np.ndarray
+    all_markers: np.ndarray
+
+
+@kernel(reassociate=True)
+def make_body_workspace(n, markers, latents):
+    """Working arrays for frames of n points. O(M n + r^2) memory."""
+    return BodyWorkspace(
+        np.empty((n, 3)),
+        np.empty((markers, 3)),
+        np.empty((latents, latents)),
+        np.empty((latents, latents)),
+        np.empty(latents),
+        np.empty(latents),
+        np.empty((3, latents)),
+        np.zeros(markers, dtype=np.bool_),
+        np.empty((markers, n)),
+        np.arange(markers),
+    )
+
+
+@kernel(reassociate=True)
+def count_labelled(point_of):
+    """How many markers have a point. IN point_of (M,), -1 for none. O(M)."""
+    labelled = 0
+    for m in range(len(point_of)):
+        labelled += point_of[m] >= 0
+    return labelled
