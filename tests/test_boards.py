@@ -12,11 +12,12 @@ import pytest
 
 from asterism.calibration.boards import Board, BoardViews, calibrate_board, find_board, footage_of
 from asterism.calibration.boards.board import Finder
-from asterism.cameras import Camera, Rig, rotation_from_vector, vector_from_rotation
+from asterism.cameras import Camera, Rig
 from asterism.cameras.bundle import Sightings
 from asterism.cameras.files import read_rig
 from asterism.cli import main
 from asterism.errors import AsterismError
+from asterism.geometry import rotation_from_vector, vector_from_rotation
 
 BOARD = Board("chessboard", 9, 6, 0.05)
 

@@ -8,14 +8,15 @@ import twins_body as twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from asterism.geometry import _kernels as geometry_kernels
+from asterism.geometry import align_about_z
 from asterism.labelling.body._anchor_kernels import anchor_key_pose, score_from_anchor
 from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
-from asterism.labelling.body._placement_kernels import place_points
 from asterism.labelling.body._score_kernels import _cholesky, _inverse_of_factor, evidence, leave_one_out_scores, posterior
 from asterism.labelling.body._workspace_kernels import make_body_workspace
 from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors, with_intervals
 from asterism.labelling.body.labeller import FrameLabellingSettings
-from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, names_of, place_onto, subsample
+from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, names_of, subsample
 from asterism.labelling.partial._kernels import search
 
 SETTINGS = FrameLabellingSettings().with_usual_score(1.0)
@@ -68,7 +69,7 @@ def test_placing(seed):
     rng = np.random.default_rng(seed)
     points, rows, _ = random_frame(random_model(rng), rng, least=2)
     mean, out = rng.normal(0.0, 0.4, (MARKERS, 3)), np.empty_like(points)
-    place_points(points, rows, mean, np.arange(MARKERS), out)
+    geometry_kernels.align_about_z(points, rows, mean, np.arange(MARKERS), out)
     np.testing.assert_allclose(out, twins.place_points(points, rows, mean, range(MARKERS)), atol=1e-9)
 
 
@@ -79,7 +80,7 @@ def test_placing_where_no_heading_can_be_told(points):
     """Nothing turns, the centres meet."""
     points, out = np.array(points), np.empty((len(points), 3))
     mean = np.arange(9.0).reshape(3, 3)
-    place_points(points, np.arange(len(points)), mean, np.arange(len(points)), out)
+    geometry_kernels.align_about_z(points, np.arange(len(points)), mean, np.arange(len(points)), out)
     np.testing.assert_allclose(out, points - points.mean(axis=0) + mean[: len(points)].mean(axis=0))
 
 
@@ -255,13 +256,13 @@ def learned(people):
 
 def test_frames_are_placed_onto_a_body(people):
     frames, _, body = people
-    placed = place_onto(frames[:20], body)
+    placed = align_about_z(frames[:20], body)
     for frame, got in zip(frames[:20], placed, strict=True):
         np.testing.assert_allclose(got, twins.place_points(frame, np.arange(7), body, range(7)), atol=1e-9)
     gone = frames[:20].copy()
     gone[:, 2] = np.nan
-    assert np.isnan(place_onto(gone, body)[:, 2]).all()
-    assert np.isfinite(np.delete(place_onto(gone, body), 2, axis=1)).all()
+    assert np.isnan(align_about_z(gone, body)[:, 2]).all()
+    assert np.isfinite(np.delete(align_about_z(gone, body), 2, axis=1)).all()
 
 
 def test_the_mean_body_is_found(learned, people):
@@ -279,7 +280,7 @@ def test_the_model_expects_what_bodies_do(learned, people):
     precision = np.linalg.inv(full)
 
     def distance(of):
-        flat = place_onto(of, learned.mean[0]).reshape(len(of), -1) - mean
+        flat = align_about_z(of, learned.mean[0]).reshape(len(of), -1) - mean
         return np.einsum("ni,ij,nj->n", flat, precision, flat).mean() / len(mean)
 
     assert 0.2 < distance(frames) < 1.0

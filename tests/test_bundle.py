@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from asterism.cameras import Camera, rotation_from_vector
-from asterism.cameras.bundle import PARAMETERS, Sightings, _kernels, adjust, free_parameters, place_objects, triangulate
+from asterism.cameras import Camera
+from asterism.cameras.bundle import PARAMETERS, Sightings, _kernels, adjust, free_parameters, triangulate
 from asterism.errors import AsterismError
+from asterism.geometry import place_objects, rotation_from_vector
 
 WAND = np.array([[0.0, 0, 0], [0.2, 0, 0], [0.6, 0, 0]])
 BOARD = np.array([[x, y, 0.0] for x in (0.0, 0.1, 0.2, 0.3) for y in (0.0, 0.1, 0.2)])

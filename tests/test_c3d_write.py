@@ -43,7 +43,7 @@ def parameters(file: C3DFile, but: tuple[str, ...] = ()) -> dict[tuple[str, str]
 
 def everything_but_points_is_equal(before: C3DFile, after: C3DFile) -> None:
     now = parameters(after, LABEL_PARAMETERS)
-    assert b"labelled" in now.pop(("ASTERISM", "LOG"))[2], "the one thing that is new: the log says what was done"
+    now.pop(("ASTERISM", "LOG"), None)
     assert now == parameters(before, LABEL_PARAMETERS)
     assert np.array_equal(after.words[:, 4 * after.layout.points :], before.words[:, 4 * before.layout.points :]), "analog samples"
     assert (after.rate, after.processor, after.layout.real, after.layout.frames) == (
@@ -145,6 +145,7 @@ def test_labelling_loses_no_sample(data: Path, tmp_path: Path) -> None:
     write(tmp_path / "out.c3d", labelled)
     before, after = open_c3d(path), open_c3d(tmp_path / "out.c3d")
     everything_but_points_is_equal(before, after)
+    assert [step.action for step in read(tmp_path / "out.c3d").log] == ["labelled"]
     for frame in range(before.layout.frames):
         there = {
             words.tobytes() for words, x in zip(before.point_words[frame], before.coordinates[frame], strict=True) if np.isfinite(x[0])

@@ -8,8 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from asterism.cameras import Camera, Rig, rotation_from_vector
+from asterism.cameras import Camera, Rig
 from asterism.findings import Finding
+from asterism.geometry import rotation_from_vector
 from asterism.reconstruction import ReconstructionSettings, reconstruct, summary
 from asterism.reconstruction.camera_fit import fit_of_cameras
 from asterism.recording import Blobs

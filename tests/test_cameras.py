@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from asterism.cameras import Camera, Rig, rotation_from_vector, vector_from_rotation
+from asterism.cameras import Camera, Rig
 from asterism.cameras.files import read_rig, write_rig
 from asterism.errors import AsterismError
+from asterism.geometry import rotation_from_vector, vector_from_rotation
 
 MATRIX = np.array([[1500.0, 0, 640], [0, 1490.0, 500], [0, 0, 1]])
 LENSES = {

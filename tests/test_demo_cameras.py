@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 import asterism
-from asterism.cameras import Rig, rotation_from_vector
+from asterism.cameras import Rig
 from asterism.cameras.files import read_rig
 from asterism.cli import main
 from asterism.errors import AsterismError
 from asterism.formats import read_blobs
+from asterism.geometry import rotation_from_vector
 from asterism.recording import Clouds
 from asterism.simulation import chain, simulate_walks
 from asterism.simulation.cameras import ring_rig

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from asterism import AsterismError
 from asterism.labelling.partial import _kernels
 from asterism.labelling.partial._motion_kernels import G10, G18, WIDTH
-from asterism.labelling.partial.features import FEATURES, TEMPORAL, describe, members, needs_motion, pool, upright
+from asterism.labelling.partial.features import FEATURES, TEMPORAL, describe, members, needs_motion, pool
 
 coordinates = st.floats(-2.0, 2.0, allow_nan=False).map(lambda x: round(x, 3))
 four_moving_points = st.integers(0, 10**6).map(lambda seed: np.round(np.random.default_rng(seed).uniform(-2, 2, (4, WIDTH)), 3))
@@ -107,21 +107,3 @@ def test_members_and_words():
     reads = members(kinds, slots, 4)
     assert reads.sum(axis=1).tolist() == [2] * 6 + [3] * 4
     assert describe(kinds[0], slots[0], ["A", "B", "C", "D"]) == "height difference (A, B)"
-
-
-@given(vertical=st.tuples(coordinates, coordinates, coordinates).filter(lambda v: np.linalg.norm(v) > 0.1), points=four_points)
-@settings(max_examples=60, deadline=None)
-def test_upright_is_a_rotation_that_lifts_the_vertical_to_z(vertical, points):
-    up = np.array(vertical) / np.linalg.norm(vertical)
-    assert np.allclose(upright(up, up), [0, 0, 1], atol=1e-9)
-    turned = upright(points, up)
-    assert np.allclose(turned[:, 2], points @ up, atol=1e-9)
-    before, after = (np.linalg.norm(p[:, None] - p[None], axis=2) for p in (points, turned))
-    assert np.allclose(before, after, atol=1e-9)
-    volume = [np.linalg.det(p[1:] - p[0]) for p in (points, turned)]
-    assert volume[0] == pytest.approx(volume[1], abs=1e-9), "a mirror image is no rotation"
-
-
-def test_upright_leaves_z_up_alone():
-    points = np.random.default_rng(0).normal(size=(5, 3))
-    assert upright(points, np.array([0.0, 0.0, 1.0])) is points

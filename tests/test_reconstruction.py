@@ -15,11 +15,12 @@ from hypothesis import strategies as st
 from scipy.optimize import Bounds, LinearConstraint, least_squares, milp
 
 from asterism import formats
-from asterism.cameras import Camera, Rig, rotation_from_vector
+from asterism.cameras import Camera, Rig
 from asterism.cameras.files import read_rig, write_rig
 from asterism.cli import main
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
+from asterism.geometry import rotation_from_vector
 from asterism.reconstruction import Reconstruction, ReconstructionSettings, reconstruct
 from asterism.reconstruction._compose_kernels import compose
 from asterism.reconstruction._fit_kernels import FitWorkspace

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from asterism.calibration import refine_rig
-from asterism.cameras import Camera, Rig, rotation_from_vector
+from asterism.cameras import Camera, Rig
 from asterism.cameras.files import read_rig, write_rig
 from asterism.cli import main
 from asterism.errors import AsterismError
 from asterism.formats import write_blobs
+from asterism.geometry import rotation_from_vector
 from asterism.recording import Blobs
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import images_of, ring_rig, walker_capsules

@@ -246,7 +246,7 @@ def test_the_command_lists_pieces_by_gain(folder: Path, capsys: pytest.CaptureFi
 
 
 def test_what_the_file_says_is_kept_when_asked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("review", folder / "labelled.c3d", "-m", folder / "two.model", "--keep") == 0
+    assert run("review", folder / "labelled.c3d", "-m", folder / "two.model", "--keep-labels") == 0
     assert capsys.readouterr().out == "Nothing is in doubt.\n"
 
 

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asterism.cameras import Camera, Rig, rotation_from_vector
+from asterism.cameras import Camera, Rig
 from asterism.cameras.files import read_rig, write_rig
 from asterism.errors import AsterismError
+from asterism.geometry import rotation_from_vector
 
 
 def a_rig() -> Rig:

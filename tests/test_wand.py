@@ -21,10 +21,11 @@ from asterism.calibration.wand import (
 )
 from asterism.calibration.wand.clock import lags
 from asterism.calibration.wand.identify import Agreed, agree, identify, wand_of
-from asterism.cameras import Camera, Rig, rotation_from_vector
+from asterism.cameras import Camera, Rig
 from asterism.cameras.aim import looking
 from asterism.cameras.bundle import Sightings, locate
 from asterism.errors import AsterismError
+from asterism.geometry import rotation_from_vector
 from asterism.recording import Blobs
 from asterism.simulation.cameras import images_of, random_rig, ring_rig, wave_wand
 

@@ -9,11 +9,12 @@ import cv2
 import numpy as np
 
 from asterism.calibration.boards import Board, BoardCalibration, calibrate_board, find_board, footage_of
-from asterism.cameras.bundle import Sightings, adjust, place_objects, triangulate
+from asterism.cameras.bundle import Sightings, adjust, triangulate
 from asterism.cameras.bundle.adjust import rms
 from asterism.cameras.files import read_rig
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
+from asterism.geometry import place_objects
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import folder
 from benchmarks.figures import Figure

@@ -9,7 +9,8 @@ from statistics import median
 import numpy as np
 
 from asterism.calibration import refine_rig
-from asterism.cameras import Camera, Rig, rotation_from_vector
+from asterism.cameras import Camera, Rig
+from asterism.geometry import rotation_from_vector
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import images_of, ring_rig, walker_capsules
 from benchmarks.benchmark_run import BenchmarkRun

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asterism.calibration.wand import WandCalibration, calibrate_wand
-from asterism.cameras import Camera, Rig, rotation_from_vector
-from asterism.cameras.bundle import Sightings, adjust, free_parameters, locate, place_objects
+from asterism.cameras import Camera, Rig
+from asterism.cameras.bundle import Sightings, adjust, free_parameters, locate
 from asterism.errors import AsterismError
+from asterism.geometry import place_objects, rotation_from_vector
 from asterism.recording import Floats
 from asterism.simulation.cameras import random_rig, ring_rig, wave_wand
 from benchmarks.benchmark_run import BenchmarkRun

@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from asterism.calibration.wand import calibrate_wand
-from asterism.cameras import Camera, Rig, vector_from_rotation
+from asterism.cameras import Camera, Rig
 from asterism.cameras.bundle import locate
+from asterism.geometry import vector_from_rotation
 from asterism.recording import Floats
 from asterism.simulation.cameras import ring_rig, wave_wand
 from benchmarks.benchmark_run import BenchmarkRun

@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.cameras import Camera, Rig, vector_from_rotation
+from asterism.cameras import Camera, Rig
 from asterism.cameras.bundle import PARAMETERS, Sightings, adjust, free_parameters
 from asterism.errors import AsterismError
+from asterism.geometry import vector_from_rotation
 from asterism.progress import Progress
 from asterism.reconstruction.camera_fit import fit_of_cameras, frames_behind, match_radius, misfit_limit
 from asterism.reconstruction.reconstruct import reconstruct

@@ -1,6 +1,6 @@
 """Cameras and rigs: the projection model, calibration, accuracy and sensitivity."""
 
-from asterism.cameras.camera import Camera, rotation_from_vector, vector_from_rotation
+from asterism.cameras.camera import Camera
 from asterism.cameras.rig import Rig
 
-__all__ = ["Camera", "Rig", "rotation_from_vector", "vector_from_rotation"]
+__all__ = ["Camera", "Rig"]

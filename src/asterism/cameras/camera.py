@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from asterism.cameras import _kernels
 from asterism.errors import AsterismError
+from asterism.geometry import rotation_from_vector
 from asterism.recording import Floats
 
 LARGEST_IMAGE = 100_000
@@ -156,19 +157,3 @@ class Camera:
         rays = np.concatenate([flat, np.ones((*flat.shape[:-1], 1))], axis=-1) @ self.rotation
         unit: Floats = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
         return unit
-
-
-def rotation_from_vector(vector: ArrayLike) -> Floats:
-    """The rotation matrix (3, 3) of a rotation vector (3,) rad: its direction is the axis, its length the angle (Rodrigues)."""
-    from scipy.spatial.transform import Rotation
-
-    matrix: Floats = Rotation.from_rotvec(np.asarray(vector, dtype=np.float64).ravel()).as_matrix()
-    return matrix
-
-
-def vector_from_rotation(matrix: ArrayLike) -> Floats:
-    """The rotation vector (3,) rad of a rotation matrix (3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    vector: Floats = Rotation.from_matrix(np.asarray(matrix, dtype=np.float64)).as_rotvec()
-    return vector

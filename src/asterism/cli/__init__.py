@@ -28,6 +28,8 @@ from asterism.cli.review import review
 from asterism.cli.train import train
 from asterism.errors import AsterismError
 
+_RENAMED = {"--keep": "--keep-labels"}
+"""Options that had another name once: the old name, which is no longer shown, and the new one."""
 _LISTS = ("--occlusions", "--ghosts", "--wand")
 
 app = typer.Typer(
@@ -104,7 +106,7 @@ def main(args: Sequence[str] | None = None) -> int:
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
     try:
-        words = _lists_joined(_globbed(sys.argv[1:] if args is None else args))
+        words = _lists_joined(_globbed(_respelled(sys.argv[1:] if args is None else args)))
         status = app(args=words or ["--help"], prog_name="asterism", standalone_mode=False)
     except AsterismError as problem:
         _console.complain(str(problem))
@@ -125,6 +127,11 @@ def main(args: Sequence[str] | None = None) -> int:
     if status == 130:
         _console.complain("interrupted; finished files stay, and no half-written file is left.")
     return status if isinstance(status, int) else 0
+
+
+def _respelled(args: Sequence[str]) -> list[str]:
+    """Options under the names that they have now; an earlier name goes on working."""
+    return ["=".join([_RENAMED.get(name, name), *value]) for name, *value in (arg.split("=", 1) for arg in args)]
 
 
 def _globbed(args: Sequence[str]) -> list[str]:

@@ -74,6 +74,13 @@ Features = Annotated[
 ]
 RulesOption = Annotated[Rules, typer.Option("--rules", help="How a frame is labelled: by the whole body, or by solvers' votes.")]
 FrameWise = Annotated[bool, typer.Option("--frame-wise", help="Each frame by itself, without time and tracks.")]
+KeepLabels = Annotated[bool, typer.Option("--keep-labels", help="Labels that a file already has stay; only points without a name get one.")]
+Subject = Annotated[
+    Path | None,
+    typer.Option(
+        "--subject", metavar="FILE", help="A trial of the person, best standing: narrows the model to this body.", show_default=False
+    ),
+]
 HitRate = Annotated[
     float, typer.Option("--target-hit-rate", metavar="SHARE", help="Share of the labels given that should be right, below 1.")
 ]

@@ -4,13 +4,30 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from asterism import __version__
 from asterism.cli import _console
-from asterism.cli._options import Files, FrameWise, Json, Models, Overwrite, Report, Rules, RulesOption, Vertical, Workers, vertical_axis
+from asterism.cli._command import takes
+from asterism.cli._options import (
+    Files,
+    FrameWise,
+    Json,
+    KeepLabels,
+    Models,
+    Overwrite,
+    Report,
+    Rules,
+    RulesOption,
+    Subject,
+    Vertical,
+    Workers,
+    vertical_axis,
+)
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
@@ -19,23 +36,31 @@ if TYPE_CHECKING:
     from asterism.recording import Clouds, Labelling, MarkerSet, Recording
 
 
-def label(
-    files: Files,
-    model: Models,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where the labelled files go.", show_default=False)],
-    keep: Annotated[bool, typer.Option("--keep", help="Labels that a file already has stay; only points without a name get one.")] = False,
-    rules: RulesOption = Rules.WHOLE_BODY,
-    frame_wise: FrameWise = False,
-    subject: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="A trial of the person, best standing: narrows the model to this body.", show_default=False),
-    ] = None,
-    workers: Workers = 1,
-    vertical: Vertical = None,
-    overwrite: Overwrite = False,
-    report: Report = None,
-    json: Json = None,
-) -> None:
+@dataclass(frozen=True)
+class LabelOptions:
+    """What `asterism label` is asked to do."""
+
+    files: Files
+    model: Models
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where the labelled files go.", show_default=False)]
+    keep_labels: KeepLabels = False
+    rules: RulesOption = Rules.WHOLE_BODY
+    frame_wise: FrameWise = False
+    subject: Subject = None
+    workers: Workers = 1
+    vertical: Vertical = None
+    overwrite: Overwrite = False
+    report: Report = None
+    json: Json = None
+
+    @property
+    def in_time(self) -> bool:
+        """Whether recordings are labelled as a whole, by their tracks."""
+        return self.rules is Rules.WHOLE_BODY and not self.frame_wise
+
+
+@takes(LabelOptions)
+def label(options: LabelOptions) -> None:
     """Label the points of recordings.
 
     Whatever names the points have now. Each file goes to FOLDER under its own name and format, with everything
@@ -45,92 +70,145 @@ def label(
     --model once for each of them; names that two of them share become 1:LASI and 2:LASI. The trial given as --subject may be
     labelled or not.
     """
-    from asterism.cli._recordings import labels_kept, outcome
-    from asterism.labelling.ensemble import ANOTHER_PERSON
-
-    in_time = rules is Rules.WHOLE_BODY and not frame_wise
-    if len(model) > 1 and not in_time:
-        raise AsterismError("several bodies are told apart by time and tracks; leave out --frame-wise and --rules, or give one --model.")
-    if len(model) > 1 and subject is not None:
-        raise AsterismError("a trial of the subject narrows one model; leave out --subject, or give one --model.")
-    if subject is not None and rules is not Rules.WHOLE_BODY:
-        raise AsterismError(f"the rules {rules.value} know no body that a trial could narrow; leave out --subject, or --rules.")
-    targets = _targets(files, output)
-    _console.check_new(report, overwrite)
-    _console.check_new(json, overwrite)
-    axis = vertical_axis(vertical)
-    ensembles, subjects = _ensembles(model)
-    general = ensembles[0]
-    if subject is not None:
-        ensembles = [_adapted(general, subject, axis)]
-    batch = _console.Batch("labelled")
-    rows: list[dict[str, Any]] = []
-    shown: tuple[Recording, Labelling, Clouds, MarkerSet] | None = None
+    _check(options)
+    targets = _targets(options.files, options.output)
+    labeller = _Labeller.of(options)
+    batch, results = _console.Batch("labelled"), list[_Result]()
     with _console.progress("labelling") as progress:
-        for path, target in zip(files, targets, strict=True):
+        for path, target in zip(options.files, targets, strict=True):
             with batch.file(path):
-                _check_target(path, target, overwrite)
-                recording, clouds = _read(path, axis)
-                if not batch.done and len(clouds):  # compiles, so that the rate below is that of the work
-                    _label(ensembles, subjects, _first_frame(clouds), in_time, rules, 1, None)
-                started = time.perf_counter()
-                share = _share(progress, batch, len(files), path)
-                labelling, marker_set, one_of_two = _label(ensembles, subjects, clouds, in_time, rules, workers, share)
-                if ensembles[0].subject_fit(clouds, labelling) < ANOTHER_PERSON:
-                    batch.doubt(path, f"{subject} is not of this body, or its markers were placed anew; labelled without it.")
-                    labelling, marker_set, one_of_two = _label([general], subjects, clouds, in_time, rules, workers, share)
-                seconds = time.perf_counter() - started
-                if one_of_two:
-                    batch.doubt(
-                        path,
-                        "two bodies wear the model's markers, and only one of them was labelled; give --model once for each of them.",
-                    )
-                if keep:
-                    labelling = labels_kept(path, labelling, recording, clouds, marker_set)
-                lost = _write(target, recording.with_labelling(labelling, clouds, keep_names=keep))
-                summary = outcome(labelling, clouds)
-                row = {
-                    "file": path,
-                    "output": target,
-                    "frames": len(clouds),
-                    "labelled": summary.labelled,
-                    "unsure": summary.unsure,
-                    "hidden": summary.hidden,
-                    "frames_per_second": len(clouds) / seconds if seconds else float("nan"),
-                    "not_carried": lost,
-                }
-                rows.append(row)
-                shown = shown or (recording, labelling, clouds, marker_set)
-                if json != "-":
-                    _console.say(_line(row))
-    if report is not None and shown is not None:
-        from asterism.report import label_report
-
-        label_report(
-            report,
-            title=f"{len(rows)} labelled recordings" if len(rows) > 1 else f"{rows[0]['file'].name}, labelled",
-            files=rows,
-            recording=shown[0],
-            labelling=shown[1],
-            clouds=shown[2],
-            model_info={"model": ", ".join(map(str, model)), "rules": rules.value, "keep": keep, **ensembles[0].about},
-            marker_set=shown[3],
-        )
-    used = model if len(model) > 1 else model[0]
+                _check_target(path, target, options.overwrite)
+                result = _labelled(labeller, batch, path, target, progress)
+                results.append(result)
+                if options.json != "-":
+                    _console.say(_line(result.row))
+    if options.report is not None and results:
+        _report(options, labeller, results)
     _console.write_json(
-        json,
+        options.json,
         {
             "command": "label",
-            "model": used,
-            "subject": subject,
-            "rules": rules.value,
-            "keep": keep,
-            "files": rows,
+            "model": options.model if len(options.model) > 1 else options.model[0],
+            "subject": options.subject,
+            "rules": options.rules.value,
+            "keep_labels": options.keep_labels,
+            "files": [result.row for result in results],
             "failed": batch.failed,
             "doubted": batch.doubted,
         },
     )
     raise typer.Exit(batch.close())
+
+
+@dataclass(frozen=True)
+class _Labeller:
+    """The models, and how they are used. general: the first model before a trial of the subject narrowed it."""
+
+    options: LabelOptions
+    ensembles: Sequence[SolverEnsemble]
+    names: Sequence[str]
+    general: SolverEnsemble
+
+    @classmethod
+    def of(cls, options: LabelOptions) -> _Labeller:
+        ensembles, names = _ensembles(options.model)
+        general = ensembles[0]
+        if options.subject is not None:
+            ensembles = [_adapted(general, options.subject, vertical_axis(options.vertical))]
+        return cls(options, ensembles, names, general)
+
+    def label(self, clouds: Clouds, progress: Progress | None = None, *, generally: bool = False) -> tuple[Labelling, MarkerSet, bool]:
+        """A file's labelling, its marker set, and whether it is that of one of two bodies only, because one was expected."""
+        from asterism.labelling import SeveralBodies, join_labellings, label_together
+
+        ensembles, workers = [self.general] if generally else self.ensembles, self.options.workers
+        if len(ensembles) > 1:
+            found = label_together(ensembles, clouds, workers=workers, progress=progress)
+            return *join_labellings(found, [ensemble.marker_set for ensemble in ensembles], self.names), False
+        one = ensembles[0]
+        try:
+            given = one.label(clouds, time=self.options.in_time, rules=self.options.rules.value, workers=workers, progress=progress)
+            return given, one.marker_set, False
+        except SeveralBodies:
+            both = label_together([one, one], clouds, workers=workers, progress=progress)
+            return max(both, key=lambda labelling: int((labelling.indices >= 0).sum())), one.marker_set, True
+
+
+@dataclass(frozen=True)
+class _Result:
+    """One labelled file: what the table, the JSON and the report say of it."""
+
+    row: dict[str, Any]
+    recording: Recording
+    labelling: Labelling
+    clouds: Clouds
+    marker_set: MarkerSet
+
+
+def _check(options: LabelOptions) -> None:
+    """Raise AsterismError where options contradict each other, or an output cannot be made."""
+    if len(options.model) > 1 and not options.in_time:
+        raise AsterismError("several bodies are told apart by time and tracks; leave out --frame-wise and --rules, or give one --model.")
+    if len(options.model) > 1 and options.subject is not None:
+        raise AsterismError("a trial of the subject narrows one model; leave out --subject, or give one --model.")
+    if options.subject is not None and options.rules is not Rules.WHOLE_BODY:
+        raise AsterismError(f"the rules {options.rules.value} know no body that a trial could narrow; leave out --subject, or --rules.")
+    _console.check_new(options.report, options.overwrite)
+    _console.check_new(options.json, options.overwrite)
+
+
+def _labelled(labeller: _Labeller, batch: _console.Batch, path: Path, target: Path, progress: Progress | None) -> _Result:
+    """Label one file and write it."""
+    from asterism.cli._recordings import labels_kept, outcome
+    from asterism.labelling.ensemble import ANOTHER_PERSON
+
+    options = labeller.options
+    recording, clouds = _read(path, vertical_axis(options.vertical))
+    if not batch.done and len(clouds):  # compiles, so that the rate below is that of the work
+        labeller.label(clouds.frames([0]))
+    started = time.perf_counter()
+    share = _share(progress, batch, len(options.files), path)
+    labelling, marker_set, one_of_two = labeller.label(clouds, share)
+    if labeller.ensembles[0].subject_fit(clouds, labelling) < ANOTHER_PERSON:
+        batch.doubt(path, f"{options.subject} is not of this body, or its markers were placed anew; labelled without it.")
+        labelling, marker_set, one_of_two = labeller.label(clouds, share, generally=True)
+    seconds = time.perf_counter() - started
+    if one_of_two:
+        batch.doubt(path, "two bodies wear the model's markers, and only one of them was labelled; give --model once for each of them.")
+    if options.keep_labels:
+        labelling = labels_kept(path, labelling, recording, clouds, marker_set)
+    by = f"asterism {__version__}, {', '.join(model.name for model in options.model)}"
+    lost = _write(target, recording.with_labelling(labelling, clouds, keep_names=options.keep_labels, by=by))
+    summary = outcome(labelling, clouds)
+    row = {
+        "file": path,
+        "output": target,
+        "frames": len(clouds),
+        "labelled": summary.labelled,
+        "unsure": summary.unsure,
+        "hidden": summary.hidden,
+        "frames_per_second": len(clouds) / seconds if seconds else float("nan"),
+        "not_carried": lost,
+    }
+    return _Result(row, recording, labelling, clouds, marker_set)
+
+
+def _report(options: LabelOptions, labeller: _Labeller, results: Sequence[_Result]) -> None:
+    from asterism.report import label_report
+
+    assert options.report is not None
+    first, rows = results[0], [result.row for result in results]
+    about = {"model": ", ".join(map(str, options.model)), "rules": options.rules.value, "keep_labels": options.keep_labels}
+    label_report(
+        options.report,
+        title=f"{len(rows)} labelled recordings" if len(rows) > 1 else f"{rows[0]['file'].name}, labelled",
+        files=rows,
+        recording=first.recording,
+        labelling=first.labelling,
+        clouds=first.clouds,
+        model_info={**about, **labeller.ensembles[0].about},
+        marker_set=first.marker_set,
+    )
 
 
 def _ensembles(models: Sequence[Path]) -> tuple[list[SolverEnsemble], list[str]]:
@@ -141,29 +219,6 @@ def _ensembles(models: Sequence[Path]) -> tuple[list[SolverEnsemble], list[str]]
     names = [path.stem for path in models]
     distinct = len(set(names)) == len(names)
     return [loaded[path] for path in models], names if distinct else [str(i + 1) for i in range(len(names))]
-
-
-def _label(
-    ensembles: Sequence[SolverEnsemble],
-    subjects: Sequence[str],
-    clouds: Clouds,
-    in_time: bool,
-    rules: Rules,
-    workers: int,
-    progress: Progress | None,
-) -> tuple[Labelling, MarkerSet, bool]:
-    """A file's labelling, its marker set, and whether it is that of one of two bodies only, because one was expected."""
-    from asterism.labelling import SeveralBodies, join_labellings, label_together
-
-    if len(ensembles) > 1:
-        found = label_together(ensembles, clouds, workers=workers, progress=progress)
-        return *join_labellings(found, [ensemble.marker_set for ensemble in ensembles], subjects), False
-    one = ensembles[0]
-    try:
-        return one.label(clouds, time=in_time, rules=rules.value, workers=workers, progress=progress), one.marker_set, False
-    except SeveralBodies:
-        both = label_together([one, one], clouds, workers=workers, progress=progress)
-        return max(both, key=lambda labelling: int((labelling.indices >= 0).sum())), one.marker_set, True
 
 
 def _share(progress: Progress | None, batch: _console.Batch, files: int, path: Path) -> Progress | None:
@@ -205,12 +260,6 @@ def _adapted(ensemble: SolverEnsemble, subject: Path, axis: str | list[float] | 
     except AsterismError as problem:
         sentence = str(problem)
         raise AsterismError(sentence if subject.name in sentence else f"{subject}: {sentence}") from problem
-
-
-def _first_frame(clouds: Clouds) -> Clouds:
-    from asterism.recording import Clouds
-
-    return Clouds.from_points([clouds[0]], clouds.rate, clouds.vertical)
 
 
 def _write(target: Path, recording: Recording) -> list[str]:

@@ -20,7 +20,9 @@ def review(
     files: Files,
     model: Model,
     top: Annotated[int, typer.Option("--top", metavar="N", min=1, help="How many lines to list, of all files together.")] = 20,
-    keep: Annotated[bool, typer.Option("--keep", help="Labels that a file has already are right; only the others are in doubt.")] = False,
+    keep_labels: Annotated[
+        bool, typer.Option("--keep-labels", help="Labels that a file has already are right; only the others are in doubt.")
+    ] = False,
     frame_wise: FrameWise = False,
     workers: Workers = 1,
     vertical: Vertical = None,
@@ -54,7 +56,7 @@ def review(
                 recording = formats.read(path, vertical=axis)
                 clouds = recording.clouds()
                 labelling = ensemble.label(clouds, time=not frame_wise, workers=workers)
-                if keep:
+                if keep_labels:
                     labelling = labels_kept(path, labelling, recording, clouds, ensemble.marker_set)
                 items = review_labelling(labelling, clouds)
                 pieces, gain = pieces + len(items), gain + sum(item.gain for item in items)
@@ -71,7 +73,7 @@ def review(
             {str(entry.path): (entry.labelling, entry.clouds) for entry in listed},
             first_frames={str(entry.path): entry.first for entry in listed},
             totals=(pieces, gain),
-            model_info={"model": str(model), "files": len(batch.done), "keep": keep, **ensemble.about},
+            model_info={"model": str(model), "files": len(batch.done), "keep_labels": keep_labels, **ensemble.about},
             marker_set=ensemble.marker_set,
         )
     _console.write_json(
@@ -79,7 +81,7 @@ def review(
         {
             "command": "review",
             "model": model,
-            "keep": keep,
+            "keep_labels": keep_labels,
             "frame_wise": frame_wise,
             "files": batch.done,
             "failed": batch.failed,

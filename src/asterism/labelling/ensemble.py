@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
+from asterism.geometry import rotate_z_up
 from asterism.labelling.body.anchors import Anchors
 from asterism.labelling.body.labeller import BodyLabeller, FrameLabellingSettings
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules
-from asterism.labelling.partial.features import upright
 from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
 from asterism.labelling.partial.solver import person
 from asterism.labelling.partial.solver_search import mine
@@ -202,7 +202,7 @@ class SolverEnsemble:
         else:
             clouds = static.clouds()
             frames = self.label(clouds, time=True).positions(clouds)[:, self._markers]
-        frames = upright(frames, static.vertical)
+        frames = rotate_z_up(frames, static.vertical)
         body_rules = BodyRules() if self._memory is None else self._memory.recipe.body
         settings = self._parts().settings
         body = subject_body(settings, self._body, frames, static.rate, SubjectRules(), body_rules)
@@ -218,7 +218,7 @@ class SolverEnsemble:
         """
         if self._general is None:
             return float("nan")
-        frames = upright(labelling.positions(clouds)[:, self._markers], clouds.vertical)
+        frames = rotate_z_up(labelling.positions(clouds)[:, self._markers], clouds.vertical)
         gain = own_body_gain(self._parts().settings, self._body, self._general, frames, clouds.rate, SubjectRules())
         return gain / max(float(self.about["adapted_gain"]), 1.0)
 

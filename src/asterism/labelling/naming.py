@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.special import gammaln
 
 from asterism.errors import AsterismError
-from asterism.labelling.partial.features import upright
+from asterism.geometry import rotate_z_up
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording, is_unnamed
 from asterism.tracking.linking import find_tracklets
 
@@ -295,7 +295,7 @@ def _body_frame(clouds: Clouds, of_point: Ints) -> Floats:
     """(T, J, 3) m the paths of J tracklets or groups, NaN where not seen, z up, in axes that turn with the body about the vertical."""
     frame_of = clouds.frame_of
     path = np.full((len(clouds), int(of_point.max(initial=-1)) + 1, 3), np.nan)
-    path[frame_of, of_point] = upright(clouds.xyz, clouds.vertical)
+    path[frame_of, of_point] = rotate_z_up(clouds.xyz, clouds.vertical)
     turn = _turn(path, clouds.rate)
     cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
     x, y = path[:, :, 0].copy(), path[:, :, 1].copy()
@@ -341,7 +341,7 @@ def _numbered(clouds: Clouds, raw: Ints) -> Groups:
     """Groups in the order in which a person names them."""
     _, of_point, frames = np.unique(raw, return_inverse=True, return_counts=True)
     of_point = of_point.ravel()
-    height = upright(clouds.xyz, clouds.vertical)[:, 2]
+    height = rotate_z_up(clouds.xyz, clouds.vertical)[:, 2]
     order = np.argsort(of_point, kind="stable")
     ends = np.searchsorted(of_point[order], np.arange(len(frames) + 1))
     median = np.array([np.median(height[order[a:b]]) for a, b in pairwise(ends)])

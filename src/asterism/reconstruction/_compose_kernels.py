@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.reconstruction._fit_kernels import add_ray, closest_point, fit, fit_and_prune, fit_workspace, inverse_symmetric, set_zero
+from asterism.geometry._kernels import symmetric_inverse
+from asterism.reconstruction._fit_kernels import add_ray, closest_point, fit, fit_and_prune, fit_workspace, set_zero
 from asterism.reconstruction._hypothesis_kernels import append_hypothesis, empty_hypotheses, same_rays
 from asterism.reconstruction._input_kernels import END, FEWEST, FIRST, GATE, NOISE, inside_volume
 from asterism.reconstruction._order_kernels import ascending
@@ -235,7 +236,7 @@ def _grow_hypothesis(rig, frame, pair, i, j, available, rays, work):
         set_zero(g)
         if add_ray(rig, frame, c, blob, work) < np.inf:
             rays[c] = blob
-            _, i0, i1, i2, i3, i4, i5 = inverse_symmetric(h)
+            _, i0, i1, i2, i3, i4, i5 = symmetric_inverse(h)
             x[0] += i0 * g[0] + i1 * g[1] + i2 * g[2]
             x[1] += i1 * g[0] + i3 * g[1] + i4 * g[2]
             x[2] += i2 * g[0] + i4 * g[1] + i5 * g[2]

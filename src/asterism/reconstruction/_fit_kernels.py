@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.geometry._kernels import symmetric_inverse, where_lines_approach
 from asterism.reconstruction._input_kernels import GATE, NOISE, in_camera_axes
 
 MOST_DROPPED = 4
@@ -40,25 +41,6 @@ def set_zero(values):
     """Set all of (n,) to 0."""
     for i in range(len(values)):
         values[i] = 0.0
-
-
-@kernel(inline=True)
-def inverse_symmetric(h):
-    """The inverse of a symmetric 3 x 3 matrix given as (xx, xy, xz, yy, yz, zz), and its determinant before."""
-    a, b, c = h[3] * h[5] - h[4] * h[4], h[2] * h[4] - h[1] * h[5], h[1] * h[4] - h[2] * h[3]
-    determinant = h[0] * a + h[1] * b + h[2] * c
-    if not determinant > 0.0:
-        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    k = 1.0 / determinant
-    return (
-        determinant,
-        a * k,
-        b * k,
-        c * k,
-        (h[0] * h[5] - h[2] * h[2]) * k,
-        (h[1] * h[2] - h[0] * h[4]) * k,
-        (h[0] * h[3] - h[1] * h[1]) * k,
-    )
 
 
 @kernel
@@ -121,7 +103,7 @@ def fit(rig, frame, rays, work, steps):
                 total += square
                 if square > largest:
                     largest, camera = square, c
-        determinant, i0, i1, i2, i3, i4, i5 = inverse_symmetric(h)
+        determinant, i0, i1, i2, i3, i4, i5 = symmetric_inverse(h)
         if not (determinant > 0.0 and total < np.inf):
             return np.inf, np.inf, camera
         if step == steps:
@@ -185,13 +167,8 @@ def closest_point(rig, frame, pair, i, j, x):
         cameras[b, 2] * fx + cameras[b, 5] * fy + cameras[b, 8],
     )
     o0, o1, o2 = cameras[b, 12] - cameras[a, 12], cameras[b, 13] - cameras[a, 13], cameras[b, 14] - cameras[a, 14]
-    dd, ee, de = d0 * d0 + d1 * d1 + d2 * d2, e0 * e0 + e1 * e1 + e2 * e2, d0 * e0 + d1 * e1 + d2 * e2
-    od, oe = o0 * d0 + o1 * d1 + o2 * d2, o0 * e0 + o1 * e1 + o2 * e2
-    under = dd * ee - de * de
-    if not under > 1e-8 * dd * ee:
-        return False
-    s, t = (od * ee - oe * de) / under, (od * de - oe * dd) / under
-    if not (s > 1e-6 and t > 1e-6):
+    s, t, cross = where_lines_approach(d0, d1, d2, e0, e1, e2, o0, o1, o2)
+    if not (cross and s > 1e-6 and t > 1e-6):
         return False
     x[0] = 0.5 * (cameras[a, 12] + s * d0 + cameras[b, 12] + t * e0)
     x[1] = 0.5 * (cameras[a, 13] + s * d1 + cameras[b, 13] + t * e1)

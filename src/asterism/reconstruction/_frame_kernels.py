@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.geometry._kernels import symmetric_inverse
 from asterism.reconstruction._compose_kernels import compose
-from asterism.reconstruction._fit_kernels import add_ray, fit, fit_and_prune, fit_workspace, inverse_symmetric, set_zero
+from asterism.reconstruction._fit_kernels import add_ray, fit, fit_and_prune, fit_workspace, set_zero
 from asterism.reconstruction._input_kernels import NOISE, frame_arrays, inside_volume
 from asterism.reconstruction._order_kernels import ascending
 from asterism.reconstruction._pack_kernels import pack
@@ -107,7 +108,7 @@ def write_point(rig, frame, rays, here, work, out, at):
     IN  rays (C,) blobs of the frame or -1; here: added to their numbers; work: the point and its information
     OUT out PointArrays, row `at`; work.information is overwritten
     """
-    _, i0, i1, i2, i3, i4, i5 = inverse_symmetric(work.information)
+    _, i0, i1, i2, i3, i4, i5 = symmetric_inverse(work.information)
     many, pixels = 0, 0.0
     for c in range(len(rays)):
         out.rays[at, c] = -1

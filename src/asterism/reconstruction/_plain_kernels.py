@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.reconstruction._fit_kernels import add_ray, closest_point, fit, fit_workspace, inverse_symmetric, set_zero
+from asterism.geometry._kernels import symmetric_inverse
+from asterism.reconstruction._fit_kernels import add_ray, closest_point, fit, fit_workspace, set_zero
 from asterism.reconstruction._frame_kernels import write_point
 from asterism.reconstruction._input_kernels import END, FEWEST, FIRST, GATE, NOISE, frame_arrays, inside_volume
 from asterism.reconstruction._order_kernels import ascending
@@ -40,7 +41,7 @@ def reconstruct_frame_plain(rig, rays, frame_number, out):
             if one[c] >= 0:
                 many += 1
                 pixels += add_ray(rig, frame, c, one[c], work) * rig.cameras[c, NOISE] ** 2
-        determinant = inverse_symmetric(work.information)[0]
+        determinant = symmetric_inverse(work.information)[0]
         if many >= rig.limits[FEWEST] and determinant > 0.0 and pixels < np.inf:
             write_point(rig, frame, one, here, work, out, kept)
             kept += 1
@@ -69,7 +70,7 @@ def _compose_pairs(rig, frame, rays, points, spreads):
                 if not (square <= limit and inside_volume(rig, work.point)):
                     continue
                 if count < len(points):
-                    _, i0, _, _, i3, _, i5 = inverse_symmetric(work.information)
+                    _, i0, _, _, i3, _, i5 = symmetric_inverse(work.information)
                     rays[count], points[count], spreads[count] = one, work.point, i0 + i3 + i5
                 count += 1
     return count

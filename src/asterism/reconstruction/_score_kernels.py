@@ -8,7 +8,7 @@ import numpy as np
 
 from asterism._jit import kernel
 from asterism.cameras._kernels import CX, CY, FX, FY, distorted
-from asterism.reconstruction._fit_kernels import inverse_symmetric
+from asterism.geometry._kernels import symmetric_inverse
 from asterism.reconstruction._input_kernels import (
     CELLS,
     END,
@@ -47,7 +47,7 @@ def best_blob(rig, frame, c, work, available):
     u, v, w = in_camera_axes(rig.cameras, c, x[0], x[1], x[2])
     if not w > 1e-9 or frame.grid[c, FIRST] == frame.grid[c, END]:
         return -1, np.inf
-    determinant, i0, i1, i2, i3, i4, i5 = inverse_symmetric(h)
+    determinant, i0, i1, i2, i3, i4, i5 = symmetric_inverse(h)
     if not determinant > 0.0:
         return -1, np.inf
     px, py = u / w, v / w
@@ -147,7 +147,7 @@ def score(rig, frame, rays, work, square):
     in its image and shows nothing there speaks against it, unless a blob is so near that both may have merged.
     O(C), and the blobs near the point. Twin: tests/twins_reconstruction.py
     """
-    determinant = inverse_symmetric(work.information)[0]
+    determinant = symmetric_inverse(work.information)[0]
     if not (determinant > 0.0 and square < np.inf):
         return -np.inf
     total = rig.limits[PRIOR] - 0.5 * math.log(determinant) - 0.5 * square

@@ -122,8 +122,8 @@ class Recording:
     def times(self) -> Floats:
         """(T,) s on the file's clock, on which the events are: the first frame's time is that of its number, or `first_time`."""
         start = self.metadata.get("first_time")
-        known = isinstance(start, int | float) and np.isfinite(start)
-        return (float(start) if known else (self.first_frame - 1) / self.rate) + np.arange(len(self)) / self.rate
+        begin = float(start) if isinstance(start, int | float) and np.isfinite(start) else (self.first_frame - 1) / self.rate
+        return begin + np.arange(len(self)) / self.rate
 
     def logged(self, action: str, by: str = "", **settings: Any) -> Recording:
         """The same recording with one more step in its processing log, see `ProcessingStep`."""

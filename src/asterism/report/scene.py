@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.sparse.csgraph import minimum_spanning_tree
 
+from asterism.geometry import rotate_z_up
 from asterism.recording import Clouds, Floats, Labelling, MarkerSet, canonical, shipped_marker_sets
 
 FRAMES = 200
@@ -31,7 +32,7 @@ def scene(labelling: Labelling, clouds: Clouds, marker_set: MarkerSet | None, wr
 
     wrong  (T, M) the labels that are known to be wrong, or None. Returns None where no marker got a label.
     """
-    labelled = labelling.positions(clouds) @ upright(clouds.vertical).T
+    labelled = rotate_z_up(labelling.positions(clouds), clouds.vertical)
     seen = np.isfinite(labelled[:, :, 0])
     if not seen.any():
         return None
@@ -43,7 +44,7 @@ def scene(labelling: Labelling, clouds: Clouds, marker_set: MarkerSet | None, wr
     rest = []
     for t in frames:
         taken = labelling.indices[t][labelling.indices[t] >= 0]
-        left = np.delete(clouds[int(t)], taken, axis=0) @ upright(clouds.vertical).T - follow[t]
+        left = rotate_z_up(np.delete(clouds[int(t)], taken, axis=0), clouds.vertical) - follow[t]
         near = ((left > ranges[:, 0]) & (left < ranges[:, 1])).all(axis=1)
         rest.append(_millimetres(left[near][:REST_POINTS]))
     mistaken = wrong if wrong is not None else np.zeros(seen.shape, dtype=bool)
@@ -65,14 +66,6 @@ def scene(labelling: Labelling, clouds: Clouds, marker_set: MarkerSet | None, wr
         "aspect": np.round((ranges[:, 1] - ranges[:, 0]) / (ranges[:, 1] - ranges[:, 0]).max(), 3),
         "eye": {"x": 1.2, "y": 1.2, "z": 0.25},
     }
-
-
-def upright(vertical: Floats) -> Floats:
-    """(3, 3) the rotation that turns `vertical` to z."""
-    ahead = np.eye(3)[int(np.argmin(np.abs(vertical)))]
-    ahead = ahead - vertical * (ahead @ vertical)
-    ahead /= np.linalg.norm(ahead)
-    return np.stack([ahead, np.cross(vertical, ahead), vertical])
 
 
 def _follow(labelled: Floats, seen: NDArray[np.bool_]) -> Floats:

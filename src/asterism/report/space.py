@@ -9,9 +9,9 @@ import numpy as np
 
 from asterism.cameras import Camera, Rig
 from asterism.cameras.accuracy import RigMap, Volume
+from asterism.geometry import z_up_rotation
 from asterism.recording import Floats, as_vertical
 from asterism.report.figures import PALETTE, Figure, figure
-from asterism.report.scene import upright
 
 LAYERS = 4
 """So many slices through a volume."""
@@ -24,7 +24,7 @@ def rig_in_space(
 
     values  one per point, drawn as its shade; what: their name and unit
     """
-    turn = upright(as_vertical("z") if rig.vertical is None else rig.vertical)
+    turn = z_up_rotation(as_vertical("z") if rig.vertical is None else rig.vertical)
     eyes = np.stack([camera.position for camera in rig])
     reach = float(np.linalg.norm(eyes.max(axis=0) - eyes.min(axis=0))) or 1.0
     data: list[Mapping[str, Any]] = []

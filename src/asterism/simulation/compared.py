@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from asterism.cameras import Rig
 from asterism.errors import AsterismError
+from asterism.geometry import fit_rigid
 from asterism.recording import NULL, Clouds, Floats, Ints
 
 
@@ -53,7 +54,7 @@ def compare_rigs(rig: Rig, truth: Rig) -> RigErrors:
     if len(names) < 3:
         raise AsterismError("two rigs are laid over each other by three common cameras or more.")
     own, true = rig.select(names), truth.select(names)
-    rotation, translation = _laid(np.stack([c.position for c in own]), np.stack([c.position for c in true]))
+    rotation, translation = fit_rigid(np.stack([c.position for c in own]), np.stack([c.position for c in true]))
     moved = own.moved(rotation, translation)
     turned = np.clip([a.rotation[2] @ b.rotation[2] for a, b in zip(moved, true, strict=True)], -1.0, 1.0)
     return RigErrors(
@@ -88,12 +89,3 @@ def compare_points(clouds: Clouds, positions: ArrayLike, wanted: ArrayLike, reac
             if truth[t, m] == NULL and n not in truth[t]:
                 truth[t, m], error[t, m] = n, away[m, n]
     return PointErrors(truth, error, np.asarray(wanted, dtype=np.bool_), ghosts, len(clouds.xyz))
-
-
-def _laid(points: Floats, over: Floats) -> tuple[Floats, Floats]:
-    """The rotation (3, 3) and translation (3,) m that lay points (N, 3) m over others, in the sense of least squares (Kabsch)."""
-    middle, target = points.mean(axis=0), over.mean(axis=0)
-    u, _, vt = np.linalg.svd((points - middle).T @ (over - target))
-    turn = np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))])
-    rotation: Floats = vt.T @ turn @ u.T
-    return rotation, target - rotation @ middle

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.cameras.bundle import Sightings
-from asterism.cameras.camera import Camera, rotation_from_vector
+from asterism.cameras.camera import Camera
 from asterism.errors import AsterismError
+from asterism.geometry import rotation_from_vector
 from asterism.recording import Floats, Ints
 
 Single = NDArray[np.float32]

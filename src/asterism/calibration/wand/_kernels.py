@@ -8,9 +8,12 @@ import numpy as np
 
 from asterism._jit import kernel
 from asterism.cameras._kernels import CX, CY, FX, FY, distorted
+from asterism.geometry._kernels import nearest_to_rays
 
 MOST_BLOBS = 40
 """Images with more blobs than this are not searched for a wand."""
+PARALLEL = 1e-7
+"""Of the normal equations' determinant per cubed number of rays: rays below it count as parallel."""
 
 
 @kernel
@@ -78,32 +81,6 @@ def _pixel(lens, rotation, translation, x, y, z):
     if not (ux * vy - uy * vx > 0.0 and ux + vy > 0.0):
         return np.nan, np.nan
     return lens[FX] * a + lens[CX], lens[FY] * b + lens[CY]
-
-
-@kernel(inline=True)
-def _meet(origin, ray, rays, normal, right, out):
-    """The point nearest to the rays (n of them in `ray` (n, 3), from `origin` (n, 3)); False where they are parallel."""
-    normal[:] = 0.0
-    right[:] = 0.0
-    for r in range(rays):
-        along = ray[r, 0] * origin[r, 0] + ray[r, 1] * origin[r, 1] + ray[r, 2] * origin[r, 2]
-        for j in range(3):
-            right[j] += origin[r, j] - ray[r, j] * along
-            for k in range(3):
-                normal[j, k] += (1.0 if j == k else 0.0) - ray[r, j] * ray[r, k]
-    c0 = normal[1, 1] * normal[2, 2] - normal[1, 2] ** 2
-    c1 = normal[0, 2] * normal[1, 2] - normal[0, 1] * normal[2, 2]
-    c2 = normal[0, 1] * normal[1, 2] - normal[0, 2] * normal[1, 1]
-    determinant = normal[0, 0] * c0 + normal[0, 1] * c1 + normal[0, 2] * c2
-    if not determinant > 1e-7 * rays**3:
-        return False
-    c3 = normal[0, 0] * normal[2, 2] - normal[0, 2] ** 2
-    c4 = normal[0, 1] * normal[0, 2] - normal[0, 0] * normal[1, 2]
-    c5 = normal[0, 0] * normal[1, 1] - normal[0, 1] ** 2
-    out[0] = (c0 * right[0] + c1 * right[1] + c2 * right[2]) / determinant
-    out[1] = (c1 * right[0] + c3 * right[1] + c4 * right[2]) / determinant
-    out[2] = (c2 * right[0] + c4 * right[1] + c5 * right[2]) / determinant
-    return True
 
 
 @kernel(inline=True)
@@ -212,7 +189,9 @@ def agree(
                         i, j = chosen[t, a, k], chosen[t, b, markers - 1 - k if turned else k]
                         origin[0], origin[1] = origins[a], origins[b]
                         ray[0], ray[1] = rays[i], rays[j]
-                        there[k] = math.isfinite(ray[0, 0] + ray[1, 0]) and _meet(origin, ray, 2, normal, right, points[k])
+                        there[k] = math.isfinite(ray[0, 0] + ray[1, 0]) and nearest_to_rays(
+                            origin, ray, 0, 2, PARALLEL, normal, right, points[k]
+                        )
                     laid = _lay(lengths, points, there, start, direction)
                     if not laid:
                         continue
@@ -231,7 +210,7 @@ def agree(
                     if sights[t, c, k] >= 0 and math.isfinite(rays[sights[t, c, k], 0]):
                         origin[n], ray[n] = origins[c], rays[sights[t, c, k]]
                         n += 1
-                there[k] = n >= 2 and _meet(origin, ray, n, normal, right, points[k])
+                there[k] = n >= 2 and nearest_to_rays(origin, ray, 0, n, PARALLEL, normal, right, points[k])
             if not _lay(lengths, points, there, start, direction):
                 break
             score = _support(t, lengths, start, direction, lens, rotation, translation, posed, xy, offsets, gate, tried)

@@ -16,7 +16,7 @@ from asterism.calibration.wand.identify import Wand, identify, wand_of
 from asterism.calibration.wand.initialise import cold_start
 from asterism.calibration.wand.inputs import check_distance, check_found, lenses_of, why_no_start, why_not
 from asterism.calibration.wand.synchronise import in_step
-from asterism.calibration.wand.world import upright
+from asterism.calibration.wand.world import default_world
 from asterism.cameras.bundle import Sightings, locate
 from asterism.cameras.rig import Rig
 from asterism.detection.static_lights import without_static_lights
@@ -154,7 +154,7 @@ def calibrate_wand(
         here = np.linalg.norm(made.rig[distance[0]].position - made.rig[distance[1]].position)
         scale = distance[2] / float(here)
         made = made.moved(made.rig.moved(np.eye(3), np.zeros(3), scale), np.eye(3), np.zeros(3), scale)
-    turn, shift = upright(made.rig, made.positions)
+    turn, shift = default_world(made.rig, made.positions)
     made = made.moved(made.rig.moved(turn, shift), turn, shift)
     made = replace(made, findings=judge(made, clocks.of(posed), scaled=distance is not None))
     told(1.0, "done")

@@ -9,7 +9,7 @@ import numpy as np
 
 from asterism.calibration.wand.drift import PARTS, jumps
 from asterism.calibration.wand.frames import widest
-from asterism.calibration.wand.world import upright
+from asterism.calibration.wand.world import default_world
 from asterism.recording import Floats
 
 if TYPE_CHECKING:
@@ -179,7 +179,7 @@ def _moved(made: WandCalibration) -> list[Finding]:
 
 def _looking_up(made: WandCalibration) -> list[Finding]:
     """Whether the cameras hang below what they look at, by their own sense of up: so they seem to where y is counted from the bottom."""
-    up = upright(made.rig, made.positions)[0][2]
+    up = default_world(made.rig, made.positions)[0][2]
     below = [float(camera.rotation[2] @ up) > LOOKS_UP for camera in made.rig]
     if not all(below):
         return []

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from asterism.calibration.wand.frames import shown
 from asterism.calibration.wand.identify import Wand
-from asterism.cameras.bundle import Adjustment, Sightings, adjust, free_parameters, place_objects, triangulate
+from asterism.cameras.bundle import Adjustment, Sightings, adjust, free_parameters, triangulate
 from asterism.cameras.camera import Camera
+from asterism.geometry import fit_rigid, place_objects
 from asterism.recording import Blobs, Floats, Ints
 
 Bools = NDArray[np.bool_]
@@ -130,7 +131,7 @@ def _pose_by_depths(xy: Floats, pair: Sequence[Camera], wand: Wand) -> tuple[Flo
     """The second camera's pose (rotation, translation m) in the first one's axes, from the wand as each camera alone sees it.
 
     Where the inner marker is seen between the others tells how much farther one end is than the other, and the length how far both are:
-    the wand's ends in each camera's own axes, noisy in depth. One set is laid on the other (Kabsch 1976), reweighted.
+    the wand's ends in each camera's own axes, noisy in depth. One set is laid on the other, reweighted.
     """
     share, whole = float(wand.lengths[1] / wand.lengths[2]), float(wand.lengths[2])
     ends = []
@@ -149,11 +150,7 @@ def _pose_by_depths(xy: Floats, pair: Sequence[Camera], wand: Wand) -> tuple[Flo
     one, other = one[good].reshape(-1, 3), other[good].reshape(-1, 3)
     weight = np.ones(len(one))
     for _ in range(15):
-        total = weight.sum()
-        middle_one, middle_other = weight @ one / total, weight @ other / total
-        u, _, vt = np.linalg.svd((weight[:, None] * (other - middle_other)).T @ (one - middle_one))
-        rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-        translation = middle_other - rotation @ middle_one
+        rotation, translation = fit_rigid(one, other, weight)
         miss = np.linalg.norm(other - one @ rotation.T - translation, axis=1)
         weight = 1.0 / (1.0 + np.square(miss / max(float(np.median(miss)), 1e-9)))
     return rotation, translation, np.zeros(len(xy), dtype=bool)

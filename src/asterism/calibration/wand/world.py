@@ -13,6 +13,7 @@ from asterism.calibration.wand.identify import agree, identify, wand_of
 from asterism.cameras.bundle import Sightings, locate
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
+from asterism.geometry import fit_rigid
 from asterism.recording import Blobs, Floats
 
 _GATE = 0.004
@@ -29,7 +30,7 @@ Similarity = tuple[Floats, Floats, float]
 """rotation (3, 3), translation (3,) m and scale: X in the new world = scale rotation X + translation."""
 
 
-def upright(rig: Rig, positions: Floats) -> tuple[Floats, Floats]:
+def default_world(rig: Rig, positions: Floats) -> tuple[Floats, Floats]:
     """A world frame where no floor was given: z against the images' down on average, x to the first camera's right.
 
     positions (..., 3) m, of the wand: the origin is below its middle. Returns rotation (3, 3) and translation (3,) m
@@ -95,7 +96,7 @@ def world_from_l_frame(rig: Rig, still: Blobs, markers: ArrayLike, *, scaled: bo
         raise AsterismError("the L-frame looks alike from two sides; give it arms of different lengths.")
     found = points[list(chosen)]
     scale = 1.0 if scaled else float(gaps.sum() / seen[np.ix_(chosen, chosen)].sum())
-    rotation, translation = _laid(scale * found, wanted)
+    rotation, translation = fit_rigid(scale * found, wanted)
     _check_up(rig.moved(rotation, translation, scale), "the L-frame's arms are swapped")
     return rotation, translation, scale
 
@@ -241,14 +242,6 @@ def _matches(wanted: Floats, seen: Floats, scaled: bool) -> list[tuple[float, tu
 
     extend(())
     return sorted(found)
-
-
-def _laid(points: Floats, wanted: Floats) -> tuple[Floats, Floats]:
-    """The rotation and translation that lay points on those wanted (Kabsch 1976); never a mirror."""
-    here, there = points.mean(axis=0), wanted.mean(axis=0)
-    u, _, vt = np.linalg.svd((wanted - there).T @ (points - here))
-    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return rotation, there - rotation @ here
 
 
 def _check_floor(rig: Rig, middle: Floats, z: Floats) -> None:

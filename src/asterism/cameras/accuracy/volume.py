@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from asterism.cameras.accuracy.sensitivity import sees
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
+from asterism.geometry import nearest_point_to_lines
 from asterism.recording import Floats, as_vertical
 
 _FARTHEST = 1e5
@@ -85,9 +86,7 @@ def lines_of_sight_meet(rig: Rig) -> Floats:
     """(3,) m: the place that is nearest to all cameras' lines of sight, in the sense of least squares."""
     eyes = np.stack([camera.position for camera in rig])
     ahead = np.stack([camera.rotation[2] for camera in rig])
-    aside = np.eye(3) - ahead[:, :, None] * ahead[:, None, :]
-    middle: Floats = np.linalg.lstsq(aside.sum(axis=0), np.einsum("cij,cj->i", aside, eyes), rcond=None)[0]
-    return middle
+    return nearest_point_to_lines(eyes, ahead)
 
 
 def volume_of(rig: Rig, least: int = 3) -> Volume:

@@ -2,6 +2,6 @@
 
 from asterism.cameras.bundle.adjust import Adjustment, adjust, free_parameters
 from asterism.cameras.bundle.locate import locate
-from asterism.cameras.bundle.sightings import PARAMETERS, Sightings, place_objects, triangulate
+from asterism.cameras.bundle.sightings import PARAMETERS, Sightings, triangulate
 
-__all__ = ["PARAMETERS", "Adjustment", "Sightings", "adjust", "free_parameters", "locate", "place_objects", "triangulate"]
+__all__ = ["PARAMETERS", "Adjustment", "Sightings", "adjust", "free_parameters", "locate", "triangulate"]

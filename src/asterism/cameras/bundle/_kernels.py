@@ -12,6 +12,7 @@ import numpy as np
 
 from asterism._jit import kernel
 from asterism.cameras._kernels import CX, CY, DENOMINATOR, FX, FY, distorted
+from asterism.geometry._kernels import rotate_by
 
 PARAMETERS = 15
 FOCAL, ASPECT, CENTRE, K1, TANGENTIAL = 6, 7, 8, 10, 13
@@ -198,17 +199,6 @@ def linearise(
 
 
 @kernel
-def turn_by(rotation, x, y, z, own_axes):
-    """Turn (3, 3) rotations in place by the rotation vector x, y, z (rad): about their own axes, or about those they lead to. Rodrigues."""
-    angle = math.sqrt(x * x + y * y + z * z)
-    half = 0.5 if angle < 1e-8 else (1.0 - math.cos(angle)) / (angle * angle)
-    sine = 1.0 if angle < 1e-8 else math.sin(angle) / angle
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    step = np.eye(3) + sine * skew + half * (skew @ skew)
-    rotation[:] = np.ascontiguousarray(rotation) @ step if own_axes else step @ np.ascontiguousarray(rotation)
-
-
-@kernel
 def move_objects(turned, placed, factors, remaining, axes):
     """Solve each frame's object for its step and take it.
 
@@ -224,41 +214,8 @@ def move_objects(turned, placed, factors, remaining, axes):
             for e in range(d + 1, dof):
                 entry -= factors[t, e, d] * step[axes[e]]
             step[axes[d]] = entry / factors[t, d, d]
-        turn_by(turned[t], step[0], step[1], step[2], True)
+        rotate_by(turned[t], step[0], step[1], step[2], True)
         for j in range(3):
             placed[t, j] += step[3 + j]
             largest = max(largest, abs(step[3 + j]))
     return largest
-
-
-@kernel
-def intersect_rays(origins, rays, starts, out):
-    """The point nearest to several rays, by linear least squares of its distances to them.
-
-    IN  origins (n, 3) m, rays (n, 3) unit directions, NaN for none; starts (m + 1,): whose rays belong to which point
-    OUT out (m, 3) m; NaN where fewer than two rays meet, or all are parallel
-    O(n), no allocation per point. Twin: numpy.linalg.lstsq
-    """
-    a, b = np.empty((3, 3)), np.empty(3)
-    for i in range(len(starts) - 1):
-        a[:] = 0.0
-        b[:] = 0.0
-        n = 0
-        for r in range(starts[i], starts[i + 1]):
-            if not math.isfinite(rays[r, 0]):
-                continue
-            n += 1
-            along = rays[r, 0] * origins[r, 0] + rays[r, 1] * origins[r, 1] + rays[r, 2] * origins[r, 2]
-            for j in range(3):
-                b[j] += origins[r, j] - rays[r, j] * along
-                for k in range(3):
-                    a[j, k] += (1.0 if j == k else 0.0) - rays[r, j] * rays[r, k]
-        out[i] = np.nan
-        if n >= 2:
-            c0, c1, c2 = a[1, 1] * a[2, 2] - a[1, 2] ** 2, a[0, 2] * a[1, 2] - a[0, 1] * a[2, 2], a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]
-            determinant = a[0, 0] * c0 + a[0, 1] * c1 + a[0, 2] * c2
-            if determinant > 1e-10 * n * n * n:
-                c3, c4, c5 = a[0, 0] * a[2, 2] - a[0, 2] ** 2, a[0, 1] * a[0, 2] - a[0, 0] * a[1, 2], a[0, 0] * a[1, 1] - a[0, 1] ** 2
-                out[i, 0] = (c0 * b[0] + c1 * b[1] + c2 * b[2]) / determinant
-                out[i, 1] = (c1 * b[0] + c3 * b[1] + c4 * b[2]) / determinant
-                out[i, 2] = (c2 * b[0] + c4 * b[1] + c5 * b[2]) / determinant

@@ -13,6 +13,8 @@ from asterism.cameras.bundle import _kernels as kernels
 from asterism.cameras.bundle.sightings import PARAMETERS, Bools, Sightings
 from asterism.cameras.camera import Camera
 from asterism.errors import AsterismError
+from asterism.geometry import cross_matrix, nearest_orthogonal
+from asterism.geometry._kernels import rotate_by
 from asterism.recording import Floats
 
 _GROUPS = {
@@ -77,9 +79,9 @@ class Adjustment:
         rigid = np.zeros((3 * count, 6))
         for c, camera in enumerate(self.cameras):
             rows, first = slice(3 * c, 3 * c + 3), c * len(PARAMETERS)
-            by_parameter[rows, first : first + 3] = -camera.rotation.T @ _cross(camera.translation)
+            by_parameter[rows, first : first + 3] = -camera.rotation.T @ cross_matrix(camera.translation)
             by_parameter[rows, first + 3 : first + 6] = -camera.rotation.T
-            rigid[rows] = np.hstack([-_cross(camera.position), np.eye(3)])
+            rigid[rows] = np.hstack([-cross_matrix(camera.position), np.eye(3)])
         if self.sizeless:
             places = np.stack([camera.position for camera in self.cameras])
             rigid = np.column_stack([rigid, (places - places.mean(axis=0)).ravel()])
@@ -206,7 +208,7 @@ class _State:
 
     def move_cameras(self, step: Floats) -> None:
         for c, part in enumerate(step):
-            kernels.turn_by(self.rotation[c], part[0], part[1], part[2], False)
+            rotate_by(self.rotation[c], part[0], part[1], part[2], False)
         self.translation += step[:, 3:6]
         aspect = self.lens[:, 1] / self.lens[:, 0] + step[:, 7]
         self.lens[:, 0] += step[:, 6]
@@ -216,8 +218,7 @@ class _State:
         self.lens[:, 4:6] += step[:, 13:15]
 
     def cameras(self, before: Sequence[Camera], errors: Sequence[float]) -> tuple[Camera, ...]:
-        u, _, vt = np.linalg.svd(self.rotation)
-        turned = u @ vt
+        turned = nearest_orthogonal(self.rotation)
         return tuple(
             replace(
                 camera,
@@ -371,12 +372,6 @@ def _own_axes(template: Floats) -> tuple[Floats, Floats, NDArray[np.int64]]:
         return template, np.eye(3), np.arange(6)
     axes = vt if np.linalg.det(vt) > 0 else vt * np.array([[1.0], [1.0], [-1.0]])
     return template @ axes.T, np.ascontiguousarray(axes.T), np.array([1, 2, 3, 4, 5])
-
-
-def _cross(vector: Floats) -> Floats:
-    """(3, 3) the matrix that takes the cross product of `vector` with what it is multiplied with."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _last_radial(lens: Floats) -> int:

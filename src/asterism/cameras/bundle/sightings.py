@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from asterism.cameras.bundle import _kernels
 from asterism.cameras.camera import Camera
 from asterism.errors import AsterismError
+from asterism.geometry import intersect_rays
 from asterism.recording import Floats, Ints
 
 Bools = NDArray[np.bool_]
@@ -85,31 +85,4 @@ def triangulate(cameras: Sequence[Camera], sightings: Sightings, frames: int, po
     cell = sightings.frame * points + sightings.point
     order = np.argsort(cell, kind="stable")
     starts = np.searchsorted(cell[order], np.arange(frames * points + 1))
-    out = np.empty((frames * points, 3))
-    _kernels.intersect_rays(origins[order], rays[order], starts, out)
-    return out.reshape(frames, points, 3)
-
-
-def place_objects(template: ArrayLike, positions: Floats) -> tuple[Floats, Floats]:
-    """The rigid placement of a template (K, 3) m nearest to its points in each frame, (T, K, 3) m with NaN for missing ones.
-
-    Returns rotations (T, 3, 3) and translations (T, 3) m, world from object; NaN where too few points are there (two for points in a
-    line, three otherwise). Least squares over rotations by SVD (Kabsch 1976).
-    """
-    model = np.asarray(template, dtype=np.float64).reshape(-1, 3)
-    there: Bools = np.asarray(np.isfinite(positions).all(axis=2))
-    n = np.maximum(there.sum(axis=1), 1)[:, None]
-    filled = np.where(there[:, :, None], positions, 0.0)
-    mean = filled.sum(axis=1) / n
-    model_mean = (there[:, :, None] * model).sum(axis=1) / n
-    centred = np.where(there[:, :, None], model[None] - model_mean[:, None], 0.0)
-    matrices = np.einsum("tki,tkj->tij", np.where(there[:, :, None], filled - mean[:, None], 0.0), centred)
-    u, _, vt = np.linalg.svd(matrices)
-    sign = np.linalg.det(u @ vt)
-    u[:, :, 2] *= sign[:, None]
-    rotations = u @ vt
-    translations = mean - np.einsum("tij,tj->ti", rotations, model_mean)
-    rank = np.linalg.matrix_rank(model - model.mean(axis=0), tol=1e-9)
-    lost = there.sum(axis=1) < min(rank + 1, 3)
-    rotations[lost], translations[lost] = np.nan, np.nan
-    return rotations, translations
+    return intersect_rays(origins[order], rays[order], starts).reshape(frames, points, 3)

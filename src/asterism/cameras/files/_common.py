@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from asterism.cameras.camera import LARGEST_IMAGE, Camera, rotation_from_vector
+from asterism.cameras.camera import LARGEST_IMAGE, Camera
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
 from asterism.formats._text import read_bytes
+from asterism.geometry import nearest_orthogonal, rotation_from_vector
 from asterism.recording import Floats
 
 MILLIMETRES_ABOVE = 50.0
@@ -61,8 +62,7 @@ def rotation_of(where: str, values: Any) -> Floats:
     if len(found) != 9:
         raise AsterismError(f"{where}: its rotation has {len(found)} numbers, not 3 or 9; the file is damaged, export it again.")
     given = found.reshape(3, 3)
-    left, _, right = np.linalg.svd(given)
-    nearest: Floats = left @ right
+    nearest = nearest_orthogonal(given)
     if np.abs(nearest - given).max() > _ROUNDED:
         raise AsterismError(f"{where}: its rotation is none: its rows are not of length 1 and at right angles; export it again.")
     if np.linalg.det(nearest) < 0:

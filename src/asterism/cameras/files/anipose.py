@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from asterism.cameras.camera import Camera, vector_from_rotation
+from asterism.cameras.camera import Camera
 from asterism.cameras.files._common import image_size, in_metres, numbers, of_whom, read_otherwise, rig_of, rotation_of, within
 from asterism.cameras.files._lens import OPENCV, lens_lost, with_fisheye, with_shapes
 from asterism.cameras.files._toml import toml_line
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
 from asterism.formats._text import write_atomically
+from asterism.geometry import vector_from_rotation
 
 ANIPOSE, CALISCOPE = "anipose TOML", "caliscope TOML"
 

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from asterism.cameras.camera import Camera, rotation_from_vector
+from asterism.cameras.camera import Camera
 from asterism.cameras.files._common import OPENCV_FROM_UPRIGHT, image_size, numbers, rig_of, rotation_of, within
 from asterism.cameras.files._lens import TOLERABLE_PX, corner_radius, lens_lost
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
 from asterism.formats._text import decoded, read_bytes, write_atomically
+from asterism.geometry import rotation_from_vector
 from asterism.recording import Floats
 
 _GRID = (17, 13, 5)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.geometry._kernels import cofactors
 
 COVERED = (0.0, 0.1, 0.4, 1.0)
 """What a place is worth that none, one, two, or three cameras and more see."""
@@ -18,8 +19,7 @@ WORST_DECADE, DECADES = -2.0, 2.0
 @kernel(inline=True)
 def _quality(a, b, c, d, e, f):
     """What precision is worth, 0 to 1, of a point with information ((a, b, c), (b, d, e), (c, e, f)) 1/m2."""
-    aa, dd, ff = d * f - e * e, a * f - c * c, a * d - b * b
-    determinant = a * aa - b * (b * f - c * e) + c * (b * e - c * d)
+    determinant, aa, _, _, dd, _, ff = cofactors(a, b, c, b, d, e, c, e, f)
     trace = a + d + f
     if not determinant > 1e-12 * trace * trace * trace:
         return 0.0

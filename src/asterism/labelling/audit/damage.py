@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.geometry import rotate_z_up
 from asterism.labelling.audit._kernels import exchange_gains
 from asterism.labelling.audit.findings import ALWAYS, EXCHANGED, MISPLACED, Finding, Run, joined, sentence
 from asterism.labelling.audit.paths import exchanges, jumps, pairs_of
 from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyRules, fit_body, names_of, subsample
-from asterism.labelling.partial.features import upright
 from asterism.labelling.partial.solver import person
 from asterism.labelling.training.learning import renumbered
 from asterism.progress import Progress
@@ -172,7 +172,7 @@ def without(recordings: Sequence[Recording], findings: Sequence[Finding]) -> lis
 def _columns(recording: Recording, labels: tuple[str, ...]) -> Floats:
     """A recording's positions (T, M, 3) m, z up, in the order of `labels`, NaN where it has no such marker or the label twice."""
     positions = np.full((len(recording), len(labels), 3), np.nan)
-    own = upright(recording.positions, recording.vertical)
+    own = rotate_z_up(recording.positions, recording.vertical)
     for m, label in enumerate(labels):
         if recording.labels.count(label) == 1:
             positions[:, m] = own[:, recording.labels.index(label)]

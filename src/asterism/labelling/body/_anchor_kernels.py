@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.labelling.body._placement_kernels import place_points, placement
+from asterism.geometry._kernels import align_about_z, fit_about_z
 from asterism.labelling.body._workspace_kernels import LOG_2PI
 
 
 @kernel(reassociate=True)
 def _anchor_displacement(anchors, a, k, body, points, anchor_points, delta):
     """OUT delta (9,): how far an anchor's points lie from a key pose's, once placed onto it. Returns its squared distance."""
-    cos, sin, here, there = placement(points, anchor_points, body.mean[k], anchors.markers[a])
+    cos, sin, here, there = fit_about_z(points, anchor_points, body.mean[k], anchors.markers[a])
     for i in range(3):
         m, row = anchors.markers[a, i], anchor_points[i]
         x, y = points[row, 0] - here[0], points[row, 1] - here[1]
@@ -45,7 +45,7 @@ def score_from_anchor(anchors, a, k, body, points, anchor_points, delta, setting
     """Score every point as every marker from an anchor alone (fills workspace.scores, like `leave_one_out_scores`). O(M n)."""
     markers, n = body.load.shape[1], len(points)
     _anchor_displacement(anchors, a, k, body, points, anchor_points, delta)
-    place_points(points, anchor_points, body.mean[k], anchors.markers[a], workspace.aligned)
+    align_about_z(points, anchor_points, body.mean[k], anchors.markers[a], workspace.aligned)
     for m in range(markers):
         mx, my, mz = body.mean[k, m, 0], body.mean[k, m, 1], body.mean[k, m, 2]
         for i in range(9):

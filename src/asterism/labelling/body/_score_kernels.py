@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.labelling.body._placement_kernels import place_points
+from asterism.geometry._kernels import align_about_z, cofactors
 from asterism.labelling.body._workspace_kernels import LOG_2PI
 
 MAX_DISTANCE = 0.6
@@ -75,7 +75,7 @@ def evidence(body, k, points, point_of, settings, workspace):
     O(M r^2 + r^3).
     """
     markers, latents = body.load.shape[1], body.load.shape[3]
-    place_points(points, point_of, body.mean[k], workspace.all_markers, workspace.aligned)
+    align_about_z(points, point_of, body.mean[k], workspace.all_markers, workspace.aligned)
     workspace.moment[:] = 0.0
     counted = 0
     for m in range(markers):
@@ -173,9 +173,7 @@ def leave_one_out_scores(body, k, point_of, settings, workspace):
             for b in range(3):
                 h[a, b] = (1.0 if a == b else 0.0) + sign * h[a, b]
         # predictive covariance (whitened): I + h for a hidden marker; (I - h)^-1 leave-one-out for a labelled one
-        c00, c01, c02 = h[1, 1] * h[2, 2] - h[1, 2] * h[2, 1], h[0, 2] * h[2, 1] - h[0, 1] * h[2, 2], h[0, 1] * h[1, 2] - h[0, 2] * h[1, 1]
-        c11, c12, c22 = h[0, 0] * h[2, 2] - h[0, 2] * h[2, 0], h[0, 2] * h[1, 0] - h[0, 0] * h[1, 2], h[0, 0] * h[1, 1] - h[0, 1] * h[1, 0]
-        det = h[0, 0] * c00 + h[0, 1] * (h[1, 2] * h[2, 0] - h[1, 0] * h[2, 2]) + h[0, 2] * (h[1, 0] * h[2, 1] - h[1, 1] * h[2, 0])
+        det, c00, c01, c02, c11, c12, c22 = cofactors(h[0, 0], h[0, 1], h[0, 2], h[1, 0], h[1, 1], h[1, 2], h[2, 0], h[2, 1], h[2, 2])
         det = max(det, 1e-9)
         inverse[0, 0], inverse[0, 1], inverse[0, 2] = c00 / det, c01 / det, c02 / det
         inverse[1, 0], inverse[1, 1], inverse[1, 2] = c01 / det, c11 / det, c12 / det

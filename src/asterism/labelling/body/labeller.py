@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.geometry import rotate_z_up
 from asterism.labelling.body._frame_kernels import label_clouds
 from asterism.labelling.body._workspace_kernels import AnchorArrays, BodyArrays, FrameSettings
 from asterism.labelling.body.anchors import Anchors
 from asterism.labelling.body.model import BodyModel
 from asterism.labelling.partial._kernels import SolverArrays
-from asterism.labelling.partial.features import upright
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints
 
@@ -108,7 +108,7 @@ class BodyLabeller:
         were left over. The result depends neither on the order of the points nor on `workers`.
         """
         frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
-        xyz = upright(clouds.xyz, clouds.vertical)
+        xyz = rotate_z_up(clouds.xyz, clouds.vertical)
         order = np.lexsort((xyz[:, 1], xyz[:, 0], -xyz[:, 2], frame_of))
         xyz = np.ascontiguousarray(xyz[order])
         place = order - clouds.offsets[frame_of]

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
+from asterism.geometry import align_about_z
 from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.recording import Floats, Ints
 
@@ -94,23 +95,6 @@ class BodyModel:
         return full
 
 
-def place_onto(frames: Floats, mean: Floats) -> Floats:
-    """Turn each frame about +z and shift it so that the markers that both show lie best on `mean`: (N, M, 3) m, NaN stays."""
-    shown = ~np.isnan(frames[:, :, :1]) & ~np.isnan(mean[None, :, :1])
-    count = np.maximum(shown.sum(axis=1, keepdims=True), 1)
-    here = np.where(shown, frames, 0.0).sum(axis=1, keepdims=True) / count
-    there = np.where(shown, mean, 0.0).sum(axis=1, keepdims=True) / count
-    a, b = np.where(shown, frames - here, 0.0), np.where(shown, mean - there, 0.0)
-    along = (a[..., :2] * b[..., :2]).sum(axis=(1, 2))
-    across = (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sum(axis=1)
-    angle = np.arctan2(across, along)[:, None]
-    moved = frames - here
-    x, y = moved[..., 0].copy(), moved[..., 1].copy()
-    moved[..., 0] = np.cos(angle) * x - np.sin(angle) * y
-    moved[..., 1] = np.sin(angle) * x + np.cos(angle) * y
-    return moved + there
-
-
 def fit_body(frames: Floats, people: Ints, rules: BodyRules, seed: int) -> BodyModel:
     """Learn a body model from labelled frames.
 
@@ -118,7 +102,7 @@ def fit_body(frames: Floats, people: Ints, rules: BodyRules, seed: int) -> BodyM
     """
     mean = frames[np.argmax((~np.isnan(frames[:, :, 0])).sum(axis=1))]
     for _ in range(12):
-        placed = place_onto(frames, mean)
+        placed = align_about_z(frames, mean)
         mean = _mean_over_people(placed, people)
     placed = _fill(placed, mean)
     pose_of = _key_poses(placed - placed.mean(axis=1, keepdims=True), people, rules, seed)
@@ -126,7 +110,7 @@ def fit_body(frames: Floats, people: Ints, rules: BodyRules, seed: int) -> BodyM
     for k in range(pose_of.max() + 1):
         own = pose_of == k
         centre = _mean_over_people(placed[own], people[own])
-        poses.append((*_pose(_fill(place_onto(frames[own], centre), centre), people[own], rules), np.log(own.mean())))
+        poses.append((*_pose(_fill(align_about_z(frames[own], centre), centre), people[own], rules), np.log(own.mean())))
     means, loads, noises, within, between, weights = zip(*poses, strict=True)
     return BodyModel(np.stack(means), np.stack(loads), np.stack(noises), np.array(weights), np.stack(within), np.stack(between))
 

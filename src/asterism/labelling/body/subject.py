@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.labelling.body.model import BodyModel, BodyRules, factors, place_onto
+from asterism.geometry import align_about_z
+from asterism.labelling.body.model import BodyModel, BodyRules, factors
 from asterism.recording import Floats, Ints
 
 
@@ -101,7 +102,7 @@ def _seen(
         return np.zeros(3 * count), np.zeros(count, dtype=np.bool_), np.zeros((count, count))
     shown = ~np.isnan(frames[:, :, 0])
     covariance = body.covariance(k)
-    placed = place_onto(frames, body.mean[k])
+    placed = align_about_z(frames, body.mean[k])
     patterns, which = np.unique(shown, axis=0, return_inverse=True)
     for p, pattern in enumerate(patterns):
         if pattern.all():
@@ -112,7 +113,7 @@ def _seen(
         expected = deviation @ np.linalg.solve(covariance[np.ix_(here, here)], covariance[np.ix_(here, ~here)])
         placed[np.ix_(own, np.nonzero(~pattern)[0])] = expected.reshape(len(own), -1, 3) + body.mean[k][~pattern]
         yield
-    placed = place_onto(placed, body.mean[k])
+    placed = align_about_z(placed, body.mean[k])
     heavy = weight[:, None] * shown
     total = heavy.sum(axis=0)
     seen = total > 0

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
+from asterism.geometry import rotate_z_up
 from asterism.labelling.body._frame_kernels import frame_settings
 from asterism.labelling.body._refine_kernels import refine
 from asterism.labelling.body._score_kernels import best_pose, rescore
@@ -23,7 +24,6 @@ from asterism.labelling.body._search_kernels import MAX_LABELLINGS, CandidateLab
 from asterism.labelling.body._workspace_kernels import BodyWorkspace, FrameSettings, make_body_workspace
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.live.body import LiveBody
-from asterism.labelling.partial.features import upright
 from asterism.labelling.training.calibration import Calibration
 from asterism.recording import NULL, Floats, Ints, as_vertical
 from asterism.tracking._link_kernels import link_step, make_bench, make_ends
@@ -153,7 +153,7 @@ class Stream:
             raise AsterismError(f"frame {self._pushed}: points have shape {xyz.shape}, expected (points, 3); transpose or split them.")
         if not np.isfinite(xyz).all():
             raise AsterismError(f"frame {self._pushed}: a point is NaN or infinite; leave missing points out of the push.")
-        xyz = upright(xyz, self._vertical)
+        xyz = rotate_z_up(xyz, self._vertical)
         place = np.lexsort((xyz[:, 2], xyz[:, 1], xyz[:, 0]))
         xyz = np.ascontiguousarray(xyz[place])
         rival = self._link(xyz)

@@ -1,6 +1,6 @@
 """Feature and tree-search kernels: points and solvers as flat arrays in, feature values and feasible labellings out.
 
-All of them take the vertical as +z; `features.upright` has turned the points before they come here. Their plain twins are in
+All of them take the vertical as +z; `geometry.rotate_z_up` has turned the points before they come here. Their plain twins are in
 `tests/twins.py`.
 """
 

@@ -154,18 +154,3 @@ def describe(kind: int, slots: Ints, names: Sequence[str]) -> str:
     """A feature in words: "distance (RKNE, RTIB)"."""
     feature = FEATURES[kind]
     return f"{feature.title} ({', '.join(names[marker] for marker in slots[: feature.points])})"
-
-
-def upright(points: Floats, vertical: Floats) -> Floats:
-    """Points (..., 3) turned so that the unit vector `vertical` becomes +z, by the shortest way.
-
-    Points whose vertical is +z come back as they are, bit for bit.
-    """
-    x, y, z = vertical
-    if z == 1.0:
-        return points
-    if z <= -1.0 + 1e-12:
-        return points * np.array([1.0, -1.0, -1.0])
-    turn = np.array([[1 - x * x / (1 + z), -x * y / (1 + z), -x], [-x * y / (1 + z), 1 - y * y / (1 + z), -y], [x, y, z]])
-    turned: Floats = points @ turn.T
-    return turned

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from asterism.geometry import rotate_z_up
 from asterism.labelling.partial._motion_kernels import WIDTH, follow
-from asterism.labelling.partial.features import upright
 from asterism.recording import Clouds, Floats, Ints, Recording
 from asterism.tracking.linking import find_tracklets
 
@@ -36,7 +36,7 @@ def motion_of(clouds: Clouds, tracks: Ints | None = None) -> Floats:
         order = np.lexsort((frame, tracks))
         away, reach = round(NEIGHBOUR * clouds.rate), max(2, round(REACH * clouds.rate))
         follow(clouds.xyz, frame, tracks, order, away, reach, clouds.rate, out)
-    return np.ascontiguousarray(upright(out.reshape(-1, WIDTH // 3, 3), clouds.vertical).reshape(-1, WIDTH))
+    return np.ascontiguousarray(rotate_z_up(out.reshape(-1, WIDTH // 3, 3), clouds.vertical).reshape(-1, WIDTH))
 
 
 def frames_with_motion(recording: Recording) -> Floats:
@@ -49,4 +49,4 @@ def frames_with_motion(recording: Recording) -> Floats:
 
 def with_motion(clouds: Clouds, wanted: bool) -> Floats:
     """The upright points of clouds: with their motion (P, WIDTH) where it is wanted, else (P, 3)."""
-    return motion_of(clouds) if wanted else np.ascontiguousarray(upright(clouds.xyz, clouds.vertical))
+    return motion_of(clouds) if wanted else np.ascontiguousarray(rotate_z_up(clouds.xyz, clouds.vertical))

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
+from asterism.geometry import rotate_z_up
 from asterism.labelling.partial._kernels import G1, G2, G4, G6, G7, PairRules, SolverArrays, arrange, label_whole, rejections, search
 from asterism.labelling.partial._motion_kernels import G14
-from asterism.labelling.partial.features import FEATURES, THESIS, kinds_of, members, needs_motion, upright
+from asterism.labelling.partial.features import FEATURES, THESIS, kinds_of, members, needs_motion
 from asterism.labelling.partial.motion_points import frames_with_motion, with_motion
 from asterism.labelling.partial.weak import Bits, Spread, StrongClassifier, Trial, Weak, choose_widening, readable
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
@@ -164,7 +165,7 @@ def stack(recordings: Sequence[Recording], subjects: Sequence[str] | None = None
         raise AsterismError(f"{len(subjects)} subjects for {len(recordings)} recordings; give one name per recording.")
     names = [person(recording) for recording in recordings] if subjects is None else list(subjects)
     number = {name: i for i, name in enumerate(dict.fromkeys(names))}
-    frames = np.concatenate([frames_with_motion(r) if motion else upright(r.positions, r.vertical) for r in recordings])
+    frames = np.concatenate([frames_with_motion(r) if motion else rotate_z_up(r.positions, r.vertical) for r in recordings])
     return frames, np.repeat([number[name] for name in names], [len(recording) for recording in recordings]).astype(np.int64)
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.labelling.partial.features import upright
+from asterism.geometry import rotate_z_up
 from asterism.recording import Floats, Ints, MarkerSet, Recording
 
 Counts = NDArray[np.int32]
@@ -173,7 +173,7 @@ def _counts(recording: Recording, marker_set: MarkerSet) -> Counts:
             f"{recording.metadata.get('file', 'a recording')} has none of the model's markers ({', '.join(marker_set.names[:6])}, ...); "
             "give its points these names, or leave it out."
         )
-    positions = upright(recording.positions, recording.vertical)[:, columns]
+    positions = rotate_z_up(recording.positions, recording.vertical)[:, columns]
     positions[:, columns < 0] = np.nan
     if np.nanmax(np.abs(positions), initial=0.0) > FARTHEST:
         raise AsterismError(

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from asterism.errors import AsterismError
+from asterism.geometry import rotate_z_up
 from asterism.labelling.body.labeller import BodyLabeller
-from asterism.labelling.partial.features import upright
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints
 
@@ -162,7 +162,7 @@ def check_for_one(model: BodyLabeller, clouds: Clouds, rules: CrowdRules | None 
     if len(crowded) < rules.share * len(clouds) or not len(crowded):
         return
     some = crowded[np.unique(np.linspace(0, len(crowded) - 1, rules.frames).round().astype(np.int64))]
-    points = [upright(clouds[t], clouds.vertical) for t in some]
+    points = [rotate_z_up(clouds[t], clouds.vertical) for t in some]
     xyz = np.concatenate([frame[np.lexsort((frame[:, 1], frame[:, 0], -frame[:, 2]))] for frame in points])
     offsets = np.concatenate([[0], np.cumsum(clouds.counts[some])]).astype(np.int64)
     bodies = find_bodies([model, model], xyz, offsets, rules.sure)

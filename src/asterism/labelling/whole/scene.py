@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.geometry import rotate_z_up
 from asterism.labelling.body.labeller import BodyLabeller
-from asterism.labelling.partial.features import upright
 from asterism.recording import NULL, Clouds, Floats, Ints
 from asterism.tracking.linking import Tracklets
 
@@ -93,7 +93,7 @@ def lay_out(clouds: Clouds, tracklets: Tracklets, rules: TimeRules, unit: float)
     unit: `length_scale` of the smallest body that is looked for.
     """
     frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
-    xyz = upright(clouds.xyz, clouds.vertical)
+    xyz = rotate_z_up(clouds.xyz, clouds.vertical)
     order = np.lexsort((xyz[:, 1], xyz[:, 0], -xyz[:, 2], frame_of))
     xyz = np.ascontiguousarray(xyz[order])
     _, begins, track = np.unique(tracklets.of_point[order], return_index=True, return_inverse=True)

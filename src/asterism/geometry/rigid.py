@@ -1,0 +1,82 @@
+"""Two sets of corresponding points in; the rotation and the translation that lay one on the other out. Never a reflection."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+
+_FLAT = 1e-9
+"""m: a template with less extent than this along a direction has none."""
+
+
+def best_rotation(covariances: Floats) -> Floats:
+    """The rotations R (..., 3, 3) that maximise trace(R' C) for matrices C (..., 3, 3) (Kabsch 1976).
+
+    C is the sum of outer(target, point) over centred pairs. Where C is of rank 1 or 0 (points in a line, or coincident) one of the
+    equally good rotations is returned.
+    """
+    u, _, vt = np.linalg.svd(covariances)
+    u[..., :, 2] *= np.linalg.det(u @ vt)[..., None]
+    rotations: Floats = u @ vt
+    return rotations
+
+
+def fit_rigid(points: Floats, targets: Floats, weights: Floats | None = None) -> tuple[Floats, Floats]:
+    """The rotation (3, 3) and translation (3,) m that lay points (N, 3) m on targets (N, 3) m by least squares (Kabsch 1976).
+
+    weights (N,) weigh the squared distances. All values must be finite and N at least 1. Fewer than three points, or points in a line,
+    leave the rotation open: one of the best is returned.
+    """
+    if weights is None:
+        here, there = points.mean(axis=0), targets.mean(axis=0)
+        covariance = (targets - there).T @ (points - here)
+    else:
+        total = weights.sum()
+        here, there = weights @ points / total, weights @ targets / total
+        covariance = (weights[:, None] * (targets - there)).T @ (points - here)
+    rotation = best_rotation(covariance)
+    return rotation, there - rotation @ here
+
+
+def place_objects(template: ArrayLike, positions: Floats) -> tuple[Floats, Floats]:
+    """`fit_rigid` of a template (K, 3) m on its points in each frame, (T, K, 3) m with NaN for missing ones.
+
+    Returns rotations (T, 3, 3) and translations (T, 3) m, world from object. NaN where too few points are present: fewer than two for a
+    template in a line, fewer than three for others.
+    """
+    model = np.asarray(template, dtype=np.float64).reshape(-1, 3)
+    present = np.asarray(np.isfinite(positions).all(axis=2))
+    count = np.maximum(present.sum(axis=1), 1)[:, None]
+    filled = np.where(present[:, :, None], positions, 0.0)
+    mean = filled.sum(axis=1) / count
+    model_mean = (present[:, :, None] * model).sum(axis=1) / count
+    centred = np.where(present[:, :, None], model[None] - model_mean[:, None], 0.0)
+    rotations = best_rotation(np.einsum("tki,tkj->tij", np.where(present[:, :, None], filled - mean[:, None], 0.0), centred))
+    translations = mean - np.einsum("tij,tj->ti", rotations, model_mean)
+    rank = np.linalg.matrix_rank(model - model.mean(axis=0), tol=_FLAT)
+    too_few = present.sum(axis=1) < min(rank + 1, 3)
+    rotations[too_few], translations[too_few] = np.nan, np.nan
+    return rotations, translations
+
+
+def align_about_z(frames: Floats, template: Floats) -> Floats:
+    """Frames (N, M, 3) m, each turned about +z and shifted so that it lies best on `template` (M, 3) m by least squares.
+
+    Markers that are NaN in the frame or in the template do not count; they move with the others. The kernel of the same name does this
+    for one frame.
+    """
+    shown = ~np.isnan(frames[:, :, :1]) & ~np.isnan(template[None, :, :1])
+    count = np.maximum(shown.sum(axis=1, keepdims=True), 1)
+    here = np.where(shown, frames, 0.0).sum(axis=1, keepdims=True) / count
+    there = np.where(shown, template, 0.0).sum(axis=1, keepdims=True) / count
+    a, b = np.where(shown, frames - here, 0.0), np.where(shown, template - there, 0.0)
+    along = (a[..., :2] * b[..., :2]).sum(axis=(1, 2))
+    across = (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sum(axis=1)
+    angle = np.arctan2(across, along)[:, None]
+    moved = frames - here
+    x, y = moved[..., 0].copy(), moved[..., 1].copy()
+    moved[..., 0] = np.cos(angle) * x - np.sin(angle) * y
+    moved[..., 1] = np.sin(angle) * x + np.cos(angle) * y
+    return moved + there
