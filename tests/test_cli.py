@@ -250,7 +250,8 @@ def test_a_trial_of_the_subject_helps_and_one_of_someone_else_is_said(
     capsys.readouterr()
     assert run("label", walk, "--model", model, "-o", tmp_path / "other", "--subject", folder / "walk-0.c3d", "--json", told) == 1
     assert "walk-0.c3d is not of this body" in capsys.readouterr().err
-    assert json.loads(told.read_text())["doubted"] == [str(walk)]
+    [finding] = json.loads(told.read_text())["findings"]
+    assert (finding["code"], finding["where"]) == ("label-other-subject", str(walk))
     assert run("label", walk, "--model", model, "-o", tmp_path / "plain") == 0
     assert (tmp_path / "other" / "walk-4.c3d").read_bytes() == (tmp_path / "plain" / "walk-4.c3d").read_bytes()
     assert run("label", walk, "--model", model, "--model", model, "-o", tmp_path / "two", "--subject", folder / "walk-0.c3d") == 2

@@ -16,7 +16,7 @@ from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.recording import Clouds, Recording
 from asterism.simulation import simulate_walks
 from asterism.tracking._cut_kernels import count_strays, find_cuts
-from asterism.tracking._link_kernels import link_through
+from asterism.tracking._link_kernels import link_frames
 from asterism.tracking.linking import LinkRules, Tracklets, _along_numbers, find_tracklets
 
 MOVEMENT = (
@@ -205,7 +205,7 @@ def test_the_kernel_equals_its_twin() -> None:
         clouds, _ = hide_in_gaps(walks()[seed].frames(np.arange(40)), 3, 3, rng, number_tracks=False)
         frames = [np.array(sorted(map(tuple, frame))) for frame in clouds]
         xyz, got = np.concatenate(frames), np.empty(len(clouds.xyz), dtype=np.int64)
-        link_through(xyz, clouds.offsets, limits, False, got)
+        link_frames(xyz, clouds.offsets, limits, False, got)
         wanted = link_forward(frames, limits)
         for t in range(1, len(frames)):
             own = got[clouds.offsets[t] : clouds.offsets[t + 1]]
@@ -220,11 +220,11 @@ def test_the_cuts_equal_their_twin() -> None:
         positions = recording.positions + rng.normal(scale=0.004, size=recording.positions.shape)
         positions[rng.random(positions.shape[:2]) < 0.02] = np.nan
         clouds = replace(recording, positions=positions).clouds()
-        previous, following = _along_numbers(clouds.columns, frame_of(clouds))
+        links = _along_numbers(clouds.columns, frame_of(clouds))
         got = np.zeros(len(clouds.xyz), dtype=np.bool_)
-        find_cuts(clouds.xyz, clouds.offsets, previous, following, limits, got)
+        find_cuts(clouds.xyz, clouds.offsets, links, limits, got)
         wanted = [
-            previous[p] >= 0 and is_cut(positions, t, m, limits)
+            links.previous[p] >= 0 and is_cut(positions, t, m, limits)
             for p, (t, m) in enumerate(zip(frame_of(clouds), clouds.columns, strict=True))
         ]
         np.testing.assert_array_equal(got, wanted)
@@ -239,7 +239,7 @@ def test_the_strays_equal_their_twin() -> None:
             positions[t] = positions[t][rng.permutation(positions.shape[1])]
         positions[rng.random(positions.shape[:2]) < 0.1] = np.nan
         clouds = Recording(positions, walks()[0].labels, 100.0).clouds()
-        following = _along_numbers(clouds.columns, frame_of(clouds))[1]
+        following = _along_numbers(clouds.columns, frame_of(clouds)).following
         assert count_strays(clouds.xyz, clouds.offsets, following, 3.0, 0.03) == strays(positions, 3.0, 0.03)
 
 

@@ -11,15 +11,15 @@ def norm(vector):
     return float(np.linalg.norm(vector))
 
 
-def begin(old, points, limits):
+def start_links(old, points, limits):
     """Links of two frames in which nothing has a velocity yet: {track: point}."""
     far = np.linalg.norm(old[:, None] - points[None], axis=2) if len(old) and len(points) else np.zeros((len(old), len(points)))
     clear = {}
     for a in range(len(old)):
         for b in range(len(points)):
-            rival = limits.clearer * far[a, b] + limits.apart
+            rival = limits.ratio_test * far[a, b] + limits.rival_gap
             rivals = np.concatenate([np.delete(far[a], b), np.delete(far[:, b], a)])
-            if far[a, b] <= limits.fastest and (rivals > rival).all():
+            if far[a, b] <= limits.max_step and (rivals > rival).all():
                 clear[a] = b
     links = {}
     for a, b in clear.items():
@@ -27,7 +27,9 @@ def begin(old, points, limits):
         near = [k for k in np.argsort(away, kind="stable") if k != a][:3]
         moved = points[b] - old[a]
         alike = [
-            k in clear and norm(points[clear[k]] - old[k] - moved) <= limits.noise + limits.strange + limits.spin * away[k] for k in near
+            k in clear
+            and norm(points[clear[k]] - old[k] - moved) <= limits.noise + limits.neighbour_velocity_tol + limits.rotation_tol * away[k]
+            for k in near
         ]
         if sum(alike) >= 2:
             links[a] = b
@@ -43,23 +45,23 @@ def expected(paths, spread, limits):
             out.append(
                 (
                     x[-1] + (x[-1] - x[-2]) + 0.5 * (x[-1] - 2 * x[-2] + x[-3]),
-                    limits.noise + min(limits.soft + limits.wild * spread[a], limits.hard),
+                    limits.noise + min(limits.usual_change + limits.residual_gain * spread[a], limits.max_change),
                 )
             )
         elif len(x) == 2:
-            out.append((2 * x[-1] - x[-2], limits.noise + 3 * limits.soft))
+            out.append((2 * x[-1] - x[-2], limits.noise + 3 * limits.usual_change))
         else:
             known = [(norm(np.array(p[-1]) - x[-1]), k) for k, p in enumerate(paths) if len(p) > 1]
             near = sorted(known)[:3]
             if not near:
-                out.append((x[-1], limits.fastest))
+                out.append((x[-1], limits.max_step))
                 continue
             weight = np.array([1 / (d * d + 1e-4) for d, _ in near])
             velocity = np.array([np.subtract(paths[k][-1], paths[k][-2]) for _, k in near])
             mean = weight @ velocity / weight.sum()
             unlike = max(norm(mean - v) for v in velocity)
-            gate = limits.noise + limits.strange + limits.spin * near[0][0] + limits.unlike * unlike
-            out.append((x[-1] + mean, min(gate, limits.fastest)))
+            gate = limits.noise + limits.neighbour_velocity_tol + limits.rotation_tol * near[0][0] + limits.disagreement_gain * unlike
+            out.append((x[-1] + mean, min(gate, limits.max_step)))
     return out
 
 
@@ -69,9 +71,11 @@ def link_forward(frames, limits):
     for points in frames:
         goes = {}
         if not any(len(path) > 1 for path in paths):
-            goes = begin(np.array([path[-1] for path in paths]).reshape(-1, 3), points, limits)
+            goes = start_links(np.array([path[-1] for path in paths]).reshape(-1, 3), points, limits)
         places = expected(paths, spread, limits)
-        reach = [gate if len(path) == 1 else limits.clearer * gate + limits.apart for path, (_, gate) in zip(paths, places, strict=True)]
+        reach = [
+            gate if len(path) == 1 else limits.ratio_test * gate + limits.rival_gap for path, (_, gate) in zip(paths, places, strict=True)
+        ]
         far = {
             (a, b): norm(points[b] - at) for a, (at, _) in enumerate(places) for b in range(len(points)) if norm(points[b] - at) <= reach[a]
         }
@@ -79,7 +83,7 @@ def link_forward(frames, limits):
             open_ = {(a, b): d for (a, b), d in far.items() if a not in goes and b not in goes.values()}
             news = {}
             for (a, b), d in open_.items():
-                rival = limits.clearer * d + limits.apart
+                rival = limits.ratio_test * d + limits.rival_gap
                 if len(paths[a]) == 1:
                     rival = max(rival, places[a][1])
                 rivals = [e for (i, j), e in open_.items() if (i == a) != (j == b)]
@@ -103,7 +107,7 @@ def link_forward(frames, limits):
     return links
 
 
-def departure(before, a, b, after):
+def prediction_error(before, a, b, after):
     """How far b is from going on smoothly from a: before (3,) or None the point before a, after that after b."""
     tries = []
     if before is not None:
@@ -129,24 +133,24 @@ def is_cut(positions, t, column, limits):
         """Column i up to t - 1 goes on in column j."""
         before = at(t - 2, i)
         after = at(t + 1, j)
-        return departure(before, at(t - 1, i), at(t, j), after)
+        return prediction_error(before, at(t - 1, i), at(t, j), after)
 
     own = miss(column, column)
-    if own is None or norm(own) <= limits.quiet:
+    if own is None or norm(own) <= limits.no_cut_below:
         return False
     for k in range(positions.shape[1]):
         if k == column:
             continue
         for pair in [(column, k)] * (at(t, k) is not None) + [(k, column)] * (at(t - 1, k) is not None):
             rival = miss(*pair)
-            if rival is None or limits.clearer * norm(rival) >= norm(own):
+            if rival is None or limits.ratio_test * norm(rival) >= norm(own):
                 continue
             if not linked(k):
-                if norm(own) > 3 * limits.quiet:
+                if norm(own) > 3 * limits.no_cut_below:
                     return True
                 continue
             theirs = miss(k, k)
-            if limits.clearer * norm(rival) < norm(theirs) and theirs @ own < 0.5 * norm(theirs) * norm(own):
+            if limits.ratio_test * norm(rival) < norm(theirs) and theirs @ own < 0.5 * norm(theirs) * norm(own):
                 return True
     return False
 

@@ -6,20 +6,16 @@ The names below are the front door; every room has more (`asterism.labelling`, `
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 from asterism.errors import AsterismError
-from asterism.recording import NULL, Clouds, Event, Labelling, MarkerSet, Recording
 
 if TYPE_CHECKING:
     from asterism.formats import read, write
     from asterism.labelling import SolverEnsemble
+    from asterism.recording import NULL, Clouds, Event, Labelling, MarkerSet, Recording
 
-try:
-    __version__ = version("asterism")
-except PackageNotFoundError:  # run from a source tree that is not installed
-    __version__ = "0+unknown"
+    __version__: str
 
 __all__ = [
     "NULL",
@@ -35,11 +31,34 @@ __all__ = [
     "write",
 ]
 
-_ROOM_OF = {"read": "asterism.formats", "write": "asterism.formats", "SolverEnsemble": "asterism.labelling"}
+_ROOM_OF = {
+    "read": "formats",
+    "write": "formats",
+    "SolverEnsemble": "labelling",
+    **dict.fromkeys(("NULL", "Clouds", "Event", "Labelling", "MarkerSet", "Recording"), "recording"),
+}
 
 
 def __getattr__(name: str) -> Any:
-    """Rooms that take a moment to import (Numba) come in when they are first used."""
+    """Import a name when it is first used, so that commands which need no NumPy or Numba start at once."""
     if name in _ROOM_OF:
-        return getattr(import_module(_ROOM_OF[name]), name)
-    raise AttributeError(f"module 'asterism' has no attribute {name!r}")
+        value = getattr(import_module(f"asterism.{_ROOM_OF[name]}"), name)
+    elif name == "__version__":
+        value = _version()
+    else:
+        raise AttributeError(f"module 'asterism' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("asterism")
+    except PackageNotFoundError:  # run from a source tree that is not installed
+        return "0+unknown"

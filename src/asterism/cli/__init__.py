@@ -109,7 +109,7 @@ def main(args: Sequence[str] | None = None) -> int:
         words = _lists_joined(_globbed(_respelled(sys.argv[1:] if args is None else args)))
         status = app(args=words or ["--help"], prog_name="asterism", standalone_mode=False)
     except AsterismError as problem:
-        _console.complain(str(problem))
+        _console.error(str(problem))
         return 2
     except (KeyboardInterrupt, typer.Abort):
         status = 130
@@ -117,15 +117,15 @@ def main(args: Sequence[str] | None = None) -> int:
         sys.stdout = None  # the reader is gone: nothing is left to flush at exit
         return 1
     except OSError as problem:
-        _console.complain(_console.reason(problem))
+        _console.error(_console.reason(problem))
         return 2
     except Exception as problem:
         if not hasattr(problem, "format_message"):
             raise
-        _console.complain(f"{problem.format_message().rstrip('.')}; `asterism COMMAND --help` shows what it takes.")
+        _console.error(f"{problem.format_message().rstrip('.')}; `asterism COMMAND --help` shows what it takes.")
         return 2
     if status == 130:
-        _console.complain("interrupted; finished files stay, and no half-written file is left.")
+        _console.error("interrupted; finished files stay, and no half-written file is left.")
     return status if isinstance(status, int) else 0
 
 

@@ -13,6 +13,7 @@ from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding, exit_status
 from asterism.progress import Progress
 
 if TYPE_CHECKING:
@@ -30,15 +31,32 @@ def console() -> Console:
     return Console(width=width, highlight=False, soft_wrap=False)
 
 
-def say(line: str) -> None:
+def result(line: str) -> None:
     """One plain line of result."""
     print(line, flush=True)
 
 
-def complain(sentence: str) -> None:
+def error(sentence: str) -> None:
     """One plain line on standard error."""
     sys.stdout.flush()
     print(f"asterism: {sentence}", file=sys.stderr, flush=True)
+
+
+def report(finding: Finding) -> None:
+    """A finding as one line on standard error: where, what, the mend, and the code that docs/findings.md explains."""
+    sentence = str(finding) if finding.where in finding.sentence else f"{finding.where}: {finding}"
+    error(f"{sentence} [{finding.code}]")
+
+
+def as_json(finding: Finding) -> dict[str, str]:
+    """A finding as plain values."""
+    return {
+        "code": finding.code,
+        "severity": finding.severity.name.lower(),
+        "where": finding.where,
+        "sentence": finding.sentence,
+        "mend": finding.mend,
+    }
 
 
 def reason(problem: Exception) -> str:
@@ -124,7 +142,7 @@ class Batch:
         self.verb = verb
         self.done: list[Path] = []
         self.failed: list[Path] = []
-        self.doubted: list[Path] = []
+        self.findings: list[Finding] = []
 
     @contextmanager
     def file(self, path: Path) -> Iterator[None]:
@@ -133,26 +151,26 @@ class Batch:
             yield
         except (AsterismError, OSError) as problem:
             sentence = reason(problem)
-            complain(sentence if path.name in sentence else f"{path}: {sentence}")
+            error(sentence if path.name in sentence else f"{path}: {sentence}")
             self.failed.append(path)
         else:
             self.done.append(path)
 
-    def doubt(self, path: Path, sentence: str) -> None:
-        """Say what was found about a file that was done all the same."""
-        complain(f"{path}: {sentence}")
-        self.doubted.append(path)
+    def found(self, finding: Finding) -> None:
+        """Name what was found about a file that was done all the same."""
+        report(finding)
+        self.findings.append(finding)
 
     @property
     def status(self) -> int:
-        """0 all files done and nothing found, 1 some, 2 none done."""
-        return 2 if self.failed and not self.done else 1 if self.failed or self.doubted else 0
+        """0 all files done and nothing found, 1 some files failed or something was found, 2 none done."""
+        return 2 if self.failed and not self.done else 1 if self.failed else exit_status(self.findings)
 
     def close(self) -> int:
         """Name the failed files once more where the batch was longer than one; returns the status."""
         total = len(self.done) + len(self.failed)
         if self.failed and total > 1:
-            complain(f"{total} files: {len(self.done)} {self.verb}, {len(self.failed)} failed: {', '.join(map(str, self.failed))}")
+            error(f"{total} files: {len(self.done)} {self.verb}, {len(self.failed)} failed: {', '.join(map(str, self.failed))}")
         return self.status
 
 

@@ -26,7 +26,7 @@ def demo_cameras(output: Path, seed: int, json: str | None) -> int:
 
     _console.check_new(json, overwrite=True)
     output.mkdir(parents=True, exist_ok=True)
-    talk = _console.say if json != "-" else _console.complain
+    talk = _console.result if json != "-" else _console.error
     walks = simulate_walks(subjects=_WALKERS, frames=_FRAMES, rate=_RATE, markers=_MARKERS, seed=seed)
     started = time.perf_counter()
     session = simulate_session(walks[-1], seed)
@@ -76,7 +76,7 @@ def demo_cameras(output: Path, seed: int, json: str | None) -> int:
     talk(f"  asterism label {mine[1]} --model {model} -o {output / 'labelled'}")
     for check in checks:
         if not check.kept:
-            _console.complain(f"{check.name}: {_told(check.measured, check.unit)}, promised {_told(check.limit, check.unit)}.")
+            _console.error(f"{check.name}: {_told(check.measured, check.unit)}, promised {_told(check.limit, check.unit)}.")
     _console.write_json(json, {"command": "demo cameras", "seed": seed, "seconds": seconds, **_facts(outcome), **files})
     return 0 if all(check.kept for check in checks) else 1
 

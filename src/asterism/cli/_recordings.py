@@ -15,6 +15,15 @@ from asterism.recording import Clouds, Labelling, MarkerSet, Recording, is_unnam
 _FEWEST_MARKERS = 4
 
 
+def is_rig(path: Path) -> bool:
+    """Whether a name is that of a rig file or of a folder of them; names of recordings need no look at the formats of rigs."""
+    if formats.is_recording_file(path) and not path.is_dir():
+        return False
+    from asterism.cameras.files import is_rig_file
+
+    return is_rig_file(path)
+
+
 def read_labelled(
     files: Sequence[Path], markers: str | MarkerSet | None, vertical: str | None, batch: _console.Batch, *, complete: bool = False
 ) -> list[Recording]:
@@ -78,7 +87,7 @@ def _with_common_markers(files: Sequence[Path], recordings: Sequence[Recording])
     left_out = sorted({name for names in named for name in names} - set(common))
     if left_out:
         few = ", ".join(left_out[:8]) + (", ..." if len(left_out) > 8 else "")
-        _console.complain(f"using the {len(common)} markers that all files have; {len(left_out)} are in some files only ({few}).")
+        _console.error(f"using the {len(common)} markers that all files have; {len(left_out)} are in some files only ({few}).")
     return [recording.select(common) for recording in recordings]
 
 

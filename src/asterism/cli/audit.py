@@ -11,9 +11,10 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._options import Files, Json, Markers, Overwrite, Seed, Vertical
+from asterism.findings import exit_status
 
 if TYPE_CHECKING:
-    from asterism.labelling.audit import Finding
+    from asterism.labelling.audit import LabelError
     from asterism.recording import Recording
 
 
@@ -43,41 +44,40 @@ def audit(
     batch = _console.Batch("looked through")
     recordings = read_some(files, marker_set_of(markers), vertical, batch)
     with _console.progress("auditing") as progress:
-        findings = look_through(recordings, subjects=None if subject is None else [subject] * len(recordings), seed=seed, progress=progress)
-    findings = [as_numbered(finding, recordings) for finding in findings]
+        errors = look_through(recordings, subjects=None if subject is None else [subject] * len(recordings), seed=seed, progress=progress)
+    errors = [as_numbered(error, recordings) for error in errors]
     if json != "-":
-        show(findings, batch.done)
-    rows = [{**asdict(finding), "file": str(batch.done[finding.recording]), "damage": finding.damage} for finding in findings]
+        show(errors, batch.done)
+    rows = [{**asdict(error), "file": str(batch.done[error.recording]), "damage": error.damage} for error in errors]
     _console.write_json(json, {"command": "audit", "files": batch.done, "failed": batch.failed, "findings": rows})
     status = batch.close()
-    raise typer.Exit(status or int(any(finding.damage for finding in findings)))
+    raise typer.Exit(status or exit_status(error.finding for error in errors))
 
 
-def as_numbered(finding: Finding, recordings: Sequence[Recording]) -> Finding:
-    """The finding with frames numbered as its file numbers them."""
+def as_numbered(error: LabelError, recordings: Sequence[Recording]) -> LabelError:
+    """The error with frames numbered as its file numbers them."""
+    first = recordings[error.recording].first_frame
+    return replace(error, first_frame=error.first_frame + first, last_frame=error.last_frame + first)
 
-    first = recordings[finding.recording].first_frame
-    return replace(finding, first_frame=finding.first_frame + first, last_frame=finding.last_frame + first)
 
-
-def show(findings: list[Finding], files: list[Path]) -> None:
-    """The findings as a table, or a line that says there are none."""
-    damage = sum(finding.damage for finding in findings)
-    if findings:
+def show(errors: list[LabelError], files: list[Path]) -> None:
+    """The errors as a table, or a line that says there are none."""
+    damage = sum(error.damage for error in errors)
+    if errors:
         rows = [
             (
-                str(files[finding.recording]),
-                finding.kind if finding.damage else f"{finding.kind} (hint)",
-                finding.description,
-                str(finding.first_frame),
-                str(finding.last_frame),
-                _console.count(finding.gain),
+                str(files[error.recording]),
+                error.kind if error.damage else f"{error.kind} (hint)",
+                error.description,
+                str(error.first_frame),
+                str(error.last_frame),
+                _console.count(error.gain),
             )
-            for finding in findings
+            for error in errors
         ]
         _console.table("Labels that cannot be right", ("file", "kind", "what it looks like", "first frame", "last", "nats"), rows, left=3)
-    hints = len(findings) - damage
+    hints = len(errors) - damage
     few = f"{damage} finding{'s' if damage != 1 else ''}" if damage else "nothing is wrong"
-    _console.say(
+    _console.result(
         f"{len(files)} file{'s' if len(files) != 1 else ''}: {few}{f', {hints} hint' + ('s' if hints > 1 else '') if hints else ''}"
     )

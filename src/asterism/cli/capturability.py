@@ -77,7 +77,7 @@ def _print(result: Capturability) -> None:
             [[c.action, c.marker, c.description, percent(c.hit_rate_before), percent(c.hit_rate_after)] for c in result.changes],
             left=3,
         )
-    _console.say(result.verdict)
+    _console.result(result.verdict)
 
 
 def _taken_for(result: Capturability, row: int) -> str:

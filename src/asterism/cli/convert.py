@@ -28,19 +28,19 @@ def convert(
     What the other format cannot carry is named on standard error.
     """
     from asterism import formats
-    from asterism.cameras.files import is_rig_file
+    from asterism.cli._recordings import is_rig
 
     _console.check_new(target, overwrite)
     _console.check_new(json, overwrite)
     axis, wanted = vertical_axis(vertical), marker_names(markers)
-    if is_rig_file(source):
+    if is_rig(source):
         lost = _rig_converted(source, target, axis, wanted)
     else:
         lost = formats.convert(source, target, axis) if wanted is None else formats.write(target, formats.read(source, wanted, axis))
     for what in lost:
-        _console.complain(f"{target} leaves out {what}.")
+        _console.error(f"{target} leaves out {what}.")
     if json != "-":
-        _console.say(f"{source} -> {target}")
+        _console.result(f"{source} -> {target}")
     _console.write_json(json, {"command": "convert", "file": source, "output": target, "not_carried": lost})
 
 
@@ -52,5 +52,5 @@ def _rig_converted(source: Path, target: Path, vertical: Any, markers: Any) -> l
         raise AsterismError(f"{source} is a rig and has no markers; leave out --markers.")
     rig = read_rig(source)
     for phrase in guesses(rig):
-        _console.complain(f"{source} does not say {phrase}.")
+        _console.error(f"{source} does not say {phrase}.")
     return write_rig(rig if vertical is None else replace(rig, vertical=as_vertical(vertical)), target)

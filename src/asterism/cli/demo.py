@@ -62,7 +62,7 @@ def demo(
     output.mkdir(parents=True, exist_ok=True)
     walks = simulate_walks(subjects=_WALKERS, frames=_FRAMES, rate=_RATE, markers=_MARKERS, seed=seed)
     known, strangers = walks[:-_STRANGERS], walks[-_STRANGERS:]
-    talk = _console.say if json != "-" else _console.complain
+    talk = _console.result if json != "-" else _console.error
     talk(f"Training on {len(known)} simulated walkers, {len(known[0].labels)} markers ...")
     started = time.perf_counter()
     with _console.progress("training") as progress:

@@ -127,9 +127,9 @@ def detect(
             blobs += (
                 f" at common instants, without the {_console.percent(result.not_followed, 1)} that cannot be followed from frame to frame"
             )
-        _console.say(f"{cameras}, {len(result.blobs)} frames {timing}; {blobs} -> {output}")
+        _console.result(f"{cameras}, {len(result.blobs)} frames {timing}; {blobs} -> {output}")
     for sentence in result.problems:
-        _console.complain(sentence)
+        _console.error(sentence)
     if report is not None:
         from asterism.report import detection_report
 

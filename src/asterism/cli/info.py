@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -23,23 +24,29 @@ def info(files: Files, overwrite: Overwrite = False, json: Json = None) -> None:
     of them: cameras, their lenses, positions and errors, and what the file lacks.
     """
     from asterism import formats
-    from asterism.cameras.files import describe_rig, is_rig_file, read_rig
+    from asterism.cli._recordings import is_rig
 
     _console.check_new(json, overwrite)
     batch = _console.Batch("shown")
     found: list[dict[str, Any]] = []
     for path in files:
         with batch.file(path):
-            is_rig = is_rig_file(path)
-            whole = describe_rig(read_rig(path)) if is_rig else formats.describe(path)
+            rig = is_rig(path)
+            whole = _described_rig(path) if rig else formats.describe(path)
             content = {key: value for key, value in whole.items() if key != "file"}
             found.append({"file": path, **content})
             if json != "-":
-                _console.facts(str(path), list(_rows({key: value for key, value in content.items() if not (is_rig and key == "cameras")})))
-            if json != "-" and is_rig:
+                _console.facts(str(path), list(_rows({key: value for key, value in content.items() if not (rig and key == "cameras")})))
+            if json != "-" and rig:
                 _console.table("cameras", _CAMERA_COLUMNS, [_camera_row(camera) for camera in content["cameras"]])
     _console.write_json(json, {"command": "info", "files": found, "failed": batch.failed})
     raise typer.Exit(batch.close())
+
+
+def _described_rig(path: Path) -> dict[str, Any]:
+    from asterism.cameras.files import describe_rig, read_rig
+
+    return describe_rig(read_rig(path))
 
 
 def _camera_row(camera: Mapping[str, Any]) -> list[str]:

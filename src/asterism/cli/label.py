@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from asterism import __version__
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import (
@@ -29,6 +28,7 @@ from asterism.cli._options import (
     vertical_axis,
 )
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
 
 if TYPE_CHECKING:
     from asterism.labelling import SolverEnsemble
@@ -81,7 +81,7 @@ def label(options: LabelOptions) -> None:
                 result = _labelled(labeller, batch, path, target, progress)
                 results.append(result)
                 if options.json != "-":
-                    _console.say(_line(result.row))
+                    _console.result(_line(result.row))
     if options.report is not None and results:
         _report(options, labeller, results)
     _console.write_json(
@@ -94,7 +94,7 @@ def label(options: LabelOptions) -> None:
             "keep_labels": options.keep_labels,
             "files": [result.row for result in results],
             "failed": batch.failed,
-            "doubted": batch.doubted,
+            "findings": [_console.as_json(finding) for finding in batch.findings],
         },
     )
     raise typer.Exit(batch.close())
@@ -159,6 +159,7 @@ def _check(options: LabelOptions) -> None:
 
 def _labelled(labeller: _Labeller, batch: _console.Batch, path: Path, target: Path, progress: Progress | None) -> _Result:
     """Label one file and write it."""
+    from asterism import __version__
     from asterism.cli._recordings import labels_kept, outcome
     from asterism.labelling.ensemble import ANOTHER_PERSON
 
@@ -170,11 +171,27 @@ def _labelled(labeller: _Labeller, batch: _console.Batch, path: Path, target: Pa
     share = _share(progress, batch, len(options.files), path)
     labelling, marker_set, one_of_two = labeller.label(clouds, share)
     if labeller.ensembles[0].subject_fit(clouds, labelling) < ANOTHER_PERSON:
-        batch.doubt(path, f"{options.subject} is not of this body, or its markers were placed anew; labelled without it.")
+        batch.found(
+            Finding(
+                "label-other-subject",
+                Severity.WARNING,
+                str(path),
+                f"{options.subject} is not of this body, or its markers were placed anew; the file was labelled without it.",
+                "Give a trial of the same session with --subject.",
+            )
+        )
         labelling, marker_set, one_of_two = labeller.label(clouds, share, generally=True)
     seconds = time.perf_counter() - started
     if one_of_two:
-        batch.doubt(path, "two bodies wear the model's markers, and only one of them was labelled; give --model once for each of them.")
+        batch.found(
+            Finding(
+                "label-two-bodies",
+                Severity.WARNING,
+                str(path),
+                "two bodies wear the model's markers, and only one of them was labelled.",
+                "Give --model once for each of them.",
+            )
+        )
     if options.keep_labels:
         labelling = labels_kept(path, labelling, recording, clouds, marker_set)
     by = f"asterism {__version__}, {', '.join(model.name for model in options.model)}"
@@ -268,7 +285,7 @@ def _write(target: Path, recording: Recording) -> list[str]:
     target.parent.mkdir(parents=True, exist_ok=True)
     lost = formats.write(target, recording)
     for what in lost:
-        _console.complain(f"{target} leaves out {what}.")
+        _console.error(f"{target} leaves out {what}.")
     return lost
 
 

@@ -52,7 +52,7 @@ def learn(
     new_people = [name for name in about["subjects"] if name not in before.about["subjects"]]
     known = len(recordings) - (about["recordings"] - before.about["recordings"])
     if json != "-":
-        _console.say(
+        _console.result(
             f"{output}: {about['recordings']} recordings of {len(about['subjects'])} subjects ({about['frames']:,} frames); "
             f"{len(recordings)} learned in {seconds:.0f} s, {len(new_people)} new subjects{f', {known} known already' if known else ''}"
         )

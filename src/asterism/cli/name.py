@@ -110,7 +110,7 @@ def _write(file: Path, output: Path, recording: Recording, groups: Groups, given
         raise AsterismError(f"{file}: {problem}") from None
     lost = formats.write(output, named)
     for what in lost:
-        _console.complain(f"{output} leaves out {what}.")
+        _console.error(f"{output} leaves out {what}.")
     return lost
 
 
@@ -136,7 +136,7 @@ def _print(file: Path, groups: Groups, where: list[Place], given: dict[int, str]
     named = sum(int(groups.frames[g]) for g in given)
     share = _console.percent(groups.frames[: groups.often].sum() / samples)
     told = f"{groups.often} groups hold {share} of all samples; {len(groups) - groups.often} more are seldom seen."
-    _console.say(f"{told} Named: {_console.percent(named / samples)}." if given else told)
+    _console.result(f"{told} Named: {_console.percent(named / samples)}." if given else told)
 
 
 def _as_json(group: int, place: Place, groups: Groups, given: dict[int, str]) -> dict[str, Any]:

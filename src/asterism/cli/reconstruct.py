@@ -87,10 +87,10 @@ def reconstruct(
     lost = result.write(output)
     findings = (*_guesses(rig, calibrated), *findings, *(_not_written(output, what) for what in lost))
     for finding in findings:
-        _console.complain(str(finding))
+        _console.report(finding)
     if json != "-":
         _print(output, numbers)
-    told = {**numbers, "findings": [finding.to_dict() for finding in findings], "not_carried": lost}
+    told = {**numbers, "findings": [_console.as_json(finding) for finding in findings], "not_carried": lost}
     _console.write_json(json, {"command": "reconstruct", "blobs": blobs, "rig": rig, "output": output, **told})
     raise typer.Exit(exit_status(findings))
 

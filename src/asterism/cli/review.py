@@ -135,7 +135,7 @@ def _print(listed: list[_Listed], pieces: int, gain: float) -> None:
     if rows:
         _console.table("Look at these first", ["file", "point", "said", "perhaps", "frames", "look at", "samples", "gain"], rows, left=4)
     shown = sum(entry.item.gain for entry in listed)
-    _console.say(
+    _console.result(
         f"{pieces:,} pieces of tracks in doubt, {gain:,.1f} samples probably wrong or missing; the {len(listed)} listed hold {shown:,.1f}."
         if pieces
         else "Nothing is in doubt."

@@ -67,7 +67,7 @@ def train(
         told = [as_numbered(finding, recordings) for finding in findings]
         for finding in told:
             span = f"frames {finding.first_frame} to {finding.last_frame}"
-            _console.complain(f"{files[finding.recording]}, {span}: left out, {finding.description}.")
+            _console.error(f"{files[finding.recording]}, {span}: left out, {finding.description}.")
         recordings = without(recordings, findings)
     started = time.perf_counter()
     with _console.progress("training") as progress:
@@ -85,12 +85,12 @@ def train(
     names, about = ensemble.marker_set.names, ensemble.about
     if json != "-":
         people = len(about["subjects"])
-        _console.say(
+        _console.result(
             f"{output}: {len(names)} markers, from {len(recordings)} recording{'s' if len(recordings) > 1 else ''} of {people} "
             f"subject{'s' if people > 1 else ''} ({about['frames']:,} frames) in {seconds:.0f} s"
         )
         if people == 1:
-            _console.say(
+            _console.result(
                 "advice: one person tells little of others, and nothing of postures not shown, where labels can be wrong at a confidence "
                 "near 1: look at what it labels first, and let it learn. Recordings of several people need a folder for each."
             )

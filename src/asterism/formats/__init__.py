@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-from asterism.formats._dispatch import check_suffix, convert, describe, read, read_clouds, read_evidence, write, write_points
+from asterism.formats._dispatch import (
+    check_suffix,
+    convert,
+    describe,
+    is_recording_file,
+    read,
+    read_clouds,
+    read_evidence,
+    write,
+    write_points,
+)
 from asterism.formats.csv_blobs import read_blobs, write_blobs
 from asterism.formats.storage import Table, read_table, write_table
 
@@ -11,6 +21,7 @@ __all__ = [
     "check_suffix",
     "convert",
     "describe",
+    "is_recording_file",
     "read",
     "read_blobs",
     "read_clouds",

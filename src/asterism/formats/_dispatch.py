@@ -108,11 +108,15 @@ def read_evidence(path: str | Path) -> Evidence | None:
     return npz.read_npz_evidence(path) if _kind_of(path) == "NPZ" else None
 
 
+def is_recording_file(path: str | Path) -> bool:
+    """Whether a name's suffix is that of a recording; nothing is read."""
+    return Path(path).suffix.casefold() in (".c3d", *_WRITERS)
+
+
 def check_suffix(path: str | Path) -> None:
     """Raise AsterismError where no format that points can be written in has this suffix, before work is done for nothing."""
-    suffix = Path(path).suffix.casefold()
-    if suffix != ".c3d" and suffix not in _WRITERS:
-        raise AsterismError(f"{path}: no format has the suffix {suffix or '(none)'}; write .c3d, {', '.join(_WRITERS)}.")
+    if not is_recording_file(path):
+        raise AsterismError(f"{path}: no format has the suffix {Path(path).suffix or '(none)'}; write .c3d, {', '.join(_WRITERS)}.")
 
 
 def write_points(path: str | Path, clouds: Clouds, evidence: Evidence, columns: Ints) -> list[str]:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.io
 
 from asterism.errors import AsterismError
 from asterism.formats._columns import Points, as_metres, metres_per_unit
@@ -131,7 +130,9 @@ def write_mat(path: Path, recording: Recording) -> list[str]:
     name = re.sub(r"\W", "_", path.stem)[:31] or "take"
     name = name if name[0].isalpha() else f"take_{name}"[:31]
     buffer = io.BytesIO()
-    scipy.io.savemat(buffer, {name: take}, do_compression=True, long_field_names=True)
+    from scipy.io import savemat
+
+    savemat(buffer, {name: take}, do_compression=True, long_field_names=True)
     write_atomically(path, buffer.getvalue())
     if recording.vertical[2] < 0.99:
         lost.append("the vertical: QTM's files are Z up")

@@ -1,6 +1,6 @@
 """The heart: clouds in, labels with a calibrated confidence out."""
 
-from asterism.labelling.audit import Finding, audit, without
+from asterism.labelling.audit import LabelError, audit, without
 from asterism.labelling.capturability import Capturability, Change, capturability
 from asterism.labelling.ensemble import SolverEnsemble, TrainingRules, label_together
 from asterism.labelling.evaluation import Condition, Evaluation, evaluate, leave_one_subject_out
@@ -15,10 +15,10 @@ __all__ = [
     "Change",
     "Condition",
     "Evaluation",
-    "Finding",
     "FullSolver",
     "Groups",
     "Item",
+    "LabelError",
     "SeveralBodies",
     "SolverEnsemble",
     "TrainingRules",

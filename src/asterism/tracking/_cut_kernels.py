@@ -1,6 +1,6 @@
-"""Cutting kernels: points and their links, both ways, in; which links are wrong, and which ends belong together, out.
+"""Cut and repair kernels: points and their links in; which links are wrong, and which ends belong together, out.
 
-The rules stand in `linking.LinkRules`. The plain twins are in `tests/twins_links.py`.
+The plain twins are in `tests/twins_links.py`.
 """
 
 from __future__ import annotations
@@ -13,13 +13,14 @@ from asterism._jit import kernel
 
 
 @kernel
-def departure(xyz, a, b, previous, following):
-    """How far point b of a frame is from going on smoothly from point a of the frame before: (m, and its x, y, z).
+def prediction_error(xyz, a, b, links):
+    """How far point b of a frame lies from the smooth continuation of point a of the frame before.
 
-    The least of three: by the mean of the velocities before a and after b; by that before a alone; by that after b alone (a swap that
-    lasts a frame or two spoils one side). Without any velocity: infinity.
+    The least of three errors: by the mean of the velocities before a and after b; by that before a alone; by that after b alone (a swap
+    that lasts a frame or two spoils one side). Infinite where neither velocity is known.
+    IN  xyz (P, 3) m; a, b points; links Links. Returns the error in m, and its x, y, z. O(1).
     """
-    c, d = previous[a], following[b]
+    c, d = links.previous[a], links.following[b]
     least, vx, vy, vz = np.inf, 0.0, 0.0, 0.0
     for before, after in ((1.0, 0.0), (0.0, 1.0), (0.5, 0.5)):
         if (before > 0.0 and c < 0) or (after > 0.0 and d < 0):
@@ -40,31 +41,32 @@ def departure(xyz, a, b, previous, following):
 
 
 @kernel
-def misfit(xyz, a, b, previous, following):
-    """The length of `departure`, in m."""
-    return departure(xyz, a, b, previous, following)[0]
+def error_length(xyz, a, b, links):
+    """The length of `prediction_error`, in m. O(1)."""
+    return prediction_error(xyz, a, b, links)[0]
 
 
 @kernel
-def claims(xyz, rival, miss, off, own_from, own_to, previous, following, limits):
-    """Whether a rival that misses by `rival` is right against a link that misses by `miss`, in the direction `off`.
+def rival_wins(xyz, rival, error, direction, from_, to, links, limits):
+    """Whether a rival link is right, and a link with a larger prediction error therefore wrong.
 
-    It must be better by `clearer` than the link and than the rival point's own link (own_from, own_to), where it has one. Where that
-    departs the same way, the two move together, and lie closer than they jerk in a frame: then nothing has swapped.
+    The rival must be better by `ratio_test` than the link, and than the link from_ -> to that the rival's point has, if any. Where that one
+    errs in the same direction, both tracks move together, and closer than they jerk in a frame: then nothing has swapped.
+    IN  rival, error m; direction (3,) m, the error's x, y, z; from_, to the rival point's own link, -1 where it has none. O(1).
     """
-    rival *= limits.clearer
-    if rival >= miss:
+    rival *= limits.ratio_test
+    if rival >= error:
         return False
-    if own_from < 0 or own_to < 0:
-        return miss > 3.0 * limits.quiet
-    own, x, y, z = departure(xyz, own_from, own_to, previous, following)
-    return rival < own and x * off[0] + y * off[1] + z * off[2] < 0.5 * own * miss
+    if from_ < 0 or to < 0:
+        return error > 3.0 * limits.no_cut_below
+    its_error, x, y, z = prediction_error(xyz, from_, to, links)
+    return rival < its_error and x * direction[0] + y * direction[1] + z * direction[2] < 0.5 * its_error * error
 
 
 @kernel
-def bend(xyz, p, previous, following):
-    """How far the point between two others is from going straight on, in m; 0 where there are not two."""
-    a, b = previous[p], following[p]
+def second_difference(xyz, p, links):
+    """The length of a track's second difference at a point, in m; 0 at its ends. O(1)."""
+    a, b = links.previous[p], links.following[p]
     if a < 0 or b < 0:
         return 0.0
     total = 0.0
@@ -74,75 +76,78 @@ def bend(xyz, p, previous, following):
 
 
 @kernel
-def restless(xyz, a, b, previous, following):
-    """How far the tracks that end in a and begin in b have strayed from straight on within three frames of it, in m."""
+def recent_jerk(xyz, a, b, links):
+    """The largest second difference, in m, within three frames before a and after b, of the tracks that end in a and begin in b. O(1)."""
     most = 0.0
     p = a
     for _ in range(3):
-        p = previous[p]
+        p = links.previous[p]
         if p < 0:
             break
-        most = max(most, bend(xyz, p, previous, following))
+        most = max(most, second_difference(xyz, p, links))
     p = b
     for _ in range(3):
-        p = following[p]
+        p = links.following[p]
         if p < 0:
             break
-        most = max(most, bend(xyz, p, previous, following))
+        most = max(most, second_difference(xyz, p, links))
     return most
 
 
 @kernel
-def jumped(xyz, a, b, miss, previous, following, limits):
-    """Whether a track broke between a and b although nobody else claims either: it is offset, with the same velocity before and after."""
-    c, d = previous[a], following[b]
-    if c < 0 or d < 0 or miss < limits.jump:
+def has_jumped(xyz, a, b, error, links, limits):
+    """Whether a track broke between a and b without any rival: it is offset, with the same velocity before and after. O(1)."""
+    c, d = links.previous[a], links.following[b]
+    if c < 0 or d < 0 or error < limits.jump:
         return False
     change2 = 0.0
     for i in range(3):
         change2 += (xyz[d, i] - xyz[b, i] - xyz[a, i] + xyz[c, i]) ** 2
-    return miss > 3.0 * math.sqrt(change2) and miss > 4.0 * restless(xyz, a, b, previous, following)
+    return error > 3.0 * math.sqrt(change2) and error > 4.0 * recent_jerk(xyz, a, b, links)
 
 
 @kernel
-def find_cuts(xyz, offsets, previous, following, limits, cut):
-    """Where links of numbered tracks are wrong. IN links (P,) both ways. OUT cut (P,) whether the link to a point's previous one is wrong.
+def find_cuts(xyz, offsets, links, limits, cut):
+    """Where links along track numbers are wrong.
 
-    A link is wrong where another point goes on with its track, or another track with its point, and `claims` it; or where the track jumped.
-    O(P), and O(n) for each link that misses more than `quiet`.
+    A link is wrong where another point continues its track better, or another track continues in its point better (`rival_wins`), or where
+    the track jumped (`has_jumped`).
+    IN  xyz (P, 3) m; offsets (T + 1,); links Links; limits LinkLimits
+    OUT cut (P,) bool, whether the link from a point to its previous one is wrong
+    O(P), and O(n) for each link with an error above `no_cut_below`.
     """
     for t in range(1, len(offsets) - 1):
         before, first, last = offsets[t - 1], offsets[t], offsets[t + 1]
         for b in range(first, last):
-            a = previous[b]
+            a = links.previous[b]
             cut[b] = False
             if a < 0:
                 continue
-            miss, x, y, z = departure(xyz, a, b, previous, following)
-            if miss <= limits.quiet or miss == np.inf:
+            error, x, y, z = prediction_error(xyz, a, b, links)
+            if error <= limits.no_cut_below or error == np.inf:
                 continue
-            wrong, off = jumped(xyz, a, b, miss, previous, following, limits), (x, y, z)
+            wrong, direction = has_jumped(xyz, a, b, error, links, limits), (x, y, z)
             for other in range(first, last):
                 if wrong:
                     break
                 if other != b:
-                    rival = misfit(xyz, a, other, previous, following)
-                    wrong = claims(xyz, rival, miss, off, previous[other], other, previous, following, limits)
+                    rival = error_length(xyz, a, other, links)
+                    wrong = rival_wins(xyz, rival, error, direction, links.previous[other], other, links, limits)
             for other in range(before, first):
                 if wrong:
                     break
                 if other != a:
-                    rival = misfit(xyz, other, b, previous, following)
-                    wrong = claims(xyz, rival, miss, off, other, following[other], previous, following, limits)
+                    rival = error_length(xyz, other, b, links)
+                    wrong = rival_wins(xyz, rival, error, direction, other, links.following[other], links, limits)
             cut[b] = wrong
 
 
 @kernel
-def count_strays(xyz, offsets, following, farther, least):
-    """How many links there are, and how many of them lead past a point that lies `farther` times nearer: (links, strays).
+def count_strays(xyz, offsets, following, ratio, least):
+    """How many links there are, and how many of them pass by a point that lies `ratio` times nearer: (links, strays).
 
     IN  xyz (P, 3) m; offsets (T + 1,); following (P,) the next frame's point on the same track, -1 for none; least (m): shorter links are
-        none to worry about. O(P), and O(n) for each link that is longer.
+        never strays. O(P), and O(n) for each longer link.
     """
     links, strays = 0, 0
     for t in range(len(offsets) - 2):
@@ -156,17 +161,19 @@ def count_strays(xyz, offsets, following, farther, least):
                 continue
             for c in range(offsets[t + 1], offsets[t + 2]):
                 near2 = (xyz[c, 0] - xyz[a, 0]) ** 2 + (xyz[c, 1] - xyz[a, 1]) ** 2 + (xyz[c, 2] - xyz[a, 2]) ** 2
-                if near2 * farther * farther < length2:
+                if near2 * ratio * ratio < length2:
                     strays += 1
                     break
     return links, strays
 
 
 @kernel
-def mend(xyz, offsets, previous, following, barred, limits):
-    """Join a track that ends with one that begins in the next frame, where motion says so clearly and nothing rivals it.
+def repair_links(xyz, offsets, links, forbidden, limits):
+    """Join a track that ends with one that begins in the next frame, where the motion on both sides agrees and no rival comes near.
 
-    IN barred (P,) the previous point that a point was cut from, -1 for none. IN/OUT links (P,) both ways. O(ends x beginnings) a frame.
+    IN     xyz (P, 3) m; offsets (T + 1,); forbidden (P,) the previous point that a point was cut from, -1 for none; limits LinkLimits
+    IN/OUT links Links
+    O(P), and O(ends x beginnings) a frame.
     """
     most = 0
     for t in range(len(offsets) - 1):
@@ -175,33 +182,33 @@ def mend(xyz, offsets, previous, following, barred, limits):
     for t in range(1, len(offsets) - 1):
         ends, starts = 0, 0
         for a in range(offsets[t - 1], offsets[t]):
-            if following[a] < 0:
+            if links.following[a] < 0:
                 from_[ends] = a
                 ends += 1
         for b in range(offsets[t], offsets[t + 1]):
-            if previous[b] < 0:
+            if links.previous[b] < 0:
                 to[starts] = b
                 starts += 1
         if ends == 0 or starts == 0:
             continue
-        miss = np.empty((ends, starts))
+        error = np.empty((ends, starts))
         for i in range(ends):
             for j in range(starts):
-                miss[i, j] = misfit(xyz, from_[i], to[j], previous, following)
+                error[i, j] = error_length(xyz, from_[i], to[j], links)
         for i in range(ends):
-            j = np.argmin(miss[i])
+            j = np.argmin(error[i])
             a, b = from_[i], to[j]
-            # both sides must speak
-            if previous[a] < 0 or following[b] < 0 or barred[b] == a:
+            # the velocity must be known on both sides
+            if links.previous[a] < 0 or links.following[b] < 0 or forbidden[b] == a:
                 continue
-            gate = limits.noise + limits.soft + limits.wild * restless(xyz, a, b, previous, following)
-            if miss[i, j] > min(gate, limits.noise + limits.hard):
+            gate = limits.noise + limits.usual_change + limits.residual_gain * recent_jerk(xyz, a, b, links)
+            if error[i, j] > min(gate, limits.noise + limits.max_change):
                 continue
-            rival = limits.clearer * miss[i, j] + limits.apart
-            clear = True
+            least = limits.ratio_test * error[i, j] + limits.rival_gap
+            unrivalled = True
             for other in range(starts):
-                clear = clear and (other == j or miss[i, other] > rival)
+                unrivalled = unrivalled and (other == j or error[i, other] > least)
             for other in range(ends):
-                clear = clear and (other == i or miss[other, j] > rival)
-            if clear:
-                following[a], previous[b] = b, a
+                unrivalled = unrivalled and (other == i or error[other, j] > least)
+            if unrivalled:
+                links.following[a], links.previous[b] = b, a

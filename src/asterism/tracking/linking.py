@@ -1,7 +1,7 @@
-"""Clouds in, tracklets out: unbroken pieces of one marker's path, cut wherever it might be another marker's.
+"""Clouds in; tracklets out: unbroken pieces of one marker's path.
 
-Where the camera system numbered its tracks, they are followed, and cut at gaps and where they swap. Where it did not, points are linked by
-motion. A missing link costs little, a wrong one makes a wrong label out of many right ones: what is not clear is not linked.
+If the camera system numbered its tracks, tracklets follow the numbers, and are cut at gaps and swaps. Otherwise points are linked by
+motion. A missing link costs little; a wrong link spoils many labels. Ambiguous points are therefore not linked.
 """
 
 from __future__ import annotations
@@ -11,62 +11,65 @@ from dataclasses import dataclass
 import numpy as np
 
 from asterism.recording import Clouds, Floats, Ints
-from asterism.tracking._cut_kernels import count_strays, find_cuts, mend
-from asterism.tracking._link_kernels import LinkLimits, agree, link_through, number_chains, sort_frames
+from asterism.tracking._chain_kernels import combine_directions, number_chains, sort_frames
+from asterism.tracking._cut_kernels import count_strays, find_cuts, repair_links
+from asterism.tracking._link_kernels import link_frames
+from asterism.tracking._link_workspace_kernels import LinkLimits, Links
 
 
 @dataclass(frozen=True)
 class LinkRules:
-    """When a point goes on with a track. Chosen on the gait recordings, thinned to 50 Hz too.
+    """When a point continues a track.
 
-    The movement recordings showed where cuts were false: jerks of markers close together, at 70 Hz.
+    The limits on motion were chosen on the gait recordings at 100 Hz, and thinned to 50 Hz: no wrong link, hardly a missing one. Those on
+    cuts (`no_cut_below`, `jump`) were chosen on the movement recordings: markers that lie close together jerk at 70 Hz without a swap.
 
-    noise         m that a prediction may always miss
-    soft          m/s2 that a marker's acceleration may always change by from one frame to the next
-    hard          m/s2 that it never changes by more than
-    wild          the misses of the last frames may grow so many times
-    clearer       a rival must be so many times farther from the prediction
-    apart         m that it must be farther, besides
-    strange       m/s that a new point's velocity may differ from its three nearest neighbours'
-    spin          1/s, more than that for every metre to the nearest one
-    unlike        more than that for each m/s that the neighbours disagree
-    fastest       m/s of a point of whose surroundings nothing is known
-    quiet         m that a numbered track misses where it cannot have swapped
-    jump          m that a numbered track may be offset by in one frame without being cut for that alone
-    stray         a numbered track strays that passes by a point so many times nearer than its own next one
-    strays        share of the links that may: of more, numbers are no tracks (the n-th point of each frame, say) and say nothing
+    noise                   m, the error of a prediction that is always allowed
+    acceleration_change     m/s2 by which a marker's acceleration may always change from one frame to the next
+    max_acceleration_change m/s2 by which it may change at most
+    residual_gain           a track's prediction error may be this many times its recent ones
+    ratio_test              a rival must be this many times farther from the prediction
+    rival_gap               m, and farther by this much besides
+    neighbour_velocity_tol  m/s by which the velocity of a point without history may differ from that of its three nearest neighbours
+    rotation_tol            1/s, and more by this for each metre to the nearest neighbour
+    disagreement_gain       and more by this for each m/s by which the neighbours' velocities differ
+    max_speed               m/s, of a point without neighbours that have a velocity
+    no_cut_below            m; a link along track numbers with a smaller prediction error is never cut
+    jump                    m; a link along track numbers with a larger one may be cut without a rival
+    stray_ratio             a link along track numbers is a stray if it passes by a point this many times nearer
+    max_stray_share         share of strays above which the numbers are ignored: they are no tracks, but, say, places in a list
     """
 
     noise: float = 0.002
-    soft: float = 40.0
-    hard: float = 250.0
-    wild: float = 2.0
-    clearer: float = 2.5
-    apart: float = 0.0015
-    strange: float = 0.3
-    spin: float = 8.0
-    unlike: float = 1.0
-    fastest: float = 8.0
-    quiet: float = 0.006
+    acceleration_change: float = 40.0
+    max_acceleration_change: float = 250.0
+    residual_gain: float = 2.0
+    ratio_test: float = 2.5
+    rival_gap: float = 0.0015
+    neighbour_velocity_tol: float = 0.3
+    rotation_tol: float = 8.0
+    disagreement_gain: float = 1.0
+    max_speed: float = 8.0
+    no_cut_below: float = 0.006
     jump: float = 0.03
-    stray: float = 3.0
-    strays: float = 0.1
+    stray_ratio: float = 3.0
+    max_stray_share: float = 0.1
 
     def limits(self, rate: float) -> LinkLimits:
-        """The rules in metres per frame, as the kernels read them."""
+        """The rules at one frame rate, in metres per frame, as the kernels read them."""
         dt = 1.0 / rate
         return LinkLimits(
             noise=self.noise,
-            soft=self.soft * dt * dt,
-            hard=self.hard * dt * dt,
-            wild=self.wild,
-            clearer=self.clearer,
-            apart=self.apart,
-            strange=self.strange * dt,
-            spin=self.spin * dt,
-            unlike=self.unlike,
-            fastest=self.fastest * dt,
-            quiet=self.quiet,
+            usual_change=self.acceleration_change * dt * dt,
+            max_change=self.max_acceleration_change * dt * dt,
+            residual_gain=self.residual_gain,
+            ratio_test=self.ratio_test,
+            rival_gap=self.rival_gap,
+            neighbour_velocity_tol=self.neighbour_velocity_tol * dt,
+            rotation_tol=self.rotation_tol * dt,
+            disagreement_gain=self.disagreement_gain,
+            max_step=self.max_speed * dt,
+            no_cut_below=self.no_cut_below,
             jump=self.jump,
         )
 
@@ -92,13 +95,16 @@ class Tracklets:
 def find_tracklets(clouds: Clouds, rules: LinkRules | None = None) -> Tracklets:
     """Link the points of clouds to tracklets that never jump from one marker to another.
 
-    Points that carry a track number are linked along it, except where it has a gap, and where another point goes on with the track (or
-    another track with the point) clearly better: there it swapped, or jumped, and is cut. Points without a number are linked by motion,
-    from both ends of the recording: a track goes on where it is expected, where the two are each other's best and no rival comes near;
-    a link counts that both directions find, or one of which the other cannot judge, having no velocity yet. At last ends and beginnings
-    that motion joins clearly are joined, across numbers too. The order of the points within their frames plays no part, but for
-    coincident ones. Numbers that are no tracks, but the places of points in an order that changes from frame to frame, are told by their
-    links and not used. O(P n) for n points a frame.
+    Points that carry a track number are linked along it, from each frame to the next. Such a link is cut where another point continues the
+    track much better, where another track continues in the point much better, or where the track jumped. Track numbers that change with
+    every frame, such as places in a list, are recognised by their links and ignored.
+
+    Points without a number are linked by motion, forwards and backwards. A track continues in the point nearest to its prediction if the
+    track is the nearest to that point, too, and no rival comes near. A link counts if both directions find it, or if one finds it and the
+    other cannot judge because the velocity is not known there. In the end, tracks that end are joined with tracks that begin in the next
+    frame where their motion agrees, across track numbers, too.
+
+    The order of the points within their frames does not matter, except for coincident ones. O(P n) for n points a frame.
     """
     rules = rules or LinkRules()
     limits = rules.limits(clouds.rate)
@@ -106,57 +112,57 @@ def find_tracklets(clouds: Clouds, rules: LinkRules | None = None) -> Tracklets:
     sort_frames(clouds.xyz, clouds.offsets, order)
     xyz = np.ascontiguousarray(clouds.xyz[order])
     frame = np.repeat(np.arange(len(clouds)), clouds.counts)
-    barred = np.full(len(xyz), -1, dtype=np.int64)
-    numbers = _true_numbers(clouds, xyz, frame, order, rules)
+    forbidden = np.full(len(xyz), -1, dtype=np.int64)
+    numbers = _usable_numbers(clouds, xyz, frame, order, rules)
     if numbers is None:
-        previous, following = _by_motion(xyz, clouds.offsets, limits)
+        links = _by_motion(xyz, clouds.offsets, limits)
     else:
-        previous, following = _along_numbers(numbers, frame)
+        links = _along_numbers(numbers, frame)
         cut = np.zeros(len(xyz), dtype=np.bool_)
-        find_cuts(xyz, clouds.offsets, previous, following, limits, cut)
-        barred[cut] = previous[cut]
-        following[previous[cut]] = -1
-        previous[cut] = -1
+        find_cuts(xyz, clouds.offsets, links, limits, cut)
+        forbidden[cut] = links.previous[cut]
+        links.following[links.previous[cut]] = -1
+        links.previous[cut] = -1
         free = np.nonzero(numbers < 0)[0]
         offsets = np.concatenate([[0], np.cumsum(np.bincount(frame[free], minlength=len(clouds)))]).astype(np.int64)
-        back, forth = _by_motion(np.ascontiguousarray(xyz[free]), offsets, limits)
-        previous[free] = np.where(back >= 0, free[back], -1)
-        following[free] = np.where(forth >= 0, free[forth], -1)
-    mend(xyz, clouds.offsets, previous, following, barred, limits)
+        between_free = _by_motion(np.ascontiguousarray(xyz[free]), offsets, limits)
+        for ends, found in zip(links, between_free, strict=True):
+            ends[free] = np.where(found >= 0, free[found], -1)
+    repair_links(xyz, clouds.offsets, links, forbidden, limits)
 
     sorted_numbers = np.empty(len(xyz), dtype=np.int64)
-    count = number_chains(previous, sorted_numbers)
+    count = number_chains(links.previous, sorted_numbers)
     of_point = np.empty(len(xyz), dtype=np.int64)
     of_point[order] = sorted_numbers
     first, last = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
-    first[sorted_numbers[previous < 0]] = frame[previous < 0]
-    last[sorted_numbers[following < 0]] = frame[following < 0]
+    begin, end = links.previous < 0, links.following < 0
+    first[sorted_numbers[begin]], last[sorted_numbers[end]] = frame[begin], frame[end]
     return Tracklets(of_point, first, last)
 
 
-def _true_numbers(clouds: Clouds, xyz: Floats, frame: Ints, order: Ints, rules: LinkRules) -> Ints | None:
+def _usable_numbers(clouds: Clouds, xyz: Floats, frame: Ints, order: Ints, rules: LinkRules) -> Ints | None:
     """The track numbers (P,) in the order of the sorted points, None where there are none or they are no tracks."""
     if clouds.tracks is None:
         return None
     numbers = clouds.tracks[order]
-    links, strays = count_strays(xyz, clouds.offsets, _along_numbers(numbers, frame)[1], rules.stray, rules.jump)
-    return None if strays > rules.strays * links else numbers
+    links, strays = count_strays(xyz, clouds.offsets, _along_numbers(numbers, frame).following, rules.stray_ratio, rules.jump)
+    return None if strays > rules.max_stray_share * links else numbers
 
 
-def _along_numbers(numbers: Ints, frame: Ints) -> tuple[Ints, Ints]:
-    """The point before and after each along its track number, in the frames next to it: (P,) twice, -1 for none."""
+def _along_numbers(numbers: Ints, frame: Ints) -> Links:
+    """Links along track numbers (P,), from each frame to the next; -1 is no number."""
     previous, following = np.full(len(numbers), -1, dtype=np.int64), np.full(len(numbers), -1, dtype=np.int64)
     by_number = np.argsort(numbers, kind="stable")
     before, after = by_number[:-1], by_number[1:]
     linked = (numbers[before] == numbers[after]) & (numbers[before] >= 0) & (frame[after] - frame[before] == 1)
     previous[after[linked]], following[before[linked]] = before[linked], after[linked]
-    return previous, following
+    return Links(previous, following)
 
 
-def _by_motion(xyz: Floats, offsets: Ints, limits: LinkLimits) -> tuple[Ints, Ints]:
-    """The point before and after each by motion: (P,) twice, -1 for none."""
+def _by_motion(xyz: Floats, offsets: Ints, limits: LinkLimits) -> Links:
+    """Links by motion, in both directions."""
     forward, backward, previous, following = (np.empty(len(xyz), dtype=np.int64) for _ in range(4))
-    link_through(xyz, offsets, limits, False, forward)
-    link_through(xyz, offsets, limits, True, backward)
-    agree(forward, backward, previous, following)
-    return previous, following
+    link_frames(xyz, offsets, limits, False, forward)
+    link_frames(xyz, offsets, limits, True, backward)
+    combine_directions(forward, backward, previous, following)
+    return Links(previous, following)

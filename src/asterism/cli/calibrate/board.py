@@ -86,11 +86,9 @@ def board(
         _print(made)
     found = [*views.notes, *made.apart, *made.doubts, *(f"{output} leaves out {what}." for what in lost)]
     for sentence in found:
-        _console.complain(sentence)
+        _console.error(sentence)
     if not made.usable:
-        _console.complain(
-            "do not use this calibration" + ("." if written or output is None else "; it was not written (--anyway writes it).")
-        )
+        _console.error("do not use this calibration" + ("." if written or output is None else "; it was not written (--anyway writes it)."))
     raise typer.Exit(2 if not made.usable and not written else 1 if found else 0)
 
 

@@ -75,7 +75,7 @@ def refine(
     if json != "-":
         _print(made)
     for finding in made.findings:
-        _console.complain(f"{blobs}: {finding}")
+        _console.error(f"{blobs}: {finding}")
     raise typer.Exit(1 if made.findings else 0)
 
 
@@ -99,4 +99,4 @@ def _print(made: Refinement) -> None:
         left=2,
     )
     if not made.findings:
-        _console.say("no camera was bumped.")
+        _console.result("no camera was bumped.")

@@ -105,12 +105,12 @@ def wand(
     if json != "-":
         _print(made)
         if lengths is None:
-            _console.say(f"advice: the wand's markers were taken to be at {_USUAL_WAND} m; where yours are not, give --wand.")
+            _console.result(f"advice: the wand's markers were taken to be at {_USUAL_WAND} m; where yours are not, give --wand.")
     for finding in made.findings:
         if not finding.advice:
-            _console.complain(f"{blobs}: {finding.sentence}")
+            _console.error(f"{blobs}: {finding.sentence}")
     if not made.usable:
-        _console.complain(f"{blobs}: do not use this calibration" + ("." if written else "; it was not written (--anyway writes it)."))
+        _console.error(f"{blobs}: do not use this calibration" + ("." if written else "; it was not written (--anyway writes it)."))
     raise typer.Exit(0 if all(finding.advice for finding in made.findings) else 1 if made.usable or written else 2)
 
 
@@ -261,7 +261,7 @@ def _print(made: WandCalibration) -> None:
     )
     lengths = made.lengths[np.isfinite(made.lengths)]
     wand = f", wand {1000 * lengths.mean():.2f} ± {1000 * lengths.std():.2f} mm" if len(made.wand.lengths) > 1 and len(lengths) else ""
-    _console.say(f"reprojection error {made.rms:.3f} px{wand}, {_console.percent(made.rejected)} of the wand's images left out")
+    _console.result(f"reprojection error {made.rms:.3f} px{wand}, {_console.percent(made.rejected)} of the wand's images left out")
     for finding in made.findings:
         if finding.advice:
-            _console.say(f"advice: {finding.sentence}")
+            _console.result(f"advice: {finding.sentence}")

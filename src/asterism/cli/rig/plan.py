@@ -79,7 +79,9 @@ def plan(
         )
         print_map(proposal.rig, ours)
         print_map(proposal.ring, ring)
-        _console.say(f"The second is the plain ring. Worth {proposal.worth:.3f}, the ring {proposal.ring_worth:.3f}; {output} is written.")
+        _console.result(
+            f"The second is the plain ring. Worth {proposal.worth:.3f}, the ring {proposal.ring_worth:.3f}; {output} is written."
+        )
     if report is not None:
         from asterism.report.rig import rig_report
 

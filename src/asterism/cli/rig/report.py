@@ -92,12 +92,12 @@ def report(
     if json != "-":
         print_map(given, result)
         if waved is not None:
-            _console.say(
+            _console.result(
                 f"Wand, {waved.frames:,} frames: lengths {1000 * waved.mean_error:+.3f} mm off on average, "
                 f"{_mm(waved.mean_absolute)} without signs, standard deviation {_mm(waved.std)}."
             )
         if resting is not None:
-            _console.say("Still markers lie from their mean, on average: " + ", ".join(_mm(float(value)) for value in resting) + ".")
+            _console.result("Still markers lie from their mean, on average: " + ", ".join(_mm(float(value)) for value in resting) + ".")
     if output is not None:
         settings = {"rig": rig, "noise px": result.noise, "wand": blobs, "still": still}
         rig_report(output, given, result, title=f"What {rig.name} measures", wand=waved, still=resting, settings=settings)
@@ -116,12 +116,12 @@ def report(
         },
     )
     if given.vertical is None:
-        _console.complain(f"{rig} does not say which way is up: z was taken (asterism convert --vertical sets it).")
+        _console.error(f"{rig} does not say which way is up: z was taken (asterism convert --vertical sets it).")
     blind = not np.isfinite(result.error).any()
     if blind:
-        _console.complain(f"{rig}: no place of the volume can be measured: two cameras must see it, from two places; move them apart.")
+        _console.error(f"{rig}: no place of the volume can be measured: two cameras must see it, from two places; move them apart.")
     for name in idle:
-        _console.complain(f"{rig}: camera {name} sees next to nothing of the volume; turn it, or give the volume that is meant (--volume).")
+        _console.error(f"{rig}: camera {name} sees next to nothing of the volume; turn it, or give the volume that is meant (--volume).")
     raise typer.Exit(1 if idle or blind else 0)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
 from asterism.labelling.audit._kernels import exchange_gains
-from asterism.labelling.audit.findings import ALWAYS, EXCHANGED, MISPLACED, Finding, Run, joined, sentence
+from asterism.labelling.audit.errors import ALWAYS, EXCHANGED, MISPLACED, LabelError, Run, joined, sentence
 from asterism.labelling.audit.paths import exchanges, jumps, pairs_of
 from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.labelling.body.labeller import FrameLabellingSettings
@@ -122,11 +122,11 @@ def audit(
     seed: int = 0,
     rules: AuditRules | None = None,
     progress: Progress | None = None,
-) -> list[Finding]:
+) -> list[LabelError]:
     """Find mislabelled frames in labelled recordings.
 
     recordings may differ in their labels: equal labels are the same marker. subjects: whose each is, by default as its metadata says, else
-    its folder; more than one person lets bodies speak besides paths. Findings come in the order of the recordings and frames.
+    its folder; more than one person lets bodies speak besides paths. Errors come in the order of the recordings and frames.
     Raises AsterismError where there is no recording, or not one subject for each. O(T M^2) for the paths.
     """
     if not recordings:
@@ -153,18 +153,18 @@ def audit(
             siblings = [usual[j] for j in usual if j != i and people[j] == people[i] and several]
             runs[i] = _look_through(frames[i], recordings[i].rate, witness, opinions.get(i), siblings, rules)
     report(1.0, "done")
-    return [_finding(run, i, recording, given[i], labels) for i, recording in enumerate(recordings) for run in runs[i]]
+    return [_error(run, i, recording, given[i], labels) for i, recording in enumerate(recordings) for run in runs[i]]
 
 
-def without(recordings: Sequence[Recording], findings: Sequence[Finding]) -> list[Recording]:
-    """The recordings without the samples that findings call damaged: NaN in their frames and markers. Hints leave all in."""
+def without(recordings: Sequence[Recording], errors: Sequence[LabelError]) -> list[Recording]:
+    """The recordings without the damaged samples: NaN in the frames and markers of each error. Hints leave all in."""
     kept = []
     for i, recording in enumerate(recordings):
         positions = recording.positions.copy()
-        for finding in findings:
-            if finding.recording == i and finding.damage:
-                columns = [column for column, label in enumerate(recording.labels) if label in finding.markers]
-                positions[finding.first_frame : finding.last_frame + 1, columns] = np.nan
+        for error in errors:
+            if error.recording == i and error.damage:
+                columns = [column for column, label in enumerate(recording.labels) if label in error.markers]
+                positions[error.first_frame : error.last_frame + 1, columns] = np.nan
         kept.append(replace(recording, positions=positions))
     return kept
 
@@ -252,9 +252,9 @@ def _exchanged_throughout(
     return runs, positions, opinion
 
 
-def _finding(run: Run, number: int, recording: Recording, subject: str, labels: Sequence[str]) -> Finding:
+def _error(run: Run, number: int, recording: Recording, subject: str, labels: Sequence[str]) -> LabelError:
     names = tuple(labels[m] for m in run.markers)
     count = run.last - run.first + 1
     words = sentence(run.kind, names, count / recording.rate, count, count == len(recording), subject)
     file = str(recording.metadata.get("file", f"recording {number + 1}"))
-    return Finding(number, file, subject, run.first, run.last, names, run.kind, run.gain, words)
+    return LabelError(number, file, subject, run.first, run.last, names, run.kind, run.gain, words)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.labelling.audit._kernels import all_exchanges, exchange_path, path_score
-from asterism.labelling.audit.findings import EXCHANGED, JUMP, Run
+from asterism.labelling.audit.errors import EXCHANGED, JUMP, Run
 from asterism.recording import Floats, Ints
 
 LEAST_SCALE = 1e-3

@@ -26,7 +26,8 @@ from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.live.body import LiveBody
 from asterism.labelling.training.calibration import Calibration
 from asterism.recording import NULL, Floats, Ints, as_vertical
-from asterism.tracking._link_kernels import link_step, make_bench, make_ends
+from asterism.tracking._link_kernels import link_step
+from asterism.tracking._link_workspace_kernels import make_link_workspace, make_track_ends
 from asterism.tracking.linking import LinkRules
 
 
@@ -131,7 +132,7 @@ class Stream:
     def _restart(self) -> None:
         self._forget_person()
         size, markers = 16, len(self._markers)
-        self._ends, self._following, self._bench = make_ends(size), make_ends(size), make_bench(size)
+        self._ends, self._following, self._link_workspace = make_track_ends(size), make_track_ends(size), make_link_workspace(size)
         self._evidence, self._weight = np.zeros((size, markers)), np.zeros(size)
         self._free = list(range(size))
         self._track = np.zeros(0, dtype=np.int64)
@@ -171,12 +172,12 @@ class Stream:
     def _link(self, xyz: Floats) -> Ints:
         """Continue the tracks with a frame's points. Returns the rival labelling's marker of each point."""
         if len(xyz) > len(self._ends.age):
-            ends, count = make_ends(2 * len(xyz)), len(self._track)
+            ends, count = make_track_ends(2 * len(xyz)), len(self._track)
             for array, old in zip(ends, self._ends, strict=True):
                 array[:count] = old[:count]
-            self._ends, self._following, self._bench = ends, make_ends(2 * len(xyz)), make_bench(2 * len(xyz))
+            self._ends, self._following, self._link_workspace = ends, make_track_ends(2 * len(xyz)), make_link_workspace(2 * len(xyz))
         previous = np.empty(len(xyz), dtype=np.int64)
-        link_step(self._ends, len(self._track), xyz, self._limits, self._bench, previous, self._following)
+        link_step(self._ends, len(self._track), xyz, self._limits, self._link_workspace, previous, self._following)
         self._ends, self._following = self._following, self._ends
         linked = previous >= 0
         new = int((~linked).sum())

@@ -1,9 +1,11 @@
-"""What an audit finds: a recording, its frames and markers, and what is wrong with them."""
+"""Labels that cannot be right: the recording, its frames and markers, and what is wrong with them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+
+from asterism.findings import Finding, Severity
 
 EXCHANGED = "exchanged"
 ALWAYS = "consistently exchanged against the others"
@@ -12,7 +14,7 @@ MISPLACED = "misplaced"
 
 
 @dataclass(frozen=True)
-class Finding:
+class LabelError:
     """Labels of a recording that cannot be right.
 
     recording    its place among those given
@@ -43,6 +45,19 @@ class Finding:
     def damage(self) -> bool:
         """Whether training is better off without these samples; a hint leaves them in."""
         return self.kind != MISPLACED
+
+    @property
+    def finding(self) -> Finding:
+        """The same as all rooms report what they found."""
+        where = f"{self.file}, frames {self.first_frame} to {self.last_frame}"
+        sentence = f"{where}: {self.description}."
+        if self.kind == EXCHANGED:
+            return Finding("audit-exchanged", Severity.WARNING, where, sentence, "Exchange the labels back in these frames.")
+        if self.kind == ALWAYS:
+            return Finding("audit-always-exchanged", Severity.WARNING, where, sentence, "Exchange the labels in all trials of the person.")
+        if self.kind == JUMP:
+            return Finding("audit-jump", Severity.WARNING, where, sentence, "Remove the label in these frames.")
+        return Finding("audit-misplaced", Severity.NOTE, where, sentence, "Check where the marker was worn.")
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,74 @@
+"""Chain kernels: links of both directions in; those that count, and the chains that they form, out.
+
+The plain twins are in `tests/twins_links.py`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from asterism._jit import kernel
+
+
+@kernel
+def sort_frames(xyz, offsets, order):
+    """Sort each frame's points by x, then y, then z.
+
+    IN xyz (P, 3) m; offsets (T + 1,). IN/OUT order (P,) points, frame by frame. O(n^2) a frame at worst.
+    """
+    for t in range(len(offsets) - 1):
+        for p in range(offsets[t], offsets[t + 1]):
+            where = p
+            while where > offsets[t]:
+                q = order[where - 1]
+                if xyz[q, 0] < xyz[p, 0] or (
+                    xyz[q, 0] == xyz[p, 0] and (xyz[q, 1] < xyz[p, 1] or (xyz[q, 1] == xyz[p, 1] and xyz[q, 2] <= xyz[p, 2]))
+                ):
+                    break
+                order[where] = q
+                where -= 1
+            order[where] = p
+
+
+@kernel
+def combine_directions(forward, backward, previous, following):
+    """The links that both directions found, or that one found and the other could not judge: its track had fewer than three points yet.
+
+    IN  forward (P,) previous point of each; backward (P,) next point of each, -1 for none
+    OUT previous, following (P,), -1 for none. O(P).
+    """
+    count = len(forward)
+    age, age_back = np.ones(count, dtype=np.int64), np.ones(count, dtype=np.int64)
+    previous[:], following[:] = -1, -1
+    continued = np.full(count, -1, dtype=np.int64)
+    for p in range(count):
+        if forward[p] >= 0:
+            continued[forward[p]] = p
+            age[p] = age[forward[p]] + 1
+    for p in range(count - 1, -1, -1):
+        if backward[p] >= 0:
+            age_back[p] = age_back[backward[p]] + 1
+    origin = np.full(count, -1, dtype=np.int64)
+    for p in range(count):
+        if backward[p] >= 0:
+            origin[backward[p]] = p
+    for q in range(count):
+        p = forward[q]
+        if p >= 0 and (backward[p] == q or (backward[p] < 0 and origin[q] < 0 and age_back[q] < 3)):
+            following[p], previous[q] = q, p
+        p = origin[q]
+        if p >= 0 and continued[p] < 0 and forward[q] < 0 and age[p] < 3:
+            following[p], previous[q] = q, p
+
+
+@kernel
+def number_chains(previous, of_point):
+    """Number the chains of linked points, in the order of their first points. OUT of_point (P,). Returns how many. O(P)."""
+    count = 0
+    for p in range(len(previous)):
+        if previous[p] >= 0:
+            of_point[p] = of_point[previous[p]]
+        else:
+            of_point[p] = count
+            count += 1
+    return count
