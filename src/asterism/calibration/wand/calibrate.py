@@ -21,7 +21,7 @@ from asterism.calibration.wand.world import default_world
 from asterism.cameras.bundle import Sightings, locate
 from asterism.cameras.camera import Camera
 from asterism.cameras.rig import Rig
-from asterism.detection.static_lights import without_still_lights
+from asterism.detection.static_lights import without_static_lights
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity, worst
 from asterism.progress import Progress
@@ -160,7 +160,7 @@ def _detected(
     if len(wand) == 1 and distance is not None:
         check_distance(blobs.cameras, distance)
     report(0.0, "looking for the wand")
-    blobs, static_lights = without_still_lights(blobs)
+    blobs, static_lights = without_static_lights(blobs)
     recording = WandRecording(blobs, identify(blobs, wand), wand, *lenses_sizes)
     check_detections(recording, static_lights)
     return recording, static_lights
