@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from asterism import formats
 from asterism.cli import main
 from asterism.errors import AsterismError
-from asterism.labelling import Groups, SolverEnsemble, group_tracklets, name_groups
+from asterism.labelling import MarkerGroups, SolverEnsemble, group_tracklets, name_groups
 from asterism.labelling.naming import locate_groups
 from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.recording import Clouds, Floats, Ints, Recording
@@ -34,7 +34,7 @@ def in_columns(clouds: Clouds) -> Recording:
     return Recording(positions, tuple(f"*{i + 1}" for i in range(positions.shape[1])), clouds.rate, clouds.vertical)
 
 
-def table(groups: Groups, clouds: Clouds, truth: Ints) -> Floats:
+def table(groups: MarkerGroups, clouds: Clouds, truth: Ints) -> Floats:
     """(groups, 1 + M) how many samples of each group are a ghost (first), or each marker."""
     frames, markers = np.nonzero(truth >= 0)
     marker_of = np.full(len(clouds.xyz), -1)
@@ -246,7 +246,7 @@ def test_a_file_without_points_has_nothing_to_name(tmp_path: Path, capsys: pytes
     formats.write(tmp_path / "none.npz", Recording(np.full((9, 2, 3), np.nan), ("A", "B"), 100.0))
     assert run("name", tmp_path / "none.npz") == 2
     shown = capsys.readouterr()
-    assert "none.npz shows no point in any frame" in shown.err and shown.out == ""
+    assert "none.npz has no point in any frame" in shown.err and shown.out == ""
 
 
 def test_names_need_an_output_that_is_new(first: Path, capsys: pytest.CaptureFixture[str]) -> None:

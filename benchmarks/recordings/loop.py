@@ -1,8 +1,8 @@
 """From one trial to all subjects: label, let a person settle what review flags, learn, go on to what is least in doubt.
 
-The one trial is labelled, or its markers are named once (`group_tracklets`). The model sees the truth through the person's answers only. A label
-is *touched* where an answer changed it, on the piece looked at or on a point that had its marker; *given by name* where a named group of
-tracks covers it; *looked at* where the piece was flagged, right or not. All are shares of all samples to be labelled.
+The one trial is labelled, or its markers are named once (`group_tracklets`). The model sees the truth through the person's answers only.
+A label is *touched* where an answer changed it, on the piece looked at or on a point that had its marker; *given by name* where a named
+group of tracks covers it; *looked at* where the piece was flagged, right or not. All are shares of all samples to be labelled.
 """
 
 from __future__ import annotations

@@ -126,9 +126,7 @@ def _trained(walks: Sequence[Recording], seed: int, show: Callable[[str], None])
         # a quick training: two groups left out in turn, and no partial solvers, which the whole-body rules do not use
         rules, marker_set = TrainingRules(folds=2, trial_frames=60), MarkerSet.load(_MARKERS)
         ensemble = SolverEnsemble.fit(walks, seed=seed, miner=None, marker_set=marker_set, training=rules, progress=progress)
-    show(
-        f"Trained in {time.perf_counter() - started:.0f} s. Labelling the recordings of {_NEW_WALKERS} walkers that the model has not seen ..."
-    )
+    show(f"Trained in {time.perf_counter() - started:.0f} s. Labelling recordings of {_NEW_WALKERS} walkers that it has not seen ...")
     return ensemble
 
 

@@ -31,6 +31,6 @@ __all__ = [
     "label_together",
     "leave_one_subject_out",
     "name_groups",
+    "remove_errors",
     "review",
-    "without",
 ]

@@ -150,7 +150,8 @@ def labels_of_points(labelling: Labelling, clouds: Clouds) -> tuple[Ints, Floats
 def _check(labelling: Labelling, clouds: Clouds) -> None:
     if len(labelling.indices) != len(clouds) or (labelling.indices >= clouds.counts[:, None]).any():
         raise AsterismError(
-            f"the labelling ({len(labelling.indices)} frames) does not belong to these clouds ({len(clouds)} frames); give the clouds that were labelled."
+            f"the labelling ({len(labelling.indices)} frames) does not belong to these clouds ({len(clouds)} frames); "
+            "give the clouds that were labelled."
         )
 
 
@@ -215,7 +216,7 @@ def _error_probability(piece_of: Ints, marker_of: Ints, confidence: Floats, chan
 def _label_of_piece(
     names: tuple[str, ...], markers: Ints, confidence: Floats, chance: Floats
 ) -> tuple[str | None, float, tuple[tuple[str, float], ...]]:
-    """The label of most of a piece's points, its confidence, and what else the piece could be; chance (F, M) of its points without a label."""
+    """The label of most of a piece's points, its confidence, and what else it could be; chance (F, M) of its points without a label."""
     weight = chance.sum(axis=0)
     given = markers >= 0
     np.add.at(weight, markers[given], confidence[given])

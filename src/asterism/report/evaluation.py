@@ -67,8 +67,8 @@ def _curves(conditions: list[Condition]) -> list[Section]:
         Section(
             "Is the confidence right?",
             "Of the labels with a confidence of 99 %, 99 % should be right: points on the dotted line. A curve above the line means that "
-            "the confidence is too low, a curve below it that the confidence is too high. Each step of the scale means ten times fewer errors. "
-            "The lower curves count the labels. Click a name to show or hide its curves.",
+            "the confidence is too low, a curve below it that the confidence is too high. Each step of the scale means ten times fewer "
+            "errors. The lower curves count the labels. Click a name to show or hide its curves.",
             figure=figures.reliability({n: c.reliability for n, c in zip(names, conditions, strict=True)}, _ends(by_ghosts)),
             table=Table(["condition", "confidence", "right", "labels"], rows),
             folded=True,
