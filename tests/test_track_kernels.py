@@ -143,8 +143,8 @@ def _tracklets_of_one_body(seed):
 def test_misfits_of_near_rigid_distances(seed: int) -> None:
     _, *scene, label = _tracklets_of_one_body(seed)
     out = np.empty(len(label))
-    kernels_of_distances.misfits(*scene, label, 24, MARKERS, 0.006, 0.02, 5, 3, 8.0, out)
-    np.testing.assert_allclose(out, twins.misfits(*scene, label, MARKERS, 0.006, 0.02, 5, 3, 8.0))
+    kernels_of_distances.rigid_deviations(*scene, label, 24, MARKERS, 0.006, 0.02, 5, 3, 8.0, out)
+    np.testing.assert_allclose(out, twins.rigid_deviations(*scene, label, MARKERS, 0.006, 0.02, 5, 3, 8.0))
 
 
 @given(seeds, st.floats(0.8, 1.2))
@@ -154,7 +154,7 @@ def test_distances_that_are_not_those_of_the_training(seed: int, larger: float) 
     apart = np.linalg.norm(body[:, None] - body[None], axis=2) / larger
     low, high = 0.98 * apart, 1.02 * apart
     out = np.empty(len(label))
-    usual = kernels_of_distances.foreign_distances(*scene, label, 24, low, high, 0.01, 0.06, 0.02, 5, 3, 8.0, out)
-    wanted, wanted_usual = twins.foreign_distances(*scene, label, 24, low, high, 0.01, 0.06, 0.02, 5, 3, 8.0)
+    usual = kernels_of_distances.training_deviations(*scene, label, 24, low, high, 0.01, 0.06, 0.02, 5, 3, 8.0, out)
+    wanted, wanted_usual = twins.training_deviations(*scene, label, 24, low, high, 0.01, 0.06, 0.02, 5, 3, 8.0)
     np.testing.assert_allclose(out, wanted)
     np.testing.assert_allclose(usual, wanted_usual)

@@ -85,7 +85,7 @@ def margins(gain, label, first, last):
     return margin, rival
 
 
-def misfits(xyz, frame, track, label, markers, noise, rigid, least, partners, most):
+def rigid_deviations(xyz, frame, track, label, markers, noise, rigid, least, partners, most):
     """Mean deviation (J,) of each labelled tracklet's near-rigid distances from those of the other tracklets of its marker."""
     frames = int(frame.max()) + 1
     at = {(t, label[j]): (place, j) for place, t, j in zip(xyz, frame, track, strict=True) if label[j] >= 0}
@@ -111,7 +111,7 @@ def misfits(xyz, frame, track, label, markers, noise, rigid, least, partners, mo
     return out
 
 
-def foreign_distances(xyz, frame, track, label, frames, low, high, noise, size, rigid, least, partners, most):
+def training_deviations(xyz, frame, track, label, frames, low, high, noise, size, rigid, least, partners, most):
     """Mean deviation (J,) of each labelled tracklet's near-rigid distances from the training's, for a person of the recording's size.
 
     And the median deviation of all of the recording's.
