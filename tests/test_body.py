@@ -17,7 +17,7 @@ from asterism.labelling.body._workspace_kernels import make_body_workspace
 from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors, with_intervals
 from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, names_of, subsample
-from asterism.labelling.partial._kernels import search
+from asterism.labelling.partial._search_kernels import search
 
 SETTINGS = FrameLabellingSettings().with_usual_score(1.0)
 MARKERS, LATENTS, POSES = 6, 5, 2

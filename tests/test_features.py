@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism import AsterismError
-from asterism.labelling.partial import _kernels
+from asterism.labelling.partial import _feature_kernels
 from asterism.labelling.partial._motion_kernels import G10, G18, WIDTH
 from asterism.labelling.partial.features import FEATURES, TEMPORAL, describe, members, needs_motion, pool
 
@@ -22,7 +22,7 @@ four_points = st.lists(st.tuples(coordinates, coordinates, coordinates), min_siz
 
 def test_registry_is_in_the_kernels_order():
     assert [feature.name for feature in FEATURES] == [f"g{i}" for i in range(1, 19)]
-    assert (_kernels.G1, _kernels.G2, _kernels.G9, G10, G18) == (0, 1, 8, 9, 17)
+    assert (_feature_kernels.G1, _feature_kernels.G2, _feature_kernels.G9, G10, G18) == (0, 1, 8, 9, 17)
     assert tuple(f"g{i}" for i in range(10, 19)) == TEMPORAL
     assert [needs_motion(np.array([kind])) for kind in range(18)] == [False] * 9 + [True] * 9
 
@@ -37,7 +37,7 @@ def test_kernel_equals_twin(kind, points, moving):
         points = np.concatenate([points, moving[:, 3:]], axis=1)
     expected = twins.feature(FEATURES[kind].name, list(points))
     # Near 0 and pi an angle is only as good as the root of the cosine's rounding.
-    assert _kernels.feature(kind, points, 0, 1, 2, 3) == pytest.approx(expected, abs=1e-6)
+    assert _feature_kernels.feature_value(kind, points, 0, 1, 2, 3) == pytest.approx(expected, abs=1e-6)
 
 
 def test_pool_of_the_thesis_has_665():
@@ -83,16 +83,16 @@ def test_many_markers_sample_four_point_features():
 def test_g9_tells_a_body_from_its_mirror_image():
     points = np.array([[0.0, 0, 1], [1.0, 0, 1], [0.0, 1, 1]])
     mirrored = points * [-1, 1, 1]
-    assert _kernels.feature(_kernels.G9, points, 0, 1, 2, 0) == pytest.approx(1.0)
-    assert _kernels.feature(_kernels.G9, mirrored, 0, 1, 2, 0) == pytest.approx(-1.0)
+    assert _feature_kernels.feature_value(_feature_kernels.G9, points, 0, 1, 2, 0) == pytest.approx(1.0)
+    assert _feature_kernels.feature_value(_feature_kernels.G9, mirrored, 0, 1, 2, 0) == pytest.approx(-1.0)
 
 
 @pytest.mark.parametrize("kind", range(len(FEATURES)), ids=[feature.name for feature in FEATURES])
 def test_missing_point_gives_nan_and_coincident_points_a_number(kind):
     points = np.random.default_rng(0).normal(size=(4, WIDTH))
     points[1] = np.nan
-    assert np.isnan(_kernels.feature(kind, points, 0, 1, 2, 3))
-    assert np.isfinite(_kernels.feature(kind, np.ones((4, WIDTH)), 0, 1, 2, 3))
+    assert np.isnan(_feature_kernels.feature_value(kind, points, 0, 1, 2, 3))
+    assert np.isfinite(_feature_kernels.feature_value(kind, np.ones((4, WIDTH)), 0, 1, 2, 3))
 
 
 def test_unknown_or_repeated_feature_is_refused():

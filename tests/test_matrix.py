@@ -8,7 +8,7 @@ import twins
 from test_weak import bodies
 
 from asterism import AsterismError, Clouds, Recording
-from asterism.labelling.partial._kernels import search
+from asterism.labelling.partial._search_kernels import search
 from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix, nobody
 from asterism.labelling.partial.solver import pack
 from asterism.labelling.partial.solver_search import Mine, Mining

@@ -10,7 +10,7 @@ import pytest
 from test_weak import bodies
 
 from asterism import AsterismError
-from asterism.labelling.partial._kernels import search
+from asterism.labelling.partial._search_kernels import search
 from asterism.labelling.partial.matrix import label_by_matrix
 from asterism.labelling.partial.solver import pack, stack
 from asterism.labelling.partial.solver_search import MINERS, Mine, Mining, bottom_up, hide, mine

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from asterism import AsterismError, Clouds, Recording, SolverEnsemble
 from asterism.labelling.ensemble import TrainingRules
-from asterism.labelling.partial import _kernels
+from asterism.labelling.partial._feature_kernels import feature_value
 from asterism.labelling.partial._motion_kernels import WIDTH
+from asterism.labelling.partial._search_kernels import search
 from asterism.labelling.partial.features import FEATURES, TEMPORAL, kinds_of, needs_motion, pool
 from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
 from asterism.labelling.partial.motion_points import frames_with_motion, motion_of
@@ -88,7 +89,7 @@ def test_neither_heading_nor_place_nor_direction_of_time_changes_a_feature(seed,
     kinds, slots = pool(3, [feature.name for feature in FEATURES if feature.points < 4])
     for kind, slot in zip(kinds, slots, strict=True):
         for t in (22, 55):
-            before, after = (_kernels.feature(kind, np.ascontiguousarray(f[t]), *slot) for f in (frames, other))
+            before, after = (feature_value(kind, np.ascontiguousarray(f[t]), *slot) for f in (frames, other))
             assert after == pytest.approx(before, rel=1e-6, abs=1e-6, nan_ok=True), FEATURES[kind].name
 
 
@@ -97,7 +98,7 @@ def test_a_vertical_of_its_own():
     tipped = replace(recording, positions=recording.positions[..., [1, 2, 0]], vertical=np.array([0.0, 1.0, 0.0]))
     frames, other = frames_with_motion(recording), frames_with_motion(tipped)
     for kind in kinds_of(TEMPORAL):
-        values = [_kernels.feature(kind, np.ascontiguousarray(f[55]), 0, 1, 2, 0) for f in (frames, other)]
+        values = [feature_value(kind, np.ascontiguousarray(f[55]), 0, 1, 2, 0) for f in (frames, other)]
         assert values[0] == pytest.approx(values[1])
 
 
@@ -161,7 +162,7 @@ def test_what_motion_rules_out_is_what_each_search_would_find(mined):
         for s in range(len(few)):
             begin, end = few.solvers.first_depth[s : s + 2]
             found = np.empty((5000, end - begin), dtype=np.int64)
-            count = _kernels.search(few.solvers, s, frame, np.arange(len(frame)), 10**7, found, np.zeros(2, dtype=np.int64))
+            count = search(few.solvers, s, frame, np.arange(len(frame)), 10**7, found, np.zeros(2, dtype=np.int64))
             agreed = [set(found[: max(count, 0), depth].tolist()) for depth in range(end - begin)]
             markers = few.solvers.markers[begin:end].tolist()
             proposals.append({m: a.pop() for m, a in zip(markers, agreed, strict=True) if len(a) == 1 and count <= 32})

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from test_weak import bodies
 
 from asterism import AsterismError, Clouds, Recording
-from asterism.labelling.partial._kernels import lay_out, make_bench, search, search_by_pairs
 from asterism.labelling.partial._motion_kernels import WIDTH
+from asterism.labelling.partial._pair_search_kernels import load_frame, make_search_workspace, search_by_pairs
+from asterism.labelling.partial._search_kernels import search
 from asterism.labelling.partial.features import FEATURES as REGISTRY
 from asterism.labelling.partial.solver import FullSolver, pack, plant, replacements, share_pairs, stack, unpack
 from asterism.labelling.partial.weak import Spread, Weak
@@ -64,10 +65,10 @@ def test_search_finds_what_trying_everything_finds(width, frame, drop, seed):
     assert counters[0] > 0
 
     rest, pairs = share_pairs(pack([solver]), 7)
-    bench = make_bench(7, len(points), 4, WIDTH, len(pairs.kinds))._replace(found=np.empty((2000, 4), dtype=np.int64))
-    lay_out(points, len(points), pairs.kinds, bench)
-    solutions = search_by_pairs(rest, pairs, 0, len(points), 1, 10**7, bench)
-    assert {by_marker(solver, bench.order[row]) for row in bench.found[:solutions]} == expected
+    workspace = make_search_workspace(7, len(points), 4, WIDTH, len(pairs.kinds))._replace(found=np.empty((2000, 4), dtype=np.int64))
+    load_frame(points, len(points), pairs.kinds, workspace)
+    solutions = search_by_pairs(rest, pairs, 0, len(points), 1, 10**7, workspace)
+    assert {by_marker(solver, workspace.order[row]) for row in workspace.found[:solutions]} == expected
 
 
 def test_budget_and_room_end_a_search_without_an_answer():
@@ -90,11 +91,11 @@ def test_more_than_64_points():
     far = np.random.default_rng(0).uniform(10, 50, size=(90, WIDTH))
     points = np.concatenate([far, frames[0]])
     rest, pairs = share_pairs(pack([solver]), 7)
-    bench = make_bench(7, len(points), 4, WIDTH, len(pairs.kinds))
-    lay_out(points, len(points), pairs.kinds, bench)
-    assert search_by_pairs(rest, pairs, 0, len(points), 1, 10**7, bench) >= 1
+    workspace = make_search_workspace(7, len(points), 4, WIDTH, len(pairs.kinds))
+    load_frame(points, len(points), pairs.kinds, workspace)
+    assert search_by_pairs(rest, pairs, 0, len(points), 1, 10**7, workspace) >= 1
     right = (90 + MARKERS).tolist()
-    assert right in [bench.order[row][np.argsort(solver.markers)].tolist() for row in bench.found[:1]]
+    assert right in [workspace.order[row][np.argsort(solver.markers)].tolist() for row in workspace.found[:1]]
 
 
 def test_pack_and_unpack():

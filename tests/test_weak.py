@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism import AsterismError
-from asterism.labelling.partial._kernels import popcount
+from asterism.labelling.partial._bit_kernels import popcount
 from asterism.labelling.partial.weak import Spread, StrongClassifier, Trial, choose_widening, readable, wrong_labellings
 
 

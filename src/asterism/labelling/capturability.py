@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.labelling.partial._kernels import confusions
+from asterism.labelling.partial._matrix_kernels import count_confusions
 from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix, whole_model
 from asterism.labelling.partial.solver import FullSolver, stack
 from asterism.labelling.partial.solver_search import Mine, Mining, Subset, bottom_up, choose, hide
@@ -154,7 +154,7 @@ def _confusion(mine: Mine, frames: Floats, rng: np.random.Generator) -> Floats:
     n = mine.n_markers
     taken_for, shown = np.zeros((n, n), dtype=np.int64), np.zeros(n, dtype=np.int64)
     known = np.argsort(rng.random((len(frames), n)), axis=1) < max(2, n // 3)
-    confusions(whole_model(mine.weak, mine.table), frames, np.arange(len(frames)), known, taken_for, shown)
+    count_confusions(whole_model(mine.weak, mine.table), frames, np.arange(len(frames)), known, taken_for, shown)
     for marker in np.nonzero(shown == 0)[0]:
         taken_for[marker, marker] = 1
     confusion: Floats = taken_for / taken_for.sum(axis=1, keepdims=True)

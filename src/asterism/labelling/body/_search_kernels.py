@@ -11,7 +11,7 @@ from asterism.labelling.body._anchor_kernels import anchor_key_pose, score_from_
 from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
 from asterism.labelling.body._refine_kernels import refine
 from asterism.labelling.body._workspace_kernels import count_labelled
-from asterism.labelling.partial._kernels import search
+from asterism.labelling.partial._search_kernels import search
 
 MAX_LABELLINGS = 24
 """Labellings of one frame that are kept apart."""

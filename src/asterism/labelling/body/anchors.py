@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from asterism.labelling.body._workspace_kernels import LOG_2PI, AnchorArrays
 from asterism.labelling.body.model import BodyModel
-from asterism.labelling.partial._kernels import G2, G4, G9, SolverArrays, feature_ranges, search
+from asterism.labelling.partial._feature_kernels import G2, G4, G9, feature_ranges
+from asterism.labelling.partial._search_kernels import SolverArrays, search
 from asterism.recording import Floats, Ints
 
 CHECKS = ((G4, (0, 1), 1), (G2, (0, 1), 1), (G4, (0, 2), 2), (G2, (0, 2), 2), (G2, (1, 2), 2), (G9, (0, 1, 2), 2))

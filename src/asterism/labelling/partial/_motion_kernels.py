@@ -1,7 +1,7 @@
 """Kernels of motion: tracks of points in; neighbouring positions, velocities, accelerations and the features made of them out.
 
 A point that carries its motion is a row of `WIDTH` numbers: its position (3, m), its positions a window before and after (3 and 3, m), its
-velocity (3, m/s) and its acceleration (3, m/s2); NaN where its track does not tell. Their plain twins are in `tests/twins.py`.
+velocity (3, m/s) and its acceleration (3, m/s2); NaN where the track is too short. Twins: tests/twins.py.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ import numpy as np
 
 from asterism._jit import kernel
 
-# Order of `features.FEATURES`, going on from the constants in `labelling._kernels`.
+# Order of `features.FEATURES`, going on from the constants in `_feature_kernels`.
 G10, G11, G12, G13, G14, G15, G16, G17, G18 = range(9, 18)
 
 BEFORE, AFTER, VELOCITY, ACCELERATION, WIDTH = 3, 6, 9, 12, 15
 
 
 @kernel
-def moving_feature(kind, points, a, b, c):
+def motion_feature(kind, points, a, b, c):
     """One feature over neighbouring frames or derivatives, of the points at rows a, b and (G18) c.
 
     IN  kind, place in `features.FEATURES`; points (n, WIDTH), z up; rows
-    Gives m, m2, m/s or m2/s2; NaN where a point's motion is not known. The same when time runs backwards. O(1).
+    Returns m, m2, m/s or m2/s2; NaN where a point's motion is not known. The same when time runs backwards. O(1).
     Thesis eq. 6.1 and 6.2. Twin: tests/twins.py
     """
     if kind == G18:
@@ -68,13 +68,13 @@ def _spread(x, y, z):
 
 
 @kernel
-def follow(xyz, frame, track, order, away, reach, rate, out):
-    """What each point's track tells of its motion.
+def estimate_motion(xyz, frame, track, order, away, reach, rate, out):
+    """Each point's motion from its track.
 
     IN  xyz (P, 3) m; frame, track (P,), track -1 for none; order (P,) points by track, then frame
         away, frames to the neighbouring positions; reach, frames on each side over which a parabola is fitted; rate frames per second
     OUT out (P, WIDTH), NaN where the track has not so many frames without a gap on both sides
-    Velocity and acceleration are those of the least-squares parabola at its middle. O(P reach).
+    Velocity and acceleration are those of the least-squares parabola at its middle. O(P reach). Twin: `motion` in tests/twins.py
     """
     out[:] = np.nan
     squares, fourths, count = 0.0, 0.0, 2.0 * reach + 1.0

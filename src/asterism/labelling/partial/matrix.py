@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.labelling.partial import _kernels
-from asterism.labelling.partial._kernels import SolverArrays, Whole
+from asterism.labelling.partial import _matrix_kernels
+from asterism.labelling.partial._matrix_kernels import MatrixRules, StrongClassifierArrays, VoteArrays
+from asterism.labelling.partial._search_kernels import SolverArrays
 from asterism.labelling.partial.features import FEATURES, members, needs_motion
 from asterism.labelling.partial.motion_points import with_motion
 from asterism.labelling.partial.solver import angles_by_cosine, share_pairs
@@ -23,6 +24,9 @@ BUDGET = 20_000
 
 LEAST, OUTVOTE = 20, 5
 """So many classifiers must have had a say before the whole model gives a label; so many times must a proposal outvote all others."""
+
+ROUNDS = 3
+"""Completions at most."""
 
 WHOLE = 1500
 """Classifiers of the whole model per marker, those that reject most."""
@@ -45,7 +49,7 @@ class PartialSolvers:
     targets: Floats
     covered: NDArray[np.bool_]
     trusted: NDArray[np.bool_]
-    whole: Whole
+    whole: StrongClassifierArrays
 
     def __len__(self) -> int:
         return len(self.solvers.first_depth) - 1
@@ -66,7 +70,7 @@ class PartialSolvers:
         """What `to_arrays` gave. Raises AsterismError where an array is missing or they do not fit each other."""
         try:
             solvers = SolverArrays(*(_typed(arrays[f"solver_{name}"], name) for name in SolverArrays._fields))
-            whole = Whole(*(_typed(arrays[f"whole_{name}"], name) for name in Whole._fields))
+            whole = StrongClassifierArrays(*(_typed(arrays[f"whole_{name}"], name) for name in StrongClassifierArrays._fields))
             hit_rates, targets = (np.asarray(arrays[name], dtype=np.float64) for name in ("hit_rates", "targets"))
             covered, trusted = (np.asarray(arrays[name], dtype=np.bool_) for name in ("covered", "trusted"))
         except (KeyError, ValueError, TypeError) as problem:
@@ -105,7 +109,7 @@ def _walkable(solvers: SolverArrays, markers: int) -> bool:
     return bool(known.all() and ((solvers.slots >= 0) & (solvers.slots <= reach[:, None])).all())
 
 
-def _testable(whole: Whole, markers: int) -> bool:
+def _testable(whole: StrongClassifierArrays, markers: int) -> bool:
     """Whether the kernels can walk over the whole model without leaving the arrays."""
     if not _classifiers(whole.kinds, whole.slots, whole.low, whole.high) or whole.points.shape != whole.kinds.shape:
         return False
@@ -113,7 +117,7 @@ def _testable(whole: Whole, markers: int) -> bool:
     return bool(known) and (len(whole.first) == 1 or _rising(whole.first, markers, len(whole.kinds), 0))
 
 
-def whole_model(weak: Weak, table: Bits) -> Whole:
+def whole_model(weak: Weak, table: Bits) -> StrongClassifierArrays:
     """The strong classifier of the whole model: for each marker the `WHOLE` classifiers that reject most wrong points of it, most first.
 
     weak, table as from `solver.replacements`.
@@ -128,13 +132,13 @@ def whole_model(weak: Weak, table: Bits) -> Whole:
     points = np.array([feature.points for feature in FEATURES], dtype=np.int64)[weak.kinds[chosen]]
     low, high = angles_by_cosine(weak.kinds[chosen], weak.low[chosen], weak.high[chosen])
     first = np.cumsum([0, *map(len, rows)]).astype(np.int64)
-    return Whole(first, weak.kinds[chosen], np.ascontiguousarray(weak.slots[chosen]), points, low, high)
+    return StrongClassifierArrays(first, weak.kinds[chosen], np.ascontiguousarray(weak.slots[chosen]), points, low, high)
 
 
-def nobody() -> Whole:
+def nobody() -> StrongClassifierArrays:
     """A whole model without markers: the thesis' rules alone."""
     none = np.empty(0, dtype=np.int64)
-    return Whole(np.zeros(1, dtype=np.int64), none, np.empty((0, 4), dtype=np.int64), none, np.empty(0), np.empty(0))
+    return StrongClassifierArrays(np.zeros(1, dtype=np.int64), none, np.empty((0, 4), dtype=np.int64), none, np.empty(0), np.empty(0))
 
 
 def slack_of(targets: Floats) -> float:
@@ -177,19 +181,8 @@ def label_by_matrix(clouds: Clouds, ensemble: PartialSolvers, budget: int = BUDG
     evaluations = np.empty(frames, dtype=np.int64)
     whole = ensemble.whole if complete else nobody()
     solvers, pairs = share_pairs(ensemble.solvers, markers)
-    _kernels.label_by_matrix(
-        solvers,
-        pairs,
-        ensemble.trusted,
-        whole,
-        OUTVOTE,
-        slack_of(ensemble.targets),
-        LEAST,
-        xyz,
-        clouds.offsets,
-        budget,
-        indices,
-        votes,
-        evaluations,
+    rules = MatrixRules(OUTVOTE, slack_of(ensemble.targets), LEAST, ROUNDS, budget)
+    _matrix_kernels.label_by_matrix(
+        solvers, pairs, ensemble.trusted, whole, rules, xyz, clouds.offsets, VoteArrays(indices, votes, evaluations)
     )
     return Votes(indices, votes, evaluations)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from asterism.geometry import rotate_z_up
-from asterism.labelling.partial._motion_kernels import WIDTH, follow
+from asterism.labelling.partial._motion_kernels import WIDTH, estimate_motion
 from asterism.recording import Clouds, Floats, Ints, Recording
 from asterism.tracking.linking import find_tracklets
 
@@ -35,7 +35,7 @@ def motion_of(clouds: Clouds, tracks: Ints | None = None) -> Floats:
         frame = np.repeat(np.arange(len(clouds)), clouds.counts)
         order = np.lexsort((frame, tracks))
         away, reach = round(NEIGHBOUR * clouds.rate), max(2, round(REACH * clouds.rate))
-        follow(clouds.xyz, frame, tracks, order, away, reach, clouds.rate, out)
+        estimate_motion(clouds.xyz, frame, tracks, order, away, reach, clouds.rate, out)
     return np.ascontiguousarray(rotate_z_up(out.reshape(-1, WIDTH // 3, 3), clouds.vertical).reshape(-1, WIDTH))
 
 

@@ -12,8 +12,11 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
-from asterism.labelling.partial._kernels import G1, G2, G4, G6, G7, PairRules, SolverArrays, arrange, label_whole, rejections, search
+from asterism.labelling.partial._build_kernels import order_tests
+from asterism.labelling.partial._feature_kernels import G1, G2, G4, G6, G7, mark_rejections
 from asterism.labelling.partial._motion_kernels import G14
+from asterism.labelling.partial._pair_search_kernels import PairRules
+from asterism.labelling.partial._search_kernels import SolverArrays, label_by_full_solver, search
 from asterism.labelling.partial.features import FEATURES, THESIS, kinds_of, members, needs_motion
 from asterism.labelling.partial.motion_points import frames_with_motion, with_motion
 from asterism.labelling.partial.weak import Bits, Spread, StrongClassifier, Trial, Weak, choose_widening, readable
@@ -133,7 +136,7 @@ def replacements(frames: Floats, weak: Weak, rng: np.random.Generator, words: in
     labels = np.tile(np.arange(n), (size, 1))
     labels[np.arange(size), marker] = (marker + rng.integers(1, max(2, n), size=size)) % n
     table = np.zeros((len(weak), n * words), dtype=np.uint64)
-    rejections(np.ascontiguousarray(frames[rng.choice(source, size=size)]), labels, weak.kinds, weak.slots, weak.low, weak.high, table)
+    mark_rejections(np.ascontiguousarray(frames[rng.choice(source, size=size)]), labels, weak.kinds, weak.slots, weak.low, weak.high, table)
     return table.reshape(len(weak), n, words)
 
 
@@ -141,7 +144,7 @@ def plant(weak: Weak, table: Bits, markers: Ints, start: int) -> Solver:
     """The search tree of some classifiers (slots: markers) over `markers`, from marker `start` on; `table` as from `replacements`."""
     order, rank = np.empty(len(markers), dtype=np.int64), np.empty(len(weak), dtype=np.int64)
     first = np.empty(len(markers) + 1, dtype=np.int64)
-    arrange(table, members(weak.kinds, weak.slots, table.shape[1]), markers, start, order, rank, first)
+    order_tests(table, members(weak.kinds, weak.slots, table.shape[1]), markers, start, order, rank, first)
     depth_of = np.zeros(table.shape[1], dtype=np.int64)
     depth_of[order] = np.arange(len(order))
     ordered = weak.take(rank)
@@ -274,7 +277,7 @@ class FullSolver:
         """
         indices = np.empty((len(clouds), len(self.names)), dtype=np.int64)
         first, total = np.empty(len(clouds), dtype=np.int64), np.empty(len(clouds), dtype=np.int64)
-        label_whole(
+        label_by_full_solver(
             pack([self.solver]),
             self.solver.lowest_first,
             with_motion(clouds, needs_motion(self.solver.weak.kinds)),
@@ -299,7 +302,7 @@ def _label(solver: Solver, frames: Floats, given: Ints) -> tuple[Ints, Ints, Int
     visible = ~np.isnan(frames[:, :, 0])
     offsets = np.concatenate([[0], np.cumsum(visible.sum(axis=1))]).astype(np.int64)
     first, total = np.empty(len(frames), dtype=np.int64), np.empty(len(frames), dtype=np.int64)
-    label_whole(pack([solver]), solver.lowest_first, np.ascontiguousarray(frames[visible]), offsets, BUDGET, given, first, total)
+    label_by_full_solver(pack([solver]), solver.lowest_first, np.ascontiguousarray(frames[visible]), offsets, BUDGET, given, first, total)
     return np.where(visible, np.cumsum(visible, axis=1) - 1, NULL), first, total
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
-from asterism.labelling.partial._kernels import expose, make_bench
+from asterism.labelling.partial._evaluation_kernels import EvaluationLimits, ProposalCounts, ValidationFrames, evaluate_solver
+from asterism.labelling.partial._pair_search_kernels import make_search_workspace
 from asterism.labelling.partial.features import FEATURES as REGISTRY
 from asterism.labelling.partial.features import MANY_MARKERS, members
 from asterism.labelling.partial.matrix import BUDGET, PartialSolvers, whole_model
@@ -119,7 +120,7 @@ class Mine:
             share = np.minimum(LOST * self.hidden.sum(axis=1), MOST_LOST)
             self.lost = self.rng.random(self.hidden.shape) < share[:, None]
         n, moving = self.n_markers, len(np.unique(self.weak.kinds[self.moving & (self.points == 2)]))
-        self.bench, self.now = make_bench(n, n, n, self.frames.shape[2], moving), 0
+        self.bench, self.now = make_search_workspace(n, n, n, self.frames.shape[2], moving), 0
         self.known: dict[Subset, Assessed] = {}
 
     def build(self, markers: Subset) -> Solver | None:
@@ -159,8 +160,9 @@ class Mine:
         allowed = max(2 if exposures > self.settings.glance else 8, int((1 - self.targets.min()) * exposures * 2))
         arrays, pairs = share_pairs(pack([solver]), self.n_markers)
         now, self.now = self.now, self.now + exposures
-        sample = (self.frames, self.choice[:exposures], self.hidden[:exposures], self.lost[:exposures])
-        expose(arrays, pairs, 0, *sample, BUDGET, allowed, self.bench, now, hits, failures, silent)
+        validation = ValidationFrames(self.frames, self.choice[:exposures], self.hidden[:exposures], self.lost[:exposures])
+        counts, limits = ProposalCounts(hits, failures, silent), EvaluationLimits(BUDGET, allowed)
+        evaluate_solver(arrays, pairs, 0, validation, limits, self.bench, now, counts)
         own = np.zeros(self.n_markers, dtype=np.bool_)
         own[solver.markers] = True
         rates = np.where(own, hits / np.maximum(hits + failures, 1), np.nan)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.labelling.partial._kernels import cover, feature_ranges, rejected, rejections
+from asterism.labelling.partial._build_kernels import choose_covering
+from asterism.labelling.partial._feature_kernels import count_rejected, feature_ranges, mark_rejections
 from asterism.labelling.partial.features import THESIS, check_motion, members, pool
 from asterism.recording import Floats, Ints
 
@@ -148,7 +149,7 @@ class Trial:
         """Given labellings; `weight` is one whole number per 64 of them."""
         words = -(-len(labels) // 64)
         table = np.zeros((len(weak), words), dtype=np.uint64)
-        rejections(np.ascontiguousarray(frames), np.ascontiguousarray(labels), weak.kinds, weak.slots, weak.low, weak.high, table)
+        mark_rejections(np.ascontiguousarray(frames), np.ascontiguousarray(labels), weak.kinds, weak.slots, weak.low, weak.high, table)
         return cls(frames, labels, table, _pack((labels != np.arange(labels.shape[1])).T, words), weight.astype(np.int64))
 
     def joined(self, other: Trial) -> Trial:
@@ -169,7 +170,7 @@ class Trial:
         """
         wrong = np.bitwise_or.reduce(self.moved[np.asarray(markers, dtype=np.int64)], axis=0)
         chosen, gains = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
-        count, once = cover(np.ascontiguousarray(self.table[rows]), wrong, self.weight, min(most, len(rows)), chosen, gains)
+        count, once = choose_covering(np.ascontiguousarray(self.table[rows]), wrong, self.weight, min(most, len(rows)), chosen, gains)
         return rows[chosen[:count]], gains[:count].copy(), once
 
 
@@ -206,7 +207,7 @@ class StrongClassifier:
         check_motion(self.weak.kinds, frames)
         table = np.zeros((len(self.weak), -(-len(labels) // 64)), dtype=np.uint64)
         weak = self.weak
-        rejections(
+        mark_rejections(
             np.ascontiguousarray(frames), np.ascontiguousarray(labels, dtype=np.int64), weak.kinds, weak.slots, weak.low, weak.high, table
         )
         bits = np.unpackbits(table.astype("<u8").view(np.uint8), axis=1, bitorder="little")[:, : len(labels)]
@@ -233,7 +234,7 @@ class StrongClassifier:
             size = min(CHUNK, wrong - start)
             labels = wrong_labellings(self.n_markers, rng.integers(2, self.n_markers + 1, size=size), rng)
             choice = rng.integers(len(complete), size=size)
-            caught += rejected(complete, choice, labels, self.weak.kinds, self.weak.slots, self.weak.low, self.weak.high)
+            caught += count_rejected(complete, choice, labels, self.weak.kinds, self.weak.slots, self.weak.low, self.weak.high)
         return caught / wrong
 
 
@@ -257,8 +258,8 @@ def choose_widening(spread: Spread, frames: Floats, groups: Ints, rows: Ints, se
         wrong = wrong_labellings(n, rng.integers(2, min(3, n) + 1, size=len(choice)), rng)
         for w, widen in enumerate(WIDENINGS):
             weak = kept.weak("widened", widen, np.arange(len(people)) != p)
-            refused = rejected(own, np.arange(len(own)), right, weak.kinds, weak.slots, weak.low, weak.high)
-            caught = rejected(own, choice, wrong, weak.kinds, weak.slots, weak.low, weak.high)
+            refused = count_rejected(own, np.arange(len(own)), right, weak.kinds, weak.slots, weak.low, weak.high)
+            caught = count_rejected(own, choice, wrong, weak.kinds, weak.slots, weak.low, weak.high)
             merits[w] += caught / len(choice) - refused / len(own)
     return WIDENINGS[int(np.argmax(merits))]
 

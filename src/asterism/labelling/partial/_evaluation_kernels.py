@@ -1,0 +1,100 @@
+"""Kernel that evaluates a partial solver: its proposals on frames with hidden markers, counted against the truth."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from asterism._jit import kernel
+from asterism.labelling.partial._pair_search_kernels import load_frame, search_by_pairs
+from asterism.labelling.partial._search_kernels import agreed_points
+
+
+class ValidationFrames(NamedTuple):
+    """Labelled frames on which a solver is evaluated, E times.
+
+    frames            (N, M, 3) m, z up, NaN where missing, or with their motion (N, M, WIDTH)
+    chosen            (E,) frame of each evaluation
+    hidden            (E, M) bool, markers hidden
+    motion_unknown    (E, M) bool, markers whose motion is not known
+    """
+
+    frames: np.ndarray
+    chosen: np.ndarray
+    hidden: np.ndarray
+    motion_unknown: np.ndarray
+
+
+class EvaluationLimits(NamedTuple):
+    """What ends an evaluation early.
+
+    budget        feature evaluations per frame, after which the solver proposes nothing
+    max_failures  wrong proposals of a marker, beyond which its hit rate cannot reach the target
+    """
+
+    budget: int
+    max_failures: int
+
+
+class ProposalCounts(NamedTuple):
+    """Proposals by marker, (M,) int each: right ones, wrong ones, and frames with all the solver's markers in sight without a proposal."""
+
+    hits: np.ndarray
+    failures: np.ndarray
+    abstentions: np.ndarray
+
+
+@kernel
+def evaluate_solver(solvers, pairs, s, validation, limits, workspace, first_id, counts):
+    """Evaluate one solver on frames some of whose markers are hidden, and count its proposals against the truth (section 4.5.1, hit rates).
+
+    A solver proposes a point for a marker where all labellings that it found agree on it. A proposal of the marker's point is a hit. A
+    proposal of any other point is a failure. No proposal is an abstention.
+
+    IN  solvers, pairs, s as in `search_by_pairs`; validation ValidationFrames; limits EvaluationLimits; workspace SearchWorkspace
+        first_id, as many numbers from here on as there are evaluations are new to the workspace (`frame_id` of `search_by_pairs`)
+    OUT counts ProposalCounts, set for all markers; abstentions only of frames in which all markers of the solver are in sight
+    Returns the number of evaluations made. It stops where every marker of the solver has more than `max_failures` failures, or more than
+    50 abstentions that are more than four times its hits.
+    O(E times a search). Twin: `evaluate_solver` in tests/twins_partial.py
+    """
+    frames = validation.frames
+    first = solvers.first_depth[s]
+    depths = solvers.first_depth[s + 1] - first
+    markers = frames.shape[1]
+    points, row = np.empty((markers, frames.shape[2])), np.empty(markers, dtype=np.int64)
+    counts.hits[:] = 0
+    counts.failures[:] = 0
+    counts.abstentions[:] = 0
+    for e in range(len(validation.chosen)):
+        frame = frames[validation.chosen[e]]
+        n = 0
+        for m in range(markers):
+            row[m] = -1
+            if not validation.hidden[e, m] and not np.isnan(frame[m, 0]):
+                points[n] = frame[m]
+                if validation.motion_unknown[e, m]:
+                    points[n, 3:] = np.nan
+                row[m] = n
+                n += 1
+        load_frame(points, n, pairs.kinds, workspace)
+        in_sight = True
+        for k in range(depths):
+            in_sight = in_sight and row[solvers.markers[first + k]] >= 0
+        solutions = search_by_pairs(solvers, pairs, s, n, first_id + e, limits.budget, workspace)
+        agreed_points(workspace.found, solutions, depths, workspace.agreed)
+        out_of_reach = True
+        for k in range(depths):
+            m = solvers.markers[first + k]
+            if workspace.agreed[k] < 0:
+                counts.abstentions[m] += in_sight
+            elif workspace.order[workspace.agreed[k]] == row[m]:
+                counts.hits[m] += 1
+            else:
+                counts.failures[m] += 1
+            abstains = counts.abstentions[m] > 50 and counts.abstentions[m] > 4 * counts.hits[m]
+            out_of_reach = out_of_reach and (counts.failures[m] > limits.max_failures or abstains)
+        if out_of_reach:
+            return e + 1
+    return len(validation.chosen)

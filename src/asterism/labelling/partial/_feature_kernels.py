@@ -1,0 +1,156 @@
+"""Kernels of features: points in; the values of features, their ranges over people, and which weak classifiers reject, out.
+
+All kernels of this folder take the vertical as +z; `geometry.rotate_z_up` has turned the points before. Twins: tests/twins.py.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from asterism._jit import kernel
+from asterism.labelling.partial._motion_kernels import motion_feature
+
+# Order of `features.FEATURES`: the registry and `feature_value` agree, and a test holds them to it.
+G1, G2, G3, G4, G5, G6, G7, G8, G9 = range(9)
+
+
+@kernel(inline=True)
+def _length(points, a, b):
+    x, y, z = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@kernel(inline=True)
+def _cosine(ux, uy, uz, vx, vy, vz):
+    norm = math.sqrt((ux * ux + uy * uy + uz * uz) * (vx * vx + vy * vy + vz * vz))
+    if norm == 0.0:
+        return 1.0
+    return (ux * vx + uy * vy + uz * vz) / norm
+
+
+@kernel
+def feature_value(kind, points, a, b, c, d):
+    """One feature over the points at rows a, b, c, d (those that the kind does not need are ignored).
+
+    IN  kind, place in `features.FEATURES`; points (n, 3) m, z up, or with their motion (n, WIDTH); a, b, c, d rows
+    Returns m, m2, rad, a ratio, m/s or m2/s2; 0 where points coincide and the value is undefined; NaN where a point is missing, or its
+    motion where the kind reads it. O(1).
+    Thesis table 4.1; `_motion_kernels.motion_feature`. Twin: `feature` in tests/twins.py
+    """
+    if kind > G9:
+        return motion_feature(kind, points, a, b, c)
+    value = feature_or_cosine(kind, points, a, b, c, d)
+    if kind in (G1, G6, G7):
+        if value >= 1.0:
+            return 0.0
+        if value <= -1.0:
+            return math.pi
+        return math.acos(value)
+    return value
+
+
+@kernel
+def feature_or_cosine(kind, points, a, b, c, d):
+    """`feature_value` of the kinds up to G9, with the cosine in place of an angle: as good for a comparison, and faster.
+
+    IN  as `feature_value`. Returns the value or cosine. O(1).
+    The caller evaluates other kinds with `motion_feature`. With that call in here, this kernel would be too large to be inlined.
+    """
+    if kind == G2:
+        return _length(points, a, b)
+    if kind == G4:
+        return points[a, 2] - points[b, 2]
+    bx, by, bz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+    if kind == G7:
+        return _cosine(bx, by, bz, 0.0, 0.0, 1.0)
+    if kind == G3:
+        first, second = _length(points, a, b), _length(points, c, d)
+        return 2.0 * (first - second) / (first + second) if first + second != 0.0 else 0.0
+    if kind == G6:
+        return _cosine(bx, by, bz, points[d, 0] - points[c, 0], points[d, 1] - points[c, 1], points[d, 2] - points[c, 2])
+    cx, cy, cz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
+    if kind == G9:
+        return bx * cy - by * cx
+    if kind == G1:
+        return _cosine(bx, by, bz, cx, cy, cz)
+    if kind == G5:
+        other = math.sqrt(cx * cx + cy * cy + cz * cz)
+        return math.sqrt(bx * bx + by * by + bz * bz) / other if other != 0.0 else 0.0
+    x, y, z = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    return 0.5 * math.sqrt(x * x + y * y + z * z)
+
+
+@kernel
+def feature_ranges(frames, groups, n_groups, kinds, slots, low, high):
+    """Smallest and largest value of each feature over the frames of each group (person).
+
+    IN  frames (N, M, 3) m, NaN where missing; groups (N,) int; kinds (F,); slots (F, 4) marker of each point
+    OUT low, high (F, n_groups), +inf and -inf where a group never shows all the feature's points
+    O(F N). Eq. 4.4 and section 4.3, step 2. Twin: tests/test_weak.py
+    """
+    low[:] = np.inf
+    high[:] = -np.inf
+    for f in range(len(kinds)):
+        a, b, c, d = slots[f, 0], slots[f, 1], slots[f, 2], slots[f, 3]
+        for t in range(len(frames)):
+            value = feature_value(kinds[f], frames[t], a, b, c, d)
+            if value < low[f, groups[t]]:
+                low[f, groups[t]] = value
+            if value > high[f, groups[t]]:
+                high[f, groups[t]] = value
+
+
+@kernel
+def mark_rejections(frames, labels, kinds, slots, low, high, out):
+    """Which weak classifiers reject which labellings, as bits.
+
+    IN  frames (N, M, 3) m; labels (N, M) row of the point that each marker is given; kinds (F,), slots (F, 4), low, high (F,)
+    OUT out (F, ceil(N / 64)) uint64, bit n set where classifier f rejects labelling n
+    O(F N). Eq. 4.4. Twin: `rejects` in tests/twins.py
+    """
+    out[:] = 0
+    for f in range(len(kinds)):
+        for n in range(len(frames)):
+            value = feature_value(
+                kinds[f], frames[n], labels[n, slots[f, 0]], labels[n, slots[f, 1]], labels[n, slots[f, 2]], labels[n, slots[f, 3]]
+            )
+            if value < low[f] or value > high[f]:
+                out[f, n >> 6] |= np.uint64(1) << np.uint64(n & 63)
+
+
+@kernel
+def count_rejected(frames, choice, labels, kinds, slots, low, high):
+    """How many of some labellings at least one of the weak classifiers rejects (eq. 4.5 below 1).
+
+    IN  frames (N, M, 3) m; choice (K,) frame of each labelling; labels (K, M) row of the point that each marker is given
+    Returns the number of labellings rejected. O(K F) at worst: the first classifier that rejects a labelling ends its check.
+    Twin: `rejects` in tests/twins.py
+    """
+    total = 0
+    for k in range(len(choice)):
+        points = frames[choice[k]]
+        for f in range(len(kinds)):
+            value = feature_value(
+                kinds[f], points, labels[k, slots[f, 0]], labels[k, slots[f, 1]], labels[k, slots[f, 2]], labels[k, slots[f, 3]]
+            )
+            if value < low[f] or value > high[f]:
+                total += 1
+                break
+    return total
+
+
+@kernel
+def point_distances(points, n, out):
+    """Distances between the first n points.
+
+    IN  points (>= n, 3 or more) m
+    OUT out (>= n, >= n) m
+    O(n^2).
+    """
+    for i in range(n):
+        out[i, i] = 0.0
+        for j in range(i):
+            out[i, j] = _length(points, i, j)
+            out[j, i] = out[i, j]
