@@ -114,7 +114,7 @@ def test_a_body_is_followed_by_its_tracklets_whichever_is_found_better() -> None
     who = follow_bodies(bodies, track.ravel())
     assert len(set((who == order).ravel().tolist())) == 1
     assert set(who.ravel().tolist()) == {0, 1}
-    lost = replace(bodies, rows=np.where(rng.random(rows.shape) < 0.3, -1, rows))
+    lost = replace(bodies, point_of=np.where(rng.random(rows.shape) < 0.3, -1, rows))
     assert len(set((follow_bodies(lost, track.ravel()) == order).ravel().tolist())) == 1
 
 

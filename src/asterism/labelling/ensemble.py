@@ -25,7 +25,7 @@ from asterism.labelling.training.model_file import reading, write_arrays
 from asterism.labelling.training.sample import Sample
 from asterism.labelling.whole.bodies import check_single_body
 from asterism.labelling.whole.certainty import MAX_SLOPE, Certainty
-from asterism.labelling.whole.label import BodyInRecording, label_whole, subject_body_gain, subject_body
+from asterism.labelling.whole.label import BodyInRecording, label_whole, subject_body, subject_body_gain
 from asterism.labelling.whole.scene import RecordingLabellingSettings
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording
@@ -298,13 +298,12 @@ class SolverEnsemble:
         rate: frames per second; delay: frames to wait for, which make the labels surer; vertical: the axis that points up.
         Raises AsterismError where one of them makes no sense.
         """
-        from asterism.labelling.live.body import LiveBody, LiveRules
-        from asterism.labelling.live.stream import Stream
+        from asterism.labelling.live.stream import Stream, StreamModel
 
         body_rules = BodyRules() if self._memory is None else self._memory.recipe.body
-        live = None if self._body.within is None else LiveBody(self._body, body_rules, rate, LiveRules())
-        model = (self._parts(), live, self._markers, len(self.marker_set))
-        return Stream(*model, self._calibrations, self.least_confidence, rate, delay, vertical)
+        names = len(self.marker_set)
+        model = StreamModel(self._parts(), self._markers, names, self._calibrations, self.least_confidence, body_rules)
+        return Stream(model, rate, delay, vertical)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model: one NPZ file of plain arrays and a JSON text, no pickle. Written under a temporary name, then renamed."""

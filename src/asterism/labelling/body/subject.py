@@ -36,7 +36,7 @@ class SubjectRules:
 
 
 def shows_enough(frames: Floats) -> NDArray[np.bool_]:
-    """Whether each frame (N, M, 3) m, NaN where missing, shows enough markers to tell of the body: three, and two fifths of all."""
+    """Whether each frame (N, M, 3) m, NaN where missing, shows enough markers to place the body: three, and two fifths of all."""
     shown = ~np.isnan(frames[:, :, 0])
     return shown.sum(axis=1) >= max(3, 0.4 * shown.shape[1])
 

@@ -33,7 +33,7 @@ from asterism.tracking.linking import LinkRules
 
 @dataclass(frozen=True)
 class StreamRules:
-    """How a stream weighs the frames. All were chosen on gait subjects left out of the training (docs/live.md).
+    """How a stream weighs the frames. All were chosen on gait subjects left out of the training (docs/recordings.md).
 
     evidence_memory    s in which a track's evidence decays to 1/e
     independent_after  s; frames of a track that are nearer in time than this repeat each other, and count for less

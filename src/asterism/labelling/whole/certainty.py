@@ -69,7 +69,9 @@ class Certainty:
         The least confidence for that is a power law, fitted to people left out (docs/recordings.md): 0.70, 0.83, 0.91 for targets of 0.99,
         0.999, 0.9999. Solved from the trials of each training, it would depend on the one or two wrong tracklets among them.
         """
-        one, other = (Calibration.fit(trials.margin[trials.near_unlabelled == side], trials.right[trials.near_unlabelled == side]) for side in (0, 1))
+        one, other = (
+            Calibration.fit(trials.margin[trials.near_unlabelled == side], trials.right[trials.near_unlabelled == side]) for side in (0, 1)
+        )
         max_slope = MAX_SLOPE_OF_ONE + (MAX_SLOPE - MAX_SLOPE_OF_ONE) * min(people - 1, 4) / 4
         return cls((one, other), 1.0 - (1.0 - target) ** 0.26, max_slope)
 

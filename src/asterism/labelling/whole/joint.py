@@ -157,9 +157,7 @@ def _gains(
         scores, totals = np.empty((len(scene.sampled_xyz), markers)), np.empty(len(scene.sampled_frames))
         pose = np.empty(len(scene.sampled_frames), dtype=np.int64)
         of_body = labels_of_body(label, offsets, number)
-        score_frames(
-            scene.sampled_xyz, scene.sampled_offsets, scene.sampled_track, of_body, body, labeller.settings, scores, totals, pose
-        )
+        score_frames(scene.sampled_xyz, scene.sampled_offsets, scene.sampled_track, of_body, body, labeller.settings, scores, totals, pose)
         sums, counts = np.zeros((len(scene.first), markers)), np.zeros(len(scene.first))
         sum_scores(scene.sampled_track, scores, rules.min_score, rules.max_score, sums, counts)
         gain[:, offsets[number] : offsets[number + 1]] = sums * (scene.independent / np.maximum(counts, 1.0))[:, None]

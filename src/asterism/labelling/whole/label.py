@@ -16,7 +16,7 @@ from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.labelling.whole._kernels import score_frames
 from asterism.labelling.whole.certainty import Certainty, TrialLabels, overlaps_unlabelled
 from asterism.labelling.whole.joint import SceneLabelling, label_scene
-from asterism.labelling.whole.scene import RecordingLabellingSettings, prepare_scene, marker_offsets, labels_of_body
+from asterism.labelling.whole.scene import RecordingLabellingSettings, labels_of_body, marker_offsets, prepare_scene
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
 from asterism.tracking.linking import find_tracklets
