@@ -12,7 +12,7 @@ from asterism.geometry._kernels import align_about_z, fit_about_z
 from asterism.labelling.body._workspace_kernels import LOG_2PI
 
 
-@kernel(reassociate=True)
+@kernel
 def _anchor_displacement(model, a, k, points, anchor_points, workspace):
     """How far an anchor's points lie from its markers in a key pose, once placed onto them.
 
@@ -36,7 +36,7 @@ def _anchor_displacement(model, a, k, points, anchor_points, workspace):
     return distance
 
 
-@kernel(reassociate=True)
+@kernel
 def anchor_key_pose(model, a, points, anchor_points, workspace):
     """The key pose that fits an anchor's own points best: (k, log density in nats, squared Mahalanobis distance).
 
@@ -51,7 +51,7 @@ def anchor_key_pose(model, a, points, anchor_points, workspace):
     return best, best_log, best_distance
 
 
-@kernel(reassociate=True)
+@kernel
 def score_from_anchor(model, a, k, points, anchor_points, workspace):
     """Score every point as every marker from an anchor alone.
 

@@ -16,7 +16,7 @@ from asterism.labelling.body._search_kernels import MAX_LABELLINGS, find_labelli
 from asterism.labelling.body._workspace_kernels import FrameLabelling, FrameModel, FrameSettings, count_labelled, make_body_workspace
 
 
-@kernel(reassociate=True)
+@kernel
 def nearest_changes(body, points, settings, workspace, labelling):
     """For every marker, by how much the labelling beats the nearest one that differs there; a better one replaces it.
 
@@ -80,7 +80,7 @@ def nearest_changes(body, points, settings, workspace, labelling):
     return top
 
 
-@kernel(reassociate=True)
+@kernel
 def retry_doubtful(body, points, top, settings, workspace, labelling):
     """Where markers and points are both left over: take back each doubtful label in turn, and refine what remains.
 
@@ -127,7 +127,7 @@ def frame_settings(settings, points, markers):
     )
 
 
-@kernel(reassociate=True)
+@kernel
 def label_frame(model, points, workspace, labelling):
     """The best labelling of one frame, and by how much it beats the next one, marker by marker.
 
@@ -163,7 +163,7 @@ def label_frame(model, points, workspace, labelling):
                 margins[m] = min(margins[m], max(0.0, top - candidates.scores[h]))
 
 
-@kernel(reassociate=True)
+@kernel
 def label_clouds(model, xyz, offsets, first, last, labelling):
     """`label_frame` for the frames first..last of clouds whose points are sorted within each frame.
 

@@ -102,7 +102,7 @@ def make_search_workspace(body, candidates, proposals):
     )
 
 
-@kernel(reassociate=True)
+@kernel
 def _index_of(table, count, point_of):
     """Where a labelling is among the first `count` rows of a table, -1 where it is not. O(count M)."""
     for h in range(count):
@@ -116,7 +116,7 @@ def _index_of(table, count, point_of):
     return -1
 
 
-@kernel(reassociate=True)
+@kernel
 def propose(model, a, points, solutions, workspace):
     """Choose the triples of an anchor that are worth refining: those from which the whole body scores best.
 
@@ -157,7 +157,7 @@ def propose(model, a, points, solutions, workspace):
     return chosen
 
 
-@kernel(reassociate=True)
+@kernel
 def find_labellings(model, points, workspace, counters):
     """Let anchors propose labellings and refine them, until enough anchors have led to the best one.
 

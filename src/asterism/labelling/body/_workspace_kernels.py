@@ -133,7 +133,7 @@ class BodyWorkspace(NamedTuple):
     displacement: np.ndarray
 
 
-@kernel(reassociate=True)
+@kernel
 def make_body_workspace(n, markers, latents):
     """Working arrays for frames of n points. O(M n + r^2) memory."""
     return BodyWorkspace(
@@ -151,7 +151,7 @@ def make_body_workspace(n, markers, latents):
     )
 
 
-@kernel(reassociate=True)
+@kernel
 def count_labelled(point_of):
     """How many markers have a point. IN point_of (M,), -1 for none. O(M)."""
     labelled = 0

@@ -25,6 +25,7 @@ from asterism.labelling.simulated_occlusions import hide_and_haunt
 from asterism.labelling.training.calibration import Calibration
 from asterism.labelling.training.sample import FEWEST_SHOWN, Sample
 from asterism.labelling.whole.certainty import Certainty, TrialLabels
+from asterism.labelling.whole.label import run_trials
 from asterism.labelling.whole.scene import RecordingLabellingSettings
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording
