@@ -46,8 +46,8 @@ def estimate_noise(blobs: Blobs, rig: Rig, cameras: list[int]) -> float:
             break
     if least > RULES.most_noise:
         raise AsterismError(
-            f"no few cameras agree on points to {RULES.most_noise:g} px: this is not the rig of the recording (image size, names of cameras, "
-            "y counted from the top?), or too few markers move in it; calibrate the rig again, or record more of them."
+            f"no few cameras agree on points to {RULES.most_noise:g} px: this is not the rig of the recording (image size, names of "
+            "cameras, y counted from the top?), or too few markers move in it; calibrate the rig again, or record more of them."
         )
     return least
 
