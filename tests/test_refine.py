@@ -135,7 +135,7 @@ def test_exchanged_names_are_said() -> None:
     true, blobs = filmed(8)
     swapped = replace(true, cameras=(replace(true[1], name="c1"), replace(true[0], name="c2"), *true.cameras[2:]))
     said = [str(finding) for finding in refine_rig(blobs, swapped, frames=40).findings]
-    assert "camera c1 stands where the rig has camera c2: were their names exchanged?" in said
+    assert "camera c1 stands where the rig has camera c2. Check whether their names were exchanged." in said
 
 
 def test_a_rig_that_is_not_the_recordings_is_refused_and_one_other_lens_is_lost() -> None:
