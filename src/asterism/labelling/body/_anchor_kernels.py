@@ -28,7 +28,7 @@ def _anchor_displacement(anchors, a, k, body, points, anchor_points, delta):
     return distance
 
 
-@kernel
+@kernel(inline=True)
 def anchor_key_pose(anchors, a, body, points, anchor_points, delta):
     """The key pose that fits an anchor's own points best: (k, its log density, its squared distance). O(81 K)."""
     best, best_log, best_distance = 0, -np.inf, np.inf

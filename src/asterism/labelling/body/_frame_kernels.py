@@ -13,7 +13,7 @@ from asterism.labelling.body._search_kernels import MAX_LABELLINGS, CandidateLab
 from asterism.labelling.body._workspace_kernels import FrameSettings, count_labelled, make_body_workspace
 
 
-@kernel
+@kernel(inline=True)
 def nearest_changes(body, points, settings, workspace, point_of, margins, counters):
     """For every marker, by how much the labelling beats the nearest one that differs there; a better one replaces it.
 
@@ -75,7 +75,7 @@ def nearest_changes(body, points, settings, workspace, point_of, margins, counte
     return top
 
 
-@kernel
+@kernel(inline=True)
 def retry_doubtful(body, points, top, settings, workspace, point_of, margins, counters):
     """Where markers and points are both left over, see whether a doubtful label keeps them apart: take it back and relabel.
 
@@ -96,7 +96,7 @@ def retry_doubtful(body, points, top, settings, workspace, point_of, margins, co
     return False
 
 
-@kernel
+@kernel(inline=True)
 def frame_settings(settings, points, markers):
     """The settings for a frame of so many points: the more points there are than markers, the likelier a ghost lies anywhere."""
     log_surplus = math.log(1.0 + max(0, points - markers))
@@ -118,7 +118,7 @@ def frame_settings(settings, points, markers):
     )
 
 
-@kernel
+@kernel(inline=True)
 def label_frame(points, order, solvers, anchors, body, settings, workspace, candidates, point_of, margins, counters):
     """The best labelling of one frame and by how much it beats the next one, marker by marker.
 
@@ -140,14 +140,14 @@ def label_frame(points, order, solvers, anchors, body, settings, workspace, cand
         return
     point_of[:] = candidates.labellings[best]
     counters[3] = candidates.votes[best]
-    top = nearest_changes(body, points, settings, workspace, point_of, margins, counters)
-    for _ in range(3):
+    top = -np.inf
+    for attempt in range(4):
+        top = nearest_changes(body, points, settings, workspace, point_of, margins, counters)
         labelled = count_labelled(point_of)
-        if labelled == len(point_of) or labelled == len(points):
+        if attempt == 3 or labelled == len(point_of) or labelled == len(points):
             break
         if not retry_doubtful(body, points, top, settings, workspace, point_of, margins, counters):
             break
-        top = nearest_changes(body, points, settings, workspace, point_of, margins, counters)
     for h in range(count):
         for m in range(len(point_of)):
             if point_of[m] >= 0 and candidates.labellings[h, m] != point_of[m]:

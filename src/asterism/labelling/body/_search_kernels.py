@@ -54,7 +54,7 @@ class CandidateLabellings(NamedTuple):
     last_vote: np.ndarray
 
 
-@kernel
+@kernel(inline=True)
 def propose(anchors, a, body, points, found, solutions, settings, workspace, pick, pick_score, pose_of):
     """Which of an anchor's triples are worth following up: those from which the whole body is found best.
 
@@ -94,7 +94,7 @@ def propose(anchors, a, body, points, found, solutions, settings, workspace, pic
     return picks
 
 
-@kernel
+@kernel(inline=True)
 def find_labellings(points, order, solvers, anchors, body, settings, workspace, candidates, counters):
     """Let anchors propose and refine what they propose, until enough of them agree on the best labelling.
 
