@@ -30,8 +30,8 @@ def compile_tracking() -> None:
 def compile_whole() -> None:
     """Compile what decides on the labels of a recording as a whole, after its frames were labelled."""
     from asterism.labelling.body._workspace_kernels import BodyArrays, FrameSettings
-    from asterism.labelling.whole._distance_kernels import foreign_distances, misfits
-    from asterism.labelling.whole._kernels import branch_and_bound, gather, margins_of, overlaps, score_frames
+    from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
+    from asterism.labelling.whole._kernels import branch_and_bound, margins_of, overlaps, score_frames, sum_scores
 
     body = BodyArrays(
         mean=_floats(0, 0, 3),
@@ -45,9 +45,10 @@ def compile_whole() -> None:
     )
     xyz, offsets, track, label, gain = _floats(0, 3), np.zeros(1, dtype=np.int64), _ints(0), _ints(0), _floats(0, 1)
     score_frames(xyz, offsets, track, label, body, _zeros(FrameSettings), _floats(0, 0), _floats(0), _ints(0))
-    foreign_distances(xyz, track, track, label, 0, _floats(0, 0), _floats(0, 0), 0.0, 0.0, 0.0, 1, 1, 1.0, _floats(0))
-    misfits(xyz, track, track, label, 0, 0, 0.0, 0.0, 1, 1, 1.0, _floats(0))
-    gather(track, _floats(0, 0), 0.0, 0.0, _floats(0, 0), _floats(0))
+    points, limits = TrackedPoints(xyz, track, track, 0), _zeros(DistanceLimits)
+    rigid_deviations(points, label, 0, limits, _floats(0))
+    training_deviations(points, label, _floats(0, 0), _floats(0, 0), limits, _floats(0))
+    sum_scores(track, _floats(0, 0), 0.0, 0.0, _floats(0, 0), _floats(0))
     overlaps(gain, track, track, track)
     margins_of(gain, label, track, track, track)
     branch_and_bound(gain, track, track, 1, label)
