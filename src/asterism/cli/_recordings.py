@@ -42,6 +42,7 @@ def read_labelled(
     for path in files:
         with batch.file(path):
             recording = formats.read(path, markers=marker_set, vertical=axis)
+            report_warnings(recording, batch)
             if complete and marker_set is not None:
                 _check_complete(path, recording)
             recordings.append(recording)
@@ -60,6 +61,7 @@ def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str
     for path in files:
         with batch.file(path):
             recording = formats.read(path, markers=marker_set, vertical=axis)
+            report_warnings(recording, batch)
             if marker_set is None:
                 recording = recording.select(list(_named(recording)))
             if not recording.visible.any():
@@ -103,6 +105,13 @@ def _named(recording: Recording) -> dict[str, None]:
         for column, name in enumerate(recording.labels)
         if not is_unnamed(name) and recording.labels.count(name) == 1 and recording.visible[:, column].any()
     }
+
+
+def report_warnings(recording: Recording, batch: _console.Batch) -> None:
+    """Name what the reader of a file found, without its notes, which `asterism info` shows."""
+    for finding in recording.metadata.get("findings", ()):
+        if finding.severity > Severity.NOTE:
+            batch.found(finding)
 
 
 def not_carried(target: Path, lost: Sequence[str]) -> list[Finding]:

@@ -159,11 +159,12 @@ def _check(options: LabelOptions) -> None:
 def _labelled(labeller: _Labeller, batch: _console.Batch, path: Path, target: Path, progress: Progress | None) -> _Result:
     """Label one file and write it."""
     from asterism import __version__, formats
-    from asterism.cli._recordings import label_shares, labels_kept, not_carried
+    from asterism.cli._recordings import label_shares, labels_kept, not_carried, report_warnings
     from asterism.labelling.ensemble import ANOTHER_PERSON
 
     options = labeller.options
     recording, clouds = _read(path, vertical_axis(options.vertical))
+    report_warnings(recording, batch)
     if not batch.done and len(clouds):  # compiles, so that the rate below is that of the work
         labeller.label(clouds.frames([0]))
     started = time.perf_counter()

@@ -156,7 +156,7 @@ def _with_computed(recording: Recording) -> Recording:
 
 
 def describe(path: str | Path) -> dict[str, Any]:
-    """What a file holds, as plain values for people and JSON: format, frames, rate, units, vertical, points, gaps, events, oddities.
+    """What a file holds, as plain values: format, frames, rate, units, vertical, points, gaps, events; as `findings` a tuple of `Finding`.
 
     Raises AsterismError where the file cannot be read.
     """

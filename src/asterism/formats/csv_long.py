@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
 from asterism.formats._text import cells_of, decoded, delimiter_of, lines_of, number_of, rate_of, read_bytes, some_of, write_atomically
@@ -54,7 +55,7 @@ def read_long(path: Path) -> Points:
     values, marks, line_numbers = _samples(path, lines, at + 1, delimiter, wanted, name_at)
     count = 1 + (frame_at is not None and time_at is not None)
     raw = values[:, count:]
-    remarks: list[str] = []
+    findings: list[Finding] = []
     frame, frames, first = _frames(path, values[:, 0], frame_at is not None, comments.first_frame, comments.frames, line_numbers)
     times: Floats | None = None
     if time_at is not None:
@@ -71,12 +72,12 @@ def read_long(path: Path) -> Points:
         )
     spread = np.full((frames, len(labels), 3), np.nan)
     spread[frame, column] = raw
-    scale, name, remark = metres_per_unit(path, comments.units or units, spread)
-    positions, odd = as_metres(spread, scale)
+    scale, name, found = metres_per_unit(path, comments.units or units, spread)
+    positions, missing = as_metres(spread, scale)
     return Points(
         positions,
         tuple(labels),
-        rate_of(path, comments.rate, times, remarks),
+        rate_of(path, comments.rate, times, findings),
         "CSV long",
         units=name,
         declared=comments.vertical,
@@ -84,7 +85,7 @@ def read_long(path: Path) -> Points:
         first_time=float(times[0]) if times is not None and len(times) and np.isfinite(times[0]) else None,
         events=comments.events,
         subject=comments.subject,
-        oddities=tuple([*([remark] if remark else []), *remarks, *odd]),
+        findings=(*found, *findings, *missing),
     )
 
 

@@ -52,11 +52,11 @@ def read_wide(path: Path) -> Points:
     if not groups:
         shown = some_of([name for name in names if name])
         raise AsterismError(f"{path} has no marker in its header ({shown}): name three columns LKNE_x, LKNE_y, LKNE_z to make one.")
-    values, remarks = rows_of_numbers(path, _numbers_only(lines[body_at:], names, rest, delimiter), body_at + 1, delimiter, len(names))
+    values, findings = rows_of_numbers(path, _numbers_only(lines[body_at:], names, rest, delimiter), body_at + 1, delimiter, len(names))
     raw = values[:, [column for group in groups for column in group.columns]].reshape(len(values), len(groups), 3)
     unit = comments.units or units or next((group.units for group in groups if group.units), None)
-    scale, name, remark = metres_per_unit(path, unit, raw)
-    positions, odd = as_metres(raw, scale)
+    scale, name, found = metres_per_unit(path, unit, raw)
+    positions, missing = as_metres(raw, scale)
     time_at = next((i for i in rest if names[i] and _TIME.fullmatch(names[i])), None)
     frame_at = next((i for i in rest if _FRAME.fullmatch(names[i]) and i != time_at), None)
     times = None
@@ -64,7 +64,7 @@ def read_wide(path: Path) -> Points:
         match = _TIME.fullmatch(names[time_at])
         milliseconds = match is not None and (match["unit"] or "").lower().startswith("m")
         times = values[:, time_at] * (0.001 if milliseconds else 1.0)
-    rate = rate_of(path, comments.rate, times, remarks)
+    rate = rate_of(path, comments.rate, times, findings)
     first, jumps = comments.first_frame, list[str]()
     if frame_at is not None:
         positions, numbered, jumps = frames_in_place(values[:, frame_at], positions)
@@ -80,7 +80,7 @@ def read_wide(path: Path) -> Points:
         first_time=float(times[0]) if times is not None and len(times) and np.isfinite(times[0]) else None,
         events=comments.events,
         subject=comments.subject,
-        oddities=tuple([*([remark] if remark else []), *remarks, *odd, *jumps]),
+        findings=(*found, *findings, *missing, *jumps),
     )
 
 

@@ -61,8 +61,8 @@ def _points(path: Path, take: dict[str, Any]) -> Points:
     together = np.concatenate(raw, axis=1) if raw else np.full((frames, 0, 3), np.nan)
     if not np.isfinite(rate) or rate <= 0:
         raise AsterismError(f"{path} gives a frame rate of {rate:g}; export it from QTM again.")
-    scale, units, remark = metres_per_unit(path, "mm", together)
-    positions, odd = as_metres(together, scale, zero_is_missing=False)
+    scale, units, found = metres_per_unit(path, "mm", together)
+    positions, missing = as_metres(together, scale, zero_is_missing=False)
     return Points(
         positions,
         tuple(labels),
@@ -73,7 +73,7 @@ def _points(path: Path, take: dict[str, Any]) -> Points:
         declared=as_vertical("z"),
         first_frame=int(_number(take["StartFrame"])) if "StartFrame" in take else 1,
         events=_events(take.get("Events")),
-        oddities=tuple([*([remark] if remark else []), *odd]),
+        findings=(*found, *missing),
         extra={"time_stamp": str(take.get("Timestamp", "")).replace("\t", " ")},
     )
 

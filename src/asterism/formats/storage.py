@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._groups import Group, marker_groups, own_groups
 from asterism.formats._text import (
@@ -172,10 +173,10 @@ def points_of_table(path: Path, table: Table) -> Points:
         )
     groups, _ = _groups_of(table)
     raw = table.values[:, [column for group in groups for column in group.columns]].reshape(len(table.values), len(groups), 3)
-    remarks: list[str] = []
-    scale, units, remark = metres_per_unit(path, table.units or next((g.units for g in groups if g.units), None), raw)
-    positions, odd = as_metres(raw, scale)
-    rate = rate_of(path, table.said_rate, table.times, remarks)
+    findings: list[Finding] = []
+    scale, units, found = metres_per_unit(path, table.units or next((g.units for g in groups if g.units), None), raw)
+    positions, missing = as_metres(raw, scale)
+    rate = rate_of(path, table.said_rate, table.times, findings)
     start = float(table.times[0]) if len(table.times) and np.abs(table.times[0]) < 1e9 else None
     return Points(
         positions,
@@ -186,7 +187,7 @@ def points_of_table(path: Path, table: Table) -> Points:
         fallback=as_vertical("y"),
         first_frame=1 if start is None else round(start * rate) + 1,
         first_time=start,
-        oddities=tuple([*([remark] if remark else []), *remarks, *odd]),
+        findings=(*found, *findings, *missing),
     )
 
 

@@ -43,8 +43,8 @@ class Recording:
     rate       frames per second
     vertical   (3,) unit vector, up
     events     instants that the file marks
-    metadata   plain values worth showing: file, format, units, subject, ...; `first_time`, in seconds, where a file
-               gives its first frame another time than (first_frame - 1) / rate
+    metadata   values worth showing: file, format, units, subject, ...; `first_time`, in seconds, where a file
+               gives its first frame another time than (first_frame - 1) / rate; `findings`, what its reader found out about a file
     source     the file's whole content as its format keeps it, or None (belongs to `formats`)
     origin     (T, M) int: the point column of `source` that each sample came from, -1 where it came from none
     taken      the point columns of `source` that this recording stands for: a writer replaces those and keeps the others

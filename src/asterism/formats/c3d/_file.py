@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
+from asterism.formats._findings import cut_off, header_conflict
 from asterism.formats.c3d._numbers import PC, PROCESSORS, Processor, Words
 from asterism.formats.c3d._parameters import Parameters, parse_parameters, text_of
 from asterism.recording import Event, Floats
@@ -75,7 +77,7 @@ class C3DFile:
     header: Header
     parameters: Parameters
     layout: Layout
-    oddities: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return parse_c3d, (self.raw, self.path)
@@ -107,18 +109,18 @@ class C3DFile:
         return self.processor.floats(fourth) if self.layout.real else self.processor.integers(fourth).astype(np.float32)
 
     @cached_property
-    def residuals_say_nothing(self) -> bool:
+    def residuals_are_unused(self) -> bool:
         """Every residual is negative and yet there are coordinates, as SIMI writes them."""
         return bool((self.residuals < 0).all() and (self.point_words[:, :, :3] & self._not_sign).any())
 
     @cached_property
     def zeros_are_missing(self) -> bool:
         """No residual is negative: then a point at exactly (0, 0, 0) is how this file says missing, unless we wrote it."""
-        return self.residuals_say_nothing or not (self.ours or (self.residuals < 0).any())
+        return self.residuals_are_unused or not (self.by_asterism or (self.residuals < 0).any())
 
     @cached_property
-    def ours(self) -> bool:
-        """Whether Asterism made this file."""
+    def by_asterism(self) -> bool:
+        """Whether Asterism wrote this file."""
         return self.parameters.text("MANUFACTURER", "SOFTWARE").startswith("Asterism")
 
     @cached_property
@@ -129,7 +131,7 @@ class C3DFile:
             stored = self.processor.floats(xyz) if self.layout.real else self.processor.integers(xyz)
             values = stored.astype(np.float64) * (1.0 if self.layout.real else self.scale)
             missing = ~(np.abs(values) < _NOWHERE).all(axis=2)
-        if not self.residuals_say_nothing:
+        if not self.residuals_are_unused:
             missing |= self.residuals < 0
         if self.zeros_are_missing:
             missing |= ~(xyz & self._not_sign).any(axis=2)
@@ -243,16 +245,16 @@ def parse_c3d(raw: bytes, path: str) -> C3DFile:
     if len(raw) < BLOCK or raw[1] != _KEY:
         why = f"it is only {len(raw)} bytes long" if len(raw) < BLOCK else "its second byte is not the C3D mark"
         raise AsterismError(f"{path} is not a C3D file ({why}); export or copy it again.")
-    oddities: list[str] = []
+    findings: list[Finding] = []
     parameters_at = max(raw[0] - 1, 1) * BLOCK
     if parameters_at + 4 > len(raw):
         raise AsterismError(f"{path} breaks off before its parameters; export or copy it again.")
     processor = PROCESSORS.get(raw[parameters_at + 3])
     if processor is None:
-        processor = _guessed_processor(raw)
-        oddities.append(f"processor type {raw[parameters_at + 3]} is unknown, {processor.name} is taken")
+        processor = _likely_processor(raw)
+        findings.append(header_conflict(f"processor type {raw[parameters_at + 3]} is unknown; {processor.name} is assumed"))
     header = _header(raw, processor, parameters_at)
-    data_at = _data_start(raw, processor, header, oddities)
+    data_at = _data_start(raw, processor, header, findings)
     stop = data_at if data_at > parameters_at else min(len(raw), parameters_at + BLOCK * max(raw[parameters_at + 2], 1))
     parameters = parse_parameters(raw[parameters_at:stop], processor)
     data_start = (parameters.count("POINT", "DATA_START") or 0) * BLOCK - BLOCK
@@ -260,12 +262,16 @@ def parse_c3d(raw: bytes, path: str) -> C3DFile:
         data_at = data_start
         parameters = parse_parameters(raw[parameters_at:data_at], processor)
     elif data_start != data_at:
-        oddities.append(f"POINT:DATA_START says block {data_start // BLOCK + 1}, the header {data_at // BLOCK + 1}; the header is believed")
-    layout = _layout(path, len(raw), data_at, header, parameters, oddities)
-    return C3DFile(path, raw, processor, header, parameters, layout, (*oddities, *parameters.oddities))
+        findings.append(
+            header_conflict(
+                f"POINT:DATA_START says block {data_start // BLOCK + 1}, the header {data_at // BLOCK + 1}; the header was used"
+            )
+        )
+    layout = _layout(path, len(raw), data_at, header, parameters, findings)
+    return C3DFile(path, raw, processor, header, parameters, layout, (*findings, *parameters.findings))
 
 
-def _guessed_processor(raw: bytes) -> Processor:
+def _likely_processor(raw: bytes) -> Processor:
     def sane(processor: Processor) -> bool:
         rate = processor.float_at(raw, 20)
         return np.isfinite(rate) and 0.1 <= rate <= 1e5
@@ -291,16 +297,18 @@ def _header(raw: bytes, processor: Processor, parameters_at: int) -> Header:
     )
 
 
-def _data_start(raw: bytes, processor: Processor, header: Header, oddities: list[str]) -> int:
+def _data_start(raw: bytes, processor: Processor, header: Header, findings: list[Finding]) -> int:
     if BLOCK <= header.data_at <= len(raw) and header.data_at != header.parameters_at:
         return header.data_at
     counted = header.parameters_at + BLOCK * raw[header.parameters_at + 2]
     if header.data_at:
-        oddities.append(f"the header says that data begin in block {header.data_at // BLOCK + 1}, which the file does not have")
+        findings.append(
+            header_conflict(f"the header says that data begin in block {header.data_at // BLOCK + 1}, which the file does not have")
+        )
     return min(counted, len(raw))
 
 
-def _layout(path: str, size: int, start: int, header: Header, parameters: Parameters, oddities: list[str]) -> Layout:
+def _layout(path: str, size: int, start: int, header: Header, parameters: Parameters, findings: list[Finding]) -> Layout:
     room = size - start
     claims = list(_claims(header, parameters, start))
     fits = [(claim, room - (claim.stop - start)) for claim in claims]
@@ -314,16 +322,16 @@ def _layout(path: str, size: int, start: int, header: Header, parameters: Parame
             raise AsterismError(f"{path} breaks off before its first frame ends; export or copy it again.")
         best = Layout(start, min(frames, claim.frames), claim.points, claim.analog, claim.real)
         if best.frames < claim.frames:
-            oddities.append(f"the file breaks off: {best.frames} of {claim.frames} frames are there")
+            findings.append(cut_off(f"the file breaks off: it holds {best.frames} of {claim.frames} frames"))
     first = claims[0]
-    for noun, said, found in (
+    for noun, declared, found in (
         ("points", header.points, best.points),
         ("analog samples per frame", header.analog_per_frame, best.analog),
         ("points", parameters.count("POINT", "USED"), best.points),
         ("frames", first.frames, best.frames),
     ):
-        if said is not None and said != found and not any("breaks off:" in oddity for oddity in oddities):
-            oddities.append(f"{said} {noun} are declared where the data hold {found}")
+        if declared is not None and declared != found and not any("breaks off:" in finding.sentence for finding in findings):
+            findings.append(header_conflict(f"{declared} {noun} are declared, the data hold {found}"))
     return best
 
 

@@ -164,7 +164,7 @@ def _data(file: C3DFile, recording: Recording, origin: Ints, slots: Sequence[_Sl
 
 def _missing_words(file: C3DFile) -> Words:
     """The four words with which this file says that a point is missing."""
-    if file.zeros_are_missing and np.isnan(file.coordinates).any() and not file.residuals_say_nothing:
+    if file.zeros_are_missing and np.isnan(file.coordinates).any() and not file.residuals_are_unused:
         return np.zeros(4, dtype=file.point_words.dtype)
     if file.layout.real:
         return file.processor.words_of_floats([0.0, 0.0, 0.0, -1.0])
@@ -174,7 +174,7 @@ def _missing_words(file: C3DFile) -> Words:
 def _encoded(file: C3DFile, positions: Floats, scale: float, label: str, target: str) -> Words:
     """(N, 4) words of new samples, (N, 3) m."""
     raw = positions * round(1 / scale) if scale < 1 and scale == 1 / round(1 / scale) else positions / scale
-    residual = np.full((len(raw), 1), -1.0 if file.residuals_say_nothing else 0.0)
+    residual = np.full((len(raw), 1), -1.0 if file.residuals_are_unused else 0.0)
     if file.layout.real:
         return file.processor.words_of_floats(np.concatenate([raw, residual], axis=1))
     steps = np.rint(raw / file.scale)
