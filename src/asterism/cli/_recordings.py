@@ -1,4 +1,4 @@
-"""What commands do with files before and after the rooms: read labelled ones, sum up a labelling."""
+"""Shared by commands on recordings: files in, labelled recordings out; a labelling in, its shares out; findings on files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _FEWEST_MARKERS = 4
 
 
 def is_rig(path: Path) -> bool:
-    """Whether a name is that of a rig file or of a folder of them; names of recordings need no look at the formats of rigs."""
+    """Whether a name is that of a rig file or of a folder of them; for a recording's name, the formats of rigs are not loaded."""
     if formats.is_recording_file(path) and not path.is_dir():
         return False
     from asterism.cameras.files import is_rig_file
@@ -47,12 +47,12 @@ def read_labelled(
                 _check_complete(path, recording)
             recordings.append(recording)
     if not recordings:
-        raise AsterismError("none of the files can be used; see above.")
+        raise AsterismError("none of the files can be used; the reasons are above.")
     return recordings if marker_set is not None else _with_common_markers(batch.done, recordings)
 
 
 def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | None, batch: _console.Batch) -> list[Recording]:
-    """The files of a batch that can be read, each with the markers of a set; without a set, with all its own named physical points.
+    """The files of a batch that can be read, each with the markers of a set; without a set, with all its named physical points.
 
     A file without a labelled sample counts as one that cannot be used. Raises AsterismError where none is left.
     """
@@ -68,7 +68,7 @@ def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str
                 raise AsterismError(f"{path} has no labelled point; label it first, or name its markers with --markers.")
             recordings.append(recording)
     if not recordings:
-        raise AsterismError("none of the files can be used; see above.")
+        raise AsterismError("none of the files can be used; the reasons are above.")
     return recordings
 
 
@@ -99,7 +99,7 @@ def _with_common_markers(files: Sequence[Path], recordings: Sequence[Recording])
 
 
 def _named(recording: Recording) -> dict[str, None]:
-    """The labels of the columns that have a name of their own, and a sample."""
+    """The labels of the columns with a name that occurs once, and with a sample."""
     return {
         name: None
         for column, name in enumerate(recording.labels)

@@ -1,4 +1,4 @@
-"""What all readers share: the points that a file holds, under its own names, become a `Recording`."""
+"""Shared by all readers: the points of a file, under the names in the file, in; a `Recording` out."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ _FURTHEST = 1e6
 
 @dataclass(frozen=True)
 class Points:
-    """Every point of a file, in metres, still under the file's own labels.
+    """Every point of a file, in metres, under the labels of the file.
 
     positions  (T, P, 3) m, NaN missing
     labels     (P,) as in the file, repeats and subject prefixes included
     rate       frames per second
     format     "TRC", "CSV", ...
-    units      the file's unit of length, as it is written again
+    units      the file's unit of length, in which it is written again
     kinds      (P,) "marker", "computed" or "unnamed"; None: by name
     declared   the vertical that the file or its format defines, or None
     fallback   the vertical where nothing else determines it, or None

@@ -1,4 +1,4 @@
-"""What the readers of text files share: bytes in; lines, rows of numbers and frames in their places out."""
+"""Shared by readers of text files: bytes in; lines, rows of numbers and frames in their places out."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def decoded(path: Path, data: bytes) -> str:
-    """The text of a file: UTF-8 or UTF-16 with its mark, else Latin-1. Raises AsterismError where it is no text."""
+    """The text of a file: UTF-8 or UTF-16 with its mark, else Latin-1. Raises AsterismError where it is not text."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16", errors="replace")
     if b"\x00" in data[:4096]:
@@ -59,7 +59,7 @@ def delimiter_of(line: str) -> str | None:
 
 
 def cells_of(line: str, delimiter: str | None) -> list[str]:
-    """The cells of a line, without blanks and quotes around them."""
+    """The cells of a line, without surrounding blanks and quotes."""
     if delimiter is None:
         return line.split()
     if '"' in line:
@@ -76,7 +76,7 @@ def some_of(names: Sequence[str], most: int = 5) -> str:
 
 
 def number_of(cell: str) -> float | None:
-    """A number as people write it, NaN for the many spellings of missing, None for anything else."""
+    """A number in any common spelling, NaN for a spelling of missing, None for anything else."""
     cell = cell.strip().strip('"').strip()
     if cell.casefold() in _MISSING:
         return float("nan")
@@ -89,7 +89,7 @@ def rows_of_numbers(path: Path, lines: Sequence[str], first_line: int, delimiter
     lines       the data lines; blank ones are skipped
     first_line  the number in the file of lines[0], counted from 1, for messages
 
-    Raises AsterismError, naming line and column, where a cell is no number or a row is too long.
+    Raises AsterismError, naming line and column, where a cell is not a number or a row is too long.
     """
     kept = [i for i, line in enumerate(lines) if line.strip(' \t,;"')]
     out = np.full((len(kept), width), np.nan)
@@ -102,7 +102,7 @@ def rows_of_numbers(path: Path, lines: Sequence[str], first_line: int, delimiter
         if len(cells) > width:
             if any(cell.strip() for cell in cells[width:]):
                 raise AsterismError(
-                    f"{path}, line {first_line + i}: {len(cells)} cells where the header has {width}; mend this line or the header."
+                    f"{path}, line {first_line + i}: {len(cells)} cells where the header has {width}; correct this line or the header."
                 )
             cells = cells[:width]
         elif len(cells) < width:
@@ -176,7 +176,7 @@ def frames_in_place(frames: Floats, rows: Floats) -> tuple[Floats, int, list[Fin
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Put `data` into the file at once or not at all. Raises AsterismError where the folder cannot be written to."""
+    """Write the whole file or nothing. Raises AsterismError where the folder cannot be written to."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         temporary.write_bytes(data)

@@ -1,4 +1,4 @@
-"""Motive's CSV export (versions 1.2x and 3.x): a file in, its markers out; poses of rigid bodies and bones are no points."""
+"""Motive's CSV export (versions 1.2x and 3.x): a file in, its markers out; poses of rigid bodies and bones are left out."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def read_motive(path: Path) -> Points:
     """All markers of a Motive export. Rigid-body markers count as computed only where the file also has the measured ones.
 
     Positions of rigid bodies and bones are poses, computed. Motive is Y up. Raises AsterismError, naming the file, where its
-    header or a cell makes no sense.
+    header or a cell cannot be read.
     """
     lines = lines_of(decoded(path, read_bytes(path)))
     header = _key_values(cells_of(lines[0], ","))
@@ -50,9 +50,9 @@ def read_motive(path: Path) -> Points:
     raw = values[:, [column for block in blocks for column in block.columns]].reshape(len(values), len(blocks), 3)
     scale, units, found = metres_per_unit(path, header.get("length units"), raw)
     positions, missing = as_metres(raw, scale)
-    said = number_of(header.get("export frame rate", header.get("capture frame rate", "")))
+    declared = number_of(header.get("export frame rate", header.get("capture frame rate", "")))
     times = values[:, 1] if len(axes) > 1 and axes[1].casefold().startswith("time") else None
-    rate = rate_of(path, said, times, findings)
+    rate = rate_of(path, declared, times, findings)
     kinds = _kinds(blocks, positions)
     positions, first, jumps = frames_in_place(values[:, 0], positions)
     total = number_of(header.get("total exported frames", ""))

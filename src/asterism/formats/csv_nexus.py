@@ -27,7 +27,7 @@ def is_nexus(lines: Sequence[str]) -> bool:
 def read_nexus(path: Path) -> Points:
     """The points of the section Trajectories, and the events of the section Events where the file has one.
 
-    Nexus is Z up. Raises AsterismError, naming file and line, where there is no such section or a cell is no number.
+    Nexus is Z up. Raises AsterismError, naming file and line, where it has no such section or a cell is not a number.
     """
     lines = lines_of(decoded(path, read_bytes(path)))
     bare = [line.strip(" ,;\t").casefold() for line in lines]

@@ -10,7 +10,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.formats._columns import _METRES, Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
-from asterism.formats._groups import marker_groups, own_groups
+from asterism.formats._groups import exact_groups, marker_groups
 from asterism.formats._text import (
     cells_of,
     decoded,
@@ -47,8 +47,8 @@ def read_wide(path: Path) -> Points:
     delimiter = delimiter_of(lines[at])
     names, units, body_at = _header(lines, at, delimiter)
     ours = comments.frames is not None and names[:2] == ["frame", "time"]
-    own = own_groups(names, "_", 2) if ours else None
-    groups, rest = marker_groups(names) if own is None else (own, [0, 1])
+    exact = exact_groups(names, "_", 2) if ours else None
+    groups, rest = marker_groups(names) if exact is None else (exact, [0, 1])
     if not groups:
         shown = some_of([name for name in names if name])
         raise AsterismError(f"{path} has no marker in its header ({shown}): name three columns LKNE_x, LKNE_y, LKNE_z to make one.")
@@ -87,9 +87,9 @@ def read_wide(path: Path) -> Points:
 def write_wide(path: Path, recording: Recording) -> list[str]:
     """Write frame, time and three columns per marker; comment lines on top carry units, rate, vertical and events.
 
-    Units are those of the file that the recording came from where that is mm, cm or m, else metres. Returns what was lost.
+    Units are those of the file that the recording came from where that is mm, cm or m, else metres. Returns what the format cannot carry.
     """
-    positions, labels, lost = all_points(recording, "CSV", events=True)
+    positions, labels, omitted = all_points(recording, "CSV", events=True)
     units = str(recording.metadata.get("units", "")).casefold()
     units = units if units in ("mm", "cm", "m") else "m"
     decimals = {"mm": 6, "cm": 7, "m": 9}[units]
@@ -103,8 +103,8 @@ def write_wide(path: Path, recording: Recording) -> list[str]:
     rows = [",".join(filter(None, (str(first + t), f"{times[t]:.9g}", row))) for t, row in enumerate(body)]
     write_atomically(path, ("\n".join([*head, ",".join(["frame", "time", *names]), *rows]) + "\n").encode())
     if len(set(labels)) < len(labels):
-        lost.append("labels that occur more than once: a number was added to each repeat")
-    return lost
+        omitted.append("labels that occur more than once, to whose repeats a number was added")
+    return omitted
 
 
 def _header(lines: list[str], at: int, delimiter: str | None) -> tuple[list[str], str | None, int]:

@@ -107,8 +107,8 @@ def _events(entries: Any) -> tuple[Event, ...]:
 
 
 def write_mat(path: Path, recording: Recording) -> list[str]:
-    """Write a MAT file laid out as QTM does, in millimetres, compressed. Returns what was lost."""
-    positions, labels, lost = all_points(recording, "MAT", events=True)
+    """Write a MAT file laid out as QTM does, in millimetres, compressed. Returns what the format cannot carry."""
+    positions, labels, omitted = all_points(recording, "MAT", events=True)
     named = [i for i, label in enumerate(labels) if not label.startswith("*")]
     rest = [i for i in range(len(labels)) if i not in set(named)]
     parts: dict[str, Any] = {"Labeled": _part(positions[:, named], [labels[i] for i in named])}
@@ -135,10 +135,10 @@ def write_mat(path: Path, recording: Recording) -> list[str]:
     savemat(buffer, {name: take}, do_compression=True, long_field_names=True)
     write_atomically(path, buffer.getvalue())
     if recording.vertical[2] < 0.99:
-        lost.append("the vertical: QTM's files are Z up")
+        omitted.append("the vertical: QTM's files are Z up")
     if any(event.context for event in recording.events):
-        lost.append("the sides of events: they stand before the events' names")
-    return lost
+        omitted.append("the sides of events: they stand before the events' names")
+    return omitted
 
 
 def _part(positions: Floats, labels: list[str] | None) -> dict[str, Any]:

@@ -116,7 +116,7 @@ def write_trc(path: Path, recording: Recording) -> list[str]:
 
     The axes stay as they are. Returns what the format cannot carry: a vertical other than Y, and events.
     """
-    positions, labels, lost = all_points(recording, "TRC")
+    positions, labels, omitted = all_points(recording, "TRC")
     units = str(recording.metadata.get("units", "")).casefold()
     units = units if units in ("mm", "cm", "m") else "mm"
     values = positions / _METRES[units]
@@ -137,8 +137,8 @@ def write_trc(path: Path, recording: Recording) -> list[str]:
     rows = ["\t".join(filter(None, (str(first + t), f"{times[t]:.6f}", row))) for t, row in enumerate(body)]
     write_atomically(path, ("\n".join([*head, *rows]) + "\n").encode())
     if recording.vertical[1] < 0.99:
-        lost.append("the vertical: TRC readers take Y as up or determine it from the data")
-    return lost
+        omitted.append("the vertical: TRC readers take Y as up or determine it from the data")
+    return omitted
 
 
 def _header(keys: str, values: str) -> dict[str, str]:

@@ -109,7 +109,7 @@ def _table(lines: list[str], at: int, markers: int) -> tuple[int, int]:
 
 def write_tsv(path: Path, recording: Recording) -> list[str]:
     """Write a QTM-like TSV: millimetres, columns Frame and Time, blank where missing. Returns what the format cannot carry."""
-    positions, labels, lost = all_points(recording, "TSV", events=True)
+    positions, labels, omitted = all_points(recording, "TSV", events=True)
     first, times = recording.first_frame, recording.times
     names = [re.sub(r"[\t\r\n]", " ", label) for label in labels]
     head = [
@@ -132,7 +132,7 @@ def write_tsv(path: Path, recording: Recording) -> list[str]:
     rows = ["\t".join(filter(None, (str(first + t), f"{times[t]:.6f}", row))) for t, row in enumerate(body)]
     write_atomically(path, ("\n".join([*head, *rows]) + "\n").encode())
     if recording.vertical[2] < 0.99:
-        lost.append("the vertical: QTM's files are Z up")
+        omitted.append("the vertical: QTM's files are Z up")
     if any(event.context for event in recording.events):
-        lost.append("the sides of events: they stand before the events' names")
-    return lost
+        omitted.append("the sides of events: they stand before the events' names")
+    return omitted

@@ -1,7 +1,7 @@
 """A C3D file as a whole: its bytes in, header, parameters, points and analog samples out, whatever the vendor.
 
 Headers and parameters of real files contradict each other. What they say about the data block (points, analog samples, frames,
-number format) is taken as a set of claims, and those are believed which agree with the length of the file.
+number format) is treated as a set of claims; those that agree with the length of the file are used.
 Source: the public C3D format specification.
 """
 
@@ -32,7 +32,7 @@ _NOWHERE = 1e8
 
 @dataclass(frozen=True)
 class Header:
-    """The first block: numbers as they stand there, believed or not."""
+    """The first block, with its numbers as they are, right or wrong."""
 
     parameters_at: int
     points: int
@@ -110,12 +110,12 @@ class C3DFile:
 
     @cached_property
     def residuals_are_unused(self) -> bool:
-        """Every residual is negative and yet there are coordinates, as SIMI writes them."""
+        """Whether every residual is negative although the file has coordinates, as SIMI writes them."""
         return bool((self.residuals < 0).all() and (self.point_words[:, :, :3] & self._not_sign).any())
 
     @cached_property
     def zeros_are_missing(self) -> bool:
-        """No residual is negative: then a point at exactly (0, 0, 0) is how this file says missing, unless we wrote it."""
+        """Whether a point at exactly (0, 0, 0) is missing: where no residual is negative, except in files of Asterism."""
         return self.residuals_are_unused or not (self.by_asterism or (self.residuals < 0).any())
 
     @cached_property
@@ -125,7 +125,7 @@ class C3DFile:
 
     @cached_property
     def coordinates(self) -> Floats:
-        """(frames, points, 3) in the file's unit, NaN where a point is missing (not finite and absurd ones included)."""
+        """(frames, points, 3) in the file's unit, NaN where a point is missing, not finite or impossibly far away."""
         xyz = np.ascontiguousarray(self.point_words[:, :, :3])
         with np.errstate(invalid="ignore", over="ignore"):
             stored = self.processor.floats(xyz) if self.layout.real else self.processor.integers(xyz)
@@ -170,7 +170,7 @@ class C3DFile:
 
     @cached_property
     def analog_channels(self) -> int:
-        """Analog channels that really lie in the data block."""
+        """Number of analog channels in the data block."""
         analog = self.layout.analog
         for channels in (self.parameters.count("ANALOG", "USED"), self._channels_by_header()):
             if channels and analog and analog % channels == 0:
@@ -230,7 +230,7 @@ def numbered(parameters: Parameters, group: str, name: str) -> list[str]:
 
 
 def open_c3d(path: Path) -> C3DFile:
-    """Parse a file. Raises AsterismError where it cannot be opened or is no C3D file."""
+    """Parse a file. Raises AsterismError where it cannot be opened or is not a C3D file."""
     try:
         raw = path.read_bytes()
     except OSError as problem:
@@ -239,7 +239,7 @@ def open_c3d(path: Path) -> C3DFile:
 
 
 def parse_c3d(raw: bytes, path: str) -> C3DFile:
-    """Parse a file's bytes; `path` names it in messages. Raises AsterismError where this is no C3D file, or holds no data."""
+    """Parse a file's bytes; `path` names it in messages. Raises AsterismError where this is not a C3D file, or holds no data."""
     if not raw:
         raise AsterismError(f"{path} is empty; export or copy it again.")
     if len(raw) < BLOCK or raw[1] != _KEY:
@@ -336,7 +336,7 @@ def _layout(path: str, size: int, start: int, header: Header, parameters: Parame
 
 
 def _claims(header: Header, parameters: Parameters, start: int) -> Iterator[Layout]:
-    """Every reading of the data block that some part of the file supports, the most trusted first."""
+    """Every layout of the data block that some part of the file declares, the most reliable first."""
     used = parameters.count("POINT", "USED")
     channels, rates = parameters.count("ANALOG", "USED"), [parameters.number(group, "RATE") for group in ("ANALOG", "POINT")]
     analog = [header.analog_per_frame]

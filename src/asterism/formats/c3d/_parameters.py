@@ -147,7 +147,7 @@ class Parameters:
         tail = b"\0\0" + self.tail[2:] if ended_by_link else self.tail
         return Parameters(self.head, tuple(records), tail, self.processor, self.findings)
 
-    def mended(self) -> Parameters:
+    def repaired(self) -> Parameters:
         """The section with a last parameter that the data cut short filled up with blanks, so that something can follow it."""
         if not self.records or not self.records[-1].cut or self.records[-1].last:
             return self
@@ -227,9 +227,9 @@ def _record_at(section: bytes, at: int, size: int, processor: Processor) -> tupl
 def make_group(name: str, group: int, description: str = "", *, processor: Processor) -> Record:
     """A new group record."""
     text = name.encode("utf-8")[:127]
-    said = description.encode("utf-8")[:255]
-    link = processor.bytes_of_unsigned(3 + len(said))
-    raw = bytes([len(text), 256 - group]) + text + link + bytes([len(said)]) + said
+    note = description.encode("utf-8")[:255]
+    link = processor.bytes_of_unsigned(3 + len(note))
+    raw = bytes([len(text), 256 - group]) + text + link + bytes([len(note)]) + note
     return Record(raw, name, group, True, False)
 
 
@@ -237,13 +237,13 @@ def make_parameter(
     name: str, group: int, kind: int, dimensions: Sequence[int], data: bytes, *, processor: Processor, like: Record | None = None
 ) -> Record:
     """A new parameter record; from `like` come the spelling and lock of the name, and the description."""
-    text, size, said = name.encode("utf-8")[:127], len(name.encode("utf-8")[:127]), b"\0"
+    text, size, note = name.encode("utf-8")[:127], len(name.encode("utf-8")[:127]), b"\0"
     if like is not None:
         old = int.from_bytes(like.raw[:1], "little", signed=True)
         text, size = like.raw[2 : 2 + abs(old)], old
         begin = 2 + abs(old) + 4 + len(like.dimensions) + len(like.data)
-        said = like.raw[begin : begin + 1 + like.raw[begin]] if begin < len(like.raw) else b"\0"
-    body = kind.to_bytes(1, "little", signed=True) + bytes([len(dimensions), *dimensions]) + data + said
+        note = like.raw[begin : begin + 1 + like.raw[begin]] if begin < len(like.raw) else b"\0"
+    body = kind.to_bytes(1, "little", signed=True) + bytes([len(dimensions), *dimensions]) + data + note
     raw = size.to_bytes(1, "little", signed=True) + bytes([group]) + text + processor.bytes_of_unsigned(2 + len(body)) + body
     return Record(raw, name, group, False, False, kind, tuple(dimensions), data)
 
