@@ -48,7 +48,7 @@ def read_labelled(
             recordings.append(recording)
     if not recordings:
         raise AsterismError("none of the files can be used; the reasons are above.")
-    return recordings if marker_set is not None else _with_common_markers(batch.done, recordings)
+    return recordings if marker_set is not None else _with_common_markers(recordings, batch)
 
 
 def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | None, batch: _console.Batch) -> list[Recording]:
@@ -86,15 +86,16 @@ def _check_complete(path: Path, recording: Recording) -> None:
         )
 
 
-def _with_common_markers(files: Sequence[Path], recordings: Sequence[Recording]) -> list[Recording]:
+def _with_common_markers(recordings: Sequence[Recording], batch: _console.Batch) -> list[Recording]:
     named = [_named(recording) for recording in recordings]
     common = [name for name in named[0] if all(name in others for others in named)]
     if len(common) < _FEWEST_MARKERS:
-        raise AsterismError(f"{files[0]} and the other files share {len(common)} labelled markers; name the set with --markers.")
+        raise AsterismError(f"{batch.done[0]} and the other files share {len(common)} labelled markers; name the set with --markers.")
     left_out = sorted({name for names in named for name in names} - set(common))
     if left_out:
         few = ", ".join(left_out[:8]) + (", ..." if len(left_out) > 8 else "")
-        _console.error(f"using the {len(common)} markers that all files have; {len(left_out)} are in some files only ({few}).")
+        sentence = f"the files share {len(common)} markers, which are used; {len(left_out)} others are in some files only ({few})."
+        batch.found(Finding("recordings-differ", Severity.NOTE, "the files", sentence, "Name the markers with --markers to use others."))
     return [recording.select(common) for recording in recordings]
 
 
