@@ -36,7 +36,8 @@ def read_wide(path: Path) -> Points:
     """All points of a CSV file with three columns per marker, separated by commas, semicolons or tabs.
 
     The header is one row (LKNE_x, LKNE.X, X LKNE, LKNE_x (mm), LKNE[0], ...) or two (names over x, y, z); a row of units may
-    follow. The rate comes from a time column or a comment line `# rate=100`. A sample is missing where it is blank, NaN, or zero in all three.
+    follow. The rate comes from a time column or a comment line `# rate=100`. A sample is missing where it is blank, NaN, or zero in all
+    three coordinates.
 
     Raises AsterismError, naming the file, where no three columns are those of a marker.
     """
