@@ -14,7 +14,7 @@ import twins_detection
 from asterism.cameras import Rig
 from asterism.cameras.files import write_rig
 from asterism.cli import main
-from asterism.detection import detect, find_blobs
+from asterism.detection import BlobSettings, DetectionSettings, detect, find_blobs
 from asterism.errors import AsterismError
 from asterism.formats import read_blobs
 from asterism.recording import Blobs
@@ -80,7 +80,7 @@ def test_a_folder_of_images_per_camera(folders: list[Path], waved: Blobs) -> Non
     assert np.sqrt((away[~lost] ** 2).mean() / 2) < 0.05
     again = detect(folders)
     assert np.array_equal(result.blobs.xy, again.blobs.xy)
-    assert result.problems == ()
+    assert result.findings == ()
 
 
 def test_videos_agree_with_images(folders: list[Path], waved: Blobs, tmp_path: Path) -> None:
@@ -100,7 +100,7 @@ def test_videos_agree_with_images(folders: list[Path], waved: Blobs, tmp_path: P
     broken.write_bytes(whole[: int(0.6 * len(whole))])
     result = detect([broken])
     assert 0 < result.cameras[0].frames < 40
-    assert f"{result.cameras[0].frames} of 40 frames can be read" in result.problems[0]
+    assert f"{result.cameras[0].frames} of 40 frames can be read" in result.findings[0].sentence
 
 
 def test_pages_of_16_bits_and_series(waved: Blobs, tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ def test_pages_of_16_bits_and_series(waved: Blobs, tmp_path: Path) -> None:
     assert len(by_pages) == len(by_series) == 10
     assert np.array_equal(by_pages.xy, by_series.xy)
     assert by_series.cameras == ("shot",)
-    direct = find_blobs(pages[3], threshold=detect([tmp_path / "cam.tif"]).cameras[0].threshold)
+    direct = find_blobs(pages[3], BlobSettings(threshold=detect([tmp_path / "cam.tif"]).cameras[0].threshold))
     assert set(map(tuple, by_pages.of(3, 0))) <= set(map(tuple, direct.xy))
 
 
@@ -126,7 +126,7 @@ def test_times_bring_cameras_to_a_common_clock(rig: Rig, tmp_path: Path) -> None
             cv2.imwrite(str(tmp_path / name / f"{t}.png"), image)
             rows.append(f"{name},{t},{t / 50 + late[c]}")
     (tmp_path / "times.csv").write_text("\n".join(rows))
-    result = detect([tmp_path / name for name in rig.names], times=tmp_path / "times.csv")
+    result = detect([tmp_path / name for name in rig.names], DetectionSettings(times=tmp_path / "times.csv"))
     common = result.blobs
     assert common.times is not None and np.ptp(common.times, axis=1).max() == 0
     truth = wand(rig, np.full(3, late.mean()), 5)
@@ -164,8 +164,8 @@ def test_a_camera_that_loses_an_image_on_the_way_is_named(rig: Rig, tmp_path: Pa
         video.release()
     found = detect([tmp_path / f"{name}.avi" for name in rig.names], rig=rig)
     assert found.blobs.rate == 50 and not found.rate_assumed
-    [said] = [sentence for sentence in found.problems if "on the way" in sentence]
-    assert said.startswith("camera c2 lost 1 image on the way and is out of step from there on;")
+    [lost] = [finding for finding in found.findings if finding.code == "detect-lost-images"]
+    assert lost.sentence == "camera c2 lost 1 image on the way and is out of step from there on."
     assert np.isnan(slips(wand(rig, np.zeros(3), 6), rig)).all(), "40 frames are too few to tell"
 
 
@@ -205,7 +205,7 @@ def test_command_line(folders: list[Path], rig: Rig, waved: Blobs, tmp_path: Pat
     assert "40 frames at 100 frames/s, which nothing says: give --rate;" in said.out
     blobs, told = read_blobs(tmp_path / "2d.csv"), json.loads((tmp_path / "2d.json").read_text())
     assert len(blobs.xy) == told["blobs"] == sum(camera["blobs"] for camera in told["cameras"])
-    assert told["problems"] == []
+    assert told["findings"] == []
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert page.count("data:image/jpeg;base64") == 3
     capsys.readouterr()
@@ -242,17 +242,17 @@ def test_hostile_sequences(folders: list[Path], rig: Rig, tmp_path: Path) -> Non
     for name, text in hours.items():
         (tmp_path / name).write_text(text)
     other = ring_rig(cameras=3, size=(640, 480), rng=np.random.default_rng(1))
-    for paths, options, message in [
+    for paths, given, message in [
         ([tmp_path / "empty"], {}, "holds no images"),
         ([tmp_path / "gone"], {}, "does not exist"),
         ([tmp_path / "none.%d"], {}, "no image of that name"),
-        ([tmp_path / "text.mp4"], {}, "neither an image nor a video"),
+        ([tmp_path / "text.mp4"], {}, "cannot be opened as an image or a video"),
         ([tmp_path / "nothing.png"], {}, "none of its images"),
         ([tmp_path / "cut.png"], {}, "none of its images"),
         ([tmp_path / "mixed"], {}, "30 x 20 after images of 20 x 20"),
         ([folders[0], folders[0]], {}, "its own"),
         ([], {}, "no camera"),
-        (folders, {"threshold": [30, 40]}, "2 thresholds for 3 cameras"),
+        (folders, {"thresholds": [30, 40]}, "2 thresholds for 3 cameras"),
         (folders, {"rig": other}, "the rig says 640 x 480"),
         ([tmp_path / "mixed"], {"rig": rig}, "no camera mixed"),
         (folders[:1], {"times": tmp_path / "none.csv"}, "none.csv is empty"),
@@ -262,13 +262,17 @@ def test_hostile_sequences(folders: list[Path], rig: Rig, tmp_path: Path) -> Non
         (folders[:1], {"times": tmp_path / "few.csv"}, "1 times"),
         (folders[1:2], {"times": tmp_path / "few.csv"}, "no times of camera"),
     ]:
+        options = dict(given)
+        of_rig = options.pop("rig", None)
         with pytest.raises(AsterismError, match=message):
-            detect(paths, **options)
+            detect(paths, DetectionSettings(**options), rig=of_rig)
 
 
 def test_real_videos_and_their_times(data: Path) -> None:
     folder = data / "cameras" / "charuco-4cam"
-    result = detect([folder / f"cam_{c}.mp4" for c in range(2)], times=folder / "timestamps.csv", threshold=250)
+    result = detect(
+        [folder / f"cam_{c}.mp4" for c in range(2)], DetectionSettings(BlobSettings(threshold=250), times=folder / "timestamps.csv")
+    )
     assert (len(result.blobs), result.blobs.first_frame) == (111, 26)
     assert result.blobs.rate == pytest.approx(6.0, abs=0.1)
     assert all(camera.frames == 111 and camera.size == (1280, 720) for camera in result.cameras)

@@ -28,7 +28,7 @@ from asterism.cli.review import review
 from asterism.cli.train import train
 from asterism.errors import AsterismError
 
-_RENAMED = {"--keep": "--keep-labels"}
+_RENAMED = {"--keep": "--keep-labels", "--weigh-from": "--weight-reference"}
 """Options that had another name once: the old name, which is no longer shown, and the new one."""
 _LISTS = ("--occlusions", "--ghosts", "--wand")
 
