@@ -18,7 +18,7 @@ from asterism.detection import BlobSettings, DetectionSettings, detect, find_blo
 from asterism.errors import AsterismError
 from asterism.formats import read_blobs
 from asterism.recording import Blobs
-from asterism.simulation.cameras import render, ring_rig, wave_wand
+from asterism.simulation.cameras import ImagingSettings, RenderSettings, render_images, ring_rig, simulate_wand
 from asterism.synchronization import _sync_kernels, lags
 from asterism.synchronization.lags import out_of_step, slips
 
@@ -38,7 +38,7 @@ def waved(rig: Rig) -> Blobs:
 def wand(rig: Rig, delays: np.ndarray, seed: int, frames: int = 40) -> Blobs:
     """A waved wand whose blobs are 6 px wide; cameras take their images so many s late."""
     rng = np.random.default_rng(seed)
-    blobs, _ = wave_wand(rig, frames=frames, rng=rng, rate=50.0, noise=0.0, merging=False, delays=delays)
+    blobs, _ = simulate_wand(rig, settings=ImagingSettings(noise=0.0, merging=False, delays=delays), frames=frames, rng=rng, rate=50.0)
     return replace(blobs, sizes=np.full(len(blobs.xy), 6.0))
 
 
@@ -48,7 +48,7 @@ def folders(waved: Blobs, tmp_path_factory: pytest.TempPathFactory) -> list[Path
     root = tmp_path_factory.mktemp("session")
     for c, name in enumerate(waved.cameras):
         (root / name).mkdir()
-        for t, image in enumerate(render(waved, c, SIZE, rng=np.random.default_rng(c))):
+        for t, image in enumerate(render_images(waved, c, SIZE, rng=np.random.default_rng(c))):
             if (t, c) != (12, 1):
                 cv2.imwrite(str(root / name / f"img_{t + 8}.png"), image)
     return [root / name for name in waved.cameras]
@@ -86,7 +86,7 @@ def test_a_folder_of_images_per_camera(folders: list[Path], waved: Blobs) -> Non
 def test_videos_agree_with_images(folders: list[Path], waved: Blobs, tmp_path: Path) -> None:
     for c, name in enumerate(waved.cameras):
         out = cv2.VideoWriter(str(tmp_path / f"{name}.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 50.0, SIZE)
-        for image in render(waved, c, SIZE, rng=np.random.default_rng(c)):
+        for image in render_images(waved, c, SIZE, rng=np.random.default_rng(c)):
             out.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
         out.release()
     result = detect([tmp_path / f"{name}.avi" for name in waved.cameras])
@@ -104,7 +104,7 @@ def test_videos_agree_with_images(folders: list[Path], waved: Blobs, tmp_path: P
 
 
 def test_pages_of_16_bits_and_series(waved: Blobs, tmp_path: Path) -> None:
-    pages = list(render(waved, 0, SIZE, rng=np.random.default_rng(0), bits=16))[:10]
+    pages = list(render_images(waved, 0, SIZE, RenderSettings(bits=16), rng=np.random.default_rng(0)))[:10]
     cv2.imwritemulti(str(tmp_path / "cam.tif"), pages)
     for t, image in enumerate(pages):
         (tmp_path / f"shot.{t + 1}").write_bytes(cv2.imencode(".tif", image)[1].tobytes())
@@ -122,7 +122,7 @@ def test_times_bring_cameras_to_a_common_clock(rig: Rig, tmp_path: Path) -> None
     rows = ["camera,frame,time"]
     for c, name in enumerate(rig.names):
         (tmp_path / name).mkdir()
-        for t, image in enumerate(render(moved, c, SIZE, rng=np.random.default_rng(c))):
+        for t, image in enumerate(render_images(moved, c, SIZE, rng=np.random.default_rng(c))):
             cv2.imwrite(str(tmp_path / name / f"{t}.png"), image)
             rows.append(f"{name},{t},{t / 50 + late[c]}")
     (tmp_path / "times.csv").write_text("\n".join(rows))
@@ -136,7 +136,13 @@ def test_times_bring_cameras_to_a_common_clock(rig: Rig, tmp_path: Path) -> None
 
 
 def test_cameras_out_of_step_are_named(rig: Rig) -> None:
-    blobs, _ = wave_wand(ring_rig(cameras=4, rng=np.random.default_rng(3)), frames=700, rng=np.random.default_rng(4), rate=60.0, strays=0.2)
+    blobs, _ = simulate_wand(
+        ring_rig(cameras=4, rng=np.random.default_rng(3)),
+        settings=ImagingSettings(noise=0.2, strays=0.2),
+        frames=700,
+        rng=np.random.default_rng(4),
+        rate=60.0,
+    )
     true = ring_rig(cameras=4, rng=np.random.default_rng(3))
     for offsets in ([0, 0, 0, 0], [0, 6, 0, 0]):
         frame = blobs.frame_of + np.array(offsets)[blobs.camera_of]
@@ -158,7 +164,7 @@ def test_a_camera_that_loses_an_image_on_the_way_is_named(rig: Rig, tmp_path: Pa
     assert slips(blobs, rig).tolist() == [0, 0, 0]
     for c, name in enumerate(rig.names):
         video = cv2.VideoWriter(str(tmp_path / f"{name}.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 50.0, SIZE, isColor=False)
-        for t, image in enumerate(render(blobs, c, SIZE, rng=np.random.default_rng(c))):
+        for t, image in enumerate(render_images(blobs, c, SIZE, rng=np.random.default_rng(c))):
             if (c, t) != (1, 80):
                 video.write(image)
         video.release()
@@ -183,7 +189,7 @@ def test_blobs_on_epipolar_lines_are_counted_as_by_the_twin(seed: int) -> None:
 
 def test_cameras_some_hundred_frames_out_of_step_are_named() -> None:
     true = ring_rig(cameras=3, rng=np.random.default_rng(3))
-    blobs, _ = wave_wand(true, frames=800, rng=np.random.default_rng(4), rate=60.0)
+    blobs, _ = simulate_wand(true, frames=800, rng=np.random.default_rng(4), rate=60.0)
     frame = blobs.frame_of + np.array([0, 200, 0])[blobs.camera_of]
     kept = frame < len(blobs)
     moved = Blobs.from_rows(frame[kept], blobs.camera_of[kept], blobs.xy[kept], blobs.cameras, frames=len(blobs))

@@ -15,6 +15,7 @@ from twins_detection import grown
 from asterism.detection import BlobSettings, Flag, _region_kernels, automatic_threshold, find_blobs, static_mask
 from asterism.detection import _moment_kernels as moments
 from asterism.detection._run_kernels import Runs, find_runs, group_runs
+from asterism.detection._split_kernels import split_at_saddles
 from asterism.errors import AsterismError
 
 
@@ -105,7 +106,7 @@ def test_overlapping_markers_are_split(distance: float) -> None:
     """Discs of 8 px that overlap or touch, in all directions: both are found and said to overlap."""
     for turn in np.linspace(0, np.pi, 7):
         places = 100 + 0.5 * distance * np.array([[np.cos(turn), np.sin(turn)], [-np.cos(turn), -np.sin(turn)]])
-        found = find_blobs(discs(places, seed=int(100 * turn)), threshold=20)
+        found = find_blobs(discs(places, seed=int(100 * turn)), BlobSettings(threshold=20))
         assert len(found) == 2, f"{len(found)} blobs at {np.degrees(turn):.0f} degrees"
         assert off(found.xy, places).max() < 0.15, f"{off(found.xy, places)} px"
         assert distance > 8.0 or (found.flags & Flag.OVERLAPPING).all()
@@ -157,7 +158,7 @@ def test_static_reflections_are_masked() -> None:
         assert len(found) == 1, f"frame {k}: {len(found)} blobs"
         assert off(found.xy, np.array([[20.0 + 14 * k, 120.0]])).max() < 0.1
     assert len(find_blobs(frames[0])) == 3
-    passing = find_blobs(discs(np.concatenate([still, [[57.0, 60.0]]])), mask=mask)
+    passing = find_blobs(discs(np.concatenate([still, [[57.0, 60.0]]])), BlobSettings(mask=mask))
     assert (passing.flags & Flag.AT_BORDER).all(), "a marker half behind a mask is where nobody knows"
 
 
@@ -212,6 +213,41 @@ def test_blobs_grown_by_steps_equal_their_twin(seed: int, height: int, width: in
     measured = np.column_stack([found.xy, np.pi * found.size**2 / 4, found.weight, found.peak])
     assert len(measured) == len(expected)
     assert np.allclose(sorted(map(tuple, np.round(measured, 6))), sorted(map(tuple, np.round(expected, 6))), atol=1e-5)
+
+
+def component(seed: int, height: int, width: int) -> np.ndarray:
+    """The weights (h, w) of the largest component of a smooth random image, 0 around it."""
+    rng = np.random.default_rng(seed)
+    smooth = cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), 1.5)
+    weight = np.pad(np.maximum(np.rint(40 * smooth / smooth.std()), 0).astype(np.int64), 1)
+    labels, _ = twins_detection.label_regions(weight > 0, np.ones((3, 3)))
+    return np.where(labels == np.argmax(np.bincount(labels.ravel())[1:]) + 1, weight, 0)
+
+
+@given(st.integers(0, 10_000), st.integers(6, 24), st.integers(6, 24), st.floats(0.02, 0.6))
+@settings(max_examples=60, deadline=None)
+def test_components_part_at_saddles_as_by_the_twin(seed: int, height: int, width: int, share: float) -> None:
+    weight = component(seed, height, width)
+    ys, xs, label = np.empty(weight.size, np.int64), np.empty(weight.size, np.int64), np.full(weight.shape, -1)
+    count, parts = split_at_saddles(weight, share, ys, xs, label)
+    assert count == (weight > 0).sum()
+    places = list(zip(ys[:count].tolist(), xs[:count].tolist(), strict=True))
+    found = [{place for place in places if label[place] == part} for part in range(parts)] if parts > 1 else [set(places)]
+    assert {frozenset(blob) for blob in found} == {frozenset(blob) for blob in twins_detection.parted(weight, share)}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pixels_of_overlapping_blobs_are_shared_as_by_the_twin(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    places = np.array([[9.0, 10.0], [15.0, 11.0], [11.0, 16.0]]) + rng.uniform(-0.5, 0.5, (3, 2))
+    weight = np.rint(discs(places, 6.0, (26, 26), seed=seed).astype(float)).astype(np.int64)
+    ys, xs = np.nonzero(weight > 0)
+    out = np.zeros((3, moments.COLUMNS))
+    out[:, [moments.X, moments.Y]] = places + rng.uniform(-1, 1, (3, 2))
+    out[:, [moments.XX, moments.YY, moments.WEIGHT]] = [4.0, 4.0, 1000.0]
+    expected = twins_detection.shared(weight[ys, xs], np.stack([xs, ys], axis=1), out[:, [moments.X, moments.Y]], 4.0, moments.SETTLED_PX)
+    moments.share_pixels(weight, ys, xs, out)
+    assert np.allclose(out[:, [moments.X, moments.Y]], expected, atol=1e-9)
 
 
 @given(st.integers(0, 10_000), st.integers(20, 110), st.integers(20, 110), st.sampled_from([8, 16]))

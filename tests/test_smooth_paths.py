@@ -21,7 +21,7 @@ from asterism.motion._kernels import THIRD, smooth_path
 from asterism.reconstruction import Reconstruction, ReconstructionSettings, reconstruct
 from asterism.recording import Clouds
 from asterism.simulation import simulate_walks
-from asterism.simulation.cameras import images_of, ring_rig, walker_capsules
+from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, walker_capsules
 
 Case = tuple[Rig, np.ndarray, Reconstruction]
 
@@ -35,7 +35,7 @@ def walk() -> Case:
     rng = np.random.default_rng(5)
     rig, recording = ring_rig(7, rng=rng), simulate_walks(1, frames=150, seed=5)[0]
     truth = gaussian_filter1d(recording.positions, 2.0, axis=0)
-    blobs, _ = images_of(rig, truth, noise=0.3, body=walker_capsules(recording), strays=0.3, rng=rng)
+    blobs, _ = simulate_blobs(rig, truth, ImagingSettings(noise=0.3, strays=0.3), body=walker_capsules(recording), rng=rng)
     return rig, truth, reconstruct(blobs, rig, ReconstructionSettings(noise=0.3))
 
 

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from asterism.detection import BlobSettings, Flag, ImageBlobs, find_blobs
 from asterism.recording import Blobs, Floats
-from asterism.simulation.cameras import render
+from asterism.simulation.cameras import RenderSettings, render_images
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import folder
 from benchmarks.figures import Figure
@@ -135,7 +135,7 @@ def _apart(count: int, distance: float, rng: np.random.Generator) -> Floats:
 def _rendered(places: Floats, diameter: float, shape: str, noise: float, rng: np.random.Generator) -> NDArray[Any]:
     none = np.zeros(len(places))
     blobs = Blobs.from_rows(none, none, places, ["one"], sizes=none + diameter)
-    return next(render(blobs, 0, SIZE, rng=rng, shape=shape, noise=noise))
+    return next(render_images(blobs, 0, SIZE, RenderSettings(shape=shape, noise=noise), rng=rng))
 
 
 def _bound(diameter: float, shape: str, noise: float) -> float:
@@ -152,7 +152,9 @@ def _bound(diameter: float, shape: str, noise: float) -> float:
 def _light(place: Floats, diameter: float, shape: str) -> Floats:
     """The noiseless light of one marker, 16 bits fine, in grey values of 8 bits."""
     blobs = Blobs.from_rows([0], [0], [place], ["one"], sizes=[diameter])
-    image = next(render(blobs, 0, (40, 40), rng=np.random.default_rng(0), shape=shape, noise=0.0, bits=16, background=0.0))
+    image = next(
+        render_images(blobs, 0, (40, 40), RenderSettings(shape=shape, noise=0.0, bits=16, background=0.0), rng=np.random.default_rng(0))
+    )
     return image.astype(np.float64) * 255 / 65535
 
 
