@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from models import trained
 
 from asterism import formats
 from asterism.cli import main
 from asterism.errors import AsterismError
-from asterism.labelling import Item, SolverEnsemble, review, settle
+from asterism.labelling import Item, review, settle
 from asterism.labelling.simulated_occlusions import hide_in_gaps
 from asterism.labelling.whole.certainty import Certainty, TrialLabels
 from asterism.recording import Clouds, Ints, Labelling, Recording
@@ -94,7 +95,7 @@ def test_the_best_candidate_of_a_missing_marker_is_asked_for_before_all_others(w
 
 
 def test_a_whole_recording_says_its_best_candidates(walks: list[Recording]) -> None:
-    model = SolverEnsemble.fit(walks[1:], seed=0, subjects=["b", "c", "d", "e"], miner=None)
+    model = trained(walks[1:], seed=0, subjects=["b", "c", "d", "e"], miner=None)
     clouds, truth = hide_in_gaps(walks[0], 3, 3, seed=4)
     labelling = model.label(clouds, time=True)
     assert labelling.candidates is not None
@@ -122,7 +123,7 @@ def test_a_piece_with_two_names_is_doubted_however_sure_they_are(walks: list[Rec
 
 
 def test_settling_all_that_is_listed_mends_the_labels(walks: list[Recording]) -> None:
-    ensemble = SolverEnsemble.fit(walks[:2], miner=None, subjects=["a", "b"])
+    ensemble = trained(walks[:2], miner=None, subjects=["a", "b"])
     clouds, truth = hide_in_gaps(walks[4], 4, 0, seed=5)
     labelling = ensemble.label(clouds)
     marker_of = truth_of_points(truth, clouds)
@@ -224,7 +225,7 @@ def run(*args: object) -> int:
 @pytest.fixture(scope="module")
 def folder(walks: list[Recording], tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("review")
-    SolverEnsemble.fit(walks[:2], miner=None, subjects=["a", "b"]).save(place / "two.model")
+    trained(walks[:2], miner=None, subjects=["a", "b"]).save(place / "two.model")
     formats.write(place / "labelled.c3d", walks[4])
     clouds, _ = hide_in_gaps(walks[4], 4, 1, seed=2)
     formats.write(place / "raw.c3d", Recording.from_clouds(clouds))
