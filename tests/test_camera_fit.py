@@ -16,7 +16,7 @@ from asterism.reconstruction.camera_fit import fit_of_cameras
 from asterism.recording import Blobs
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, walker_capsules
-from asterism.simulation.compared import compare_points
+from asterism.simulation.comparison import compare_points
 
 
 @cache

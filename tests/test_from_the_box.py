@@ -21,7 +21,7 @@ from asterism.labelling import SolverEnsemble, TrainingRules, name_groups, own_t
 from asterism.recording import Blobs, Recording
 from asterism.simulation import simulate_standing, simulate_walks
 from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, simulate_wand, walker_capsules
-from asterism.simulation.compared import compare_rigs
+from asterism.simulation.comparison import compare_rigs
 
 PAGE = Path(__file__).parent.parent / "docs" / "from-the-box.md"
 SIZE = (480, 384)

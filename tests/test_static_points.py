@@ -18,7 +18,7 @@ from asterism.reconstruction.static_points import find_static_points
 from asterism.recording import Blobs
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, walker_capsules
-from asterism.simulation.compared import compare_points
+from asterism.simulation.comparison import compare_points
 
 
 @cache

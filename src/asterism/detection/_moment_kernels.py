@@ -49,6 +49,15 @@ class MeasureLimits(NamedTuple):
     saturated: float
 
 
+class Pixels(NamedTuple):
+    """The pixels of a component in its box: weight (h, w) with one pixel around it; ys, xs (n,); label (h, w) the blob of each pixel."""
+
+    weight: np.ndarray
+    ys: np.ndarray
+    xs: np.ndarray
+    label: np.ndarray
+
+
 class Box(NamedTuple):
     """A component's bounding box: first and last row, first and last column."""
 
@@ -116,7 +125,7 @@ def _measure_parts(arrays, components, runs, area, box, limits, out, flags):
         if parts == 1:
             return parts
     ys, xs, parts_out = ys[:n], xs[:n], out[:parts]
-    _sum_parts(arrays, weight, ys, xs, label, box, limits.saturated, parts_out, flags)
+    _sum_parts(arrays, Pixels(weight, ys, xs, label), box, limits.saturated, parts_out, flags)
     if limits.step == 0.0 and parts * n <= MOST_SHARED:
         share_pixels(weight, ys, xs, parts_out)
     for blob in range(parts):
@@ -170,12 +179,13 @@ def _weights(arrays, components, runs, box):
 
 
 @kernel
-def _sum_parts(arrays, weight, ys, xs, label, box, saturated, out, flags):
-    """Moments, area, extent, peak and flags of the blobs that the pixels (n,) of a box belong to.
+def _sum_parts(arrays, pixels, box, saturated, out, flags):
+    """Moments, area, extent, peak and flags of the blobs that the pixels of a box belong to.
 
-    IN  weight (h, w): the box with one pixel around it; ys, xs (n,); label (h, w) the blob of each pixel
-    OUT out (blobs, COLUMNS), in the axes of `weight`; flags (blobs,)
+    OUT out (blobs, COLUMNS), in the axes of the box with its border; flags (blobs,)
+    O(pixels).
     """
+    weight, ys, xs, label = pixels.weight, pixels.ys, pixels.xs, pixels.label
     upper, left = box.upper - 1, box.left - 1
     ends = np.empty((len(out), 4), np.int64)
     for blob in range(len(out)):

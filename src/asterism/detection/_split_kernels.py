@@ -25,18 +25,7 @@ def split_at_saddles(weight, share, ys, xs, label):
     OUT ys, xs (n,) the component's pixels; label (h, w) the peak that each belongs to, where there are several
     Returns n and the number of peaks. O(n log n), O(n) where there is one peak. Twin: tests/twins_detection.py
     """
-    tall, wide = weight.shape
-    height = _distance_from_edge(weight)
-    n = 0
-    for y in range(1, tall - 1):
-        for x in range(1, wide - 1):
-            if weight[y, x] > 0:
-                around = 0
-                for dy in range(-1, 2):
-                    around += weight[y + dy, x - 1] + weight[y + dy, x] + weight[y + dy, x + 1]
-                height[y, x] *= around
-                ys[n], xs[n] = y, x
-                n += 1
+    height, n = _heights(weight, ys, xs)
     peaks = 0
     for i in range(n):
         peaks += _is_peak(height, ys[i], xs[i])
@@ -70,6 +59,24 @@ def split_at_saddles(weight, share, ys, xs, label):
         parents[i] = joined
         label[y, x] = joined
     return n, _number_groups(parents, ys[:n], xs[:n], label)
+
+
+@kernel
+def _heights(weight, ys, xs):
+    """The height of each pixel in the flood (h, w), and how many pixels there are. OUT ys, xs (n,): where they are."""
+    tall, wide = weight.shape
+    height = _distance_from_edge(weight)
+    n = 0
+    for y in range(1, tall - 1):
+        for x in range(1, wide - 1):
+            if weight[y, x] > 0:
+                around = 0
+                for dy in range(-1, 2):
+                    around += weight[y + dy, x - 1] + weight[y + dy, x] + weight[y + dy, x + 1]
+                height[y, x] *= around
+                ys[n], xs[n] = y, x
+                n += 1
+    return height, n
 
 
 @kernel

@@ -69,14 +69,14 @@ def align_frames(
         first = min(int(frames[0]) for frames in rows)
         findings += _mismatches(rows, lengths, names)
         return [frames - first for frames in rows], None, first
-    taken = [_timed_places(stamps, mine, rows[c], lengths[c], names[c]) for c, mine in enumerate(stamps.of(names))]
-    common = [rows[c][places] if stamps.sync is None else stamps.sync[mine] for c, (mine, places) in enumerate(taken)]
+    taken = [_timed_places(stamps, stamped, rows[c], lengths[c], names[c]) for c, stamped in enumerate(stamps.of(names))]
+    common = [rows[c][places] if stamps.sync is None else stamps.sync[stamped] for c, (stamped, places) in enumerate(taken)]
     first = min(int(frames.min()) for frames in common)
     when = np.full((max(int(frames.max()) for frames in common) - first + 1, len(names)), np.nan)
     numbers = []
-    for c, ((mine, places), frames) in enumerate(zip(taken, common, strict=True)):
-        there = np.isin(places, read[c])
-        when[frames[there] - first, c] = stamps.time[mine[there]]
+    for c, ((stamped, places), frames) in enumerate(zip(taken, common, strict=True)):
+        known = np.isin(places, read[c])
+        when[frames[known] - first, c] = stamps.time[stamped[known]]
         number = np.full(lengths[c], -1)
         number[places] = frames - first
         numbers.append(number)

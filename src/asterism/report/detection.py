@@ -41,7 +41,7 @@ def detection_report(
     sections = [
         Section(
             "What each camera sees",
-            "One image of each camera; circles are blobs, as wide as they were measured. Amber: doubtful, because it overlaps another, is "
+            "One image of each camera; circles are blobs, as wide as they were measured. Amber: flagged, because it overlaps another, is "
             "cut by the image's edge or is not round.",
             figure=_contact_sheet(cameras),
         ),
@@ -126,8 +126,8 @@ def _circles(camera: CameraImages, x: str, y: str) -> list[Mapping[str, Any]]:
     turn = np.append(np.linspace(0, 2 * np.pi, 17), np.nan)
     traces: list[Mapping[str, Any]] = []
     blobs = camera.sample_blobs
-    for doubtful, colour in ((False, "#2ad4c4"), (True, "#ffb000")):
-        these = (blobs.flags > 0) == doubtful
+    for flagged, colour in ((False, "#2ad4c4"), (True, "#ffb000")):
+        these = (blobs.flags > 0) == flagged
         radius = np.maximum(0.5 * blobs.size[these] + 2.0, 0.007 * camera.size[0])
         traces.append(
             {

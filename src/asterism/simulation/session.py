@@ -1,4 +1,4 @@
-"""A seed in; out comes a whole session in a simulated laboratory: rig, waved wand, L-frame, a walker, and what the cameras saw of each."""
+"""A seed in; a session in a simulated laboratory out: rig, waved wand, L-frame, a walker, and what the cameras saw of each."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NOISE = 0.2
 
 @dataclass(frozen=True)
 class Session:
-    """What was there, and what eight cameras saw of it.
+    """What happened, and what the cameras saw of it.
 
     rig                  the truth; the world is that of the L-frame
     wand, wand_truth     a waved wand of lengths `WAND`, outliers and strays among its blobs
@@ -48,9 +48,9 @@ def simulate_session(walk: Recording, seed: int = 0, *, cameras: int = 8, wand_f
     """Cameras of 2048 x 1536 px in a ring of 4 m, and what they see of a wand, an L-frame and a person.
 
     noise  px, standard deviation of each blob's x and y
-    Dirt: 1 % of the wand's blobs are elsewhere; images show passing lights (0.3 on average); 1 % of the images never arrive, 1 % of blobs
-    are missed; the body hides markers; blobs that overlap run into each other. Every camera sees a reflection until the walker comes: by
-    then it is masked. The same arguments give the same session.
+    Errors: 1 % of the wand's blobs are elsewhere; images show passing lights (0.3 on average); 1 % of the images never arrive, 1 % of blobs
+    are missed; the body hides markers; blobs that overlap become one. Every camera sees a reflection until the walker comes: by then it is
+    masked. The same arguments give the same session.
     """
     rngs = [np.random.default_rng([seed, part]) for part in range(4)]
     rig = ring_rig(cameras, radius=4.0, height=2.6, size=(2048, 1536), rng=rngs[0])
