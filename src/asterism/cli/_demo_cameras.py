@@ -134,7 +134,7 @@ def _written(output: Path, session: Session, result: PipelineResult) -> dict[str
     from asterism import Recording, formats
     from asterism.cameras.accuracy import Volume, map_rig, wand_accuracy
     from asterism.cameras.files import write_rig
-    from asterism.report import label_report, rig_report
+    from asterism.report import LabelledRecording, label_report, rig_report
     from asterism.simulation.session import WAND
 
     names = {
@@ -168,12 +168,9 @@ def _written(output: Path, session: Session, result: PipelineResult) -> dict[str
     )
     label_report(
         files["report"],
+        LabelledRecording(result.labelling, clouds, truth=result.points.truth),
         title="Asterism demo: a walker seen by simulated cameras",
         files=[{"file": files["unlabelled"].name, "frames": len(clouds), "frames_per_second": len(clouds) / result.seconds["label"]}],
-        recording=recording,
-        labelling=result.labelling,
-        clouds=clouds,
         model_info={"model": "walkers.model"},
-        truth=result.points.truth,
     )
     return files

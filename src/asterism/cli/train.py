@@ -58,17 +58,16 @@ def train(
     recordings = read_labelled(files, marker_set, vertical, batch, complete=True)
     if batch.failed:
         raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; mend them or leave them out.")
-    from asterism.labelling import SolverEnsemble, audit, without
+    from asterism.labelling import SolverEnsemble, audit, remove_errors
 
-    told = []
+    left_out = []
     if leave_out_damaged:
         with _console.progress("auditing") as progress:
-            findings = [finding for finding in audit(recordings, seed=seed, progress=progress) if finding.damage]
-        told = [as_numbered(finding, recordings) for finding in findings]
-        for finding in told:
-            span = f"frames {finding.first_frame} to {finding.last_frame}"
-            _console.error(f"{files[finding.recording]}, {span}: left out, {finding.description}.")
-        recordings = without(recordings, findings)
+            errors = [error for error in audit(recordings, seed=seed, progress=progress) if error.damage]
+        left_out = [as_numbered(error, recordings) for error in errors]
+        for error in left_out:
+            _console.report(error.finding)
+        recordings = remove_errors(recordings, errors)
     started = time.perf_counter()
     with _console.progress("training") as progress:
         ensemble = SolverEnsemble.fit(
@@ -102,7 +101,8 @@ def train(
             "markers": names,
             "files": files,
             **about,
-            "left_out": [asdict(finding) for finding in told],
+            "left_out": [asdict(error) for error in left_out],
+            "findings": [_console.as_json(error.finding) for error in left_out],
             "seconds": seconds,
         },
     )

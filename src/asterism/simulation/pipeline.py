@@ -59,7 +59,7 @@ class PipelineResult:
         """What the whole pipeline promises on simulated sessions, and what was measured."""
         points, found = self.points, self.right + self.unlabelled
         return [
-            Criterion("cameras that could not be calibrated", float(len(self.calibration.left_out)), 0.0, False, ""),
+            Criterion("cameras that could not be calibrated", float(len(self.calibration.excluded)), 0.0, False, ""),
             Criterion("focal length, largest error", 100 * float(self.rig_errors.focal.max()), 0.1, False, "%"),
             Criterion("camera position, largest error", 1000 * float(self.rig_errors.position.max()), 2.0, False, "mm"),
             Criterion("markers that two cameras see, found within 3 mm", 100 * points.found(0.003), 99.5, True, "%"),
