@@ -14,7 +14,7 @@ from asterism.reconstruction._compose_kernels import compose
 from asterism.reconstruction._fit_kernels import FitWorkspace, fit, fit_and_prune, fit_workspace
 from asterism.reconstruction._frame_kernels import attach_available, count_visibility
 from asterism.reconstruction._hypothesis_kernels import holders_by_blob
-from asterism.reconstruction._input_kernels import FrameArrays, RigArrays, first_of_duplicates, frame_arrays
+from asterism.reconstruction._input_kernels import END, FIRST, FrameArrays, RigArrays, first_of_duplicates, frame_arrays
 from asterism.reconstruction._order_kernels import ascending
 from asterism.reconstruction._plain_kernels import merge_versions
 from asterism.reconstruction._score_kernels import score
@@ -61,7 +61,7 @@ def test_rays_that_do_not_fit_are_dropped_as_by_the_twin(seed: int) -> None:
     for n in range(count):
         rays = found.rays[n].copy()
         for c in rng.integers(0, len(rays), 2):
-            others = np.arange(frame.grid[c, 6], frame.grid[c, 7], dtype=np.int64)
+            others = np.arange(frame.grid[c, FIRST], frame.grid[c, END], dtype=np.int64)
             rays[c] = rng.choice(others)
         if (rays >= 0).sum() < 2:
             continue
@@ -117,26 +117,34 @@ def test_hypotheses_without_shared_blobs_are_those_of_the_twin() -> None:
 
 
 def test_available_blobs_are_attached_as_by_the_twin() -> None:
-    gained = kept = 0
-    for seed in range(4):
+    gained = kept = exchanged = 0
+    for seed in range(6):
         _, _, arrays, frame, _ = crowd(seed)
         found, count, _ = compose(arrays, frame)
         rng = np.random.default_rng(seed)
         for n in range(count):
             rays = np.where(rng.random(found.rays.shape[1]) < 0.4, -1, found.rays[n])
-            if (rays >= 0).sum() < 2:
+            seeing = np.flatnonzero(rays >= 0)
+            if len(seeing) < 2:
                 continue
+            if n % 2:
+                c = rng.choice(seeing)
+                own = np.arange(frame.grid[c, FIRST], frame.grid[c, END], dtype=np.int64)
+                away = np.linalg.norm(frame.blobs[own, :2] - frame.blobs[rays[c], :2], axis=1)
+                rays[c] = own[np.argsort(away)[min(1, len(own) - 1)]]
+            before = rays.copy()
             available = rng.random(len(frame.blobs)) < 0.7
             available[rays[rays >= 0]] = False
             expected, free = twins.attached(arrays, frame, rays.copy(), found.points[n], set(np.flatnonzero(available).tolist()))
-            work, before = fit_workspace(), (rays >= 0).sum()
+            work = fit_workspace()
             work.point[:] = found.points[n]
             attach_available(arrays, frame, rays, work, available)
             assert tuple(rays.tolist()) == expected
             assert set(np.flatnonzero(available).tolist()) == free
-            gained += (rays >= 0).sum() > before
-            kept += (rays >= 0).sum() == before
-    assert gained and kept, "some get a blob, some do not"
+            gained += (rays >= 0).sum() > (before >= 0).sum()
+            kept += (rays == before).all()
+            exchanged += ((before >= 0) & (rays < 0)).any() and (rays >= 0).sum() == (before >= 0).sum()
+    assert gained and kept and exchanged, "some get a blob, some do not, some exchange one for another"
 
 
 def test_visibility_is_counted_as_by_the_rigs_own_projection() -> None:
