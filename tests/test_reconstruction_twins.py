@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from asterism.cameras import Rig
 from asterism.reconstruction import ReconstructionSettings, _pack_kernels, reconstruct
 from asterism.reconstruction._compose_kernels import compose
-from asterism.reconstruction._fit_kernels import FitWorkspace, fit, fit_and_prune, fit_workspace
+from asterism.reconstruction._fit_kernels import FitWorkspace, closest_point, fit, fit_and_prune, fit_workspace
 from asterism.reconstruction._frame_kernels import attach_available, count_visibility
 from asterism.reconstruction._hypothesis_kernels import holders_by_blob
 from asterism.reconstruction._input_kernels import END, FIRST, FrameArrays, RigArrays, first_of_duplicates, frame_arrays
@@ -74,6 +74,25 @@ def test_rays_that_do_not_fit_are_dropped_as_by_the_twin(seed: int) -> None:
         assert not fits or many == (np.array(expected) >= 0).sum()
         left.append(many if fits else 0)
     assert len(set(left)) > 2, "some lose rays, and some are lost"
+
+
+def test_two_rays_stay_where_both_together_fit() -> None:
+    _, _, arrays, frame, _ = crowd(3)
+    a, b = arrays.pairs[0]
+    together = 0
+    for i in range(int(frame.grid[a, FIRST]), int(frame.grid[a, END])):
+        for j in range(int(frame.grid[b, FIRST]), int(frame.grid[b, END])):
+            rays, start = np.full(5, -1), np.empty(3)
+            rays[a], rays[b] = i, j
+            if not closest_point(arrays, frame, 0, i, j, start):
+                continue
+            work = fit_workspace()
+            work.point[:] = start
+            square, _ = fit_and_prune(arrays, frame, rays.copy(), work, 6)
+            assert (square < np.inf) == twins.pruned(arrays, frame, rays, start, 6)[1]
+            squares = twins.normal_equations(arrays, frame, rays, work.point)[2].values()
+            together += max(squares) < 16.0 < sum(squares)
+    assert together, "no pair fits in each camera and not in both"
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -46,7 +46,7 @@ class ComposeWorkspace(NamedTuple):
     """What composition works on: epipolar angles of a pair, what is known about each blob, rays (C,) of one hypothesis, and its fit."""
 
     epipolar: PairAngles
-    index: BlobIndex
+    blob_index: BlobIndex
     rays: np.ndarray
     fit: FitWorkspace
 
@@ -180,7 +180,7 @@ def _compose_blobs(rig, frame, pair, i, j, found, count, work):
 
     Returns Hypotheses and how many there are now.
     """
-    index, rays = work.index, work.rays
+    index, rays = work.blob_index, work.rays
     if (index.well_supported[i] and index.well_supported[j]) or _is_composed(rig, pair, i, j, index, found):
         return found, count
     many, worth = _grow_hypothesis(rig, frame, pair, i, j, index.available, rays, work.fit)
