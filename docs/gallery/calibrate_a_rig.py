@@ -28,7 +28,7 @@ def main(picture: str = "calibrate_a_rig.png", cameras: int = 8, frames: int = 9
     figure, (bars, space) = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
     places = np.arange(cameras)
     bars.bar(places - 0.2, 1000 * errors.position, 0.4, color="#0f7b8a", label="error, from the truth")
-    bars.bar(places + 0.2, 1000 * calibration.place_sigma, 0.4, color="#a5d8dc", label="standard deviation, as calibrated")
+    bars.bar(places + 0.2, 1000 * calibration.position_sigma, 0.4, color="#a5d8dc", label="standard deviation, as calibrated")
     bars.set_xticks(places, calibration.rig.names)
     bars.set(title="where the cameras stand", ylabel="mm")
     bars.margins(y=0.25)

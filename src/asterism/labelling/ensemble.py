@@ -23,10 +23,10 @@ from asterism.labelling.training.calibration import Calibration
 from asterism.labelling.training.learning import Memory, Recipe, TrainingRules, common_marker_set, learn_body, least_confidence
 from asterism.labelling.training.model_file import reading, write_arrays
 from asterism.labelling.training.sample import Sample
-from asterism.labelling.whole.bodies import check_for_one
-from asterism.labelling.whole.certainty import STEEP, Certainty
-from asterism.labelling.whole.label import BodyInRecording, label_whole, own_body_gain, subject_body
-from asterism.labelling.whole.scene import TimeRules
+from asterism.labelling.whole.bodies import check_single_body
+from asterism.labelling.whole.certainty import MAX_SLOPE, Certainty
+from asterism.labelling.whole.label import BodyInRecording, label_whole, subject_body, subject_body_gain
+from asterism.labelling.whole.scene import RecordingLabellingSettings
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording
 
@@ -206,7 +206,7 @@ class SolverEnsemble:
         body_rules = BodyRules() if self._memory is None else self._memory.recipe.body
         settings = self._parts().settings
         body = subject_body(settings, self._body, frames, static.rate, SubjectRules(), body_rules)
-        gain = own_body_gain(settings, body, self._body, frames, static.rate, SubjectRules())
+        gain = subject_body_gain(settings, body, self._body, frames, static.rate, SubjectRules())
         return replace_parts(self, body=body, general=self._body, about={**self.about, "adapted_to": person(static), "adapted_gain": gain})
 
     def subject_fit(self, clouds: Clouds, labelling: Labelling) -> float:
@@ -219,7 +219,7 @@ class SolverEnsemble:
         if self._general is None:
             return float("nan")
         frames = rotate_z_up(labelling.positions(clouds)[:, self._markers], clouds.vertical)
-        gain = own_body_gain(self._parts().settings, self._body, self._general, frames, clouds.rate, SubjectRules())
+        gain = subject_body_gain(self._parts().settings, self._body, self._general, frames, clouds.rate, SubjectRules())
         return gain / max(float(self.about["adapted_gain"]), 1.0)
 
     def label(
@@ -243,7 +243,7 @@ class SolverEnsemble:
         if time:
             if rules != "whole-body":
                 raise AsterismError(f"whole recordings are labelled by the rules whole-body, not {rules}; leave out time or the rules.")
-            check_for_one(self._parts(), clouds)
+            check_single_body(self._parts(), clouds)
             return label_together([self], clouds, workers=workers, progress=progress)[0]
         return self.label_counted(clouds, rules=rules, workers=workers, progress=progress)[0]
 
@@ -298,13 +298,12 @@ class SolverEnsemble:
         rate: frames per second; delay: frames to wait for, which make the labels surer; vertical: the axis that points up.
         Raises AsterismError where one of them makes no sense.
         """
-        from asterism.labelling.live.body import LiveBody, LiveRules
-        from asterism.labelling.live.stream import Stream
+        from asterism.labelling.live.stream import Stream, StreamModel
 
         body_rules = BodyRules() if self._memory is None else self._memory.recipe.body
-        live = None if self._body.within is None else LiveBody(self._body, body_rules, rate, LiveRules())
-        model = (self._parts(), live, self._markers, len(self.marker_set))
-        return Stream(*model, self._calibrations, self.least_confidence, rate, delay, vertical)
+        names = len(self.marker_set)
+        model = StreamModel(self._parts(), self._markers, names, self._calibrations, self.least_confidence, body_rules)
+        return Stream(model, rate, delay, vertical)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model: one NPZ file of plain arrays and a JSON text, no pickle. Written under a temporary name, then renamed."""
@@ -319,7 +318,7 @@ class SolverEnsemble:
             "usual_score": self._usual_score,
             "least_confidence": self.least_confidence,
             "least_confidence_in_time": self._in_time.least_confidence,
-            "steep_in_time": self._in_time.steep,
+            "steep_in_time": self._in_time.max_slope,
             "look": asdict(self._look),
             "about": self.about,
             "recipe": None if self._memory is None else self._memory.recipe.to_dict(),
@@ -361,7 +360,7 @@ class SolverEnsemble:
             calibrations = _two_curves(arrays, "calibration")
             in_time = None
             if "time_calibration_0" in arrays:
-                least, steep = float(head["least_confidence_in_time"]), float(head.get("steep_in_time", STEEP))
+                least, steep = float(head["least_confidence_in_time"]), float(head.get("steep_in_time", MAX_SLOPE))
                 in_time = Certainty(_two_curves(arrays, "time_calibration"), least, steep)
             partial, sample = (
                 {name.removeprefix(part): array for name, array in arrays.items() if name.startswith(part)}
@@ -415,7 +414,7 @@ def label_together(
     """
     members = [BodyInRecording(e._parts(), e.marker_set.names, e._markers, e._in_time) for e in ensembles]
     body_rules = next((e._memory.recipe.body for e in ensembles if e._memory is not None), BodyRules())
-    return label_whole(members, clouds, TimeRules(), SubjectRules(), body_rules, workers, progress)[0]
+    return label_whole(members, clouds, RecordingLabellingSettings(), SubjectRules(), body_rules, workers, progress)[0]
 
 
 def _body(arrays: dict[str, Any], prefix: str) -> BodyModel:

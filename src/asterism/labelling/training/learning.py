@@ -25,8 +25,8 @@ from asterism.labelling.simulated_occlusions import hide_and_haunt
 from asterism.labelling.training.calibration import Calibration
 from asterism.labelling.training.sample import FEWEST_SHOWN, Sample
 from asterism.labelling.whole.certainty import Certainty, TrialLabels
-from asterism.labelling.whole.label import trial
-from asterism.labelling.whole.scene import TimeRules
+from asterism.labelling.whole.label import run_trials
+from asterism.labelling.whole.scene import RecordingLabellingSettings
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording
 
@@ -248,7 +248,7 @@ def _try_fold(
     model = BodyLabeller.from_model(body, anchors, recipe.look.with_usual_score(usual_score))
     in_frames = _trial(model, tested, people[out], rules, seed)
     chosen = _some_stretches(stretches, np.unique(people[out]), worn, rules)
-    in_time = trial(model, chosen, rules.time_trials, TimeRules(), SubjectRules(), recipe.body, seed)
+    in_time = run_trials(model, chosen, rules.time_trials, RecordingLabellingSettings(), SubjectRules(), recipe.body, seed)
     return _FoldOutcome(usual_score, in_frames, in_time)
 
 
