@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.formats._columns import _METRES, Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
 from asterism.formats._groups import exact_groups, marker_groups
@@ -35,9 +36,10 @@ def read_wide(path: Path) -> Points:
     """All points of a CSV file with three columns per marker, separated by commas, semicolons or tabs.
 
     The header is one row (LKNE_x, LKNE.X, X LKNE, LKNE_x (mm), LKNE[0], ...) or two (names over x, y, z); a row of units may
-    follow. The rate comes from a time column or a comment line `# rate=100`. Missing is blank, NaN, or zero in all three.
+    follow. The rate comes from a time column or a comment line `# rate=100`. A sample is missing where it is blank, NaN, or zero in all
+    three coordinates.
 
-    Raises AsterismError, naming the file, where no three columns are a marker.
+    Raises AsterismError, naming the file, where no three columns are those of a marker.
     """
     lines = lines_of(decoded(path, read_bytes(path)))
     comments = comments_of(lines)
@@ -46,8 +48,8 @@ def read_wide(path: Path) -> Points:
         raise AsterismError(f"{path} has no header row; write one such as frame,time,LKNE_x,LKNE_y,LKNE_z.")
     delimiter = delimiter_of(lines[at])
     names, units, body_at = _header(lines, at, delimiter)
-    ours = comments.frames is not None and names[:2] == ["frame", "time"]
-    exact = exact_groups(names, "_", 2) if ours else None
+    by_asterism = comments.frames is not None and names[:2] == ["frame", "time"]
+    exact = exact_groups(names, "_", 2) if by_asterism else None
     groups, rest = marker_groups(names) if exact is None else (exact, [0, 1])
     if not groups:
         shown = some_of([name for name in names if name])
@@ -65,7 +67,7 @@ def read_wide(path: Path) -> Points:
         milliseconds = match is not None and (match["unit"] or "").lower().startswith("m")
         times = values[:, time_at] * (0.001 if milliseconds else 1.0)
     rate = rate_of(path, comments.rate, times, findings)
-    first, jumps = comments.first_frame, list[str]()
+    first, jumps = comments.first_frame, list[Finding]()
     if frame_at is not None:
         positions, numbered, jumps = frames_in_place(values[:, frame_at], positions)
         first = numbered if len(values) else first
