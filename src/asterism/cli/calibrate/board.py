@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -135,7 +135,7 @@ def _board(options: BoardOptions) -> Board:
         return Board("charuco", columns, rows, options.square, options.dictionary, options.marker, options.inverted)
     if options.chessboard is not None:
         return Board("chessboard", columns, rows, options.square, inverted=options.inverted)
-    kind = "asymmetric circles" if options.asymmetric else "circles"
+    kind: Literal["asymmetric circles", "circles"] = "asymmetric circles" if options.asymmetric else "circles"
     return Board(kind, columns, rows, options.square, inverted=options.inverted)
 
 
