@@ -15,7 +15,7 @@ from asterism import formats
 from asterism.cli import main
 from asterism.errors import AsterismError
 from asterism.labelling import Item, SolverEnsemble, review, settle
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.labelling.whole.certainty import Certainty, TrialLabels
 from asterism.recording import Clouds, Ints, Labelling, Recording
 from asterism.report import review_report
@@ -51,7 +51,7 @@ def a_long_piece(clouds: Clouds, truth: Ints, least: int = 30) -> tuple[int, Int
 
 
 def test_a_doubtful_label_comes_first_and_gains_what_is_doubted(walks: list[Recording]) -> None:
-    clouds, truth = hide_in_gaps(walks[0], 2, 0, seed=1)
+    clouds, truth = simulate_gaps_and_ghosts(walks[0], 2, 0, seed=1)
     labelling = sure(truth, walks[0].labels)
     marker, points = a_long_piece(clouds, truth)
     frames = np.searchsorted(clouds.offsets, points, side="right") - 1
@@ -65,7 +65,7 @@ def test_a_doubtful_label_comes_first_and_gains_what_is_doubted(walks: list[Reco
 
 
 def test_a_point_without_a_label_is_offered_the_missing_marker(walks: list[Recording]) -> None:
-    clouds, truth = hide_in_gaps(walks[0], 2, 0, seed=1)
+    clouds, truth = simulate_gaps_and_ghosts(walks[0], 2, 0, seed=1)
     labelling = sure(truth, walks[0].labels)
     marker, points = a_long_piece(clouds, truth)
     frames = np.searchsorted(clouds.offsets, points, side="right") - 1
@@ -95,7 +95,7 @@ def test_the_best_candidate_of_a_missing_marker_is_asked_for_before_all_others(w
 
 def test_a_whole_recording_says_its_best_candidates(walks: list[Recording]) -> None:
     model = SolverEnsemble.fit(walks[1:], seed=0, subjects=["b", "c", "d", "e"], miner=None)
-    clouds, truth = hide_in_gaps(walks[0], 3, 3, seed=4)
+    clouds, truth = simulate_gaps_and_ghosts(walks[0], 3, 3, seed=4)
     labelling = model.label(clouds, time=True)
     assert labelling.candidates is not None
     assert (labelling.candidates[labelling.indices >= 0] == -1).all() and (labelling.candidates < clouds.counts[:, None]).all()
@@ -104,7 +104,7 @@ def test_a_whole_recording_says_its_best_candidates(walks: list[Recording]) -> N
 
 
 def test_a_missing_marker_is_no_item_where_no_point_is_left(walks: list[Recording]) -> None:
-    clouds, truth = hide_in_gaps(walks[0], 3, 0, seed=1)
+    clouds, truth = simulate_gaps_and_ghosts(walks[0], 3, 0, seed=1)
     labelling = Labelling(truth, np.where(truth >= 0, 1.0, 0.5), walks[0].labels)
     assert review(labelling, clouds, least_gain=0.0) == []
 
@@ -123,7 +123,7 @@ def test_a_piece_with_two_names_is_doubted_however_sure_they_are(walks: list[Rec
 
 def test_settling_all_that_is_listed_mends_the_labels(walks: list[Recording]) -> None:
     ensemble = SolverEnsemble.fit(walks[:2], miner=None, subjects=["a", "b"])
-    clouds, truth = hide_in_gaps(walks[4], 4, 0, seed=5)
+    clouds, truth = simulate_gaps_and_ghosts(walks[4], 4, 0, seed=5)
     labelling = ensemble.label(clouds)
     marker_of = truth_of_points(truth, clouds)
     wrong = int((labelling.indices != truth).sum())
@@ -156,7 +156,7 @@ def test_an_answer_takes_the_marker_from_another_point_and_none_takes_it_away() 
 def test_items_are_disjoint_ranked_and_never_promise_more_than_they_hold(seed: int, ghosts: int, tracks: bool) -> None:
     rng = np.random.default_rng(seed)
     walk = simulate_walks(subjects=1, frames=25, markers="helen-hayes", seed=1)[0]
-    clouds, truth = hide_in_gaps(walk, 2, ghosts, rng, number_tracks=tracks)
+    clouds, truth = simulate_gaps_and_ghosts(walk, 2, ghosts, rng, number_tracks=tracks)
     indices = np.where(rng.random(truth.shape) < 0.7, truth, -1)
     labelling = Labelling(indices, rng.random(truth.shape), walk.labels)
     items = review(labelling, clouds, least_gain=0.0)
@@ -194,7 +194,7 @@ def test_few_people_are_believed_less() -> None:
 
 
 def test_bad_input_is_named(walks: list[Recording]) -> None:
-    clouds, truth = hide_in_gaps(walks[0], 1, 0, seed=1)
+    clouds, truth = simulate_gaps_and_ghosts(walks[0], 1, 0, seed=1)
     labelling = sure(truth, walks[0].labels)
     with pytest.raises(AsterismError, match="not one of these clouds"):
         review(labelling, walks[1].frames(slice(0, 50)).clouds())
@@ -226,7 +226,7 @@ def folder(walks: list[Recording], tmp_path_factory: pytest.TempPathFactory) -> 
     place = tmp_path_factory.mktemp("review")
     SolverEnsemble.fit(walks[:2], miner=None, subjects=["a", "b"]).save(place / "two.model")
     formats.write(place / "labelled.c3d", walks[4])
-    clouds, _ = hide_in_gaps(walks[4], 4, 1, seed=2)
+    clouds, _ = simulate_gaps_and_ghosts(walks[4], 4, 1, seed=2)
     formats.write(place / "raw.c3d", Recording.from_clouds(clouds))
     (place / "broken.c3d").write_bytes(b"no")
     return place

@@ -14,7 +14,7 @@ from asterism.labelling.body.model import BodyRules, factors
 from asterism.labelling.body.subject import SubjectRules, adapt_body
 from asterism.labelling.live.body import LiveBody, LiveRules
 from asterism.labelling.live.stream import FrameLabels, Stream, _assign, _margins
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds, Recording
 from asterism.simulation import simulate_walks
 
@@ -52,7 +52,7 @@ def test_labels_come_for_every_frame_with_the_stated_delay(walks, ensemble, dela
 
 @pytest.mark.parametrize(("hidden", "ghosts", "right", "wrong"), [(0, 0, 0.999, 0.0), (3, 0, 0.99, 0.002), (3, 3, 0.96, 0.02)])
 def test_someone_unseen_is_labelled_live(walks, ensemble, hidden: int, ghosts: int, right: float, wrong: float) -> None:
-    clouds, truth = hide_in_gaps(walks[5], hidden, ghosts, 2, number_tracks=False)
+    clouds, truth = simulate_gaps_and_ghosts(walks[5], hidden, ghosts, 2, number_tracks=False)
     shares = []
     for delay in (0, 20):
         got = indices(run(ensemble.stream(100.0, delay), clouds))
@@ -64,7 +64,7 @@ def test_someone_unseen_is_labelled_live(walks, ensemble, hidden: int, ghosts: i
 
 
 def test_no_point_is_two_markers_and_confidence_is_a_probability(walks, ensemble) -> None:
-    clouds, _ = hide_in_gaps(walks[5], 2, 3, 0)
+    clouds, _ = simulate_gaps_and_ghosts(walks[5], 2, 3, 0)
     for frame in run(ensemble.stream(100.0, 5), clouds):
         given = frame.indices[frame.indices >= 0]
         assert len(set(given.tolist())) == len(given)
@@ -74,7 +74,7 @@ def test_no_point_is_two_markers_and_confidence_is_a_probability(walks, ensemble
 
 def test_the_order_of_points_and_a_second_run_change_nothing(walks, ensemble) -> None:
     rng = np.random.default_rng(0)
-    clouds, _ = hide_in_gaps(walks[5].frames(slice(80)), 3, 2, 1)
+    clouds, _ = simulate_gaps_and_ghosts(walks[5].frames(slice(80)), 3, 2, 1)
     one = run(ensemble.stream(100.0, 3), clouds)
     again = run(ensemble.stream(100.0, 3), clouds)
     orders = [rng.permutation(n) for n in clouds.counts]
@@ -107,7 +107,7 @@ def test_a_stream_begins_anew_after_everybody_left_and_after_a_flush(walks, ense
 
 
 def test_memory_does_not_grow_with_time(walks, ensemble) -> None:
-    clouds, _ = hide_in_gaps(walks[5], 2, 3, 0)
+    clouds, _ = simulate_gaps_and_ghosts(walks[5], 2, 3, 0)
     stream = ensemble.stream(100.0, 10)
 
     def walk_on(times: int) -> int:

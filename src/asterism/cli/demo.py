@@ -53,7 +53,7 @@ def demo(
         raise typer.Exit(demo_cameras(output, seed, json))
     from asterism import Recording, formats
     from asterism.labelling import SolverEnsemble, TrainingRules
-    from asterism.labelling.simulated_occlusions import hide_and_haunt
+    from asterism.labelling.simulated_occlusions import simulate_occlusions
     from asterism.recording import MarkerSet
     from asterism.report import label_report
     from asterism.simulation import simulate_walks
@@ -79,7 +79,7 @@ def demo(
         counted = {"right": 0, "wrong": 0, "not labelled": 0, "visible": 0}
         seconds = frames = 0.0
         for i, stranger in enumerate(strangers):
-            clouds, truth = hide_and_haunt(stranger, hidden, ghosts, seed=seed + 1 + i)
+            clouds, truth = simulate_occlusions(stranger, hidden, ghosts, seed=seed + 1 + i)
             started = time.perf_counter()
             labelling = ensemble.label(clouds)
             seconds += time.perf_counter() - started

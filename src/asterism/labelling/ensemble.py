@@ -17,10 +17,17 @@ from asterism.labelling.body.labeller import BodyLabeller, FrameLabellingSetting
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
-from asterism.labelling.partial.solver import person
-from asterism.labelling.partial.solver_search import mine
+from asterism.labelling.partial.solver import subject_of
+from asterism.labelling.partial.solver_search import SearchSettings, search_partial_solvers
 from asterism.labelling.training.calibration import Calibration
-from asterism.labelling.training.learning import Memory, Recipe, TrainingRules, common_marker_set, learn_body, least_confidence
+from asterism.labelling.training.learning import (
+    TrainingConfig,
+    TrainingRules,
+    TrainingState,
+    common_marker_set,
+    learn_body,
+    least_confidence,
+)
 from asterism.labelling.training.model_file import reading, write_arrays
 from asterism.labelling.training.sample import Sample
 from asterism.labelling.whole.bodies import check_for_one
@@ -57,7 +64,7 @@ class SolverEnsemble:
         look: FrameLabellingSettings,
         partial: PartialSolvers | None,
         about: dict[str, Any],
-        memory: Memory | None = None,
+        memory: TrainingState | None = None,
         in_time: Certainty | None = None,
         general: BodyModel | None = None,
     ) -> None:
@@ -104,19 +111,19 @@ class SolverEnsemble:
         """
         named = None if features is None else tuple(features)
         miner = "bottom-up" if miner is None and named is not None else miner
-        recipe = Recipe(
+        recipe = TrainingConfig(
             seed, target_hit_rate, miner, body_rules or BodyRules(), look or FrameLabellingSettings(), training or TrainingRules(), named
         )
         marker_set = marker_set or common_marker_set(recordings)
-        memory = Memory(Sample(), recipe).with_recordings(recordings, subjects, marker_set)
-        return cls._from_memory(marker_set, memory, progress or _silent)
+        memory = TrainingState(Sample(), recipe).with_recordings(recordings, subjects, marker_set)
+        return cls._from_training(marker_set, memory, progress or _silent)
 
     def learn(
         self,
         recordings: Sequence[Recording],
         *,
         subjects: Sequence[str] | None = None,
-        mine_again: bool = False,
+        search_again: bool = False,
         progress: Progress | None = None,
     ) -> SolverEnsemble:
         """A new ensemble that has learned these labelled recordings, too; this one stays as it is.
@@ -125,27 +132,27 @@ class SolverEnsemble:
         given, and the order in which it came does not matter, bit for bit. A recording given twice counts once. Recordings may lack
         markers, and be of new people or of known ones (`subjects`, one name each; by default as for `fit`). The confidence is calibrated
         anew on people left out, so a model of one person becomes honest as people come in. Partial solvers stay as they were found,
-        unless `mine_again`, which takes as long as it did in `fit`.
+        unless `search_again`, which takes as long as it did in `fit`.
         Raises AsterismError where there is nothing to learn from, a recording has none of the markers, the model was written by an
-        Asterism that kept no sample, or `mine_again` is given and the model was trained without partial solvers.
+        Asterism that kept no sample, or `search_again` is given and the model was trained without partial solvers.
         """
         if self._memory is None:
             raise AsterismError("this model was written by an earlier Asterism and keeps nothing to learn on from; train it again.")
-        if mine_again and self._memory.recipe.miner is None:
+        if search_again and self._memory.recipe.miner is None:
             raise AsterismError("this model was trained without partial solvers; train it again with --miner bottom-up to add them.")
         memory = self._memory.with_recordings(recordings, subjects, self.marker_set)
-        mined_before = None if mine_again else self
-        return self._from_memory(self.marker_set, memory, progress or _silent, mined_before)
+        searched_before = None if search_again else self
+        return self._from_training(self.marker_set, memory, progress or _silent, searched_before)
 
     @classmethod
-    def _from_memory(
-        cls, marker_set: MarkerSet, memory: Memory, progress: Progress, mined_before: SolverEnsemble | None = None
+    def _from_training(
+        cls, marker_set: MarkerSet, memory: TrainingState, progress: Progress, searched_before: SolverEnsemble | None = None
     ) -> SolverEnsemble:
-        """All that follows from a memory; partial solvers are taken over from `mined_before`, where given."""
+        """All that follows from a memory; partial solvers are taken over from `searched_before`, where given."""
         recipe = memory.recipe
         markers, mined, people, stretches = memory.training_frames()
         frames = np.ascontiguousarray(mined[..., :3])
-        mining = recipe.miner is not None and mined_before is None
+        mining = recipe.miner is not None and searched_before is None
         share = 0.5 if mining else 1.0
         learned = learn_body(frames, people, stretches, recipe, lambda fraction, what: progress(share * fraction, what))
         about = {
@@ -159,21 +166,21 @@ class SolverEnsemble:
         }
         partial = None
         if mining:
-            partial = mine(
+            partial = search_partial_solvers(
                 mined,
                 people,
                 features=recipe.features,
                 targets=recipe.target_hit_rate,
                 miner=str(recipe.miner),
-                widen=recipe.training.solver_widen,
+                settings=SearchSettings(widen=recipe.training.solver_widen),
                 seed=recipe.seed,
                 progress=lambda fraction, what: progress(0.5 + 0.5 * fraction, what),
             )
             about["mined_from"] = about["recordings"]
-        elif mined_before is not None and mined_before._partial is not None:
+        elif searched_before is not None and searched_before._partial is not None:
             # they know the markers by their place among those seen before
-            partial = mined_before._partial if np.array_equal(markers, mined_before._markers) else None
-            about["mined_from"] = mined_before.about.get("mined_from", 0) if partial is not None else 0
+            partial = searched_before._partial if np.array_equal(markers, searched_before._markers) else None
+            about["mined_from"] = searched_before.about.get("mined_from", 0) if partial is not None else 0
         progress(1.0, "done")
         return cls(
             marker_set,
@@ -207,7 +214,9 @@ class SolverEnsemble:
         settings = self._parts().settings
         body = subject_body(settings, self._body, frames, static.rate, SubjectRules(), body_rules)
         gain = own_body_gain(settings, body, self._body, frames, static.rate, SubjectRules())
-        return replace_parts(self, body=body, general=self._body, about={**self.about, "adapted_to": person(static), "adapted_gain": gain})
+        return replace_parts(
+            self, body=body, general=self._body, about={**self.about, "adapted_to": subject_of(static), "adapted_gain": gain}
+        )
 
     def subject_fit(self, clouds: Clouds, labelling: Labelling) -> float:
         """How far these labels speak for the subject that this ensemble was adapted to.
@@ -367,7 +376,9 @@ class SolverEnsemble:
                 {name.removeprefix(part): array for name, array in arrays.items() if name.startswith(part)}
                 for part in ("partial_", "sample_")
             )
-            memory = Memory(Sample.from_arrays(sample, len(marker_set)), Recipe.from_dict(head["recipe"])) if sample else None
+            memory = (
+                TrainingState(Sample.from_arrays(sample, len(marker_set)), TrainingConfig.from_dict(head["recipe"])) if sample else None
+            )
             return cls(
                 marker_set,
                 arrays["markers"],

@@ -20,8 +20,8 @@ from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, subsam
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.partial.features import kinds_of, needs_motion
 from asterism.labelling.partial.motion_points import frames_with_motion
-from asterism.labelling.partial.solver import person
-from asterism.labelling.simulated_occlusions import hide_and_haunt
+from asterism.labelling.partial.solver import subject_of
+from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.labelling.training.calibration import Calibration
 from asterism.labelling.training.sample import FEWEST_SHOWN, Sample
 from asterism.labelling.whole.certainty import Certainty, TrialLabels
@@ -64,7 +64,7 @@ class TrainingRules:
 
 
 @dataclass(frozen=True)
-class Recipe:
+class TrainingConfig:
     """All that a training depends on besides its recordings."""
 
     seed: int = 0
@@ -91,7 +91,7 @@ class Recipe:
         return asdict(self)
 
     @classmethod
-    def from_dict(cls, plain: dict[str, Any]) -> Recipe:
+    def from_dict(cls, plain: dict[str, Any]) -> TrainingConfig:
         """The inverse of `to_dict`, also after a round through JSON."""
         features = None if plain.get("features") is None else tuple(plain["features"])
         training = TrainingRules(**plain["training"])
@@ -111,20 +111,20 @@ class Recipe:
 
 
 @dataclass(frozen=True)
-class Memory:
+class TrainingState:
     """What a model keeps of its training, so that it can learn on: a sample of the recordings, and how it was learned."""
 
     sample: Sample
-    recipe: Recipe
+    recipe: TrainingConfig
 
-    def with_recordings(self, recordings: Sequence[Recording], subjects: Sequence[str] | None, marker_set: MarkerSet) -> Memory:
+    def with_recordings(self, recordings: Sequence[Recording], subjects: Sequence[str] | None, marker_set: MarkerSet) -> TrainingState:
         """A memory of these recordings, too. Subjects by default as `person` says.
 
         Raises AsterismError where there is no recording, one shows nothing, or there is not one subject for each.
         """
         if not recordings:
             raise AsterismError("there is no recording to learn from; give at least one labelled file.")
-        names = [person(recording) for recording in recordings] if subjects is None else list(subjects)
+        names = [subject_of(recording) for recording in recordings] if subjects is None else list(subjects)
         if len(names) != len(recordings):
             raise AsterismError(f"{len(names)} subjects for {len(recordings)} recordings; give one name per recording.")
         for recording in recordings:
@@ -172,7 +172,7 @@ class Memory:
 
 
 @dataclass(frozen=True)
-class Learned:
+class LearnedBody:
     """What labels: see `learn_body`."""
 
     body: BodyModel
@@ -182,7 +182,9 @@ class Learned:
     in_time: Certainty
 
 
-def learn_body(frames: Floats, people: Ints, stretches: Sequence[tuple[int, Recording]], recipe: Recipe, progress: Progress) -> Learned:
+def learn_body(
+    frames: Floats, people: Ints, stretches: Sequence[tuple[int, Recording]], recipe: TrainingConfig, progress: Progress
+) -> LearnedBody:
     """Learn from labelled frames: (N, M, 3) m, z up, NaN where missing; people (N,) whose each is; stretches of (person, recording).
 
     The body and its anchors are learned from all. Then people are left out in turn, what is learned from the others is tried on them with
@@ -207,7 +209,7 @@ def learn_body(frames: Floats, people: Ints, stretches: Sequence[tuple[int, Reco
     calibrations = (Calibration.fit(margin[~spare], right[~spare]), Calibration.fit(margin[spare], right[spare]))
     in_time = TrialLabels.together([outcome.in_time for outcome in outcomes])
     certainty = Certainty.fit(in_time, recipe.target_hit_rate, len(np.unique(people)))
-    return Learned(body, anchors, float(np.median([outcome.usual_score for outcome in outcomes])), calibrations, certainty)
+    return LearnedBody(body, anchors, float(np.median([outcome.usual_score for outcome in outcomes])), calibrations, certainty)
 
 
 @dataclass(frozen=True)
@@ -230,7 +232,7 @@ def _try_fold(
     stretches: Sequence[tuple[int, Recording]],
     out: NDArray[np.bool_],
     triples: Ints,
-    recipe: Recipe,
+    recipe: TrainingConfig,
     seed: int,
     number: int,
 ) -> _FoldOutcome | None:
@@ -325,7 +327,7 @@ def _trial(tried: BodyLabeller, frames: Floats, people: Ints, rules: TrainingRul
     labels = tuple(str(m) for m in range(frames.shape[1]))
     for share, ghosts in rules.trials:
         recording = Recording(frames[rows_of], labels, 100.0)
-        clouds, truth = hide_and_haunt(recording, round(share * len(labels)), ghosts, rng)
+        clouds, truth = simulate_occlusions(recording, round(share * len(labels)), ghosts, rng)
         rows, margin, _, spare = tried.label(clouds)
         given = rows >= 0
         margins.append(margin[given])
