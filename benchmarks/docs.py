@@ -1,4 +1,4 @@
-"""The kept figures in; `docs/figures.md`, and the tables in `docs/recordings.md`, out: none is ever typed by hand."""
+"""The kept figures in; docs/figures.md, docs/figures-all.md and the tables in docs/recordings.md out. No figure is typed by hand."""
 
 from __future__ import annotations
 
@@ -8,43 +8,122 @@ from pathlib import Path
 
 from benchmarks.figures import Entry, load, reached
 
-PAGE = Path(__file__).parents[1] / "docs" / "figures.md"
+PAGE = Path(__file__).parents[1] / "docs" / "figures-all.md"
+KEY_PAGE = PAGE.with_name("figures.md")
 RECORDINGS = PAGE.with_name("recordings.md")
+README = PAGE.parent.with_name("README.md")
 
-INTRODUCTION = """# Figures
+DEFINITIONS = """- **right**: visible markers with their own point. **missed**: visible markers without a label. **FA**, false assignments:
+  wrong labels among the labels given. **FO**, false occlusions: visible markers among the nulls given. All are shares.
+- *Subjects not seen*: each subject is left out in turn, and labelled by a model of all others. *Subjects seen*: trained on even blocks
+  of ten frames of each recording, tested on the odd ones.
+- *k hidden*: k markers are in a gap of 0.1 to 1 s at every moment and come back under a new track number. *Ghosts* are tracks of 0.05
+  to 0.5 s that move with a marker at a fixed offset of up to 150 mm, so many at every moment. Each walk is used with three sets of
+  gaps.
+- *k occlusions*: k markers of each frame are hidden, others in each frame; each frame is labelled by itself.
+"""
 
-Written by `python -m benchmarks docs` from `benchmarks/figures.json`; do not edit. Measure again with `python -m benchmarks` (all),
-`python -m benchmarks recordings` (one chapter), `--rows gaps` (some rows), `--quick` (a look, nothing is kept). The recordings are found
-through `ASTERISM_DATA`.
+INTRODUCTION = f"""# Figures
 
-- **FA**, false assignments: wrong labels among the labels given. **FO**, false occlusions: visible markers among the nulls given.
-  **missed**: visible markers without a label, among the visible ones. **right**: visible markers with their own point. All are fractions.
-- *Subjects seen*: trained on even blocks of ten frames of each recording, tested on the odd ones. *Not seen*: one subject left out,
-  trained on the ten others. In the first chapter exactly k visible markers of each frame are hidden, anew in each, a ghost lies within
-  150 mm of a marker, and every frame is labelled by itself.
-- Whole recordings, *k hidden*: k markers are in a gap of 0.1 to 1 s at every moment and come back under a new track number; *ghosts* are
-  tracks of 0.05 to 0.5 s that ride on a marker at a fixed offset of up to 150 mm, so many at every moment. Each walk is hidden three times.
-  *Frame by frame* is the first chapter's labelling of the same clouds. *Backwards in time* are the same clouds in reverse order.
-- *Tracking*: `benchmarks/tracking.py`, the true places of all markers in the first frame, then the given tracks; new tracks by constant
-  velocity and optimal assignment.
-- *Peer*, *key poses*: `benchmarks/peer.py`, sixteen key poses from eight headings by ICP, optimal assignment, 200 mm limit; some frames
-  of the same clouds.
-- *From one trial to all subjects*: `benchmarks/recordings/loop.py`. A walk of one subject is labelled, or its own tracks are named once;
-  then label all trials, accept those in which `review` flags nothing, or settle what it flags in those least in doubt,
-  learn, and go on. *Touched*: samples whose label an
-  answer changed; *looked at*: samples of the pieces flagged, right or not; *given by name*: samples of the tracks named.
-- *As recorded*: with all points that nobody labelled. Some of them may be the very marker that is missing: FA is an upper bound there.
-- Gaps and ghosts are simulated; only vicon53, clouthier62, optitrack-wheelchair and mouse-qtm have real gaps besides, and rows
-  "as recorded" real ghosts. Rows "dirt" hide nothing: hand labels found again, from one half of a trial to the other.
+The figures that matter most. [All figures](figures-all.md) has the rest, with how each is measured. Both pages are written by
+`python -m benchmarks docs` from `benchmarks/figures.json`, which `python -m benchmarks` measures; do not edit them. **no** marks a figure
+that misses what was asked.
 
-Thesis: J. L. Jiménez Bascones, "Cloud Point Labelling in Optical Motion Capture Systems", 2019, chapters 4 and 5.
-Recordings (their licences lie beside them; none is part of this repository):
+{DEFINITIONS}"""
+
+INTRODUCTION_OF_ALL = f"""# All figures
+
+Written by `python -m benchmarks docs` from `benchmarks/figures.json`; do not edit. [The most important ones](figures.md) have a page
+with plots. To measure again: `python -m benchmarks` (all), `python -m benchmarks recordings` (one chapter), `--rows gaps` (some rows),
+`--quick` (a short run that keeps nothing). The environment variable `ASTERISM_DATA` names the folder of the recordings.
+
+{DEFINITIONS}- A ghost lies within 150 mm of a marker.
+- *Frame by frame* labels the same clouds without the neighbouring frames. *Backwards in time* are the same clouds in reverse order.
+- *Tracking*: `benchmarks/tracking.py` knows the true places of all markers in the first frame and the given tracks; it continues tracks
+  by constant velocity and optimal assignment.
+- *Peer*, *key poses*: `benchmarks/peer.py` uses sixteen key poses from eight headings, ICP, optimal assignment and a limit of 200 mm,
+  on some frames of the same clouds.
+- *From one trial to all subjects*: `benchmarks/recordings/loop.py`. One walk of one subject is labelled, or its tracks are named once.
+  Then, repeatedly: label all trials; accept those in which `review` finds nothing, or settle what it finds in the trials that need the
+  least; learn. *Touched*: samples whose label an answer changed. *Looked at*: samples of the pieces found, right or wrong. *Given by
+  name*: samples of the tracks that were named.
+- *As recorded*: with all points that nobody labelled. Some of them may be the marker that is missing, so FA is an upper bound there.
+- Gaps and ghosts are simulated. Real gaps are only in vicon53, clouthier62, optitrack-wheelchair and mouse-qtm; real ghosts only in
+  rows "as recorded". Rows "dirt" hide nothing: labels made by hand are found again, from one half of a trial to the other.
+
+Thesis: J. L. Jiménez Bascones, "Cloud Point Labelling in Optical Motion Capture Systems", 2019, chapters 4 and 5. Recordings (their
+licences lie beside them; none is part of this repository):
 
 - gait: the sample study of biomechZoo, 11 children, Plug-in-Gait and Oxford foot markers, Vicon, 100 Hz;
-- movement: CMU Graphics Lab (mocap.cs.cmu.edu), auto-marker-label (Clouthier), nimblephysics, pyCGM, biobuddy, pyorerun,
-  C3D-parser (University of Auckland), OIST mouse motion capture, rewrite_lowerbodyc3d_with_IK, kineticstoolkit;
+- movement: CMU Graphics Lab (mocap.cs.cmu.edu), auto-marker-label (Clouthier), nimblephysics, pyCGM, biobuddy, pyorerun, C3D-parser
+  (University of Auckland), OIST mouse motion capture, rewrite_lowerbodyc3d_with_IK, kineticstoolkit;
 - conformance: the c3d.org samples, OpenSim, pyomeca, hmv-s16 and the diabolo-juggling recordings for Motive.
 """
+
+_WAND = "wand, 8 cameras, 2,000 frames, 0.2 px, cold start: "
+_COLD = "wand, cold starts of 200 random rigs of 3 to 12 cameras, 5 % outliers: "
+_WALK = "vicon-rig-walk, 0.3 px, body, strays: "
+
+KEY_SECTIONS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    (
+        "Labels of walks, subjects not seen",
+        "![Right and wrong labels by hidden markers, for four methods](figures/occlusions.svg)",
+        (
+            "gaps, 3 hidden, whole recording: right",
+            "gaps, 5 hidden, whole recording: right",
+            "gaps, 5 hidden, whole recording: FA",
+            "gaps, 3 hidden + 3 ghosts, whole recording: right",
+            "gaps, 3 hidden + 3 ghosts, whole recording: FA",
+            "subjects not seen, 5 occlusions: right",
+            "calibration error, subjects not seen, whole recording",
+            "59 markers, 3 hidden, whole recording: right",
+            "59 markers, 3 hidden, whole recording: FA",
+            "two people, one model twice, 3 hidden of each: right",
+            "stream, 15 markers, 3 hidden + 3 ghosts, delay 10: right",
+            "loop, 3 hidden + 3 ghosts, one trial labelled: labels touched by hand",
+        ),
+    ),
+    (
+        "Other people, laboratories and movements",
+        "![Right, missing and wrong labels for each set of recordings](figures/movements.svg)",
+        (
+            "dirt, clouthier62: hand labels found again",
+            "dirt, mouse-qtm/MOS1aD_S2_M5_MC2: hand labels found again",
+            "dirt, optitrack-wheelchair/sprintbasket: hand labels found again",
+        ),
+    ),
+    (
+        "Speed",
+        "![Frames per second on one core](figures/speed.svg)",
+        (
+            "speed, 15 markers, 3 hidden, whole recording, one core",
+            "speed, 15 markers, 3 hidden + 3 ghosts, whole recording, one core",
+            "composition + merging, 8 cameras 50 markers, one core, global choice",
+        ),
+    ),
+    (
+        "Calibration of cameras",
+        "![Focal length, 3D error and time against a peer](figures/wand.svg)",
+        (
+            f"{_WAND}focal length, RMS",
+            f"{_WAND}3D of unseen points, their blobs with noise, RMS",
+            f"{_COLD}converge to the right rig",
+            "chessboard-stereo, the pair, RMS",
+        ),
+    ),
+    (
+        "Points from cameras",
+        "![Markers found near their true place; ghosts](figures/points.svg)",
+        (
+            "particles-4cam, blobs against the peer's targets, the peer's thresholds: recall",
+            "ghosts, 8 cameras 50 markers 0.3 px, all seen, global choice",
+            f"{_WALK}the same, smoothed along paths",
+        ),
+    ),
+)
+"""Title, plot and rows of each section of docs/figures.md."""
+
+HOUSE = "A house that others can carry on"
 
 _METHOD = "(?P<column>(?:whole recording|frame by frame|tracking|key poses): \\w+)"
 
@@ -94,12 +173,27 @@ ABLATIONS = {
 }
 """The sections that stand in `docs/recordings.md`, too: how their rows begin, and what is said before them."""
 
+_RESULTS_BEGIN, _RESULTS_END = "<!-- results: written by `python -m benchmarks docs`, do not edit -->", "<!-- end of results -->"
 _BEGINS, _ENDS = "<!-- ablation: written by `python -m benchmarks docs`, do not edit -->", "<!-- end of ablation -->"
 
 
-def text(entries: list[Entry]) -> str:
-    """The whole page."""
+def key_text(entries: list[Entry]) -> str:
+    """The page of the figures that matter most."""
+    by_row = {entry.row: entry for entry in entries}
     parts = [INTRODUCTION]
+    for title, plot, rows in KEY_SECTIONS:
+        some = [by_row[row] for row in rows if row in by_row]
+        if some:
+            parts += [f"## {title}\n", f"{plot}\n", _table(some)]
+    house = [entry for entry in entries if entry.issue.startswith(HOUSE)]
+    if house:
+        parts += ["## The code\n", _table(house)]
+    return "\n".join(parts)
+
+
+def text(entries: list[Entry]) -> str:
+    """The page of all figures."""
+    parts = [INTRODUCTION_OF_ALL]
     asked = [reached(entry.asked, entry.measured) for entry in entries]
     parts.append(f"{asked.count(True)} of {asked.count(True) + asked.count(False)} figures asked for are reached.\n")
     for issue in dict.fromkeys(entry.issue for entry in entries):
@@ -131,10 +225,33 @@ def with_ablation(page: str, entries: list[Entry]) -> str:
     return before + _BEGINS + "\n" + "".join(f"{part}\n" for part in tables) + _ENDS + after
 
 
+def with_results(page: str, entries: list[Entry]) -> str:
+    """The README with its table of results as measured."""
+    values = {entry.row: entry for entry in entries}
+    lines = ["| hidden, of 15 markers | right | wrong | a peer: right | wrong |", "|---|---|---|---|---|"]
+    for condition in ("1 hidden", "3 hidden", "5 hidden", "3 hidden + 3 ghosts"):
+        rows = [f"gaps, {condition}, {method}: {what}" for method in ("whole recording", "key poses") for what in ("right", "FA")]
+        if all(row in values for row in rows):
+            cells = [f"{100 * values[row].measured:.2f} %" for row in rows]
+            lines.append(f"| {condition.replace(' hidden', '')} | {' | '.join(cells)} |")
+    before, rest = page.split(_RESULTS_BEGIN)
+    _, after = rest.split(_RESULTS_END)
+    return before + _RESULTS_BEGIN + "\n" + "\n".join(lines) + "\n" + _RESULTS_END + after
+
+
 def write() -> None:
-    """Write the pages from the kept figures, each under a temporary name first."""
+    """Write the pages and their plots from the kept figures; each page under a temporary name first."""
+    from benchmarks import plots
+
     entries = load()
-    for page, content in ((PAGE, text(entries)), (RECORDINGS, with_ablation(RECORDINGS.read_text(encoding="utf-8"), entries))):
+    plots.write(entries)
+    pages = {
+        PAGE: text(entries),
+        KEY_PAGE: key_text(entries),
+        RECORDINGS: with_ablation(RECORDINGS.read_text(encoding="utf-8"), entries),
+        README: with_results(README.read_text(encoding="utf-8"), entries),
+    }
+    for page, content in pages.items():
         temporary = page.with_name(page.name + ".part")
         temporary.write_text(content, encoding="utf-8")
         os.replace(temporary, page)

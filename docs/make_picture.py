@@ -21,6 +21,8 @@ BONES = (
     "LSHO LUPA LELB LFRM LWRA LFIN, LFRM LWRB LFIN, RSHO RUPA RELB RFRM RWRA RFIN, RFRM RWRB RFIN, "
     "LASI LTHI LKNE LTIB LANK LHEE LTOE LANK, RASI RTHI RKNE RTIB RANK RHEE RTOE RANK"
 )
+LETTER = 6.0
+"""The mean width of a letter of the legend, in picture units."""
 LEFT, RIGHT, MIDDLE, STAR, GHOST = "#7fe0e6", "#ffb27a", "#f3f6fb", "#dbe6f4", "#8191a8"
 
 
@@ -98,12 +100,12 @@ def picture() -> str:
         out.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.4" fill="{GHOST}"/>')
         out.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="9" fill="none" stroke="{GHOST}" stroke-dasharray="2.5 2.5"/>')
     hidden = ", ".join(name for name in names if name not in given)
-    legend = ((LEFT, "left"), (RIGHT, "right"), (MIDDLE, "middle"), (GHOST, f"ghosts stay without a name; {hidden} is hidden"))
-    x = WIDTH / 2 + 30.0
+    legend = ((LEFT, "left"), (RIGHT, "right"), (MIDDLE, "middle"), (GHOST, f"ghosts stay unlabelled; {hidden} is hidden"))
+    x = (WIDTH - sum(30 + LETTER * len(text) for _, text in legend)) / 2
     for color, text in legend:
         out.append(f'<circle cx="{x:.0f}" cy="{HEIGHT - 25}" r="4" fill="{color}"/>')
         out.append(f'<text x="{x + 9:.0f}" y="{HEIGHT - 21}" fill="#c9d8ea" font-size="12">{text}</text>')
-        x += 30 + 6.0 * len(text)
+        x += 30 + LETTER * len(text)
     return "\n".join([*out, "</svg>", ""])
 
 

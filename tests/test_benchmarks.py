@@ -40,10 +40,20 @@ def test_kept_figures_have_the_agreed_form() -> None:
 
 
 def test_pages_with_tables_are_up_to_date() -> None:
-    written = (ROOT / "docs" / "figures.md").read_text(encoding="utf-8")
-    assert written == docs.text(figures.load()), "run `python -m benchmarks docs`"
+    for page, made in (("figures-all.md", docs.text(figures.load())), ("figures.md", docs.key_text(figures.load()))):
+        assert (ROOT / "docs" / page).read_text(encoding="utf-8") == made, "run `python -m benchmarks docs`"
+    written = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert written == docs.with_results(written, figures.load()), "run `python -m benchmarks docs`"
     written = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")
     assert written == docs.with_ablation(written, figures.load()), "run `python -m benchmarks docs`"
+
+
+def test_every_row_of_the_page_of_key_figures_has_been_measured() -> None:
+    measured = {entry.row for entry in figures.load()}
+    rows = [row for _, _, rows in docs.KEY_SECTIONS for row in rows]
+    assert len(rows) == len(set(rows)) == 25
+    assert [row for row in rows if row not in measured] == []
+    assert all((ROOT / "docs" / re.search(r"\((.*)\)", plot)[1]).exists() for _, plot, _ in docs.KEY_SECTIONS)
 
 
 def test_the_ablation_stands_in_the_page_about_recordings_once_it_is_measured() -> None:

@@ -18,7 +18,7 @@ from asterism.cli import app
 from asterism.formats import read_clouds, write_blobs
 from asterism.motion import smooth_paths
 from asterism.motion._kernels import THIRD, smooth_path
-from asterism.reconstruction import Reconstruction, reconstruct
+from asterism.reconstruction import Reconstruction, ReconstructionSettings, reconstruct
 from asterism.recording import Clouds
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import images_of, ring_rig, walker_capsules
@@ -36,7 +36,7 @@ def walk() -> Case:
     rig, recording = ring_rig(7, rng=rng), simulate_walks(1, frames=150, seed=5)[0]
     truth = gaussian_filter1d(recording.positions, 2.0, axis=0)
     blobs, _ = images_of(rig, truth, noise=0.3, body=walker_capsules(recording), strays=0.3, rng=rng)
-    return rig, truth, reconstruct(blobs, rig, noise=0.3)
+    return rig, truth, reconstruct(blobs, rig, ReconstructionSettings(noise=0.3))
 
 
 def errors(clouds: Clouds, truth: np.ndarray) -> np.ndarray:

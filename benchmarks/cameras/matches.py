@@ -16,7 +16,7 @@ import numpy as np
 from asterism.cameras import Rig
 from asterism.cameras.bundle import Adjustment, Sightings, adjust, free_parameters, triangulate
 from asterism.cameras.files import read_rig
-from asterism.reconstruction import reconstruct
+from asterism.reconstruction import ReconstructionSettings, reconstruct
 from asterism.recording import Blobs, Floats, Ints
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.cameras.detection import CORNER
@@ -85,7 +85,7 @@ def _peers_matches(blobs: Blobs, numbers: Ints) -> Ints:
 
 def _matches(blobs: Blobs, rig: Rig, noise: float) -> Ints:
     """(n, 4) the blobs of each of our points that four cameras show."""
-    return reconstruct(blobs, rig, noise=noise, min_cameras=CAMERAS).rays
+    return reconstruct(blobs, rig, ReconstructionSettings(noise=noise, min_cameras=CAMERAS)).rays
 
 
 def _by_chance(blobs: Blobs, rig: Rig, noise: float) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.cameras import Rig
-from asterism.reconstruction import Reconstruction, reconstruct
+from asterism.reconstruction import Reconstruction, ReconstructionSettings, reconstruct
 from asterism.recording import Blobs, Floats, Ints
 from asterism.simulation.cameras import images_of, ring_rig
 from benchmarks.benchmark_run import BenchmarkRun
@@ -43,7 +43,7 @@ def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
         seconds = 40 / _rate(blobs, rig, "global", 1)
         counts = blobs.counts.astype(np.float64)
         pairs = ((counts.sum(axis=1) ** 2 - (counts**2).sum(axis=1)) / 2).sum()
-        grown[markers] = np.array([seconds, reconstruct(blobs, rig, noise=NOISE).gated.sum(), pairs])
+        grown[markers] = np.array([seconds, reconstruct(blobs, rig, ReconstructionSettings(noise=NOISE)).gated.sum(), pairs])
     times, gated, pairs = grown[400] / grown[50]
     row = "composition + merging, 8 cameras, 400 instead of 50 markers: times as many"
     yield Figure(f"{row} pairs of blobs", "none", float(pairs), "x", 40)
@@ -58,7 +58,7 @@ def ghosts(benchmark: BenchmarkRun) -> Iterator[Figure]:
         rig, blobs, truth, shows = scene(8, 50, frames, **more)
         for name, method in ((OWN, "global"), (PLAIN, "plain")):
             some = blobs if method == "global" else first_frames(blobs, frames // 10)
-            told = judged(reconstruct(some, rig, method=method), truth, shows)
+            told = judged(reconstruct(some, rig, ReconstructionSettings(method=method)), truth, shows)
             bound = case == "all seen" and method == "global"
             row = f"8 cameras 50 markers {NOISE} px, {case}, {name}"
             yield Figure(f"ghosts, {row}", "<= 1" if bound else "none", 1000 * told.ghosts / told.seen, "per 1,000 points", told.seen)
@@ -126,10 +126,10 @@ def judged(result: Reconstruction, truth: Floats, shows: Ints, near: float = NEA
 
 def _rate(blobs: Blobs, rig: Rig, method: str, repeats: int = 3) -> float:
     """Frames per second of CPU time: warmed by one call, then the median of several."""
-    reconstruct(blobs, rig, method=method)
+    reconstruct(blobs, rig, ReconstructionSettings(method=method))
     times = []
     for _ in range(repeats):
         started = time.process_time()
-        reconstruct(blobs, rig, method=method)
+        reconstruct(blobs, rig, ReconstructionSettings(method=method))
         times.append(time.process_time() - started)
     return len(blobs) / median(times)

@@ -41,6 +41,16 @@ class Finding:
         """The sentence, and the mend behind it."""
         return f"{self.sentence} {self.mend}".rstrip()
 
+    def to_dict(self) -> dict[str, str]:
+        """Plain values, as JSON keeps them; the severity by its name in small letters."""
+        return {
+            "code": self.code,
+            "severity": self.severity.name.lower(),
+            "where": self.where,
+            "sentence": self.sentence,
+            "mend": self.mend,
+        }
+
 
 def worst(findings: Iterable[Finding]) -> Severity:
     """The highest severity among findings; a note where there are none."""

@@ -16,9 +16,10 @@ from asterism.cameras.bundle import PARAMETERS, Sightings, adjust, free_paramete
 from asterism.errors import AsterismError
 from asterism.geometry import vector_from_rotation
 from asterism.progress import Progress
-from asterism.reconstruction.agreement import OFF_NOISES, OFF_PX, agreement, frames_behind, near
+from asterism.reconstruction.camera_fit import fit_of_cameras, frames_behind, match_radius, misfit_limit
 from asterism.reconstruction.reconstruct import reconstruct
 from asterism.reconstruction.result import Reconstruction
+from asterism.reconstruction.settings import ReconstructionSettings
 from asterism.recording import Blobs, Floats, Ints
 from asterism.synchronization import to_common_clock
 from asterism.synchronization.lags import out_of_step
@@ -100,7 +101,7 @@ class Refinement:
                     f"{1000 * check.shifted:.0f} mm{zoom}, {check.before:.1f} px in its image; it was mended."
                 )
             elif check.state == "out of step":
-                said.append(f"{out_of_step(check.name, check.behind)} It was left as it is.")
+                said.append(f"{' '.join(out_of_step(check.name, check.behind))} It was left as it is.")
             elif check.state == "lost":
                 said.append(
                     f"camera {check.name} does not fit the others, and no new pose mends that: its lens, the size of its images or its "
@@ -157,7 +158,7 @@ def refine_rig(blobs: Blobs, rig: Rig, *, frames: int = _FRAMES, progress: Progr
     told(0.9, "adjusting")
     fitted = _mended(some, rig, bumped, {c: looks[c].camera for c in bumped}, sound, noise)
     last = _adjusted(some, fitted, [], [*sound, *bumped], noise)
-    limit = max(OFF_PX, OFF_NOISES * noise)
+    limit = misfit_limit(noise)
     unfit = [c for c in bumped if not last.off[c] <= limit]
     if unfit:
         last = _adjusted(some, fitted, [], [c for c in (*sound, *bumped) if c not in unfit], noise)
@@ -172,14 +173,14 @@ def refine_rig(blobs: Blobs, rig: Rig, *, frames: int = _FRAMES, progress: Progr
 
 def _least_move(look: _Look, noise: float, others: int) -> float:
     """px that a view must have moved by to be called moved, by what noise makes of a pose from so many points of so many cameras."""
-    least = max(OFF_PX, OFF_NOISES * noise, _SURE * noise * math.sqrt(6.0 / max(look.shown * look.points, 1.0)))
+    least = max(misfit_limit(noise), _SURE * noise * math.sqrt(6.0 / max(look.shown * look.points, 1.0)))
     return least if others >= 3 else _BY_TWO * least
 
 
 def _behind(blobs: Blobs, some: Blobs, picked: Ints, rig: Rig, camera: int, sound: list[int], noise: float) -> int:
     """By how many frames a camera, as the rig has it, is behind those that are sound."""
     clouds = list(_reconstructed(some, rig, sound, noise).clouds)
-    return frames_behind(clouds, picked.tolist(), blobs, camera, rig[camera], near(noise))
+    return frames_behind(clouds, picked.tolist(), blobs, camera, rig[camera], match_radius(noise))
 
 
 def _mended(blobs: Blobs, rig: Rig, bumped: list[int], poses: dict[int, Camera | None], sound: list[int], noise: float) -> Rig:
@@ -265,7 +266,7 @@ def _noise(blobs: Blobs, rig: Rig, cameras: list[int]) -> float:
     least = np.inf
     for n in np.argsort(spread, kind="stable")[:_MOST_GROUPS]:
         made = _reconstructed(few, rig, list(groups[n]), None)
-        if made.fits:
+        if made.noise_known:
             least = min(least, float(np.median(made.noise)))
         if least < _USUAL_NOISE and len(cameras) > 3:
             break
@@ -280,7 +281,7 @@ def _noise(blobs: Blobs, rig: Rig, cameras: list[int]) -> float:
 def _reconstructed(blobs: Blobs, rig: Rig, cameras: list[int], noise: float | None) -> Reconstruction:
     """Points by some cameras only, those that three of them show where there are four."""
     part = replace(rig, cameras=tuple(rig[c] for c in cameras))
-    return reconstruct(_of_cameras(blobs, cameras), part, noise=noise, min_cameras=3 if len(cameras) >= 4 else 2)
+    return reconstruct(_of_cameras(blobs, cameras), part, ReconstructionSettings(noise=noise, min_cameras=3 if len(cameras) >= 4 else 2))
 
 
 def _of_cameras(blobs: Blobs, cameras: list[int]) -> Blobs:
@@ -392,11 +393,11 @@ def _adjusted(blobs: Blobs, rig: Rig, bumped: list[int], cameras: list[int], noi
     order = sorted(cameras)
     own = _of_cameras(blobs, order)
     part = Rig(tuple(rig[c] for c in order), rig.vertical)
-    made = reconstruct(own, part, noise=noise, min_cameras=min(3, len(order)))
+    made = reconstruct(own, part, ReconstructionSettings(noise=noise, min_cameras=min(3, len(order))))
     errors, off, sigma = np.full(len(rig), np.nan), np.full(len(rig), np.nan), np.zeros(len(rig))
     if not len(made.rays):
         return _Fit(rig, errors, off, 0, sigma)
-    off[order] = [camera.off for camera in agreement(made, part)]
+    off[order] = [camera.systematic for camera in fit_of_cameras(made, part)]
     point, camera = np.nonzero(made.rays >= 0)
     sightings = Sightings.of(point, camera, np.zeros(len(point), dtype=np.int64), made.blobs.xy[made.rays[point, camera]])
     free = free_parameters(len(order), "pose")

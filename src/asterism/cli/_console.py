@@ -50,13 +50,7 @@ def report(finding: Finding) -> None:
 
 def as_json(finding: Finding) -> dict[str, str]:
     """A finding as plain values."""
-    return {
-        "code": finding.code,
-        "severity": finding.severity.name.lower(),
-        "where": finding.where,
-        "sentence": finding.sentence,
-        "mend": finding.mend,
-    }
+    return finding.to_dict()
 
 
 def reason(problem: Exception) -> str:

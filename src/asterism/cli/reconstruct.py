@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from asterism.cli import _console
 from asterism.cli._options import Json, Overwrite
+
+if TYPE_CHECKING:
+    from asterism.cameras import Rig
+    from asterism.findings import Finding
+    from asterism.reconstruction import Reconstruction
 
 
 class Method(StrEnum):
@@ -28,7 +33,7 @@ def reconstruct(
     method: Annotated[Method, typer.Option(help="The likeliest set of points, or the thesis' plain merging.")] = Method.GLOBAL,
     min_cameras: Annotated[int, typer.Option(metavar="N", min=2, help="How many cameras must show a point.")] = 2,
     noise: Annotated[
-        float | None, typer.Option(metavar="PX", help="How far off blobs are, per axis. Else told from the blobs.", show_default=False)
+        float | None, typer.Option(metavar="PX", help="How far off blobs are, per axis. Else estimated from the blobs.", show_default=False)
     ] = None,
     volume: Annotated[
         str | None,
@@ -42,7 +47,7 @@ def reconstruct(
         bool, typer.Option("--mask-static", help="Leave out blobs that never move: lamps, reflections, and markers that rest.")
     ] = False,
     smooth: Annotated[
-        bool, typer.Option("--smooth", help="Move points to where their paths through time say that they are, as sure as that is.")
+        bool, typer.Option("--smooth", help="Move points to where their paths through time say that they are, with the exactness of that.")
     ] = False,
     rate: Annotated[float | None, typer.Option(metavar="HZ", help="Frames per second. Else as the file says.", show_default=False)] = None,
     overwrite: Overwrite = False,
@@ -54,13 +59,12 @@ def reconstruct(
     are left. Every point carries its reprojection error, covariance and cameras; NPZ keeps all of them, C3D what it can.
     `asterism label` then gives the points names.
     """
-    import numpy as np
-
     from asterism.cameras.accuracy import Volume
-    from asterism.cameras.files import guesses, read_rig
+    from asterism.cameras.files import read_rig
+    from asterism.findings import exit_status
     from asterism.formats import check_suffix, read_blobs
+    from asterism.reconstruction import ReconstructionSettings, summary
     from asterism.reconstruction import reconstruct as points_of
-    from asterism.reconstruction import summary
 
     check_suffix(output)
     _console.check_new(output, overwrite)
@@ -68,40 +72,69 @@ def reconstruct(
     calibrated = read_rig(rig)
     box = None if volume is None else Volume.parse(volume, "z" if calibrated.vertical is None else calibrated.vertical)
     seen = read_blobs(blobs, cameras=calibrated.names, rate=rate)
+    settings = ReconstructionSettings(
+        method=method.value,
+        noise=noise,
+        min_cameras=min_cameras,
+        volume=None if box is None else (box.low, box.high),
+        mask_static=mask_static,
+    )
     with _console.progress("reconstructing") as progress:
-        result = points_of(
-            seen,
-            calibrated,
-            method=method.value,
-            noise=noise,
-            min_cameras=min_cameras,
-            volume=None if box is None else (box.low, box.high),
-            mask_static=mask_static,
-            progress=progress,
-        )
-    told = summary(result, calibrated)
+        result = points_of(seen, calibrated, settings, progress=progress)
+    numbers, findings = summary(result, calibrated)
     if smooth:
-        from asterism.motion import smooth_paths
-
-        with _console.progress("smoothing") as progress:
-            paths = smooth_paths(result.clouds, result.covariance, progress=progress)
-        result = result.with_points(paths.clouds, paths.covariance, calibrated)
-        told["smoothed"] = {
-            "paths": paths.paths,
-            "moved_m": float(np.median(paths.moved)) if len(paths.moved) else None,
-            "deviation_m": float(np.median(result.deviation)) if len(paths.moved) else None,
-        }
+        result, numbers["smoothed"] = _smoothed(result, calibrated)
     lost = result.write(output)
-    guessed = [f"{rig} does not say {phrase}." for phrase in guesses(calibrated)]
-    for sentence in (*guessed, *told["remarks"], *(f"{output} leaves out {what}." for what in lost)):
-        _console.error(sentence)
+    findings = (*_guesses(rig, calibrated), *findings, *(_not_written(output, what) for what in lost))
+    for finding in findings:
+        _console.report(finding)
     if json != "-":
-        _print(output, told)
-    _console.write_json(json, {"command": "reconstruct", "blobs": blobs, "rig": rig, "output": output, **told, "not_carried": lost})
-    raise typer.Exit(1 if told["remarks"] else 0)
+        _print(output, numbers)
+    told = {**numbers, "findings": [_console.as_json(finding) for finding in findings], "not_carried": lost}
+    _console.write_json(json, {"command": "reconstruct", "blobs": blobs, "rig": rig, "output": output, **told})
+    raise typer.Exit(exit_status(findings))
 
 
-def _print(output: Path, told: dict[str, Any]) -> None:
+def _guesses(path: Path, rig: Rig) -> list[Finding]:
+    """What the rig's file does not say and was assumed."""
+    from asterism.cameras.files import guesses
+    from asterism.findings import Finding, Severity
+
+    return [
+        Finding(
+            "reconstruct-rig-guess",
+            Severity.NOTE,
+            str(path),
+            f"{path} does not say {phrase}.",
+            "Where that is wrong, give the rig in metres.",
+        )
+        for phrase in guesses(rig)
+    ]
+
+
+def _not_written(path: Path, what: str) -> Finding:
+    from asterism.findings import Finding, Severity
+
+    return Finding("reconstruct-not-written", Severity.NOTE, str(path), f"{path} leaves out {what}.", "Write NPZ to keep everything.")
+
+
+def _smoothed(result: Reconstruction, rig: Rig) -> tuple[Reconstruction, dict[str, Any]]:
+    """The points moved to where their paths say that they are, and numbers about that."""
+    import numpy as np
+
+    from asterism.motion import smooth_paths
+
+    with _console.progress("smoothing") as progress:
+        paths = smooth_paths(result.clouds, result.covariance, progress=progress)
+    result = result.with_points(paths.clouds, paths.covariance, rig)
+    return result, {
+        "paths": paths.paths,
+        "moved_m": float(np.median(paths.moved)) if len(paths.moved) else None,
+        "deviation_m": float(np.median(result.deviation)) if len(paths.moved) else None,
+    }
+
+
+def _print(output: Path, numbers: dict[str, Any]) -> None:
     def pixels(value: float) -> str:
         return "–" if value != value else f"{value:.3f}"
 
@@ -111,29 +144,29 @@ def _print(output: Path, told: dict[str, Any]) -> None:
             _console.count(camera["blobs"]),
             _console.percent(camera["used"]),
             pixels(camera["residual_px"]),
-            pixels(camera["off_px"]),
+            pixels(camera["systematic_px"]),
         ]
-        for camera in told["cameras"]
+        for camera in numbers["cameras"]
     ]
-    _console.table("cameras", ("camera", "blobs", "used", "residual, px", "off as a whole, px"), rows)
-    per_frame = told["points_per_frame"]
-    by_cameras = ", ".join(f"{count:,} by {cameras}" for cameras, count in told["points_by_cameras"].items())
+    _console.table("cameras", ("camera", "blobs", "used", "residual, px", "systematic, px"), rows)
+    per_frame = numbers["points_per_frame"]
+    by_cameras = ", ".join(f"{count:,} by {cameras}" for cameras, count in numbers["points_by_cameras"].items())
     facts = [
-        ("points", f"{told['points']:,}; {per_frame['fewest']} to {per_frame['most']} a frame, {per_frame['median']:g} mostly"),
+        ("points", f"{numbers['points']:,}; {per_frame['fewest']} to {per_frame['most']} a frame, {per_frame['median']:g} mostly"),
         ("seen by cameras", by_cameras or "–"),
-        ("pixel noise", f"{told['noise_px']:.3f} px"),
+        ("pixel noise", f"{numbers['noise_px']:.3f} px"),
     ]
-    if told["residual_px"]:
-        facts.append(("residual", f"{told['residual_px']['median']:.3f} px mostly, {told['residual_px']['p95']:.3f} px for 95 %"))
-        facts.append(("one deviation", f"{1000 * told['deviation_m']['median']:.2f} mm mostly"))
-    if told["still_points"]:
-        by_many = sum(point["cameras"] > 2 for point in told["still_points"])
-        facts.append(("points that never move", f"{len(told['still_points'])}, {by_many} of them by three cameras or more"))
-    masked = sum(camera["masked_places"] for camera in told["cameras"])
+    if numbers["residual_px"]:
+        facts.append(("residual", f"{numbers['residual_px']['median']:.3f} px mostly, {numbers['residual_px']['p95']:.3f} px for 95 %"))
+        facts.append(("one deviation", f"{1000 * numbers['deviation_m']['median']:.2f} mm mostly"))
+    if numbers["static_points"]:
+        by_many = sum(point["cameras"] > 2 for point in numbers["static_points"])
+        facts.append(("points that never move", f"{len(numbers['static_points'])}, {by_many} of them by three cameras or more"))
+    masked = sum(camera["masked_places"] for camera in numbers["cameras"])
     if masked:
         facts.append(("static lights left out", f"{masked} places in all images"))
-    if told.get("smoothed", {}).get("paths"):
-        paths = told["smoothed"]
+    if numbers.get("smoothed", {}).get("paths"):
+        paths = numbers["smoothed"]
         facts.append(("smoothed", f"{_console.count(paths['paths'])} paths, points moved by {1000 * paths['moved_m']:.2f} mm mostly"))
         facts.append(("one deviation then", f"{1000 * paths['deviation_m']:.2f} mm mostly"))
-    _console.facts(f"{output}: {told['frames']:,} frames", facts)
+    _console.facts(f"{output}: {numbers['frames']:,} frames", facts)

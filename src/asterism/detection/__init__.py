@@ -2,7 +2,7 @@
 
 from asterism.detection.blobs import Flag, Spots, automatic_threshold, find_blobs, static_mask
 from asterism.detection.sequences import CameraImages, Detection, detect
-from asterism.detection.static_lights import still_lights, without_still_lights
+from asterism.detection.static_lights import find_static_lights, without_static_lights
 
 __all__ = [
     "CameraImages",
@@ -12,7 +12,7 @@ __all__ = [
     "automatic_threshold",
     "detect",
     "find_blobs",
+    "find_static_lights",
     "static_mask",
-    "still_lights",
-    "without_still_lights",
+    "without_static_lights",
 ]

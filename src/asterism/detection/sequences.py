@@ -178,7 +178,7 @@ def _out_of_step(names: Sequence[str], behind: Floats, slipped: Floats, rig: Rig
             what = f"lost {images} on the way" if more < 0 else f"has {images} twice, or the others lost as many on the way"
             yield f"camera {name} {what} and is out of step from there on; record again, or give the time of each image."
         elif abs(frames) >= (_BEHIND if rig is None else 1):
-            yield out_of_step(name, frames)
+            yield " ".join(out_of_step(name, frames))
 
 
 @dataclass

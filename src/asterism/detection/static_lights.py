@@ -2,36 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from asterism.recording.arrays import Floats, Ints
 from asterism.recording.blobs import Blobs
 
+_SHARE = 0.4
+"""The share of a camera's images that show anything in which a static light is seen: people walk before lamps."""
+_CROWDED = 0.1
+"""A cell of the grid is looked at where it has blobs in this share of these images."""
 _RADIUS = 3.0
-"""px around a light that never moves in which blobs are it."""
-_SHARE, _WORTH_A_LOOK = 0.4, 0.1
-"""Of the images of a camera that show anything: so many show a light that never moves; one grid cell shows so many of these."""
+"""px, around a static light in which blobs belong to it; also the side of the grid's cells."""
 _FEWEST_IMAGES = 50
 
 
-def without_still_lights(blobs: Blobs, share: float = _SHARE) -> tuple[Blobs, Ints]:
+def without_static_lights(blobs: Blobs, share: float = _SHARE) -> tuple[Blobs, Ints]:
     """The blobs without those that stay at one place of an image in such a share of its frames; how many such places each camera has (C,).
 
-    Whatever rests for so long is left out while it does: a wand that lies still, too, whose frames tell nothing new.
+    Whatever rests for so long is left out: also a wand that lies still, whose frames say nothing new.
     """
-    lit, lights = still_lights(blobs, share)
-    if not lights.any():
-        return blobs, lights
-    counts = np.bincount((blobs.frame_of * len(blobs.cameras) + blobs.camera_of)[~lit], minlength=blobs.counts.size)
-    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    return replace(blobs, xy=blobs.xy[~lit], sizes=blobs.sizes[~lit], offsets=offsets), lights
+    lit, lights = find_static_lights(blobs, share)
+    return (blobs.select(~lit) if lights.any() else blobs), lights
 
 
-def still_lights(blobs: Blobs, share: float = _SHARE) -> tuple[NDArray[np.bool_], Ints]:
-    """(P,) which blobs lie where something stays in such a share of the camera's frames, and how many such places each camera has (C,).
+def find_static_lights(blobs: Blobs, share: float = _SHARE) -> tuple[NDArray[np.bool_], Ints]:
+    """Which blobs (P,) lie where something stays in such a share of the camera's frames, and how many such places each camera has (C,).
 
     Cameras with fewer than 50 frames that show anything are not looked at.
     """
@@ -39,22 +35,22 @@ def still_lights(blobs: Blobs, share: float = _SHARE) -> tuple[NDArray[np.bool_]
     lit = np.zeros(len(blobs.xy), dtype=np.bool_)
     lights = np.zeros(len(blobs.cameras), dtype=np.int64)
     for c in range(len(blobs.cameras)):
-        own = np.nonzero(camera == c)[0]
-        images = len(np.unique(frame[own]))
+        rows = np.nonzero(camera == c)[0]
+        images = len(np.unique(frame[rows]))
         if images < _FEWEST_IMAGES:
             continue
-        xy = blobs.xy[own]
-        for place in _crowded(xy, _WORTH_A_LOOK * images):
-            near = ~lit[own] & (np.linalg.norm(xy - place, axis=1) < _RADIUS)
-            if len(np.unique(frame[own[near]])) > share * images:
-                lit[own[near]] = True
+        xy = blobs.xy[rows]
+        for place in _crowded(xy, _CROWDED * images):
+            near = ~lit[rows] & (np.linalg.norm(xy - place, axis=1) < _RADIUS)
+            if len(np.unique(frame[rows[near]])) > share * images:
+                lit[rows[near]] = True
                 lights[c] += 1
     return lit, lights
 
 
 def _crowded(xy: Floats, least: float) -> Floats:
     """The medians (m, 2) px of what lies in cells of a grid that hold more than `least` of the places (n, 2), fullest first."""
-    _, own, count = np.unique(np.floor(xy / _RADIUS).astype(np.int64), axis=0, return_inverse=True, return_counts=True)
+    _, cell_of, count = np.unique(np.floor(xy / _RADIUS).astype(np.int64), axis=0, return_inverse=True, return_counts=True)
     full = np.nonzero(count > least)[0]
     full = full[np.argsort(-count[full], kind="stable")]
-    return np.array([np.median(xy[own.ravel() == cell], axis=0) for cell in full]).reshape(-1, 2)
+    return np.array([np.median(xy[cell_of.ravel() == cell], axis=0) for cell in full]).reshape(-1, 2)

@@ -1,7 +1,8 @@
 """3D clouds from the blobs of calibrated cameras."""
 
-from asterism.reconstruction.reconstruct import METHODS, reconstruct
+from asterism.reconstruction.reconstruct import reconstruct
 from asterism.reconstruction.result import Reconstruction
+from asterism.reconstruction.settings import METHODS, ReconstructionSettings
 from asterism.reconstruction.summary import summary
 
-__all__ = ["METHODS", "Reconstruction", "reconstruct", "summary"]
+__all__ = ["METHODS", "Reconstruction", "ReconstructionSettings", "reconstruct", "summary"]

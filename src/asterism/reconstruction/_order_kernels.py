@@ -12,7 +12,11 @@ RUN = 8
 
 @kernel
 def ascending(values, count):
-    """The order (count,) that sorts the first `count` values, ties in place; none is NaN. Merge sort, O(n log n). Twin: np.argsort."""
+    """The order that sorts values: a stable merge sort.
+
+    IN  values (n,), the first `count` of which count, without NaN
+    Returns order (count,). O(n log n). Twin: np.argsort
+    """
     order, spare = np.empty(count, np.int64), np.empty(count, np.int64)
     for begin in range(0, count, RUN):
         for i in range(begin, min(begin + RUN, count)):

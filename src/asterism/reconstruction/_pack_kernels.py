@@ -2,13 +2,44 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.reconstruction._hypothesis_kernels import holders_by_blob
 from asterism.reconstruction._order_kernels import ascending
 
 MOST_WORK = 5_000_000
-"""Looks at a rival that the search in one tangle may take before the best found so far must do, and again that exchanges may take."""
+"""How many times the search in one component may look at a rival before it stops with the best set found so far, and how many times the
+exchanges that follow may. It bounds a component to about 0.1 s."""
+TOLERANCE = 1e-9
+"""nats: a set must be better by more to replace another, so that rounding does not decide."""
+
+
+class Packing(NamedTuple):
+    """A packing problem of n hypotheses and B blobs.
+
+    rays     (n, C) blob of each camera or -1
+    scores   (n,) > 0
+    starts   (B + 1,), holders: blob b is held by the hypotheses holders[starts[b]:starts[b + 1]]
+    """
+
+    rays: np.ndarray
+    scores: np.ndarray
+    starts: np.ndarray
+    holders: np.ndarray
+
+
+class Component(NamedTuple):
+    """Hypotheses that are connected by common blobs: m of the n.
+
+    members   (m,) by falling score
+    place     (n,) the place of each hypothesis among the members, -1 for all others
+    """
+
+    members: np.ndarray
+    place: np.ndarray
 
 
 @kernel
@@ -16,100 +47,99 @@ def pack(rays, scores, count, blobs):
     """Choose hypotheses of the greatest total score, no two with a blob in common.
 
     IN  rays (n, C) blob numbers below `blobs` or -1; scores (n,) > 0; the first `count` rows count
-    Returns chosen (count,) bool, and how many tangles were cut off before their search had proved the best.
-    A hypothesis that is worth no less than the best that its rivals can be worth together is taken at once; what is left falls into
-    tangles without common blobs, each solved by branch and bound. Within MOST_WORK the choice is the best there is (twin: an
-    integer program); beyond, it is the best found, improved by exchanges of one for several.
+    Returns chosen (count,) bool, and for how many components the search ended before the choice was proved to be the best.
+
+    A hypothesis that is worth no less than the best that its rivals can be worth together is taken at once. What is left falls into
+    components without common blobs, each solved by branch and bound. Within MOST_WORK the choice is the best there is; beyond, it is the
+    best found, improved by exchanges of one for several. Twins: an integer program, all subsets (tests/test_reconstruction.py)
     """
-    cameras = rays.shape[1]
     order = ascending(-scores, count)
-    starts = np.zeros(blobs + 1, np.int64)
-    for n in range(count):
-        for c in range(cameras):
-            if rays[n, c] >= 0:
-                starts[rays[n, c] + 1] += 1
-    for blob in range(blobs):
-        starts[blob + 1] += starts[blob]
-    holders = np.empty(starts[blobs], np.int64)
-    fill = np.empty(blobs + 1, np.int64)
-    for blob in range(blobs + 1):
-        fill[blob] = starts[blob]
+    starts, holders = holders_by_blob(rays, order, blobs)
+    problem = Packing(rays, scores, starts, holders)
+    chosen, open_ = np.zeros(count, np.bool_), np.ones(count, np.bool_)
+    _take_dominant(problem, order, open_, chosen)
+    unproved = 0
+    members, falling, place = np.empty(count, np.int64), np.empty(count), np.full(count, -1, np.int64)
     for n in order:
-        for c in range(cameras):
-            if rays[n, c] >= 0:
-                holders[fill[rays[n, c]]] = n
-                fill[rays[n, c]] += 1
-    chosen = np.zeros(count, np.bool_)
-    alive = np.ones(count, np.bool_)
-    seen = np.full(count, -1, np.int64)
+        if not open_[n]:
+            continue
+        many = _conflict_component(problem, open_, n, members, place)
+        for k in range(many):
+            falling[k] = -scores[members[k]]
+        component = Component(members[ascending(falling, many)], place)
+        for k in range(many):
+            place[component.members[k]] = k
+        if not _search(problem, component, chosen):
+            unproved += 1
+        for k in range(many):
+            open_[component.members[k]] = False
+            place[component.members[k]] = -1
+    return chosen, unproved
+
+
+@kernel
+def _take_dominant(problem, order, open_, chosen):
+    """Take each hypothesis that is worth no less than the sum, over its blobs, of the best rival there; repeat while one is found.
+
+    IN  order (n,) by falling score
+    OUT open_ (n,), False for hypotheses that are taken or lost; chosen (n,)
+    """
+    counted = np.full(len(order), -1, np.int64)
     stamp = 0
     changed = True
     while changed:
         changed = False
         for n in order:
-            if not alive[n]:
+            if not open_[n]:
                 continue
             stamp += 1
             rivals = 0.0
-            for c in range(cameras):
-                if rays[n, c] < 0:
+            for c in range(problem.rays.shape[1]):
+                blob = problem.rays[n, c]
+                if blob < 0:
                     continue
                 best = 0.0
-                for place in range(starts[rays[n, c]], starts[rays[n, c] + 1]):
-                    other = holders[place]
-                    if alive[other] and other != n and seen[other] != stamp:
-                        seen[other] = stamp
-                        best = max(best, scores[other])
+                for at in range(problem.starts[blob], problem.starts[blob + 1]):
+                    other = problem.holders[at]
+                    if open_[other] and other != n and counted[other] != stamp:
+                        counted[other] = stamp
+                        best = max(best, problem.scores[other])
                 rivals += best
-            if scores[n] >= rivals:
+            if problem.scores[n] >= rivals:
                 chosen[n] = True
                 changed = True
-                _strike(rays, starts, holders, alive, n)
-    unproved = 0
-    members, falling, local = np.empty(count, np.int64), np.empty(count), np.full(count, -1, np.int64)
-    for n in order:
-        if alive[n]:
-            many = _tangle(rays, starts, holders, alive, n, members, local)
-            for k in range(many):
-                falling[k] = -scores[members[k]]
-            tangle = members[ascending(falling, many)]
-            for k in range(many):
-                local[tangle[k]] = k
-            if not _search(rays, scores, starts, holders, local, tangle, chosen):
-                unproved += 1
-            for k in range(many):
-                alive[tangle[k]] = False
-                local[tangle[k]] = -1
-    return chosen, unproved
+                _remove_with_rivals(problem, open_, n)
 
 
 @kernel
-def _strike(rays, starts, holders, alive, n):
+def _remove_with_rivals(problem, open_, n):
     """Take a hypothesis and all its rivals off the list."""
-    alive[n] = False
-    for c in range(rays.shape[1]):
-        if rays[n, c] >= 0:
-            for place in range(starts[rays[n, c]], starts[rays[n, c] + 1]):
-                alive[holders[place]] = False
+    open_[n] = False
+    for c in range(problem.rays.shape[1]):
+        blob = problem.rays[n, c]
+        if blob >= 0:
+            for at in range(problem.starts[blob], problem.starts[blob + 1]):
+                open_[problem.holders[at]] = False
 
 
 @kernel
-def _tangle(rays, starts, holders, alive, n, members, local):
-    """All living hypotheses that hang together with one by common blobs, which `local` marks; they are written to `members`.
+def _conflict_component(problem, open_, n, members, place):
+    """All open hypotheses that are connected with hypothesis n by common blobs.
 
-    Returns how many. Allocates nothing: frames can have thousands of tangles.
+    OUT members, the first of which they are; place, not -1 for them
+    Returns how many. Allocates nothing: frames can have thousands of components.
     """
-    local[n] = 0
+    place[n] = 0
     members[0] = n
     many, at = 1, 0
     while at < many:
-        for c in range(rays.shape[1]):
-            blob = rays[members[at], c]
+        for c in range(problem.rays.shape[1]):
+            blob = problem.rays[members[at], c]
             if blob >= 0:
-                for place in range(starts[blob], starts[blob + 1]):
-                    other = holders[place]
-                    if alive[other] and local[other] < 0:
-                        local[other] = many
+                for k in range(problem.starts[blob], problem.starts[blob + 1]):
+                    other = problem.holders[k]
+                    if open_[other] and place[other] < 0:
+                        place[other] = many
                         members[many] = other
                         many += 1
         at += 1
@@ -117,70 +147,51 @@ def _tangle(rays, starts, holders, alive, n, members, local):
 
 
 @kernel
-def _search(rays, scores, starts, holders, local, members, chosen):
-    """Branch and bound over one tangle, best first into `chosen`. Returns whether the result is proved the best.
+def _search(problem, component, chosen):
+    """Branch and bound over one component, which begins with the greedy choice.
 
-    members: by falling score; local: their places among them, -1 for all others. The search begins with the greedy choice. Its bound lets
-    each blob be used once but no more: a cover of the hypotheses by blobs, each blob at the worth of its best.
+    OUT chosen (n,), the best set added
+    Returns whether that set is proved to be the best. At most MOST_WORK looks at rivals.
     """
+    scores, members = problem.scores, component.members
     many = len(members)
-    blocked = np.zeros(many, np.int64)
+    blocked, covered = np.zeros(many, np.int64), np.full(many, -1, np.int64)
     taken, best = np.zeros(many, np.bool_), np.zeros(many, np.bool_)
-    covered = np.full(many, -1, np.int64)
     path = np.empty(many + 1, np.int64)
-    best_value = _greedy(rays, scores, starts, holders, local, members, best)
+    best_value = _greedy(problem, component, best)
     depth, at, value, work, stamp = 0, 0, 0.0, 0, 0
-    proved = True
-    going = True
+    proved, going = True, True
     while going:
-        bound = value
         stamp += 1
-        for k in range(at, many):
-            if blocked[k] == 0 and covered[k] != stamp:
-                bound += scores[members[k]]
-                opened, widest = -1, 0
-                for c in range(rays.shape[1]):
-                    blob = rays[members[k], c]
-                    if blob >= 0:
-                        wide = 0
-                        work += starts[blob + 1] - starts[blob]
-                        for place in range(starts[blob], starts[blob + 1]):
-                            j = local[holders[place]]
-                            wide += j >= at and blocked[j] == 0 and covered[j] != stamp
-                        if wide > widest:
-                            opened, widest = blob, wide
-                for place in range(starts[opened], starts[opened + 1]):
-                    j = local[holders[place]]
-                    if j >= 0:
-                        covered[j] = stamp
+        bound, looks = _bound(problem, component, at, value, blocked, covered, stamp)
+        work += looks
         while at < many and blocked[at] != 0:
             at += 1
-        if bound > best_value + 1e-9 and at < many and work <= MOST_WORK:
+        if bound > best_value + TOLERANCE and at < many and work <= MOST_WORK:
             taken[at] = True
             value += scores[members[at]]
             path[depth] = at
             depth += 1
-            _block(rays, starts, holders, local, members[at], blocked, 1)
+            _count_conflicts(problem, component, at, blocked, 1)
             at += 1
             continue
-        if at >= many and value > best_value + 1e-9:
+        if at >= many and value > best_value + TOLERANCE:
             best_value = value
             for k in range(many):
                 best[k] = taken[k]
         if work > MOST_WORK:
             proved = False
             break
-        going = False
-        if depth > 0:
+        going = depth > 0
+        if going:
             depth -= 1
             at = path[depth]
             taken[at] = False
             value -= scores[members[at]]
-            _block(rays, starts, holders, local, members[at], blocked, -1)
+            _count_conflicts(problem, component, at, blocked, -1)
             at += 1
-            going = True
     if not proved:
-        _exchange(rays, scores, starts, holders, local, members, best)
+        _exchange(problem, component, best)
     for k in range(many):
         if best[k]:
             chosen[members[k]] = True
@@ -188,40 +199,78 @@ def _search(rays, scores, starts, holders, local, members, chosen):
 
 
 @kernel
-def _greedy(rays, scores, starts, holders, local, members, best):
-    """Take the hypotheses of a tangle in their order where they still can be, into `best`. Returns what they are worth."""
-    blocked = np.zeros(len(members), np.int64)
+def _bound(problem, component, at, value, blocked, covered, stamp):
+    """What a set can be worth at most: its value, and what the members from place `at` on can add.
+
+    Each blob is used once but no more: a cover of the members by blobs, each blob at the worth of its best member.
+
+    IN  blocked (m,) how many rivals are in the set; covered (m,), stamp: a workspace, and a number that is not yet in it
+    Returns the bound and how many times it looked at a rival.
+    """
+    rays, starts, holders = problem.rays, problem.starts, problem.holders
+    bound, looks = value, 0
+    for k in range(at, len(component.members)):
+        if blocked[k] != 0 or covered[k] == stamp:
+            continue
+        n = component.members[k]
+        bound += problem.scores[n]
+        widest_blob, widest = -1, 0
+        for c in range(rays.shape[1]):
+            blob = rays[n, c]
+            if blob >= 0:
+                wide = 0
+                looks += starts[blob + 1] - starts[blob]
+                for place in range(starts[blob], starts[blob + 1]):
+                    j = component.place[holders[place]]
+                    wide += j >= at and blocked[j] == 0 and covered[j] != stamp
+                if wide > widest:
+                    widest_blob, widest = blob, wide
+        for place in range(starts[widest_blob], starts[widest_blob + 1]):
+            j = component.place[holders[place]]
+            if j >= 0:
+                covered[j] = stamp
+    return bound, looks
+
+
+@kernel
+def _greedy(problem, component, best):
+    """Take the members of a component in their order where no rival was taken, into best (m,). Returns what they are worth."""
+    blocked = np.zeros(len(component.members), np.int64)
     value = 0.0
-    for k in range(len(members)):
+    for k in range(len(component.members)):
         if blocked[k] == 0:
             best[k] = True
-            value += scores[members[k]]
-            _block(rays, starts, holders, local, members[k], blocked, 1)
+            value += problem.scores[component.members[k]]
+            _count_conflicts(problem, component, k, blocked, 1)
     return value
 
 
 @kernel
-def _block(rays, starts, holders, local, n, blocked, by):
-    """Count one more (or less) chosen rival for everything that shares a blob with hypothesis n."""
-    for c in range(rays.shape[1]):
-        blob = rays[n, c]
+def _count_conflicts(problem, component, k, blocked, by):
+    """Count one more (or less) rival in the set for each member that shares a blob with member k, for each such blob."""
+    n = component.members[k]
+    for c in range(problem.rays.shape[1]):
+        blob = problem.rays[n, c]
         if blob >= 0:
-            for place in range(starts[blob], starts[blob + 1]):
-                j = local[holders[place]]
+            for at in range(problem.starts[blob], problem.starts[blob + 1]):
+                j = component.place[problem.holders[at]]
                 if j >= 0:
                     blocked[j] += by
 
 
 @kernel
-def _exchange(rays, scores, starts, holders, local, members, best):
-    """Improve a choice while putting one hypothesis in and its rivals out, then what became free in, is worth more."""
-    many = len(members)
+def _exchange(problem, component, best):
+    """Improve a set while it is worth more to put one member in, its rivals out, and then in what became free.
+
+    OUT best (m,) bool, changed in place
+    At most about MOST_WORK looks at rivals.
+    """
+    many = len(component.members)
     blocked = np.zeros(many, np.int64)
     for k in range(many):
         if best[k]:
-            _block(rays, starts, holders, local, members[k], blocked, 1)
-    out = np.empty(many, np.int64)
-    new = np.empty(many, np.int64)
+            _count_conflicts(problem, component, k, blocked, 1)
+    removed, added = np.empty(many, np.int64), np.empty(many, np.int64)
     improved = True
     work = 0
     while improved and work <= MOST_WORK:
@@ -229,43 +278,62 @@ def _exchange(rays, scores, starts, holders, local, members, best):
         for k in range(many):
             if best[k] or work > MOST_WORK:
                 continue
-            lost, leaving = 0.0, 0
-            for c in range(rays.shape[1]):
-                blob = rays[members[k], c]
-                if blob >= 0:
-                    work += starts[blob + 1] - starts[blob]
-                    for place in range(starts[blob], starts[blob + 1]):
-                        j = local[holders[place]]
-                        if j >= 0 and best[j]:
-                            best[j] = False
-                            _block(rays, starts, holders, local, members[j], blocked, -1)
-                            out[leaving] = j
-                            leaving += 1
-                            lost += scores[members[j]]
-            best[k] = True
-            _block(rays, starts, holders, local, members[k], blocked, 1)
-            won, coming = scores[members[k]], 0
-            for o in range(leaving):
-                for c in range(rays.shape[1]):
-                    blob = rays[members[out[o]], c]
-                    if blob >= 0:
-                        work += starts[blob + 1] - starts[blob]
-                        for place in range(starts[blob], starts[blob + 1]):
-                            j = local[holders[place]]
-                            if j >= 0 and not best[j] and blocked[j] == 0:
-                                best[j] = True
-                                _block(rays, starts, holders, local, members[j], blocked, 1)
-                                new[coming] = j
-                                coming += 1
-                                won += scores[members[j]]
-            if won > lost + 1e-9:
+            leaving, lost, looks = _remove_rivals(problem, component, k, best, blocked, removed)
+            work += looks
+            _set_member(problem, component, k, best, blocked, True)
+            won = problem.scores[component.members[k]]
+            coming, won = _add_freed(problem, component, removed[:leaving], won, best, blocked, added)
+            if won > lost + TOLERANCE:
                 improved = True
                 continue
             for n in range(coming):
-                best[new[n]] = False
-                _block(rays, starts, holders, local, members[new[n]], blocked, -1)
-            best[k] = False
-            _block(rays, starts, holders, local, members[k], blocked, -1)
-            for o in range(leaving):
-                best[out[o]] = True
-                _block(rays, starts, holders, local, members[out[o]], blocked, 1)
+                _set_member(problem, component, added[n], best, blocked, False)
+            _set_member(problem, component, k, best, blocked, False)
+            for n in range(leaving):
+                _set_member(problem, component, removed[n], best, blocked, True)
+
+
+@kernel
+def _set_member(problem, component, k, best, blocked, chosen):
+    """Put member k into a set or out of it."""
+    best[k] = chosen
+    _count_conflicts(problem, component, k, blocked, 1 if chosen else -1)
+
+
+@kernel
+def _remove_rivals(problem, component, k, best, blocked, removed):
+    """Put all rivals of member k out of a set, into removed (m,). Returns how many, what they were worth, and the looks at rivals."""
+    leaving, lost, looks = 0, 0.0, 0
+    for c in range(problem.rays.shape[1]):
+        blob = problem.rays[component.members[k], c]
+        if blob >= 0:
+            looks += problem.starts[blob + 1] - problem.starts[blob]
+            for at in range(problem.starts[blob], problem.starts[blob + 1]):
+                j = component.place[problem.holders[at]]
+                if j >= 0 and best[j]:
+                    _set_member(problem, component, j, best, blocked, False)
+                    removed[leaving] = j
+                    leaving += 1
+                    lost += problem.scores[component.members[j]]
+    return leaving, lost, looks
+
+
+@kernel
+def _add_freed(problem, component, removed, worth, best, blocked, added):
+    """Put in all members that share a blob with a removed one and have no rival in the set any more, into added (m,).
+
+    Returns how many, and `worth` with what they are worth added.
+    """
+    coming = 0
+    for r in removed:
+        for c in range(problem.rays.shape[1]):
+            blob = problem.rays[component.members[r], c]
+            if blob >= 0:
+                for at in range(problem.starts[blob], problem.starts[blob + 1]):
+                    j = component.place[problem.holders[at]]
+                    if j >= 0 and not best[j] and blocked[j] == 0:
+                        _set_member(problem, component, j, best, blocked, True)
+                        added[coming] = j
+                        coming += 1
+                        worth += problem.scores[component.members[j]]
+    return coming, worth

@@ -1,49 +1,53 @@
-"""Blobs in; the rays that they are, without the blobs that cannot be one."""
+"""Blobs in; their rays, without the blobs that have none, out."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asterism.cameras import Rig
-from asterism.reconstruction import _kernels
+from asterism.reconstruction._frame_kernels import RayArrays
+from asterism.reconstruction._input_kernels import first_of_duplicates, pixel_jacobian
 from asterism.recording import Blobs, Floats
 
 
 @dataclass(frozen=True)
 class Rays:
-    """Blobs as rays: flat (B, 2) on each camera's normalized plane, slopes (B, 4) px: how far a blob moves when its ray does."""
+    """Blobs as rays.
+
+    blobs       those that have a ray
+    normalised  (B, 2) where the ray crosses its camera's normalised image plane
+    jacobian    (B, 4) px, how far the blob moves when its ray does: du/dx, du/dy, dv/dx, dv/dy
+    """
 
     blobs: Blobs
-    flat: Floats
-    slopes: Floats
+    normalised: Floats
+    jacobian: Floats
+
+    @property
+    def arrays(self) -> RayArrays:
+        """The rays as the kernels take them."""
+        return RayArrays(self.normalised, self.jacobian, self.blobs.offsets)
 
 
-def rays_of(blobs: Blobs, rig: Rig) -> tuple[Rays, int, int]:
-    """The rays of all blobs; how many blobs were left out because the lens model leads no ray there, and because they are there twice."""
-    flat = np.empty_like(blobs.xy)
+def to_rays(blobs: Blobs, rig: Rig) -> tuple[Rays, int, int]:
+    """The rays of all blobs; how many blobs were left out because the lens model has no ray there, and how many as duplicates."""
+    normalised = np.empty_like(blobs.xy)
     camera_of = blobs.camera_of
     for number, camera in enumerate(rig):
-        mine = np.nonzero(camera_of == number)[0]
-        flat[mine] = camera.undistort(blobs.xy[mine])
-    reached = np.isfinite(flat).all(axis=1)
-    single = np.empty(len(flat), dtype=np.bool_)
-    _kernels.first_of_equals(blobs.xy, blobs.offsets, single)
+        rows = np.nonzero(camera_of == number)[0]
+        normalised[rows] = camera.undistort(blobs.xy[rows])
+    reached = np.isfinite(normalised).all(axis=1)
+    single = np.empty(len(normalised), dtype=np.bool_)
+    first_of_duplicates(blobs.xy, blobs.offsets, single)
     kept = reached & single
     if not kept.all():
-        blobs, flat, camera_of = only(blobs, kept), flat[kept], camera_of[kept]
-    slopes = np.empty((len(flat), 4))
+        blobs, normalised, camera_of = blobs.select(kept), normalised[kept], camera_of[kept]
+    jacobian = np.empty((len(normalised), 4))
     for number, camera in enumerate(rig):
-        mine = np.nonzero(camera_of == number)[0]
-        share = np.empty((len(mine), 4))
-        _kernels.lens_slopes(camera.lens, flat[mine], share)
-        slopes[mine] = share
-    return Rays(blobs, flat, slopes), int((~reached).sum()), int((reached & ~single).sum())
-
-
-def only(blobs: Blobs, kept: NDArray[np.bool_]) -> Blobs:
-    """Some of the blobs; `kept` (P,) says which."""
-    before = np.concatenate([[0], np.cumsum(kept)])
-    return replace(blobs, xy=blobs.xy[kept], offsets=before[blobs.offsets].astype(np.int64), sizes=blobs.sizes[kept])
+        rows = np.nonzero(camera_of == number)[0]
+        of_camera = np.empty((len(rows), 4))
+        pixel_jacobian(camera.lens, normalised[rows], of_camera)
+        jacobian[rows] = of_camera
+    return Rays(blobs, normalised, jacobian), int((~reached).sum()), int((reached & ~single).sum())

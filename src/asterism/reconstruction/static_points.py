@@ -6,48 +6,50 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asterism.detection.static_lights import still_lights
+from asterism.detection.static_lights import find_static_lights
 from asterism.reconstruction.result import Reconstruction
 from asterism.recording import Floats
 
-_STILL = 0.4
-"""The share of the frames that a light must stay for, and a point."""
+_SHARE = 0.4
+"""The share of the frames in which a light must stay at its place, and a point."""
 _FRAMES = 400
+"""Frames that are looked at."""
 _RADIUS = 0.02
+"""m, around a static point in which others are taken to be the same, besides six standard deviations."""
 
 
 @dataclass(frozen=True)
-class StillPoint:
-    """A point that blobs make which never move in their images.
+class StaticPoint:
+    """A point whose blobs never move in their images.
 
-    place    (3,) m, the median of where it was
-    share    of the frames that have it
-    cameras  how many cameras show it, mostly
+    position  (3,) m, the median over time
+    share     of the frames that have it
+    cameras   how many cameras show it, in the median
     """
 
-    place: Floats
+    position: Floats
     share: float
     cameras: int
 
 
-def still_points(result: Reconstruction) -> tuple[StillPoint, ...]:
+def find_static_points(result: Reconstruction) -> tuple[StaticPoint, ...]:
     """Points all of whose blobs stay at one place of their image in two of five frames, if as many frames have them.
 
-    Those of most frames first. Nobody can tell a resting marker from a lamp, but where there are many cameras a point that two of them
-    show is mostly two reflections that have nothing to do with each other. Looks at 400 frames, evenly spread; needs 50.
+    Those of most frames come first. A resting marker cannot be told from a lamp. But where there are many cameras, a point that two of them
+    show is mostly two unrelated reflections. Looks at 400 frames, evenly spread; needs 50.
     """
-    lit, lights = still_lights(result.blobs, _STILL)
+    lit, lights = find_static_lights(result.blobs, _SHARE)
     if not lights.any():
         return ()
     frames = np.unique(np.linspace(0, len(result.clouds) - 1, min(_FRAMES, len(result.clouds))).astype(np.int64))
-    frame_of = np.repeat(np.arange(len(result.clouds)), result.clouds.counts)
-    still = np.flatnonzero((lit[result.rays] | ~result.cameras).all(axis=1) & np.isin(frame_of, frames))
+    frame_of = result.clouds.frame_of
+    left = np.flatnonzero((lit[result.rays] | ~result.cameras).all(axis=1) & np.isin(frame_of, frames))
     found = []
-    while len(still):
-        near = np.linalg.norm(result.clouds.xyz[still] - result.clouds.xyz[still[0]], axis=1) < _RADIUS + 6 * result.deviation[still[0]]
-        share = len(np.unique(frame_of[still[near]])) / len(frames)
-        if share >= _STILL:
-            place = np.median(result.clouds.xyz[still[near]], axis=0)
-            found.append(StillPoint(place, share, int(np.median(result.cameras[still[near]].sum(axis=1)))))
-        still = still[~near]
+    while len(left):
+        near = np.linalg.norm(result.clouds.xyz[left] - result.clouds.xyz[left[0]], axis=1) < _RADIUS + 6 * result.deviation[left[0]]
+        share = len(np.unique(frame_of[left[near]])) / len(frames)
+        if share >= _SHARE:
+            position = np.median(result.clouds.xyz[left[near]], axis=0)
+            found.append(StaticPoint(position, share, int(np.median(result.cameras[left[near]].sum(axis=1)))))
+        left = left[~near]
     return tuple(sorted(found, key=lambda point: -point.share))

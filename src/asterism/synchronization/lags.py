@@ -65,12 +65,12 @@ def lags(blobs: Blobs, rig: Rig | None = None, longest: int = _LONGEST) -> Float
     return behind
 
 
-def out_of_step(name: str, behind: float) -> str:
-    """A sentence about a camera that is so many frames behind most others, see `lags`."""
+def out_of_step(name: str, behind: float) -> tuple[str, str]:
+    """A sentence about a camera that is so many frames behind most others, see `lags`, and what to do about it."""
     many = f"{abs(behind):.0f} frame{'s' if abs(behind) != 1 else ''}"
     return (
-        f"camera {name} is {many} out of step: its frame 200 is the others' frame {200 - behind:.0f}; start the cameras together, "
-        "give the time of each image, or renumber its frames."
+        f"camera {name} is {many} out of step: its frame 200 is the others' frame {200 - behind:.0f}.",
+        "Start the cameras together, give the time of each image, or renumber its frames.",
     )
 
 

@@ -19,7 +19,7 @@ from asterism.calibration.wand.synchronise import in_step
 from asterism.calibration.wand.world import default_world
 from asterism.cameras.bundle import Sightings, locate
 from asterism.cameras.rig import Rig
-from asterism.detection.static_lights import without_still_lights
+from asterism.detection.static_lights import without_static_lights
 from asterism.errors import AsterismError
 from asterism.progress import Progress
 from asterism.recording import Blobs, Floats, Ints
@@ -123,7 +123,7 @@ def calibrate_wand(
     if len(wand.lengths) == 1 and distance is not None:
         check_distance(blobs.cameras, distance)
     told(0.0, "looking for the wand")
-    blobs, lights = without_still_lights(blobs)
+    blobs, lights = without_static_lights(blobs)
     chosen = identify(blobs, wand)
     check_found(blobs, chosen, wand, lights)
     frames = len(blobs)

@@ -1,4 +1,4 @@
-"""Lights that never move: said where they make points, left out only when asked."""
+"""Lights that never move: reported where they make points, left out only when asked."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from asterism.cameras import Rig
 from asterism.cameras.files import write_rig
 from asterism.cli import main
 from asterism.formats import write_blobs
-from asterism.reconstruction import reconstruct, summary
-from asterism.reconstruction.static_points import still_points
+from asterism.reconstruction import ReconstructionSettings, reconstruct, summary
+from asterism.reconstruction.static_points import find_static_points
 from asterism.recording import Blobs
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import images_of, ring_rig, walker_capsules
@@ -32,7 +32,7 @@ def filmed(reflections: int, frames: int = 120) -> tuple[Rig, np.ndarray, Blobs]
 
 
 def ghosts(rig: Rig, truth: np.ndarray, blobs: Blobs, **more: bool) -> float:
-    points = compare_points(reconstruct(blobs, rig, **more).clouds, truth, np.isfinite(truth[:, :, 0]))
+    points = compare_points(reconstruct(blobs, rig, ReconstructionSettings(**more)).clouds, truth, np.isfinite(truth[:, :, 0]))
     return 1000 * points.ghosts / points.points
 
 
@@ -40,35 +40,38 @@ def test_masking_takes_ghosts_of_reflections_away_and_no_marker() -> None:
     rig, truth, blobs = filmed(12)
     assert ghosts(rig, truth, blobs) > 60, "nothing to mask"
     assert ghosts(rig, truth, blobs, mask_static=True) < 3
-    masked = reconstruct(blobs, rig, mask_static=True)
+    masked = reconstruct(blobs, rig, ReconstructionSettings(mask_static=True))
     found = compare_points(masked.clouds, truth, np.isfinite(truth[:, :, 0]))
     assert found.found(0.01) >= compare_points(reconstruct(blobs, rig).clouds, truth, np.isfinite(truth[:, :, 0])).found(0.01)
-    assert masked.masked.min() >= 12
+    assert masked.masked_places.min() >= 12
 
 
-def test_still_points_are_said_with_place_and_cameras() -> None:
+def test_static_points_are_given_with_position_and_cameras() -> None:
     rig, _, blobs = filmed(0)
-    (lamp,) = still_points(reconstruct(blobs, rig))
-    assert np.linalg.norm(lamp.place - [1.2, -0.9, 0.1]) < 2e-3
+    (lamp,) = find_static_points(reconstruct(blobs, rig))
+    assert np.linalg.norm(lamp.position - [1.2, -0.9, 0.1]) < 2e-3
     assert lamp.cameras >= 4 and lamp.share == 1.0
-    told = summary(reconstruct(blobs, rig), rig)
-    assert told["remarks"] == [], "a marker that rests on the floor, seen by many cameras, is no fault"
-    assert len(told["still_points"]) == 1
+    numbers, findings = summary(reconstruct(blobs, rig), rig)
+    assert findings == (), "a marker that rests on the floor, seen by many cameras, is no fault"
+    assert len(numbers["static_points"]) == 1
 
 
-def test_reflections_that_meet_in_two_cameras_are_doubted() -> None:
+def test_reflections_that_meet_in_two_cameras_are_found() -> None:
     rig, _, blobs = filmed(12)
-    assert any("two cameras only" in said and "--mask-static" in said for said in summary(reconstruct(blobs, rig), rig)["remarks"])
+    finding = summary(reconstruct(blobs, rig), rig)[1][-1]
+    assert finding.code == "reconstruct-static-points" and "two cameras only" in finding.sentence and "--mask-static" in finding.mend
 
 
-def test_a_static_trial_is_not_doubted_and_says_when_masking_took_it() -> None:
+def test_a_static_trial_is_no_finding_until_masking_takes_it() -> None:
     rig, truth, _ = filmed(0)
     still = np.repeat(truth[:1], 80, axis=0)
     blobs, _ = images_of(rig, still, 0.3, missed=0.1, rng=np.random.default_rng(0))
     made = reconstruct(blobs, rig)
-    assert summary(made, rig)["remarks"] == []
-    assert len(still_points(made)) > 0.8 * still.shape[1]
-    assert any("never move and were left out" in said for said in reconstruct(blobs, rig, mask_static=True).remarks)
+    assert summary(made, rig)[1] == ()
+    assert len(find_static_points(made)) > 0.8 * still.shape[1]
+    assert "reconstruct-mostly-static" in {
+        finding.code for finding in reconstruct(blobs, rig, ReconstructionSettings(mask_static=True)).findings
+    }
 
 
 def test_the_command_says_and_masks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -79,6 +82,6 @@ def test_the_command_says_and_masks(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main([*words, "--json", str(tmp_path / "told.json")]) == 1
     shown = capsys.readouterr()
     assert "points that never move" in shown.out and "reflections" in shown.err
-    assert len(json.loads((tmp_path / "told.json").read_text())["still_points"]) > 1
+    assert len(json.loads((tmp_path / "told.json").read_text())["static_points"]) > 1
     assert main([*words, "--mask-static", "--overwrite"]) == 0
     assert "static lights left out" in capsys.readouterr().out

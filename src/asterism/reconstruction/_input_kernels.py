@@ -1,0 +1,162 @@
+"""A rig and the blobs of one frame in; the arrays on which all kernels of the reconstruction work out.
+
+All coordinates of a frame are undistorted coordinates on each camera's normalised image plane, computed once; Jacobians carry a small step
+there to pixels.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from asterism._jit import kernel
+from asterism.cameras._kernels import FX, FY, distorted
+from asterism.reconstruction._order_kernels import ascending
+
+NOISE, GAIN, MISSING, LOW, HIGH, LENS = 15, 16, 17, 18, 20, 22
+"""Columns of a camera's row in `RigArrays.cameras`, behind 9 of its rotation, 3 of its translation, 3 of its position."""
+PRIOR, GATE, FEWEST, VOLUME_LOW, VOLUME_HIGH = 0, 1, 2, 3, 6
+"""Places in `RigArrays.limits`."""
+LEFT, TOP, PER_X, PER_Y, SIDE, CELLS, FIRST, END = 0, 1, 2, 3, 4, 5, 6, 7
+"""Columns of a camera's row in `FrameArrays.grid`."""
+
+
+class RigArrays(NamedTuple):
+    """A rig of C cameras and K camera pairs, with its observation model. Few arrays: each adds to the cost of every call.
+
+    cameras  (C, LENS + lens): rotation (9), translation (3) m, position (3) m; pixel noise px; gain: nats for an explained blob, before
+             its residual; missing: nats for a blob that is expected and absent; lowest and highest x, y px of the image; the lens
+    limits   (9,): prior nats for a point; gate in standard deviations; fewest cameras of a point; two corners m of the volume
+    pairs    (K, 2) the two cameras of each pair, the most rectangular pair first
+    axes     (K, 2, 3) unit vectors that span the plane across the pair's baseline
+    """
+
+    cameras: np.ndarray
+    limits: np.ndarray
+    pairs: np.ndarray
+    axes: np.ndarray
+
+
+class FrameArrays(NamedTuple):
+    """One frame's B blobs, by camera, with a grid of cells over each image to find them.
+
+    blobs  (B, 6): undistorted x, y; Jacobian du/dx, du/dy, dv/dx, dv/dy px
+    grid   (C, 8): left, top; cells per unit of x, y; cells along a side; where the camera's cells begin in `bins`; its first blob, its end
+    bins   for each cell of each camera where its blobs begin in `bins`, then the blob numbers
+    """
+
+    blobs: np.ndarray
+    grid: np.ndarray
+    bins: np.ndarray
+
+
+@kernel
+def pixel_jacobian(lens, normalised, out):
+    """How far a blob moves in the image when its ray does.
+
+    IN  lens (LENS,); normalised (n, 2) undistorted coordinates
+    OUT out (n, 4) px: du/dx, du/dy, dv/dx, dv/dy
+    O(n), no allocation.
+    """
+    for i in range(len(normalised)):
+        _, _, ux, uy, vx, vy = distorted(lens, normalised[i, 0], normalised[i, 1])
+        out[i, 0], out[i, 1] = lens[FX] * ux, lens[FX] * uy
+        out[i, 2], out[i, 3] = lens[FY] * vx, lens[FY] * vy
+
+
+@kernel
+def first_of_duplicates(xy, offsets, out):
+    """Whether a blob is the first of its image at its position.
+
+    IN  xy (B, 2) px; offsets (T * C + 1,) as in Blobs
+    OUT out (B,) bool
+    O(B log B). Twin: tests/twins_reconstruction.py
+    """
+    for cell in range(len(offsets) - 1):
+        begin, end = offsets[cell], offsets[cell + 1]
+        x = np.empty(end - begin)
+        for k in range(end - begin):
+            x[k] = xy[begin + k, 0]
+        order = ascending(x, end - begin)
+        for k in range(end - begin):
+            out[begin + order[k]] = True
+            back = k - 1
+            while back >= 0 and x[order[back]] == x[order[k]]:
+                if xy[begin + order[back], 1] == xy[begin + order[k], 1]:
+                    out[begin + order[k]] = False
+                back -= 1
+
+
+@kernel
+def frame_arrays(normalised, jacobian, first):
+    """Lay a grid over each camera's blobs, about one blob a cell.
+
+    IN  normalised (B, 2); jacobian (B, 4) px; first (C + 1,) where each camera's blobs begin
+    Returns FrameArrays. O(B).
+    """
+    cameras, count = len(first) - 1, len(normalised)
+    blobs = np.empty((count, 6))
+    for i in range(count):
+        blobs[i, 0], blobs[i, 1] = normalised[i, 0], normalised[i, 1]
+        for k in range(4):
+            blobs[i, 2 + k] = jacobian[i, k]
+    grid = np.zeros((cameras, 8))
+    total = 0
+    for c in range(cameras):
+        side = max(1, int(math.sqrt(first[c + 1] - first[c])))
+        grid[c, SIDE], grid[c, CELLS], grid[c, FIRST], grid[c, END] = side, total, first[c], first[c + 1]
+        total += side * side + 1
+        x0 = y0 = np.inf
+        x1 = y1 = -np.inf
+        for i in range(first[c], first[c + 1]):
+            x0, x1 = min(x0, normalised[i, 0]), max(x1, normalised[i, 0])
+            y0, y1 = min(y0, normalised[i, 1]), max(y1, normalised[i, 1])
+        if x1 >= x0:
+            grid[c, LEFT], grid[c, TOP] = x0, y0
+            grid[c, PER_X], grid[c, PER_Y] = side / (x1 - x0 + 1e-9), side / (y1 - y0 + 1e-9)
+    return FrameArrays(blobs, grid, _filled_bins(blobs, grid, first, total))
+
+
+@kernel
+def _filled_bins(blobs, grid, first, cells):
+    """FrameArrays.bins: the blobs of each cell in rising order. `cells`: how many cells all cameras have, with one end each."""
+    bins = np.zeros(cells + len(blobs), np.int64)
+    for c in range(len(grid)):
+        base, side = int(grid[c, CELLS]), int(grid[c, SIDE])
+        for i in range(first[c], first[c + 1]):
+            bins[base + _cell(grid, c, blobs[i, 0], blobs[i, 1])] += 1
+        bins[base] += cells + first[c]
+        for k in range(1, side * side + 1):
+            bins[base + k] += bins[base + k - 1]
+        for i in range(first[c + 1] - 1, first[c] - 1, -1):
+            k = base + _cell(grid, c, blobs[i, 0], blobs[i, 1])
+            bins[k] -= 1
+            bins[bins[k]] = i
+    return bins
+
+
+@kernel(inline=True)
+def _cell(grid, c, x, y):
+    side = int(grid[c, SIDE])
+    column = min(max(int((x - grid[c, LEFT]) * grid[c, PER_X]), 0), side - 1)
+    row = min(max(int((y - grid[c, TOP]) * grid[c, PER_Y]), 0), side - 1)
+    return row * side + column
+
+
+@kernel(inline=True)
+def in_camera_axes(cameras, c, x, y, z):
+    """A world point (m) in the axes of camera c."""
+    return (
+        cameras[c, 0] * x + cameras[c, 1] * y + cameras[c, 2] * z + cameras[c, 9],
+        cameras[c, 3] * x + cameras[c, 4] * y + cameras[c, 5] * z + cameras[c, 10],
+        cameras[c, 6] * x + cameras[c, 7] * y + cameras[c, 8] * z + cameras[c, 11],
+    )
+
+
+@kernel(inline=True)
+def inside_volume(rig, x):
+    """Whether a point (3,) m lies in the volume where points may be."""
+    limits = rig.limits
+    return limits[3] <= x[0] <= limits[6] and limits[4] <= x[1] <= limits[7] and limits[5] <= x[2] <= limits[8]
