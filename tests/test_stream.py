@@ -169,9 +169,9 @@ def test_who_comes_after_somebody_else_is_labelled_too(walks, ensemble) -> None:
 
 
 def test_the_body_that_a_stream_learns_is_the_one_that_is_there(walks, ensemble) -> None:
-    walk, model = walks[5].positions, ensemble._body
+    walk, model = walks[5].positions, ensemble.state.body
     live = LiveBody(model, BodyRules(), 100.0, LiveRules(counts=(3, 6)))
-    settings, found, steps = ensemble._parts().settings, [], 0
+    settings, found, steps = ensemble.body_labeller.settings, [], 0
     rng = np.random.default_rng(0)
 
     def look(body, t: int) -> tuple[int, float]:
@@ -203,15 +203,15 @@ def test_a_body_learned_from_a_few_frames_of_whatever_markers_is_a_body(ensemble
     for _ in range(20):
         frames = walks[5].positions[rng.integers(0, 200, 6)] + rng.normal(scale=0.002, size=(6, 15, 3))
         frames[rng.random((6, 15)) < rng.uniform(0.0, 0.6)] = np.nan
-        poses = rng.integers(0, len(ensemble._body.mean), 6)
-        body = adapt_body(ensemble._body, frames, poses, np.ones(6), SubjectRules(), BodyRules())
+        poses = rng.integers(0, len(ensemble.state.body.mean), 6)
+        body = adapt_body(ensemble.state.body, frames, poses, np.ones(6), SubjectRules(), BodyRules())
         assert body.between is not None
         assert min(np.linalg.eigvalsh(between).min() for between in body.between) > -1e-9
         body.arrays()  # refuses what is no covariance
 
 
 def test_near_factors_leave_over_hardly_more(ensemble) -> None:
-    body = ensemble._body
+    body = ensemble.state.body
     covariance = body.within[0] + body.between[0]
     left = []
     for near in (False, True):

@@ -10,9 +10,7 @@ from asterism import formats
 from asterism.cli import _console
 from asterism.cli._options import marker_names, vertical_axis
 from asterism.errors import AsterismError
-from asterism.recording import Clouds, Labelling, MarkerSet, Recording, is_unnamed, keep_labels
-
-_FEWEST_MARKERS = 4
+from asterism.recording import Clouds, Labelling, MarkerSet, Recording, keep_labels
 
 
 def is_rig(path: Path) -> bool:
@@ -42,7 +40,7 @@ def read_labelled(
             recordings.append(recording)
     if not recordings:
         raise AsterismError("none of the files can be used; see above.")
-    return recordings if marker_set is not None else _with_common_markers(batch.done, recordings)
+    return recordings if marker_set is not None else _with_common_markers(recordings)
 
 
 def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | None, batch: _console.Batch) -> list[Recording]:
@@ -50,13 +48,15 @@ def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str
 
     A file without a labelled sample counts as one that cannot be used. Raises AsterismError where none is left.
     """
+    from asterism.labelling.training.learning import named_markers
+
     axis = vertical_axis(vertical)
     recordings = []
     for path in files:
         with batch.file(path):
             recording = formats.read(path, markers=marker_set, vertical=axis)
             if marker_set is None:
-                recording = recording.select(list(_named(recording)))
+                recording = recording.select(named_markers(recording))
             if not recording.visible.any():
                 raise AsterismError(f"{path} has no labelled point; label it first, or name its markers with --markers.")
             recordings.append(recording)
@@ -79,25 +79,19 @@ def _check_complete(path: Path, recording: Recording) -> None:
         )
 
 
-def _with_common_markers(files: Sequence[Path], recordings: Sequence[Recording]) -> list[Recording]:
-    named = [_named(recording) for recording in recordings]
-    common = [name for name in named[0] if all(name in others for others in named)]
-    if len(common) < _FEWEST_MARKERS:
-        raise AsterismError(f"{files[0]} and the other files share {len(common)} labelled markers; name the set with --markers.")
-    left_out = sorted({name for names in named for name in names} - set(common))
-    if left_out:
-        few = ", ".join(left_out[:8]) + (", ..." if len(left_out) > 8 else "")
-        _console.error(f"using the {len(common)} markers that all files have; {len(left_out)} are in some files only ({few}).")
+def _with_common_markers(recordings: Sequence[Recording]) -> list[Recording]:
+    from asterism.labelling.training.learning import common_markers
+
+    common, left_out = common_markers(recordings)
+    say_left_out(len(common), left_out)
     return [recording.select(common) for recording in recordings]
 
 
-def _named(recording: Recording) -> dict[str, None]:
-    """The labels of the columns that have a name of their own, and a sample."""
-    return {
-        name: None
-        for column, name in enumerate(recording.labels)
-        if not is_unnamed(name) and recording.labels.count(name) == 1 and recording.visible[:, column].any()
-    }
+def say_left_out(used: int, left_out: Sequence[str]) -> None:
+    """Say which markers are not used because only some files have them."""
+    if left_out:
+        few = ", ".join(left_out[:8]) + (", ..." if len(left_out) > 8 else "")
+        _console.error(f"using the {used} markers that all files have; {len(left_out)} are in some files only ({few}).")
 
 
 def labels_kept(path: Path, labelling: Labelling, recording: Recording, clouds: Clouds, marker_set: MarkerSet) -> Labelling:
