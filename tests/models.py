@@ -10,7 +10,7 @@ import tempfile
 import time
 import tomllib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,8 @@ import asterism
 
 _WAIT = 300.0
 """Seconds after which another process's lock is taken for one that was left behind."""
+_UNUSED = 30 * 86_400.0
+"""Seconds after which a model that nobody took is removed."""
 
 
 def trained(recordings: Sequence[asterism.Recording], **settings: Any) -> asterism.SolverEnsemble:
@@ -31,7 +33,9 @@ def trained(recordings: Sequence[asterism.Recording], **settings: Any) -> asteri
     A test of training itself calls `SolverEnsemble.fit`.
     """
     path = folder() / f"{_key(recordings, settings)}.model"
-    if not path.exists():
+    if path.exists():
+        os.utime(path)
+    else:
         with _locked(path.with_suffix(".lock")):
             if not path.exists():
                 _save(asterism.SolverEnsemble.fit(list(recordings), **settings), path)
@@ -60,6 +64,10 @@ def _save(model: asterism.SolverEnsemble, path: Path) -> None:
     part = path.with_suffix(f".{os.getpid()}")
     model.save(part)
     part.replace(path)
+    for other in path.parent.glob("*.model"):
+        with suppress(FileNotFoundError):  # another worker was faster
+            if time.time() - other.stat().st_mtime > _UNUSED:
+                other.unlink()
 
 
 @contextmanager
@@ -87,9 +95,11 @@ def _key(recordings: Sequence[asterism.Recording], settings: dict[str, Any]) -> 
     digest = hashlib.sha256(_sources())
     digest.update(repr(sorted(settings.items())).encode())
     for recording in recordings:
-        parts = (recording.labels, recording.rate, np.asarray(recording.vertical).tolist(), recording.positions.shape)
-        digest.update(repr((parts, sorted((name, value) for name, value in vars(recording).items() if isinstance(value, str)))).encode())
-        digest.update(np.ascontiguousarray(recording.positions).tobytes())
+        for name, value in sorted(vars(recording).items()):
+            if isinstance(value, np.ndarray):
+                digest.update(f"{name} {value.dtype} {value.shape}".encode() + np.ascontiguousarray(value).tobytes())
+            elif isinstance(value, str | int | float | tuple):
+                digest.update(f"{name} {value!r}".encode())
     return digest.hexdigest()[:32]
 
 

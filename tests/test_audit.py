@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import asterism
 from asterism import AsterismError, Recording, SolverEnsemble, formats
 from asterism.cli import main
-from asterism.labelling import TrainingRules, audit, without
+from asterism.labelling import TrainingRules, audit, remove_errors
 from asterism.labelling.audit import _kernels as kernels
 from asterism.labelling.body._score_kernels import best_pose, evidence
 from asterism.labelling.body._workspace_kernels import make_body_workspace
@@ -128,7 +128,7 @@ def test_a_marker_worn_elsewhere_is_a_hint_that_leaves_its_frames_in(walks):
     findings = audit(given_, subjects=PEOPLE)
     assert told(findings) == []
     assert ("LTIB",) in [f.markers for f in findings if f.kind == "misplaced" and f.recording == 0]
-    np.testing.assert_array_equal(without(given_, findings)[0].positions, damaged.positions)
+    np.testing.assert_array_equal(remove_errors(given_, findings)[0].positions, damaged.positions)
 
 
 # --- with less to go by
@@ -217,7 +217,7 @@ def test_progress_rises_to_one(walks):
 def test_what_is_found_can_be_left_out(walks, labels):
     damaged = among(walks, 2, exchanged(walks[2], 40, 60, "LTHI", "LKNE"))
     before = damaged[2].positions.copy()
-    kept = without(damaged, audit(damaged, subjects=PEOPLE))
+    kept = remove_errors(damaged, audit(damaged, subjects=PEOPLE))
     gone = np.isnan(kept[2].positions[:, :, 0])
     wanted = np.zeros_like(gone)
     wanted[40:61, [labels.index("LTHI"), labels.index("LKNE")]] = True
@@ -302,21 +302,21 @@ def test_the_command_says_where_and_leaves_with_1(folder, capsys):
     assert main(["audit", *files(folder, True)]) == 1
     shown = capsys.readouterr().out
     assert "damaged.c3d" in shown and "LTHI and LKNE exchanged for 3 frames (0.03 s)" in shown
-    assert "5 files: 1 finding" in shown
+    assert "5 files: 1 error" in shown
     assert main(["audit", *files(folder, True), "--json", "-"]) == 1
-    [finding] = json.loads(capsys.readouterr().out)["findings"]
+    [finding] = json.loads(capsys.readouterr().out)["errors"]
     assert finding["file"].endswith("damaged.c3d")
     assert (finding["first_frame"], finding["last_frame"], finding["markers"]) == (71, 73, ["LTHI", "LKNE"])
 
 
 def test_the_command_leaves_with_0_where_nothing_is_wrong(folder, capsys):
     assert main(["audit", *files(folder, False), "--markers", "helen-hayes"]) == 0
-    assert "nothing is wrong" in capsys.readouterr().out
+    assert ": no error" in capsys.readouterr().out
     assert main(["audit", str(folder / "nowhere.c3d")]) == 2
     formats.write(folder / "bare.npz", Recording(np.zeros((9, 2, 3)), ("*1", "*2"), 100.0))
     assert main(["audit", str(folder / "bare.npz")]) == 2
     shown = capsys.readouterr()
-    assert "bare.npz has no labelled point" in shown.err and "nothing is wrong" not in shown.out
+    assert "bare.npz has no labelled point" in shown.err and "no error" not in shown.out
 
 
 def test_training_can_leave_the_damage_out(folder, tmp_path, capsys, monkeypatch):
@@ -330,7 +330,7 @@ def test_training_can_leave_the_damage_out(folder, tmp_path, capsys, monkeypatch
     assert "damaged.c3d, frames 71 to 73: left out, LTHI and LKNE exchanged" in shown.err
     assert len(json.loads((tmp_path / "a.json").read_text())["left_out"]) == 1
     recordings = [asterism.read(file, markers="helen-hayes") for file in files(folder, True)]
-    kept = without(recordings, audit(recordings))
+    kept = remove_errors(recordings, audit(recordings))
     marker_set = asterism.MarkerSet.load("helen-hayes")
     plain(kept, miner=None, training=quick, marker_set=marker_set).save(tmp_path / "b.model")
     assert (tmp_path / "a.model").read_bytes()[-500:] == (tmp_path / "b.model").read_bytes()[-500:]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from models import trained
 from scipy.spatial.transform import Rotation
 
 import asterism
@@ -29,7 +30,7 @@ def walks() -> list[Recording]:
 
 @pytest.fixture(scope="module")
 def walker(walks: list[Recording]) -> asterism.SolverEnsemble:
-    return asterism.SolverEnsemble.fit(walks[:5], miner=None, subjects=list("abcde"))
+    return trained(walks[:5], miner=None, subjects=list("abcde"))
 
 
 def tumbling_box(rng: np.random.Generator, frames: int = 200) -> Recording:
@@ -74,7 +75,7 @@ def test_two_walkers_with_the_same_markers_are_told_apart(walks, walker, away, s
 @pytest.mark.parametrize(("hidden", "ghosts"), [(0, 0), (2, 0), (2, 2)])
 def test_a_walker_and_a_box_are_told_apart_in_either_order(walks, walker, hidden: int, ghosts: int) -> None:
     rng = np.random.default_rng(0)
-    box = asterism.SolverEnsemble.fit([tumbling_box(rng) for _ in range(4)], miner=None, subjects=list("abcd"))
+    box = trained([tumbling_box(rng) for _ in range(4)], miner=None, subjects=list("abcd"))
     both = beside(walks[5], tumbling_box(rng), (0.4, 0.3, 0.1))
     clouds, truth = simulate_gaps_and_ghosts(both, hidden, ghosts, 1)
     found = label_together([walker, box], clouds)
@@ -141,7 +142,7 @@ def test_a_passer_by_of_a_moment_is_no_second_person(walks, walker) -> None:
 
 def test_one_person_with_more_markers_than_the_model_knows_is_one(data: Path) -> None:
     people = [formats.read(data / f"gait/{name}/straight.c3d", markers="helen-hayes") for name in ("HC003", "HC030", "HC031", "HC033")]
-    model = asterism.SolverEnsemble.fit(people, miner=None)
+    model = trained(people, miner=None)
     for name, trial in (("HC039", "static"), ("HC055", "straight")):  # where what is left looks most like somebody
         path = data / f"gait/{name}/{trial}.c3d"
         more = formats.read(path).frames(slice(60))
@@ -167,7 +168,7 @@ def test_joined_labellings_have_a_name_for_every_marker() -> None:
 
 def test_the_command_labels_two_walkers_and_a_box(walks, walker, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rng = np.random.default_rng(0)
-    box = asterism.SolverEnsemble.fit([tumbling_box(rng) for _ in range(4)], miner=None, subjects=list("abcd"))
+    box = trained([tumbling_box(rng) for _ in range(4)], miner=None, subjects=list("abcd"))
     walker.save(tmp_path / "gait.model")
     box.save(tmp_path / "box.model")
     three = beside(beside(walks[5], walks[6], (0.8, 0.3, 0.0)), tumbling_box(rng), (0.0, 1.5, 0.2))

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from asterism.cameras import Camera
-from asterism.cameras.bundle import PARAMETERS, Sightings, _kernels, adjust, free_parameters, triangulate
+from asterism.cameras.bundle import PARAMETERS, AdjustSettings, Sightings, _kernels, adjust, free_parameters, triangulate
 from asterism.errors import AsterismError
 from asterism.geometry import place_objects, rotation_from_vector
 
@@ -102,7 +102,7 @@ def test_a_noiseless_rig_is_found_again(template: np.ndarray) -> None:
     placed = place_objects(template, triangulate(start, sightings, 120, len(template)))
     free = free_parameters(4, "pose", "focal", "centre", "k1", "k2", "tangential")
     free[0] = False
-    result = adjust(start, template, sightings, *placed, free=free, scale=50.0, tolerance=1e-16)
+    result = adjust(start, template, sightings, *placed, free=free, settings=AdjustSettings(scale=50.0, tolerance=1e-16))
     assert result.rms < 1e-5, f"{result.rms} px"
     for truth, found in zip(rig, result.cameras, strict=True):
         assert np.abs(found.position - truth.position).max() < 1e-6
@@ -115,7 +115,13 @@ def test_a_moved_dot_gives_the_rig_up_to_its_size() -> None:
     _, _, points = moved_about(DOT, 200, rng)
     sightings = Sightings.from_array(seen(rig, points, 0.0, rng))
     start = [rig[0], *shaken(rig[1:], rng)]
-    result = adjust(start, DOT, sightings, *place_objects_of_dots(start, sightings, 200), scale=50.0, tolerance=1e-16, steps=200)
+    result = adjust(
+        start,
+        DOT,
+        sightings,
+        *place_objects_of_dots(start, sightings, 200),
+        settings=AdjustSettings(scale=50.0, tolerance=1e-16, steps=200),
+    )
     lengths = [np.linalg.norm(camera.position - result.cameras[0].position) for camera in result.cameras[1:]]
     true = [np.linalg.norm(camera.position - rig[0].position) for camera in rig[1:]]
     assert np.ptp(np.array(lengths) / true) < 1e-6
@@ -134,7 +140,15 @@ def test_the_minimum_and_its_covariance_equal_dense_least_squares(relative: tupl
     sightings = Sightings.from_array(seen(rig, points, 0.3 * np.array(relative)[:, None, None], rng))
     free = free_parameters(3, "pose", "focal", "k1")
     free[0, :6] = False
-    result = adjust(rig, BOARD, sightings, rotations, translations, free=free, scale=50.0, relative=relative, tolerance=1e-15)
+    result = adjust(
+        rig,
+        BOARD,
+        sightings,
+        rotations,
+        translations,
+        free=free,
+        settings=AdjustSettings(scale=50.0, relative_noise=relative, tolerance=1e-15),
+    )
 
     def misses(x: np.ndarray) -> np.ndarray:
         step = np.zeros((3, 15))
@@ -171,13 +185,13 @@ def test_errors_are_as_large_as_the_covariance_says() -> None:
     ratios, places = [], []
     for seed in range(40):
         sightings = Sightings.from_array(seen(rig, points, 0.2, np.random.default_rng(seed)))
-        result = adjust(rig, WAND, sightings, rotations, translations, scale=5.0)
+        result = adjust(rig, WAND, sightings, rotations, translations, settings=AdjustSettings(scale=5.0))
         ratios += [(a.focal[0] - b.focal[0]) / s for a, b, s in zip(result.cameras, rig, result.sigma[:, 6], strict=True)]
         # laid on the true places, since nobody knows where the world begins
         true, found = (np.array([camera.position for camera in cameras]) for cameras in (rig, result.cameras))
         turn, shift = place_objects(found, true[None])
         miss = np.linalg.norm(found @ turn[0].T + shift[0] - true, axis=1)
-        places.append(np.mean(np.square(miss / result.place_sigma)))
+        places.append(np.mean(np.square(miss / result.position_sigma)))
     assert 0.85 < np.std(ratios) < 1.15, np.std(ratios)
     assert 0.7 < np.mean(places) < 1.4, np.mean(places)
 
@@ -191,8 +205,8 @@ def test_a_robust_loss_forgets_outliers(loss: str, allowed: float) -> None:
     wrong = rng.random(xy.shape[:3]) < 0.05
     xy[wrong] += rng.uniform(-100, 100, (int(wrong.sum()), 2))
     sightings = Sightings.from_array(xy)
-    robust = adjust(rig, WAND, sightings, rotations, translations, loss=loss, scale=1.0)
-    plain = adjust(rig, WAND, sightings, rotations, translations, scale=1e6)
+    robust = adjust(rig, WAND, sightings, rotations, translations, settings=AdjustSettings(loss=loss, scale=1.0))
+    plain = adjust(rig, WAND, sightings, rotations, translations, settings=AdjustSettings(scale=1e6))
     error = [max(abs(a.focal[0] / b.focal[0] - 1) for a, b in zip(r.cameras, rig, strict=True)) for r in (robust, plain)]
     assert error[0] < allowed < error[1]
 
@@ -219,7 +233,7 @@ def test_points_behind_a_camera_do_no_harm() -> None:
     rotations, translations, points = moved_about(WAND, 50, rng)
     xy = seen(rig, points, 0.2, rng)
     translations[7] = 3 * rig[0].position
-    result = adjust(rig, WAND, Sightings.from_array(xy), rotations, translations, loss="cauchy")
+    result = adjust(rig, WAND, Sightings.from_array(xy), rotations, translations, settings=AdjustSettings(loss="cauchy"))
     assert np.isfinite(result.cameras[1].position).all()
     assert np.nanmedian(np.linalg.norm(result.residuals, axis=1)) < 0.5
 

@@ -368,10 +368,15 @@ def test_capturability(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
 # As a real process
 
 
+def besides_compiling(said: str) -> list[str]:
+    """Lines on standard error; without the one that a run says whose kernels no earlier run has compiled."""
+    return [line for line in said.splitlines() if not line.startswith("Compiling numerical kernels; this happens once (about ")]
+
+
 def test_piped_output_has_no_escape_codes_and_no_bar(folder: Path, model: Path, tmp_path: Path) -> None:
     shown = asterism("label", folder / "walk-4.c3d", "--model", model, "-o", tmp_path / "out")
     assert shown.returncode == 0, shown.stderr
-    assert "\x1b" not in shown.stdout + shown.stderr and shown.stderr == ""
+    assert "\x1b" not in shown.stdout + shown.stderr and besides_compiling(shown.stderr) == []
     assert shown.stdout.count("\n") == 1
 
 
@@ -389,7 +394,8 @@ def test_interrupting_leaves_no_half_file(tmp_path: Path) -> None:
     process.send_signal(signal.SIGINT)
     said = process.stderr.read()
     assert process.wait(timeout=60) == 130
-    assert said.count("\n") == 1 and "interrupted" in said
+    [line] = besides_compiling(said)
+    assert "interrupted" in line
     assert list((tmp_path / "demo").iterdir()) == []
     process.stdout.close()
     process.stderr.close()

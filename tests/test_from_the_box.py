@@ -17,7 +17,7 @@ import asterism
 from asterism.cameras import Rig
 from asterism.cameras.files import read_rig
 from asterism.cli import main
-from asterism.labelling import SolverEnsemble, TrainingRules, name_groups, own_tracks
+from asterism.labelling import SolverEnsemble, TrainingRules, group_tracklets, name_groups
 from asterism.recording import Blobs, Recording
 from asterism.simulation import simulate_standing, simulate_walks
 from asterism.simulation.cameras import images_of, ring_rig, walker_capsules, wave_wand
@@ -78,12 +78,12 @@ def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Rig, dict[
 def name_them(path: str, truth: Recording, names: str) -> None:
     """Who is who in a recording, as somebody who was there tells it."""
     recording = asterism.read(path)
-    groups = own_tracks(recording.clouds())
-    numbered = name_groups(recording, groups, {g: f"group {g + 1}" for g in range(groups.often)})
+    groups = group_tracklets(recording.clouds())
+    numbered = name_groups(recording, groups, {g: f"group {g + 1}" for g in range(groups.frequent)})
     with Path(names).open("w", newline="", encoding="utf-8") as stream:
         rows = csv.writer(stream)
         rows.writerow(["group", "marker"])
-        for number in range(1, groups.often + 1):
+        for number in range(1, groups.frequent + 1):
             track = numbered.positions[:, numbered.labels.index(f"group {number}")]
             away = np.nanmedian(np.linalg.norm(truth.positions - track[:, None], axis=2), axis=0)
             rows.writerow([number, truth.labels[int(np.argmin(away))]])

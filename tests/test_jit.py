@@ -27,9 +27,9 @@ def total(value):
     return weight(value) + weight(1.0)
 """
 MAIN = """
-from asterism import _jit
+from asterism.progress import on_first_compile
 
-_jit.on_first_compile(lambda kept: print("compiles", kept))
+on_first_compile(lambda kept: print("compiles", kept))
 from tiny.outer_kernels import total
 
 print(total(5.0))

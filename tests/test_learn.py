@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from models import trained
 
 from asterism import AsterismError, MarkerSet, Recording, SolverEnsemble, formats
 from asterism.cli import main
@@ -16,7 +17,7 @@ from asterism.labelling.ensemble import TrainingRules
 from asterism.labelling.training.sample import GRID, Clip, Sample
 from asterism.simulation import simulate_occlusions, simulate_walks
 
-QUICK = {"miner": None, "training": TrainingRules(trial_frames=20, folds=2)}
+QUICK = {"miner": None, "training": TrainingRules(trial_frames=8, folds=2)}
 PEOPLE = ("Ann", "Ben", "Cem", "Dee", "Eva", "Fay")
 
 
@@ -28,13 +29,13 @@ def walks():
 @pytest.fixture(scope="module")
 def first(walks):
     """A model of three people."""
-    return SolverEnsemble.fit(walks[:3], subjects=PEOPLE[:3], **QUICK)
+    return trained(walks[:3], subjects=PEOPLE[:3], **QUICK)
 
 
 @pytest.fixture(scope="module")
 def whole(walks):
     """A model of five people, trained at once."""
-    return SolverEnsemble.fit(walks[:5], subjects=PEOPLE[:5], **QUICK)
+    return trained(walks[:5], subjects=PEOPLE[:5], **QUICK)
 
 
 def content(model, folder, name="some.model"):
@@ -83,7 +84,7 @@ def test_another_person_changes_the_model_and_is_counted(first, walks, tmp_path)
 
 def test_corrections_teach(walks):
     """From one person's walk, other bodies are often unsure; with their corrected recordings learned, a body like them is labelled."""
-    one = SolverEnsemble.fit(walks[:1], **QUICK)
+    one = trained(walks[:1], **QUICK)
     clouds, truth = simulate_occlusions(walks[5], 3, 0, seed=1)
     learned = one.learn(walks[1:5], subjects=PEOPLE[1:5])
     before, after = rates(one.label(clouds), truth), rates(learned.label(clouds), truth)

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from asterism import formats
 from asterism.cli import main
 from asterism.errors import AsterismError
-from asterism.labelling import Groups, SolverEnsemble, name_groups, own_tracks
-from asterism.labelling.naming import places
+from asterism.labelling import MarkerGroups, SolverEnsemble, group_tracklets, name_groups
+from asterism.labelling.naming import locate_groups
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds, Floats, Ints, Recording
 from asterism.simulation import simulate_walks
@@ -34,7 +34,7 @@ def in_columns(clouds: Clouds) -> Recording:
     return Recording(positions, tuple(f"*{i + 1}" for i in range(positions.shape[1])), clouds.rate, clouds.vertical)
 
 
-def table(groups: Groups, clouds: Clouds, truth: Ints) -> Floats:
+def table(groups: MarkerGroups, clouds: Clouds, truth: Ints) -> Floats:
     """(groups, 1 + M) how many samples of each group are a ghost (first), or each marker."""
     frames, markers = np.nonzero(truth >= 0)
     marker_of = np.full(len(clouds.xyz), -1)
@@ -54,7 +54,7 @@ def names_needed(counts: Floats, share: float = 0.99) -> int:
 @pytest.mark.parametrize("hidden", [0, 1, 3])
 def test_pieces_of_a_marker_are_joined_and_no_two_markers_are(hidden: int, walk: Recording) -> None:
     clouds, truth = simulate_gaps_and_ghosts(walk, hidden, 0, seed=3)
-    counts = table(own_tracks(clouds), clouds, truth)
+    counts = table(group_tracklets(clouds), clouds, truth)
     wrong = counts.sum() - counts.max(axis=1).sum()
     assert wrong <= 0.002 * counts.sum(), f"{wrong:.0f} of {counts.sum():.0f} samples in a group of another marker"
     assert names_needed(counts) <= 15 + hidden
@@ -65,7 +65,7 @@ def test_real_walks(data: Path) -> None:
     for number, (subject, trial) in enumerate([("HC002", "straight"), ("HC055", "turn"), ("HC039", "straight"), ("HC030", "turn")]):
         recording = formats.read(data / "gait" / subject / f"{trial}.c3d", markers="helen-hayes")
         clouds, truth = simulate_gaps_and_ghosts(recording, 3, 0, seed=number)
-        counts = table(own_tracks(clouds), clouds, truth)
+        counts = table(group_tracklets(clouds), clouds, truth)
         wrong, total = wrong + counts.sum() - counts.max(axis=1).sum(), total + counts.sum()
         needed.append(names_needed(counts))
     assert wrong <= 0.003 * total, f"{wrong:.0f} of {total:.0f} samples in a group of another marker"
@@ -81,9 +81,9 @@ def test_two_markers_that_exchange_places_are_not_joined() -> None:
     positions[100:, 0] = np.nan
     positions[:110, 1] = np.nan
     clouds = Recording(positions, tuple("ABCDEF"), 100.0).clouds()
-    assert len(own_tracks(clouds)) == 6
+    assert len(group_tracklets(clouds)) == 6
     positions[110:, 1] = path[110:] + body[0]
-    assert len(own_tracks(Recording(positions, tuple("ABCDEF"), 100.0).clouds())) == 5, "the same place is the same marker"
+    assert len(group_tracklets(Recording(positions, tuple("ABCDEF"), 100.0).clouds())) == 5, "the same place is the same marker"
 
 
 @settings(deadline=None, max_examples=8)
@@ -91,27 +91,29 @@ def test_two_markers_that_exchange_places_are_not_joined() -> None:
 def test_every_point_is_in_one_group_which_has_it_once_a_frame(seed: int, ghosts: int) -> None:
     short = simulate_walks(subjects=1, frames=60, markers="helen-hayes", seed=1)[0]
     clouds, _ = simulate_gaps_and_ghosts(short, 3, ghosts, seed)
-    groups = own_tracks(clouds)
+    groups = group_tracklets(clouds)
     frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
     assert len(np.unique(groups.of_point * len(clouds) + frame_of)) == len(clouds.xyz)
     np.testing.assert_array_equal(np.bincount(groups.of_point, minlength=len(groups)), groups.frames)
     often = groups.frames >= 0.1 * len(clouds)
-    assert groups.often == often.sum() and often[: groups.often].all(), "the often seen groups come first"
+    assert groups.frequent == often.sum() and often[: groups.frequent].all(), "the often seen groups come first"
 
 
 def test_the_same_groups_again_and_however_the_recording_lies(walk: Recording) -> None:
     clouds, _ = simulate_gaps_and_ghosts(walk, 2, 1, seed=4)
-    groups = own_tracks(clouds)
-    np.testing.assert_array_equal(own_tracks(clouds).of_point, groups.of_point)
+    groups = group_tracklets(clouds)
+    np.testing.assert_array_equal(group_tracklets(clouds).of_point, groups.of_point)
     moved = replace(clouds, xyz=clouds.xyz[:, [2, 0, 1]] + np.array([1.0, 2.0, 0.5]), vertical=np.array([1.0, 0.0, 0.0]))
-    np.testing.assert_array_equal(own_tracks(moved).of_point, groups.of_point)
+    np.testing.assert_array_equal(group_tracklets(moved).of_point, groups.of_point)
 
 
 def test_places_say_where_a_group_sits(walk: Recording) -> None:
     clouds = walk.clouds()
-    groups = own_tracks(clouds)
+    groups = group_tracklets(clouds)
     assert len(groups) == 15
-    where = {walk.labels[int(clouds.columns[np.argmax(groups.of_point == g)])]: place for g, place in enumerate(places(clouds, groups))}
+    where = {
+        walk.labels[int(clouds.columns[np.argmax(groups.of_point == g)])]: place for g, place in enumerate(locate_groups(clouds, groups))
+    }
     assert where["LASI"].left > 0.05 and where["RASI"].left < -0.05 and abs(where["SACR"].left) < 0.03
     assert where["LTOE"].height < where["LKNE"].height < where["LASI"].height
     assert where["SACR"].ahead < where["LASI"].ahead
@@ -125,21 +127,21 @@ def test_the_nearest_groups_are_such_as_are_listed(walk: Recording) -> None:
         blinks[20 * k : 20 * k + 3, k] = walk.positions[20 * k : 20 * k + 3, walk.labels.index("LASI")] + [0.03, 0.01, 0.02]
     positions = np.concatenate([walk.positions, blinks], axis=1)
     clouds = Recording(positions, (*walk.labels, "*1", "*2", "*3", "*4"), walk.rate, walk.vertical).clouds()
-    groups = own_tracks(clouds)
-    assert len(groups) > groups.often
-    assert all(near < groups.often for place in places(clouds, groups) for near, _ in place.nearest)
+    groups = group_tracklets(clouds)
+    assert len(groups) > groups.frequent
+    assert all(near < groups.frequent for place in locate_groups(clouds, groups) for near, _ in place.nearest)
 
 
 def test_of_a_standing_subject_no_side_is_told() -> None:
     clouds = Recording(np.tile(np.random.default_rng(0).normal(size=(1, 6, 3)), (50, 1, 1)), tuple("ABCDEF"), 100.0).clouds()
-    assert all(np.isnan(place.left) for place in places(clouds, own_tracks(clouds)))
+    assert all(np.isnan(place.left) for place in locate_groups(clouds, group_tracklets(clouds)))
 
 
 def test_names_make_a_labelled_recording(walk: Recording) -> None:
     clouds, truth = simulate_gaps_and_ghosts(walk, 2, 1, seed=3)
     raw = in_columns(clouds)
     own = raw.clouds()
-    groups = own_tracks(own)
+    groups = group_tracklets(own)
     column_truth = {tuple(np.round(p, 9)): name for t in range(len(walk)) for name, p in zip(walk.labels, walk.positions[t], strict=True)}
     names = {}
     for g in range(len(groups)):
@@ -156,12 +158,12 @@ def test_names_make_a_labelled_recording(walk: Recording) -> None:
 
 
 def test_names_that_cannot_be_are_refused(walk: Recording) -> None:
-    groups = own_tracks(walk.clouds())
+    groups = group_tracklets(walk.clouds())
     with pytest.raises(AsterismError, match=r"groups 1 and 2 are both named LKNE .* frame 0"):
         name_groups(walk, groups, {0: "LKNE", 1: "LKNE"})
     with pytest.raises(AsterismError, match="no group 99"):
         name_groups(walk, groups, {98: "LKNE"})
-    with pytest.raises(AsterismError, match=r"'\*3' is no name"):
+    with pytest.raises(AsterismError, match=r"'\*3' is not a marker's name"):
         name_groups(walk, groups, {0: "*3"})
     with pytest.raises(AsterismError, match="no group has a name"):
         name_groups(walk, groups, {})
@@ -176,9 +178,9 @@ def test_names_that_cannot_be_are_refused(walk: Recording) -> None:
 )
 def test_odd_clouds_have_groups_too(points: list[Floats]) -> None:
     clouds = Clouds.from_points(points, 100.0)
-    groups = own_tracks(clouds)
+    groups = group_tracklets(clouds)
     assert len(groups.of_point) == len(clouds.xyz) == groups.frames.sum()
-    assert len(places(clouds, groups)) == len(groups)
+    assert len(locate_groups(clouds, groups)) == len(groups)
 
 
 # The command and its page
@@ -244,7 +246,7 @@ def test_a_file_without_points_has_nothing_to_name(tmp_path: Path, capsys: pytes
     formats.write(tmp_path / "none.npz", Recording(np.full((9, 2, 3), np.nan), ("A", "B"), 100.0))
     assert run("name", tmp_path / "none.npz") == 2
     shown = capsys.readouterr()
-    assert "none.npz shows no point in any frame" in shown.err and shown.out == ""
+    assert "none.npz has no point in any frame" in shown.err and shown.out == ""
 
 
 def test_names_need_an_output_that_is_new(first: Path, capsys: pytest.CaptureFixture[str]) -> None:

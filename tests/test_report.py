@@ -15,7 +15,7 @@ import pytest
 from asterism.errors import AsterismError
 from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.recording import Clouds, Ints, Labelling, Recording
-from asterism.report import capturability_report, evaluation_report, label_report
+from asterism.report import LabelledRecording, capturability_report, evaluation_report, label_report
 from asterism.simulation import simulate_walks
 
 
@@ -89,13 +89,12 @@ def make_label_page(path: Path, walk: Recording, **changes: Any) -> Reader:
     arguments: dict[str, Any] = {
         "title": "A walk",
         "files": [{"file": "folder/walk.c3d", "frames": len(clouds), "frames_per_second": 1234.0}],
-        "recording": Recording.from_clouds(clouds),
-        "labelling": labelling,
-        "clouds": clouds,
         "model_info": {"model": "gait.model", "seed": 7},
-        "truth": truth,
     }
-    label_report(path, **{**arguments, **changes})
+    shown = {"labelling": labelling, "clouds": clouds, "truth": truth}
+    shown.update({key: value for key, value in changes.items() if key in shown})
+    arguments.update({key: value for key, value in changes.items() if key not in shown})
+    label_report(path, LabelledRecording(**shown), **arguments)
     return read(path)
 
 
@@ -109,7 +108,7 @@ def test_the_label_page_tells_right_wrong_and_missed(tmp_path: Path, walk: Recor
     given, seen = labelling.indices >= 0, truth >= 0
     right = given & (labelling.indices == truth)
     assert told["right label"][0] == f"{right.sum():,}"
-    wrong = int(told["wrong label: another point than its own"][0]) + int(told["wrong label: the marker was hidden"][0])
+    wrong = int(told["wrong label: the marker is at another point"][0]) + int(told["wrong label: the marker was hidden"][0])
     assert wrong == (given & ~right).sum() > 0
     assert told["missed: visible, but no label"][0] == str((seen & ~given).sum())
     markers = page.table("marker")
@@ -128,7 +127,7 @@ def test_the_label_page_names_file_model_seed_and_version(tmp_path: Path, walk: 
 def test_without_the_truth_nothing_is_called_right(tmp_path: Path, walk: Recording) -> None:
     page = make_label_page(tmp_path / "page.html", walk, truth=None)
     assert "right label" not in page.text
-    assert page.table("marker")["marker"][-1] == "least confidence"
+    assert page.table("marker")["marker"][-1] == "lowest confidence"
 
 
 def test_several_files_are_summed_up_by_their_frames(tmp_path: Path, walk: Recording) -> None:
@@ -178,9 +177,7 @@ def test_positions_in_the_scene_are_those_of_the_labels(tmp_path: Path) -> None:
     sideways = simulate_walks(1, frames=120, vertical="-y", seed=3)[0]
     clouds, truth = simulate_occlusions(sideways, 0, 0)
     labelling = Labelling(truth, np.ones(truth.shape), sideways.labels)
-    page = make_label_page(
-        tmp_path / "p.html", sideways, labelling=labelling, clouds=clouds, recording=Recording.from_clouds(clouds), truth=truth
-    )
+    page = make_label_page(tmp_path / "p.html", sideways, labelling=labelling, clouds=clouds, truth=truth)
     (scene,) = json.loads(page.json)["scenes"].values()
     for points, frame in zip(scene["points"], scene["frames"], strict=True):
         shown, true = np.array(points) / 1000, sideways.positions[frame - 1]
@@ -193,8 +190,7 @@ def test_positions_in_the_scene_are_those_of_the_labels(tmp_path: Path) -> None:
 def nothing(frames: int) -> dict[str, Any]:
     clouds = Clouds.from_points([np.empty((0, 3))] * frames, rate=100.0)
     labelling = Labelling(np.full((frames, 2), -1), np.zeros((frames, 2)), ("A", "B"))
-    recording = Recording(np.empty((frames, 0, 3)), (), 100.0)
-    return {"clouds": clouds, "labelling": labelling, "recording": recording, "truth": np.full((frames, 2), -1)}
+    return {"clouds": clouds, "labelling": labelling, "truth": np.full((frames, 2), -1)}
 
 
 @pytest.mark.parametrize("frames", [0, 1, 5])

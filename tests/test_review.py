@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from models import trained
 
 from asterism import formats
 from asterism.cli import main
 from asterism.errors import AsterismError
-from asterism.labelling import Item, SolverEnsemble, review, settle
+from asterism.labelling import ReviewItem, apply_answers, review
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.labelling.whole.certainty import Certainty, TrialLabels
 from asterism.recording import Clouds, Ints, Labelling, Recording
-from asterism.report import review_report
+from asterism.report import ReviewEntry, review_report
 from asterism.simulation import simulate_walks
 
 
@@ -71,7 +72,7 @@ def test_a_point_without_a_label_is_offered_the_missing_marker(walks: list[Recor
     frames = np.searchsorted(clouds.offsets, points, side="right") - 1
     labelling.indices[frames, marker], labelling.confidence[frames, marker] = -1, 0.45
     first = review(labelling, clouds)[0]
-    assert first.marker is None and first.perhaps[0] == (walks[0].labels[marker], pytest.approx(0.45))
+    assert first.marker is None and first.alternatives[0] == (walks[0].labels[marker], pytest.approx(0.45))
     assert first.gain == pytest.approx(0.45 * len(points))
 
 
@@ -88,13 +89,13 @@ def test_the_best_candidate_of_a_missing_marker_is_asked_for_before_all_others(w
     candidates = np.full(labelling.indices.shape, -1)
     candidates[:, 3] = 43
     first, second, *_ = review(replace(labelling, candidates=candidates), clouds)
-    assert first.track == 43 and first.perhaps == ((walks[0].labels[3], pytest.approx(0.4)),)
+    assert first.track == 43 and first.alternatives == ((walks[0].labels[3], pytest.approx(0.4)),)
     assert first.gain == pytest.approx(0.4 * len(own))
     assert second.gain < 0.1 * first.gain and blind[0].gain < 0.5 * first.gain
 
 
 def test_a_whole_recording_says_its_best_candidates(walks: list[Recording]) -> None:
-    model = SolverEnsemble.fit(walks[1:], seed=0, subjects=["b", "c", "d", "e"], miner=None)
+    model = trained(walks[1:], seed=0, subjects=["b", "c", "d", "e"], miner=None)
     clouds, truth = simulate_gaps_and_ghosts(walks[0], 3, 3, seed=4)
     labelling = model.label(clouds, time=True)
     assert labelling.candidates is not None
@@ -115,14 +116,14 @@ def test_a_piece_with_two_names_is_doubted_however_sure_they_are(walks: list[Rec
     left, right = (walks[0].labels.index(name) for name in ("LTHI", "RTHI"))
     labelling.indices[50:60, [left, right]] = labelling.indices[50:60, [right, left]]
     first, second, *_ = review(labelling, clouds)
-    assert {first.marker, second.marker} == {"LTHI", "RTHI"} and {first.perhaps[0][0], second.perhaps[0][0]} == {"LTHI", "RTHI"}
+    assert {first.marker, second.marker} == {"LTHI", "RTHI"} and {first.alternatives[0][0], second.alternatives[0][0]} == {"LTHI", "RTHI"}
     assert 50 <= first.frame < 60 and 9 <= first.gain <= 11
-    mended = settle(labelling, clouds, [(first, first.marker), (second, second.marker)])
+    mended = apply_answers(labelling, clouds, [(first, first.marker), (second, second.marker)])
     np.testing.assert_array_equal(mended.indices, truth)
 
 
 def test_settling_all_that_is_listed_mends_the_labels(walks: list[Recording]) -> None:
-    ensemble = SolverEnsemble.fit(walks[:2], miner=None, subjects=["a", "b"])
+    ensemble = trained(walks[:2], miner=None, subjects=["a", "b"])
     clouds, truth = simulate_gaps_and_ghosts(walks[4], 4, 0, seed=5)
     labelling = ensemble.label(clouds)
     marker_of = truth_of_points(truth, clouds)
@@ -130,9 +131,9 @@ def test_settling_all_that_is_listed_mends_the_labels(walks: list[Recording]) ->
     items = review(labelling, clouds)
     assert wrong > 20, "the trial is too easy to say anything"
     answers = [(item, walks[4].labels[marker_of[item.points[0]]]) for item in items]
-    few = settle(labelling, clouds, answers[:3])
+    few = apply_answers(labelling, clouds, answers[:3])
     assert wrong - int((few.indices != truth).sum()) >= 0.25 * sum(item.gain for item in items[:3])
-    left = int((settle(labelling, clouds, answers).indices != truth).sum())
+    left = int((apply_answers(labelling, clouds, answers).indices != truth).sum())
     assert left <= 0.02 * wrong, f"{left} of {wrong} are left"
     assert len(answers) <= len(np.unique(clouds.tracks))
 
@@ -144,10 +145,10 @@ def test_an_answer_takes_the_marker_from_another_point_and_none_takes_it_away() 
     items = review(labelling, clouds)
     assert {(item.track, item.marker) for item in items} == {(7, "A"), (9, None)}
     free = next(item for item in items if item.track == 9)
-    taken = settle(labelling, clouds, [(free, "A")])
+    taken = apply_answers(labelling, clouds, [(free, "A")])
     assert taken.indices.tolist() == [[1, -1]] * 4 and taken.confidence.tolist() == [[1.0, 0.4]] * 4
     own = next(item for item in items if item.track == 7)
-    assert settle(labelling, clouds, [(own, None)]).indices.tolist() == [[-1, -1]] * 4
+    assert apply_answers(labelling, clouds, [(own, None)]).indices.tolist() == [[-1, -1]] * 4
     assert labelling.indices.tolist() == [[0, -1]] * 4, "the given labelling changed"
 
 
@@ -165,7 +166,7 @@ def test_items_are_disjoint_ranked_and_never_promise_more_than_they_hold(seed: i
     gains = [item.gain for item in items]
     assert gains == sorted(gains, reverse=True) and all(0 < item.gain <= item.samples + 1e-9 for item in items)
     assert all(item.first_frame <= item.frame <= item.last_frame for item in items)
-    assert all(0 <= chance <= 1 + 1e-9 for item in items for _, chance in (*item.perhaps, ("", item.confidence)))
+    assert all(0 <= chance <= 1 + 1e-9 for item in items for _, chance in (*item.alternatives, ("", item.confidence)))
     free, missing = (clouds.counts - (indices >= 0).sum(axis=1)).sum(), np.where(indices < 0, 1.0, 0.0).sum()
     doubted = np.where(indices >= 0, 1.0, 0.0).sum() + min(free, missing)
     assert sum(gains) <= doubted + 1e-6
@@ -181,7 +182,7 @@ def test_where_all_trials_failed_a_tracklet_is_still_offered() -> None:
     points = np.zeros((50, 1, 3))
     clouds = Clouds.from_points(list(points), 100.0)
     [item] = review(Labelling(np.full((50, 1), -1), np.full((50, 1), sure[2]), ("A",)), clouds)
-    assert item.gain == pytest.approx(50 * sure[2]) and item.perhaps[0][0] == "A"
+    assert item.gain == pytest.approx(50 * sure[2]) and item.alternatives[0][0] == "A"
 
 
 def test_few_people_are_believed_less() -> None:
@@ -196,15 +197,15 @@ def test_few_people_are_believed_less() -> None:
 def test_bad_input_is_named(walks: list[Recording]) -> None:
     clouds, truth = simulate_gaps_and_ghosts(walks[0], 1, 0, seed=1)
     labelling = sure(truth, walks[0].labels)
-    with pytest.raises(AsterismError, match="not one of these clouds"):
+    with pytest.raises(AsterismError, match="does not belong to these clouds"):
         review(labelling, walks[1].frames(slice(0, 50)).clouds())
-    with pytest.raises(AsterismError, match="top 0"):
+    with pytest.raises(AsterismError, match="top is 0"):
         review(labelling, clouds, top=0)
-    with pytest.raises(AsterismError, match="least gain"):
+    with pytest.raises(AsterismError, match="least_gain"):
         review(labelling, clouds, least_gain=float("nan"))
     [item] = review(replace(labelling, confidence=labelling.confidence * 0.9), clouds, top=1)
     with pytest.raises(AsterismError, match="'NOSE'"):
-        settle(labelling, clouds, [(item, "NOSE")])
+        apply_answers(labelling, clouds, [(item, "NOSE")])
 
 
 def test_nothing_in_nothing_out() -> None:
@@ -224,7 +225,7 @@ def run(*args: object) -> int:
 @pytest.fixture(scope="module")
 def folder(walks: list[Recording], tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("review")
-    SolverEnsemble.fit(walks[:2], miner=None, subjects=["a", "b"]).save(place / "two.model")
+    trained(walks[:2], miner=None, subjects=["a", "b"]).save(place / "two.model")
     formats.write(place / "labelled.c3d", walks[4])
     clouds, _ = simulate_gaps_and_ghosts(walks[4], 4, 1, seed=2)
     formats.write(place / "raw.c3d", Recording.from_clouds(clouds))
@@ -240,14 +241,14 @@ def test_the_command_lists_pieces_by_gain(folder: Path, capsys: pytest.CaptureFi
     assert len(told["items"]) == 5 <= told["pieces"] and {Path(item["file"]).name for item in told["items"]} <= {"raw.c3d", "labelled.c3d"}
     gains = [item["gain"] for item in told["items"]]
     assert gains == sorted(gains, reverse=True) and sum(gains) <= told["gain"]
-    assert f"{gains[0]:.1f}" in shown and f"{told['pieces']:,} pieces of tracks in doubt" in shown
+    assert f"{gains[0]:.1f}" in shown and f"{told['pieces']:,} pieces of tracks to check" in shown
     page = (folder / "r.html").read_text(encoding="utf-8")
     assert "5. " in page and page.count('class="figure"') == 5
 
 
 def test_what_the_file_says_is_kept_when_asked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("review", folder / "labelled.c3d", "-m", folder / "two.model", "--keep-labels") == 0
-    assert capsys.readouterr().out == "Nothing is in doubt.\n"
+    assert capsys.readouterr().out == "No label needs a check.\n"
 
 
 def test_a_batch_goes_on_after_a_bad_file(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -269,8 +270,8 @@ def test_frames_are_counted_as_the_file_counts(folder: Path, walks: list[Recordi
 
 
 def test_the_page_tells_files_of_one_name_apart(tmp_path: Path) -> None:
-    item = Item(0, 9, 3, 1, "LKNE", 0.5, (("LTHI", 0.2),), 10, 5.0, np.arange(10))
-    review_report(tmp_path / "p.html", [("a/walk.c3d", item), ("b/walk.c3d", item), ("b/turn.c3d", item)], {})
+    item = ReviewItem(0, 9, 3, 1, "LKNE", 0.5, (("LTHI", 0.2),), 10, 5.0, np.arange(10))
+    review_report(tmp_path / "p.html", [ReviewEntry(file, item) for file in ("a/walk.c3d", "b/walk.c3d", "b/turn.c3d")])
     page = (tmp_path / "p.html").read_text(encoding="utf-8")
     assert "1. a/walk.c3d" in page and "2. b/walk.c3d" in page and "3. turn.c3d" in page
     assert "LKNE 50.0 %" in page and "LTHI 20.0 %" in page

@@ -6,6 +6,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from models import trained
 
 import asterism
 from asterism.labelling.body._score_kernels import best_pose
@@ -26,7 +27,7 @@ def walks() -> list[Recording]:
 
 @pytest.fixture(scope="module")
 def ensemble(walks: list[Recording]) -> asterism.SolverEnsemble:
-    return asterism.SolverEnsemble.fit(walks[:5], miner=None, subjects=list("abcde"))
+    return trained(walks[:5], miner=None, subjects=list("abcde"))
 
 
 def run(stream: Stream, clouds: Clouds) -> list[FrameLabels]:

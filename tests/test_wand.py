@@ -19,8 +19,9 @@ from asterism.calibration.wand import (
     world_from_l_frame,
     world_from_points,
 )
-from asterism.calibration.wand.clock import lags
-from asterism.calibration.wand.identify import Agreed, agree, identify, wand_of
+from asterism.calibration.wand.identify import identify, wand_of
+from asterism.calibration.wand.poses import WandPoses, locate_wand
+from asterism.calibration.wand.synchronise import estimate_lags
 from asterism.cameras import Camera, Rig
 from asterism.cameras.aim import looking
 from asterism.cameras.bundle import Sightings, locate
@@ -79,7 +80,7 @@ def edited(blobs: Blobs, edit: Callable[[np.ndarray, np.ndarray, np.ndarray], tu
 
 
 def sentences(made: WandCalibration) -> str:
-    return " ".join(finding.sentence for finding in made.findings)
+    return " ".join(str(finding) for finding in made.findings)
 
 
 def test_a_ring_is_found_from_nothing() -> None:
@@ -115,13 +116,13 @@ def test_an_unlucky_first_look_is_not_believed() -> None:
     rig = a_rig(5)
     blobs, truth = wave_wand(rig, WAND, 200, rng=rng_of(4), rate=20.0, outliers=0.1, strays=1.0)
     wand = wand_of(WAND)
-    chosen = identify(blobs, wand)
-    shown = (chosen >= 0).all(axis=2)
-    wrong = (truth.identity[chosen[shown]] != np.arange(3)).any(axis=1).mean()
+    detections = identify(blobs, wand)
+    shown = (detections >= 0).all(axis=2)
+    wrong = (truth.identity[detections[shown]] != np.arange(3)).any(axis=1).mean()
     assert 0 < wrong < 0.06
-    agreed = agree(blobs, chosen, wand, list(rig), 2.0)
-    used = agreed.sights >= 0
-    assert (truth.identity[agreed.sights[used]] == np.nonzero(used)[2]).mean() > 0.998
+    poses = locate_wand(blobs, detections, wand, list(rig), 2.0)
+    used = poses.observations >= 0
+    assert (truth.identity[poses.observations[used]] == np.nonzero(used)[2]).mean() > 0.998
     assert used.sum() > 0.96 * (truth.identity >= 0).sum()
 
 
@@ -129,25 +130,25 @@ def test_an_unlucky_first_look_is_not_believed() -> None:
 def test_the_wand_in_each_image_equals_the_plain_search(middle: float) -> None:
     blobs, _ = wave_wand(a_rig(3), (0.0, middle, 0.6), 60, rng=rng_of(21), outliers=0.1, strays=2.0)
     wand = wand_of([0.0, middle, 0.6])
-    chosen = identify(blobs, wand)
+    detections = identify(blobs, wand)
     for t in range(len(blobs)):
         for c in range(3):
-            plain = twins_wand.find_wand(blobs.of(t, c), middle / 0.6, wand.either)
+            plain = twins_wand.find_wand(blobs.of(t, c), middle / 0.6, wand.symmetric)
             first = blobs.offsets[3 * t + c]
-            assert (chosen[t, c].tolist() == [-1] * 3) if plain is None else ((chosen[t, c] - first).tolist() == plain)
+            assert (detections[t, c].tolist() == [-1] * 3) if plain is None else ((detections[t, c] - first).tolist() == plain)
 
 
 def test_what_cameras_agree_on_is_supported_as_the_plain_search_says() -> None:
     rig = a_rig(4)
     blobs, _ = wave_wand(rig, WAND, 40, rng=rng_of(22), outliers=0.1, strays=1.0)
     wand = wand_of(WAND)
-    chosen = identify(blobs, wand)
-    agreed = agree(blobs, chosen, wand, list(rig), 6.0)
-    plain = twins_wand.agree(blobs, chosen, wand.lengths, list(rig), 6.0)
-    same = [bool((agreed.sights[t] == sights).all()) for t, (_, sights) in enumerate(plain)]
+    detections = identify(blobs, wand)
+    poses = locate_wand(blobs, detections, wand, list(rig), 6.0)
+    plain = twins_wand.agree(blobs, detections, wand.lengths, list(rig), 6.0)
+    same = [bool((poses.observations[t] == sights).all()) for t, (_, sights) in enumerate(plain)]
     assert np.mean(same) >= 0.9, "laid again by all blobs, a wand may gain or lose one near the gate"
     for t, (score, sights) in enumerate(plain):
-        assert ((agreed.sights[t] >= 0).sum() >= (sights >= 0).sum() - 1) or score == 0.0
+        assert ((poses.observations[t] >= 0).sum() >= (sights >= 0).sum() - 1) or score == 0.0
 
 
 def test_the_ratio_tells_the_ends_apart_in_perspective_too() -> None:
@@ -198,7 +199,7 @@ def test_cameras_that_are_not_triggered_together() -> None:
     assert made.noise < 0.25
     assert unseen_error(rig, made.rig) < 0.001
     careless = calibrate_wand(replace(blobs, times=None), WAND, sizes=SIZE)
-    assert "frames late" in sentences(careless) and "check its trigger" in sentences(careless)
+    assert "frames late" in sentences(careless) and "Check its trigger" in sentences(careless)
 
 
 @pytest.mark.parametrize("late", [-3, 5, 61])
@@ -207,7 +208,7 @@ def test_a_camera_out_of_step_is_named_and_its_images_moved(late: int) -> None:
     blobs, _ = wave_wand(rig, WAND, 800, rng=rng_of(8), rate=100.0)
     mixed = edited(blobs, lambda frame, camera, xy: (np.where(camera == 2, frame - late, frame), camera, xy))
     made = calibrate_wand(mixed, WAND, sizes=SIZE)
-    assert made.late.tolist() == [0, 0, late, 0]
+    assert made.lag_frames.tolist() == [0, 0, late, 0]
     assert f"camera {rig[2].name} started {abs(late)} frames {'late' if late > 0 else 'early'}" in sentences(made)
     assert unseen_error(rig, made.rig) < 0.001
 
@@ -218,7 +219,7 @@ def test_two_cameras_out_of_step_hide_nothing() -> None:
     blobs, _ = wave_wand(rig, WAND, 600, rng=rng_of(6), rate=60.0)
     mixed = edited(blobs, lambda frame, camera, xy: (np.where(camera == 1, frame - 1, frame), camera, xy))
     made = calibrate_wand(mixed, WAND, sizes=SIZE)
-    assert made.late.tolist() == [0, 1]
+    assert made.lag_frames.tolist() == [0, 1]
     assert unseen_error(rig, made.rig) < 0.002
 
 
@@ -238,12 +239,12 @@ def test_lags_are_told_though_the_ends_of_a_wand_change_from_frame_to_frame() ->
     """A wand that looks alike from both ends may be named either way in each frame: its markers do not jump for that."""
     rig, wand = a_rig(4), wand_of((0.0, 0.25, 0.5))
     blobs, _ = wave_wand(rig, (0.0, 0.25, 0.5), 300, rng=rng_of(30), rate=100.0, delays=np.array([0.0, 0.003, 0.0, 0.0]))
-    found = agree(blobs, identify(blobs, wand), wand, list(rig), 15.0)
+    found = locate_wand(blobs, identify(blobs, wand), wand, list(rig), 15.0)
     turned = rng_of(31).random(300) < 0.5
     starts = np.where(turned[:, None], found.starts + 0.5 * found.directions, found.starts)
     directions = np.where(turned[:, None], -found.directions, found.directions)
-    named = Agreed(starts, directions, np.where(turned[:, None, None], found.sights[:, :, ::-1], found.sights))
-    late, spread = lags(list(rig), wand, named.sightings(blobs), starts, directions)
+    named = WandPoses(starts, directions, np.where(turned[:, None, None], found.observations[:, :, ::-1], found.observations))
+    late, spread = estimate_lags(list(rig), wand, named.sightings(blobs), starts, directions)
     assert np.abs(late - [0.0, 0.3, 0.0, 0.0]).max() < 0.02
     assert spread.max() < 0.01
 
@@ -280,7 +281,7 @@ def test_times_do_not_turn_a_wand_around_that_was_out_of_sight() -> None:
     staggered = replace(blobs, times=blobs.times + 0.002 * step * np.arange(4))
     made = calibrate_wand(staggered, WAND, sizes=SIZE)
     assert made.usable, sentences(made)
-    assert made.rejected < 0.05
+    assert made.mean_rejected_share < 0.05
 
 
 def test_cameras_that_saw_nothing_or_share_no_view_are_named_and_the_rest_is_calibrated() -> None:
@@ -292,9 +293,9 @@ def test_cameras_that_saw_nothing_or_share_no_view_are_named_and_the_rest_is_cal
         return np.where(gone, -1, frame), camera, xy
 
     made = calibrate_wand(edited(blobs, lost), WAND, sizes=SIZE)
-    assert set(made.left_out) == {rig[1].name, rig[4].name}
-    assert "saw nothing" in made.left_out[rig[1].name]
-    assert "shares only" in made.left_out[rig[4].name]
+    assert set(made.excluded) == {rig[1].name, rig[4].name}
+    assert "saw nothing" in made.excluded[rig[1].name][0]
+    assert "shares only" in made.excluded[rig[4].name][0]
     assert unseen_error(rig, made.rig) < 0.001
 
 
@@ -326,7 +327,7 @@ def test_lights_that_never_move_are_no_wand() -> None:
     xy = lamps[lamp] + rng_of(23).normal(0.0, 0.05, (len(lamp), 2))
     both = [np.concatenate(part) for part in ((blobs.frame_of, frame), (blobs.camera_of, camera), (blobs.xy, xy))]
     made = calibrate_wand(Blobs.from_rows(*both, rig.names, frames=400), WAND, sizes=SIZE)
-    assert made.lights.tolist() == [3, 3, 3, 3]
+    assert made.static_lights.tolist() == [3, 3, 3, 3]
     assert unseen_error(rig, made.rig) < 0.0008
     with pytest.raises(AsterismError, match="never moves"):
         calibrate_wand(Blobs.from_rows(frame, camera, xy, rig.names), WAND, sizes=SIZE)
@@ -346,7 +347,7 @@ def test_one_marker_before_two_cameras_is_not_enough() -> None:
     apart = float(np.linalg.norm(rig[0].position - rig[1].position))
     made = calibrate_wand(blobs, (0.0,), sizes=SIZE, distance=(*rig.names, apart))
     assert not made.usable
-    assert "hardly tells their lenses" in sentences(made)
+    assert "hardly determines their lenses" in sentences(made)
 
 
 @pytest.mark.parametrize(
@@ -412,7 +413,7 @@ def test_blobs_outside_the_image_are_refused() -> None:
 
 def test_an_image_size_that_differs_from_the_rigs_is_refused() -> None:
     rig, blobs = waved()
-    with pytest.raises(AsterismError, match="said to be 1280 x 960, but the rig says 1280 x 1024"):
+    with pytest.raises(AsterismError, match="image size given is 1280 x 960, but the rig says 1280 x 1024"):
         calibrate_wand(blobs, WAND, sizes=(1280, 960), known=rig)
     with pytest.raises(AsterismError, match="size of its images is not known"):
         calibrate_wand(blobs, WAND)
@@ -465,7 +466,7 @@ def test_a_camera_noisier_than_the_others_is_not_accused() -> None:
 
     made = calibrate_wand(edited(blobs, shaken), WAND, sizes=SIZE)
     assert made.usable, sentences(made)
-    assert made.lost.max() < 0.02
+    assert made.rejected_share.max() < 0.02
     assert unseen_error(rig, made.rig) < 0.0008
 
 
@@ -477,8 +478,8 @@ def test_a_mirrored_camera_is_left_out_and_named() -> None:
         return frame, camera, xy
 
     made = calibrate_wand(edited(blobs, mirror), WAND, sizes=SIZE)
-    assert set(made.left_out) == {rig[3].name}
-    assert "mirrored" in made.left_out[rig[3].name]
+    assert set(made.excluded) == {rig[3].name}
+    assert "mirrored" in made.excluded[rig[3].name][1]
     assert unseen_error(rig, made.rig) < 0.001
 
 
@@ -488,7 +489,7 @@ def test_empty_recordings_are_refused() -> None:
 
 
 def test_a_wrong_image_size_is_seen_in_the_principal_points() -> None:
-    assert "is the image size right?" in sentences(calibrate_wand(waved()[1], WAND, sizes=(1920, 1080)))
+    assert "Check the image size." in sentences(calibrate_wand(waved()[1], WAND, sizes=(1920, 1080)))
     assert "image size" not in sentences(calibrated()[1])
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from models import trained
 
 import asterism
 from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
@@ -21,7 +22,7 @@ def walks() -> list[asterism.Recording]:
 
 @pytest.fixture(scope="module")
 def ensemble(walks: list[asterism.Recording]) -> asterism.SolverEnsemble:
-    return asterism.SolverEnsemble.fit(walks[:4], miner=None)
+    return trained(walks[:4], miner=None)
 
 
 @pytest.mark.parametrize("number_tracks", [True, False], ids=["with tracks", "raw clouds"])
@@ -37,7 +38,7 @@ def test_a_stranger_with_gaps_is_labelled_right(
 
 def test_a_marker_seen_for_long_does_not_yield_to_short_ghosts_beside_it(walks: list[asterism.Recording]) -> None:
     """A camera system that composes a marker twice now and then: 12 single points 2 cm beside LTIB, one person in the training."""
-    one = asterism.SolverEnsemble.fit(walks[:1], miner=None)
+    one = trained(walks[:1], miner=None)
     marker = one.marker_set.names.index("LTIB")
     walk = walks[0].positions[:, [walks[0].labels.index(name) for name in one.marker_set.names]]
     rng = np.random.default_rng(0)
@@ -53,7 +54,7 @@ def test_a_point_that_is_not_where_the_marker_was_in_training_is_not_given_its_l
     walks: list[asterism.Recording], name: str, aside: float
 ) -> None:
     """It goes with the body, it is the only one left over, and most of the frame explains it; but its distances are not the marker's."""
-    one = asterism.SolverEnsemble.fit(walks[4:], miner=None)
+    one = trained(walks[4:], miner=None)
     names = one.marker_set.names
     others = np.arange(len(names)) != names.index(name)
     walk = walks[4].positions[:, [walks[4].labels.index(marker) for marker in names]]

@@ -6,33 +6,33 @@ from itertools import combinations, permutations
 
 import numpy as np
 
-from asterism.calibration.wand.identify import BEND, DEPTH_RATIO, SHORTEST, SLACK
+from asterism.calibration.wand.identify import SEARCH
 from asterism.cameras import Camera
 from asterism.cameras.bundle import Sightings, triangulate
 from asterism.recording import Blobs
 
 
-def find_wand(xy: np.ndarray, share: float, either: bool) -> list[int] | None:
+def find_wand(xy: np.ndarray, share: float, symmetric: bool) -> list[int] | None:
     """The places of U, V, W among the blobs (n, 2) px of one image; None where there is no wand, or another choice is nearly as good."""
     scored = []
     for u, v, w in permutations(range(len(xy)), 3):
         along = xy[w] - xy[u]
         length = np.linalg.norm(along)
-        if length < SHORTEST:
+        if length < SEARCH.shortest:
             continue
         part = (xy[v] - xy[u]) @ along / length**2
         if not 0 < part < 1:
             continue
-        off = np.linalg.norm(xy[v] - xy[u] - part * along) / (SLACK + BEND * length)
+        off = np.linalg.norm(xy[v] - xy[u] - part * along) / (SEARCH.slack + SEARCH.bend * length)
         # z_W / z_U as the image shows it
         ratio = part * (1 - share) / (share * (1 - part))
-        tilt = abs(np.log(ratio)) / np.log(DEPTH_RATIO)
+        tilt = abs(np.log(ratio)) / np.log(SEARCH.depth_ratio)
         if off <= 1 and tilt <= 1:
             scored.append((off + tilt, [u, v, w]))
     scored.sort()
     if not scored:
         return None
-    rivals = [score for score, who in scored[1:] if not (either and who == scored[0][1][::-1])]
+    rivals = [score for score, who in scored[1:] if not (symmetric and who == scored[0][1][::-1])]
     return scored[0][1] if not rivals or rivals[0] > scored[0][0] + 0.35 else None
 
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from asterism.calibration.boards import Board, BoardCalibration, calibrate_board, find_board, footage_of
-from asterism.cameras.bundle import Sightings, adjust, triangulate
+from asterism.cameras.bundle import AdjustSettings, Sightings, adjust, triangulate
 from asterism.cameras.bundle.adjust import rms
 from asterism.cameras.files import read_rig
 from asterism.cameras.rig import Rig
@@ -96,5 +96,7 @@ def _left_by(rig: Rig, made: BoardCalibration) -> float:
     both = np.isfinite(placed[1]).all(axis=1)
     kept, frames = seen.select(both[seen.frame]).compact()
     held = np.zeros((len(rig), 15), dtype=bool)
-    left = adjust(rig.cameras, points, kept, placed[0][frames], placed[1][frames], free=held, covariance=False, steps=200)
+    left = adjust(
+        rig.cameras, points, kept, placed[0][frames], placed[1][frames], free=held, settings=AdjustSettings(covariance=False, steps=200)
+    )
     return rms(left.residuals)

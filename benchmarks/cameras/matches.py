@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from asterism.cameras import Rig
-from asterism.cameras.bundle import Adjustment, Sightings, adjust, free_parameters, triangulate
+from asterism.cameras.bundle import Adjustment, AdjustSettings, Sightings, adjust, free_parameters, triangulate
 from asterism.cameras.files import read_rig
 from asterism.reconstruction import ReconstructionSettings, reconstruct
 from asterism.recording import Blobs, Floats, Ints
@@ -110,7 +110,7 @@ def _adjusted(blobs: Blobs, rig: Rig, matches: Ints, groups: tuple[str, ...], sc
     points = triangulate(rig.cameras, sightings, len(matches), 1)[:, 0]
     turned = np.tile(np.eye(3), (len(matches), 1, 1))
     free = free_parameters(CAMERAS, *groups)
-    return adjust(rig.cameras, [[0.0, 0.0, 0.0]], sightings, turned, points, free=free, loss="cauchy", scale=scale)
+    return adjust(rig.cameras, [[0.0, 0.0, 0.0]], sightings, turned, points, free=free, settings=AdjustSettings(loss="cauchy", scale=scale))
 
 
 def _sightings(blobs: Blobs, matches: Ints) -> Sightings:

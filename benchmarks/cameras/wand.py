@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from asterism.calibration.wand import WandCalibration, calibrate_wand
 from asterism.cameras import Camera, Rig
-from asterism.cameras.bundle import Sightings, adjust, free_parameters, locate
+from asterism.cameras.bundle import AdjustSettings, Sightings, adjust, free_parameters, locate
 from asterism.errors import AsterismError
 from asterism.geometry import place_objects, rotation_from_vector
 from asterism.recording import Floats
@@ -134,8 +134,10 @@ def _best(rig: Rig, made: WandCalibration, positions: Floats, points: Floats, rn
     sightings = replace(made.sightings, frame=np.searchsorted(frames, made.sightings.frame))
     true = [rig[name] for name in made.rig.names]
     free = free_parameters(len(true), *GROUPS)
-    at_truth = adjust(true, made.wand.template, sightings, rotations, translations, free=free, scale=1e3, steps=0)
-    likeliest = adjust(true, made.wand.template, sightings, rotations, translations, free=free, scale=1e3, tolerance=1e-10)
+    at_truth = adjust(true, made.wand.template, sightings, rotations, translations, free=free, settings=AdjustSettings(scale=1e3, steps=0))
+    likeliest = adjust(
+        true, made.wand.template, sightings, rotations, translations, free=free, settings=AdjustSettings(scale=1e3, tolerance=1e-10)
+    )
     covariance = at_truth.covariance * (NOISE / at_truth.noise) ** 2
     root = np.linalg.cholesky(covariance + 1e-18 * np.eye(len(covariance)) * np.trace(covariance))
     squares = []
@@ -184,7 +186,7 @@ def _final_adjustment(made: WandCalibration) -> float:
     good = np.isfinite(translations).all(axis=1)
     part, kept = sightings.select(good[sightings.frame]).compact()
     free = free_parameters(len(off), *GROUPS)
-    result = adjust(off, made.wand.template, part, rotations[kept], translations[kept], free=free, scale=3 * NOISE)
+    result = adjust(off, made.wand.template, part, rotations[kept], translations[kept], free=free, settings=AdjustSettings(scale=3 * NOISE))
     seconds = time.perf_counter() - started
     if not result.converged or result.noise > 1.2 * NOISE:
         raise AsterismError(f"the final adjustment did not arrive: {result.noise:.2f} px.")

@@ -8,6 +8,7 @@ from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 from benchmarks.house.equality import equality
 from benchmarks.house.install import ci, install
+from benchmarks.house.kernels import kernels
 from benchmarks.house.names import reference
 from benchmarks.house.startup import startup
 from benchmarks.house.structure import structure
@@ -18,6 +19,7 @@ ISSUE = "A house that others can carry on: the field's names, rooms for what com
 ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
     "structure": structure,
     "reference": reference,
+    "kernels": kernels,
     "startup": startup,
     "training-default": training,
     "equality": equality,

@@ -1,8 +1,8 @@
 """From one trial to all subjects: label, let a person settle what review flags, learn, go on to what is least in doubt.
 
-The one trial is labelled, or its markers are named once (`own_tracks`). The model sees the truth through the person's answers only. A label
-is *touched* where an answer changed it, on the piece looked at or on a point that had its marker; *given by name* where a named group of
-tracks covers it; *looked at* where the piece was flagged, right or not. All are shares of all samples to be labelled.
+The one trial is labelled, or its markers are named once (`group_tracklets`). The model sees the truth through the person's answers only.
+A label is *touched* where an answer changed it, on the piece looked at or on a point that had its marker; *given by name* where a named
+group of tracks covers it; *looked at* where the piece was flagged, right or not. All are shares of all samples to be labelled.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import asterism
-from asterism.labelling import Item, name_groups, own_tracks, review, settle
+from asterism.labelling import ReviewItem, apply_answers, group_tracklets, name_groups, review
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import NULL, Clouds, Ints, Labelling, MarkerSet, Recording
 from benchmarks.benchmark_run import BenchmarkRun
@@ -31,7 +31,7 @@ WORTH = 1.0
 HASTE = 1
 """So many trials are done for each one with flagged pieces that is taken on before the model learns again."""
 
-Answer = tuple[Item, str | None]
+Answer = tuple[ReviewItem, str | None]
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def run(benchmark: BenchmarkRun, task: tuple[str, str, bool]) -> Course:
         waiting = [trial for i, trial in enumerate(waiting) if i not in chosen]
     course.line.append((course.touched / course.samples, errors / course.samples))
     for trial, given in done:
-        labelling = settle(ensemble.label(trial.clouds, time=True), trial.clouds, given)
+        labelling = apply_answers(ensemble.label(trial.clouds, time=True), trial.clouds, given)
         answered = {int(item.points[0]) for item, _ in given}
         items = [item for item in review(labelling, trial.clouds, least_gain=WORTH) if int(item.points[0]) not in answered]
         settled, _ = _settled(trial, labelling, items, course)
@@ -186,9 +186,9 @@ def _trials(benchmark: BenchmarkRun, hidden: int, ghosts: int) -> list[Trial]:
 
 def _named(trial: Trial, course: Course) -> Recording:
     """The trial as a person names it once: the groups of its own tracks that are there often, each by what most of it is."""
-    groups = own_tracks(trial.clouds)
+    groups = group_tracklets(trial.clouds)
     names = {}
-    for group in range(groups.often):
+    for group in range(groups.frequent):
         answer = trial.answer(np.nonzero(groups.of_point == group)[0])
         if answer is not None:
             names[group] = answer
@@ -198,23 +198,23 @@ def _named(trial: Trial, course: Course) -> Recording:
     return name_groups(recording, groups, names)
 
 
-def _look(ensemble: asterism.SolverEnsemble, trial: Trial) -> tuple[Labelling, list[Item]]:
+def _look(ensemble: asterism.SolverEnsemble, trial: Trial) -> tuple[Labelling, list[ReviewItem]]:
     """The trial's labels and what a person should look at."""
     labelling = ensemble.label(trial.clouds, time=True)
     return labelling, review(labelling, trial.clouds, least_gain=WORTH)
 
 
-def _errors(trials: Sequence[Trial], looks: Sequence[tuple[Labelling, list[Item]]]) -> int:
+def _errors(trials: Sequence[Trial], looks: Sequence[tuple[Labelling, list[ReviewItem]]]) -> int:
     """Markers in view without their own point, and points given to markers that are not in view."""
     return sum(int((labelling.indices != trial.truth).sum()) for trial, (labelling, _) in zip(trials, looks, strict=True))
 
 
-def _settled(trial: Trial, labelling: Labelling, items: Sequence[Item], course: Course) -> tuple[Labelling, list[Answer]]:
+def _settled(trial: Trial, labelling: Labelling, items: Sequence[ReviewItem], course: Course) -> tuple[Labelling, list[Answer]]:
     """The labelling after a person has looked at all that is flagged, and the answers; the course counts it."""
     answers: list[Answer] = []
     for item in items:
         answers.append((item, trial.answer(item.points)))
-        after = settle(labelling, trial.clouds, answers[-1:])
+        after = apply_answers(labelling, trial.clouds, answers[-1:])
         changed = int((trial.marker_of_points(after.indices) != trial.marker_of_points(labelling.indices)).sum())
         course.looks += 1
         course.looked_at += item.samples

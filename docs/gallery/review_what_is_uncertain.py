@@ -7,7 +7,7 @@ of samples that an answer is expected to correct. Here the truth answers. The pi
 import matplotlib.pyplot as plt
 
 import asterism
-from asterism.labelling import review, settle
+from asterism.labelling import apply_answers, review
 from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
 
 
@@ -24,7 +24,7 @@ def main(picture: str = "review_what_is_uncertain.png", subjects: int = 4, frame
         places = item.points - clouds.offsets[clouds.frame_of[item.points]]
         is_marker = (truth[clouds.frame_of[item.points]] == places[:, None]).sum(axis=0)
         answer = walk.labels[is_marker.argmax()] if is_marker.any() else None
-        labelling = settle(labelling, clouds, [(item, answer)])
+        labelling = apply_answers(labelling, clouds, [(item, answer)])
         remaining.append(int((labelling.indices != truth).sum()))
     print(f"wrong or missing samples: {remaining[0]} before, {remaining[-1]} after {len(items)} answers")
 

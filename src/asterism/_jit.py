@@ -33,6 +33,8 @@ from typing import Any, overload
 import numba
 from numba import njit
 
+from asterism.progress import report_first_compile
+
 Function = Callable[..., Any]
 
 _FLAGS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
@@ -42,40 +44,29 @@ _DIGEST = hashlib.sha256().digest_size
 """Bytes in front of a compiled kernel by which a damaged file is recognised."""
 _IMPORT = re.compile(rb"^[ \t]*(?:from[ \t]+([.\w]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)|import[ \t]+([^\n]*))", re.MULTILINE)
 
-_first_compile: Callable[[bool], None] | None = None
-
 
 @overload
 def kernel(function: Function, /) -> Function: ...
 
 
 @overload
-def kernel(*, inline: bool = False, reassociate: bool = False) -> Callable[[Function], Function]: ...
+def kernel(*, inline: bool = False) -> Callable[[Function], Function]: ...
 
 
-def kernel(function: Function | None = None, /, *, inline: bool = False, reassociate: bool = False) -> Any:
+def kernel(function: Function | None = None, /, *, inline: bool = False) -> Any:
     """Compile a function with Numba when it is first called, by the policy of this file. Used bare, or as `@kernel(inline=True)`.
 
     With `NUMBA_DISABLE_JIT=1` the function stays plain Python.
     """
 
     def decorate(function: Function) -> Function:
-        flags = _FLAGS | ({"inline": "always"} if inline else {}) | ({"fastmath": {"reassoc", "contract"}} if reassociate else {})
+        flags = _FLAGS | ({"inline": "always"} if inline else {})
         dispatcher: Any = njit(**flags)(function)
         if not numba.config.DISABLE_JIT:
             _keep_compiled(dispatcher, function, flags)
         return dispatcher
 
     return decorate if function is None else decorate(function)
-
-
-def on_first_compile(callback: Callable[[bool], None] | None) -> None:
-    """Call `callback(kept)` once in this process, before the first kernel compiles that the cache does not have.
-
-    `kept` is False where no folder for the cache can be written, so that every run compiles again. None removes the callback.
-    """
-    global _first_compile
-    _first_compile = callback
 
 
 @cache
@@ -160,7 +151,7 @@ def _cache_class() -> type:
             self.what = (
                 numba.__version__,
                 sys.version,
-                sorted((name, sorted(flag) if isinstance(flag, set) else flag) for name, flag in flags.items()),
+                sorted(flags.items()),
                 code.co_firstlineno,
                 code.co_code.hex(),
             )
@@ -180,7 +171,7 @@ def _cache_class() -> type:
                         continue
                     if content[:_DIGEST] == hashlib.sha256(content[_DIGEST:]).digest():
                         return CompileResult._rebuild(target_context, *pickle.loads(content[_DIGEST:]))
-            _report_first_compile(self.module, self.stamp)
+            report_first_compile(lambda: self.known and _is_kept(self.module, self.stamp))
             return None
 
         def save_overload(self, sig: Any, data: Any) -> None:
@@ -279,12 +270,10 @@ def _writable_folder(module: str, stamp: str) -> Path | None:
     return folder
 
 
-def _report_first_compile(module: str, stamp: str) -> None:
-    global _first_compile
-    callback, _first_compile = _first_compile, None
-    if callback is not None:
-        folder = _writable_folder(module, stamp)
-        callback(folder is not None and (_temporary is None or Path(_temporary) not in folder.parents))
+def _is_kept(module: str, stamp: str) -> bool:
+    """Whether what compiles now is there in the next run."""
+    folder = _writable_folder(module, stamp)
+    return folder is not None and (_temporary is None or Path(_temporary) not in folder.parents)
 
 
 def _replace(path: Path, content: bytes) -> None:

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from asterism.calibration.wand.identify import agree, identify, wand_of
+from asterism.calibration.wand.identify import identify, wand_of
+from asterism.calibration.wand.poses import locate_wand
 from asterism.calibration.wand.world import still_points
 from asterism.cameras.bundle import Sightings
 from asterism.cameras.bundle.locate import locate
@@ -27,7 +28,7 @@ def measure_wand(rig: Rig, blobs: Blobs, lengths: Sequence[float]) -> Floats:
     """
     wand = wand_of(lengths)
     cameras = _cameras(rig, blobs)
-    found = agree(blobs, identify(blobs, wand), wand, cameras, GATE)
+    found = locate_wand(blobs, identify(blobs, wand), wand, cameras, GATE)
     shared = found.sightings(blobs)
     return _located(cameras, shared.frame, shared.camera, shared.point, shared.xy, (len(blobs), len(wand.lengths)))
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.cameras import Camera, Rig
-from asterism.cameras.bundle import PARAMETERS, Sightings, adjust, free_parameters
+from asterism.cameras.bundle import PARAMETERS, AdjustSettings, Sightings, adjust, free_parameters
 from asterism.errors import AsterismError
 from asterism.geometry import vector_from_rotation
 from asterism.progress import Progress
@@ -406,7 +406,8 @@ def _adjusted(blobs: Blobs, rig: Rig, bumped: list[int], cameras: list[int], noi
     points = made.clouds.xyz
     turned = np.tile(np.eye(3), (len(points), 1, 1))
     told = len(zoomed) > 0
-    result = adjust(list(part), np.zeros((1, 3)), sightings, turned, points, free=free, scale=3.0 * noise, covariance=told)
+    settings = AdjustSettings(scale=3.0 * noise, covariance=told)
+    result = adjust(list(part), np.zeros((1, 3)), sightings, turned, points, free=free, settings=settings)
     cameras_now = list(rig.cameras)
     for i, c in enumerate(order):
         errors[c] = result.cameras[i].error

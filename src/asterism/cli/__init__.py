@@ -27,8 +27,9 @@ from asterism.cli.reconstruct import reconstruct
 from asterism.cli.review import review
 from asterism.cli.train import train
 from asterism.errors import AsterismError
+from asterism.progress import on_first_compile
 
-_RENAMED = {"--keep": "--keep-labels"}
+_RENAMED = {"--keep": "--keep-labels", "--anyway": "--force"}
 """Options that had another name once: the old name, which is no longer shown, and the new one."""
 _LISTS = ("--occlusions", "--ghosts", "--wand")
 
@@ -105,6 +106,8 @@ def main(args: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
+    if args is None:
+        on_first_compile(_console.announce_first_compile)
     try:
         words = _lists_joined(_globbed(_respelled(sys.argv[1:] if args is None else args)))
         status = app(args=words or ["--help"], prog_name="asterism", standalone_mode=False)

@@ -6,7 +6,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 
 _WIDTH_WHEN_PIPED = 160
+_COMPILE_SECONDS = 30
+"""How long the kernels of one command take to compile on two idle cores of 2024 (s)."""
 
 
 def console() -> Console:
@@ -113,6 +115,10 @@ def count(number: float) -> str:
     return "–" if math.isnan(number) else f"{number:,.0f}"
 
 
+_bars: list[Callable[[str], None]] = []
+"""The progress bar that is on the terminal: sets its description."""
+
+
 @contextmanager
 def progress(what: str) -> Iterator[Progress | None]:
     """A bar with the remaining time on standard error, where that is a terminal; None elsewhere."""
@@ -126,7 +132,32 @@ def progress(what: str) -> Iterator[Progress | None]:
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Bar(*columns, console=Console(stderr=True), transient=True, redirect_stdout=sys.stdout.isatty()) as bar:
         task = bar.add_task(what, total=1.0)
-        yield lambda fraction, doing: bar.update(task, completed=fraction, description=doing or what)
+        _bars.append(lambda text: bar.update(task, description=text))
+        try:
+            yield lambda fraction, doing: bar.update(task, completed=fraction, description=doing or what)
+        finally:
+            _bars.pop()
+
+
+def announce_first_compile(kept: bool) -> None:
+    """Say once on standard error why the first run takes longer: in the progress line where there is one, else as a line."""
+    if kept:
+        sentence = f"Compiling numerical kernels; this happens once (about {_COMPILE_SECONDS} s)"
+        if _bars:
+            _bars[-1](sentence)
+            return
+    else:
+        sentence = (
+            f"Compiling numerical kernels (about {_COMPILE_SECONDS} s). No folder for compiled kernels can be written, so every run"
+            " compiles them again; name a writable one in NUMBA_CACHE_DIR"
+        )
+    if _bars:
+        from rich.console import Console
+
+        Console(stderr=True, highlight=False).print(f"{sentence}.", markup=False)
+        return
+    sys.stdout.flush()
+    print(f"{sentence}.", file=sys.stderr, flush=True)
 
 
 class Batch:

@@ -105,7 +105,7 @@ def _written(output: Path, session: Session, outcome: Outcome) -> dict[str, Path
     from asterism import Recording, formats
     from asterism.cameras.accuracy import Volume, map_rig, wand_accuracy
     from asterism.cameras.files import write_rig
-    from asterism.report import label_report, rig_report
+    from asterism.report import LabelledRecording, label_report, rig_report
     from asterism.simulation.session import WAND
 
     names = {
@@ -139,12 +139,9 @@ def _written(output: Path, session: Session, outcome: Outcome) -> dict[str, Path
     )
     label_report(
         files["report"],
-        title="Asterism demo: a walker whom simulated cameras saw",
+        LabelledRecording(outcome.labelling, clouds, truth=outcome.points.truth),
+        title="Asterism demo: a walker seen by simulated cameras",
         files=[{"file": files["unlabelled"].name, "frames": len(clouds), "frames_per_second": len(clouds) / outcome.seconds["label"]}],
-        recording=recording,
-        labelling=outcome.labelling,
-        clouds=clouds,
         model_info={"model": "walkers.model"},
-        truth=outcome.points.truth,
     )
     return files

@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from asterism import formats
 from asterism.cli import _console
 from asterism.cli._options import marker_names, vertical_axis
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
 from asterism.recording import Clouds, Labelling, MarkerSet, Recording, keep_labels
+
+if TYPE_CHECKING:
+    from asterism.cameras import Rig
 
 
 def is_rig(path: Path) -> bool:
@@ -94,6 +99,20 @@ def say_left_out(used: int, left_out: Sequence[str]) -> None:
         _console.error(f"using the {used} markers that all files have; {len(left_out)} are in some files only ({few}).")
 
 
+def not_carried(target: Path, lost: Sequence[str]) -> list[Finding]:
+    """What a written file leaves out because its format cannot carry it, as findings."""
+    mend = "Keep the source file, or choose a format that carries it."
+    return [Finding("format-not-carried", Severity.NOTE, str(target), f"{target} leaves out {what}.", mend) for what in lost]
+
+
+def assumptions(path: Path, rig: Rig) -> list[Finding]:
+    """What a rig's file does not say and had to be assumed, as findings."""
+    from asterism.cameras.files import guesses
+
+    mend = "Check it with `asterism info`."
+    return [Finding("format-rig-assumed", Severity.NOTE, str(path), f"{path} does not say {what}.", mend) for what in guesses(rig)]
+
+
 def labels_kept(path: Path, labelling: Labelling, recording: Recording, clouds: Clouds, marker_set: MarkerSet) -> Labelling:
     """The labelling with the labels that a file has already. Raises AsterismError, naming the file, where two columns claim one marker."""
     try:
@@ -103,12 +122,12 @@ def labels_kept(path: Path, labelling: Labelling, recording: Recording, clouds: 
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """How a labelling of a recording came out, as shares of all markers in all frames that add up to 1.
+class LabelShares:
+    """What became of the markers of a recording: shares of all markers in all frames, which add up to 1.
 
-    labelled  a point was given the marker's name
-    unsure    no point was, though the frame has points without a name: one of them may be the marker
-    hidden    no point was, and none is left in the frame
+    labelled  a point got the marker's name
+    unsure    no point got it, and the frame has points without a name, one of which may be the marker
+    hidden    no point got it, and every point of the frame has a name
     """
 
     labelled: float
@@ -116,11 +135,10 @@ class Outcome:
     hidden: float
 
 
-def outcome(labelling: Labelling, clouds: Clouds) -> Outcome:
-    """Sum up a labelling of `clouds`; all NaN where there are no frames."""
+def label_shares(labelling: Labelling, clouds: Clouds) -> LabelShares:
+    """The shares for a labelling of `clouds`; all NaN where there are no frames."""
     given = labelling.indices >= 0
     if given.size == 0:
-        return Outcome(float("nan"), float("nan"), float("nan"))
-    left_over = clouds.counts > given.sum(axis=1)
-    unsure = ~given & left_over[:, None]
-    return Outcome(float(given.mean()), float(unsure.mean()), float((~given & ~unsure).mean()))
+        return LabelShares(float("nan"), float("nan"), float("nan"))
+    unsure = ~given & (clouds.counts > given.sum(axis=1))[:, None]
+    return LabelShares(float(given.mean()), float(unsure.mean()), float((~given & ~unsure).mean()))

@@ -1,15 +1,16 @@
-"""`asterism audit`: labelled files in; where their labels cannot be right, out."""
+"""`asterism audit`: labelled files in; their wrong labels out."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from asterism.cli import _console
+from asterism.cli._command import takes
 from asterism.cli._options import Files, Json, Markers, Overwrite, Seed, Vertical
 from asterism.findings import exit_status
 
@@ -18,38 +19,53 @@ if TYPE_CHECKING:
     from asterism.recording import Recording
 
 
-def audit(
-    files: Files,
-    markers: Markers = None,
+@dataclass(frozen=True)
+class AuditOptions:
+    """What `asterism audit` is asked to do."""
+
+    files: Files
+    markers: Markers = None
     subject: Annotated[
         str | None,
         typer.Option(
             "--subject", metavar="NAME", help="All files are of this person. Else as they say, or their folder.", show_default=False
         ),
-    ] = None,
-    seed: Seed = 0,
-    vertical: Vertical = None,
-    overwrite: Overwrite = False,
-    json: Json = None,
-) -> None:
-    """Find mislabelled frames in labelled files: markers that are exchanged for a while or throughout, labels that leap away and back.
+    ] = None
+    seed: Seed = 0
+    vertical: Vertical = None
+    overwrite: Overwrite = False
+    json: Json = None
 
-    Paths tell where two labels change places; with files of several people, the other people's bodies tell which of the two is right,
-    and what is wrong throughout. Leaves with 1 where something was found.
+
+@takes(AuditOptions)
+def audit(options: AuditOptions) -> None:
+    """Find wrong labels in labelled files: markers that are exchanged for some frames or throughout, labels that jump away and back.
+
+    The markers' paths show where two labels are exchanged. With files of several people, the bodies of the other people show which of
+    the two is right, and what is wrong throughout. The exit status is 1 where something was found.
     """
     from asterism.cli._recordings import marker_set_of, read_some
-    from asterism.labelling.audit import audit as look_through
+    from asterism.labelling import audit as find_errors
 
-    _console.check_new(json, overwrite)
-    batch = _console.Batch("looked through")
-    recordings = read_some(files, marker_set_of(markers), vertical, batch)
+    _console.check_new(options.json, options.overwrite)
+    batch = _console.Batch("audited")
+    recordings = read_some(options.files, marker_set_of(options.markers), options.vertical, batch)
+    subjects = None if options.subject is None else [options.subject] * len(recordings)
     with _console.progress("auditing") as progress:
-        errors = look_through(recordings, subjects=None if subject is None else [subject] * len(recordings), seed=seed, progress=progress)
+        errors = find_errors(recordings, subjects=subjects, seed=options.seed, progress=progress)
     errors = [as_numbered(error, recordings) for error in errors]
-    if json != "-":
+    if options.json != "-":
         show(errors, batch.done)
-    rows = [{**asdict(error), "file": str(batch.done[error.recording]), "damage": error.damage} for error in errors]
-    _console.write_json(json, {"command": "audit", "files": batch.done, "failed": batch.failed, "findings": rows})
+    _console.write_json(
+        options.json,
+        {
+            "command": "audit",
+            "files": batch.done,
+            "failed": batch.failed,
+            "errors": [{**asdict(error), "file": str(batch.done[error.recording]), "damage": error.damage} for error in errors],
+            "findings": [_console.as_json(error.finding) for error in errors],
+        },
+    )
     status = batch.close()
     raise typer.Exit(status or exit_status(error.finding for error in errors))
 
@@ -61,7 +77,7 @@ def as_numbered(error: LabelError, recordings: Sequence[Recording]) -> LabelErro
 
 
 def show(errors: list[LabelError], files: list[Path]) -> None:
-    """The errors as a table, or a line that says there are none."""
+    """The errors as a table, and a line with their number."""
     damage = sum(error.damage for error in errors)
     if errors:
         rows = [
@@ -75,9 +91,8 @@ def show(errors: list[LabelError], files: list[Path]) -> None:
             )
             for error in errors
         ]
-        _console.table("Labels that cannot be right", ("file", "kind", "what it looks like", "first frame", "last", "nats"), rows, left=3)
+        _console.table("Wrong labels", ("file", "kind", "description", "first frame", "last", "nats"), rows, left=3)
     hints = len(errors) - damage
-    few = f"{damage} finding{'s' if damage != 1 else ''}" if damage else "nothing is wrong"
-    _console.result(
-        f"{len(files)} file{'s' if len(files) != 1 else ''}: {few}{f', {hints} hint' + ('s' if hints > 1 else '') if hints else ''}"
-    )
+    found = f"{damage} error{'s' if damage != 1 else ''}" if damage else "no error"
+    found += f", {hints} hint{'s' if hints > 1 else ''}" if hints else ""
+    _console.result(f"{len(files)} file{'s' if len(files) != 1 else ''}: {found}")

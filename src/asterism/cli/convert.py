@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from asterism.cli import _console
+from asterism.cli._command import takes
 from asterism.cli._options import Json, Markers, Overwrite, Vertical, marker_names, vertical_axis
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 
 
-def convert(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="The file to read.", show_default=False)],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write; its suffix says the format.", show_default=False)],
-    markers: Markers = None,
-    vertical: Vertical = None,
-    overwrite: Overwrite = False,
-    json: Json = None,
-) -> None:
+@dataclass(frozen=True)
+class ConvertOptions:
+    """What `asterism convert` is asked to do."""
+
+    source: Annotated[Path, typer.Argument(metavar="IN", help="The file to read.", show_default=False)]
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write; its suffix says the format.", show_default=False)]
+    markers: Markers = None
+    vertical: Vertical = None
+    overwrite: Overwrite = False
+    json: Json = None
+
+
+@takes(ConvertOptions)
+def convert(options: ConvertOptions) -> None:
     """Write a file in another format.
 
     The suffix of OUT says which: C3D, TRC, CSV, TSV, MAT or NPZ; tables of numbers are MOT, STO or CSV.
@@ -28,29 +36,44 @@ def convert(
     What the other format cannot carry is named on standard error.
     """
     from asterism import formats
-    from asterism.cli._recordings import is_rig
+    from asterism.cli._recordings import is_rig, not_carried
 
-    _console.check_new(target, overwrite)
-    _console.check_new(json, overwrite)
-    axis, wanted = vertical_axis(vertical), marker_names(markers)
+    source, target = options.source, options.target
+    _console.check_new(target, options.overwrite)
+    _console.check_new(options.json, options.overwrite)
+    axis, wanted = vertical_axis(options.vertical), marker_names(options.markers)
+    findings: list[Finding] = []
     if is_rig(source):
-        lost = _rig_converted(source, target, axis, wanted)
+        findings, lost = _convert_rig(source, target, axis, wanted)
+    elif wanted is None:
+        lost = formats.convert(source, target, axis)
     else:
-        lost = formats.convert(source, target, axis) if wanted is None else formats.write(target, formats.read(source, wanted, axis))
-    for what in lost:
-        _console.error(f"{target} leaves out {what}.")
-    if json != "-":
+        lost = formats.write(target, formats.read(source, wanted, axis))
+    findings += not_carried(target, lost)
+    for finding in findings:
+        _console.report(finding)
+    if options.json != "-":
         _console.result(f"{source} -> {target}")
-    _console.write_json(json, {"command": "convert", "file": source, "output": target, "not_carried": lost})
+    _console.write_json(
+        options.json,
+        {
+            "command": "convert",
+            "file": source,
+            "output": target,
+            "not_carried": lost,
+            "findings": [_console.as_json(finding) for finding in findings],
+        },
+    )
 
 
-def _rig_converted(source: Path, target: Path, vertical: Any, markers: Any) -> list[str]:
-    from asterism.cameras.files import guesses, read_rig, write_rig
+def _convert_rig(source: Path, target: Path, vertical: Any, markers: Any) -> tuple[list[Finding], list[str]]:
+    """Write a rig in another format; returns what had to be assumed of it, and what the other format cannot carry."""
+    from asterism.cameras.files import read_rig, write_rig
+    from asterism.cli._recordings import assumptions
     from asterism.recording import as_vertical
 
     if markers is not None:
         raise AsterismError(f"{source} is a rig and has no markers; leave out --markers.")
     rig = read_rig(source)
-    for phrase in guesses(rig):
-        _console.error(f"{source} does not say {phrase}.")
-    return write_rig(rig if vertical is None else replace(rig, vertical=as_vertical(vertical)), target)
+    findings = assumptions(source, rig)
+    return findings, write_rig(rig if vertical is None else replace(rig, vertical=as_vertical(vertical)), target)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,16 +12,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from asterism.cli import _console
+from asterism.cli._command import takes
 from asterism.cli._options import Json, Seed
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from asterism.recording import Ints, Labelling
+    from asterism.labelling import SolverEnsemble
+    from asterism.recording import Clouds, Ints, Labelling, Recording
 
-_WALKERS, _STRANGERS, _FRAMES, _RATE = 10, 2, 150, 50.0
+_WALKERS, _NEW_WALKERS, _FRAMES, _RATE = 10, 2, 150, 50.0
 _MARKERS = "helen-hayes"
 _CONDITIONS = ((0, 0), (2, 0), (4, 0), (2, 3))
+"""How many markers are in a gap, and how many ghosts there are, at every moment. The last condition is the hardest; the report shows it."""
 
 
 class Part(StrEnum):
@@ -29,94 +34,149 @@ class Part(StrEnum):
     CAMERAS = "cameras"
 
 
-def demo(
+@dataclass(frozen=True)
+class DemoOptions:
+    """What `asterism demo` is asked to do."""
+
     part: Annotated[
         Part, typer.Argument(metavar="[cameras]", help="Begin with cameras: calibrate, reconstruct, label.", show_default=False)
-    ] = Part.LABELLING,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where the files go.")] = Path("asterism-demo"),
-    seed: Seed = 0,
-    json: Json = None,
-) -> None:
+    ] = Part.LABELLING
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where the files go.")] = Path("asterism-demo")
+    seed: Seed = 0
+    json: Json = None
+
+
+@takes(DemoOptions)
+def demo(options: DemoOptions) -> None:
     """Try everything in under a minute, on simulated people.
 
-    Ten people of different sizes walk for three seconds, 15 markers each. Eight train a model; it labels the other two, with
-    markers hidden and ghosts added. Leaves a report, the model, and an unlabelled and a labelled C3D. Files of an earlier demo
-    are replaced.
+    Ten people of different sizes walk for three seconds, 15 markers each. Eight train a model. It labels the recordings of the other two
+    as `asterism label` does, each as a whole: markers vanish for up to a second and come back under new track numbers, and ghosts
+    come and go. Leaves a report, the model, and an unlabelled and a labelled C3D. Files of an earlier demo are replaced.
 
     `asterism demo cameras` begins one step earlier: eight simulated cameras see a waved wand and a walker who hides markers; the rig is
-    calibrated from nothing, points are reconstructed and labelled, and everything is held against the truth. It leaves with 1 where it
-    misses what it promises.
+    calibrated from nothing, points are reconstructed and labelled, and everything is compared with the truth. The exit status is 1 where a
+    promised figure is missed.
     """
-    if part is Part.CAMERAS:
+    if options.part is Part.CAMERAS:
         from asterism.cli._demo_cameras import demo_cameras
 
-        raise typer.Exit(demo_cameras(output, seed, json))
-    from asterism import Recording, formats
-    from asterism.labelling import SolverEnsemble, TrainingRules
-    from asterism.labelling.simulated_occlusions import simulate_occlusions
-    from asterism.recording import MarkerSet
-    from asterism.report import label_report
+        raise typer.Exit(demo_cameras(options.output, options.seed, options.json))
     from asterism.simulation import simulate_walks
 
-    _console.check_new(json, overwrite=True)
-    output.mkdir(parents=True, exist_ok=True)
-    walks = simulate_walks(subjects=_WALKERS, frames=_FRAMES, rate=_RATE, markers=_MARKERS, seed=seed)
-    known, strangers = walks[:-_STRANGERS], walks[-_STRANGERS:]
-    talk = _console.result if json != "-" else _console.error
-    talk(f"Training on {len(known)} simulated walkers, {len(known[0].labels)} markers ...")
+    _console.check_new(options.json, overwrite=True)
+    options.output.mkdir(parents=True, exist_ok=True)
+    show = _console.result if options.json != "-" else _console.error
+    walks = simulate_walks(subjects=_WALKERS, frames=_FRAMES, rate=_RATE, markers=_MARKERS, seed=options.seed)
+    ensemble = _trained(walks[:-_NEW_WALKERS], options.seed, show)
+    files = _Files.in_folder(options.output)
+    ensemble.save(files.model)
+    trials = [_labelled(ensemble, walks[-_NEW_WALKERS:], *condition, options.seed) for condition in _CONDITIONS]
+    if options.json != "-":
+        _print([trial.row for trial in trials])
+    _write(files, ensemble, trials[-1])
+    show(f"Open {files.report} in a browser, and {files.labelled} in any C3D viewer. Label a file yourself:")
+    show(f"  asterism label {files.unlabelled} --model {files.model} -o {options.output / 'labelled'}")
+    _console.write_json(
+        options.json,
+        {
+            "command": "demo",
+            "seed": options.seed,
+            "whole_recordings": True,
+            "conditions": [trial.row for trial in trials],
+            "report": files.report,
+            "model": files.model,
+            "unlabelled": files.unlabelled,
+            "labelled": files.labelled,
+        },
+    )
+
+
+@dataclass(frozen=True)
+class _Files:
+    """What the demo leaves in its folder."""
+
+    model: Path
+    unlabelled: Path
+    labelled: Path
+    report: Path
+
+    @classmethod
+    def in_folder(cls, folder: Path) -> _Files:
+        return cls(folder / "walkers.model", folder / "walk-unlabelled.c3d", folder / "walk-labelled.c3d", folder / "report.html")
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Walkers labelled under one condition: the table's row; clouds, labelling and truth of the last walker."""
+
+    row: dict[str, Any]
+    clouds: Clouds
+    labelling: Labelling
+    truth: Ints
+
+
+def _trained(walks: Sequence[Recording], seed: int, show: Callable[[str], None]) -> SolverEnsemble:
+    from asterism.labelling import SolverEnsemble, TrainingRules
+    from asterism.recording import MarkerSet
+
+    show(f"Training on {len(walks)} simulated walkers, {len(walks[0].labels)} markers ...")
     started = time.perf_counter()
     with _console.progress("training") as progress:
-        # a quick training: two groups left out in turn, and none of the partial solvers, which these rules do not ask
-        training = TrainingRules(folds=2, trial_frames=60)
-        marker_set = MarkerSet.load(_MARKERS)
-        ensemble = SolverEnsemble.fit(known, seed=seed, miner=None, marker_set=marker_set, training=training, progress=progress)
-    talk(f"Trained in {time.perf_counter() - started:.0f} s. Labelling {len(strangers)} walkers that the model has not seen ...")
-    model = output / "walkers.model"
-    ensemble.save(model)
+        # a quick training: two groups left out in turn, and no partial solvers, which the whole-body rules do not use
+        rules, marker_set = TrainingRules(folds=2, trial_frames=60), MarkerSet.load(_MARKERS)
+        ensemble = SolverEnsemble.fit(walks, seed=seed, miner=None, marker_set=marker_set, training=rules, progress=progress)
+    show(f"Trained in {time.perf_counter() - started:.0f} s. Labelling recordings of {_NEW_WALKERS} walkers that it has not seen ...")
+    return ensemble
 
-    rows: list[dict[str, Any]] = []
-    for hidden, ghosts in _CONDITIONS:
-        counted = {"right": 0, "wrong": 0, "not labelled": 0, "visible": 0}
-        seconds = frames = 0.0
-        for i, stranger in enumerate(strangers):
-            clouds, truth = simulate_occlusions(stranger, hidden, ghosts, seed=seed + 1 + i)
-            started = time.perf_counter()
-            labelling = ensemble.label(clouds)
-            seconds += time.perf_counter() - started
-            frames += len(clouds)
-            for key, value in _compared(labelling, truth).items():
-                counted[key] += value
-        rows.append({"hidden": hidden, "ghosts": ghosts, **counted, "frames_per_second": frames / seconds})
-    if json != "-":
-        _print(rows)
 
-    # The last condition, the hardest, is the one to look at.
-    raw, labelled, page = output / "walk-unlabelled.c3d", output / "walk-labelled.c3d", output / "report.html"
-    recording = Recording.from_clouds(clouds)
-    formats.write(raw, recording)
-    formats.write(labelled, recording.with_labelling(labelling))
+def _labelled(ensemble: SolverEnsemble, walks: Sequence[Recording], hidden: int, ghosts: int, seed: int) -> _Trial:
+    """Label the walks, each as a whole, with so many markers in a gap and so many ghosts at every moment."""
+    from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
+
+    counts = {"right": 0, "wrong": 0, "not labelled": 0, "visible": 0}
+    seconds, frames = 0.0, 0
+    for i, walk in enumerate(walks):
+        clouds, truth = simulate_gaps_and_ghosts(walk, hidden, ghosts, seed=seed + 1 + i)
+        started = time.perf_counter()
+        labelling = ensemble.label(clouds, time=True)
+        seconds += time.perf_counter() - started
+        frames += len(clouds)
+        for key, value in _compared(labelling, truth).items():
+            counts[key] += value
+    row = {"hidden": hidden, "ghosts": ghosts, **counts, "frames_per_second": frames / seconds}
+    return _Trial(row, clouds, labelling, truth)
+
+
+def _write(files: _Files, ensemble: SolverEnsemble, trial: _Trial) -> None:
+    """Write a trial's recording without and with labels, and the report on it."""
+    from asterism import formats
+    from asterism.report import LabelledRecording, label_report
+
+    recording, clouds = _as_recording(trial.clouds)
+    formats.write(files.unlabelled, recording)
+    formats.write(files.labelled, recording.with_labelling(trial.labelling, clouds))
+    row = {"file": files.unlabelled.name, "frames": len(clouds), "frames_per_second": trial.row["frames_per_second"]}
     label_report(
-        page,
+        files.report,
+        LabelledRecording(trial.labelling, clouds, ensemble.marker_set, trial.truth),
         title="Asterism demo: a simulated walker that the model has not seen",
-        files=[
-            {
-                "file": raw.name,
-                "frames": len(clouds),
-                "frames_per_second": rows[-1]["frames_per_second"],
-            }
-        ],
-        recording=recording,
-        labelling=labelling,
-        clouds=clouds,
-        model_info={"model": model.name, **ensemble.about},
-        truth=truth,
-        marker_set=ensemble.marker_set,
+        files=[row],
+        model_info={"model": files.model.name, "labelled": "the recording as a whole, by its tracks", **ensemble.about},
     )
-    talk(f"Look at {page} in a browser, and at {labelled} in any C3D viewer. Label a file yourself:")
-    talk(f"  asterism label {raw} --model {model} -o {output / 'labelled'}")
-    _console.write_json(
-        json, {"command": "demo", "seed": seed, "conditions": rows, "report": page, "model": model, "unlabelled": raw, "labelled": labelled}
-    )
+
+
+def _as_recording(clouds: Clouds) -> tuple[Recording, Clouds]:
+    """The recording of clouds with tracks, a column for each track as a camera system writes it; and its clouds, in the given order."""
+    import numpy as np
+
+    from asterism.recording import Recording
+
+    assert clouds.tracks is not None
+    positions = np.full((len(clouds), int(clouds.tracks.max(initial=-1)) + 1, 3), np.nan)
+    positions[clouds.frame_of, clouds.tracks] = clouds.xyz
+    labels = tuple(f"*{i + 1}" for i in range(positions.shape[1]))
+    return Recording(positions, labels, clouds.rate, clouds.vertical), replace(clouds, columns=clouds.tracks)
 
 
 def _compared(labelling: Labelling, truth: Ints) -> dict[str, int]:
@@ -130,9 +190,9 @@ def _compared(labelling: Labelling, truth: Ints) -> dict[str, int]:
     }
 
 
-def _print(rows: list[dict[str, Any]]) -> None:
+def _print(rows: Sequence[dict[str, Any]]) -> None:
     _console.table(
-        f"{_STRANGERS} walkers, {_FRAMES} frames each; wrong labels include those given to hidden markers",
+        f"{_NEW_WALKERS} recordings of {_FRAMES} frames, each labelled as a whole; wrong labels include those given to hidden markers",
         ["hidden", "ghosts", "markers in view", "right", "not labelled", "wrong labels", "frames/s"],
         [
             [

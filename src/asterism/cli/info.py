@@ -1,14 +1,16 @@
-"""`asterism info`: files in, what they hold out."""
+"""`asterism info`: files in, what they hold, out."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import typer
 
 from asterism.cli import _console
+from asterism.cli._command import takes
 from asterism.cli._options import Files, Json, Overwrite
 
 _UNITS = {"rate": " frames/s", "duration": " s"}
@@ -17,30 +19,45 @@ _LONG_ENOUGH = 12
 _CAMERA_COLUMNS = ("camera", "image, px", "focal length, px", "centre, px", "lens terms", "position, m", "error, px")
 
 
-def info(files: Files, overwrite: Overwrite = False, json: Json = None) -> None:
+@dataclass(frozen=True)
+class InfoOptions:
+    """What `asterism info` is asked to do."""
+
+    files: Files
+    overwrite: Overwrite = False
+    json: Json = None
+
+
+@takes(InfoOptions)
+def info(options: InfoOptions) -> None:
     """Show what files hold.
 
-    Points (physical, computed, unnamed), frames, rate, units, the vertical, events, gaps and oddities. Of rig files and folders
-    of them: cameras, their lenses, positions and errors, and what the file lacks.
+    Points (physical, computed, unnamed), frames, rate, units, the vertical, events, gaps and remarks on the file. Of rig files and
+    folders of them: cameras, their lenses, positions and errors, and what the file lacks.
     """
+    _console.check_new(options.json, options.overwrite)
+    batch = _console.Batch("shown")
+    contents: list[dict[str, Any]] = []
+    for path in options.files:
+        with batch.file(path):
+            contents.append({"file": path, **_content(path, show=options.json != "-")})
+    _console.write_json(options.json, {"command": "info", "files": contents, "failed": batch.failed})
+    raise typer.Exit(batch.close())
+
+
+def _content(path: Path, *, show: bool) -> dict[str, Any]:
+    """What one file holds, printed where it should be shown."""
     from asterism import formats
     from asterism.cli._recordings import is_rig
 
-    _console.check_new(json, overwrite)
-    batch = _console.Batch("shown")
-    found: list[dict[str, Any]] = []
-    for path in files:
-        with batch.file(path):
-            rig = is_rig(path)
-            whole = _described_rig(path) if rig else formats.describe(path)
-            content = {key: value for key, value in whole.items() if key != "file"}
-            found.append({"file": path, **content})
-            if json != "-":
-                _console.facts(str(path), list(_rows({key: value for key, value in content.items() if not (rig and key == "cameras")})))
-            if json != "-" and rig:
-                _console.table("cameras", _CAMERA_COLUMNS, [_camera_row(camera) for camera in content["cameras"]])
-    _console.write_json(json, {"command": "info", "files": found, "failed": batch.failed})
-    raise typer.Exit(batch.close())
+    rig = is_rig(path)
+    whole = _described_rig(path) if rig else formats.describe(path)
+    content = {key: value for key, value in whole.items() if key != "file"}
+    if show:
+        _console.facts(str(path), list(_rows({key: value for key, value in content.items() if not (rig and key == "cameras")})))
+    if show and rig:
+        _console.table("cameras", _CAMERA_COLUMNS, [_camera_row(camera) for camera in content["cameras"]])
+    return content
 
 
 def _described_rig(path: Path) -> dict[str, Any]:

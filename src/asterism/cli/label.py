@@ -139,7 +139,6 @@ class _Result:
     """One labelled file: what the table, the JSON and the report say of it."""
 
     row: dict[str, Any]
-    recording: Recording
     labelling: Labelling
     clouds: Clouds
     marker_set: MarkerSet
@@ -159,8 +158,8 @@ def _check(options: LabelOptions) -> None:
 
 def _labelled(labeller: _Labeller, batch: _console.Batch, path: Path, target: Path, progress: Progress | None) -> _Result:
     """Label one file and write it."""
-    from asterism import __version__
-    from asterism.cli._recordings import labels_kept, outcome
+    from asterism import __version__, formats
+    from asterism.cli._recordings import label_shares, labels_kept, not_carried
     from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
 
     options = labeller.options
@@ -195,36 +194,36 @@ def _labelled(labeller: _Labeller, batch: _console.Batch, path: Path, target: Pa
     if options.keep_labels:
         labelling = labels_kept(path, labelling, recording, clouds, marker_set)
     by = f"asterism {__version__}, {', '.join(model.name for model in options.model)}"
-    lost = _write(target, recording.with_labelling(labelling, clouds, keep_names=options.keep_labels, by=by))
-    summary = outcome(labelling, clouds)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    lost = formats.write(target, recording.with_labelling(labelling, clouds, keep_names=options.keep_labels, by=by))
+    for finding in not_carried(target, lost):
+        batch.found(finding)
+    shares = label_shares(labelling, clouds)
     row = {
         "file": path,
         "output": target,
         "frames": len(clouds),
-        "labelled": summary.labelled,
-        "unsure": summary.unsure,
-        "hidden": summary.hidden,
+        "labelled": shares.labelled,
+        "unsure": shares.unsure,
+        "hidden": shares.hidden,
         "frames_per_second": len(clouds) / seconds if seconds else float("nan"),
         "not_carried": lost,
     }
-    return _Result(row, recording, labelling, clouds, marker_set)
+    return _Result(row, labelling, clouds, marker_set)
 
 
 def _report(options: LabelOptions, labeller: _Labeller, results: Sequence[_Result]) -> None:
-    from asterism.report import label_report
+    from asterism.report import LabelledRecording, label_report
 
     assert options.report is not None
     first, rows = results[0], [result.row for result in results]
     about = {"model": ", ".join(map(str, options.model)), "rules": options.rules.value, "keep_labels": options.keep_labels}
     label_report(
         options.report,
+        LabelledRecording(first.labelling, first.clouds, first.marker_set),
         title=f"{len(rows)} labelled recordings" if len(rows) > 1 else f"{rows[0]['file'].name}, labelled",
         files=rows,
-        recording=first.recording,
-        labelling=first.labelling,
-        clouds=first.clouds,
         model_info={**about, **labeller.ensembles[0].about},
-        marker_set=first.marker_set,
     )
 
 
@@ -277,16 +276,6 @@ def _adapted(ensemble: SolverEnsemble, subject: Path, axis: str | list[float] | 
     except AsterismError as problem:
         sentence = str(problem)
         raise AsterismError(sentence if subject.name in sentence else f"{subject}: {sentence}") from problem
-
-
-def _write(target: Path, recording: Recording) -> list[str]:
-    from asterism import formats
-
-    target.parent.mkdir(parents=True, exist_ok=True)
-    lost = formats.write(target, recording)
-    for what in lost:
-        _console.error(f"{target} leaves out {what}.")
-    return lost
 
 
 def _line(row: dict[str, Any]) -> str:

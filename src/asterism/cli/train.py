@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from asterism.cli import _console
+from asterism.cli._command import takes
 from asterism.cli._options import (
     Features,
     Files,
@@ -31,65 +32,72 @@ if TYPE_CHECKING:
     from asterism.recording import MarkerSet, Recording
 
 
-def train(
-    files: Files,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The model to write.", show_default=False)],
-    markers: Markers = None,
-    target_hit_rate: HitRate = 0.999,
-    miner: MinerOption = None,
-    features: Features = None,
-    seed: Seed = 0,
+@dataclass(frozen=True)
+class TrainOptions:
+    """What `asterism train` is asked to do."""
+
+    files: Files
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The model to write.", show_default=False)]
+    markers: Markers = None
+    target_hit_rate: HitRate = 0.999
+    miner: MinerOption = None
+    features: Features = None
+    seed: Seed = 0
     leave_out_damaged: Annotated[
         bool, typer.Option("--leave-out-damaged", help="Look through the files first, and leave out what cannot be right.")
-    ] = False,
-    vertical: Vertical = None,
-    overwrite: Overwrite = False,
-    json: Json = None,
-) -> None:
+    ] = False
+    vertical: Vertical = None
+    overwrite: Overwrite = False
+    json: Json = None
+
+
+@takes(TrainOptions)
+def train(options: TrainOptions) -> None:
     """Learn a marker set from files whose points are labelled.
 
-    Recordings of several people make a model that holds for people it has not seen. A file that lacks a marker of the set stops
-    the training before it starts, and is named.
+    Recordings of several people make a model that holds for people it has not seen. Without --markers the set is the markers that all
+    files have; the others are named. A file that lacks a marker of --markers stops the training before it starts, and is named.
     """
-    check_hit_rate(target_hit_rate)
-    chosen = feature_names(features)
-    _console.check_new(output, overwrite)
-    _console.check_new(json, overwrite)
+    check_hit_rate(options.target_hit_rate)
+    features = feature_names(options.features)
+    _console.check_new(options.output, options.overwrite)
+    _console.check_new(options.json, options.overwrite)
     from asterism.cli._recordings import marker_set_of, say_left_out
 
-    marker_set = marker_set_of(markers)
-    recordings = _read(files, marker_set, vertical)
+    marker_set = marker_set_of(options.markers)
+    recordings = _read(options.files, marker_set, options.vertical)
     from asterism.labelling import SolverEnsemble, TrainingRules
 
-    left_out: list[Any] = []
-    if leave_out_damaged:
-        recordings, left_out = _without_damage(files, recordings, marker_set, seed)
+    errors: list[Any] = []
+    if options.leave_out_damaged:
+        recordings, errors = _without_damage(recordings, marker_set, options.seed)
     started = time.perf_counter()
     with _console.progress("training") as progress:
         ensemble = SolverEnsemble.fit(
             recordings,
-            seed=seed,
-            target_hit_rate=target_hit_rate,
-            miner=None if miner is None else miner.value,
+            seed=options.seed,
+            target_hit_rate=options.target_hit_rate,
+            miner=None if options.miner is None else options.miner.value,
             marker_set=marker_set,
-            training=TrainingRules(features=chosen),
+            training=TrainingRules(features=features),
             progress=progress,
         )
     seconds = time.perf_counter() - started
-    ensemble.save(output)
+    ensemble.save(options.output)
     names, about = ensemble.marker_set.names, ensemble.about
     say_left_out(len(names), about["left_out_markers"])
-    if json != "-":
-        _print(output, len(names), len(recordings), about, seconds)
+    if options.json != "-":
+        _print(options.output, len(names), len(recordings), about, seconds)
     _console.write_json(
-        json,
+        options.json,
         {
             "command": "train",
-            "model": output,
+            "model": options.output,
             "markers": names,
-            "files": files,
+            "files": options.files,
             **about,
-            "left_out": [asdict(finding) for finding in left_out],
+            "left_out": [asdict(error) for error in errors],
+            "findings": [_console.as_json(error.finding) for error in errors],
             "seconds": seconds,
         },
     )
@@ -109,22 +117,19 @@ def _read(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | N
     return recordings
 
 
-def _without_damage(
-    files: Sequence[Path], recordings: Sequence[Recording], marker_set: MarkerSet | None, seed: int
-) -> tuple[list[Recording], list[Any]]:
-    """The recordings without the samples that cannot be right, and these as findings, each said on the console."""
-    from asterism.labelling import audit, without
+def _without_damage(recordings: Sequence[Recording], marker_set: MarkerSet | None, seed: int) -> tuple[list[Recording], list[Any]]:
+    """The recordings without the samples that cannot be right, and the label errors found, each reported on the console."""
+    from asterism.labelling import audit, remove_errors
     from asterism.labelling.training.learning import common_marker_set
 
     names = (marker_set or common_marker_set(recordings)[0]).names
     audited = [recording.select(names) for recording in recordings]
     with _console.progress("auditing") as progress:
-        findings = [finding for finding in audit(audited, seed=seed, progress=progress) if finding.damage]
-    numbered = [as_numbered(finding, audited) for finding in findings]
-    for finding in numbered:
-        span = f"frames {finding.first_frame} to {finding.last_frame}"
-        _console.error(f"{files[finding.recording]}, {span}: left out, {finding.description}.")
-    return without(audited, findings), numbered
+        errors = [error for error in audit(audited, seed=seed, progress=progress) if error.damage]
+    numbered = [as_numbered(error, audited) for error in errors]
+    for error in numbered:
+        _console.report(error.finding)
+    return remove_errors(audited, errors), numbered
 
 
 def _print(output: Path, markers: int, recordings: int, about: dict[str, Any], seconds: float) -> None:

@@ -114,7 +114,7 @@ def where_lines_approach(d0, d1, d2, e0, e1, e2, o0, o1, o2):
     return (od * ee - oe * de) / under, (od * de - oe * dd) / under, True
 
 
-@kernel(reassociate=True)
+@kernel
 def fit_about_z(points, rows, template, markers):
     """The turn about +z and the shift that lay the points at `rows` best on `template[markers]`: (cos, sin, from, onto).
 
@@ -144,7 +144,7 @@ def fit_about_z(points, rows, template, markers):
     return cos, sin, (px, py, pz), (qx, qy, qz)
 
 
-@kernel(reassociate=True)
+@kernel
 def align_about_z(points, rows, template, markers, out):
     """Move all points as `fit_about_z` says. OUT out (n, 3) m. O(n + k), no allocation."""
     cos, sin, here, there = fit_about_z(points, rows, template, markers)

@@ -1,4 +1,4 @@
-"""A recording without any label or model in; its tracklets joined to one group per marker, and the names a person gives them, out."""
+"""A recording without labels in, and no model; its tracklets joined to groups, one per marker, out; and the recording with their names."""
 
 from __future__ import annotations
 
@@ -19,62 +19,66 @@ from asterism.tracking.linking import find_tracklets
 Bools = NDArray[np.bool_]
 
 _SMOOTH_SECONDS = 0.15
-_WALKS = 0.2
-_OFTEN = 0.1
+"""Standard deviation (s) of the Gaussian that smooths the body's turn about the vertical."""
+_MIN_SPEED = 0.2
+"""m/s from which the body has a direction of travel."""
+_FREQUENT = 0.1
+"""Share of the frames from which a group is listed for a person."""
 
 
 @dataclass(frozen=True)
 class JoinRules:
-    """When two tracklets are held to be one marker. Chosen on the gait subjects HC003, HC031, HC042, HC044, HC050, checked on the others.
+    """When two tracklets count as one marker. Chosen on the gait subjects HC003, HC031, HC042, HC044, HC050, checked on the others.
 
-    enough      nats by which "one marker" must beat "two markers"
-    clear       nats by which it must beat every join that would rule it out
-    neighbours  tracklets at most beside which the two are seen
-    shared      share of a tracklet's frames in which a neighbour must be seen
-    noise       m, how far a marker strays from where its neighbours say it is
-    offset      m, how far apart neighbours may be
-    slope       how much a marker may follow one neighbour against the others
-    step        s between the frames that are looked at
-    least       s that a tracklet lasts, else it stays alone
+    min_evidence    nats by which "one marker" must beat "two markers"
+    min_lead        nats by which a join must beat every join that it would exclude
+    max_neighbours  tracklets at most that the places of the two are compared with
+    min_shared      share of a tracklet's frames in which a neighbour must be seen
+    noise           m, standard deviation of a marker about the place that its neighbours predict
+    offset          m, standard deviation of the distance between neighbours
+    slope           standard deviation of the coefficients with which a marker follows a neighbour
+    step            s between the frames that are used
+    min_duration    s that a tracklet lasts at least; a shorter one is not joined
     """
 
-    enough: float = 8.0
-    clear: float = 5.0
-    neighbours: int = 4
-    shared: float = 0.6
+    min_evidence: float = 8.0
+    min_lead: float = 5.0
+    max_neighbours: int = 4
+    min_shared: float = 0.6
     noise: float = 0.016
     offset: float = 0.5
     slope: float = 0.5
     step: float = 0.08
-    least: float = 0.08
+    min_duration: float = 0.08
 
 
 @dataclass(frozen=True)
-class Groups:
-    """Which points of a recording are one marker, as far as that can be told without knowing any marker.
+class MarkerGroups:
+    """Which points of a recording are one marker, as far as its motion shows.
 
     of_point  (P,) int: the group of each point of the clouds; every point has one
-    frames    (G,) int: how many frames show each
-    often     how many are seen in a tenth of the frames or more: those that a person names
+    frames    (G,) int: in how many frames each group is seen
+    frequent  how many groups are seen in a tenth of the frames or more: a person names these
 
-    The often seen groups come first, numbered from the head down; then the others, the longest first.
+    The frequent groups come first, numbered from the head down; then the others, by falling number of frames.
     """
 
     of_point: Ints
     frames: Ints
-    often: int
+    frequent: int
 
     def __len__(self) -> int:
         return len(self.frames)
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where a group sits on the body, medians over its frames.
+class GroupPlace:
+    """Where a group is on the body, medians over its frames.
 
-    height       m above the lowest point of the recording
-    left, ahead  m from the middle of the body, to its left and in the direction of its way; NaN where nobody goes anywhere
-    nearest      (group, distance in m) of the often seen groups that are nearest to it when both are seen, the nearest first
+    height   m above the lowest point of the recording
+    left     m to the left of the body's middle, as it walks; NaN where the body does not travel
+    ahead    m ahead of the body's middle, as it walks; NaN where the body does not travel
+    nearest  (group, distance in m) of the frequent groups that are nearest when both are seen, the nearest first
     """
 
     height: float
@@ -83,15 +87,16 @@ class Place:
     nearest: tuple[tuple[int, float], ...]
 
 
-def own_tracks(clouds: Clouds, rules: JoinRules | None = None) -> Groups:
-    """Join a recording's tracklets (`find_tracklets`) to one group per marker, without any model, label or first frame.
+def group_tracklets(clouds: Clouds, rules: JoinRules | None = None) -> MarkerGroups:
+    """Join a recording's tracklets (`find_tracklets`) to one group per marker. No model, no label and no first frame is needed.
 
-    Two tracklets that never share a frame are one marker if their places among their near-rigid neighbours are better told by one rule than
-    by two: the marker's place is a linear function of its neighbours' places, in axes that turn with the body, and the two hypotheses
-    are compared by their Bayesian evidence (normal-inverse-gamma), which weighs by itself how much a short or a far tracklet can say.
-    The best join is made first, the evidence of all that it touches is taken anew, until no join is both sure and clearly better than those
-    that it would rule out. A doubtful tracklet stays a group of its own: a wrong join costs a person more than one more name.
-    O(J^2) comparisons for J tracklets.
+    Two tracklets that never share a frame can be one marker. Each tracklet's place is modelled as a linear function of the places of its
+    near-rigid neighbours, in axes that turn with the body. The Bayesian evidence (normal-inverse-gamma) of one function for both tracklets
+    is compared with that of two functions; it accounts for how much a short or a distant tracklet can show.
+
+    The join with the most evidence is made first. The evidence of all pairs that it concerns is then computed again, until no join has
+    enough evidence and a clear lead over those that it would exclude. A tracklet without such a join stays a group: a wrong join costs
+    a person more than one more name. O(J^2) comparisons for J tracklets.
     """
     rules = rules or JoinRules()
     of_tracklet = find_tracklets(clouds).of_point
@@ -99,40 +104,40 @@ def own_tracks(clouds: Clouds, rules: JoinRules | None = None) -> Groups:
     return _numbered(clouds, joined[of_tracklet])
 
 
-def places(clouds: Clouds, groups: Groups, nearest: int = 3) -> list[Place]:
-    """Where each group sits on the body. Raises AsterismError where the groups are not of these clouds."""
+def locate_groups(clouds: Clouds, groups: MarkerGroups, nearest: int = 3) -> list[GroupPlace]:
+    """Where each group is on the body, with its `nearest` neighbours. Raises AsterismError where the groups are not of these clouds."""
     _check(groups, clouds)
     body = _body_frame(clouds, groups.of_point)
     seen = ~np.isnan(body[:, :, 0])
     centred = body - _middle(body, seen)[:, None]
-    ahead = _way(body, seen, clouds.rate)
+    ahead = _direction(body, seen, clouds.rate)
     floor = np.nanmin(body[:, :, 2]) if seen.any() else 0.0
-    out = []
+    places = []
     for group in range(len(groups)):
-        own = centred[seen[:, group], group]
-        apart = np.linalg.norm(body[seen[:, group]] - body[seen[:, group], group][:, None], axis=2)
-        both = ~np.isnan(apart)
-        median = np.array([np.median(apart[both[:, k], k]) if both[:, k].any() else np.inf for k in range(len(groups))])
+        path = centred[seen[:, group], group]
+        distance = np.linalg.norm(body[seen[:, group]] - body[seen[:, group], group][:, None], axis=2)
+        both = ~np.isnan(distance)
+        median = np.array([np.median(distance[both[:, k], k]) if both[:, k].any() else np.inf for k in range(len(groups))])
         median[group] = np.inf
-        median[groups.often :] = np.inf
+        median[groups.frequent :] = np.inf
         order = [int(k) for k in np.argsort(median, kind="stable")[:nearest] if np.isfinite(median[k])]
-        out.append(
-            Place(
+        places.append(
+            GroupPlace(
                 height=float(np.median(body[seen[:, group], group, 2]) - floor),
-                left=float(np.median(own[:, 1] * ahead[0] - own[:, 0] * ahead[1])),
-                ahead=float(np.median(own[:, :2] @ ahead)),
+                left=float(np.median(path[:, 1] * ahead[0] - path[:, 0] * ahead[1])),
+                ahead=float(np.median(path[:, :2] @ ahead)),
                 nearest=tuple((k, float(median[k])) for k in order),
             )
         )
-    return out
+    return places
 
 
-def name_groups(recording: Recording, groups: Groups, names: Mapping[int, str], clouds: Clouds | None = None) -> Recording:
-    """The recording with the names that a person gave its groups: {group: marker}; points without a name become *1, *2, ...
+def name_groups(recording: Recording, groups: MarkerGroups, names: Mapping[int, str], clouds: Clouds | None = None) -> Recording:
+    """The recording with names for its groups: {group: marker}. Points of groups without a name become *1, *2, ...
 
-    clouds: the clouds that were grouped, by default `recording.clouds()`. Several groups may bear one name where they never share a frame:
-    a marker that `own_tracks` left in pieces. Raises AsterismError where a group does not exist, a name is none, or two groups of one
-    name meet.
+    clouds: the clouds that were grouped, by default `recording.clouds()`. Several groups may have one name where they never share a frame:
+    a marker that `group_tracklets` left in pieces. Raises AsterismError where a group does not exist, a name only numbers a point, or two
+    groups of one name share a frame.
     """
     clouds = recording.clouds() if clouds is None else clouds
     _check(groups, clouds)
@@ -146,7 +151,7 @@ def name_groups(recording: Recording, groups: Groups, names: Mapping[int, str], 
         if not 0 <= group < len(groups):
             raise AsterismError(f"there is no group {group + 1}; the recording has groups 1 to {len(groups)}.")
         if is_unnamed(name):
-            raise AsterismError(f"{name!r} is no name for group {group + 1}; give one such as LKNE, or leave the group out.")
+            raise AsterismError(f"{name!r} is not a marker's name for group {group + 1}; give one such as LKNE, or leave the group out.")
         marker = markers.index(name)
         points = np.nonzero(groups.of_point == group)[0]
         frames = frame_of[points]
@@ -154,7 +159,7 @@ def name_groups(recording: Recording, groups: Groups, names: Mapping[int, str], 
         if taken.any():
             frame = int(frames[np.argmax(taken)])
             raise AsterismError(
-                f"groups {owner[frame, marker] + 1} and {group + 1} are both named {name} and both there in frame {frame}; rename one."
+                f"groups {owner[frame, marker] + 1} and {group + 1} are both named {name} and both seen in frame {frame}; rename one."
             )
         indices[frames, marker], owner[frames, marker] = points - clouds.offsets[frames], group
     labelling = Labelling(indices, np.where(indices >= 0, 1.0, 0.0), markers)
@@ -162,14 +167,14 @@ def name_groups(recording: Recording, groups: Groups, names: Mapping[int, str], 
 
 
 class _Joining:
-    """The state of the joins: groups' paths (T, J, 3), NaN where not seen, in axes that turn with the body."""
+    """The joins so far: the groups' paths (T, J, 3) m, NaN where not seen, in axes that turn with the body."""
 
     def __init__(self, body: Floats, rate: float, rules: JoinRules) -> None:
         self.rules = rules
         self.path = body.copy()
         self.seen = ~np.isnan(body[:, :, 0])
         self.group = np.arange(body.shape[1])
-        self.alive = self.seen.sum(axis=0) >= max(2, round(rules.least * rate))
+        self.alive = self.seen.sum(axis=0) >= max(2, round(rules.min_duration * rate))
         self.step = max(1, round(rules.step * rate))
         count = body.shape[1]
         self.slack = np.full((count, count), np.inf)
@@ -179,9 +184,9 @@ class _Joining:
         """(J,) the group of each tracklet."""
         stale: set[int] = set(np.nonzero(self.alive)[0].tolist())
         for one in sorted(stale):
-            self._measure_slack(one)
+            self._update_slack(one)
         while True:
-            self._weigh(stale)
+            self._update_evidence(stale)
             a, b = self._best()
             if a >= 0:
                 self._join(a, b)
@@ -191,42 +196,42 @@ class _Joining:
             else:
                 stale = set(np.nonzero(self.alive)[0].tolist())
 
-    def _measure_slack(self, a: int) -> None:
-        """How little rigid each other group is with group a: the spread of their distance, and a little of the distance itself."""
-        apart = np.linalg.norm(self.path - self.path[:, a : a + 1], axis=2)
-        both = ~np.isnan(apart)
+    def _update_slack(self, a: int) -> None:
+        """How far from rigid each other group is with group a (m): the spread of their distance, plus 3 % of the distance itself."""
+        distance = np.linalg.norm(self.path - self.path[:, a : a + 1], axis=2)
+        both = ~np.isnan(distance)
         number = np.maximum(both.sum(axis=0), 1)
-        mean = np.where(both, apart, 0.0).sum(axis=0) / number
-        spread = np.sqrt(np.where(both, (apart - mean) ** 2, 0.0).sum(axis=0) / number)
+        mean = np.where(both, distance, 0.0).sum(axis=0) / number
+        spread = np.sqrt(np.where(both, (distance - mean) ** 2, 0.0).sum(axis=0) / number)
         slack = np.where(self.alive & (both.sum(axis=0) >= 3), spread + 0.03 * mean, np.inf)
         slack[a] = np.inf
         self.slack[a], self.slack[:, a] = slack, slack
 
-    def _weigh(self, stale: set[int]) -> None:
-        """Take the evidence anew for all pairs with a stale group."""
+    def _update_evidence(self, stale: set[int]) -> None:
+        """Compute the evidence again for all pairs with a stale group."""
         alive = np.nonzero(self.alive)[0]
-        meets = self._meets()
+        overlap = self._overlaps()
         for a in alive:
             for b in alive:
                 if a < b and (int(a) in stale or int(b) in stale):
-                    value = -np.inf if meets[a, b] else self._evidence(int(a), int(b))
+                    value = -np.inf if overlap[a, b] else self._evidence(int(a), int(b))
                     self.evidence[a, b] = self.evidence[b, a] = value
 
-    def _meets(self) -> Bools:
-        """(J, J) whether two groups share a frame, as every group does with itself."""
+    def _overlaps(self) -> Bools:
+        """(J, J) whether two groups share a frame; true on the diagonal."""
         seen = self.seen.astype(np.float64)
         return np.asarray(seen.T @ seen > 0)
 
     def _best(self) -> tuple[int, int]:
-        """The surest join that beats all joins that it rules out; (-1, -1) where there is none."""
-        meets = self._meets()
-        found, best = (-1, -1), self.rules.enough
-        for a, b in np.argwhere(np.triu(self.evidence) >= self.rules.enough):
+        """The join with the most evidence that leads all joins that it would exclude; (-1, -1) where no join does."""
+        overlap = self._overlaps()
+        found, best = (-1, -1), self.rules.min_evidence
+        for a, b in np.argwhere(np.triu(self.evidence) >= self.rules.min_evidence):
             value = float(self.evidence[a, b])
-            rivals = [self.evidence[a, x] for x in np.nonzero(meets[b])[0] if x != b] + [
-                self.evidence[x, b] for x in np.nonzero(meets[a])[0] if x != a
+            rivals = [self.evidence[a, x] for x in np.nonzero(overlap[b])[0] if x != b] + [
+                self.evidence[x, b] for x in np.nonzero(overlap[a])[0] if x != a
             ]
-            if value >= best and value - max(rivals, default=-np.inf) >= self.rules.clear:
+            if value >= best and value - max(rivals, default=-np.inf) >= self.rules.min_lead:
                 found, best = (int(a), int(b)), value
         return found
 
@@ -238,32 +243,32 @@ class _Joining:
         self.group[self.group == b] = a
         self.slack[b], self.slack[:, b] = np.inf, np.inf
         self.evidence[b], self.evidence[:, b] = -np.inf, -np.inf
-        self._measure_slack(a)
+        self._update_slack(a)
 
     def _evidence(self, a: int, b: int) -> float:
-        """Nats by which the two groups are one marker rather than two; minus infinity where they have no neighbours in common."""
+        """Evidence (nats) for one marker against two; minus infinity where the groups share fewer than two neighbours."""
         in_a, in_b = self.seen[:, a], self.seen[:, b]
         if in_a.sum() < in_b.sum():
             a, b, in_a, in_b = b, a, in_b, in_a
         rules, chosen = self.rules, list[int]()
         for other in np.argsort(self.slack[a], kind="stable"):
-            if other == b or not np.isfinite(self.slack[a, other]) or len(chosen) == rules.neighbours:
+            if other == b or not np.isfinite(self.slack[a, other]) or len(chosen) == rules.max_neighbours:
                 continue
             with_a, with_b = in_a & self.seen[:, other], in_b & self.seen[:, other]
-            if with_a.sum() >= max(5, rules.shared * in_a.sum()) and with_b.sum() >= max(3, rules.shared * in_b.sum()):
+            if with_a.sum() >= max(5, rules.min_shared * in_a.sum()) and with_b.sum() >= max(3, rules.min_shared * in_b.sum()):
                 in_a, in_b = with_a, with_b
                 chosen.append(int(other))
         if len(chosen) < 2:
             return -np.inf
-        base, place = self._beside(a, chosen, in_a)
-        other_base, other_place = self._beside(b, chosen, in_b)
+        base, place = self._relative_to(a, chosen, in_a)
+        other_base, other_place = self._relative_to(b, chosen, in_b)
         both, both_places = np.concatenate([base, other_base]), np.concatenate([place, other_place])
         middle = both.mean(axis=0)
-        alone = self._log_evidence(base - middle, place) + self._log_evidence(other_base - middle, other_place)
-        return self._log_evidence(both - middle, both_places) - alone
+        separate = self._log_evidence(base - middle, place) + self._log_evidence(other_base - middle, other_place)
+        return self._log_evidence(both - middle, both_places) - separate
 
-    def _beside(self, group: int, neighbours: list[int], frames: Bools) -> tuple[Floats, Floats]:
-        """The neighbours' and the group's own places from the first neighbour: (N, 3 (K - 1)) and (N, 3) m, every few frames."""
+    def _relative_to(self, group: int, neighbours: list[int], frames: Bools) -> tuple[Floats, Floats]:
+        """The other neighbours' and the group's places relative to the first neighbour: (N, 3 (K - 1)) and (N, 3) m, in N of the frames."""
         every = np.nonzero(frames)[0]
         some = every[:: self.step if len(every) > 8 * self.step else max(1, len(every) // 8)]
         origin = self.path[some, neighbours[0]]
@@ -278,9 +283,9 @@ class _Joining:
         prior = np.full(design.shape[1], (rules.slope / rules.noise) ** 2)
         prior[0] = (rules.offset / rules.noise) ** 2
         root = np.linalg.cholesky(np.diag(1.0 / prior) + design.T @ design)
-        told = np.linalg.solve(root, design.T @ places)
+        explained = np.linalg.solve(root, design.T @ places)
         shape_after = shape + 1.5 * len(places)
-        scale_after = scale + 0.5 * ((places**2).sum() - (told**2).sum())
+        scale_after = scale + 0.5 * ((places**2).sum() - (explained**2).sum())
         return float(
             -3.0 * (np.log(np.diag(root)).sum() + 0.5 * np.log(prior).sum())
             + shape * np.log(scale)
@@ -317,7 +322,7 @@ def _turn(path: Floats, rate: float) -> Floats:
 
 
 def _middle(body: Floats, seen: Bools) -> Floats:
-    """(T, 3) the middle of what is seen of the body, a straight line in time."""
+    """(T, 3) m, the median of the points seen, smoothed over a tenth of the recording."""
     some = np.nonzero(seen.any(axis=1))[0]
     if len(some) == 0:
         return np.zeros((len(body), 3))
@@ -327,31 +332,31 @@ def _middle(body: Floats, seen: Bools) -> Floats:
     return np.asarray(gaussian_filter1d(filled, max(1.0, 0.1 * len(body)), axis=0, mode="nearest"))
 
 
-def _way(body: Floats, seen: Bools, rate: float) -> Floats:
-    """(2,) the horizontal unit vector in which the body goes, in its own axes; NaN where it stays."""
+def _direction(body: Floats, seen: Bools, rate: float) -> Floats:
+    """(2,) the horizontal unit vector in which the body travels, in its own axes; NaN where it does not."""
     middle = _middle(body, seen)[:, :2]
     if len(middle) < 2:
         return np.full(2, np.nan)
     velocity = np.diff(middle, axis=0).mean(axis=0) * rate
     speed = float(np.linalg.norm(velocity))
-    return velocity / speed if speed >= _WALKS else np.full(2, np.nan)
+    return velocity / speed if speed >= _MIN_SPEED else np.full(2, np.nan)
 
 
-def _numbered(clouds: Clouds, raw: Ints) -> Groups:
-    """Groups in the order in which a person names them."""
+def _numbered(clouds: Clouds, raw: Ints) -> MarkerGroups:
+    """Groups in the order of `MarkerGroups`, from any numbers of them."""
     _, of_point, frames = np.unique(raw, return_inverse=True, return_counts=True)
     of_point = of_point.ravel()
     height = rotate_z_up(clouds.xyz, clouds.vertical)[:, 2]
     order = np.argsort(of_point, kind="stable")
     ends = np.searchsorted(of_point[order], np.arange(len(frames) + 1))
     median = np.array([np.median(height[order[a:b]]) for a, b in pairwise(ends)])
-    often = frames >= _OFTEN * len(clouds)
-    ranked = np.lexsort((np.where(often, -median, -frames), ~often)) if len(frames) else np.zeros(0, dtype=np.int64)
+    frequent = frames >= _FREQUENT * len(clouds)
+    ranked = np.lexsort((np.where(frequent, -median, -frames), ~frequent)) if len(frames) else np.zeros(0, dtype=np.int64)
     place = np.empty(len(frames), dtype=np.int64)
     place[ranked] = np.arange(len(frames))
-    return Groups(place[of_point].astype(np.int64), frames[ranked].astype(np.int64), int(often.sum()))
+    return MarkerGroups(place[of_point].astype(np.int64), frames[ranked].astype(np.int64), int(frequent.sum()))
 
 
-def _check(groups: Groups, clouds: Clouds) -> None:
+def _check(groups: MarkerGroups, clouds: Clouds) -> None:
     if len(groups.of_point) != len(clouds.xyz):
         raise AsterismError(f"the groups are of {len(groups.of_point)} points, the clouds have {len(clouds.xyz)}; group these clouds.")

@@ -4,14 +4,16 @@ from asterism.report.boards import board_report
 from asterism.report.capturability import capturability_report
 from asterism.report.detection import detection_report
 from asterism.report.evaluation import evaluation_report
-from asterism.report.label import label_report
+from asterism.report.label import LabelledRecording, label_report
 from asterism.report.naming import naming_report
 from asterism.report.refinement import refinement_report
-from asterism.report.review import review_report
+from asterism.report.review import ReviewEntry, review_report
 from asterism.report.rig import rig_report
 from asterism.report.wand import wand_report
 
 __all__ = [
+    "LabelledRecording",
+    "ReviewEntry",
     "board_report",
     "capturability_report",
     "detection_report",

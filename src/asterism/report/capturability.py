@@ -1,4 +1,4 @@
-"""A study of a marker set in; out comes a page that says whether it can be labelled, and what would help."""
+"""The capturability of a marker set in; a page that says whether it can be labelled, and what would help, out."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def capturability_report(
     title: str = "Can this marker set be labelled?",
     settings: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write an HTML page on a marker set's capturability; `settings` (files, seed, ...) are named at its foot.
+    """Write an HTML page on a marker set's capturability; `settings` (files, seed, ...) stand at its foot.
 
     Raises AsterismError where the file cannot be written.
     """
@@ -32,22 +32,11 @@ def capturability_report(
     sections = [
         Section(
             "Which marker could be taken for which",
-            "The share of frames in which the point of the row's marker could as well have been the column's marker. White: never.",
+            "The share of frames in which the point of the row's marker could also be the column's marker. White: never.",
             figure=figures.matrix(names, confusion),
             table=_pairs(names, confusion),
         ),
-        Section(
-            "With markers hidden",
-            "The share of markers that are still found when others cannot be seen. Grey: each marker; the thick line: all together.",
-            figure=_falling(capturability),
-            table=Table(
-                ["hidden", "hit rate", "worst marker", "its hit rate"],
-                [
-                    [str(hidden), percent(float(rate), 3), *_worst(names, np.asarray(each, dtype=np.float64))]
-                    for hidden, rate, each in capturability.by_occlusions
-                ],
-            ),
-        ),
+        _hidden_markers(capturability, names),
         Section(
             "Markers that are not found, nothing hidden",
             figure=figures.bars(names, 1.0 - rates, "not found (100 % less the hit rate)"),
@@ -63,7 +52,7 @@ def capturability_report(
         sections.append(
             Section(
                 "What one change would do",
-                "The best change comes first. Dropping a marker counts the markers that remain.",
+                "The best change comes first. Where a marker is dropped, the hit rate is that of the markers that remain.",
                 table=Table(["change", "marker", "how", "hit rate before", "after", "gain"], [_change(c) for c in ordered], left=3),
             )
         )
@@ -76,6 +65,20 @@ def capturability_report(
         hidden, together, _ = capturability.by_occlusions[-1]
         merits.append((percent(float(together), 2), f"hit rate with {hidden} hidden", ""))
     write_page(path, Page(title, capturability.verdict, settings or {}, merits, sections))
+
+
+def _hidden_markers(capturability: Capturability, names: list[str]) -> Section:
+    """How the hit rate falls with the number of hidden markers."""
+    rows = [
+        [str(hidden), percent(float(rate), 3), *_worst(names, np.asarray(each, dtype=np.float64))]
+        for hidden, rate, each in capturability.by_occlusions
+    ]
+    return Section(
+        "With markers hidden",
+        "The share of markers that are still found while others are hidden. Grey: each marker. Thick line: all markers together.",
+        figure=_hit_rate_curves(capturability),
+        table=Table(["hidden", "hit rate", "worst marker", "its hit rate"], rows),
+    )
 
 
 def _worst(names: list[str], rates: np.ndarray, digits: int = 3) -> tuple[str, str]:
@@ -101,7 +104,7 @@ def _taken_for(names: list[str], confusion: np.ndarray, row: int) -> str:
     return ", ".join(f"{name} {percent(share, 2)}" for share, name in sorted(others, reverse=True)[:3]) or "no other"
 
 
-def _falling(capturability: Capturability) -> figures.Figure:
+def _hit_rate_curves(capturability: Capturability) -> figures.Figure:
     hidden = [entry[0] for entry in capturability.by_occlusions]
     each = {name: (hidden, [entry[2][m] for entry in capturability.by_occlusions]) for m, name in enumerate(capturability.markers)}
     together = {"all markers": (hidden, [entry[1] for entry in capturability.by_occlusions])}

@@ -1,4 +1,4 @@
-"""An evaluation in; out comes a page with its tables (laid out as the thesis' 5.3 to 5.5) and curves."""
+"""An evaluation in; a page with its tables (in the layout of the thesis' tables 5.3 to 5.5) and curves out."""
 
 from __future__ import annotations
 
@@ -16,69 +16,78 @@ if TYPE_CHECKING:
 
 
 def evaluation_report(
-    path: str | Path, evaluation: Evaluation, *, title: str = "How well the labels hold", settings: Mapping[str, Any] | None = None
+    path: str | Path, evaluation: Evaluation, *, title: str = "How often the labels are right", settings: Mapping[str, Any] | None = None
 ) -> None:
-    """Write an HTML page on an evaluation; `settings` (model, seed, rules, ...) are named at its foot.
+    """Write an HTML page on an evaluation; `settings` (model, seed, rules, ...) stand at its foot.
 
     Raises AsterismError where the file cannot be written.
     """
     conditions = list(evaluation.conditions)
-    names = [_name(c) for c in conditions]
     sections = [
         Section(
             "By number of hidden markers and ghosts",
-            "FA: wrong among the labels that were given. FO: nulls that are wrong, because the marker was in view, among all nulls. "
-            "Missed: markers in view that got no label. Perfect: frames in which every marker is right. ECE: how far, on average, "
-            "the confidence is from the share that is right.",
+            "FA: wrong labels among the labels given. FO: markers in view among the markers without a label. "
+            "Missed: markers without a label among the markers in view. Perfect: frames in which every marker is right. "
+            "ECE: the mean difference between the confidence and the share of right labels.",
             table=_summary(conditions),
-        )
+        ),
+        *(_curves(conditions) if conditions else []),
+        *_marker_sections(evaluation, conditions),
     ]
-    if conditions:
-        by_ghosts = {g: [c for c in conditions if c.ghosts == g] for g in dict.fromkeys(c.ghosts for c in conditions)}
-        for key, heading, what in (("missed", "Markers missed", "missed"), ("fa", "Labels that are wrong", "FA")):
-            lines = {
-                "no ghosts" if g == 0 else f"{g} ghost{'s' if g > 1 else ''}": ([c.occlusions for c in own], [getattr(c, key) for c in own])
-                for g, own in by_ghosts.items()
-            }
-            sections.append(Section(heading, figure=figures.curves(lines, "hidden markers per frame", what)))
-        sections.append(
-            Section(
-                "Is the confidence as good as its word?",
-                "Of the labels given at 99 %, 99 % should be right: points on the dotted line. A curve above the line is too modest, one "
-                "below it promises too much. Each step of the scale is ten times fewer errors; the lower curves count the labels. "
-                "Tap a name to show or hide its curves.",
-                figure=figures.reliability({n: c.reliability for n, c in zip(names, conditions, strict=True)}, _ends(by_ghosts)),
-                table=Table(
-                    ["condition", "said", "right", "labels"],
-                    [
-                        [name, percent(said, 2), percent(right, 2), count(n)]
-                        for name, c in zip(names, conditions, strict=True)
-                        for said, right, n in c.reliability
-                        if n > 0
-                    ],
-                ),
-                folded=True,
-            )
-        )
-    for key, heading, digits, kind in (
-        ("fa", "FA by marker: wrong among the labels given", 3, "bad"),
-        ("fo", "FO by marker: wrong among the nulls", 1, "warn"),
-        ("missed", "Missed by marker: in view, without a label", 2, "warn"),
-    ):
-        head = [f"{c.occlusions} + {c.ghosts}" if c.ghosts else str(c.occlusions) for c in conditions]
-        explained = "Columns: hidden markers per frame" + (", + ghosts." if any(c.ghosts for c in conditions) else ".")
-        sections.append(Section(heading, explained, table=_by_marker(evaluation, conditions, head, key, digits, kind)))
-    people = len(evaluation.subjects)
-    frames = sum(c.frames for c in conditions)
+    people, frames = len(evaluation.subjects), sum(c.frames for c in conditions)
     merits = [(count(people), "subjects", ""), (count(len(evaluation.markers)), "markers", ""), (count(frames), "frames labelled", "")]
     if conditions:
         easy, hard = conditions[0], conditions[-1]
-        merits += [(percent(easy.fa, 3), f"FA, {names[0]}", "good" if easy.fa <= 0.0001 else "")]
-        merits += [(percent(hard.fa, 3), f"FA, {names[-1]}", "")] if hard is not easy else []
-        merits += [(count(easy.frames_per_second), f"frames per second, {names[0]}", "")]
+        merits += [(percent(easy.fa, 3), f"FA, {_name(easy)}", "good" if easy.fa <= 0.0001 else "")]
+        merits += [(percent(hard.fa, 3), f"FA, {_name(hard)}", "")] if hard is not easy else []
+        merits += [(count(easy.frames_per_second), f"frames per second, {_name(easy)}", "")]
     subjects = ", ".join(evaluation.subjects)
     lead = f"{len(evaluation.markers)} markers of {people} subject{'s' if people != 1 else ''}" + (f": {subjects}." if subjects else ".")
     write_page(path, Page(title, lead, {"rules": evaluation.rules, **(settings or {})}, merits, sections))
+
+
+def _curves(conditions: list[Condition]) -> list[Section]:
+    """Missed markers and wrong labels by the number of hidden markers; the confidence against the share of right labels."""
+    names = [_name(c) for c in conditions]
+    by_ghosts = {g: [c for c in conditions if c.ghosts == g] for g in dict.fromkeys(c.ghosts for c in conditions)}
+    sections = []
+    for key, heading, what in (("missed", "Missed markers", "missed"), ("fa", "Wrong labels", "FA")):
+        lines = {
+            "no ghosts" if g == 0 else f"{g} ghost{'s' if g > 1 else ''}": ([c.occlusions for c in each], [getattr(c, key) for c in each])
+            for g, each in by_ghosts.items()
+        }
+        sections.append(Section(heading, figure=figures.curves(lines, "hidden markers per frame", what)))
+    rows = [
+        [name, percent(confidence, 2), percent(right, 2), count(n)]
+        for name, c in zip(names, conditions, strict=True)
+        for confidence, right, n in c.reliability
+        if n > 0
+    ]
+    sections.append(
+        Section(
+            "Is the confidence right?",
+            "Of the labels with a confidence of 99 %, 99 % should be right: points on the dotted line. A curve above the line means that "
+            "the confidence is too low, a curve below it that the confidence is too high. Each step of the scale means ten times fewer "
+            "errors. The lower curves count the labels. Click a name to show or hide its curves.",
+            figure=figures.reliability({n: c.reliability for n, c in zip(names, conditions, strict=True)}, _ends(by_ghosts)),
+            table=Table(["condition", "confidence", "right", "labels"], rows),
+            folded=True,
+        )
+    )
+    return sections
+
+
+def _marker_sections(evaluation: Evaluation, conditions: list[Condition]) -> list[Section]:
+    head = [f"{c.occlusions} + {c.ghosts}" if c.ghosts else str(c.occlusions) for c in conditions]
+    text = "Columns: hidden markers per frame" + (", + ghosts." if any(c.ghosts for c in conditions) else ".")
+    kinds = (
+        ("fa", "FA by marker: wrong labels among the labels given", 3, "bad"),
+        ("fo", "FO by marker: in view, among the frames without a label", 1, "warn"),
+        ("missed", "Missed by marker: without a label, among the frames in view", 2, "warn"),
+    )
+    return [
+        Section(heading, text, table=_by_marker(evaluation, conditions, head, key, digits, kind)) for key, heading, digits, kind in kinds
+    ]
 
 
 def _name(condition: Condition) -> str:
@@ -88,7 +97,7 @@ def _name(condition: Condition) -> str:
 
 def _ends(by_ghosts: Mapping[int, list[Condition]]) -> list[str]:
     """The names of the easiest and the hardest condition for each number of ghosts."""
-    return list(dict.fromkeys(_name(condition) for own in by_ghosts.values() for condition in (own[0], own[-1])))
+    return list(dict.fromkeys(_name(condition) for each in by_ghosts.values() for condition in (each[0], each[-1])))
 
 
 def _summary(conditions: list[Condition]) -> Table:

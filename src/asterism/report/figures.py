@@ -17,13 +17,13 @@ HIDDEN, UNSURE = -2.0, -1.0
 MOST_NINES = 4.0
 CONFIDENCE_SHADES = ((0.0, "#d8eef0"), (0.25, "#a5d8dc"), (0.5, "#5fb6be"), (0.75, "#248f9c"), (1.0, "#0b5563"))
 COLUMNS = 600
-"""At most so many columns has a timeline; longer recordings are drawn by blocks of frames."""
+"""The most columns of a timeline; longer recordings are drawn by blocks of frames."""
 
 
 def figure(data: Sequence[Mapping[str, Any]], height: int, **layout: Any) -> Figure:
-    """A figure in the house's look; `layout` adds to it or overrides it."""
+    """A figure in the style of all pages; `layout` adds to it or overrides it."""
     axis = {"gridcolor": "#e6ebf2", "zerolinecolor": "#cfd8e4", "linecolor": "#cfd8e4", "automargin": True, "fixedrange": True}
-    look: Figure = {
+    style: Figure = {
         "height": height,
         "margin": {"l": 12, "r": 12, "t": 12, "b": 12},
         "paper_bgcolor": "#ffffff",
@@ -34,8 +34,8 @@ def figure(data: Sequence[Mapping[str, Any]], height: int, **layout: Any) -> Fig
         "hoverlabel": {"bgcolor": "#ffffff", "bordercolor": "#cfd8e4"},
     }
     for name in {"xaxis", "yaxis", *(key for key in layout if key.startswith(("xaxis", "yaxis")))}:
-        look[name] = {**axis, **layout.pop(name, {})}
-    return {"data": [dict(trace) for trace in data], "layout": {**look, **layout}}
+        style[name] = {**axis, **layout.pop(name, {})}
+    return {"data": [dict(trace) for trace in data], "layout": {**style, **layout}}
 
 
 def frames_per_column(frames: int) -> int:
@@ -53,31 +53,23 @@ def timeline(
 ) -> Figure:
     """Frames x markers: shade = confidence of the label, amber = unsure, grey = hidden, red = wrong (where the truth is known).
 
-    confidence, given, unsure, wrong  (T, M). A block of several frames is unsure or hidden where at least half of it is, else it shows
-    the least confidence of its labels; a wrong label always shows.
+    confidence, given, unsure, wrong  (T, M). A block of several frames is unsure or hidden where at least half of it is. Otherwise it
+    shows the lowest confidence of its labels. A wrong label always shows.
     """
     frames, markers = given.shape
     starts = np.arange(0, frames, frames_per_column(frames))
-    nines = np.clip(-np.log10(np.maximum(1.0 - confidence, 10.0**-MOST_NINES)), 0.0, MOST_NINES)
-    least = np.minimum.reduceat(np.where(given, nines, np.inf), starts, axis=0)
-    size = np.diff([*starts, frames])[:, None]
-    doubtful, labelled = (2 * np.add.reduceat(part.astype(np.int64), starts, axis=0) for part in (unsure, given))
-    z = np.where(labelled > size, np.where(np.isfinite(least), least, 0.0), np.where(doubtful >= size - labelled / 2, UNSURE, HIDDEN))
-    said = [[_said(float(value)) for value in row] for row in z.T]
+    levels = _levels(confidence, given, unsure, starts)
     low, high = HIDDEN - 0.5, MOST_NINES
-    grey, amber, zero = ((edge - low) / (high - low) for edge in (HIDDEN + 0.5, UNSURE + 0.5, 0.0))
-    shades = [[0.0, "#e3e7ee"], [grey, "#e3e7ee"], [grey, "#f2a93b"], [amber, "#f2a93b"], [amber, CONFIDENCE_SHADES[0][1]]]
-    shades += [[zero + (1.0 - zero) * at, color] for at, color in CONFIDENCE_SHADES]
     data: list[Mapping[str, Any]] = [
         {
             "type": "heatmap",
             "x": starts / rate,
             "y": list(names),
-            "z": np.round(z.T, 2),
-            "text": said,
+            "z": np.round(levels.T, 2),
+            "text": [[_level_text(float(value)) for value in row] for row in levels.T],
             "zmin": low,
             "zmax": high,
-            "colorscale": shades,
+            "colorscale": _level_colors(low, high),
             "ygap": 1,
             "hovertemplate": "%{y}, %{x:.2f} s: %{text}<extra></extra>",
             "colorbar": {
@@ -114,8 +106,25 @@ def timeline(
     )
 
 
+def _levels(confidence: Floats, given: NDArray[np.bool_], unsure: NDArray[np.bool_], starts: NDArray[np.int64]) -> Floats:
+    """(columns, M) the level of each block of frames: HIDDEN, UNSURE, or the nines of its lowest confidence; `starts` (columns,) frames."""
+    nines = np.clip(-np.log10(np.maximum(1.0 - confidence, 10.0**-MOST_NINES)), 0.0, MOST_NINES)
+    least = np.minimum.reduceat(np.where(given, nines, np.inf), starts, axis=0)
+    size = np.diff([*starts, len(given)])[:, None]
+    doubtful, labelled = (2 * np.add.reduceat(part.astype(np.int64), starts, axis=0) for part in (unsure, given))
+    unlabelled = np.where(doubtful >= size - labelled / 2, UNSURE, HIDDEN)
+    return np.asarray(np.where(labelled > size, np.where(np.isfinite(least), least, 0.0), unlabelled))
+
+
+def _level_colors(low: float, high: float) -> list[list[Any]]:
+    """Plotly's colour scale for levels from `low` to `high`: grey for hidden, amber for unsure, shades for confidence."""
+    grey, amber, zero = ((edge - low) / (high - low) for edge in (HIDDEN + 0.5, UNSURE + 0.5, 0.0))
+    shades = [[0.0, "#e3e7ee"], [grey, "#e3e7ee"], [grey, "#f2a93b"], [amber, "#f2a93b"], [amber, CONFIDENCE_SHADES[0][1]]]
+    return shades + [[zero + (1.0 - zero) * at, color] for at, color in CONFIDENCE_SHADES]
+
+
 def matrix(names: Sequence[str], shares: Floats) -> Figure:
-    """(M, M) shares as a picture, rows by columns; the diagonal is left out and small shares are made visible."""
+    """(M, M) shares as a picture, rows by columns; without the diagonal. The colour shows the root of the share."""
     off = np.array(shares, dtype=np.float64)
     np.fill_diagonal(off, np.nan)
     highest = max(float(np.nanmax(off, initial=0.0)), 1e-4)
@@ -169,7 +178,7 @@ def bars(names: Sequence[str], shares: Floats, what: str) -> Figure:
 
 
 def curves(lines: Mapping[str, tuple[Any, Any]], x: str, y: str, faint: Sequence[str] = ()) -> Figure:
-    """Named lines of (x, share); shares are drawn in percent, the lines named in `faint` thin and grey."""
+    """Named lines of (x, share); shares are drawn in percent, and the lines named in `faint` are thin and grey."""
     data = []
     thick = [name for name in lines if name not in faint]
     for name, (at, shares) in lines.items():
@@ -196,71 +205,58 @@ def curves(lines: Mapping[str, tuple[Any, Any]], x: str, y: str, faint: Sequence
 
 
 def reliability(lines: Mapping[str, Sequence[tuple[float, float, int]]], drawn: Sequence[str]) -> Figure:
-    """Said confidence against the share that was right, one line per condition, on a scale of nines; below, how many labels there were.
+    """Confidence against the share of right labels, one line per condition, on a scale of nines; below, the number of labels.
 
     lines  name -> (mean confidence, share right, count) per bin
-    drawn  the lines that are drawn at first; the others come by a tap on the legend
+    drawn  the lines that are drawn at first; a click on the legend shows the others
     """
     ticks = (0.0, 0.5, 0.9, 0.99, 0.999, 0.9999)
-    at, told = [_nines(tick) for tick in ticks], ["0 %", "50 %", "90 %", "99 %", "99.9 %", "≥ 99.99 %"]
-    data: list[Mapping[str, Any]] = [
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "x": [0, MOST_NINES],
-            "y": [0, MOST_NINES],
-            "line": {"color": "#9aa4b5", "dash": "dot", "width": 2},
-            "name": "as good as its word",
-            "hoverinfo": "skip",
-        }
-    ]
+    diagonal = {
+        "type": "scatter",
+        "mode": "lines",
+        "x": [0, MOST_NINES],
+        "y": [0, MOST_NINES],
+        "line": {"color": "#9aa4b5", "dash": "dot", "width": 2},
+        "name": "perfectly calibrated",
+        "hoverinfo": "skip",
+    }
     colors = dict(zip([*drawn, *(name for name in lines if name not in drawn)], PALETTE * len(lines), strict=False))
+    data: list[Mapping[str, Any]] = [diagonal]
     for name, bins in lines.items():
-        kept = [(float(said), float(right), int(n)) for said, right, n in bins if n > 0]
-        color = colors[name]
-        x = [_nines(said) for said, _, _ in kept]
-        told_in_full = [f"said {100 * said:.4g} %, right {100 * right:.4g} % of {n:,}" for said, right, n in kept]
-        shared: dict[str, Any] = {
-            "name": name,
-            "x": x,
-            "legendgroup": name,
-            "visible": True if name in drawn else "legendonly",
-            "text": told_in_full,
-            "hovertemplate": name + ": %{text}<extra></extra>",
-        }
-        data.append(
-            {
-                **shared,
-                "type": "scatter",
-                "mode": "lines+markers",
-                "y": [_nines(right) for _, right, _ in kept],
-                "line": {"color": color, "width": 2},
-                "marker": {"size": 7},
-            }
-        )
-        data.append(
-            {
-                **shared,
-                "type": "scatter",
-                "mode": "lines+markers",
-                "y": [n for _, _, n in kept],
-                "line": {"color": color, "width": 1},
-                "marker": {"size": 5},
-                "yaxis": "y2",
-                "showlegend": False,
-            }
-        )
-    scale = {"tickvals": at, "ticktext": told, "range": [-0.1, MOST_NINES + 0.1]}
+        data += _reliability_traces(name, bins, colors[name], name in drawn)
+    scale = {
+        "tickvals": [_nines(tick) for tick in ticks],
+        "ticktext": ["0 %", "50 %", "90 %", "99 %", "99.9 %", "≥ 99.99 %"],
+        "range": [-0.1, MOST_NINES + 0.1],
+    }
     return figure(
         data,
         height=560,
-        xaxis={**scale, "title": {"text": "confidence that was said"}, "anchor": "y2"},
+        xaxis={**scale, "title": {"text": "confidence of the label"}, "anchor": "y2"},
         yaxis={**scale, "title": {"text": "labels that were right"}, "domain": [0.36, 1]},
-        yaxis2={"title": {"text": "how many"}, "type": "log", "dtick": 1, "domain": [0, 0.26]},
+        yaxis2={"title": {"text": "number of labels"}, "type": "log", "dtick": 1, "domain": [0, 0.26]},
     )
 
 
-def _said(value: float) -> str:
+def _reliability_traces(name: str, bins: Sequence[tuple[float, float, int]], color: str, drawn: bool) -> list[dict[str, Any]]:
+    """One condition's line of shares, and below it the line of counts; bins without labels are left out."""
+    kept = [(float(confidence), float(right), int(n)) for confidence, right, n in bins if n > 0]
+    shared: dict[str, Any] = {
+        "name": name,
+        "x": [_nines(confidence) for confidence, _, _ in kept],
+        "legendgroup": name,
+        "visible": True if drawn else "legendonly",
+        "text": [f"confidence {100 * confidence:.4g} %, right {100 * right:.4g} % of {n:,}" for confidence, right, n in kept],
+        "hovertemplate": name + ": %{text}<extra></extra>",
+        "type": "scatter",
+        "mode": "lines+markers",
+    }
+    shares = {"y": [_nines(right) for _, right, _ in kept], "line": {"color": color, "width": 2}, "marker": {"size": 7}}
+    counts = {"y": [n for _, _, n in kept], "line": {"color": color, "width": 1}, "marker": {"size": 5}, "yaxis": "y2", "showlegend": False}
+    return [{**shared, **shares}, {**shared, **counts}]
+
+
+def _level_text(value: float) -> str:
     if value < 0:
         return "hidden" if value == HIDDEN else "unsure"
     return f"confidence {100 * (1 - 10.0**-value):.4g} %"

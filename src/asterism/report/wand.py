@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from asterism.findings import Severity
 from asterism.recording import Floats
 from asterism.report import figures
 from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, write_page
@@ -73,22 +74,19 @@ def wand_report(path: str | Path, made: WandCalibration, *, settings: Mapping[st
     merits = [
         (f"{made.rms:.3f} px", "reprojection error", "good" if made.rms < _WORST else "warn" if made.usable else "bad"),
         (spread, "standard deviation of the wand as measured", ""),
-        (f"{len(made.rig)} of {len(made.rig) + len(made.left_out)}", "cameras calibrated", "" if not made.left_out else "warn"),
+        (f"{len(made.rig)} of {len(made.rig) + len(made.excluded)}", "cameras calibrated", "" if not made.excluded else "warn"),
         (count(len(made.used)), f"of {made.frames:,} frames used", ""),
-        (percent(made.rejected), "of the wand's images left out", "warn" if made.rejected > 0.12 else ""),
+        (percent(made.mean_rejected_share), "of the wand's images left out", "warn" if made.mean_rejected_share > 0.12 else ""),
     ]
     lead = "This calibration can be used." if made.usable else "Do not use this calibration: see below."
     write_page(path, Page("Wand calibration", lead, settings or {}, merits, sections))
 
 
+_SEVERITIES = {Severity.ERROR: Cell("do not use", 1.0, "bad"), Severity.WARNING: Cell("look at this", 0.6), Severity.NOTE: Cell("note")}
+
+
 def _findings(made: WandCalibration) -> Table:
-    rows: list[list[str | Cell]] = [
-        [
-            Cell("do not use", 1.0, "bad") if finding.grave else Cell("advice") if finding.advice else Cell("look at this", 0.6),
-            finding.sentence,
-        ]
-        for finding in made.findings
-    ]
+    rows: list[list[str | Cell]] = [[_SEVERITIES[finding.severity], str(finding)] for finding in made.findings]
     return Table(["", "what was found"], rows or [["good", "nothing speaks against it"]], left=2)
 
 
@@ -105,7 +103,7 @@ def _cameras(made: WandCalibration, cells: Floats) -> Table:
                 f"{camera.focal[0]:.1f} ± {sigma[6]:.1f}",
                 f"{camera.centre[0]:.1f}, {camera.centre[1]:.1f} ± {np.nanmax(sigma[8:10]):.1f}",
                 ", ".join(f"{k:.3f}" for k in camera.radial[:3]),
-                f"{1000 * made.place_sigma[c]:.1f}",
+                f"{1000 * made.position_sigma[c]:.1f}",
             ]
         )
     head = [

@@ -59,7 +59,7 @@ class Outcome:
         """What the whole chain promises on simulated sessions."""
         points, found = self.points, self.right + self.unlabelled
         return [
-            Check("cameras that could not be calibrated", float(len(self.calibration.left_out)), 0.0, False, ""),
+            Check("cameras that could not be calibrated", float(len(self.calibration.excluded)), 0.0, False, ""),
             Check("focal length, largest error", 100 * float(self.rig_errors.focal.max()), 0.1, False, "%"),
             Check("camera position, largest error", 1000 * float(self.rig_errors.position.max()), 2.0, False, "mm"),
             Check("markers that two cameras see, found within 3 mm", 100 * points.found(0.003), 99.5, True, "%"),

@@ -9,6 +9,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.recording.arrays import Floats, Ints
 from asterism.recording.blobs import Blobs
+from asterism.synchronization.known_paths import check_times
 
 _LONGEST_GAP = 2.5
 """Frame periods between two frames of a camera across which blobs are still interpolated."""
@@ -36,11 +37,7 @@ def to_common_clock(blobs: Blobs) -> Blobs:
     if blobs.times is None:
         return blobs
     times = blobs.times
-    for c, name in enumerate(blobs.cameras):
-        known = times[np.isfinite(times[:, c]), c]
-        if len(known) > 1 and np.diff(known).min() <= 0:
-            late = int(np.flatnonzero(np.isfinite(times[:, c]))[np.argmin(np.diff(known)) + 1]) + blobs.first_frame
-            raise AsterismError(f"camera {name}, frame {late}: its time is not after that of the frame before; mend the times.")
+    check_times(blobs)
     steps = [np.diff(column[np.isfinite(column)]) for column in times.T]
     periods = [float(np.median(own)) if len(own) else np.nan for own in steps]
     if np.isnan(periods).all():

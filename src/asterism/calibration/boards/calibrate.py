@@ -25,7 +25,7 @@ from asterism.calibration.boards.extrinsics import Links, first_boards, first_ri
 from asterism.calibration.boards.flatness import bend_of
 from asterism.calibration.boards.intrinsics import Alone, calibrate_alone
 from asterism.calibration.boards.views import BoardViews
-from asterism.cameras.bundle import Adjustment, Sightings, adjust, free_parameters
+from asterism.cameras.bundle import Adjustment, AdjustSettings, Sightings, adjust, free_parameters
 from asterism.cameras.camera import Camera
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
@@ -271,7 +271,9 @@ def _adjusted(
         turned, placed = first_boards(alone, {c: cameras[place[c]] for c in chosen}, frames)
         prior = _expected(cameras)
         free = np.concatenate([free_parameters(1, "pose", *lens[c]) for c in chosen])
-        result = adjust(cameras, points, compact, turned, placed, free=free, prior=prior, tolerance=1e-9, steps=100)
+        result = adjust(
+            cameras, points, compact, turned, placed, free=free, prior=prior, settings=AdjustSettings(tolerance=1e-9, steps=100)
+        )
         cell = compact.frame * len(cameras) + compact.camera
         square = np.where(np.isfinite(result.residuals[:, 0]), np.square(result.residuals).sum(axis=1), 1e6)
         number = np.bincount(cell, minlength=len(frames) * len(cameras))

@@ -1,11 +1,10 @@
 """Wand calibration: blobs of a waved wand in; a rig, and whether it can be trusted, out."""
 
 from asterism.calibration.wand.calibrate import WandCalibration, calibrate_wand
-from asterism.calibration.wand.checks import Finding, coverage
+from asterism.calibration.wand.checks import coverage
 from asterism.calibration.wand.world import in_world, world_from_floor_wand, world_from_l_frame, world_from_points
 
 __all__ = [
-    "Finding",
     "WandCalibration",
     "calibrate_wand",
     "coverage",

@@ -1,74 +1,161 @@
-"""Posed cameras and their images of a wand in; the final adjustment of everything, and what it left out, out."""
+"""Posed cameras and their images of a wand in; the final adjustment of everything, and which blobs it uses, out."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asterism.calibration.wand.frames import shown, spread_frames, widest
-from asterism.calibration.wand.identify import Wand, agree
-from asterism.calibration.wand.initialise import adjust_some, typical_noise
-from asterism.calibration.wand.inputs import PERSPECTIVE, instead, shares
-from asterism.calibration.wand.two_view import FEWEST, priors
-from asterism.cameras.bundle import Adjustment, Sightings, adjust, free_parameters
+from asterism.calibration.wand.diagnose import PERSPECTIVE, diagnose_detection, inner_marker_shares
+from asterism.calibration.wand.frames import spread_frames, widest_image
+from asterism.calibration.wand.identify import Wand
+from asterism.calibration.wand.initialise import adjust_subset, robust_noise
+from asterism.calibration.wand.recording import WandRecording
+from asterism.calibration.wand.two_view import LEAST_FRAMES, priors
+from asterism.cameras.bundle import Adjustment, AdjustSettings, Sightings, adjust, free_parameters
 from asterism.cameras.camera import Camera
 from asterism.errors import AsterismError
-from asterism.recording import Blobs, Floats, Ints
+from asterism.recording import Floats, Ints
 
-_FINAL_FRAMES = 3000
-"""More frames than these tell little more: they are spread over the recording."""
-_WIDE, _REACH, _NARROW = 0.0036, 6.0, 4.5
-"""Blobs are looked for within this share of the image's width, then within so many standard deviations; within fewer they are kept."""
-_UNLIKE = 6.0
-"""So many times as noisy as the others, or as quiet, a camera may be."""
+
+@dataclass(frozen=True)
+class FinalRules:
+    """How the final adjustment chooses blobs.
+
+    frames         at most, evenly spread over the recording; more add little
+    wide           blobs are searched for within this share of the image's width at first,
+    reach          or within so many standard deviations of the noise
+    least_reach    px, at least
+    narrow         blobs within so many standard deviations of where they should be are kept
+    noise_range    a camera may be so many times as noisy as the others, or as quiet
+    subset_frames  frames of each camera for the first round
+    k3_frames      frames on which a third radial coefficient is tried
+    loss_noises    the robust loss grows linearly from so many standard deviations on
+
+    Checked on the simulated and real wands of tests/test_wand.py and benchmarks/cameras/wand.py.
+    """
+
+    frames: int = 3000
+    wide: float = 0.0036
+    reach: float = 6.0
+    least_reach: float = 1.5
+    narrow: float = 4.5
+    noise_range: float = 6.0
+    subset_frames: int = 60
+    k3_frames: int = 400
+    loss_noises: float = 3.0
+
+
+RULES = FinalRules()
 _GROUPS = ("pose", "focal", "aspect", "centre", "k1", "k2", "tangential")
 
 
-def adjusted(
-    blobs: Blobs, chosen: Ints, wand: Wand, cameras: list[Camera | None], lenses: Sequence[Camera | None], noise: float
-) -> tuple[Adjustment, Sightings, Ints, Ints]:
-    """The final adjustment: everything freed, blobs that do not fit left out by what fits.
+@dataclass(frozen=True)
+class FinalAdjustment:
+    """The final adjustment and what it rests on.
 
-    Returns it, its sightings with frames counted without holes, the frames (m,) that these numbers stand for, and those it chose from.
+    result     cameras, residuals and covariance
+    sightings  that were used, frames counted without holes
+    used       (m,) the frames that these numbers stand for
+    offered    the frames from which they were chosen
+    """
+
+    result: Adjustment
+    sightings: Sightings
+    used: Ints
+    offered: Ints
+
+    @property
+    def recorded(self) -> Sightings:
+        """The sightings with the frames of the recording."""
+        return replace(self.sightings, frame=self.used[self.sightings.frame])
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """The wand's images to be explained: placements (rotations, translations) to begin with, known lenses, and each camera's noise."""
+
+    wand: Wand
+    sightings: Sightings
+    placements: tuple[Floats, Floats]
+    lenses: Sequence[Camera | None]
+    noise: float
+    relative: Floats
+
+    def fit(self, cameras: Sequence[Camera], groups: tuple[str, ...], **settings: float | bool) -> Adjustment:
+        """Adjust these groups of parameters of all cameras for blobs of this noise, px, times each camera's relative one (C,)."""
+        chosen = AdjustSettings(scale=RULES.loss_noises * self.noise, relative_noise=self.relative)
+        return adjust(
+            cameras, self.wand.template, self.sightings, *self.placements, free=free_parameters(len(cameras), *groups),
+            prior=priors(cameras, self.lenses, self.noise), settings=replace(chosen, **settings),  # type: ignore[arg-type]
+        )  # fmt: skip
+
+    def needs_k3(self, cameras: Sequence[Camera]) -> bool:
+        """Whether a third radial coefficient explains more than noise would let it explain, on a part of the frames."""
+        some = self.sightings.frame % max(1, len(self.placements[0]) // RULES.k3_frames) == 0
+        part, rows = self.sightings.select(some).compact()
+        at = self.placements[0][rows], self.placements[1][rows]
+        problem = replace(self, sightings=part, placements=at)
+        without, with_it = (
+            problem.fit(cameras, groups, tolerance=1e-5, steps=10, covariance=False).cost for groups in (_GROUPS, (*_GROUPS, "k3"))
+        )
+        n = len(cameras)
+        return bool(2.0 * (without - with_it) / self.noise**2 > n + 4.0 * np.sqrt(2.0 * n))
+
+
+def adjust_cameras(recording: WandRecording, cameras: Sequence[Camera | None], noise: float) -> FinalAdjustment:
+    """Free all parameters of all posed cameras, and leave out blobs that do not fit the others.
+
+    Raises AsterismError where too few frames fit the wand.
     """
     posed = [c for c, camera in enumerate(cameras) if camera is not None]
-    width = widest(cameras)
-    known = [lenses[c] for c in posed]
-    agreed = agree(blobs, chosen, wand, cameras, max(_WIDE * width, _REACH * noise))
-    wide = adjust_some(blobs, agreed, wand, cameras, lenses, _GROUPS, max(2.0 * noise, 0.2), 60)
-    relative = np.ones(len(cameras))
-    if wide is not None:
-        result, seen = wide
-        cameras = list(cameras)
-        for c, camera in zip(posed, result.cameras, strict=True):
-            cameras[c] = camera
-        noise = max(typical_noise(result.residuals), 0.01)
-        relative[posed] = _relative_noise(result.residuals, seen.camera, len(posed), noise)
-    agreed = agree(blobs, chosen, wand, cameras, np.maximum(_REACH * noise * relative, 1.5))
-    offered = spread_frames(shown(chosen), _FINAL_FRAMES)
-    sightings, used = agreed.sightings(blobs, offered).compact()
-    if len(used) < FEWEST:
-        told = instead(blobs, wand)
-        if told:
-            raise AsterismError(f"only {len(used)} frames fit the wand{told}")
-        raise AsterismError(
-            f"only {len(used)} frames show the wand to two cameras that agree on it; wave it longer where cameras overlap, and check that "
-            "they ran in step."
-        )
+    cameras, noise, relative = _refined(recording, cameras, posed, noise)
+    poses = recording.locate(cameras, np.maximum(RULES.reach * noise * relative, RULES.least_reach))
+    offered = spread_frames(recording.shows_wand, RULES.frames)
+    sightings, used = poses.sightings(recording.blobs, offered).compact()
+    if len(used) < LEAST_FRAMES:
+        _raise_too_few(recording, len(used))
     sightings = sightings.among(cameras)
     own = [camera for camera in cameras if camera is not None]
-    rotations, translations = (part[used] for part in agreed.placements())
-    relative = relative[posed]
-    result = _fitted(own, wand, sightings, (rotations, translations), known, noise, relative, _GROUPS, tolerance=1e-5)
-    each = relative[sightings.camera]
-    own, noise = list(result.cameras), max(typical_noise(result.residuals / each[:, None]), 1e-3)
-    good = np.linalg.norm(result.residuals, axis=1) < _NARROW * noise * each
-    sightings, rows = _determined(sightings.select(good), len(wand.lengths)).compact()
-    placements = result.rotations[rows], result.translations[rows]
-    groups = (*_GROUPS, "k3") if _wants_k3(own, wand, sightings, placements, known, noise, relative) else _GROUPS
-    result = _fitted(own, wand, sightings, placements, known, noise, relative, groups, covariance=True, tolerance=1e-7)
-    return result, sightings, used[rows], offered
+    rotations, translations = (part[used] for part in poses.placements())
+    lenses = [recording.lenses[c] for c in posed]
+    problem = _Problem(recording.wand, sightings, (rotations, translations), lenses, noise, relative[posed])
+    result = problem.fit(own, _GROUPS, tolerance=1e-5, covariance=False)
+    each = problem.relative[sightings.camera]
+    own, noise = list(result.cameras), max(robust_noise(result.residuals / each[:, None]), 1e-3)
+    good = np.linalg.norm(result.residuals, axis=1) < RULES.narrow * noise * each
+    sightings, rows = _determined(sightings.select(good), len(recording.wand)).compact()
+    problem = replace(problem, sightings=sightings, placements=(result.rotations[rows], result.translations[rows]), noise=noise)
+    result = problem.fit(own, (*_GROUPS, "k3") if problem.needs_k3(own) else _GROUPS, tolerance=1e-7)
+    return FinalAdjustment(result, sightings, used[rows], offered)
+
+
+def _refined(
+    recording: WandRecording, cameras: Sequence[Camera | None], posed: list[int], noise: float
+) -> tuple[list[Camera | None], float, Floats]:
+    """The cameras with all parameters adjusted on a part of the frames; the noise, px, and each camera's relative one (C,)."""
+    found, relative = list(cameras), np.ones(len(cameras))
+    poses = recording.locate(cameras, max(RULES.wide * widest_image(cameras), RULES.reach * noise))
+    settings = AdjustSettings(loss="cauchy", scale=max(2.0 * noise, 0.2), tolerance=1e-4, steps=20, covariance=False)
+    adjusted = adjust_subset(recording, poses, cameras, _GROUPS, RULES.subset_frames, settings)
+    if adjusted is not None:
+        result, seen = adjusted
+        for c, camera in zip(posed, result.cameras, strict=True):
+            found[c] = camera
+        noise = max(robust_noise(result.residuals), 0.01)
+        relative[posed] = _relative_noise(result.residuals, seen.camera, len(posed), noise)
+    return found, noise, relative
+
+
+def _raise_too_few(recording: WandRecording, frames: int) -> None:
+    reason = diagnose_detection(recording.blobs, recording.wand)
+    if reason:
+        raise AsterismError(f"only {frames} frames fit the wand{reason}")
+    raise AsterismError(
+        f"only {frames} frames show the wand to two cameras that agree on it; wave it longer where cameras overlap, and check that "
+        "they ran in step."
+    )
 
 
 def _relative_noise(residuals: Floats, camera: Ints, cameras: int, noise: float) -> Floats:
@@ -76,74 +163,35 @@ def _relative_noise(residuals: Floats, camera: Ints, cameras: int, noise: float)
     if cameras < 3:
         return np.ones(cameras)
     own = [residuals[camera == c] for c in range(cameras)]
-    each = [typical_noise(part) / noise if len(part) > FEWEST else 1.0 for part in own]
-    return np.clip(each, 1.0 / _UNLIKE, _UNLIKE)
+    each = [robust_noise(part) / noise if len(part) > LEAST_FRAMES else 1.0 for part in own]
+    return np.clip(each, 1.0 / RULES.noise_range, RULES.noise_range)
 
 
-def _fitted(
-    cameras: list[Camera],
-    wand: Wand,
-    sightings: Sightings,
-    placements: tuple[Floats, Floats],
-    known: Sequence[Camera | None],
-    noise: float,
-    relative: Floats,
-    groups: tuple[str, ...],
-    *,
-    tolerance: float,
-    steps: int = 60,
-    covariance: bool = False,
-) -> Adjustment:
-    """Adjust these groups of parameters of all cameras for blobs of this noise, px, times each camera's relative one (C,)."""
-    return adjust(
-        cameras, wand.template, sightings, *placements, free=free_parameters(len(cameras), *groups), prior=priors(cameras, known, noise),
-        scale=3.0 * noise, relative=relative, tolerance=tolerance, steps=steps, covariance=covariance,
-    )  # fmt: skip
+def inner_marker_position(recording: WandRecording, frames: Ints, cameras: dict[int, Camera], positions: Floats) -> float:
+    """Where single images of some frames (m,) put the inner marker, m from the first one.
 
-
-def inner_place(blobs: Blobs, chosen: Ints, wand: Wand, cameras: Sequence[Camera], positions: Floats) -> float:
-    """Where single images (m, C, K) put the inner marker, m from the first: the median of where their rays pass the measured wand's line.
-
-    Of wands that look alike from both ends, where images usually show it, where that is far from what was given; NaN otherwise.
+    It is the median of where their rays pass the line of the measured wand, positions (m, K, 3) m. Of a symmetric wand it is where images
+    usually show it, if that is far from what was given. Else NaN.
     """
-    if len(wand.lengths) < 3:
+    wand = recording.wand
+    if len(wand) < 3:
         return float("nan")
-    if wand.either:
-        share, given = shares(blobs, wand)
+    if wand.symmetric:
+        share, given = inner_marker_shares(recording.blobs, wand)
         return share * float(wand.lengths[2]) if abs(share - given) > PERSPECTIVE else float("nan")
     start, along = positions[:, 0], positions[:, 2] - positions[:, 0]
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    shows = recording.shows_wand[frames]
     places = []
-    for c, camera in enumerate(cameras):
-        rows = np.nonzero((chosen[:, c] >= 0).all(axis=1) & np.isfinite(along[:, 0]))[0]
-        ray, line = camera.rays(blobs.xy[chosen[rows, c, 1]]), along[rows]
+    for c, camera in cameras.items():
+        rows = np.nonzero(shows[:, c] & np.isfinite(along[:, 0]))[0]
+        ray, line = camera.rays(recording.images(frames[rows], c)[:, 1]), along[rows]
         to = camera.position - start[rows]
         across = (ray * line).sum(axis=1)
         place = ((to * line).sum(axis=1) - across * (to * ray).sum(axis=1)) / (1.0 - across**2)
         places.append(place[np.isfinite(place) & (across**2 < 0.9)])
     every = np.concatenate(places)
     return float(np.median(every)) if len(every) else float("nan")
-
-
-def _wants_k3(
-    cameras: list[Camera],
-    wand: Wand,
-    sightings: Sightings,
-    placements: tuple[Floats, Floats],
-    known: Sequence[Camera | None],
-    noise: float,
-    relative: Floats,
-) -> bool:
-    """Whether a third radial coefficient explains more than noise would let it explain, on a part of the frames."""
-    some = sightings.frame % max(1, len(placements[0]) // 400) == 0
-    part, rows = sightings.select(some).compact()
-    at = placements[0][rows], placements[1][rows]
-    without, with_it = (
-        _fitted(cameras, wand, part, at, known, noise, relative, groups, tolerance=1e-5, steps=10).cost
-        for groups in (_GROUPS, (*_GROUPS, "k3"))
-    )
-    n = len(cameras)
-    return bool(2.0 * (without - with_it) / noise**2 > n + 4.0 * np.sqrt(2.0 * n))
 
 
 def _determined(sightings: Sightings, markers: int) -> Sightings:

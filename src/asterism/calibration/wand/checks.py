@@ -1,63 +1,84 @@
-"""A calibration in; what to know before using it out, in words: what is not determined, where to wave more, whether to use it at all."""
+"""A calibration in; what to know before using it out: what is not determined, where to wave more, whether to use it at all."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from asterism.calibration.wand.drift import PARTS, jumps
-from asterism.calibration.wand.frames import widest
+from asterism.calibration.wand.drift import PARTS, residual_steps
+from asterism.calibration.wand.frames import widest_image
 from asterism.calibration.wand.world import default_world
+from asterism.findings import Finding, Severity
 from asterism.recording import Floats
 
 if TYPE_CHECKING:
     from asterism.calibration.wand.calibrate import WandCalibration
-    from asterism.calibration.wand.synchronise import Clocks
+    from asterism.calibration.wand.synchronise import CameraLags
 
-BAD_RMS, POOR_RMS, USUAL_WIDTH = 1.5, 0.7, 1280
-"""px, reprojection errors that no good wand calibration has, and that most good ones have not, in images so wide; wider ones have more."""
-BAD_LENGTH, POOR_LENGTH = 0.015, 0.006
-"""Spread of the measured wand as a share of its length."""
-BAD_FOCAL, POOR_FOCAL = 0.02, 0.004
-BAD_PLACE, POOR_PLACE = 0.015, 0.003
-"""Standard deviation of where a camera stands, as a share of its distance to the wand."""
-BAD_LOST, POOR_LOST = 0.3, 0.12
-"""Share of the wand's images, all told or of one camera, that contradict the others."""
-BAD_TURN, POOR_TURN = (1.3e-4, 7e-4, 1.5e-3), 1e-4
-"""rad, by which a camera's residuals change at one moment; of two, three, more cameras: fewer show less of a turn, and suffer more."""
-ECHO = 0.8
-"""A camera that was moved makes the others seem to be, by up to this share of it."""
-LOOKS_UP = 0.1
-"""The upward part of where a camera looks, as a share of one."""
-BAD_PART, WHOLE_PART = 0.5, 0.8
-"""Share of one camera's images of the wand in a tenth of the recording that contradict the others: most, and nearly all."""
-BAD_DRIFT = 0.5
-"""Frames."""
-POOR_COVERAGE = 0.35
-POOR_PART = 0.2
-"""Share of its image in which the middle camera saw the wand."""
-FAR_CENTRE = 0.07
-"""Of an image's width, by which hardly a lens's centre is off the image's."""
+SCALE_UNKNOWN, UPSIDE_DOWN = "wand-no-scale", "wand-looks-up"
+"""The codes of findings that a world frame settles: the scale of the rig, and which way is up."""
 CELLS = (6, 8)
 """Rows and columns that an image is divided into to say which part of it saw the wand."""
-FEW_FRAMES = 100
 
 
 @dataclass(frozen=True)
-class Finding:
-    """One sentence about a calibration: grave, then it should not be used; or mere advice, which speaks against nothing.
+class CheckRules:
+    """From where on something is worth saying (the first number of a pair), and from where on the rig should not be used (the second).
 
-    of_scale: that the rig's size is unknown, which a world frame with a scale mends
-    of_world: that up may be down, which a world frame tells
+    rms              px, reprojection error in images of `usual_width` px or less; in wider ones in proportion
+    worse            a camera is named whose error is so many times that of all
+    length_spread    robust spread of the measured wand, as a share of its length
+    length_error     median of the measured wand, as a share of its length
+    inner_error      of the inner marker's position, as a share of the wand's length, and at least `inner_least` m
+    focal            standard deviation of a focal length, as a share of it
+    position         standard deviation of a camera's position, as a share of its distance to the wand
+    centre           standard deviation of the principal point, and its distance from the middle of the image; shares of the image's width
+    rejected         share of the wand's images, of all cameras or of one, that contradict the others
+    rejected_part    share of one camera's images of the wand in a tenth of the recording that contradict the others: most, nearly all
+    unusual          so many times the median camera's share is unusual
+    turn             rad by which a camera's residuals change at one moment; the second numbers are for rigs of two, three, and more
+                     cameras: fewer show less of a turn, and suffer more
+    echo             a camera that was moved makes the others seem to be moved, by up to this share of it
+    drift            frames between the last third of the recording and the first, from which on the rig should not be used
+    frames           that were used
+    line, plane      spread of the wand's positions along the second and third axis, as a share of the first: less is a line, a plane
+    reach            the spread along the first axis counts up to this share of the distance to the cameras
+    turned           mean square of the wand's direction along its rarest axis
+    covered          share of one image in which the wand was seen, and of the median camera's
+    up               upward part of a camera's line of sight (share of one) from which on it looks up
+
+    Checked on the simulated and real wands of tests/test_wand.py and benchmarks/cameras/wand.py.
     """
 
-    sentence: str
-    grave: bool = False
-    advice: bool = False
-    of_scale: bool = False
-    of_world: bool = False
+    rms: tuple[float, float] = (0.7, 1.5)
+    usual_width: int = 1280
+    worse: float = 2.5
+    length_spread: tuple[float, float] = (0.006, 0.015)
+    length_error: tuple[float, float] = (0.004, 0.02)
+    inner_error: tuple[float, float] = (0.004, 0.01)
+    inner_least: float = 0.0015
+    focal: tuple[float, float] = (0.004, 0.02)
+    position: tuple[float, float] = (0.003, 0.015)
+    centre: tuple[float, float] = (0.015, 0.07)
+    rejected: tuple[float, float] = (0.12, 0.3)
+    rejected_part: tuple[float, float] = (0.5, 0.8)
+    unusual: float = 2.5
+    turn: tuple[float, tuple[float, float, float]] = (1e-4, (1.3e-4, 7e-4, 1.5e-3))
+    echo: float = 0.8
+    drift: float = 0.5
+    frames: tuple[int, int] = (100, 50)
+    line: float = 0.12
+    plane: tuple[float, float] = (0.08, 0.03)
+    reach: float = 0.35
+    turned: float = 0.02
+    covered: tuple[float, float] = (0.35, 0.2)
+    up: float = 0.1
+
+
+RULES = CheckRules()
 
 
 def coverage(made: WandCalibration) -> Floats:
@@ -72,124 +93,145 @@ def coverage(made: WandCalibration) -> Floats:
     return counts
 
 
-def judge(made: WandCalibration, clocks: Clocks, *, scaled: bool) -> tuple[Finding, ...]:
-    """What speaks against a calibration, gravest first. clocks: how late each camera was; scaled: a distance gave the scale."""
+def check_calibration(made: WandCalibration, lags: CameraLags, *, scaled: bool) -> tuple[Finding, ...]:
+    """What to know about a calibration, most severe first. lags: of each camera; scaled: whether a distance gave the scale."""
     found = [
-        *(Finding(f"camera {name} is not in the rig: {why}{'' if why.endswith('?') else '.'}") for name, why in made.left_out.items()),
-        *_fit(made),
+        *_excluded(made),
+        *_residuals(made),
+        *_lengths(made),
+        *_used(made),
         *_moved(made),
-        *_clocks(made, clocks),
+        *_rejected(made),
+        *_lags(made, lags),
         *_undetermined(made),
         *_waved(made),
         *_covered(made),
         *_looking_up(made),
+        *_single_marker(made, scaled),
     ]
-    if len(made.wand.lengths) == 1 and len(made.rig) == 2:
-        found.append(Finding("one moved marker before two cameras hardly tells their lenses; add a camera, or wave a wand.", True))
-    if len(made.wand.lengths) == 1 and not scaled:
-        found.append(
-            Finding(
-                "one moved marker tells no size: the rig is right but for its scale; give a distance between two cameras.",
-                True,
-                of_scale=True,
-            )
-        )
-    return tuple(sorted(found, key=lambda finding: (not finding.grave, finding.advice)))
+    return tuple(sorted(found, key=lambda finding: -finding.severity))
 
 
-def _fit(made: WandCalibration) -> list[Finding]:
-    found = []
-    large = max(1.0, widest(made.rig) / USUAL_WIDTH)
-    poor, bad = large * POOR_RMS, large * BAD_RMS
+def _grade(severe: bool | np.bool_) -> Severity:
+    return Severity.ERROR if severe else Severity.WARNING
+
+
+def _excluded(made: WandCalibration) -> Iterator[Finding]:
+    for name, (reason, mend) in made.excluded.items():
+        yield Finding("wand-camera-excluded", Severity.WARNING, name, f"camera {name} is not in the rig: {reason}.", mend)
+
+
+def _residuals(made: WandCalibration) -> Iterator[Finding]:
+    large = max(1.0, widest_image(made.rig) / RULES.usual_width)
+    poor, bad = (large * limit for limit in RULES.rms)
     if made.rms > poor:
-        found.append(
-            Finding(
-                f"the reprojection error is {made.rms:.2f} px; good wand calibrations stay below {poor:.1f}: look for blurred or saturated "
-                "markers, cameras that moved, or cameras out of step.",
-                made.rms > bad,
-            )
+        yield Finding(
+            "wand-large-error",
+            _grade(made.rms > bad),
+            "",
+            f"the reprojection error is {made.rms:.2f} px; good wand calibrations stay below {poor:.1f}.",
+            "Look for blurred or saturated markers, cameras that moved, or cameras out of step.",
         )
     for camera in made.rig:
-        if camera.error > max(poor, 2.5 * made.rms):
-            found.append(
-                Finding(f"camera {camera.name} fits worse than the others ({camera.error:.2f} px); was it moved?", camera.error > bad)
+        if camera.error > max(poor, RULES.worse * made.rms):
+            yield Finding(
+                "wand-camera-large-error",
+                _grade(camera.error > bad),
+                camera.name,
+                f"camera {camera.name} fits worse than the others ({camera.error:.2f} px).",
+                "Check whether it was moved while recording.",
             )
+
+
+def _lengths(made: WandCalibration) -> Iterator[Finding]:
+    """Whether the wand, measured marker by marker, has the lengths that were given."""
     whole = made.wand.lengths[-1]
     lengths = made.lengths[np.isfinite(made.lengths)]
     if whole > 0.0 and len(lengths) > 20:
         middle = float(np.median(lengths))
         spread = float(1.4826 * np.median(np.abs(lengths - middle))) / whole
-        if spread > POOR_LENGTH:
-            found.append(
-                Finding(
-                    f"the measured wand varies by {1000 * lengths.std():.1f} mm (standard deviation) about its {1000 * whole:.0f} mm.",
-                    spread > BAD_LENGTH,
-                )
+        if spread > RULES.length_spread[0]:
+            yield Finding(
+                "wand-length-varies",
+                _grade(spread > RULES.length_spread[1]),
+                "",
+                f"the measured wand varies by {1000 * lengths.std():.1f} mm (standard deviation) about its {1000 * whole:.0f} mm.",
+                "Wave it more slowly, and check that the cameras are in step.",
             )
-        if abs(middle / whole - 1.0) > 0.004:
-            found.append(
-                Finding(
-                    f"the wand measures {1000 * middle:.1f} mm where {1000 * whole:.1f} mm were given.", abs(middle / whole - 1.0) > 0.02
-                )
+        off = abs(middle / whole - 1.0)
+        if off > RULES.length_error[0]:
+            yield Finding(
+                "wand-length-wrong",
+                _grade(off > RULES.length_error[1]),
+                "",
+                f"the wand measures {1000 * middle:.1f} mm where {1000 * whole:.1f} mm were given.",
+                "Measure the wand, and give its lengths anew.",
             )
-    if np.isfinite(made.inner) and abs(made.inner - made.wand.lengths[1]) > max(0.0015, 0.004 * whole):
-        found.append(
-            Finding(
-                f"the wand's inner marker sits {1000 * made.inner:.1f} mm from the first one, not the "
-                f"{1000 * made.wand.lengths[1]:.1f} mm given; measure the wand.",
-                abs(made.inner - made.wand.lengths[1]) > 0.01 * whole,
-            )
+    inner = abs(made.inner_marker_m - made.wand.lengths[1]) if np.isfinite(made.inner_marker_m) else 0.0
+    if inner > max(RULES.inner_least, RULES.inner_error[0] * whole):
+        yield Finding(
+            "wand-inner-marker-wrong",
+            _grade(inner > RULES.inner_error[1] * whole),
+            "",
+            f"the wand's inner marker sits {1000 * made.inner_marker_m:.1f} mm from the first one, not the "
+            f"{1000 * made.wand.lengths[1]:.1f} mm given.",
+            "Measure the wand, and give its lengths anew.",
         )
-    if made.rejected > POOR_LOST:
-        found.append(
-            Finding(f"{100 * made.rejected:.0f} % of the wand's images contradict the others and were left out.", made.rejected > BAD_LOST)
-        )
-    if len(made.used) < FEW_FRAMES:
-        found.append(Finding(f"only {len(made.used)} frames could be used; wave the wand for at least half a minute.", len(made.used) < 50))
-    return found
 
 
-def _moved(made: WandCalibration) -> list[Finding]:
-    """Cameras that look elsewhere in one part of the recording than in another."""
-    found = []
-    steps, moments = jumps(made.sightings, made.residuals, len(made.rig))
+def _used(made: WandCalibration) -> Iterator[Finding]:
+    if made.mean_rejected_share > RULES.rejected[0]:
+        yield Finding(
+            "wand-images-rejected",
+            _grade(made.mean_rejected_share > RULES.rejected[1]),
+            "",
+            f"{100 * made.mean_rejected_share:.0f} % of the wand's images contradict the others and were left out.",
+            "Check the wand's lengths, and that the cameras are in step and were not moved.",
+        )
+    if len(made.used) < RULES.frames[0]:
+        yield Finding(
+            "wand-few-frames",
+            _grade(len(made.used) < RULES.frames[1]),
+            "",
+            f"only {len(made.used)} frames could be used.",
+            "Wave the wand for at least half a minute.",
+        )
+
+
+def _moved(made: WandCalibration) -> Iterator[Finding]:
+    """Cameras whose residuals change at one moment."""
+    steps, moments = residual_steps(made.sightings, made.residuals, len(made.rig))
     turns = steps / [camera.focal[0] for camera in made.rig]
-    bad_turn = BAD_TURN[min(len(made.rig), 4) - 2]
+    bad_turn = RULES.turn[1][min(len(made.rig), 4) - 2]
     for camera, step, turn, moment in zip(made.rig, steps, turns, moments, strict=True):
-        if turn > max(POOR_TURN, ECHO * turns.max()):
-            found.append(
-                Finding(
-                    f"camera {camera.name} sees things {step:.1f} px elsewhere after {100 * moment:.0f} % of the recording than before; "
-                    "was it moved while recording?",
-                    bool(turn > bad_turn),
-                )
+        if turn > max(RULES.turn[0], RULES.echo * turns.max()):
+            yield Finding(
+                "wand-camera-moved",
+                _grade(turn > bad_turn),
+                camera.name,
+                f"camera {camera.name} sees things {step:.1f} px elsewhere after {100 * moment:.0f} % of the recording than before.",
+                "Check whether it was moved while recording; fasten it and record again.",
             )
-    usual, usual_part = 2.5 * float(np.median(made.lost)), 2.5 * _middle(made.lost_parts)
-    for camera, lost, parts in zip(made.rig, made.lost, made.lost_parts, strict=True):
-        bad = np.nonzero(parts > np.maximum(BAD_PART, usual_part))[0]
-        if lost > max(POOR_LOST, usual) or len(bad):
+
+
+def _rejected(made: WandCalibration) -> Iterator[Finding]:
+    """Cameras whose images contradict the others, all over the recording or in a part of it."""
+    usual, usual_part = RULES.unusual * float(np.median(made.rejected_share)), RULES.unusual * _middle(made.rejected_parts)
+    most, nearly_all = RULES.rejected_part
+    for camera, share, parts in zip(made.rig, made.rejected_share, made.rejected_parts, strict=True):
+        bad = np.nonzero(parts > np.maximum(most, usual_part))[0]
+        if share > max(RULES.rejected[0], usual) or len(bad):
             in_one = 0 < len(bad) < PARTS and np.ptp(bad) == len(bad) - 1
             begins, ends = (100 * edge // PARTS for edge in (bad.min(initial=PARTS), bad.max(initial=-1) + 1))
             when = f", most of it between {begins} and {ends} % of the recording" if in_one else ""
-            sentence = f"{100 * lost:.0f} % of what camera {camera.name} saw contradicts the others{when}; was it moved while recording?"
-            whole = lost > POOR_LOST and np.nan_to_num(parts).max() > WHOLE_PART
-            found.append(Finding(sentence, bool(lost > BAD_LOST or whole or PARTS - 1 in bad)))
-    return found
-
-
-def _looking_up(made: WandCalibration) -> list[Finding]:
-    """Whether the cameras hang below what they look at, by their own sense of up: so they seem to where y is counted from the bottom."""
-    up = default_world(made.rig, made.positions)[0][2]
-    below = [float(camera.rotation[2] @ up) > LOOKS_UP for camera in made.rig]
-    if not all(below):
-        return []
-    return [
-        Finding(
-            "all cameras look up at the wand from below; if they hang above it, y is counted from the bottom in the images, and the rig "
-            "is mirrored.",
-            of_world=True,
-        )
-    ]
+            whole = share > RULES.rejected[0] and np.nan_to_num(parts).max() > nearly_all
+            yield Finding(
+                "wand-camera-contradicts",
+                _grade(share > RULES.rejected[1] or whole or PARTS - 1 in bad),
+                camera.name,
+                f"{100 * share:.0f} % of what camera {camera.name} saw contradicts the others{when}.",
+                "Check whether it was moved while recording; fasten it and record again.",
+            )
 
 
 def _middle(parts: Floats) -> Floats:
@@ -197,98 +239,135 @@ def _middle(parts: Floats) -> Floats:
     return np.array([np.median(part[np.isfinite(part)]) if np.isfinite(part).any() else 0.0 for part in parts.T])
 
 
-def _clocks(made: WandCalibration, clocks: Clocks) -> list[Finding]:
-    found = []
-    for camera, whole, part, drift in zip(made.rig, clocks.late, clocks.rest, clocks.drift, strict=True):
+def _lags(made: WandCalibration, lags: CameraLags) -> Iterator[Finding]:
+    for camera, whole, part, drift in zip(made.rig, lags.lag_frames, lags.fraction, lags.drift, strict=True):
         if drift != 0.0:
-            sentence = (
+            yield Finding(
+                "wand-camera-drifts",
+                _grade(abs(drift) > RULES.drift),
+                camera.name,
                 f"camera {camera.name} takes its images {abs(drift):.1f} frames {'later' if drift > 0 else 'earlier'} in the last third "
-                "of the recording than in the first; has it lost images, or another frame rate?"
+                "of the recording than in the first.",
+                "Check whether it lost images, or has another frame rate.",
             )
-            found.append(Finding(sentence, abs(drift) > BAD_DRIFT))
-        late = int(whole) + float(part)
-        if late == 0.0:
+        lag = int(whole) + float(part)
+        if lag == 0.0:
             continue
-        which, many = "late" if late > 0 else "early", abs(late)
-        mended = "its images were moved for this calibration, but recordings need it mended."
+        which, many = "late" if lag > 0 else "early", abs(lag)
+        shifted = "its images were shifted for this calibration."
         if part == 0.0:
-            sentence = f"camera {camera.name} started {many:.0f} frame{'s' if many > 1 else ''} {which}; {mended}"
+            yield Finding(
+                "wand-camera-lags",
+                Severity.WARNING,
+                camera.name,
+                f"camera {camera.name} started {many:.0f} frame{'s' if many > 1 else ''} {which}; {shifted}",
+                "Start the cameras together before you record, or give the time of each image.",
+            )
         else:
-            sentence = f"camera {camera.name} takes its images {many:.2f} frames {which}; check its trigger: {mended}"
-        found.append(Finding(sentence))
-    return found
+            yield Finding(
+                "wand-camera-lags",
+                Severity.WARNING,
+                camera.name,
+                f"camera {camera.name} takes its images {many:.2f} frames {which}; {shifted}",
+                "Check its trigger before you record.",
+            )
 
 
-def _undetermined(made: WandCalibration) -> list[Finding]:
-    """Parameters that this waving does not tell, by their standard deviations."""
-    found = []
+def _undetermined(made: WandCalibration) -> Iterator[Finding]:
+    """Parameters that this waving does not determine, by their standard deviations."""
     middle = np.nanmedian(made.positions.reshape(-1, 3), axis=0)
     for c, camera in enumerate(made.rig):
-        width = (camera.size or (1280, 1024))[0]
         focal = float(made.sigma[c, 6]) / camera.focal[0]
-        place = float(made.place_sigma[c])
-        far = max(float(np.linalg.norm(camera.position - middle)), 1e-9)
-        if focal > POOR_FOCAL:
-            known = "is not determined" if focal > BAD_FOCAL else f"is only known to {100 * focal:.1f} %"
-            found.append(
-                Finding(
-                    f"the focal length of camera {camera.name} {known} by this wand; wave it nearer and farther away, too.",
-                    focal > BAD_FOCAL,
-                )
+        position = float(made.position_sigma[c])
+        distance = max(float(np.linalg.norm(camera.position - middle)), 1e-9)
+        if focal > RULES.focal[0]:
+            known = "is not determined" if focal > RULES.focal[1] else f"is only known to {100 * focal:.1f} %"
+            yield Finding(
+                "wand-focal-uncertain",
+                _grade(focal > RULES.focal[1]),
+                camera.name,
+                f"the focal length of camera {camera.name} {known} by this wand.",
+                "Wave it nearer and farther away, too.",
             )
-        if place / far > POOR_PLACE:
-            known = "is not determined" if place / far > BAD_PLACE else f"is only known to {1000 * place:.0f} mm"
-            found.append(
-                Finding(f"where camera {camera.name} stands {known} by this wand; wave it all over what it sees.", place / far > BAD_PLACE)
+        share = position / distance
+        if share > RULES.position[0]:
+            known = "is not determined" if share > RULES.position[1] else f"is only known to {1000 * position:.0f} mm"
+            yield Finding(
+                "wand-position-uncertain",
+                _grade(share > RULES.position[1]),
+                camera.name,
+                f"the position of camera {camera.name} {known} by this wand.",
+                "Wave it all over what the camera sees.",
             )
-        off = np.array(camera.centre) - 0.5 * (np.array(camera.size or camera.centre) - 1.0)
-        if np.linalg.norm(off) > FAR_CENTRE * width:
-            found.append(
-                Finding(
-                    f"the principal point of camera {camera.name} lies {abs(off[0]):.0f} px {'right' if off[0] > 0 else 'left'} of and "
-                    f"{abs(off[1]):.0f} px {'below' if off[1] > 0 else 'above'} the image's middle; is the image size right?"
-                )
-            )
-        if np.nanmax(made.sigma[c, 8:10]) > 0.015 * width:
-            found.append(
-                Finding(
-                    f"the principal point of camera {camera.name} is not determined by this wand (within "
-                    f"{np.nanmax(made.sigma[c, 8:10]):.0f} px); the middle of the image is assumed. Wave it up to the image's borders."
-                )
-            )
-    return found
+        yield from _principal_point(made, c)
 
 
-def _waved(made: WandCalibration) -> list[Finding]:
+def _principal_point(made: WandCalibration, c: int) -> Iterator[Finding]:
+    camera = made.rig.cameras[c]
+    width = (camera.size or (1280, 1024))[0]
+    off = np.array(camera.centre) - 0.5 * (np.array(camera.size or camera.centre) - 1.0)
+    if np.linalg.norm(off) > RULES.centre[1] * width:
+        yield Finding(
+            "wand-centre-far",
+            Severity.WARNING,
+            camera.name,
+            f"the principal point of camera {camera.name} lies {abs(off[0]):.0f} px {'right' if off[0] > 0 else 'left'} of and "
+            f"{abs(off[1]):.0f} px {'below' if off[1] > 0 else 'above'} the image's middle.",
+            "Check the image size.",
+        )
+    if np.nanmax(made.sigma[c, 8:10]) > RULES.centre[0] * width:
+        yield Finding(
+            "wand-centre-uncertain",
+            Severity.WARNING,
+            camera.name,
+            f"the principal point of camera {camera.name} is not determined by this wand (within "
+            f"{np.nanmax(made.sigma[c, 8:10]):.0f} px); the middle of the image is assumed.",
+            "Wave it up to the image's borders.",
+        )
+
+
+def _waved(made: WandCalibration) -> Iterator[Finding]:
     """Whether the wand was waved through a volume and turned, by its positions and directions."""
-    found: list[Finding] = []
     points = made.positions.reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < 10:
-        return found
+        return
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(points.T)), 0.0))
-    wide = min(float(spread[2]), 0.35 * _distance(made))
-    if spread[1] < 0.12 * wide:
-        found.append(Finding("the wand was waved along a line only; wave it through the whole volume, up and down too.", True))
-    elif spread[0] < 0.08 * wide:
-        found.append(
-            Finding("the wand was waved in a plane only; wave it through the whole volume, up and down too.", bool(spread[0] < 0.03 * wide))
+    wide = min(float(spread[2]), RULES.reach * _distance(made))
+    if spread[1] < RULES.line * wide:
+        yield Finding(
+            "wand-waved-in-line",
+            Severity.ERROR,
+            "",
+            "the wand was waved along a line only.",
+            "Wave it through the whole volume, up and down too.",
+        )
+    elif spread[0] < RULES.plane[0] * wide:
+        yield Finding(
+            "wand-waved-in-plane",
+            _grade(spread[0] < RULES.plane[1] * wide),
+            "",
+            "the wand was waved in a plane only.",
+            "Wave it through the whole volume, up and down too.",
         )
     seen = float(np.median([(cells > 0).mean() for cells in coverage(made)]))
-    if seen < POOR_PART:
-        found.append(
-            Finding(
-                f"the wand stayed in a small part of the volume, {' x '.join(f'{4.0 * part:.1f}' for part in spread[::-1])} m, which fills "
-                f"{100 * seen:.0f} % of an image; points elsewhere can be off by more than is said here."
-            )
+    if seen < RULES.covered[1]:
+        yield Finding(
+            "wand-small-volume",
+            Severity.WARNING,
+            "",
+            f"the wand stayed in a small part of the volume, {' x '.join(f'{4.0 * part:.1f}' for part in spread[::-1])} m, which fills "
+            f"{100 * seen:.0f} % of an image; points elsewhere can be off by more than is said here.",
+            "Wave it through the whole volume.",
         )
-    if len(made.wand.lengths) > 1:
+    if len(made.wand) > 1:
         along = made.positions[:, -1] - made.positions[:, 0]
         along = along[np.isfinite(along).all(axis=1)]
         along /= np.linalg.norm(along, axis=1, keepdims=True)
-        if len(along) > 10 and np.linalg.eigvalsh(along.T @ along / len(along))[0] < 0.02:
-            found.append(Finding("the wand was hardly turned; turn it in all directions while waving."))
-    return found
+        if len(along) > 10 and np.linalg.eigvalsh(along.T @ along / len(along))[0] < RULES.turned:
+            yield Finding(
+                "wand-hardly-turned", Severity.WARNING, "", "the wand was hardly turned.", "Turn it in all directions while waving."
+            )
 
 
 def _distance(made: WandCalibration) -> float:
@@ -299,25 +378,30 @@ def _distance(made: WandCalibration) -> float:
     return float(np.nanmedian(np.linalg.norm(points - eyes[seen.camera], axis=1)))
 
 
-def _covered(made: WandCalibration) -> list[Finding]:
-    found = []
-    if made.lights.any():
-        each = ", ".join(f"{count} in camera {camera.name}" for camera, count in zip(made.rig, made.lights, strict=True) if count)
-        found.append(Finding(f"what never moved was left out: {each}; cover reflections before recording, or mask them.", advice=True))
+def _covered(made: WandCalibration) -> Iterator[Finding]:
+    if made.static_lights.any():
+        each = ", ".join(f"{count} in camera {camera.name}" for camera, count in zip(made.rig, made.static_lights, strict=True) if count)
+        yield Finding(
+            "wand-static-lights",
+            Severity.NOTE,
+            "",
+            f"what never moved was left out: {each}.",
+            "Cover reflections before recording, or mask them.",
+        )
     for camera, cells in zip(made.rig, coverage(made), strict=True):
         share = float((cells > 0).mean())
-        if share < POOR_COVERAGE:
-            found.append(
-                Finding(
-                    f"camera {camera.name} saw the wand in {100 * share:.0f} % of its image only ({_where_not(cells)} is missing); "
-                    "its lens is a guess elsewhere.",
-                    advice=True,
-                )
+        if share < RULES.covered[0]:
+            yield Finding(
+                "wand-image-uncovered",
+                Severity.NOTE,
+                camera.name,
+                f"camera {camera.name} saw the wand in {100 * share:.0f} % of its image only ({_least_covered(cells)} is missing); "
+                "its lens is a guess elsewhere.",
+                "Wave the wand there, too.",
             )
-    return found
 
 
-def _where_not(cells: Floats) -> str:
+def _least_covered(cells: Floats) -> str:
     """The side of an image that saw least."""
     rows, columns = cells.shape
     sides = {
@@ -327,3 +411,37 @@ def _where_not(cells: Floats) -> str:
         "the bottom": cells[rows // 2 :],
     }
     return min(sides, key=lambda side: float((sides[side] > 0).mean()))
+
+
+def _looking_up(made: WandCalibration) -> Iterator[Finding]:
+    """Whether the cameras hang below what they look at, by their own sense of up: so they seem to where y is counted from the bottom."""
+    up = default_world(made.rig, made.positions)[0][2]
+    if all(float(camera.rotation[2] @ up) > RULES.up for camera in made.rig):
+        yield Finding(
+            "wand-looks-up",
+            Severity.WARNING,
+            "",
+            "all cameras look up at the wand from below.",
+            "If they hang above it, y is counted from the bottom in the images, and the rig is mirrored: count y from the top.",
+        )
+
+
+def _single_marker(made: WandCalibration, scaled: bool) -> Iterator[Finding]:
+    if len(made.wand) > 1:
+        return
+    if len(made.rig) == 2:
+        yield Finding(
+            "wand-one-marker-two-cameras",
+            Severity.ERROR,
+            "",
+            "one moved marker before two cameras hardly determines their lenses.",
+            "Add a camera, or wave a wand.",
+        )
+    if not scaled:
+        yield Finding(
+            "wand-no-scale",
+            Severity.ERROR,
+            "",
+            "one moved marker gives no size: the rig is right but for its scale.",
+            "Give a distance between two cameras.",
+        )

@@ -1,26 +1,28 @@
-"""What a calibration left over, in its order in time, in; whether a camera was moved meanwhile out."""
+"""Residuals of a calibration in their order in time in; whether a camera was moved during the recording out."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from asterism.calibration.wand.frames import shown
+from asterism.calibration.wand.recording import shows_wand
 from asterism.cameras.bundle import Sightings
 from asterism.recording import Floats, Ints
 
 PARTS = 10
-"""Into so many parts a recording is divided to say when a camera's images were left out."""
-_BLOCKS, _FEWEST_BLOCKS, _LEAST_IN_BLOCK = 40, 8, 5
-_SURE = 5.0
-"""Standard deviations by which residuals must change; their best split over many differs by up to four where nothing happened."""
-_FEWEST_TOLD = 30
+"""A recording is divided into this many parts to say when a camera's images were left out."""
+_BLOCKS, _LEAST_BLOCKS, _LEAST_IN_BLOCK = 40, 8, 5
+"""Blocks of frames whose mean residuals are compared; how many of them a camera needs, and how many sightings a block needs."""
+_SIGNIFICANT = 5.0
+"""Standard deviations by which residuals must change; the best of many splits differs by up to four where nothing happened."""
+_LEAST_MARKERS = 30
+"""Markers that a part of the recording must show for a share of them to be computed."""
 
 
-def jumps(sightings: Sightings, residuals: Floats, cameras: int) -> tuple[Floats, Floats]:
-    """By how many px each camera's residuals change at one moment (C,), 0 where nothing speaks for it, and how far into the recording.
+def residual_steps(sightings: Sightings, residuals: Floats, cameras: int) -> tuple[Floats, Floats]:
+    """By how many px each camera's residuals change at one moment (C,), and after what share of the recording; 0 where they do not.
 
-    A camera that was moved and is calibrated as one has residuals to one side before and to the other side after. Means of some seconds are
-    compared rather than single residuals, which depend on where the wand was: how much these means scatter says what a change is worth.
+    A camera that was moved, and is calibrated as if it was not, has residuals to one side before and to the other side after. Means of
+    some seconds are compared rather than single residuals, which depend on where the wand was. The scatter of these means is the unit.
     """
     size, moment = np.zeros(cameras), np.zeros(cameras)
     if not len(sightings):
@@ -32,10 +34,10 @@ def jumps(sightings: Sightings, residuals: Floats, cameras: int) -> tuple[Floats
         count = np.bincount(block[own], minlength=_BLOCKS)
         there = np.nonzero(count >= _LEAST_IN_BLOCK)[0]
         n = len(there)
-        if n < _FEWEST_BLOCKS:
+        if n < _LEAST_BLOCKS:
             continue
         mean = np.stack([np.bincount(block[own], part, minlength=_BLOCKS)[there] / count[there] for part in residuals[own].T], axis=1)
-        best = _SURE
+        best = _SIGNIFICANT
         for split in range(max(3, n // 8), n - max(3, n // 8) + 1):
             before, after = mean[:split], mean[split:]
             step = float(np.linalg.norm(after.mean(axis=0) - before.mean(axis=0)))
@@ -47,18 +49,18 @@ def jumps(sightings: Sightings, residuals: Floats, cameras: int) -> tuple[Floats
     return size, moment
 
 
-def lost_shares(chosen: Ints, offered: Ints, used: Sightings, frames: int) -> tuple[Floats, Floats]:
+def rejected_shares(detections: Ints, offered: Ints, used: Sightings, frames: int) -> tuple[Floats, Floats]:
     """The share of each camera's images of the wand that was not used: (C,) of all, (C, PARTS) of each part of the recording.
 
-    chosen   (m, C, K) what single images took for the wand in the frames offered (m,), where two cameras did
-    used     the sightings that were used; their frames are those of the recording, which has so many
+    detections  (m, C, K) what single images took for the wand in the frames offered (m,); those that two cameras or more show count
+    used        the sightings that were used; their frames are those of the recording, which has so many
     NaN where hardly an image of that part shows the wand.
     """
-    own = shown(chosen)
+    own = shows_wand(detections)
     own &= (own.sum(axis=1) >= 2)[:, None]
-    told, kept = np.zeros((own.shape[1], PARTS)), np.zeros((own.shape[1], PARTS))
+    given, kept = np.zeros((own.shape[1], PARTS)), np.zeros((own.shape[1], PARTS))
     frame, camera = np.nonzero(own)
-    np.add.at(told, (camera, offered[frame] * PARTS // frames), chosen.shape[2])
+    np.add.at(given, (camera, offered[frame] * PARTS // frames), detections.shape[2])
     np.add.at(kept, (used.camera, used.frame * PARTS // frames), 1)
-    parts = np.where(told >= _FEWEST_TOLD, np.maximum(1.0 - kept / np.maximum(told, 1.0), 0.0), np.nan)
-    return np.maximum(1.0 - kept.sum(axis=1) / np.maximum(told.sum(axis=1), 1.0), 0.0), parts
+    parts = np.where(given >= _LEAST_MARKERS, np.maximum(1.0 - kept / np.maximum(given, 1.0), 0.0), np.nan)
+    return np.maximum(1.0 - kept.sum(axis=1) / np.maximum(given.sum(axis=1), 1.0), 0.0), parts

@@ -9,32 +9,43 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.calibration.wand.frames import shown
+from asterism.calibration.wand.frames import evenly
 from asterism.calibration.wand.identify import Wand
-from asterism.cameras.bundle import Adjustment, Sightings, adjust, free_parameters, triangulate
+from asterism.calibration.wand.recording import WandRecording
+from asterism.cameras.bundle import Adjustment, AdjustSettings, Sightings, adjust, free_parameters, triangulate
 from asterism.cameras.camera import Camera
 from asterism.geometry import fit_rigid, place_objects
-from asterism.recording import Blobs, Floats, Ints
+from asterism.recording import Floats
 
 Bools = NDArray[np.bool_]
 
 GUESSES = (0.55, 0.8, 1.15, 1.65, 2.4, 3.6)
 """Focal lengths to begin with, in widths of the image."""
-FEWEST = 25
-"""So many frames must two cameras share, or a camera with those that are posed already."""
+LEAST_FRAMES = 25
+"""Frames that two cameras must share, or a camera with those that are posed already."""
 _PAIR_FRAMES = 100
+"""Frames, evenly spread, that a pair is posed from."""
+_EPIPOLAR_GATE = 0.003
+"""Of the image's longer side: how far a point may lie from its epipolar line."""
+_COARSE_STEPS, _REFINED, _FINE_STEPS = 8, 3, 25
+"""Steps of the adjustment of every start, how many of the best starts are adjusted on, and in how many steps."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two posed cameras by their places, px that their adjustment misses by, and how unsure (a share) the worse focal length is."""
+    """Two posed cameras.
+
+    cameras            by their number in the recording
+    error              px, the median distance of the residuals
+    focal_uncertainty  standard deviation of the less certain focal length, as a share of it
+    """
 
     cameras: dict[int, Camera]
     error: float
-    doubt: float
+    focal_uncertainty: float
 
 
-def guessed(name: str, size: tuple[int, int], focal: float) -> Camera:
+def initial_camera(name: str, size: tuple[int, int], focal: float) -> Camera:
     """A camera without distortion that looks along its image's middle."""
     return Camera(name, size, (focal, focal), (0.5 * (size[0] - 1), 0.5 * (size[1] - 1)))
 
@@ -58,42 +69,46 @@ def priors(cameras: Sequence[Camera], known: Sequence[Camera | None], noise: flo
     return expected, spread / noise
 
 
-def first_pair(
-    blobs: Blobs, chosen: Ints, wand: Wand, sizes: Sequence[tuple[int, int]], known: Sequence[Camera | None], a: int, b: int
-) -> Pair | None:
+def initial_pair(recording: WandRecording, a: int, b: int) -> Pair | None:
     """The best of several ways to pose two cameras: by the depths that the wand itself shows, by epipolar geometry; from several focals."""
-    both = np.nonzero(shown(chosen)[:, [a, b]].all(axis=1))[0]
-    both = both[np.unique(np.linspace(0, len(both) - 1, min(_PAIR_FRAMES, len(both))).astype(np.int64))]
-    xy = blobs.xy[chosen[both][:, [a, b]]]
-    epipolar = _fundamental(xy, wand, 0.003 * max(sizes[a]))
+    both = np.nonzero(recording.shows_wand[:, [a, b]].all(axis=1))[0]
+    xy = recording.blobs.xy[recording.detections[evenly(both, _PAIR_FRAMES)][:, [a, b]]]
+    lenses = [recording.lenses[a], recording.lenses[b]]
+    epipolar = _fundamental(xy, recording.wand, _EPIPOLAR_GATE * max(recording.sizes[a]))
     tried: list[tuple[float, int, Adjustment, Bools]] = []
     for guess in GUESSES:
-        pair = [known[c] or guessed(blobs.cameras[c], sizes[c], guess * sizes[c][0]) for c in (a, b)]
-        poses = []
-        if len(wand.lengths) == 3 and not wand.either:
-            poses.append(_pose_by_depths(xy, pair, wand))
-        if epipolar is not None:
-            poses.append(_pose_by_epipolar_geometry(xy, pair, wand, epipolar))
-        for pose in poses:
-            if pose is None:
-                continue
-            posed = [pair[0], replace(pair[1], rotation=pose[0], translation=pose[1])]
-            fitted = _fit_pair(xy, posed, [known[a], known[b]], wand, pose[2], 8)
+        pair = [
+            recording.lenses[c] or initial_camera(recording.blobs.cameras[c], recording.sizes[c], guess * recording.sizes[c][0])
+            for c in (a, b)
+        ]
+        for rotation, translation, turned in _poses(xy, pair, recording.wand, epipolar):
+            posed = [pair[0], replace(pair[1], rotation=rotation, translation=translation)]
+            fitted = _fit_pair(xy, posed, lenses, recording.wand, turned, _COARSE_STEPS)
             if fitted is not None:
-                tried.append((_typical(fitted), len(tried), fitted, pose[2]))
-        if known[a] is not None and known[b] is not None:
+                tried.append((_median_error(fitted), len(tried), fitted, turned))
+        if lenses[0] is not None and lenses[1] is not None:
             break
     best: Pair | None = None
-    for _, _, fitted, turned in sorted(tried, key=lambda one: one[:2])[:3]:
-        full = _fit_pair(xy, list(fitted.cameras), [known[a], known[b]], wand, turned, 25)
-        if full is None or (best is not None and _typical(full) >= best.error):
+    for _, _, fitted, turned in sorted(tried, key=lambda one: one[:2])[:_REFINED]:
+        full = _fit_pair(xy, list(fitted.cameras), lenses, recording.wand, turned, _FINE_STEPS)
+        if full is None or (best is not None and _median_error(full) >= best.error):
             continue
-        doubt = float((full.sigma[:, 6] / [camera.focal[0] for camera in full.cameras]).max())
-        best = Pair({a: full.cameras[0], b: full.cameras[1]}, _typical(full), doubt)
+        uncertainty = float((full.sigma[:, 6] / [camera.focal[0] for camera in full.cameras]).max())
+        best = Pair({a: full.cameras[0], b: full.cameras[1]}, _median_error(full), uncertainty)
     return best
 
 
-def _typical(fitted: Adjustment) -> float:
+def _poses(xy: Floats, pair: Sequence[Camera], wand: Wand, epipolar: tuple[Floats, Bools] | None) -> list[tuple[Floats, Floats, Bools]]:
+    """Poses of the second camera to begin with: rotation, translation (m), and in which frames (n,) its markers come in reverse order."""
+    poses = []
+    if len(wand) == 3 and not wand.symmetric:
+        poses.append(_pose_by_depths(xy, pair, wand))
+    if epipolar is not None:
+        poses.append(_pose_by_epipolar_geometry(xy, pair, wand, epipolar))
+    return [pose for pose in poses if pose is not None]
+
+
+def _median_error(fitted: Adjustment) -> float:
     """px, the median distance of an adjustment's residuals."""
     return float(np.nanmedian(np.linalg.norm(fitted.residuals, axis=1)))
 
@@ -105,10 +120,10 @@ def _fit_pair(
     xy = xy.copy()
     xy[turned, 1] = xy[turned, 1, ::-1]
     sightings = Sightings.from_array(xy)
-    points = triangulate(cameras, sightings, len(xy), len(wand.lengths))
+    points = triangulate(cameras, sightings, len(xy), len(wand))
     rotations, translations = _placed(wand, points)
     good: Bools = np.asarray(np.isfinite(translations).all(axis=1))
-    if good.sum() < FEWEST // 2:
+    if good.sum() < LEAST_FRAMES // 2:
         return None
     sightings, kept = sightings.select(good[sightings.frame]).compact()
     free = free_parameters(2, "pose", "focal", "k1")
@@ -116,13 +131,13 @@ def _fit_pair(
     prior[1][:, 6] = np.minimum(prior[1][:, 6], 0.7 * np.array([camera.focal[0] for camera in cameras]) / 0.5)
     return adjust(
         cameras, wand.template, sightings, rotations[kept], translations[kept],
-        free=free, prior=prior, loss="cauchy", scale=3.0, tolerance=1e-4, steps=steps,
+        free=free, prior=prior, settings=AdjustSettings(loss="cauchy", scale=3.0, tolerance=1e-4, steps=steps),
     )  # fmt: skip
 
 
 def _placed(wand: Wand, points: Floats) -> tuple[Floats, Floats]:
     """The wand in each frame by its markers' positions (T, K, 3) m; a single dot is where it is."""
-    if len(wand.lengths) == 1:
+    if len(wand) == 1:
         return np.tile(np.eye(3), (len(points), 1, 1)), points[:, 0]
     return place_objects(wand.template, points)
 
@@ -145,7 +160,7 @@ def _pose_by_depths(xy: Floats, pair: Sequence[Camera], wand: Wand) -> tuple[Flo
         ends.append(np.stack([depth[:, None] * ray[:, 0], (depth * ratio)[:, None] * ray[:, 2]], axis=1))
     one, other = ends
     good = np.isfinite(one).all(axis=(1, 2)) & np.isfinite(other).all(axis=(1, 2))
-    if good.sum() < FEWEST // 2:
+    if good.sum() < LEAST_FRAMES // 2:
         return None
     one, other = one[good].reshape(-1, 3), other[good].reshape(-1, 3)
     weight = np.ones(len(one))
@@ -163,11 +178,11 @@ def _fundamental(xy: Floats, wand: Wand, gate: float) -> tuple[Floats, Bools] | 
     with two); then each frame takes the order that fits.
     """
     turned = np.zeros(len(xy), dtype=bool)
-    if not wand.either or len(wand.lengths) == 1:
+    if not wand.symmetric or len(wand) == 1:
         points = xy.transpose(1, 0, 2, 3).reshape(2, -1, 2)
         matrix = _ransac(points[0], points[1], gate)
         return None if matrix is None else (matrix, turned)
-    middle = xy[:, :, 1] if len(wand.lengths) == 3 else xy.mean(axis=2)
+    middle = xy[:, :, 1] if len(wand) == 3 else xy.mean(axis=2)
     matrix = _ransac(middle[:, 0], middle[:, 1], 3.0 * gate)
     for _ in range(2):
         if matrix is None:
@@ -206,9 +221,9 @@ def _pose_by_epipolar_geometry(
     essential = pair[1].matrix.T @ matrix @ pair[0].matrix
     _, rotation, translation, _ = cv2.recoverPose(essential, flat[0][good], flat[1][good], np.eye(3))
     translation = translation.ravel()
-    if len(wand.lengths) > 1:
+    if len(wand) > 1:
         cameras = [pair[0], replace(pair[1], rotation=rotation, translation=translation)]
-        points = triangulate(cameras, Sightings.from_array(ordered), len(xy), len(wand.lengths))
+        points = triangulate(cameras, Sightings.from_array(ordered), len(xy), len(wand))
         seen = np.linalg.norm(points[:, -1] - points[:, 0], axis=1)
         length = float(np.nanmedian(seen)) if np.isfinite(seen).any() else 0.0
         if not length > 1e-9:

@@ -8,8 +8,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asterism.calibration.wand.frames import widest
-from asterism.calibration.wand.identify import agree, identify, wand_of
+from asterism.calibration.wand.frames import widest_image
+from asterism.calibration.wand.identify import identify, wand_of
+from asterism.calibration.wand.poses import locate_wand
 from asterism.cameras.bundle import Sightings, locate
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
@@ -108,15 +109,15 @@ def world_from_floor_wand(rig: Rig, lying: Blobs, lengths: ArrayLike) -> Similar
     count. Raises AsterismError where it lay in one line only, or did not lie in a plane, or on one that is no floor for the cameras.
     """
     wand = wand_of(lengths)
-    if len(wand.lengths) < 2:
+    if len(wand) < 2:
         raise AsterismError("one marker on the floor tells no direction; lay a wand of two or three markers there.")
-    width = widest(rig)
+    width = widest_image(rig)
     cameras = [rig[name] if name in rig.names else None for name in lying.cameras]
-    agreed = agree(lying, identify(lying, wand), wand, cameras, _GATE * width)
-    there = np.isfinite(agreed.starts[:, 0])
+    poses = locate_wand(lying, identify(lying, wand), wand, cameras, _GATE * width)
+    there = np.isfinite(poses.starts[:, 0])
     if not there.any():
         raise AsterismError("no two cameras of the rig see the wand on the floor; lay it where they do.")
-    rests = _rests(agreed.starts[there], agreed.starts[there] + wand.lengths[-1] * agreed.directions[there], wand.either)
+    rests = _rests(poses.starts[there], poses.starts[there] + wand.lengths[-1] * poses.directions[there], wand.symmetric)
     points = np.concatenate(rests).reshape(-1, 3)
     middle = np.median(points, axis=0)
     _, sizes, vt = np.linalg.svd(points - middle, full_matrices=False)
@@ -131,15 +132,15 @@ def world_from_floor_wand(rig: Rig, lying: Blobs, lengths: ArrayLike) -> Similar
     return world_from_points(origin, end, origin + np.cross(z, end - origin))
 
 
-def _rests(starts: Floats, ends: Floats, either: bool) -> list[Floats]:
+def _rests(starts: Floats, ends: Floats, symmetric: bool) -> list[Floats]:
     """Where the wand lay still, one after the other: (n, 2, 3) m, its two ends in each frame.
 
-    starts, ends  (T, 3) m; either: they may be exchanged from frame to frame, and are not within a rest
+    starts, ends  (T, 3) m; symmetric: they may be exchanged from frame to frame, and are not within a rest
     Stretches much shorter than the longest, which are moments on the way from one place to the next, are left out.
     """
     rests: list[list[Floats]] = []
     for now in np.stack([starts, ends], axis=1):
-        for way in [now, now[::-1]] if either else [now]:
+        for way in [now, now[::-1]] if symmetric else [now]:
             if rests and np.linalg.norm(way - rests[-1][0], axis=1).max() < _AT_REST:
                 rests[-1].append(way)
                 break
@@ -151,7 +152,7 @@ def _rests(starts: Floats, ends: Floats, either: bool) -> list[Floats]:
 
 def still_points(rig: Rig, blobs: Blobs) -> Floats:
     """What stays at one place in a recording and is seen by two cameras or more: (n, 3) m, those that most cameras see first."""
-    width = widest(rig)
+    width = widest_image(rig)
     places = {name: _still(blobs, c, 0.001 * width + 0.5) for c, name in enumerate(blobs.cameras) if name in rig.names}
     rays = {name: rig[name].rays(xy) for name, xy in places.items() if len(xy)}
     proposals = []
@@ -272,12 +273,12 @@ def _check_up(rig: Rig, cause: str) -> None:
         )
 
 
-def in_world(rig: Rig, world: Similarity, told: str) -> Rig:
-    """The rig in a world frame with z up; `told` is what gave it, for the rig's metadata.
+def in_world(rig: Rig, world: Similarity, source: str) -> Rig:
+    """The rig in a world frame with z up; `source` says what gave it, for the rig's metadata.
 
     Raises AsterismError where most cameras hang below it.
     """
     rotation, translation, scale = world
     moved = rig.moved(rotation, translation, scale)
     _check_up(moved, "x and y are swapped")
-    return replace(moved, vertical=_UP, metadata={**rig.metadata, "world": told})
+    return replace(moved, vertical=_UP, metadata={**rig.metadata, "world": source})

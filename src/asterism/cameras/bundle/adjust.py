@@ -27,7 +27,33 @@ _GROUPS = {
     "k3": slice(12, 13),
     "tangential": slice(13, 15),
 }
-_RAISED, _LOWERED, _HOPELESS = 5.0, 0.15, 1e10
+
+
+@dataclass(frozen=True)
+class AdjustSettings:
+    """How a bundle adjustment weighs residuals, and when it ends.
+
+    loss            "huber" grows linearly beyond `scale` px, "cauchy" hardly grows: outliers are forgotten
+    scale           px, where the loss begins to differ from least squares
+    relative_noise  (C,) the cameras' noise, one by another: residuals count divided by it; None where it is the same for all
+    tolerance       ends when a step lowers the cost by less than this share
+    steps           at most
+    covariance      whether the covariance of the parameters is computed
+    damping         Levenberg and Marquardt's, a share of the diagonal: where it begins
+    raised, lowered its factors after a step that fails, and after one that succeeds
+    hopeless        damping at which the search ends
+    """
+
+    loss: Literal["huber", "cauchy"] = "huber"
+    scale: float = 1.0
+    relative_noise: ArrayLike | None = None
+    tolerance: float = 1e-8
+    steps: int = 60
+    covariance: bool = True
+    damping: float = 1e-3
+    raised: float = 5.0
+    lowered: float = 0.15
+    hopeless: float = 1e10
 
 
 @dataclass(frozen=True)
@@ -44,7 +70,7 @@ class Adjustment:
     cost          px2, half the sum of squares where all residuals are within the scale of the loss, priors included
     steps         how many steps were tried
     converged     whether the last step no longer changed the cost
-    sizeless      whether objects are single points, which tell no size of the world
+    no_scale      whether objects are single points, which leave the size of the world open
     """
 
     cameras: tuple[Camera, ...]
@@ -58,7 +84,7 @@ class Adjustment:
     cost: float
     steps: int
     converged: bool
-    sizeless: bool = False
+    no_scale: bool = False
 
     @property
     def sigma(self) -> Floats:
@@ -68,10 +94,10 @@ class Adjustment:
         return sigma
 
     @property
-    def place_sigma(self) -> Floats:
-        """(C,) m, standard deviation of where each camera stands, relative to all of them rather than to the one that was held.
+    def position_sigma(self) -> Floats:
+        """(C,) m, standard deviation of each camera's position, relative to all of them rather than to the one that was held.
 
-        The covariance of the places with what a turn and a shift of the whole world explain taken out of it (an S-transformation,
+        The covariance of the positions with what a turn and a shift of the whole world explain taken out of it (an S-transformation,
         Baarda 1973).
         """
         count = len(self.cameras)
@@ -82,7 +108,7 @@ class Adjustment:
             by_parameter[rows, first : first + 3] = -camera.rotation.T @ cross_matrix(camera.translation)
             by_parameter[rows, first + 3 : first + 6] = -camera.rotation.T
             rigid[rows] = np.hstack([-cross_matrix(camera.position), np.eye(3)])
-        if self.sizeless:
+        if self.no_scale:
             places = np.stack([camera.position for camera in self.cameras])
             rigid = np.column_stack([rigid, (places - places.mean(axis=0)).ravel()])
         left = np.eye(3 * count) - rigid @ np.linalg.pinv(rigid)
@@ -120,12 +146,7 @@ def adjust(
     *,
     free: ArrayLike | None = None,
     prior: tuple[Floats, Floats] | None = None,
-    loss: Literal["huber", "cauchy"] = "huber",
-    scale: float = 1.0,
-    relative: ArrayLike | None = None,
-    tolerance: float = 1e-8,
-    steps: int = 60,
-    covariance: bool = True,
+    settings: AdjustSettings | None = None,
 ) -> Adjustment:
     """Fit cameras and the object's placement in each frame together to what was seen, by least squares of reprojection errors.
 
@@ -134,48 +155,34 @@ def adjust(
     sightings     frames are rows of `rotations`; each frame should give at least as many coordinates as its object has freedoms
     rotations     (T, 3, 3), translations (T, 3) m: world from object, where to begin
     free          (C, 15) bool in the order of PARAMETERS, by default poses and focal lengths. Where no camera's pose is fixed the first
-                  one's is, since images do not tell where the world begins; for a template of one point the scale is held, too
+                  one's is, since images leave open where the world begins; for a template of one point the scale is held, too
     prior         expected values and their standard deviations (C, 15), the latter in px, m, rad per px of noise; inf where nothing is
                   expected. The expected turns and shifts are those of `cameras` whatever the values say
-    loss, scale   robust loss and where it begins, px: huber grows linearly, cauchy forgets
-    relative      (C,) the cameras' noise, one by another: residuals count divided by it; by default 1
-    tolerance     ends when a step lowers the cost by less than this share
 
     Analytic Jacobians, objects eliminated (Schur complement), Marquardt's damping. Cost of a step: O(n + T D^2 F + T D F^2) for F free
     camera parameters and D freedoms of the object. Raises AsterismError where a frame number is out of range or nothing was seen.
     """
+    settings = settings or AdjustSettings()
     if not len(sightings):
         raise AsterismError("a bundle adjustment was given no sightings.")
     if sightings.frame[-1] >= len(rotations) or len(rotations) != len(translations):
         raise AsterismError(f"sightings name frame {int(sightings.frame[-1])}, but only {len(rotations)} placements were given.")
-    model, turn_back, axes = _own_axes(np.asarray(template, dtype=np.float64).reshape(-1, 3))
+    model, turn_back, axes = _principal_axes(np.asarray(template, dtype=np.float64).reshape(-1, 3))
     wanted: Bools = free_parameters(len(cameras), "pose", "focal") if free is None else np.array(free, dtype=bool)
     state = _State.of(cameras, rotations @ turn_back, translations)
     _hold_the_world(wanted, state, single=len(axes) == 3)
-    own = np.ones(len(cameras)) if relative is None else np.asarray(relative, dtype=np.float64)
-    problem = _Problem(model, sightings, wanted, axes, (kernels.HUBER, kernels.CAUCHY)[loss == "cauchy"], float(scale), own, prior)
-    state, cost, done, converged = _descend(problem, state, tolerance, steps)
-    residuals, weights = problem.miss(state)[:2]
-    redundancy = 2.0 * (weights * own[sightings.camera] ** 2).sum() - wanted.sum() - len(axes) * len(np.unique(sightings.frame))
-    noise = float(np.sqrt(np.nansum(weights * np.square(residuals).sum(axis=1)) / max(redundancy, 1.0)))
+    problem = _Problem(model, sightings, wanted, axes, settings, prior)
+    state, cost, done, converged = _descend(problem, state)
+    residuals, weights = problem.residuals(state)[:2]
+    noise = problem.noise(residuals, weights)
     spread: Floats = np.empty((0, 0))
-    if covariance and problem.unknowns:
+    if settings.covariance and problem.unknowns:
         spread = np.asarray(noise**2 * np.linalg.pinv(problem.normal(state, residuals, weights, 0.0).matrix, hermitian=True))
     errors = [rms(residuals[sightings.camera == c]) for c in range(len(cameras))]
     return Adjustment(
-        state.cameras(cameras, errors),
-        state.turned @ turn_back.T,
-        state.placed,
-        residuals,
-        weights,
-        wanted,
-        spread,
-        noise,
-        cost,
-        done,
-        converged,
-        len(axes) == 3,
-    )
+        state.cameras(cameras, errors), state.turned @ turn_back.T, state.placed, residuals, weights, wanted, spread, noise, cost, done,
+        converged, len(axes) == 3,
+    )  # fmt: skip
 
 
 @dataclass
@@ -196,6 +203,12 @@ class _State:
             lens[c, : len(camera.lens)] = camera.lens
         turns, shifts = (np.array([getattr(camera, name) for camera in cameras]) for name in ("rotation", "translation"))
         return cls(lens, turns, shifts, np.ascontiguousarray(turned), np.array(placed))
+
+    def camera_arrays(self) -> kernels.CameraArrays:
+        return kernels.CameraArrays(self.lens, self.rotation, self.translation)
+
+    def objects(self, template: Floats) -> kernels.ObjectArrays:
+        return kernels.ObjectArrays(self.turned, self.placed, template)
 
     def copy(self) -> _State:
         return _State(self.lens.copy(), self.rotation.copy(), self.translation.copy(), self.turned.copy(), self.placed.copy())
@@ -250,54 +263,59 @@ class _Problem:
     """What stays the same from step to step."""
 
     def __init__(
-        self,
-        model: Floats,
-        seen: Sightings,
-        wanted: Bools,
-        axes: Any,
-        kind: int,
-        scale: float,
-        relative: Floats,
-        prior: tuple[Floats, Floats] | None,
+        self, model: Floats, seen: Sightings, wanted: Bools, axes: Any, settings: AdjustSettings, prior: tuple[Floats, Floats] | None
     ) -> None:
-        self.model, self.seen, self.axes, self.kind, self.scale, self.wanted = model, seen, axes, kind, scale, wanted
-        self.relative = relative
+        self.model, self.seen, self.axes, self.settings, self.wanted = model, seen, axes, settings, wanted
+        given = settings.relative_noise
+        self.relative = np.ones(len(wanted)) if given is None else np.asarray(given, dtype=np.float64)
         self.unknowns = int(wanted.sum())
         self.columns = np.where(wanted, np.cumsum(wanted.ravel()).reshape(wanted.shape) - 1, -1)
         self.expected = None if prior is None else prior[0]
         self.stiffness: Floats = np.zeros(wanted.shape) if prior is None else 1.0 / np.square(prior[1])
+        kind = kernels.CAUCHY if settings.loss == "cauchy" else kernels.HUBER
+        self.loss = kernels.Loss(kind, float(settings.scale), self.relative)
 
-    def off(self, state: _State, moved: Floats) -> Floats:
-        """(C, 15) how far the cameras are from what was expected; of turns and shifts, how far they have moved."""
-        off: Floats = moved.copy()
-        if self.expected is not None:
-            off[:, 6:] = state.values()[:, 6:] - self.expected[:, 6:]
-        return off
-
-    def miss(self, state: _State) -> tuple[Floats, Floats, float]:
-        """Residuals (n, 2) px, weights (n,), and their cost."""
+    def sightings(self, frames: int) -> kernels.SightingArrays:
+        """The sightings as the kernels take them; starts (T + 1,): whose frame's rows begin where."""
         seen = self.seen
-        residuals, weights = np.empty((len(seen), 2)), np.empty(len(seen))
-        cost = kernels.residuals_and_cost(
-            state.lens, state.rotation, state.translation, state.turned, state.placed, self.model,
-            seen.frame, seen.camera, seen.point, seen.xy, self.kind, self.scale, self.relative, residuals, weights,
-        )  # fmt: skip
+        starts = np.searchsorted(seen.frame, np.arange(frames + 1))
+        return kernels.SightingArrays(seen.frame, starts, seen.camera, seen.point, seen.xy)
+
+    def distance_from_prior(self, state: _State, moved: Floats) -> Floats:
+        """(C, 15) how far the cameras are from what was expected; of turns and shifts, how far they have moved."""
+        distance: Floats = moved.copy()
+        if self.expected is not None:
+            distance[:, 6:] = state.values()[:, 6:] - self.expected[:, 6:]
+        return distance
+
+    def residuals(self, state: _State) -> tuple[Floats, Floats, float]:
+        """Residuals (n, 2) px, weights (n,), and their cost."""
+        residuals, weights = np.empty((len(self.seen), 2)), np.empty(len(self.seen))
+        seen = self.sightings(len(state.placed))
+        cost = kernels.residuals_and_cost(state.camera_arrays(), state.objects(self.model), seen, self.loss, residuals, weights)
         return residuals, weights, cost
+
+    def noise(self, residuals: Floats, weights: Floats) -> float:
+        """px, of one coordinate of a camera of relative noise 1, from weighted residuals and the redundancy."""
+        redundancy = 2.0 * (weights * self.relative[self.seen.camera] ** 2).sum() - self.wanted.sum()
+        redundancy = redundancy - len(self.axes) * len(np.unique(self.seen.frame))
+        return float(np.sqrt(np.nansum(weights * np.square(residuals).sum(axis=1)) / max(redundancy, 1.0)))
 
     def prior_cost(self, off: Floats) -> float:
         return 0.5 * float((self.stiffness * np.square(off))[self.wanted].sum())
 
     def normal(self, state: _State, residuals: Floats, weights: Floats, damping: float) -> _Normal:
         """Gauss-Newton's equations, damped; without the gradient of the priors."""
-        seen, dof, frames = self.seen, len(self.axes), len(state.placed)
-        blocks = np.zeros((len(state.lens), len(PARAMETERS), len(PARAMETERS)))
-        gradient = np.zeros(self.unknowns)
-        reduced, factors, shifted = np.zeros((frames, dof, self.unknowns)), np.zeros((frames, dof, dof)), np.zeros((frames, dof))
-        starts = np.searchsorted(seen.frame, np.arange(frames + 1))
-        kernels.linearise(
-            state.lens, state.rotation, state.translation, state.turned, state.placed, self.model, starts, seen.camera, seen.point,
-            residuals, weights, self.columns, self.axes, damping, blocks, gradient, reduced, factors, shifted,
+        dof, frames = len(self.axes), len(state.placed)
+        out = kernels.NormalArrays(
+            np.zeros((len(state.lens), len(PARAMETERS), len(PARAMETERS))), np.zeros(self.unknowns),
+            np.zeros((frames, dof, self.unknowns)), np.zeros((frames, dof, dof)), np.zeros((frames, dof)),
         )  # fmt: skip
+        kernels.linearise(
+            state.camera_arrays(), state.objects(self.model), self.sightings(frames), residuals, weights, self.columns, self.axes,
+            damping, out,
+        )  # fmt: skip
+        blocks, gradient, reduced, factors, shifted = out
         flat = reduced.reshape(frames * dof, self.unknowns)
         matrix = -(flat.T @ flat)
         for c, own in enumerate(self.wanted):
@@ -307,51 +325,69 @@ class _Problem:
         return _Normal(matrix, gradient - flat.T @ shifted.ravel(), reduced, factors, shifted)
 
 
-def _descend(problem: _Problem, state: _State, tolerance: float, steps: int) -> tuple[_State, float, int, bool]:
-    """Levenberg-Marquardt until a step changes nothing."""
-    damping, moved = 1e-3, np.zeros(problem.wanted.shape)
-    residuals, weights, cost = problem.miss(state)
-    off = problem.off(state, moved)
-    cost += problem.prior_cost(off)
+@dataclass(frozen=True)
+class _Trial:
+    """A state of the search and its cost, priors included."""
+
+    state: _State
+    moved: Floats
+    residuals: Floats
+    weights: Floats
+    from_prior: Floats
+    cost: float
+
+    @classmethod
+    def at(cls, problem: _Problem, state: _State, moved: Floats) -> _Trial:
+        residuals, weights, cost = problem.residuals(state)
+        from_prior = problem.distance_from_prior(state, moved)
+        return cls(state, moved, residuals, weights, from_prior, cost + problem.prior_cost(from_prior))
+
+
+def _descend(problem: _Problem, state: _State) -> tuple[_State, float, int, bool]:
+    """Levenberg-Marquardt until a step changes nothing: the state, its cost, the steps tried, and whether it converged."""
+    settings = problem.settings
+    damping, tolerance = settings.damping, settings.tolerance
+    best = _Trial.at(problem, state, np.zeros(problem.wanted.shape))
     done = 0
-    while done < steps and damping < _HOPELESS:
+    while done < settings.steps and damping < settings.hopeless:
         done += 1
-        normal = problem.normal(state, residuals, weights, damping)
+        trial = _step(problem, best, damping)
+        if trial is None:
+            damping *= settings.raised
+            continue
+        if not trial.cost <= best.cost:
+            if trial.cost - best.cost <= tolerance * best.cost:
+                return best.state, best.cost, done, True
+            damping *= settings.raised
+            continue
+        gain, best = best.cost - trial.cost, trial
+        if gain <= tolerance * best.cost:
+            return best.state, best.cost, done, True
+        damping = max(damping * settings.lowered, 1e-12)
+    return best.state, best.cost, done, False
+
+
+def _step(problem: _Problem, best: _Trial, damping: float) -> _Trial | None:
+    """One damped step of cameras and objects; None where the equations are singular or the step leads to impossible cameras."""
+    normal = problem.normal(best.state, best.residuals, best.weights, damping)
+    move = np.zeros(0)
+    if problem.unknowns:
         try:
-            move = (
-                np.linalg.solve(normal.matrix, normal.gradient - (problem.stiffness * off)[problem.wanted])
-                if problem.unknowns
-                else np.zeros(0)
-            )
+            move = np.linalg.solve(normal.matrix, normal.gradient - (problem.stiffness * best.from_prior)[problem.wanted])
         except np.linalg.LinAlgError:
-            damping *= _RAISED
-            continue
-        step = np.zeros(problem.wanted.shape)
-        step[problem.wanted] = move
-        trial = state.copy()
-        trial.move_cameras(step)
-        kernels.move_objects(trial.turned, trial.placed, normal.factors, normal.shifted - normal.reduced @ move, problem.axes)
-        if not (np.isfinite(step).all() and (trial.lens[:, :2] > 1.0).all()):
-            damping *= _RAISED
-            continue
-        new_residuals, new_weights, new_cost = problem.miss(trial)
-        new_off = problem.off(trial, moved + step)
-        new_cost += problem.prior_cost(new_off)
-        if not new_cost <= cost:
-            if new_cost - cost <= tolerance * cost:
-                return state, cost, done, True
-            damping *= _RAISED
-            continue
-        gain, moved = cost - new_cost, moved + step
-        state, residuals, weights, cost, off = trial, new_residuals, new_weights, new_cost, new_off
-        if gain <= tolerance * cost:
-            return state, cost, done, True
-        damping = max(damping * _LOWERED, 1e-12)
-    return state, cost, done, False
+            return None
+    step = np.zeros(problem.wanted.shape)
+    step[problem.wanted] = move
+    state = best.state.copy()
+    state.move_cameras(step)
+    kernels.move_objects(state.turned, state.placed, normal.factors, normal.shifted - normal.reduced @ move, problem.axes)
+    if not (np.isfinite(step).all() and (state.lens[:, :2] > 1.0).all()):
+        return None
+    return _Trial.at(problem, state, best.moved + step)
 
 
 def _hold_the_world(wanted: Bools, state: _State, single: bool) -> None:
-    """Fix what no image tells: where the world begins and how it is turned, and its size where the object is a single point."""
+    """Fix what images leave open: where the world begins and how it is turned, and its size where the object is a single point."""
     if not wanted[:, :6].any(axis=1).all():
         return
     wanted[0, :6] = False
@@ -362,7 +398,7 @@ def _hold_the_world(wanted: Bools, state: _State, single: bool) -> None:
         wanted[c, 3 + axis] = False
 
 
-def _own_axes(template: Floats) -> tuple[Floats, Floats, NDArray[np.int64]]:
+def _principal_axes(template: Floats) -> tuple[Floats, Floats, NDArray[np.int64]]:
     """The template turned so that a line lies along x: its points, the rotation (3, 3) back, and which of its six parameters show."""
     spread = template - template.mean(axis=0)
     _, sizes, vt = np.linalg.svd(spread, full_matrices=True)

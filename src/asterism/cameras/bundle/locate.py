@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from asterism.cameras.bundle.adjust import adjust
+from asterism.cameras.bundle.adjust import AdjustSettings, adjust
 from asterism.cameras.bundle.sightings import Sightings, triangulate
 from asterism.cameras.camera import Camera
 from asterism.recording import Floats
@@ -27,5 +27,6 @@ def locate(cameras: Sequence[Camera], sightings: Sightings, frames: int, markers
     if len(seen):
         turned = np.tile(np.eye(3), (len(kept), 1, 1))
         free = np.zeros((len(cameras), 15), dtype=bool)
-        rough[kept] = adjust(cameras, np.zeros((1, 3)), seen, turned, rough[kept], free=free, scale=FAR, covariance=False).translations
+        settings = AdjustSettings(scale=FAR, covariance=False)
+        rough[kept] = adjust(cameras, np.zeros((1, 3)), seen, turned, rough[kept], free=free, settings=settings).translations
     return rough.reshape(frames, markers, 3)

@@ -53,7 +53,7 @@ def board(
         int | None, typer.Option(metavar="FRAME", help="The frame in which the board lies on the floor, print up: the world's origin.")
     ] = None,
     every: Annotated[int, typer.Option(metavar="N", min=1, help="Look at each N-th image only.")] = 1,
-    anyway: Annotated[bool, typer.Option("--anyway", help="Write the rig even where it should not be used.")] = False,
+    anyway: Annotated[bool, typer.Option("--force", help="Write the rig even where it should not be used.")] = False,
     overwrite: Overwrite = False,
     report: Report = None,
     json: Json = None,
@@ -88,7 +88,7 @@ def board(
     for sentence in found:
         _console.error(sentence)
     if not made.usable:
-        _console.error("do not use this calibration" + ("." if written or output is None else "; it was not written (--anyway writes it)."))
+        _console.error("do not use this calibration" + ("." if written or output is None else "; it was not written (--force writes it)."))
     raise typer.Exit(2 if not made.usable and not written else 1 if found else 0)
 
 

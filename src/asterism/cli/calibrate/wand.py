@@ -3,29 +3,32 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from asterism.cli import _console
+from asterism.cli._command import takes
 from asterism.cli._options import Json, Overwrite, Report, metres
+from asterism.cli.calibrate._calibration import Force, RigToWrite, report_findings, show_notes
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
     from asterism.calibration.wand import WandCalibration
     from asterism.cameras import Rig
 
-Blobs2D = Annotated[
-    Path, typer.Argument(metavar="2D.CSV", help="What the cameras saw: frame,camera,x,y[,size][,time].", show_default=False)
-]
-
-
 _USUAL_WAND = "0 0.2 0.6"
 
 
-def wand(
-    blobs: Blobs2D,
+@dataclass(frozen=True)
+class WandOptions:
+    """What `asterism calibrate wand` is asked to do."""
+
+    blobs: Annotated[
+        Path, typer.Argument(metavar="2D.CSV", help="What the cameras saw: frame,camera,x,y[,size][,time].", show_default=False)
+    ]
     lengths: Annotated[
         str | None,
         typer.Option(
@@ -34,102 +37,113 @@ def wand(
             help="Places of its markers along the wand, in metres; 0 for one moved marker.",
             show_default=_USUAL_WAND,
         ),
-    ] = None,
-    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="The rig to write.", show_default=False)] = None,
+    ] = None
+    output: RigToWrite = None
     image_size: Annotated[
         list[str] | None,
         typer.Option("--image-size", metavar="WxH", help="Size of the images, such as 1280x1024; or NAME=WxH for each camera."),
-    ] = None,
+    ] = None
     rig: Annotated[
         Path | None, typer.Option("--rig", metavar="FILE", help="Cameras whose lenses and image sizes are known.", show_default=False)
-    ] = None,
+    ] = None
     floor: Annotated[
         Path | None,
         typer.Option("--floor", metavar="2D.CSV", help="The wand lying on the floor in two directions, or the L-frame of --l-frame."),
-    ] = None,
+    ] = None
     l_frame: Annotated[
         str | None,
         typer.Option("--l-frame", metavar="POINTS", help="Where its markers are, in metres, such as '0,0 0.2,0 0.6,0 0,0.4'."),
-    ] = None,
+    ] = None
     points: Annotated[
         Path | None,
         typer.Option("--points", metavar="CSV", help="point,camera,x,y: images of three points called origin, x and y."),
-    ] = None,
+    ] = None
     distance: Annotated[
         str | None, typer.Option("--distance", metavar="A,B=M", help="Metres between two cameras: the scale for one moved marker.")
-    ] = None,
-    anyway: Annotated[bool, typer.Option("--anyway", help="Write the rig even where it should not be used.")] = False,
-    overwrite: Overwrite = False,
-    report: Report = None,
-    json: Json = None,
-) -> None:
+    ] = None
+    force: Force = False
+    overwrite: Overwrite = False
+    report: Report = None
+    json: Json = None
+
+    def check(self) -> None:
+        """Raise AsterismError where outputs cannot be written or options contradict each other."""
+        for path in (self.output, self.report, self.json):
+            _console.check_new(path, self.overwrite)
+        if self.l_frame is not None and self.floor is None:
+            raise AsterismError("--l-frame says where markers are; give the recording in which they lie still as --floor 2D.CSV, too.")
+        if self.floor is not None and self.points is not None:
+            raise AsterismError("--floor and --points both say where the world is; give one of them.")
+
+
+@takes(WandOptions)
+def wand(options: WandOptions) -> None:
     """Calibrate cameras by a waved wand, from nothing but image sizes and its lengths.
 
     Wave a wand of three markers in a line through all of the volume for a minute, turning it. Strays are told from it, cameras that
     saw nothing are named, and a calibration that should not be used is said to be one and not written.
     """
-    for path in (output, report, json):
-        _console.check_new(path, overwrite)
-    if l_frame is not None and floor is None:
-        raise AsterismError("--l-frame says where markers are; give the recording in which they lie still as --floor 2D.CSV, too.")
-    if floor is not None and points is not None:
-        raise AsterismError("--floor and --points both say where the world is; give one of them.")
+    options.check()
+    made = _calibrated(options)
+    wanted = options.output is not None
+    written = wanted and (made.usable or options.force)
+    if options.output is not None and written:
+        from asterism.cameras.files import write_rig
+
+        write_rig(made.rig, options.output)
+    if options.report is not None:
+        from asterism.report import wand_report
+
+        lengths = " ".join(f"{length:g}" for length in made.wand.lengths)
+        settings = {"2D points": options.blobs, "wand in m": lengths, "known lenses": options.rig}
+        wand_report(options.report, made, settings=settings)
+    _console.write_json(options.json, _as_json(made, options.blobs, options.output if written else None))
+    if options.json != "-":
+        _print(made)
+        if options.lengths is None:
+            _console.result(f"note: the wand's markers were taken to be at {_USUAL_WAND} m; where yours are not, give --wand.")
+    raise typer.Exit(report_findings(made.findings, written=written, wanted=wanted))
+
+
+def _calibrated(options: WandOptions) -> WandCalibration:
+    """The calibration, in the world frame that was asked for."""
     from asterism.calibration.wand import calibrate_wand
-    from asterism.cameras.files import read_rig, write_rig
+    from asterism.cameras.files import read_rig
     from asterism.formats import read_blobs
 
-    known = None if rig is None else read_rig(rig)
-    seen = read_blobs(blobs, None if known is None else known.names)
+    known = None if options.rig is None else read_rig(options.rig)
+    seen = read_blobs(options.blobs, None if known is None else known.names)
     with _console.progress("calibrating") as progress:
         made = calibrate_wand(
             seen,
-            metres(_USUAL_WAND if lengths is None else lengths, "--wand"),
-            sizes=_sizes(image_size or [], seen.cameras),
+            metres(_USUAL_WAND if options.lengths is None else options.lengths, "--wand"),
+            sizes=_sizes(options.image_size or [], seen.cameras),
             known=known,
-            distance=_distance(distance),
+            distance=_distance(options.distance),
             progress=progress,
         )
-    made = _in_its_world(made, floor, l_frame, points, scaled=len(made.wand.lengths) > 1 or distance is not None)
-    if report is not None:
-        from asterism.report import wand_report
-
-        wand_report(
-            report,
-            made,
-            settings={"2D points": blobs, "wand in m": " ".join(f"{length:g}" for length in made.wand.lengths), "known lenses": rig},
-        )
-    written = output is not None and (made.usable or anyway)
-    if output is not None and written:
-        write_rig(made.rig, output)
-    _console.write_json(json, _told(made, blobs, output if written else None))
-    if json != "-":
-        _print(made)
-        if lengths is None:
-            _console.result(f"advice: the wand's markers were taken to be at {_USUAL_WAND} m; where yours are not, give --wand.")
-    for finding in made.findings:
-        if not finding.advice:
-            _console.error(f"{blobs}: {finding.sentence}")
-    if not made.usable:
-        _console.error(f"{blobs}: do not use this calibration" + ("." if written else "; it was not written (--anyway writes it)."))
-    raise typer.Exit(0 if all(finding.advice for finding in made.findings) else 1 if made.usable or written else 2)
+    return _in_world(made, options)
 
 
-def _in_its_world(made: WandCalibration, floor: Path | None, l_frame: str | None, points: Path | None, *, scaled: bool) -> WandCalibration:
-    """The calibration in the world frame that was asked for."""
+def _in_world(made: WandCalibration, options: WandOptions) -> WandCalibration:
     from asterism.calibration.wand import in_world, world_from_floor_wand, world_from_l_frame, world_from_points
     from asterism.formats import read_blobs
 
-    if floor is not None:
-        lying = read_blobs(floor, tuple([*made.rig.names, *made.left_out]))
-        if l_frame is not None:
-            world, told = world_from_l_frame(made.rig, lying, _points(l_frame), scaled=scaled), f"the L-frame of {floor.name}"
+    if options.floor is not None:
+        lying = read_blobs(options.floor, tuple([*made.rig.names, *made.excluded]))
+        if options.l_frame is not None:
+            scaled = len(made.wand) > 1 or options.distance is not None
+            world = world_from_l_frame(made.rig, lying, _points(options.l_frame), scaled=scaled)
+            source = f"the L-frame of {options.floor.name}"
         else:
-            world, told = world_from_floor_wand(made.rig, lying, made.wand.lengths), f"the wand on the floor of {floor.name}"
-    elif points is not None:
-        world, told = world_from_points(*_named_points(points, made.rig)), f"the three points of {points.name}"
+            world = world_from_floor_wand(made.rig, lying, made.wand.lengths)
+            source = f"the wand on the floor of {options.floor.name}"
+    elif options.points is not None:
+        world = world_from_points(*_named_points(options.points, made.rig))
+        source = f"the three points of {options.points.name}"
     else:
         return made
-    return made.moved(in_world(made.rig, world, told), *world)
+    return made.moved(in_world(made.rig, world, source), *world)
 
 
 def _named_points(path: Path, rig: Rig) -> list[Any]:
@@ -168,7 +182,7 @@ def _points(given: str) -> list[list[float]]:
     except ValueError:
         points = []
     if not points or any(len(point) not in (2, 3) for point in points):
-        raise AsterismError(f"--l-frame {given} is no list of points; give metres, such as '0,0 0.2,0 0.6,0 0,0.4'.")
+        raise AsterismError(f"--l-frame {given} is not a list of points; give metres, such as '0,0 0.2,0 0.6,0 0,0.4'.")
     return [[*point, 0.0][:3] for point in points]
 
 
@@ -178,7 +192,7 @@ def _sizes(given: list[str], cameras: tuple[str, ...]) -> dict[str, tuple[int, i
     for word in sorted(given, key=lambda word: "=" in word):
         found = re.fullmatch(r"(?:(.+)=)?(\d+)[xX×](\d+)", word.strip())
         if not found:
-            raise AsterismError(f"--image-size {word} is none; give for example 1280x1024, or left=1280x1024.")
+            raise AsterismError(f"--image-size {word} is not a size; give for example 1280x1024, or left=1280x1024.")
         if found[1] and found[1] not in cameras:
             raise AsterismError(f"--image-size {word}: there is no camera {found[1]}; they are {', '.join(cameras)}.")
         for name in [found[1]] if found[1] else cameras:
@@ -191,11 +205,11 @@ def _distance(given: str | None) -> tuple[str, str, float] | None:
         return None
     found = re.fullmatch(r"(.+),(.+)=([0-9.]+)", given)
     if not found:
-        raise AsterismError(f"--distance {given} is none; give two cameras and the metres between them, such as left,right=4.25.")
+        raise AsterismError(f"--distance {given} is not a distance; give two cameras and the metres between them, such as left,right=4.25.")
     return found[1].strip(), found[2].strip(), float(found[3])
 
 
-def _told(made: WandCalibration, blobs: Path, output: Path | None) -> dict[str, Any]:
+def _as_json(made: WandCalibration, blobs: Path, output: Path | None) -> dict[str, Any]:
     import numpy as np
 
     from asterism.calibration.wand import coverage
@@ -208,9 +222,7 @@ def _told(made: WandCalibration, blobs: Path, output: Path | None) -> dict[str, 
         "file": blobs,
         "rig": output,
         "usable": made.usable,
-        "findings": [
-            {"sentence": finding.sentence, "grave": finding.grave, "advice": finding.advice} for finding in made.findings
-        ],
+        "findings": [_console.as_json(finding) for finding in made.findings],
         "frames": made.frames,
         "frames_used": len(made.used),
         "wand_m": made.wand.lengths,
@@ -218,7 +230,7 @@ def _told(made: WandCalibration, blobs: Path, output: Path | None) -> dict[str, 
         "wand_length_std_m": float(lengths.std()) if measured else None,
         "reprojection_rms_px": made.rms,
         "noise_px": made.noise,
-        "rejected": made.rejected,
+        "rejected": made.mean_rejected_share,
         "cameras": [
             {
                 "name": camera.name,
@@ -230,14 +242,14 @@ def _told(made: WandCalibration, blobs: Path, output: Path | None) -> dict[str, 
                 "radial": camera.radial,
                 "tangential": camera.tangential,
                 "position_m": camera.position,
-                "rejected": made.lost[c],
-                "position_sigma_m": made.place_sigma[c],
-                "late_frames": int(made.late[c]),
+                "rejected": made.rejected_share[c],
+                "position_sigma_m": made.position_sigma[c],
+                "lag_frames": int(made.lag_frames[c]),
                 "image_covered": float((cells[c] > 0).mean()),
             }
             for c, camera in enumerate(made.rig)
         ],
-        "left_out": dict(made.left_out),
+        "excluded": {name: " ".join(why) for name, why in made.excluded.items()},
     }  # fmt: skip
 
 
@@ -261,7 +273,7 @@ def _print(made: WandCalibration) -> None:
     )
     lengths = made.lengths[np.isfinite(made.lengths)]
     wand = f", wand {1000 * lengths.mean():.2f} ± {1000 * lengths.std():.2f} mm" if len(made.wand.lengths) > 1 and len(lengths) else ""
-    _console.result(f"reprojection error {made.rms:.3f} px{wand}, {_console.percent(made.rejected)} of the wand's images left out")
-    for finding in made.findings:
-        if finding.advice:
-            _console.result(f"advice: {finding.sentence}")
+    _console.result(
+        f"reprojection error {made.rms:.3f} px{wand}, {_console.percent(made.mean_rejected_share)} of the wand's images left out"
+    )
+    show_notes(made.findings)

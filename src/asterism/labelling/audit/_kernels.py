@@ -118,7 +118,7 @@ def all_exchanges(positions, scales, emission, switch, pairs, gains):
         gains[p] = exchange_path(paths[:n], times[:n], ends, own[:n], switch, states[:n])
 
 
-@kernel(reassociate=True)
+@kernel
 def exchange_gains(frames, body, settings, pairs, look, most, gains, own):
     """By how many nats each frame is explained better with two markers exchanged.
 

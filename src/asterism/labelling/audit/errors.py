@@ -1,4 +1,4 @@
-"""Labels that cannot be right: the recording, its frames and markers, and what is wrong with them."""
+"""Wrong labels: the recording, its frames and markers, and what is wrong with them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MISPLACED = "misplaced"
 
 @dataclass(frozen=True)
 class LabelError:
-    """Labels of a recording that cannot be right.
+    """Wrong labels of a recording.
 
     recording    its place among those given
     file         its file, or "recording 3" where it came from none
@@ -23,11 +23,11 @@ class LabelError:
     first_frame  first frame concerned, counted from 0
     last_frame   last frame concerned
     markers      markers concerned
-    kind         "exchanged": their points carry each other's names for a while, as their paths say, the body, or both;
-                 "consistently exchanged against the others": in all recordings of this person, as other people's bodies say;
-                 "jump": the marker leaves its path and is elsewhere;
-                 "misplaced": it sits throughout where nobody else wears it. A hint: it may be worn so
-    gain         nats by which the mended labels explain the frames better
+    kind         "exchanged": their points carry each other's names in these frames, as their paths show, the body, or both;
+                 "consistently exchanged against the others": in all recordings of this person, as other people's bodies show;
+                 "jump": the label leaves its marker's path and comes back;
+                 "misplaced": the marker is throughout where nobody else wears it. A hint: it may have been worn so
+    gain         nats by which the corrected labels explain the frames better
     description  a sentence for people
     """
 
@@ -43,12 +43,12 @@ class LabelError:
 
     @property
     def damage(self) -> bool:
-        """Whether training is better off without these samples; a hint leaves them in."""
+        """Whether training should leave out these samples; it keeps those of a hint."""
         return self.kind != MISPLACED
 
     @property
     def finding(self) -> Finding:
-        """The same as all rooms report what they found."""
+        """The error as a finding."""
         where = f"{self.file}, frames {self.first_frame} to {self.last_frame}"
         sentence = f"{where}: {self.description}."
         if self.kind == EXCHANGED:
@@ -62,7 +62,7 @@ class LabelError:
 
 @dataclass(frozen=True)
 class Run:
-    """Frames first..last in which markers' points carry each other's names, or one marker is elsewhere; gain in nats."""
+    """Frames first..last in which markers' points carry each other's names, or one label is off its marker; gain in nats."""
 
     first: int
     last: int
@@ -72,7 +72,7 @@ class Run:
 
 
 def joined(runs: Sequence[Run]) -> list[Run]:
-    """Exchanges of the same frames that share a marker are one exchange among more markers."""
+    """Join exchanges of the same frames that share a marker into one exchange among more markers."""
     out: list[Run] = []
     for run in sorted(runs, key=lambda run: (run.first, run.last, run.markers)):
         for i, known in enumerate(out):
@@ -88,14 +88,14 @@ def joined(runs: Sequence[Run]) -> list[Run]:
 
 
 def sentence(kind: str, names: Sequence[str], seconds: float, frames: int, whole: bool, subject: str) -> str:
-    """What a finding looks like, in words."""
+    """The description of an error, in words."""
     listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
     among = "exchanged" if len(names) == 2 else "exchanged among themselves"
-    spell = "in the whole recording" if whole else f"for {frames} frame{'s' if frames > 1 else ''} ({seconds:.2f} s)"
+    duration = "in the whole recording" if whole else f"for {frames} frame{'s' if frames > 1 else ''} ({seconds:.2f} s)"
     if kind == EXCHANGED:
-        return f"{listed} {among} {spell}"
+        return f"{listed} {among} {duration}"
     if kind == ALWAYS:
         return f"{listed} {among} against all other people, in every recording of {subject}"
     if kind == JUMP:
-        return f"{listed} leaves its path {spell}"
-    return f"{listed} sits {spell} where nobody else wears it"
+        return f"{listed} leaves its path {duration}"
+    return f"{listed} is {duration} where nobody else wears it"

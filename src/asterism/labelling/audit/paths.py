@@ -1,4 +1,4 @@
-"""What markers' own paths say: labels that change places, and labels that leap away and come back."""
+"""Paths of labelled markers in; labels that are exchanged, and labels that jump away and come back, out."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from asterism.labelling.audit.errors import EXCHANGED, JUMP, Run
 from asterism.recording import Floats, Ints
 
 LEAST_SCALE = 1e-3
-"""No path is steadier than this (m): cameras are not."""
+"""m, the lowest prediction error of a path; below it is the noise of cameras."""
 
 
 def pairs_of(markers: int) -> Ints:
@@ -21,24 +21,26 @@ def pairs_of(markers: int) -> Ints:
 
 
 def scales_of(positions: Floats) -> Floats:
-    """How far from a straight and even path each marker usually is after a frame, as a standard deviation per axis: (M,) m.
+    """(M,) m, the usual error of predicting each marker at constant velocity for a frame, as a standard deviation per axis.
 
-    From the upper quartile of the second differences, so that a few broken frames do not count. positions (T, M, 3) m, NaN where missing.
+    From the upper quartile of the second differences, so that a few wrong frames do not count. positions (T, M, 3) m, NaN where missing.
     """
     scales = np.full(positions.shape[1], LEAST_SCALE)
-    miss = np.linalg.norm(np.diff(positions, n=2, axis=0), axis=2)
+    error = np.linalg.norm(np.diff(positions, n=2, axis=0), axis=2)
     for m in range(positions.shape[1]):
-        own = miss[~np.isnan(miss[:, m]), m]
-        if len(own):
-            scales[m] = max(LEAST_SCALE, float(np.quantile(own, 0.75)) / 2.03)
+        known = error[~np.isnan(error[:, m]), m]
+        if len(known):
+            scales[m] = max(LEAST_SCALE, float(np.quantile(known, 0.75)) / 2.03)
     return scales
 
 
 def exchanges(positions: Floats, emission: Floats, switch: float, least: float) -> tuple[list[Run], Floats]:
-    """Where pairs of markers are exchanged, one pair after the other, the plainest first; and the positions with that mended.
+    """Where pairs of markers are exchanged, one pair after the other, the largest gain first; and the corrected positions.
 
-    positions (T, M, 3) m; emission (P, T) nats that a frame gains if the pair is exchanged in it, pairs as in `pairs_of`; switch nats that
-    each beginning or end of an exchange costs; least nats for an exchange to be told.
+    positions  (T, M, 3) m
+    emission   (P, T) nats that a frame gains if the pair is exchanged in it, pairs as in `pairs_of`
+    switch     nats that each beginning or end of an exchange costs
+    least      nats that an exchange gains at least
     """
     frames, markers = positions.shape[:2]
     positions, pairs, scales = positions.copy(), pairs_of(markers), scales_of(positions)
@@ -60,52 +62,52 @@ def exchanges(positions: Floats, emission: Floats, switch: float, least: float) 
         for run in found:
             span = slice(run.first, run.last + 1)
             positions[span, [a, b]] = positions[span, [b, a]]
-            # what the body said of these frames was said of them as they were
+            # the evidence of the body was for these frames as they were
             emission = emission.copy()
             emission[np.isin(pairs, (a, b)).any(axis=1), span] = 0.0
         runs += found
-        again = np.nonzero(np.isin(pairs, (a, b)).any(axis=1))[0]
-        fresh = np.zeros(len(again))
-        all_exchanges(positions, scales, np.ascontiguousarray(emission[again]), switch, pairs[again], fresh)
-        gains[again] = fresh
+        affected = np.nonzero(np.isin(pairs, (a, b)).any(axis=1))[0]
+        updated = np.zeros(len(affected))
+        all_exchanges(positions, scales, np.ascontiguousarray(emission[affected]), switch, pairs[affected], updated)
+        gains[affected] = updated
         gains[best] = 0.0
     return runs, positions
 
 
 def _runs(positions: Floats, scales: Floats, emission: Floats, switch: float, pair: tuple[int, int]) -> list[Run]:
-    """The stretches in which one pair is best taken as exchanged, each with its own gain."""
+    """The runs of frames in which the most likely path has the pair exchanged, each with the gain of that run alone."""
     seen = np.nonzero(~np.isnan(positions[:, pair, 0]).any(axis=1))[0]
     paths = np.ascontiguousarray(positions[seen][:, pair])
     both = np.full(2, scales[list(pair)].max())
-    given = (paths, seen.astype(np.float64), both, np.ascontiguousarray(emission[seen]), switch)
+    arguments = (paths, seen.astype(np.float64), both, np.ascontiguousarray(emission[seen]), switch)
     states = np.zeros(len(seen), dtype=np.int64)
-    exchange_path(*given, states)
-    never = path_score(*given, np.zeros_like(states))
+    exchange_path(*arguments, states)
+    never = path_score(*arguments, np.zeros_like(states))
     edges = np.diff(states, prepend=0, append=0)
     runs = []
     for start, stop in zip(np.nonzero(edges == 1)[0], np.nonzero(edges == -1)[0], strict=True):
-        alone = np.zeros_like(states)
-        alone[start:stop] = 1
-        gain = path_score(*given, alone) - never
+        only_this = np.zeros_like(states)
+        only_this[start:stop] = 1
+        gain = path_score(*arguments, only_this) - never
         runs.append(Run(int(seen[start]), int(seen[stop - 1]), pair, EXCHANGED, float(gain)))
     return runs
 
 
-def jumps(positions: Floats, rate: float, far: float, fast: float, times: float, longest: float) -> list[Run]:
-    """Where a marker leaves its path at once, and comes back onto it as abruptly within `longest` seconds.
+def jumps(positions: Floats, rate: float, distance: float, speed: float, errors: float, longest: float) -> list[Run]:
+    """Where a marker jumps off its path between two frames, and jumps back within `longest` seconds.
 
-    positions (T, M, 3) m. A leap is farther than `far` (m), than a change of speed by `fast` (m/s) within a frame, and than `times` the
-    marker's usual miss. Where at least half of the markers leap together the recording itself was cut, which is nobody's label.
-    The gain is the sum of both leaps, in nats of the marker's usual miss.
+    positions (T, M, 3) m. A jump is longer than `distance` (m), than a change of speed by `speed` (m/s) within a frame, and than `errors`
+    usual prediction errors of the marker. Where at least half of the markers jump in one frame, the recording was cut, and no label is
+    wrong. The gain is the sum over both jumps, in nats of the marker's usual prediction error.
     """
     frames, markers = positions.shape[:2]
     if frames < 6:
         return []
     scales = scales_of(positions)
-    leap = _leaps(positions)
-    least = np.maximum(np.maximum(far, fast / rate), times * scales)
-    broken = leap > least
-    shown = ~np.isnan(leap)
+    size = _jump_sizes(positions)
+    least = np.maximum(np.maximum(distance, speed / rate), errors * scales)
+    broken = size > least
+    shown = ~np.isnan(size)
     broken &= 2 * broken.sum(axis=1, keepdims=True) < np.maximum(shown.sum(axis=1, keepdims=True), 2)
     runs = []
     for m in range(markers):
@@ -115,27 +117,27 @@ def jumps(positions: Floats, rate: float, far: float, fast: float, times: float,
         for one, other in pairwise(edges.tolist()):
             if one <= taken or other - one > longest * rate or not _comes_back(path, one, other):
                 continue
-            gain = sum(3.0 * np.log1p(leap[t, m] ** 2 / (3.0 * scales[m] ** 2)) for t in (one, other))
+            gain = sum(3.0 * np.log1p(size[t, m] ** 2 / (3.0 * scales[m] ** 2)) for t in (one, other))
             runs.append(Run(int(one) + 1, int(other), (m,), JUMP, float(gain)))
             taken = other
     return runs
 
 
-def _leaps(positions: Floats) -> Floats:
-    """(T - 1, M) m: how far apart the path before and after a step are, seen from either side, the nearer of the two."""
+def _jump_sizes(positions: Floats) -> Floats:
+    """(T - 1, M) m: how far a step differs from the step before it and from the step after it, the smaller of the two."""
     step = np.diff(positions, axis=0)
     before, after = np.full(step.shape, np.nan), np.full(step.shape, np.nan)
     before[1:], after[:-1] = step[:-1], step[1:]
     from_before, from_after = np.linalg.norm(step - before, axis=2), np.linalg.norm(step - after, axis=2)
-    # a side that is not seen leaves the step itself
-    bare = np.linalg.norm(step, axis=2)
-    return np.fmin(np.where(np.isnan(from_before), bare, from_before), np.where(np.isnan(from_after), bare, from_after))
+    # without the step on one side, the length of the step itself counts
+    length = np.linalg.norm(step, axis=2)
+    return np.fmin(np.where(np.isnan(from_before), length, from_before), np.where(np.isnan(from_after), length, from_after))
 
 
 def _comes_back(path: NDArray[np.float64], one: int, other: int) -> bool:
-    """Whether a path leaps back by what it leapt away, or goes on after the second leap about where it was before the first.
+    """Whether the second jump undoes the first, or the path continues after it as it went before the first.
 
-    About: off by less than a third of the smaller leap.
+    Both to less than a third of the smaller jump.
     """
     back, off, ahead = path[max(0, one - 3) : one + 1], path[one + 1 : other + 1], path[other + 1 : other + 5]
     back, ahead = back[~np.isnan(back[:, 0])], ahead[~np.isnan(ahead[:, 0])]

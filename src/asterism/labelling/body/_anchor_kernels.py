@@ -9,7 +9,7 @@ from asterism.geometry._kernels import align_about_z, fit_about_z
 from asterism.labelling.body._workspace_kernels import LOG_2PI
 
 
-@kernel(reassociate=True)
+@kernel
 def _anchor_displacement(anchors, a, k, body, points, anchor_points, delta):
     """OUT delta (9,): how far an anchor's points lie from a key pose's, once placed onto it. Returns its squared distance."""
     cos, sin, here, there = fit_about_z(points, anchor_points, body.mean[k], anchors.markers[a])
@@ -28,7 +28,7 @@ def _anchor_displacement(anchors, a, k, body, points, anchor_points, delta):
     return distance
 
 
-@kernel(reassociate=True)
+@kernel
 def anchor_key_pose(anchors, a, body, points, anchor_points, delta):
     """The key pose that fits an anchor's own points best: (k, its log density, its squared distance). O(81 K)."""
     best, best_log, best_distance = 0, -np.inf, np.inf
@@ -40,7 +40,7 @@ def anchor_key_pose(anchors, a, body, points, anchor_points, delta):
     return best, best_log, best_distance
 
 
-@kernel(reassociate=True)
+@kernel
 def score_from_anchor(anchors, a, k, body, points, anchor_points, delta, settings, workspace):
     """Score every point as every marker from an anchor alone (fills workspace.scores, like `leave_one_out_scores`). O(M n)."""
     markers, n = body.load.shape[1], len(points)

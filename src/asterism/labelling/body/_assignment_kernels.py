@@ -7,7 +7,7 @@ import numpy as np
 from asterism._jit import kernel
 
 
-@kernel(reassociate=True)
+@kernel
 def assign_greedily(scores, first_ghost, point_of):
     """Give points to markers, best score first; what scores below 0 stays null, unless that saves the only ghosts.
 
@@ -58,7 +58,7 @@ def assign_greedily(scores, first_ghost, point_of):
             point_of[order[g]] = -1
 
 
-@kernel(reassociate=True)
+@kernel
 def assign_unambiguous(scores, gap, point_of):
     """Give points to markers only where nothing else comes near: best both ways, and by `gap` nats over the next best and over null.
 

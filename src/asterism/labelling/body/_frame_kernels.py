@@ -13,7 +13,7 @@ from asterism.labelling.body._search_kernels import MAX_LABELLINGS, CandidateLab
 from asterism.labelling.body._workspace_kernels import FrameSettings, count_labelled, make_body_workspace
 
 
-@kernel(reassociate=True)
+@kernel
 def nearest_changes(body, points, settings, workspace, point_of, margins, counters):
     """For every marker, by how much the labelling beats the nearest one that differs there; a better one replaces it.
 
@@ -75,7 +75,7 @@ def nearest_changes(body, points, settings, workspace, point_of, margins, counte
     return top
 
 
-@kernel(reassociate=True)
+@kernel
 def retry_doubtful(body, points, top, settings, workspace, point_of, margins, counters):
     """Where markers and points are both left over, see whether a doubtful label keeps them apart: take it back and relabel.
 
@@ -118,7 +118,7 @@ def frame_settings(settings, points, markers):
     )
 
 
-@kernel(reassociate=True)
+@kernel
 def label_frame(points, order, solvers, anchors, body, settings, workspace, candidates, point_of, margins, counters):
     """The best labelling of one frame and by how much it beats the next one, marker by marker.
 
@@ -154,7 +154,7 @@ def label_frame(points, order, solvers, anchors, body, settings, workspace, cand
                 margins[m] = min(margins[m], max(0.0, top - candidates.scores[h]))
 
 
-@kernel(reassociate=True)
+@kernel
 def label_clouds(xyz, offsets, first, last, solvers, anchors, body, settings, point_of, margins, counters):
     """`label_frame` for the frames first..last of clouds whose points are sorted within each frame.
 

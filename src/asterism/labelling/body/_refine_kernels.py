@@ -13,7 +13,7 @@ MAX_ROUNDS = 8
 """Relabellings after which a labelling that still changes is taken as it is."""
 
 
-@kernel(reassociate=True)
+@kernel
 def refine(body, k, points, point_of, settings, workspace):
     """Relabel by the whole body until nothing changes: posterior, leave-one-out scores, assignment.
 

@@ -14,7 +14,7 @@ MAX_DISTANCE = 0.6
 """No point farther than this from where a marker is expected is looked at (m)."""
 
 
-@kernel(reassociate=True)
+@kernel
 def _cholesky(matrix, column):
     """Lower triangle of a symmetric positive definite matrix replaced by its Cholesky factor; returns log det. O(r^3 / 3)."""
     n = len(matrix)
@@ -33,7 +33,7 @@ def _cholesky(matrix, column):
     return log_det
 
 
-@kernel(reassociate=True)
+@kernel
 def _inverse_of_factor(factor, inverse):
     """OUT inverse (r, r) of factor factor'. O(r^3 / 2)."""
     n = len(factor)
@@ -64,7 +64,7 @@ def _inverse_of_factor(factor, inverse):
             inverse[a, b] = inverse[b, a]
 
 
-@kernel(reassociate=True)
+@kernel
 def evidence(body, k, points, point_of, settings, workspace):
     """How likely the labelled points are all together, under one key pose.
 
@@ -128,19 +128,19 @@ def evidence(body, k, points, point_of, settings, workspace):
     return score + 0.5 * (quadratic - squares)
 
 
-@kernel(reassociate=True)
+@kernel
 def posterior(workspace):
     """What the labelled points say of the latents, after `evidence`. OUT workspace.covariance, latent. O(r^3)."""
     _inverse_of_factor(workspace.information, workspace.covariance)
     latents = len(workspace.latent)
-    for i in range(latents):
-        total = 0.0
-        for j in range(latents):
-            total += workspace.covariance[i, j] * workspace.moment[j]
-        workspace.latent[i] = total
+    workspace.latent[:] = 0.0
+    for j in range(latents):
+        weight = workspace.moment[j]
+        for i in range(latents):
+            workspace.latent[i] += weight * workspace.covariance[j, i]
 
 
-@kernel(reassociate=True)
+@kernel
 def leave_one_out_scores(body, k, point_of, settings, workspace):
     """Score every point as every marker, given all other labelled points (leave one out), after `posterior`.
 
@@ -157,16 +157,30 @@ def leave_one_out_scores(body, k, point_of, settings, workspace):
                 weight = body.load[k, m, a, j]
                 for i in range(latents):
                     workspace.slope[a, i] += weight * workspace.covariance[j, i]
-        for a in range(3):
-            for b in range(3):
-                total = 0.0
-                for i in range(latents):
-                    total += workspace.slope[a, i] * body.load[k, m, b, i]
-                h[a, b] = total
-            total = 0.0
-            for i in range(latents):
-                total += body.load[k, m, a, i] * workspace.latent[i]
-            centre[a] = total
+        # nine sums side by side: one alone would wait for each of its additions
+        h00, h01, h02, h10, h11, h12, h20, h21, h22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        x, y, z = 0.0, 0.0, 0.0
+        for i in range(latents):
+            load_x, load_y, load_z = body.load[k, m, 0, i], body.load[k, m, 1, i], body.load[k, m, 2, i]
+            slope = workspace.slope[0, i]
+            h00 += slope * load_x
+            h01 += slope * load_y
+            h02 += slope * load_z
+            slope = workspace.slope[1, i]
+            h10 += slope * load_x
+            h11 += slope * load_y
+            h12 += slope * load_z
+            slope = workspace.slope[2, i]
+            h20 += slope * load_x
+            h21 += slope * load_y
+            h22 += slope * load_z
+            x += load_x * workspace.latent[i]
+            y += load_y * workspace.latent[i]
+            z += load_z * workspace.latent[i]
+        h[0, 0], h[0, 1], h[0, 2] = h00, h01, h02
+        h[1, 0], h[1, 1], h[1, 2] = h10, h11, h12
+        h[2, 0], h[2, 1], h[2, 2] = h20, h21, h22
+        centre[0], centre[1], centre[2] = x, y, z
         counts = point_of[m] >= 0 and not workspace.outlier[m]
         sign = -1.0 if counts else 1.0
         for a in range(3):
@@ -217,7 +231,7 @@ def leave_one_out_scores(body, k, point_of, settings, workspace):
             workspace.scores[m, c] = score
 
 
-@kernel(reassociate=True)
+@kernel
 def best_pose(body, points, point_of, settings, workspace):
     """The key pose under which a labelling scores best, and that score: (k, nats)."""
     best, best_score = 0, -np.inf
@@ -228,7 +242,7 @@ def best_pose(body, points, point_of, settings, workspace):
     return best, best_score
 
 
-@kernel(reassociate=True)
+@kernel
 def rescore(body, k, points, point_of, settings, workspace):
     """Score all points by a labelling under one key pose; labelled markers that lie too far from their prediction become outliers.
 

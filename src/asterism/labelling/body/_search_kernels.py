@@ -19,7 +19,7 @@ MAX_PROPOSAL_GAP = 20.0
 """A proposal this many nats behind its anchor's best one is not followed up."""
 
 
-@kernel(reassociate=True)
+@kernel
 def _index_of(table, count, point_of):
     """Where a labelling is among the first `count` rows of a table, -1 where it is not. O(count M)."""
     for h in range(count):
@@ -54,7 +54,7 @@ class CandidateLabellings(NamedTuple):
     last_vote: np.ndarray
 
 
-@kernel(reassociate=True)
+@kernel
 def propose(anchors, a, body, points, found, solutions, settings, workspace, pick, pick_score, pose_of):
     """Which of an anchor's triples are worth following up: those from which the whole body is found best.
 
@@ -94,7 +94,7 @@ def propose(anchors, a, body, points, found, solutions, settings, workspace, pic
     return picks
 
 
-@kernel(reassociate=True)
+@kernel
 def find_labellings(points, order, solvers, anchors, body, settings, workspace, candidates, counters):
     """Let anchors propose and refine what they propose, until enough of them agree on the best labelling.
 

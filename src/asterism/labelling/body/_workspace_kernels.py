@@ -108,7 +108,7 @@ class BodyWorkspace(NamedTuple):
     all_markers: np.ndarray
 
 
-@kernel(reassociate=True)
+@kernel
 def make_body_workspace(n, markers, latents):
     """Working arrays for frames of n points. O(M n + r^2) memory."""
     return BodyWorkspace(
@@ -125,7 +125,7 @@ def make_body_workspace(n, markers, latents):
     )
 
 
-@kernel(reassociate=True)
+@kernel
 def count_labelled(point_of):
     """How many markers have a point. IN point_of (M,), -1 for none. O(M)."""
     labelled = 0
