@@ -29,7 +29,7 @@ from asterism.cli.train import train
 from asterism.errors import AsterismError
 from asterism.progress import on_first_compile
 
-_RENAMED = {"--keep": "--keep-labels", "--anyway": "--force"}
+_RENAMED = {"--keep": "--keep-labels", "--anyway": "--force", "--mine-again": "--search-again"}
 """Options that had another name once: the old name, which is no longer shown, and the new one."""
 _LISTS = ("--occlusions", "--ghosts", "--wand")
 
