@@ -1,7 +1,8 @@
 """Whole outputs of the commands, as a user sees them: wording is reviewed like code.
 
 A case is a few command lines; `snapshots/NAME.txt` holds what they print and their exit status. After a change of wording:
-`pytest tests/test_snapshots_*.py --record-snapshots`, then read the difference with `git diff tests/snapshots`.
+`pytest tests/test_snapshots_labelling.py tests/test_snapshots_cameras.py --record-snapshots`, then read the difference with
+`git diff tests/snapshots`.
 What differs from run to run or from machine to machine is replaced by a word in capitals: seconds, speeds, versions, folders.
 """
 
@@ -19,7 +20,7 @@ from asterism.cli import main
 
 ROOT = Path(__file__).parents[1]
 SNAPSHOTS = ROOT / "tests" / "snapshots"
-RECORD = "pytest tests/test_snapshots_*.py --record-snapshots"
+RECORD = "pytest tests/test_snapshots_labelling.py tests/test_snapshots_cameras.py --record-snapshots"
 
 
 def stable(text: str, folder: Path) -> str:

@@ -115,7 +115,7 @@ def test_a_body_is_followed_by_its_tracklets_whichever_is_found_better() -> None
     who = follow_bodies(bodies, track.ravel())
     assert len(set((who == order).ravel().tolist())) == 1
     assert set(who.ravel().tolist()) == {0, 1}
-    lost = replace(bodies, rows=np.where(rng.random(rows.shape) < 0.3, -1, rows))
+    lost = replace(bodies, point_of=np.where(rng.random(rows.shape) < 0.3, -1, rows))
     assert len(set((follow_bodies(lost, track.ravel()) == order).ravel().tolist())) == 1
 
 
@@ -123,7 +123,7 @@ def test_a_body_is_followed_by_its_tracklets_whichever_is_found_better() -> None
 @pytest.mark.parametrize(("hidden", "ghosts"), [(0, 0), (6, 0), (4, 6)])
 def test_two_people_for_one_model_are_said_and_never_mixed(walks, walker, away, hidden: int, ghosts: int) -> None:
     clouds, _ = simulate_gaps_and_ghosts(beside(walks[5], walks[6], away), hidden, ghosts, 3)
-    with pytest.raises(SeveralBodies, match=r"two bodies that wear the model's 15 markers .* once for each"):
+    with pytest.raises(SeveralBodies, match=r"two bodies with the model's 15 markers .* once for each"):
         walker.label(clouds, time=True)
 
 

@@ -13,7 +13,7 @@ from asterism.geometry import align_about_z
 from asterism.labelling.body._anchor_kernels import anchor_key_pose, score_from_anchor
 from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
 from asterism.labelling.body._score_kernels import _cholesky, _inverse_of_factor, evidence, leave_one_out_scores, posterior
-from asterism.labelling.body._workspace_kernels import make_body_workspace
+from asterism.labelling.body._workspace_kernels import FrameModel, make_body_workspace
 from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors, with_intervals
 from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, names_of, subsample
@@ -58,6 +58,10 @@ def ready(points, outlier):
     workspace = make_body_workspace(len(points), MARKERS, LATENTS)
     workspace.outlier[:] = outlier
     return workspace
+
+
+def frame_model(model, anchors, settings=SETTINGS):
+    return FrameModel(anchors.solvers(), anchors.arrays(model), model.arrays(), settings)
 
 
 # --- kernels and twins
@@ -162,10 +166,10 @@ def test_an_anchor_predicts_the_whole_body(seed):
     points, rows, _ = random_frame(model, rng, least=4)
     triple = rng.permutation(np.nonzero(rows >= 0)[0])[:3]
     ends = np.zeros((1, 6))
-    anchors = Anchors(triple[None], ends, ends).arrays(model)
-    workspace, delta = ready(points, False), np.empty(9)
+    anchors = Anchors(triple[None], ends, ends)
+    workspace = ready(points, False)
     for k in range(POSES):
-        score_from_anchor(anchors, 0, k, model.arrays(), points, rows[triple], delta, SETTINGS, workspace)
+        score_from_anchor(frame_model(model, anchors), 0, k, points, rows[triple], workspace)
         expected = twins.score_from_anchor(model, k, points, rows[triple], triple, SETTINGS)
         others = np.isfinite(expected)
         assert others.sum() == (MARKERS - 3) * len(points)
@@ -183,8 +187,8 @@ def test_an_anchor_knows_its_key_pose(seed):
     model = random_model(rng)
     points, rows, _ = random_frame(model, rng, least=3)
     triple = np.nonzero(rows >= 0)[0][:3]
-    anchors = Anchors(triple[None], np.zeros((1, 6)), np.zeros((1, 6))).arrays(model)
-    k, log_density, distance = anchor_key_pose(anchors, 0, model.arrays(), points, rows[triple], np.empty(9))
+    anchors = Anchors(triple[None], np.zeros((1, 6)), np.zeros((1, 6)))
+    k, log_density, distance = anchor_key_pose(frame_model(model, anchors), 0, points, rows[triple], ready(points, False))
     expected, squares = zip(*(twins.anchor_density(model, pose, points, rows[triple], triple) for pose in range(POSES)), strict=True)
     assert k == np.argmax(expected)
     assert log_density == pytest.approx(expected[k], rel=1e-7, abs=1e-6)

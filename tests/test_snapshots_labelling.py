@@ -35,7 +35,7 @@ CASES = {
         "train walk-0.c3d -o m --target-hit-rate 99.9",
         "train walk-0.c3d -o m --features g2,g77",
         "evaluate walk-3.c3d",
-        "evaluate walk-3.c3d -m walks.model --leave-one-subject-out",
+        "evaluate walk-3.c3d -m some.model --leave-one-subject-out",
         "convert walk-0.c3d up.trc --vertical 1,2,up",
     ],
     "errors-files": [
@@ -80,8 +80,11 @@ def model(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("name", CASES)
-@pytest.mark.usefixtures("model")
-def test_a_command_prints_what_was_reviewed(name: str, folder: Path, record_snapshots: bool, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_command_prints_what_was_reviewed(
+    name: str, folder: Path, request: pytest.FixtureRequest, record_snapshots: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if any("walks.model" in line for line in CASES[name]):
+        request.getfixturevalue("model")
     snapshot.compare(name, snapshot.output(CASES[name], folder, capsys), record_snapshots)
 
 

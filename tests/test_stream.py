@@ -119,10 +119,10 @@ def test_memory_does_not_grow_with_time(walks, ensemble) -> None:
 
     tracemalloc.start()
     before = walk_on(4)
-    size = len(stream._weight)
+    size = len(stream._tracks)
     grown = walk_on(4) - before
     tracemalloc.stop()
-    assert len(stream._weight) <= 2 * size
+    assert len(stream._tracks) <= 2 * size
     assert grown < 100_000, f"{grown} bytes more after 800 frames more"
 
 
@@ -171,7 +171,7 @@ def test_who_comes_after_somebody_else_is_labelled_too(walks, ensemble) -> None:
 
 def test_the_body_that_a_stream_learns_is_the_one_that_is_there(walks, ensemble) -> None:
     walk, model = walks[5].positions, ensemble.state.body
-    live = LiveBody(model, BodyRules(), 100.0, LiveRules(counts=(3, 6)))
+    live = LiveBody(model, BodyRules(), 100.0, LiveRules(adapt_after=(3, 6)))
     settings, found, steps = ensemble.body_labeller.settings, [], 0
     rng = np.random.default_rng(0)
 
@@ -180,15 +180,15 @@ def test_the_body_that_a_stream_learns_is_the_one_that_is_there(walks, ensemble)
         return best_pose(body, np.ascontiguousarray(walk[t]), np.arange(15), settings, workspace)
 
     for t in range(0, 160, 2):
-        if live.wants(t):
+        if live.needs(t):
             shown = np.where(rng.random((15, 1)) < 0.2, np.nan, walk[t])
-            live.see(t, shown, look(model.arrays(), t)[0])
+            live.add(t, shown, look(model.arrays(), t)[0])
         steps += live._steps is not None
         if (body := live.step()) is not None:
             found.append(body)
     assert len(found) == 2
     assert steps > 10  # the work came in small pieces
-    assert not live.wants(1000)
+    assert not live.needs(1000)
 
     def score(body) -> float:
         return sum(look(body, t)[1] for t in range(165, 200, 5))
@@ -196,7 +196,7 @@ def test_the_body_that_a_stream_learns_is_the_one_that_is_there(walks, ensemble)
     assert score(found[0]) > score(model.arrays()) + 5.0
     assert score(found[1]) > score(found[0])
     live.restart()
-    assert live.wants(0)
+    assert live.needs(0)
 
 
 def test_a_body_learned_from_a_few_frames_of_whatever_markers_is_a_body(ensemble, walks) -> None:

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyModel
-from asterism.labelling.whole import _distance_kernels as kernels_of_distances
 from asterism.labelling.whole import _kernels as kernels
 from asterism.labelling.whole import assignment
+from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
 from asterism.labelling.whole.assignment import assign_tracklets
 
 SETTINGS = FrameLabellingSettings().with_usual_score(1.0)
@@ -73,8 +73,8 @@ def test_sums_over_tracklets(seed: int) -> None:
     track, scores = rng.integers(0, 5, 40), rng.normal(0.0, 20.0, (40, MARKERS))
     scores[rng.random(scores.shape) < 0.2] = -np.inf
     sums, counts = np.zeros((6, MARKERS)), np.zeros(6)
-    kernels.gather(track, scores, -4.0, 15.0, sums, counts)
-    wanted, points = twins.gather(track, scores, -4.0, 15.0, 6)
+    kernels.sum_scores(track, scores, -4.0, 15.0, sums, counts)
+    wanted, points = twins.sum_scores(track, scores, -4.0, 15.0, 6)
     np.testing.assert_allclose(sums, wanted)
     np.testing.assert_array_equal(counts, points)
 
@@ -143,8 +143,8 @@ def _tracklets_of_one_body(seed):
 def test_misfits_of_near_rigid_distances(seed: int) -> None:
     _, *scene, label = _tracklets_of_one_body(seed)
     out = np.empty(len(label))
-    kernels_of_distances.misfits(*scene, label, 24, MARKERS, 0.006, 0.02, 5, 3, 8.0, out)
-    np.testing.assert_allclose(out, twins.misfits(*scene, label, MARKERS, 0.006, 0.02, 5, 3, 8.0))
+    rigid_deviations(TrackedPoints(*scene, 24), label, MARKERS, DistanceLimits(0.006, 0.0, 0.02, 5, 3, 8.0), out)
+    np.testing.assert_allclose(out, twins.rigid_deviations(*scene, label, MARKERS, 0.006, 0.02, 5, 3, 8.0))
 
 
 @given(seeds, st.floats(0.8, 1.2))
@@ -154,7 +154,7 @@ def test_distances_that_are_not_those_of_the_training(seed: int, larger: float) 
     apart = np.linalg.norm(body[:, None] - body[None], axis=2) / larger
     low, high = 0.98 * apart, 1.02 * apart
     out = np.empty(len(label))
-    usual = kernels_of_distances.foreign_distances(*scene, label, 24, low, high, 0.01, 0.06, 0.02, 5, 3, 8.0, out)
-    wanted, wanted_usual = twins.foreign_distances(*scene, label, 24, low, high, 0.01, 0.06, 0.02, 5, 3, 8.0)
+    usual = training_deviations(TrackedPoints(*scene, 24), label, low, high, DistanceLimits(0.01, 0.06, 0.02, 5, 3, 8.0), out)
+    wanted, wanted_usual = twins.training_deviations(*scene, label, 24, low, high, 0.01, 0.06, 0.02, 5, 3, 8.0)
     np.testing.assert_allclose(out, wanted)
     np.testing.assert_allclose(usual, wanted_usual)

@@ -35,7 +35,7 @@ def score_frames(model, frames, tracks, label, settings):
     return np.concatenate(scores), np.array(totals), np.array(poses)
 
 
-def gather(track, scores, least, most, tracklets):
+def sum_scores(track, scores, least, most, tracklets):
     """Sums of each tracklet's clipped scores (J, M), and its points (J,)."""
     own = [np.clip(scores[track == j], least, most) for j in range(tracklets)]
     return np.array([part.sum(axis=0) for part in own]), np.array([len(part) for part in own])
@@ -85,7 +85,7 @@ def margins(gain, label, first, last):
     return margin, rival
 
 
-def misfits(xyz, frame, track, label, markers, noise, rigid, least, partners, most):
+def rigid_deviations(xyz, frame, track, label, markers, noise, rigid, least, partners, most):
     """Mean deviation (J,) of each labelled tracklet's near-rigid distances from those of the other tracklets of its marker."""
     frames = int(frame.max()) + 1
     at = {(t, label[j]): (place, j) for place, t, j in zip(xyz, frame, track, strict=True) if label[j] >= 0}
@@ -96,7 +96,7 @@ def misfits(xyz, frame, track, label, markers, noise, rigid, least, partners, mo
         others = [t for t in shown if at[t, m][1] != j]
         if not own or len(others) < max(least, len(own)):
             continue
-        told = []
+        known_distances = []
         for o in range(markers):
             apart = [[np.linalg.norm(at[t, m][0] - at[t, o][0]) for t in some if o != m and (t, o) in at] for some in (own, others)]
             if not apart[0] or len(apart[1]) < least:
@@ -105,13 +105,13 @@ def misfits(xyz, frame, track, label, markers, noise, rigid, least, partners, mo
             std = 1.4826 * np.median(np.abs(apart[1] - middle))
             if std < rigid:
                 spread = np.sqrt(std**2 + noise**2)
-                told.append((spread, o, min(most, abs(np.median(apart[0]) - middle) / spread)))
-        if len(told) >= 2:
-            out[j] = np.mean([deviation for _, _, deviation in sorted(told)[:partners]])
+                known_distances.append((spread, o, min(most, abs(np.median(apart[0]) - middle) / spread)))
+        if len(known_distances) >= 2:
+            out[j] = np.mean([deviation for _, _, deviation in sorted(known_distances)[:partners]])
     return out
 
 
-def foreign_distances(xyz, frame, track, label, frames, low, high, noise, size, rigid, least, partners, most):
+def training_deviations(xyz, frame, track, label, frames, low, high, noise, size, rigid, least, partners, most):
     """Mean deviation (J,) of each labelled tracklet's near-rigid distances from the training's, for a person of the recording's size.
 
     And the median deviation of all of the recording's.
@@ -142,13 +142,13 @@ def foreign_distances(xyz, frame, track, label, frames, low, high, noise, size, 
     scale = np.median(ratios) if len(ratios) >= least else 1.0
     out = np.full(len(label), np.nan)
     for j, m in enumerate(label):
-        told = []
+        known_distances = []
         for o in range(markers if m >= 0 else 0):
             known = middle_and_std(m, o, j if (track == j).sum() >= least else None) if o != m else None
             if known and known[1] < rigid:
                 far, spread = excess(m, o, known)
-                told.append((spread, o, min(most, far)))
-        if len(told) >= 2:
-            out[j] = np.mean([deviation for _, _, deviation in sorted(told)[:partners]])
+                known_distances.append((spread, o, min(most, far)))
+        if len(known_distances) >= 2:
+            out[j] = np.mean([deviation for _, _, deviation in sorted(known_distances)[:partners]])
     usual = [excess(m, o, known)[0] for (m, o), known in all_known.items() if known and known[1] < rigid]
     return out, np.median(usual) if usual else 0.0

@@ -57,21 +57,21 @@ def stereo(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """13 stereo pairs of a chessboard: each camera alone, the pair, and OpenCV's pair of the very same points."""
     views = find_board(footage_of([folder() / "cameras" / "chessboard-stereo"]), Board("chessboard", 9, 6, 0.025))
     made = calibrate_board(views)
-    for one in made.alone:
+    for one in made.intrinsics:
         name = one.camera.name
         yield Figure(f"chessboard-stereo, {name} alone, RMS", PEER_ALONE[name], one.camera.error, "px", len(one.frames))
-    yield Figure("chessboard-stereo, the pair, RMS", PEER_PAIR, made.rms, "px", len(made.frames))
-    yield Figure("chessboard-stereo, the pair by OpenCV from the same points, RMS", "none", _opencv_pair(made), "px", len(made.frames))
+    yield Figure("chessboard-stereo, the pair, RMS", PEER_PAIR, made.rms, "px", len(made.used))
+    yield Figure("chessboard-stereo, the pair by OpenCV from the same points, RMS", "none", _opencv_pair(made), "px", len(made.used))
 
 
 def _opencv_pair(made: BoardCalibration) -> float:
     """stereoCalibrate with the lenses of each camera alone held, on the same points."""
     seen, board = made.sightings, made.views.board.points.astype(np.float32)
     images = [
-        [seen.xy[(seen.frame == t) & (seen.camera == c)].astype(np.float32) for t in range(len(made.frames))] for c in range(len(made.rig))
+        [seen.xy[(seen.frame == t) & (seen.camera == c)].astype(np.float32) for t in range(len(made.used))] for c in range(len(made.rig))
     ]
-    lenses = [part for one in made.alone for part in (one.camera.matrix, one.camera.distortion)]
-    error, *_ = cv2.stereoCalibrate([board] * len(made.frames), *images, *lenses, made.rig.cameras[0].size, flags=cv2.CALIB_FIX_INTRINSIC)
+    lenses = [part for one in made.intrinsics for part in (one.camera.matrix, one.camera.distortion)]
+    error, *_ = cv2.stereoCalibrate([board] * len(made.used), *images, *lenses, made.rig.cameras[0].size, flags=cv2.CALIB_FIX_INTRINSIC)
     return float(error)
 
 
@@ -80,7 +80,7 @@ def charuco(benchmark: BenchmarkRun) -> Iterator[Figure]:
     place = folder() / "cameras" / "charuco-4cam"
     peer = read_rig(place / "camera_array.toml")
     made = calibrate_board(find_board(footage_of([place]), Board.from_toml(place / "charuco.toml")))
-    for one in made.alone:
+    for one in made.intrinsics:
         name = one.camera.name
         yield Figure(f"charuco-4cam, {name} alone, RMS", f"<= {peer[name].error:g}", one.camera.error, "px", len(one.frames))
     theirs, ours = _left_by(peer.select(list(made.rig.names)), made), _left_by(made.rig, made)
@@ -92,7 +92,7 @@ def _left_by(rig: Rig, made: BoardCalibration) -> float:
     """What a rig leaves of the points of a calibration when only the boards may move."""
     seen: Sightings = made.sightings
     points = made.views.board.points
-    placed = place_objects(points, triangulate(rig.cameras, seen, len(made.frames), len(points)))
+    placed = place_objects(points, triangulate(rig.cameras, seen, len(made.used), len(points)))
     both = np.isfinite(placed[1]).all(axis=1)
     kept, frames = seen.select(both[seen.frame]).compact()
     held = np.zeros((len(rig), 15), dtype=bool)

@@ -12,7 +12,7 @@ import asterism
 from asterism.labelling.body.model import BodyRules
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.whole.label import label_whole
-from asterism.labelling.whole.scene import TimeRules
+from asterism.labelling.whole.scene import RecordingLabellingSettings
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import gait
@@ -34,7 +34,7 @@ def uncalibrated(case: Case, clouds: Clouds) -> Labelling:
     """The whole recording with the model as it was trained: neither its body nor its distances are learned from the recording."""
     one = case.ensemble
     member = one.in_recording()
-    return label_whole([member], clouds, TimeRules(calibrate=0, misfit_cost=0.0), SubjectRules(), BodyRules())[0][0]
+    return label_whole([member], clouds, RecordingLabellingSettings(adapt_rounds=0, deviation_cost=0.0), SubjectRules(), BodyRules())[0][0]
 
 
 METHODS: tuple[tuple[str, Callable[[Case, Clouds], Labelling]], ...] = (

@@ -22,9 +22,9 @@ from asterism.labelling.training.ensemble_state import EnsembleState
 from asterism.labelling.training.learning import TrainingConfig, TrainingRules, TrainingState, common_marker_set
 from asterism.labelling.training.sample import Sample
 from asterism.labelling.training.train import train_ensemble
-from asterism.labelling.whole.bodies import check_for_one
-from asterism.labelling.whole.label import BodyInRecording, label_whole, own_body_gain, subject_body
-from asterism.labelling.whole.scene import TimeRules
+from asterism.labelling.whole.bodies import check_single_body
+from asterism.labelling.whole.label import BodyInRecording, label_whole, subject_body, subject_body_gain
+from asterism.labelling.whole.scene import RecordingLabellingSettings
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording
 
@@ -148,7 +148,7 @@ class SolverEnsemble:
         frames = rotate_z_up(frames, static.vertical)
         settings = self.body_labeller.settings
         body = subject_body(settings, state.body, frames, static.rate, rules, state.body_rules)
-        gain = own_body_gain(settings, body, state.body, frames, static.rate, rules)
+        gain = subject_body_gain(settings, body, state.body, frames, static.rate, rules)
         about = {**state.about, "adapted_to": subject_of(static), "adapted_gain": gain}
         return SolverEnsemble(replace(state, body=body, general_body=state.body, about=about))
 
@@ -162,7 +162,7 @@ class SolverEnsemble:
         if state.general_body is None:
             return float("nan")
         frames = rotate_z_up(labelling.positions(clouds)[:, state.markers], clouds.vertical)
-        gain = own_body_gain(self.body_labeller.settings, state.body, state.general_body, frames, clouds.rate, SubjectRules())
+        gain = subject_body_gain(self.body_labeller.settings, state.body, state.general_body, frames, clouds.rate, SubjectRules())
         return gain / max(float(self.about["adapted_gain"]), 1.0)
 
     def label(
@@ -188,7 +188,7 @@ class SolverEnsemble:
         if time:
             if rules != "whole-body":
                 raise AsterismError(f"whole recordings are labelled by the rules whole-body, not {rules}; leave out time or the rules.")
-            check_for_one(self.body_labeller, clouds)
+            check_single_body(self.body_labeller, clouds)
             return label_together([self], clouds, workers=workers, progress=progress)[0]
         return self.label_counted(clouds, rules=rules, workers=workers, progress=progress)[0]
 
@@ -238,13 +238,13 @@ class SolverEnsemble:
         rate: frames per second; delay: frames to wait for, which make the labels more certain; vertical: the axis that points up.
         Raises AsterismError for a rate or delay that is not positive, or an unknown axis.
         """
-        from asterism.labelling.live.body import LiveBody, LiveRules
-        from asterism.labelling.live.stream import Stream
+        from asterism.labelling.live.stream import Stream, StreamModel
 
         state = self.state
-        live = None if state.body.within is None else LiveBody(state.body, state.body_rules, rate, LiveRules())
-        model = (self.body_labeller, live, state.markers, len(self.marker_set))
-        return Stream(*model, state.calibrations, self.least_confidence, rate, delay, vertical)
+        model = StreamModel(
+            self.body_labeller, state.markers, len(self.marker_set), state.calibrations, self.least_confidence, state.body_rules
+        )
+        return Stream(model, rate, delay, vertical)
 
     def in_recording(self) -> BodyInRecording:
         """This model as one of the bodies that `label_whole` looks for."""
@@ -273,4 +273,4 @@ def label_together(
     """
     bodies = [ensemble.in_recording() for ensemble in ensembles]
     body_rules = next((e.state.body_rules for e in ensembles if e.state.training is not None), BodyRules())
-    return label_whole(bodies, clouds, TimeRules(), SubjectRules(), body_rules, workers, progress)[0]
+    return label_whole(bodies, clouds, RecordingLabellingSettings(), SubjectRules(), body_rules, workers, progress)[0]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from asterism.findings import Severity
 from asterism.report import figures
 from asterism.report.page import NOTHING, Cell, Page, Section, Table, percent, write_page
 from asterism.report.space import rig_in_space
@@ -26,52 +27,63 @@ def board_report(path: str | Path, made: BoardCalibration, *, settings: Mapping[
 
     Raises AsterismError where the file cannot be written.
     """
-    told = made.summary()
-    sections = [Section("What to know before using it", table=_findings(made))]
-    if len(made.rig) > 1:
-        shown = made.adjustment.translations + made.adjustment.rotations @ made.views.board.points.mean(axis=0)
-        first = made.adjustment.cameras[0]
-        in_camera = shown @ first.rotation.T + first.translation
-        moved = (in_camera - made.rig.cameras[0].translation) @ made.rig.cameras[0].rotation
-        text = "Cameras open where they look; dots are where the board was. Drag to turn."
-        sections.append(Section("The rig", text, figure=rig_in_space(made.rig, points=moved)))
-    sections.append(Section("Each camera", table=_cameras(told), note="± is the standard deviation that the calibration leaves."))
-    sections.append(
+    several = len(made.rig) > 1
+    summary = made.summary()
+    sections = [
+        Section("What to know before using it", table=_findings(made)),
+        *([_rig(made)] if several else []),
+        Section("Each camera", table=_cameras(summary), note="± is the standard deviation that the calibration leaves."),
         Section(
             "What each image saw",
             "The board's points in each image, shaded by how far they lie from where the board is. "
             "Where no point is, above all in corners, the lens is a guess: show the board there.",
             figure=_images(made),
-        )
-    )
-    if len(made.rig) > 1:
-        text = "Moments at which two cameras saw the board together: what holds the rig together."
-        sections.append(Section("Shared views", text, table=_shared(made)))
-    worst = max((camera.error for camera in made.rig), default=0.0)
-    merits = [
-        (f"{made.rms:.3f} px", "reprojection error, all together", "bad" if not made.usable else "warn" if made.doubts else "good"),
-        (f"{worst:.3f} px", "of the worst camera", "" if worst < _TINTED_PX else "warn"),
-        (f"{len(made.rig)} of {len(made.views.cameras)}", "cameras calibrated", "" if not made.apart else "warn"),
-        (f"{len(made.frames):,}", f"of {len(made.views.moments):,} frames used", ""),
+        ),
     ]
-    lead = "This calibration can be used." if made.usable else "Do not use this calibration: see below."
-    if made.usable and made.doubts:
-        lead = "This calibration can be used with care: see below."
-    write_page(path, Page("Calibration from a board", lead, settings or {}, merits, sections))
+    if several:
+        text = "Frames in which two cameras saw the board together: what holds the rig together."
+        sections.append(Section("Shared views", text, table=_shared(made)))
+    page = Page("Calibration from a board", _lead(made), settings or {}, _merits(made), sections)
+    write_page(path, page)
+
+
+def _rig(made: BoardCalibration) -> Section:
+    shown = made.adjustment.translations + made.adjustment.rotations @ made.views.board.points.mean(axis=0)
+    first = made.adjustment.cameras[0]
+    in_camera = shown @ first.rotation.T + first.translation
+    moved = (in_camera - made.rig.cameras[0].translation) @ made.rig.cameras[0].rotation
+    text = "Cameras open where they look; dots are where the board was. Drag to turn."
+    return Section("The rig", text, figure=rig_in_space(made.rig, points=moved))
+
+
+def _lead(made: BoardCalibration) -> str:
+    if not made.usable:
+        return "Do not use this calibration: see below."
+    return "This calibration can be used with care: see below." if made.findings else "This calibration can be used."
+
+
+def _merits(made: BoardCalibration) -> list[tuple[str, str, str]]:
+    worst = max((camera.error for camera in made.rig), default=0.0)
+    return [
+        (f"{made.rms:.3f} px", "reprojection error, all together", "bad" if not made.usable else "warn" if made.findings else "good"),
+        (f"{worst:.3f} px", "of the worst camera", "" if worst < _TINTED_PX else "warn"),
+        (f"{len(made.rig)} of {len(made.views.cameras)}", "cameras calibrated", "" if not made.excluded else "warn"),
+        (f"{len(made.used):,}", f"of {len(made.views.frames):,} frames used", ""),
+    ]
+
+
+_SEVERITIES = {Severity.ERROR: Cell("do not use", 1.0, "bad"), Severity.WARNING: Cell("look at this", 0.6), Severity.NOTE: Cell("note")}
 
 
 def _findings(made: BoardCalibration) -> Table:
-    kind = Cell("doubt", 0.6) if made.usable else Cell("do not use", 1.0, "bad")
-    rows: list[list[str | Cell]] = [[kind, doubt] for doubt in made.doubts]
-    rows += [[Cell("left out", 0.6), sentence] for sentence in made.apart]
-    rows += [[Cell("files", 0.3), note] for note in made.views.notes]
-    if made.left_out:
-        some = ", ".join(f"{name} in frame {moment}" for moment, name in made.left_out[:12])
-        rows.append([Cell("left out", 0.3), f"{len(made.left_out)} views that do not fit the others: {some}"])
+    rows: list[list[str | Cell]] = [[_SEVERITIES[finding.severity], str(finding)] for finding in made.findings]
+    if made.rejected_views:
+        some = ", ".join(f"{name} in frame {frame}" for frame, name in made.rejected_views[:12])
+        rows.append([Cell("left out", 0.3), f"{len(made.rejected_views)} views that do not fit the others: {some}"])
     return Table(["", "what was found"], rows or [["good", "nothing speaks against it"]], left=2)
 
 
-def _cameras(told: Mapping[str, Any]) -> Table:
+def _cameras(summary: Mapping[str, Any]) -> Table:
     rows: list[list[str | Cell]] = [
         [
             camera["name"],
@@ -84,7 +96,7 @@ def _cameras(told: Mapping[str, Any]) -> Table:
             ", ".join(f"{value:.3f}" for value in camera["distortion"][:5]),
             NOTHING if camera["position_m"] is None else ", ".join(f"{value:.3f}" for value in camera["position_m"]),
         ]
-        for camera in told["cameras"]
+        for camera in summary["cameras"]
     ]
     head = [
         "camera",
@@ -145,11 +157,11 @@ def _images(made: BoardCalibration) -> figures.Figure:
 
 
 def _shared(made: BoardCalibration) -> Table:
-    order = [i for i, name in enumerate(made.linked) if name in made.rig.names]
+    order = [i for i, name in enumerate(made.linked_cameras) if name in made.rig.names]
     most = int(made.links.shared[np.ix_(order, order)].max(initial=1))
     rows: list[list[str | Cell]] = []
     for i in order:
         shared = [int(made.links.shared[i, j]) for j in order]
         cells = [Cell(str(number), 0.6 if number < 0.1 * most else 0.0) for number in shared]
-        rows.append([made.linked[i], *(NOTHING if i == j else cell for j, cell in zip(order, cells, strict=True))])
-    return Table(["", *(made.linked[i] for i in order)], rows)
+        rows.append([made.linked_cameras[i], *(NOTHING if i == j else cell for j, cell in zip(order, cells, strict=True))])
+    return Table(["", *(made.linked_cameras[i] for i in order)], rows)

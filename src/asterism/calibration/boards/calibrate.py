@@ -1,4 +1,4 @@
-"""Views of a board in; a calibrated rig, what it leaves over and what to doubt, out."""
+"""Views of a board in; a calibrated rig, what it leaves over and what to know before using it, out."""
 
 from __future__ import annotations
 
@@ -7,84 +7,70 @@ from typing import Any
 
 import numpy as np
 
-from asterism.calibration.boards.checks import (
-    BEND_USELESS,
-    FOCAL_USELESS,
-    LEAST_NOISE_PX,
-    OUT_OF_STEP,
-    RMS_USELESS_PX,
-    bent,
-    few_shared,
-    lens_doubts,
-    other_lenses,
-    out_of_step,
-    share_covered,
-    torn_links,
-)
+from asterism.calibration.boards import checks
 from asterism.calibration.boards.extrinsics import Links, first_boards, first_rig, links_between, numbered_alike
 from asterism.calibration.boards.flatness import bend_of
-from asterism.calibration.boards.intrinsics import Alone, calibrate_alone
+from asterism.calibration.boards.intrinsics import Intrinsics, calibrate_intrinsics
 from asterism.calibration.boards.views import BoardViews
 from asterism.cameras.bundle import Adjustment, AdjustSettings, Sightings, adjust, free_parameters
 from asterism.cameras.camera import Camera
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity, worst
 from asterism.progress import Progress
-from asterism.recording import Floats
+from asterism.recording import Floats, Ints
 
 _LENS = ("focal", "aspect", "centre", "k1", "k2", "k3", "tangential")
 _EXPECTED = {"aspect": 0.02, "centre": 0.1, "k1": 0.5, "k2": 1.0, "k3": 2.0, "tangential": 0.02}
-"""Standard deviations of lenses before anyone has seen them (the centre's: of the image's width): weak, they hold what no view tells."""
+"""Standard deviations of lenses before any view (the centre's: of the image's width): weak, they hold what no view determines."""
 _NOISE_PX = 0.2
+"""px, of a board's points, by which these standard deviations count."""
 _OUTLYING, _OUTLYING_PX, _ROUNDS = 4.0, 1.0, 3
+"""A view is rejected whose error is so many times the median, and above so many px; in so many rounds."""
 
 
 @dataclass(frozen=True)
 class BoardCalibration:
     """A rig calibrated from views of a board.
 
-    rig          the cameras that hang together; with one camera its lens alone, without a pose
-    views        what it was made from
-    alone        per camera of the rig its calibration by itself
-    adjustment   of all together
-    frames       (T,) places in `views.moments` of the boards that were adjusted
-    sightings    those that were adjusted, frame counting `frames`
-    left_out     (moment, camera) of views that do not fit
-    apart        cameras that are not in the rig, and why, one sentence each
-    focal_std    per camera of the rig, px
-    doubts       what makes the rig doubtful, one sentence each
-    links        which cameras share views, of those that were calibrated alone
-    linked       their names
-    grave        those of `doubts` for which the rig should not be used: most views that link cameras speak against it, or a known lens is
-                 another one
-    bend         how far the board's points lie from where they should be, as a share of its longer side; 0 where noise explains it
+    rig             the cameras that share views; with one camera its lens alone, without a pose
+    views           what it was made from
+    intrinsics      per camera of the rig its calibration by itself
+    adjustment      of all together
+    used            (T,) places in `views.frames` of the frames that were adjusted
+    sightings       those that were adjusted, frame counting `used`
+    rejected_views  (frame, camera) of views that do not fit
+    excluded        names of cameras that are not in the rig; `findings` say why
+    focal_std       per camera of the rig, px
+    links           which cameras share views, of those that were calibrated alone
+    linked_cameras  their names
+    bend            how far the board's points lie from where they should be, as a share of its longer side; 0 where noise explains it
+    findings        what to know before using the rig, those of the files first
     """
 
     rig: Rig
     views: BoardViews
-    alone: tuple[Alone, ...]
+    intrinsics: tuple[Intrinsics, ...]
     adjustment: Adjustment
-    frames: Any
+    used: Ints
     sightings: Sightings
-    left_out: tuple[tuple[int, str], ...]
-    apart: tuple[str, ...]
+    rejected_views: tuple[tuple[int, str], ...]
+    excluded: tuple[str, ...]
     focal_std: tuple[float, ...]
-    doubts: tuple[str, ...]
     links: Links
-    linked: tuple[str, ...]
-    grave: tuple[str, ...]
+    linked_cameras: tuple[str, ...]
     bend: float
+    findings: tuple[Finding, ...]
 
     @property
     def usable(self) -> bool:
-        """Whether the rig may be used: each camera fits within 2 px, knows its focal length to 5 %, is linked, and the board is flat."""
-        known = all(std < FOCAL_USELESS * camera.focal[0] for camera, std in zip(self.rig, self.focal_std, strict=True))
-        return not self.grave and self.bend < BEND_USELESS and known and all(camera.error < RMS_USELESS_PX for camera in self.rig)
+        """Whether no finding is an error."""
+        return worst(self.findings) < Severity.ERROR
 
     @property
     def covered(self) -> tuple[float, ...]:
         """Per camera of the rig the share of its image in which points of the board were seen, by cells of an eighth of its sides."""
-        return tuple(share_covered(camera, self.sightings.xy[self.sightings.camera == c]) for c, camera in enumerate(self.rig))
+        return _covered(self.rig, self.sightings)
 
     @property
     def rms(self) -> float:
@@ -93,36 +79,34 @@ class BoardCalibration:
 
     def summary(self) -> dict[str, Any]:
         """The calibration as plain values, for JSON and reports."""
-        counts = self.views.counts
-        names = self.views.cameras
         return {
             "board": str(self.views.board),
             "usable": self.usable,
-            "frames": len(self.views.moments),
-            "frames_used": len(self.frames),
+            "frames": len(self.views.frames),
+            "frames_used": len(self.used),
             "reprojection_rms_px": self.rms,
             "board_bend": self.bend,
-            "cameras": [
-                {
-                    "name": camera.name,
-                    "size": list(camera.size or ()),
-                    "images": self.views.looked[names.index(camera.name)],
-                    "views": int((counts[:, names.index(camera.name)] > 0).sum()),
-                    "image_covered": covered,
-                    "rms_alone_px": alone.camera.error,
-                    "rms_px": camera.error,
-                    "focal_px": list(camera.focal),
-                    "focal_std_px": std,
-                    "centre_px": list(camera.centre),
-                    "distortion": camera.distortion.tolist(),
-                    "position_m": camera.position.tolist() if camera.posed else None,
-                }
-                for camera, alone, std, covered in zip(self.rig, self.alone, self.focal_std, self.covered, strict=True)
-            ],
-            "left_out": [{"frame": moment, "camera": name} for moment, name in self.left_out],
-            "not_calibrated": list(self.apart),
-            "doubts": list(self.doubts),
-            "notes": list(self.views.notes),
+            "cameras": [self._camera_summary(c) for c in range(len(self.rig))],
+            "rejected_views": [{"frame": frame, "camera": name} for frame, name in self.rejected_views],
+            "excluded": list(self.excluded),
+        }
+
+    def _camera_summary(self, c: int) -> dict[str, Any]:
+        camera = self.rig.cameras[c]
+        number = self.views.cameras.index(camera.name)
+        return {
+            "name": camera.name,
+            "size": list(camera.size or ()),
+            "images": self.views.images[number],
+            "views": int((self.views.counts[:, number] > 0).sum()),
+            "image_covered": self.covered[c],
+            "rms_alone_px": self.intrinsics[c].camera.error,
+            "rms_px": camera.error,
+            "focal_px": list(camera.focal),
+            "focal_std_px": self.focal_std[c],
+            "centre_px": list(camera.centre),
+            "distortion": camera.distortion.tolist(),
+            "position_m": camera.position.tolist() if camera.posed else None,
         }
 
 
@@ -132,88 +116,114 @@ def calibrate_board(
     """Calibrate all cameras that share views of a board, also where no two see all of it and no pair sees all views.
 
     Each camera alone by OpenCV; relative poses along the strongest links; then lenses, poses and boards together, by least squares with a
-    robust loss; views that fit four times worse than the median, and by more than 1 px, are left out. The board's points are believed.
-    Where all together miss the board by a quarter more than each alone does, the cameras were not in step: a doubt says so, and the lenses
-    stay those of each camera alone, which such views would spoil. A doubt is also a board that bends; a rig is not usable where it bends
-    much, or where a third of the views that link two cameras had to be left out.
+    robust loss; views that fit four times worse than the median, and by more than 1 px, are left out. The board is taken as exact.
+    Where all together miss the board by a quarter more than each alone does, the cameras were not in step: a finding says so, and the
+    lenses stay those of each camera alone, which such views would spoil. A rig is not usable where the board bends much, or where a third
+    of the views that link two cameras had to be left out.
 
     known   cameras whose lenses are known, by name: they are kept, and one view is enough for a pose; their poses are not used
-    origin  the moment at which the board lay on the floor, print up: it gives the world its origin, x along the board's rows, z up. Else
+    origin  the frame in which the board lay on the floor, print up: it gives the world its origin, x along the board's rows, z up. Else
             the world is the first camera's axes
 
-    Cameras that saw too little, or share no view with the others, are named in `apart` and not in the rig. Raises AsterismError where no
-    camera can be calibrated, a known lens is of another image size, or the origin's moment has no board.
+    Cameras that saw too little, or share no view with the others, are named in `excluded` and not in the rig. Raises AsterismError where
+    no camera can be calibrated, a known lens is of another image size, or the origin's frame has no board.
     """
-    points = views.board.points
     lenses = _known_lenses(views, known)
-    alone, apart = _each_alone(views, lenses, progress)
-    order = sorted(alone)
-    links = links_between([alone[c].frames for c in order])
-    chosen = [order[i] for i in links.groups[0]]
-    apart += [
-        f"camera {views.cameras[order[i]]} shares no view of the board with {views.cameras[chosen[0]]} and its group; show both the board."
-        for group in links.groups[1:]
-        for i in group
-    ]
+    intrinsics = _calibrate_each(views, lenses, progress)
     if progress is not None:
         progress(0.85, "adjusting all cameras together")
+    start = _start(views, intrinsics)
+    single_rms = float(np.sqrt(np.mean([start.intrinsics[c].rms ** 2 for c in start.group])))
+    adjusted = _adjusted(start, {c: [] if c in lenses else list(_LENS) for c in start.group})
+    together = adjusted.result.rms
+    if len(start.group) >= 2 and not checks.in_step(together, single_rms):
+        adjusted = _adjusted(start, {c: [] for c in start.group})
+    return _calibration(start, adjusted, lenses, (together, single_rms), origin)
+
+
+@dataclass(frozen=True)
+class _Start:
+    """Where the adjustment of all cameras begins.
+
+    views       with the points of boards that look the same upside down numbered alike
+    intrinsics  of each camera that could be calibrated by itself, by its number
+    order       their numbers, in the order of `links`
+    links       which of them share views
+    group       the cameras of the rig
+    cameras     each with its pose
+    """
+
+    views: BoardViews
+    intrinsics: dict[int, Intrinsics]
+    order: tuple[int, ...]
+    links: Links
+    group: tuple[int, ...]
+    cameras: dict[int, Camera]
+
+
+def _start(views: BoardViews, intrinsics: dict[int, Intrinsics]) -> _Start:
+    """The largest group of cameras that share views, each with a first pose."""
+    order = sorted(intrinsics)
+    links = links_between([intrinsics[c].frames for c in order])
+    group = [order[i] for i in links.groups[0]]
+    points = views.board.points
     middle = 0.5 * (points[0] + points[-1]) if views.board.turns_alike else None
-    placed = first_rig({i: alone[c] for i, c in enumerate(order)}, links, middle)
-    started = {order[i]: camera for i, camera in placed.items()}
+    placed = first_rig({i: intrinsics[c] for i, c in enumerate(order)}, links, middle)
+    cameras = {order[i]: camera for i, camera in placed.items()}
     if middle is not None:
-        renumbered, seen = numbered_alike({c: alone[c] for c in chosen}, started, views.seen, len(points) - 1, middle)
-        alone, views = {**alone, **renumbered}, replace(views, seen=seen)
-    adjusted = _adjusted(views, points, alone, started, chosen, {c: [] if c in lenses else list(_LENS) for c in chosen})
-    own_rms = float(np.sqrt(np.mean([alone[c].rms ** 2 for c in chosen])))
-    in_step = len(chosen) < 2 or adjusted[0].rms <= OUT_OF_STEP * max(own_rms, LEAST_NOISE_PX)
-    if not in_step:
-        adjusted = _adjusted(views, points, alone, started, chosen, {c: [] for c in chosen})
-    adjustment, sightings, frames, dropped = adjusted
-    left_out = [(int(views.moments[t]), views.cameras[c]) for t, c in dropped]
-    left_out += [(int(views.moments[t]), views.cameras[c]) for c in chosen for t in alone[c].left_out]
-    single = tuple(alone[c] for c in chosen)
-    freed = zip(adjustment.free[:, 6], adjustment.sigma[:, 6], single, strict=True)
-    focal_std = [one.repeated * float(sigma if free else one.focal_std) for free, sigma, one in freed]
-    rig = _in_world(Rig(adjustment.cameras), views, adjustment, frames, origin)
-    covered = [share_covered(camera, sightings.xy[sightings.camera == c]) for c, camera in enumerate(rig)]
-    kept = links_between([np.unique(sightings.frame[sightings.camera == c]) for c in range(len(chosen))])
-    others, odd = other_lenses(views, lenses, alone)
-    torn = torn_links(rig, links.shared[np.ix_(links.groups[0], links.groups[0])], kept, views.board)
-    bend = bend_of(points, sightings, adjustment)
-    doubts = (
-        *others,
-        *torn,
-        *odd,
-        *bent(bend, points),
-        *([] if in_step else [out_of_step(adjustment.rms, own_rms)]),
-        *lens_doubts(rig, single, focal_std, covered),
-        *([] if torn else few_shared(rig, kept)),
+        renumbered, seen = numbered_alike({c: intrinsics[c] for c in group}, cameras, views.seen, len(points) - 1, middle)
+        intrinsics, views = {**intrinsics, **renumbered}, replace(views, seen=seen)
+    return _Start(views, intrinsics, tuple(order), links, tuple(group), cameras)
+
+
+def _calibration(
+    start: _Start, adjusted: _Adjusted, lenses: dict[int, Camera], errors: tuple[float, float], origin: int | None
+) -> BoardCalibration:
+    """The rig and what to know about it; errors: px, of all cameras together with their lenses free, and of each alone."""
+    views, result, sightings = start.views, adjusted.result, adjusted.sightings
+    single = tuple(start.intrinsics[c] for c in start.group)
+    freed = zip(result.free[:, 6], result.sigma[:, 6], single, strict=True)
+    focal_std = tuple(one.repeated * float(sigma if free else one.focal_std) for free, sigma, one in freed)
+    rig = _in_world(Rig(result.cameras), views, adjusted, origin)
+    rejected = [(int(views.frames[t]), views.cameras[c]) for t, c in adjusted.rejected]
+    rejected += [(int(views.frames[t]), views.cameras[c]) for c in start.group for t in start.intrinsics[c].rejected]
+    bend = bend_of(views.board.points, sightings, result)
+    excluded = [c for c in range(len(views.cameras)) if c not in start.group]
+    found = (
+        *views.findings,
+        *checks.check_excluded(views, excluded, start.intrinsics, views.cameras[start.group[0]]),
+        *_check_rig(start, adjusted, rig, lenses),
+        *checks.check_flat(bend, views.board.points),
+        *(checks.check_in_step(*errors) if len(start.group) >= 2 else ()),
+        *checks.check_lenses(rig, single, focal_std, _covered(rig, sightings)),
     )
     lacks = ("the pose of every camera",) if len(rig) == 1 else ("which way is up",) if rig.vertical is None else ()
+    about = [str(finding) for finding in found[len(views.findings) + len(excluded) :]]
     metadata = {
         "format": "Asterism rig",
         "calibrated_from": str(views.board),
-        "frames": len(frames),
-        "reprojection_rms_px": adjustment.rms,
-        **({"doubts": list(doubts)} if doubts else {}),
+        "frames": len(adjusted.used),
+        "reprojection_rms_px": result.rms,
+        **({"findings": about} if about else {}),
     }
-    rig = replace(rig, metadata=metadata, lacks=lacks)
     return BoardCalibration(
-        rig,
-        views,
-        single,
-        adjustment,
-        frames,
-        sightings,
-        tuple(sorted(left_out)),
-        tuple(apart),
-        tuple(focal_std),
-        doubts,
-        links,
-        tuple(views.cameras[c] for c in order),
-        (*others, *torn),
-        bend,
-    )
+        replace(rig, metadata=metadata, lacks=lacks), views, single, result, adjusted.used, sightings, tuple(sorted(rejected)),
+        tuple(views.cameras[c] for c in excluded), focal_std, start.links, tuple(views.cameras[c] for c in start.order), bend, found,
+    )  # fmt: skip
+
+
+def _check_rig(start: _Start, adjusted: _Adjusted, rig: Rig, lenses: dict[int, Camera]) -> list[Finding]:
+    """What speaks against known lenses and links of cameras. Few shared views are only named where the links are consistent."""
+    views, sightings = start.views, adjusted.sightings
+    kept = links_between([np.unique(sightings.frame[sightings.camera == c]) for c in range(len(start.group))])
+    own = start.links.groups[0]
+    known = list(checks.check_known_lenses(views, lenses, start.intrinsics))
+    links = list(checks.check_links(rig, start.links.shared[np.ix_(own, own)], kept, views.board))
+    return [*known, *(links or checks.check_few_shared(rig, kept))]
+
+
+def _covered(rig: Rig, sightings: Sightings) -> tuple[float, ...]:
+    return tuple(checks.share_covered(camera, sightings.xy[sightings.camera == c]) for c, camera in enumerate(rig))
 
 
 def _known_lenses(views: BoardViews, known: Rig | None) -> dict[int, Camera]:
@@ -232,69 +242,77 @@ def _known_lenses(views: BoardViews, known: Rig | None) -> dict[int, Camera]:
     return {c: replace(camera, size=views.sizes[c]) for c, camera in lenses.items() if views.sizes[c] != (0, 0)}
 
 
-def _each_alone(views: BoardViews, lenses: dict[int, Camera], progress: Progress | None) -> tuple[dict[int, Alone], list[str]]:
-    """Every camera calibrated by itself, by its place; and a sentence for each that cannot be."""
-    alone: dict[int, Alone] = {}
-    apart: list[str] = []
+def _calibrate_each(views: BoardViews, lenses: dict[int, Camera], progress: Progress | None) -> dict[int, Intrinsics]:
+    """Every camera calibrated by itself, by its number. Raises AsterismError where none can be."""
+    intrinsics: dict[int, Intrinsics] = {}
     for c, name in enumerate(views.cameras):
         if progress is not None:
             progress(0.8 * c / len(views.cameras), f"calibrating camera {name}")
-        seen = int((views.counts[:, c] > 0).sum())
-        own = views.seen.select(views.seen.camera == c)
-        one = calibrate_alone(name, views.sizes[c], views.board.points, own, lenses.get(c)) if seen else None
-        if one is not None:
-            alone[c] = one
+        if not (views.counts[:, c] > 0).any():
             continue
-        apart.append(
-            f"camera {name} saw the board in {seen} of {views.looked[c]} images, too few different ones that agree on a lens; show it "
-            "the board tilted, near and far."
-        )
-    if not alone:
-        raise AsterismError(f"no camera can be calibrated: {' '.join(apart)}")
-    return alone, apart
+        own = views.seen.select(views.seen.camera == c)
+        one = calibrate_intrinsics(name, views.sizes[c], views.board.points, own, lenses.get(c))
+        if one is not None:
+            intrinsics[c] = one
+    if not intrinsics:
+        why = checks.check_excluded(views, range(len(views.cameras)), {}, "")
+        raise AsterismError(f"no camera can be calibrated: {' '.join(str(finding) for finding in why)}")
+    return intrinsics
 
 
-def _adjusted(
-    views: BoardViews, points: Floats, alone: dict[int, Alone], started: dict[int, Camera], chosen: list[int], lens: dict[int, list[str]]
-) -> tuple[Adjustment, Sightings, Any, list[tuple[int, int]]]:
+@dataclass(frozen=True)
+class _Adjusted:
+    """A bundle adjustment: its sightings, frames counted without holes; the frames (T,) used; the views (frame, camera) rejected."""
+
+    result: Adjustment
+    sightings: Sightings
+    used: Ints
+    rejected: list[tuple[int, int]]
+
+
+def _adjusted(start: _Start, lens: dict[int, list[str]]) -> _Adjusted:
     """The bundle adjustment of poses and these parts of each lens, again without the views that do not fit, until all do."""
-    place = {c: i for i, c in enumerate(chosen)}
-    good = np.zeros((len(views.moments), len(views.cameras)), dtype=bool)
-    for c in chosen:
-        good[alone[c].frames, c] = True
-    cameras = [started[c] for c in chosen]
-    dropped: list[tuple[int, int]] = []
+    views, group = start.views, start.group
+    place = {c: i for i, c in enumerate(group)}
+    good = np.zeros((len(views.frames), len(views.cameras)), dtype=bool)
+    for c in group:
+        good[start.intrinsics[c].frames, c] = True
+    cameras = [start.cameras[c] for c in group]
+    free = np.concatenate([free_parameters(1, "pose", *lens[c]) for c in group])
+    rejected: list[tuple[int, int]] = []
     for _ in range(_ROUNDS):
         kept = views.seen.select(good[views.seen.frame, views.seen.camera])
         local = Sightings(kept.frame, np.array([place[c] for c in kept.camera], dtype=np.int64), kept.point, kept.xy)
         compact, frames = local.compact()
-        turned, placed = first_boards(alone, {c: cameras[place[c]] for c in chosen}, frames)
-        prior = _expected(cameras)
-        free = np.concatenate([free_parameters(1, "pose", *lens[c]) for c in chosen])
-        result = adjust(
-            cameras, points, compact, turned, placed, free=free, prior=prior, settings=AdjustSettings(tolerance=1e-9, steps=100)
-        )
-        cell = compact.frame * len(cameras) + compact.camera
-        square = np.where(np.isfinite(result.residuals[:, 0]), np.square(result.residuals).sum(axis=1), 1e6)
-        number = np.bincount(cell, minlength=len(frames) * len(cameras))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            errors = np.sqrt(np.bincount(cell, square, minlength=len(number)) / number)
-        outlying = np.nonzero(errors > max(_OUTLYING * float(np.nanmedian(errors)), _OUTLYING_PX))[0]
+        turned, placed = first_boards(start.intrinsics, {c: cameras[place[c]] for c in group}, frames)
+        settings = AdjustSettings(tolerance=1e-9, steps=100)
+        result = adjust(cameras, views.board.points, compact, turned, placed, free=free, prior=_expected(cameras), settings=settings)
         cameras = list(result.cameras)
+        outlying = _outlying(result, compact, len(frames), len(cameras))
         if not len(outlying):
             break
         for at in outlying.tolist():
-            t, c = int(frames[at // len(cameras)]), chosen[at % len(cameras)]
+            t, c = int(frames[at // len(cameras)]), group[at % len(cameras)]
             still = good.copy()
             still[t, c] = False
             if still[:, c].any():
                 good = still
-                dropped.append((t, c))
-    return result, compact, frames, dropped
+                rejected.append((t, c))
+    return _Adjusted(result, compact, frames, rejected)
+
+
+def _outlying(result: Adjustment, sightings: Sightings, frames: int, cameras: int) -> Ints:
+    """The views, frame * cameras + camera, whose error is far above the median."""
+    cell = sightings.frame * cameras + sightings.camera
+    square = np.where(np.isfinite(result.residuals[:, 0]), np.square(result.residuals).sum(axis=1), 1e6)
+    number = np.bincount(cell, minlength=frames * cameras)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        errors = np.sqrt(np.bincount(cell, square, minlength=len(number)) / number)
+    return np.nonzero(errors > max(_OUTLYING * float(np.nanmedian(errors)), _OUTLYING_PX))[0]
 
 
 def _expected(cameras: list[Camera]) -> tuple[Floats, Floats]:
-    """Values and standard deviations (C, 15) before anyone has seen anything, see _EXPECTED; the latter in px of noise."""
+    """Values and standard deviations (C, 15) before any view, see _EXPECTED; the latter in px of noise."""
     values, spread = np.zeros((len(cameras), 15)), np.full((len(cameras), 15), np.inf)
     for c, camera in enumerate(cameras):
         width, height = camera.size or (1, 1)
@@ -306,8 +324,8 @@ def _expected(cameras: list[Camera]) -> tuple[Floats, Floats]:
     return values, spread / _NOISE_PX
 
 
-def _in_world(rig: Rig, views: BoardViews, adjustment: Adjustment, frames: Any, origin: int | None) -> Rig:
-    """The rig in the axes of its first camera, or of the board at a moment: x along its rows, z up from its print. One has no pose."""
+def _in_world(rig: Rig, views: BoardViews, adjusted: _Adjusted, origin: int | None) -> Rig:
+    """The rig in the axes of its first camera, or of the board in a frame: x along its rows, z up from its print. One has no pose."""
     if len(rig) == 1:
         if origin is not None:
             raise AsterismError(f"camera {rig.names[0]} is alone, a rig of one camera has no world; leave out the origin.")
@@ -315,10 +333,10 @@ def _in_world(rig: Rig, views: BoardViews, adjustment: Adjustment, frames: Any, 
     if origin is None:
         first = rig.cameras[0]
         return rig.moved(first.rotation, first.translation)
-    at = np.nonzero(views.moments[frames] == origin)[0]
+    at = np.nonzero(views.frames[adjusted.used] == origin)[0]
     if not len(at):
         raise AsterismError(f"no camera saw the board at frame {origin}, which is to be the origin; name one of those where it was seen.")
-    turned, placed = adjustment.rotations[at[0]], adjustment.translations[at[0]]
+    turned, placed = adjusted.result.rotations[at[0]], adjusted.result.translations[at[0]]
     world_from_board = np.diag([1.0, -1.0, -1.0])
     rig = rig.moved(world_from_board @ turned.T, -world_from_board @ turned.T @ placed)
     return replace(rig, vertical=np.array([0.0, 0.0, 1.0]))

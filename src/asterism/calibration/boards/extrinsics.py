@@ -7,19 +7,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asterism.calibration.boards.intrinsics import Alone
+from asterism.calibration.boards.intrinsics import Intrinsics
 from asterism.cameras.bundle import Sightings
 from asterism.cameras.camera import Camera
 from asterism.recording import Floats, Ints
 
 _MOST_COMPARED = 80
+"""Shared views, those of least error, whose relative poses are compared."""
 
 
 @dataclass(frozen=True)
 class Links:
     """How cameras hang together by views that they share.
 
-    shared     (C, C) moments that two cameras share
+    shared     (C, C) frames that two cameras share
     groups     cameras by place that hang together, the largest group first (by views, then by order)
     tree       (from, to) pairs that reach every camera of the first group from its best connected one, strongest links first
     """
@@ -30,7 +31,7 @@ class Links:
 
 
 def links_between(frames: Sequence[Ints]) -> Links:
-    """The view graph of cameras that saw the board at these moments, and its maximum spanning tree. O(C2 T)."""
+    """The view graph of cameras that saw the board in these frames, and its maximum spanning tree. O(C2 T)."""
     count = len(frames)
     shared = np.array([[len(np.intersect1d(a, b)) for b in frames] for a in frames], dtype=np.int64).reshape(count, count)
     left = set(range(count))
@@ -55,21 +56,23 @@ def links_between(frames: Sequence[Ints]) -> Links:
     return Links(shared, tuple(groups), tuple(tree))
 
 
-def first_rig(alone: dict[int, Alone], links: Links, middle: Floats | None = None) -> dict[int, Camera]:
+def first_rig(intrinsics: dict[int, Intrinsics], links: Links, middle: Floats | None = None) -> dict[int, Camera]:
     """Poses along the tree, the root's axes being the world: each link is the relative pose that most shared views agree on.
 
-    middle  (3,) m of a board that looks the same upside down, else None: each view then tells two poses, of which one is right
+    middle  (3,) m of a board that looks the same upside down, else None: each view then allows two poses, of which one is right
     """
     root = links.tree[0][0] if links.tree else links.groups[0][0]
-    cameras = {root: replace(alone[root].camera, posed=True)}
+    cameras = {root: replace(intrinsics[root].camera, posed=True)}
     for start, end in links.tree:
-        turn, shift = _relative(alone[start], alone[end], middle)
+        turn, shift = _relative(intrinsics[start], intrinsics[end], middle)
         base = cameras[start]
-        cameras[end] = replace(alone[end].camera, rotation=turn @ base.rotation, translation=turn @ base.translation + shift, posed=True)
+        cameras[end] = replace(
+            intrinsics[end].camera, rotation=turn @ base.rotation, translation=turn @ base.translation + shift, posed=True
+        )
     return cameras
 
 
-def _relative(one: Alone, other: Alone, middle: Floats | None) -> tuple[Floats, Floats]:
+def _relative(one: Intrinsics, other: Intrinsics, middle: Floats | None) -> tuple[Floats, Floats]:
     """The pose other from one, (3, 3) and (3,) m: of the shared views' poses the one to which the others are nearest in the median."""
     _, mine, theirs = np.intersect1d(one.frames, other.frames, return_indices=True)
     order = np.argsort(one.errors[mine] + other.errors[theirs], kind="stable")[:_MOST_COMPARED]
@@ -82,8 +85,8 @@ def _relative(one: Alone, other: Alone, middle: Floats | None) -> tuple[Floats, 
     # candidates k against both ways w of each view n: their angle, and their distance as a share of that to the board
     cosines = 0.5 * (np.einsum("kij,wnij->kwn", turns.reshape(-1, 3, 3), turns) - 1.0)
     far = np.linalg.norm(shifts.reshape(-1, 1, 1, 3) - shifts, axis=3) / reach
-    apart = np.median((np.arccos(np.clip(cosines, -1.0, 1.0)) + far).min(axis=1), axis=1)
-    best = int(np.argmin(apart))
+    disagreement = np.median((np.arccos(np.clip(cosines, -1.0, 1.0)) + far).min(axis=1), axis=1)
+    best = int(np.argmin(disagreement))
     return turns.reshape(-1, 3, 3)[best], shifts.reshape(-1, 3)[best]
 
 
@@ -93,19 +96,19 @@ def _upside_down(turned: Floats, placed: Floats, middle: Floats) -> tuple[Floats
 
 
 def numbered_alike(
-    alone: dict[int, Alone], cameras: dict[int, Camera], seen: Sightings, last: int, middle: Floats
-) -> tuple[dict[int, Alone], Sightings]:
-    """A board that looks the same upside down, numbered at each moment from the end that the camera with the least error took.
+    intrinsics: dict[int, Intrinsics], cameras: dict[int, Camera], seen: Sightings, last: int, middle: Floats
+) -> tuple[dict[int, Intrinsics], Sightings]:
+    """A board that looks the same upside down, numbered in each frame from the end that the camera with the least error took.
 
     last    the number of the board's last point; middle (3,) m of the board
     Returns the views of these cameras, and all sightings, with points renumbered.
     """
-    frames = np.unique(np.concatenate([alone[c].frames for c in cameras]))
-    ends, _ = first_boards(alone, cameras, frames)
-    numbered: dict[int, Alone] = {}
+    frames = np.unique(np.concatenate([intrinsics[c].frames for c in cameras]))
+    ends, _ = first_boards(intrinsics, cameras, frames)
+    numbered: dict[int, Intrinsics] = {}
     point = seen.point.copy()
     for c, camera in cameras.items():
-        own = alone[c]
+        own = intrinsics[c]
         along = (camera.rotation.T @ own.rotations)[:, :, 0]
         other = (along * ends[np.searchsorted(frames, own.frames), :, 0]).sum(axis=1) < 0
         turned, placed = _upside_down(own.rotations, own.translations, middle)
@@ -119,15 +122,15 @@ def numbered_alike(
     return numbered, Sightings.of(seen.frame, seen.camera, point, seen.xy)
 
 
-def first_boards(alone: dict[int, Alone], cameras: dict[int, Camera], frames: Ints) -> tuple[Floats, Floats]:
-    """The board at each of these moments, world from board, (T, 3, 3) and (T, 3) m: as the camera with the least error saw it."""
+def first_boards(intrinsics: dict[int, Intrinsics], cameras: dict[int, Camera], frames: Ints) -> tuple[Floats, Floats]:
+    """The board in each of these frames, world from board, (T, 3, 3) and (T, 3) m: as the camera with the least error saw it."""
     turned, placed = np.empty((len(frames), 3, 3)), np.empty((len(frames), 3))
     best = np.full(len(frames), np.inf)
     for c, camera in cameras.items():
-        _, mine, at = np.intersect1d(alone[c].frames, frames, return_indices=True)
-        better = alone[c].errors[mine] < best[at]
+        _, mine, at = np.intersect1d(intrinsics[c].frames, frames, return_indices=True)
+        better = intrinsics[c].errors[mine] < best[at]
         mine, at = mine[better], at[better]
-        best[at] = alone[c].errors[mine]
-        turned[at] = camera.rotation.T @ alone[c].rotations[mine]
-        placed[at] = (alone[c].translations[mine] - camera.translation) @ camera.rotation
+        best[at] = intrinsics[c].errors[mine]
+        turned[at] = camera.rotation.T @ intrinsics[c].rotations[mine]
+        placed[at] = (intrinsics[c].translations[mine] - camera.translation) @ camera.rotation
     return turned, placed

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
 from asterism.formats._text import decoded, read_bytes
 from asterism.recording import Ints
 
@@ -19,8 +20,8 @@ _IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
 _VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm")
 _LISTS = (".yml", ".yaml", ".xml")
 TIMES_FILE = "timestamps.csv"
-ALONE = -1
-"""The moment of an image that no other camera took part in, for images without a number: they count down from here."""
+UNNUMBERED = -1
+"""Images without a number belong to no frame of other cameras: their frames count down from here."""
 
 
 @dataclass(frozen=True)
@@ -30,57 +31,72 @@ class Footage:
     name     of the camera
     images   the image files in order, empty for a video
     video    the video file, or None
-    moments  (n,) int: images of different cameras with the same number were taken together
+    frames   (n,) int: images of different cameras with the same number were taken together
+    findings what is wrong with its files; images that cannot be read are known once they were gone through
     """
 
     name: str
     images: tuple[Path, ...]
     video: Path | None
-    moments: Ints
-    notes: list[str] = field(default_factory=list)
+    frames: Ints
+    findings: list[Finding] = field(default_factory=list)
 
     def __len__(self) -> int:
-        return len(self.moments)
+        return len(self.frames)
 
-    def image(self, moment: int) -> str:
-        """What to call the image of a moment in a message."""
-        at = int(np.argmax(self.moments == moment))
+    def image(self, frame: int) -> str:
+        """What to call the image of a frame in a message."""
+        at = int(np.argmax(self.frames == frame))
         return str(self.images[at]) if self.video is None else f"{self.video}, frame {at}"
 
     def __iter__(self) -> Iterator[tuple[int, Any]]:
-        """Each moment with its grey image (H, W) uint8. What cannot be read is left out and told in `notes`."""
+        """Each frame number with its grey image (H, W) uint8. What cannot be read is left out, which is a finding."""
         import cv2
 
         if self.video is None:
-            for moment, path in zip(self.moments.tolist(), self.images, strict=True):
+            for frame, path in zip(self.frames.tolist(), self.images, strict=True):
                 image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
                 if image is None:
-                    self.notes.append(f"{path} is no image that can be read; it was left out.")
+                    self.findings.append(_unreadable(path))
                     continue
-                yield moment, image
+                yield frame, image
             return
         film, read = cv2.VideoCapture(str(self.video)), 0
         try:
-            for moment in self.moments.tolist():
+            for frame in self.frames.tolist():
                 there, image = film.read()
                 if not there:
                     break
                 read += 1
-                yield moment, image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+                yield frame, image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         finally:
             film.release()
-        if read < len(self.moments):
-            self.notes.append(f"{self.video} breaks off after {read} of {len(self.moments)} frames; the rest is missing.")
+        if read < len(self.frames):
+            self.findings.append(
+                Finding(
+                    "board-video-cut",
+                    Severity.WARNING,
+                    str(self.video),
+                    f"{self.video} breaks off after {read} of {len(self.frames)} frames; the rest is missing.",
+                    "Copy or convert it again.",
+                )
+            )
+
+
+def _unreadable(path: Path) -> Finding:
+    return Finding(
+        "board-image-unreadable", Severity.WARNING, str(path), f"{path} cannot be read as an image; it was left out.", "Copy it again."
+    )
 
 
 def footage_of(paths: Sequence[str | Path]) -> list[Footage]:
     """The cameras in these files and folders.
 
-    A video is a camera, named as the file; its frames are the moments 0, 1, ..., or those of a timestamps.csv beside it (caliscope's
-    sync_index, cam_id). A folder with images is a camera, named as the folder, unless its images' names begin with several cameras' names
-    (left01.jpg, right01.jpg); the number at a name's end is the moment. A folder with folders or videos has one camera in each. An OpenCV
-    image list (.yml, .xml) stands for its images. Raises AsterismError, naming the path, where nothing can be read or two cameras
-    have one name.
+    A video is a camera, named as the file; its frames are numbered 0, 1, ..., or as those of a timestamps.csv beside it (caliscope's
+    sync_index, cam_id). A folder with images is a camera, named as the folder, unless its images' names begin with several cameras'
+    names (left01.jpg, right01.jpg); the number at a name's end is that of the frame. A folder with folders or videos has one camera in
+    each. An OpenCV image list (.yml, .xml) stands for its images. Raises AsterismError, naming the path, where nothing can be read or
+    two cameras have one name.
     """
     images: list[tuple[Path, str | None]] = []
     videos: list[Path] = []
@@ -114,7 +130,7 @@ def _collect(path: Path, images: list[tuple[Path, str | None]], videos: list[Pat
     elif path.suffix.casefold() in _IMAGES:
         images.append((path, None))
     else:
-        raise AsterismError(f"{path} is no image, video, image list or folder; name those that show the board.")
+        raise AsterismError(f"{path} is not an image, video, image list or folder; name those that show the board.")
 
 
 def _listed(path: Path) -> list[Path]:
@@ -137,15 +153,15 @@ def _image_cameras(images: list[tuple[Path, str | None]]) -> list[Footage]:
     for path, folder in images:
         prefix, number = _parts(path)
         own = cameras.setdefault(folder or prefix or "camera", [])
-        own.append((number if number is not None else ALONE - len(own), path))
+        own.append((number if number is not None else UNNUMBERED - len(own), path))
     made = []
     for name, own in cameras.items():
         own.sort()
-        moments = [moment for moment, _ in own]
-        twice = next((path for i, (moment, path) in enumerate(own) if i and moment == moments[i - 1]), None)
+        frames = [frame for frame, _ in own]
+        twice = next((path for i, (frame, path) in enumerate(own) if i and frame == frames[i - 1]), None)
         if twice is not None:
             raise AsterismError(f"{twice}: camera {name} has two images with this number; keep one of them.")
-        made.append(Footage(name, tuple(path for _, path in own), None, np.array(moments, dtype=np.int64)))
+        made.append(Footage(name, tuple(path for _, path in own), None, np.array(frames, dtype=np.int64)))
     return made
 
 
@@ -156,19 +172,27 @@ def _video(path: Path) -> Footage:
     count = int(film.get(cv2.CAP_PROP_FRAME_COUNT)) if film.isOpened() else 0
     film.release()
     if count <= 0:
-        raise AsterismError(f"{path} is no video that can be read; it may be cut off, convert or copy it again.")
-    notes: list[str] = []
-    moments = np.arange(count, dtype=np.int64)
+        raise AsterismError(f"{path} cannot be read as a video; it may be cut off, convert or copy it again.")
+    findings: list[Finding] = []
+    frames = np.arange(count, dtype=np.int64)
     times = path.with_name(TIMES_FILE)
     if times.is_file():
-        told = _told_moments(times, path)
-        if len(told) != count:
-            notes.append(f"{times} has {len(told)} frames of {path.stem} and the video has {count}; they were matched from the first on.")
-        moments = told[:count] if len(told) else moments
-    return Footage(path.stem, (), path, moments, notes)
+        given = _synchronised_frames(times, path)
+        if len(given) != count:
+            findings.append(
+                Finding(
+                    "board-times-differ",
+                    Severity.WARNING,
+                    str(times),
+                    f"{times} has {len(given)} frames of {path.stem} and the video has {count}; they were matched from the first on.",
+                    "Give the file that belongs to the video, or remove it.",
+                )
+            )
+        frames = given[:count] if len(given) else frames
+    return Footage(path.stem, (), path, frames, findings)
 
 
-def _told_moments(times: Path, video: Path) -> Ints:
+def _synchronised_frames(times: Path, video: Path) -> Ints:
     """The sync_index of each frame of a video; empty where the file does not know its camera."""
     rows = list(csv.DictReader(decoded(times, read_bytes(times)).splitlines()))
     if not rows or not {"sync_index", "cam_id"} <= set(rows[0]):
@@ -183,5 +207,5 @@ def _told_moments(times: Path, video: Path) -> Ints:
             and (row["cam_id"] == video.stem or (number is not None and row["cam_id"] == str(number)))
         ]
     except ValueError as problem:
-        raise AsterismError(f"{times}: a number in it is none ({problem}); mend it.") from problem
-    return np.array([moment for _, moment in sorted(own)], dtype=np.int64)
+        raise AsterismError(f"{times}: a cell is not a number ({problem}); correct it.") from problem
+    return np.array([frame for _, frame in sorted(own)], dtype=np.int64)

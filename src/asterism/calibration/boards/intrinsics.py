@@ -1,4 +1,4 @@
-"""One camera by itself: its views of a board in; its lens (OpenCV's calibration), and where the board was in each view, out."""
+"""Views of a board by one camera in; its lens (OpenCV's calibration), and where the board was in each view, out."""
 
 from __future__ import annotations
 
@@ -17,23 +17,25 @@ from asterism.recording import Floats, Ints
 
 Single = NDArray[np.float32]
 
-MOST_VIEWS = 60
-LEAST_VIEWS = 3
+MOST_VIEWS, LEAST_VIEWS = 60, 3
+"""Views that OpenCV's calibration uses, and different ones that it needs."""
 _STILL = 0.01
+"""Of the image's longer side: a view whose corners are all nearer than this to those of another shows nothing new."""
 _OUTLYING, _OUTLYING_PX = 4.0, 1.0
+"""A view is rejected whose error is so many times the median, and above so many px."""
 
 
 @dataclass(frozen=True)
-class Alone:
+class Intrinsics:
     """One camera calibrated by itself.
 
     camera      without a pose; `error` is the RMS of its calibration
-    frames      (V,) the moments of the views that were used, of all that can be used
+    frames      (V,) the frames of the views that were used, of all that can be used
     rotations   (V, 3, 3), translations (V, 3) m: camera from board
     errors      (V,) px, RMS of each view
-    left_out    (n,) moments of views that do not fit the others
+    rejected    (n,) frames of views that do not fit the others
     focal_std   px, standard deviation of fx by that calibration
-    different   of these views how many show the board elsewhere than another: a board that rests tells nothing new
+    different   how many of these views show the board elsewhere than another: a board that rests adds nothing new
     """
 
     camera: Camera
@@ -41,13 +43,13 @@ class Alone:
     rotations: Floats
     translations: Floats
     errors: Floats
-    left_out: Ints
+    rejected: Ints
     focal_std: float
     different: int
 
     @property
     def repeated(self) -> float:
-        """By how much standard deviations are larger than they would be if each view told something new."""
+        """By how much standard deviations are larger than they would be if each view showed something new."""
         return float(np.sqrt(len(self.frames) / self.different))
 
     @property
@@ -56,7 +58,9 @@ class Alone:
         return float(np.sqrt(np.mean(self.errors**2)))
 
 
-def calibrate_alone(name: str, size: tuple[int, int], points: Floats, seen: Sightings, lens: Camera | None = None) -> Alone | None:
+def calibrate_intrinsics(
+    name: str, size: tuple[int, int], points: Floats, seen: Sightings, lens: Camera | None = None
+) -> Intrinsics | None:
     """The lens of one camera from its views of a board, and the board's pose in each; None with less than three different views that agree.
 
     With a known lens one view is enough.
@@ -71,9 +75,9 @@ def calibrate_alone(name: str, size: tuple[int, int], points: Floats, seen: Sigh
     starts = np.searchsorted(seen.frame, np.append(frames, frames[-1] + 1 if len(frames) else 0))
     objects = [points[seen.point[a:b]].astype(np.float32) for a, b in pairwise(starts.tolist())]
     images = [seen.xy[a:b].astype(np.float32) for a, b in pairwise(starts.tolist())]
-    good, elsewhere = np.ones(len(frames), dtype=bool), _elsewhere(points, objects, images, size)
-    while (good & elsewhere).sum() >= (LEAST_VIEWS if lens is None else 1):
-        calibrated = _lens(name, size, objects, images, good) if lens is None else (_bare(lens), 0.0)
+    good, new = np.ones(len(frames), dtype=bool), _shows_new(points, objects, images, size)
+    while (good & new).sum() >= (LEAST_VIEWS if lens is None else 1):
+        calibrated = _lens(name, size, objects, images, good) if lens is None else (_without_pose(lens), 0.0)
         if calibrated is None:
             return None
         camera, focal_std = calibrated
@@ -91,14 +95,14 @@ def calibrate_alone(name: str, size: tuple[int, int], points: Floats, seen: Sigh
     placed = np.stack([poses[i][1] for i in kept])  # type: ignore[index]
     if lens is not None:
         camera = replace(camera, error=float(np.sqrt(np.mean(errors[kept] ** 2))))
-    different = max(1, int((good & elsewhere).sum()))
-    return Alone(camera, frames[kept], turned, placed, errors[kept], frames[~good], focal_std, different)
+    different = max(1, int((good & new).sum()))
+    return Intrinsics(camera, frames[kept], turned, placed, errors[kept], frames[~good], focal_std, different)
 
 
 def _lens(
     name: str, size: tuple[int, int], objects: list[Single], images: list[Single], good: NDArray[np.bool_]
 ) -> tuple[Camera, float] | None:
-    """OpenCV's calibration of the good views, and the standard deviation of fx, px; None where they say nothing."""
+    """OpenCV's calibration of the good views, and the standard deviation of fx, px; None where they do not determine it."""
     import cv2
 
     used = np.nonzero(good)[0]
@@ -111,19 +115,19 @@ def _lens(
             [objects[i] for i in used], [images[i] for i in used], size, None, None, flags=flags
         )
         camera = Camera.from_opencv(name, np.asarray(matrix), np.asarray(lens).ravel()[:5], size=size)
-    except (cv2.error, AsterismError):  # views that say nothing, such as many times the same
+    except (cv2.error, AsterismError):  # views that determine nothing, such as many times the same
         return None
     finally:
         cv2.setNumThreads(threads)
     return replace(camera, error=float(error)), float(np.ravel(spread)[0])
 
 
-def _bare(camera: Camera) -> Camera:
+def _without_pose(camera: Camera) -> Camera:
     """The lens of a camera, without its pose."""
     return replace(camera, rotation=np.eye(3), translation=np.zeros(3), posed=False)
 
 
-def _elsewhere(points: Floats, objects: Sequence[Single], images: Sequence[Single], size: tuple[int, int]) -> NDArray[np.bool_]:
+def _shows_new(points: Floats, objects: Sequence[Single], images: Sequence[Single], size: tuple[int, int]) -> NDArray[np.bool_]:
     """(V,) whether a view shows the board elsewhere than all views before: one of its corners farther by a hundredth of the image.
 
     points  (K, 3) m of the board, of which views show some; corners follow by a homography

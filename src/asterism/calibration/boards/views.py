@@ -1,8 +1,8 @@
-"""Footage and a board in; which of its points each camera saw where, at which moment, out."""
+"""Footage and a board in; which of its points each camera saw where, in which frame, out."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -12,12 +12,16 @@ from asterism.calibration.boards.board import Board, Finder
 from asterism.calibration.boards.footage import Footage
 from asterism.cameras.bundle import Sightings
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
 from asterism.progress import Progress
 from asterism.recording import Ints
 
-_ALONE_APART = 1_000_000
+Row = tuple[int, int, int, float, float]
+"""frame, camera, point, x and y (px)."""
+_UNNUMBERED_STEP = 1_000_000
+"""Images without a frame number get numbers of their own, so far apart from camera to camera."""
 LEAST_POINTS = 6
-"""A view with fewer points says nothing sure about the lens."""
+"""A view with fewer points does not constrain the lens."""
 
 
 @dataclass(frozen=True)
@@ -26,25 +30,25 @@ class BoardViews:
 
     cameras   (C,) names
     sizes     (C,) (width, height) px of each camera's images
-    moments   (T,) the number of each moment at which the board was seen, ascending; negative for images that stand alone
-    seen      sightings, frame counting `moments`, point counting the board's points
-    looked    (C,) how many images were looked at
-    notes     what was strange about files, one sentence each
+    frames    (T,) the number of each frame in which the board was seen, ascending; negative for images without a frame number
+    seen      sightings, frame counting `frames`, point counting the board's points
+    images    (C,) how many images were searched
+    findings  what is wrong with files
     """
 
     board: Board
     cameras: tuple[str, ...]
     sizes: tuple[tuple[int, int], ...]
-    moments: Ints
+    frames: Ints
     seen: Sightings
-    looked: tuple[int, ...]
-    notes: tuple[str, ...] = ()
+    images: tuple[int, ...]
+    findings: tuple[Finding, ...] = ()
 
     @property
     def counts(self) -> Ints:
         """(T, C) points seen of the board."""
-        return np.bincount(self.seen.frame * len(self.cameras) + self.seen.camera, minlength=len(self.moments) * len(self.cameras)).reshape(
-            len(self.moments), len(self.cameras)
+        return np.bincount(self.seen.frame * len(self.cameras) + self.seen.camera, minlength=len(self.frames) * len(self.cameras)).reshape(
+            len(self.frames), len(self.cameras)
         )
 
 
@@ -55,51 +59,74 @@ def find_board(footage: Sequence[Footage], board: Board, *, every: int = 1, prog
     Raises AsterismError where no camera saw the board.
     """
     finder = Finder(board)
-    places = board.points[:, :2]
     total, done = max(1, sum(len(one) for one in footage)), 0
-    rows: list[tuple[int, int, int, float, float]] = []
-    sizes: list[tuple[int, int]] = []
-    looked: list[int] = []
-    notes: list[str] = []
+    found: list[_CameraViews] = []
     for c, camera in enumerate(footage):
-        by_size: dict[tuple[int, int], list[tuple[int, int, int, float, float]]] = {}
-        moments_of: dict[tuple[int, int], list[int]] = {}
-        count = 0
-        for moment, image in islice(camera, 0, None, every):
-            count += 1
-            size = (int(image.shape[1]), int(image.shape[0]))
-            moments_of.setdefault(size, []).append(moment)
-            point, xy = finder.find(image)
-            if len(point) >= LEAST_POINTS and np.linalg.matrix_rank(places[point] - places[point].mean(axis=0), tol=1e-9) == 2:
-                own = moment if moment >= 0 else moment - _ALONE_APART * c
-                by_size.setdefault(size, []).extend((own, c, int(p), float(x), float(y)) for p, (x, y) in zip(point, xy, strict=True))
+
+        def report(count: int, name: str = camera.name, done: int = done) -> None:
             if progress is not None:
-                progress(min(1.0, (done + count * every) / total), f"looking for the board, camera {camera.name}")
+                progress(min(1.0, (done + count * every) / total), f"looking for the board, camera {name}")
+
+        found.append(_find_in(camera, c, finder, every, report))
         done += len(camera)
-        usual = max(moments_of, key=lambda size: len(moments_of[size]), default=(0, 0))
-        notes += [
-            f"{camera.image(moment)} is {size[0]} x {size[1]}, other images of {camera.name} {usual[0]} x {usual[1]}; it was left out."
-            for size, odd in moments_of.items()
-            for moment in odd
-            if size != usual
-        ]
-        rows += by_size.get(usual, [])
-        sizes.append(usual)
-        looked.append(count)
+    rows = [row for one in found for row in one.rows]
     if not rows:
         how = {
             "chessboard": "it counts inner corners, and needs a white border",
             "charuco": "it counts squares, columns first; check the dictionary, and that images are not mirrored",
         }.get(board.kind, "it counts circles, columns first")
-        raise AsterismError(f"no camera saw the board ({board}) in {sum(looked)} images; check its size and kind: {how}.")
-    moments, frame = np.unique(np.array([row[0] for row in rows], dtype=np.int64), return_inverse=True)
+        raise AsterismError(
+            f"no camera saw the board ({board}) in {sum(one.images for one in found)} images; check its size and kind: {how}."
+        )
+    frames, frame = np.unique(np.array([row[0] for row in rows], dtype=np.int64), return_inverse=True)
     seen = Sightings.of(frame, [row[1] for row in rows], [row[2] for row in rows], [row[3:] for row in rows])
     return BoardViews(
         board,
         tuple(one.name for one in footage),
-        tuple(sizes),
-        moments,
+        tuple(one.size for one in found),
+        frames,
         seen,
-        tuple(looked),
-        (*(note for one in footage for note in one.notes), *notes),
+        tuple(one.images for one in found),
+        (*(finding for one in footage for finding in one.findings), *(finding for one in found for finding in one.findings)),
     )
+
+
+@dataclass(frozen=True)
+class _CameraViews:
+    """One camera's views: rows of frame, camera, point, x and y (px); the size of its images, how many there are, and what is wrong."""
+
+    rows: list[Row]
+    size: tuple[int, int]
+    images: int
+    findings: list[Finding]
+
+
+def _find_in(camera: Footage, number: int, finder: Finder, every: int, report: Callable[[int], None]) -> _CameraViews:
+    """The views of one camera, of those images that have the size of most."""
+    places = finder.board.points[:, :2]
+    rows: dict[tuple[int, int], list[Row]] = {}
+    frames: dict[tuple[int, int], list[int]] = {}
+    count = 0
+    for frame, image in islice(camera, 0, None, every):
+        count += 1
+        size = (int(image.shape[1]), int(image.shape[0]))
+        frames.setdefault(size, []).append(frame)
+        point, xy = finder.find(image)
+        if len(point) >= LEAST_POINTS and np.linalg.matrix_rank(places[point] - places[point].mean(axis=0), tol=1e-9) == 2:
+            own = frame if frame >= 0 else frame - _UNNUMBERED_STEP * number
+            rows.setdefault(size, []).extend((own, number, int(p), float(x), float(y)) for p, (x, y) in zip(point, xy, strict=True))
+        report(count)
+    usual = max(frames, key=lambda size: len(frames[size]), default=(0, 0))
+    findings = [
+        Finding(
+            "board-image-size",
+            Severity.WARNING,
+            str(camera.image(frame)),
+            f"{camera.image(frame)} is {size[0]} x {size[1]}, other images of {camera.name} {usual[0]} x {usual[1]}; it was left out.",
+            "Film with one camera in one size.",
+        )
+        for size, others in frames.items()
+        for frame in others
+        if size != usual
+    ]
+    return _CameraViews(rows.get(usual, []), usual, count, findings)

@@ -1,4 +1,7 @@
-"""Anchors: the points of three markers in; scores of every point as every other marker out."""
+"""Anchors: the points of three markers in; scores of every point as every other marker out.
+
+The plain twins are in `tests/twins_body.py`.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,13 @@ from asterism.labelling.body._workspace_kernels import LOG_2PI
 
 
 @kernel
-def _anchor_displacement(anchors, a, k, body, points, anchor_points, delta):
-    """OUT delta (9,): how far an anchor's points lie from a key pose's, once placed onto it. Returns its squared distance."""
+def _anchor_displacement(model, a, k, points, anchor_points, workspace):
+    """How far an anchor's points lie from its markers in a key pose, once placed onto them.
+
+    IN   model FrameModel; a anchor; k key pose; points (n, 3) m; anchor_points (3,) points of the anchor's markers
+    OUT  workspace.displacement. Returns its squared Mahalanobis distance. O(81).
+    """
+    anchors, body, delta = model.anchors, model.body, workspace.displacement
     cos, sin, here, there = fit_about_z(points, anchor_points, body.mean[k], anchors.markers[a])
     for i in range(3):
         m, row = anchors.markers[a, i], anchor_points[i]
@@ -29,22 +37,31 @@ def _anchor_displacement(anchors, a, k, body, points, anchor_points, delta):
 
 
 @kernel
-def anchor_key_pose(anchors, a, body, points, anchor_points, delta):
-    """The key pose that fits an anchor's own points best: (k, its log density, its squared distance). O(81 K)."""
+def anchor_key_pose(model, a, points, anchor_points, workspace):
+    """The key pose that fits an anchor's own points best: (k, log density in nats, squared Mahalanobis distance).
+
+    IN   model FrameModel; a anchor; points (n, 3) m; anchor_points (3,). OUT workspace.displacement is overwritten. O(81 K).
+    """
     best, best_log, best_distance = 0, -np.inf, np.inf
-    for k in range(len(body.log_weight)):
-        distance = _anchor_displacement(anchors, a, k, body, points, anchor_points, delta)
-        log_density = anchors.log_peak[k, a] - 0.5 * distance
+    for k in range(len(model.body.log_weight)):
+        distance = _anchor_displacement(model, a, k, points, anchor_points, workspace)
+        log_density = model.anchors.log_peak[k, a] - 0.5 * distance
         if log_density > best_log:
             best, best_log, best_distance = k, log_density, distance
     return best, best_log, best_distance
 
 
 @kernel
-def score_from_anchor(anchors, a, k, body, points, anchor_points, delta, settings, workspace):
-    """Score every point as every marker from an anchor alone (fills workspace.scores, like `leave_one_out_scores`). O(M n)."""
+def score_from_anchor(model, a, k, points, anchor_points, workspace):
+    """Score every point as every marker from an anchor alone.
+
+    The anchor's own markers score 50 nats for their points, and -inf for all others.
+    IN   model FrameModel; a anchor; k key pose; points (n, 3) m; anchor_points (3,) points of the anchor's markers
+    OUT  workspace.scores (M, n) nats, -inf where the point is too far to score above 0; workspace.aligned. O(M n).
+    """
+    anchors, body, delta = model.anchors, model.body, workspace.displacement
     markers, n = body.load.shape[1], len(points)
-    _anchor_displacement(anchors, a, k, body, points, anchor_points, delta)
+    _anchor_displacement(model, a, k, points, anchor_points, workspace)
     align_about_z(points, anchor_points, body.mean[k], anchors.markers[a], workspace.aligned)
     for m in range(markers):
         mx, my, mz = body.mean[k, m, 0], body.mean[k, m, 1], body.mean[k, m, 2]
@@ -53,7 +70,7 @@ def score_from_anchor(anchors, a, k, body, points, anchor_points, delta, setting
             my += anchors.gain[k, a, m, 1, i] * delta[i]
             mz += anchors.gain[k, a, m, 2, i] * delta[i]
         w = anchors.whiten[k, a, m]
-        base = anchors.log_scale[k, a, m] - 1.5 * LOG_2PI + settings.reward
+        base = anchors.log_scale[k, a, m] - 1.5 * LOG_2PI + model.settings.reward
         # no score above 0 beyond sqrt(2 base) standard deviations
         reach2 = 2.0 * max(base, 0.0) * anchors.max_variance[k, a, m]
         for c in range(n):

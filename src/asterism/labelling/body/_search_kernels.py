@@ -1,4 +1,7 @@
-"""Search: a frame's points and the anchors in; the distinct labellings that the anchors lead to out."""
+"""Search: a frame's points and the anchors in; the distinct labellings that the anchors lead to out.
+
+The plain twins are in `tests/twins_body.py`.
+"""
 
 from __future__ import annotations
 
@@ -10,27 +13,15 @@ from asterism._jit import kernel
 from asterism.labelling.body._anchor_kernels import anchor_key_pose, score_from_anchor
 from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
 from asterism.labelling.body._refine_kernels import refine
-from asterism.labelling.body._workspace_kernels import count_labelled
+from asterism.labelling.body._workspace_kernels import BodyWorkspace, count_labelled
 from asterism.labelling.partial._search_kernels import search
 
 MAX_LABELLINGS = 24
 """Labellings of one frame that are kept apart."""
 MAX_PROPOSAL_GAP = 20.0
-"""A proposal this many nats behind its anchor's best one is not followed up."""
-
-
-@kernel
-def _index_of(table, count, point_of):
-    """Where a labelling is among the first `count` rows of a table, -1 where it is not. O(count M)."""
-    for h in range(count):
-        same = True
-        for m in range(len(point_of)):
-            if table[h, m] != point_of[m]:
-                same = False
-                break
-        if same:
-            return h
-    return -1
+"""nats; a proposal that is farther behind its anchor's best one is not refined."""
+MAX_MARKER_SCORE = 25.0
+"""nats; one marker counts at most this much when an anchor's proposals are ranked."""
 
 
 class CandidateLabellings(NamedTuple):
@@ -54,58 +45,130 @@ class CandidateLabellings(NamedTuple):
     last_vote: np.ndarray
 
 
-@kernel
-def propose(anchors, a, body, points, found, solutions, settings, workspace, pick, pick_score, pose_of):
-    """Which of an anchor's triples are worth following up: those from which the whole body is found best.
+class SearchWorkspace(NamedTuple):
+    """Working arrays of one thread for the search in frames of n points: see `make_search_workspace`.
 
-    IN   found (solutions, 3) points of the anchor's markers
-    OUT  pick, pick_score (P,) the best of them and how well they explain the frame (nats); pose_of (solutions,) key pose of each
-    Returns the number of picks. O(solutions K + P M n).
+    body            BodyWorkspace
+    candidates      CandidateLabellings
+    order           (n,) order in which points are tried
+    triples         (S, 3) points of an anchor's markers, S = max(64, n^2)
+    triple_pose     (S,) key pose of each triple
+    triple_density  (S,) nats
+    best_triple     (P,) the triples to refine, best first
+    best_score      (P,) nats
+    trial           (M,) a labelling
     """
-    markers, n = body.load.shape[1], len(points)
-    delta, density = np.empty(9), np.empty(solutions)
+
+    body: BodyWorkspace
+    candidates: CandidateLabellings
+    order: np.ndarray
+    triples: np.ndarray
+    triple_pose: np.ndarray
+    triple_density: np.ndarray
+    best_triple: np.ndarray
+    best_score: np.ndarray
+    trial: np.ndarray
+
+
+@kernel
+def make_candidates(labellings, markers):
+    """Memory for so many labellings of one frame. O(H M)."""
+    return CandidateLabellings(
+        np.empty((labellings, markers), dtype=np.int64),
+        np.empty(labellings, dtype=np.int64),
+        np.empty((labellings, markers), dtype=np.int64),
+        np.empty(labellings),
+        np.empty(labellings, dtype=np.int64),
+        np.empty(labellings, dtype=np.int64),
+        np.empty(labellings, dtype=np.int64),
+    )
+
+
+@kernel
+def make_search_workspace(body, candidates, proposals):
+    """Working arrays for frames of as many points as the BodyWorkspace `body` is made for; proposals of one anchor. O(n^2) memory."""
+    n = len(body.aligned)
+    triples = max(64, n * n)
+    return SearchWorkspace(
+        body,
+        candidates,
+        np.arange(n),
+        np.empty((triples, 3), dtype=np.int64),
+        np.empty(triples, dtype=np.int64),
+        np.empty(triples),
+        np.empty(proposals, dtype=np.int64),
+        np.empty(proposals),
+        np.empty(len(body.all_markers), dtype=np.int64),
+    )
+
+
+@kernel
+def _index_of(table, count, point_of):
+    """Where a labelling is among the first `count` rows of a table, -1 where it is not. O(count M)."""
+    for h in range(count):
+        same = True
+        for m in range(len(point_of)):
+            if table[h, m] != point_of[m]:
+                same = False
+                break
+        if same:
+            return h
+    return -1
+
+
+@kernel
+def propose(model, a, points, solutions, workspace):
+    """Choose the triples of an anchor that are worth refining: those from which the whole body scores best.
+
+    IN   model FrameModel; a anchor; points (n, 3) m; the first `solutions` of workspace.triples
+    OUT  workspace.best_triple, best_score (nats), triple_pose. Returns how many triples were chosen. O(solutions K + P M n).
+    """
+    markers, n = model.body.load.shape[1], len(points)
+    density = workspace.triple_density[:solutions]
     for s in range(solutions):
-        pose_of[s], density[s], distance = anchor_key_pose(anchors, a, body, points, found[s], delta)
-        if distance > settings.max_anchor_distance2:
+        k, log_density, distance = anchor_key_pose(model, a, points, workspace.triples[s], workspace.body)
+        workspace.triple_pose[s], density[s] = k, log_density
+        if distance > model.settings.max_anchor_distance2:
             density[s] = -np.inf
-    picks, most = 0, len(pick)
+    best_triple, best_score = workspace.best_triple, workspace.best_score
+    chosen, most = 0, len(best_triple)
     for _ in range(min(solutions, 2 * most + 2 * max(0, n - markers))):
         s = np.argmax(density)
         total = density[s]
         if total == -np.inf:
             break
         density[s] = -np.inf
-        score_from_anchor(anchors, a, pose_of[s], body, points, found[s], delta, settings, workspace)
+        score_from_anchor(model, a, workspace.triple_pose[s], points, workspace.triples[s], workspace.body)
         for m in range(markers):
             top = 0.0
             for c in range(n):
-                top = max(top, workspace.scores[m, c])
-            total += min(top, 25.0)
-        where = picks
-        while where > 0 and pick_score[where - 1] < total:
-            where -= 1
-        if where < most:
-            for p in range(min(picks, most - 1), where, -1):
-                pick_score[p] = pick_score[p - 1]
-                pick[p] = pick[p - 1]
-            pick_score[where] = total
-            pick[where] = s
-            picks = min(picks + 1, most)
-    return picks
+                top = max(top, workspace.body.scores[m, c])
+            total += min(top, MAX_MARKER_SCORE)
+        place = chosen
+        while place > 0 and best_score[place - 1] < total:
+            place -= 1
+        if place < most:
+            for p in range(min(chosen, most - 1), place, -1):
+                best_score[p] = best_score[p - 1]
+                best_triple[p] = best_triple[p - 1]
+            best_score[place] = total
+            best_triple[place] = s
+            chosen = min(chosen + 1, most)
+    return chosen
 
 
 @kernel
-def find_labellings(points, order, solvers, anchors, body, settings, workspace, candidates, counters):
-    """Let anchors propose and refine what they propose, until enough of them agree on the best labelling.
+def find_labellings(model, points, workspace, counters):
+    """Let anchors propose labellings and refine them, until enough anchors have led to the best one.
 
-    OUT  candidates; counters, see `label_frame`. Returns the number of labellings found and the best one's place, -1 for none.
+    IN   model FrameModel; points (n, 3) m, z up; workspace SearchWorkspace for n points
+    OUT  workspace.candidates; counters (4,), the first three of `FrameLabelling`, the last two added to
+    Returns the number of labellings found and the place of the best one, -1 for none.
+    O(anchors' search + labellings * (M r^2 + r^3 + M n)).
     """
+    anchors, body, settings, candidates, trial = model.anchors, model.body, model.settings, workspace.candidates, workspace.trial
     markers, n = body.load.shape[1], len(points)
     n_proposals, n_labellings, best, most_labelled, extra_run = 0, 0, -1, 0, 0
-    found = np.empty((max(64, n * n), 3), dtype=np.int64)
-    pose_of = np.empty(len(found), dtype=np.int64)
-    pick, pick_score = np.empty(settings.proposals_per_anchor, dtype=np.int64), np.empty(settings.proposals_per_anchor)
-    trial, delta = np.empty(markers, dtype=np.int64), np.empty(9)
     evaluations = np.zeros(2, dtype=np.int64)
     for a in range(len(anchors.markers)):
         labelled = count_labelled(candidates.labellings[best]) if best >= 0 else markers
@@ -115,7 +178,7 @@ def find_labellings(points, order, solvers, anchors, body, settings, workspace, 
         if n_proposals + settings.proposals_per_anchor > len(candidates.proposals) or evaluations[0] > settings.max_evaluations:
             break
         if best >= 0 and candidates.votes_needed[best] < settings.max_votes_needed:
-            # only an anchor that sees its markers can still agree; one that does not may find what is missing
+            # only an anchor all of whose markers are labelled can vote for the best labelling; any other one may find what is missing
             one, two, three = anchors.markers[a]
             hidden = candidates.labellings[best, one] < 0 or candidates.labellings[best, two] < 0 or candidates.labellings[best, three] < 0
             if hidden and not needs_more_anchors:
@@ -124,26 +187,28 @@ def find_labellings(points, order, solvers, anchors, body, settings, workspace, 
                 continue
             extra_run += hidden
         counters[1] += 1
-        solutions = search(solvers, a, points, order, settings.max_evaluations, found, evaluations)
+        solutions = search(model.solvers, a, points, workspace.order, settings.max_evaluations, workspace.triples, evaluations)
         if solutions <= 0:
             continue
-        picks = propose(anchors, a, body, points, found, solutions, settings, workspace, pick, pick_score, pose_of)
-        for p in range(picks):
-            if pick_score[p] < pick_score[0] - MAX_PROPOSAL_GAP:
+        chosen = propose(model, a, points, solutions, workspace)
+        for p in range(chosen):
+            if workspace.best_score[p] < workspace.best_score[0] - MAX_PROPOSAL_GAP:
                 break
-            score_from_anchor(anchors, a, pose_of[pick[p]], body, points, found[pick[p]], delta, settings, workspace)
-            assign_greedily(workspace.scores, settings.first_ghost_cost, trial)
+            triple = workspace.best_triple[p]
+            k = workspace.triple_pose[triple]
+            score_from_anchor(model, a, k, points, workspace.triples[triple], workspace.body)
+            assign_greedily(workspace.body.scores, settings.first_ghost_cost, trial)
             labelled = count_labelled(trial)
             if labelled < max(most_labelled - 2, settings.min_found_share * min(n, markers)):
                 continue
             most_labelled = max(most_labelled, labelled)
-            start, final = _index_of(candidates.proposals, n_proposals, trial), _index_of(candidates.labellings, n_labellings, trial)
-            if start >= 0:
-                final = candidates.labelling_of[start]
+            proposal, final = _index_of(candidates.proposals, n_proposals, trial), _index_of(candidates.labellings, n_labellings, trial)
+            if proposal >= 0:
+                final = candidates.labelling_of[proposal]
             elif final < 0:
                 candidates.proposals[n_proposals] = trial
-                assign_unambiguous(workspace.scores, settings.assign_margin, trial)
-                score = refine(body, pose_of[pick[p]], points, trial, settings, workspace)
+                assign_unambiguous(workspace.body.scores, settings.assign_margin, trial)
+                score = refine(body, k, points, trial, settings, workspace.body)
                 counters[2] += 1
                 final = _index_of(candidates.labellings, n_labellings, trial)
                 if final < 0:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.labelling.partial._search_kernels import SolverArrays
 
 LOG_2PI = math.log(2.0 * math.pi)
 
@@ -81,6 +82,28 @@ class FrameSettings(NamedTuple):
     usual_score: float
 
 
+class FrameModel(NamedTuple):
+    """All that frames are labelled by: anchors as partial solvers and as predictors (the same ones), the body and the settings."""
+
+    solvers: SolverArrays
+    anchors: AnchorArrays
+    body: BodyArrays
+    settings: FrameSettings
+
+
+class FrameLabelling(NamedTuple):
+    """What the labelling of one frame gives.
+
+    point_of  (M,) each marker's point, -1 for none
+    margins   (M,) nats over the nearest labelling that differs there; for a null, minus the nats that its best free point lacks
+    counters  (4,) feature evaluations, anchors run, labellings scored, votes of the best labelling
+    """
+
+    point_of: np.ndarray
+    margins: np.ndarray
+    counters: np.ndarray
+
+
 class BodyWorkspace(NamedTuple):
     """Working arrays of one thread for frames of n points, so that no frame allocates: see `make_body_workspace`.
 
@@ -90,10 +113,11 @@ class BodyWorkspace(NamedTuple):
     covariance   (r, r) posterior covariance of the latents
     moment       (r,) load' residual, summed over the labelled markers
     latent       (r,) posterior mean of the latents
-    slope        (3, r) scratch
+    slope        (3, r) one marker's load times the covariance
     outlier      (M,) bool, labelled markers that lie too far from where the others predict them
     scores       (M, n) nats, every point as every marker
     all_markers  (M,) 0, 1, ..., M - 1
+    displacement (9,) m, from an anchor's three markers in the mean body to its points
     """
 
     aligned: np.ndarray
@@ -106,6 +130,7 @@ class BodyWorkspace(NamedTuple):
     outlier: np.ndarray
     scores: np.ndarray
     all_markers: np.ndarray
+    displacement: np.ndarray
 
 
 @kernel
@@ -122,6 +147,7 @@ def make_body_workspace(n, markers, latents):
         np.zeros(markers, dtype=np.bool_),
         np.empty((markers, n)),
         np.arange(markers),
+        np.empty(9),
     )
 
 

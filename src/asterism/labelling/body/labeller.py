@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from asterism.geometry import rotate_z_up
 from asterism.labelling.body._frame_kernels import label_clouds
-from asterism.labelling.body._workspace_kernels import AnchorArrays, BodyArrays, FrameSettings
+from asterism.labelling.body._workspace_kernels import AnchorArrays, BodyArrays, FrameLabelling, FrameModel, FrameSettings
 from asterism.labelling.body.anchors import Anchors
 from asterism.labelling.body.model import BodyModel
 from asterism.labelling.partial._search_kernels import SolverArrays
@@ -131,9 +131,10 @@ class BodyLabeller:
         shape = (frames, self.body.mean.shape[1])
         point_of, margins = np.full(shape, NULL, dtype=np.int64), np.zeros(shape)
         counters = np.zeros((frames, 4), dtype=np.int64)
+        model = FrameModel(self.solvers, self.anchors, self.body, self.settings)
 
         def label_span(span: tuple[int, int]) -> int:
-            label_clouds(xyz, offsets, *span, self.solvers, self.anchors, self.body, self.settings, point_of, margins, counters)
+            label_clouds(model, xyz, offsets, *span, FrameLabelling(point_of, margins, counters))
             return span[1]
 
         step = max(1, min(at_once, -(-frames // max(1, workers))))

@@ -25,18 +25,18 @@ from asterism.recording import Floats, Ints
 class SubjectRules:
     """How a body is learned from one person's frames.
 
-    independent  seconds after which the person's next frame tells something new
-    across       how much a person's difference from the mean body varies from key pose to key pose, as a share of `between`
-    noise_std    where a marker sits in one frame beyond what the adapted model explains (m)
+    independent_after s; frames of one person that are at least this far apart count as independent
+    pose_variation    how much a person's difference from the mean body varies from key pose to key pose, as a share of `between`
+    noise_std         m, standard deviation of a marker in one frame beyond what the adapted model explains
     """
 
-    independent: float = 0.2
-    across: float = 1.0
+    independent_after: float = 0.2
+    pose_variation: float = 1.0
     noise_std: float = 0.004
 
 
-def tells_enough(frames: Floats) -> NDArray[np.bool_]:
-    """Whether each frame (N, M, 3) m, NaN where missing, shows enough markers to tell of the body: three, and two fifths of all."""
+def shows_enough(frames: Floats) -> NDArray[np.bool_]:
+    """Whether each frame (N, M, 3) m, NaN where missing, shows enough markers to place the body: three, and two fifths of all."""
     shown = ~np.isnan(frames[:, :, 0])
     return shown.sum(axis=1) >= max(3, 0.4 * shown.shape[1])
 
@@ -74,7 +74,7 @@ def adapt_in_steps(
             rows = np.nonzero(np.repeat(shown, 3))[0]
             error = body.within[other][np.ix_(rows, rows)] * np.kron(share[np.ix_(shown, shown)], np.ones((3, 3)))
             if other != k:
-                error = error + rules.across * body.between[k][np.ix_(rows, rows)]
+                error = error + rules.pose_variation * body.between[k][np.ix_(rows, rows)]
             gain = np.linalg.solve(spread[np.ix_(rows, rows)] + error, spread[rows]).T
             centre = centre + gain @ (deviation[rows] - centre[rows])
             spread = spread - gain @ spread[rows]

@@ -1,4 +1,4 @@
-"""Surely labelled frames of a stream in, one by one; the model of the body that is there, narrowed to it bit by bit, out."""
+"""Labelled frames of a stream in, one by one; a body model adapted to the person, in small steps, out."""
 
 from __future__ import annotations
 
@@ -15,30 +15,31 @@ from asterism.recording import Floats
 
 @dataclass(frozen=True)
 class LiveRules:
-    """When a stream learns the body that it sees. Chosen on gait subjects left out.
+    """When a stream adapts the body model to the person that it sees. Chosen on gait subjects left out of the training.
 
-    sure       nats from which a label teaches
-    share      of the markers that a frame must show surely
-    counts     of frames after which the model is narrowed; after the last it stays
-    noise_std  where a marker sits beyond what the narrowed model explains (m): more than in a whole recording, of which all poses are seen
+    min_margin   nats; labels with at least this margin are learned from
+    min_share    share of the markers that a frame must label with this margin
+    adapt_after  numbers of frames after which the model is adapted; after the last one it stays as it is
+    noise_std    m, standard deviation of a marker beyond what the adapted model explains: more than for a whole recording, which shows all
+                 poses
     """
 
-    sure: float = 20.0
-    share: float = 0.6
-    counts: tuple[int, ...] = (3, 6, 12, 24)
+    min_margin: float = 20.0
+    min_share: float = 0.6
+    adapt_after: tuple[int, ...] = (3, 6, 12, 24)
     noise_std: float = 0.008
 
 
 class LiveBody:
-    """A body model that becomes that of the person in front of the cameras.
+    """A body model that adapts to the person in front of the cameras.
 
-    The work is done in small steps, one a frame, so that no frame waits long. Memory: `LiveRules.counts` frames at most.
+    The work is done in small steps, one a frame, so that no frame waits long. Memory: the last of `LiveRules.adapt_after` frames at most.
     """
 
     def __init__(self, body: BodyModel, body_rules: BodyRules, rate: float, rules: LiveRules) -> None:
         self.rules = rules
         self._body, self._body_rules, self._subject_rules = body, body_rules, SubjectRules(noise_std=rules.noise_std)
-        self._apart = self._subject_rules.independent * rate
+        self._interval = self._subject_rules.independent_after * rate
         self.restart()
 
     def restart(self) -> None:
@@ -48,23 +49,23 @@ class LiveBody:
         self._last = -np.inf
         self._steps: Generator[None, None, BodyModel] | None = None
 
-    def wants(self, frame: int) -> bool:
-        """Whether a frame would tell something new."""
-        return self._steps is None and len(self._frames) < self.rules.counts[-1] and frame - self._last >= self._apart
+    def needs(self, frame: int) -> bool:
+        """Whether a frame would add to what is known."""
+        return self._steps is None and len(self._frames) < self.rules.adapt_after[-1] and frame - self._last >= self._interval
 
-    def see(self, frame: int, points: Floats, pose: int) -> None:
-        """Learn from a frame: points (M, 3) m, NaN where no label is sure, and its key pose."""
+    def add(self, frame: int, points: Floats, pose: int) -> None:
+        """Learn from a frame: points (M, 3) m, NaN where a label has too small a margin, and its key pose."""
         self._last = frame
         self._frames.append(points)
         self._poses.append(pose)
-        if len(self._frames) in self.rules.counts:
+        if len(self._frames) in self.rules.adapt_after:
             weight = np.ones(len(self._frames))
             self._steps = adapt_in_steps(
                 self._body, np.array(self._frames), np.array(self._poses), weight, self._subject_rules, self._body_rules
             )
 
     def step(self) -> BodyArrays | None:
-        """Go on with the work, if there is any; the new body once it is done."""
+        """Do one step of the adaptation, if one is under way. Gives the adapted body after its last step, None otherwise."""
         if self._steps is None:
             return None
         try:

@@ -1,9 +1,9 @@
 """Points in, frame by frame as a camera system delivers them; the labels of the frame some pushes ago out.
 
-Points are linked online (`tracks`). Every track gathers evidence: how well it fits each marker, given all others, in each of its frames.
-The labels that the tracks carry are the proposal for the next frame, which the whole body checks, mends and completes; that costs
-little. From time to time, and where the carried labels do not explain a frame, a search that knows nothing of the past looks for a
-better labelling. What it finds must lead for some frames before it takes over, unless what is carried explains nothing.
+Points are linked online to tracks (`tracks.py`). Each track adds up how well it fits each marker, given all other points, in each of its
+frames. The labels that follow from this evidence are carried into the next frame, where the whole body refines them at little cost. From
+time to time, and where the carried labels do not explain a frame, a search that ignores the past looks for a better labelling. What it
+finds must score better over several frames before it takes over, unless the carried labels explain nothing.
 """
 
 from __future__ import annotations
@@ -20,45 +20,64 @@ from asterism.geometry import rotate_z_up
 from asterism.labelling.body._frame_kernels import frame_settings
 from asterism.labelling.body._refine_kernels import refine
 from asterism.labelling.body._score_kernels import best_pose, rescore
-from asterism.labelling.body._search_kernels import MAX_LABELLINGS, CandidateLabellings, find_labellings
-from asterism.labelling.body._workspace_kernels import BodyWorkspace, FrameSettings, make_body_workspace
+from asterism.labelling.body._search_kernels import MAX_LABELLINGS, find_labellings, make_candidates, make_search_workspace
+from asterism.labelling.body._workspace_kernels import BodyArrays, BodyWorkspace, FrameModel, FrameSettings, make_body_workspace
 from asterism.labelling.body.labeller import BodyLabeller
-from asterism.labelling.live.body import LiveBody
+from asterism.labelling.body.model import BodyRules
+from asterism.labelling.live.body import LiveBody, LiveRules
+from asterism.labelling.live.tracks import TrackEvidence
 from asterism.labelling.training.calibration import Calibration
 from asterism.recording import NULL, Floats, Ints, as_vertical
-from asterism.tracking._link_kernels import link_step
-from asterism.tracking._link_workspace_kernels import make_link_workspace, make_track_ends
 from asterism.tracking.linking import LinkRules
 
 
 @dataclass(frozen=True)
 class StreamRules:
-    """How a stream weighs what it sees. Chosen on gait subjects left out.
+    """How a stream weighs the frames. All were chosen on gait subjects left out of the training (docs/recordings.md).
 
-    memory      s over which a track's evidence fades
-    repeats     s after which a frame says something new of a track: nearer ones repeat each other
-    most        nats that one frame may say for or against a marker
-    search      s between searches where the carried labels explain the frames
-    again       s between searches where they do not
-    budget      feature evaluations of one such search
-    effort      markers times labellings that one search of a large marker set follows up: what it costs at most
-    riding      times that a track at most tells anew whether it is a marker or a ghost that rides along
-    doubt       nats that a margin is worth less where points are left over: ghosts that ride along fit in frame after frame
-    dull        and how many nats of what then remains are one of log odds
-    lead        nats by which a labelling that a search found must lead, over frames that say something new, to take over
+    evidence_memory    s in which a track's evidence decays to 1/e
+    independent_after  s; frames of a track that are nearer in time than this repeat each other, and count for less
+    max_score          nats, the most that one frame can say for or against a marker
+    search_interval    s between searches where the carried labels explain the frames
+    retry_interval     s between searches where they do not
+    max_evaluations    feature evaluations of one search with a large marker set
+    search_effort      markers times labellings that one search refines at most, which bounds its cost for large marker sets
+    max_ghost_evidence independent frames that count at most for whether a track is a marker or a ghost that moves with the body
+    ghost_margin_loss  nats that a margin loses where points are left over, as a ghost that moves with the body fits frame after frame
+    log_odds_scale     nats of what then remains that make one unit of log odds
+    takeover_margin    nats by which a labelling from a search must lead, summed over independent frames, to take over
     """
 
-    memory: float = 0.5
-    repeats: float = 0.1
-    most: float = 15.0
-    search: float = 0.5
-    again: float = 0.05
-    budget: int = 20_000
-    effort: int = 450
-    riding: float = 3.0
-    doubt: float = 3.0
-    dull: float = 3.3
-    lead: float = 5.0
+    evidence_memory: float = 0.5
+    independent_after: float = 0.1
+    max_score: float = 15.0
+    search_interval: float = 0.5
+    retry_interval: float = 0.05
+    max_evaluations: int = 20_000
+    search_effort: int = 450
+    max_ghost_evidence: float = 3.0
+    ghost_margin_loss: float = 3.0
+    log_odds_scale: float = 3.3
+    takeover_margin: float = 5.0
+
+
+@dataclass(frozen=True)
+class StreamModel:
+    """What a stream labels by.
+
+    labeller          labels single frames
+    markers, names    (M,) columns of the marker set that the body model has learned; number of columns
+    calibrations      confidence of frames without and with points left over
+    least_confidence  labels below this confidence are not given
+    body_rules        how the body model was learned
+    """
+
+    labeller: BodyLabeller
+    markers: Ints
+    names: int
+    calibrations: tuple[Calibration, Calibration]
+    least_confidence: float
+    body_rules: BodyRules
 
 
 @dataclass(frozen=True)
@@ -76,76 +95,88 @@ class FrameLabels:
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """A frame that waits for its labels: the rows of the tracks' table that its points are in, and their places as pushed."""
+class _WaitingFrame:
+    """A frame that waits for its labels: each point's row in the table of tracks, and its place among the points as pushed."""
 
     frame: int
-    track: Ints
+    rows: Ints
     place: Ints
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """A frame's points (n, 3) m, z up, with the settings for so many points and arrays to work in."""
+
+    xyz: Floats
+    settings: FrameSettings
+    workspace: BodyWorkspace
+
+
+@dataclass(frozen=True)
+class _RefinedLabelling:
+    """The point of each marker (M,), -1 for none; the score in nats, and the key pose."""
+
+    point_of: Ints
+    score: float
+    pose: int
+
+    @property
+    def labelled(self) -> int:
+        """How many markers have a point."""
+        return int((self.point_of >= 0).sum())
 
 
 class Stream:
     """Labels live points with a fixed delay and bounded memory. Made by `SolverEnsemble.stream`.
 
-    What a push costs does not grow with time; what it needs of memory grows with the points of a frame and the delay only.
+    The cost of a push does not grow with time. The memory grows with the points of a frame and the delay only.
     """
 
     def __init__(
-        self,
-        model: BodyLabeller,
-        live: LiveBody | None,
-        markers: Ints,
-        count: int,
-        calibrations: tuple[Calibration, Calibration],
-        least_confidence: float,
-        rate: float,
-        delay: int = 0,
-        vertical: ArrayLike | str = "z",
-        rules: StreamRules | None = None,
+        self, model: StreamModel, rate: float, delay: int = 0, vertical: ArrayLike | str = "z", rules: StreamRules | None = None
     ) -> None:
         if not np.isfinite(rate) or rate <= 0:
             raise AsterismError(f"frame rate {rate} is not a positive number of frames per second; pass the rate of the live system.")
         if not isinstance(delay, int | np.integer) or isinstance(delay, bool) or delay < 0:
-            raise AsterismError(f"a delay of {delay!r} frames makes no sense; give a whole number, 0 for none.")
+            raise AsterismError(f"delay {delay!r} is not a whole number of frames; give 0 for none.")
         self.rate, self.delay = float(rate), int(delay)
-        self._model, self._markers, self._count = model, markers, count
-        self._live, self._body = live, model.body
-        self._calibrations, self._least_confidence = calibrations, least_confidence
+        self._model, self._rules = model, rules or StreamRules()
         self._vertical = as_vertical(vertical)
-        self._rules = rules or StreamRules()
         self._limits = LinkRules().limits(self.rate)
-        self._forget = math.exp(-1.0 / (self._rules.memory * self.rate))
-        self._new = 1.0 / (self._rules.repeats * self.rate)
-        starts = int(np.clip(self._rules.effort // len(markers), 4, MAX_LABELLINGS))
-        shape = (starts, len(markers))
-        slots = [np.empty(starts, dtype=np.int64) for _ in range(4)]
-        starting, finals = np.empty(shape, dtype=np.int64), np.empty(shape, dtype=np.int64)
-        self._candidates = CandidateLabellings(starting, slots[0], finals, np.empty(starts), *slots[1:])
+        self._independent = 1.0 / (self._rules.independent_after * self.rate)
+        labeller = model.labeller
+        self._live = None if labeller.model.within is None else LiveBody(labeller.model, model.body_rules, self.rate, LiveRules())
+        labellings = int(np.clip(self._rules.search_effort // len(model.markers), 4, MAX_LABELLINGS))
+        self._candidates = make_candidates(labellings, len(model.markers))
         self._restart()
+        body = labeller.body
         for _ in range(2):  # the first push must not wait for kernels to be read or compiled
-            self.push(model.body.mean[0])
-        self._search(
-            np.ascontiguousarray(model.body.mean[0]), model.settings, make_body_workspace(len(markers), *model.body.load.shape[1::2])
-        )
+            self.push(body.mean[0])
+        workspace = make_body_workspace(len(model.markers), *body.load.shape[1::2])
+        self._search(_Frame(np.ascontiguousarray(body.mean[0]), labeller.settings, workspace))
         self._restart()
 
     def _restart(self) -> None:
+        """Begin as if no frame had been pushed."""
         self._forget_person()
-        size, markers = 16, len(self._markers)
-        self._ends, self._following, self._link_workspace = make_track_ends(size), make_track_ends(size), make_link_workspace(size)
-        self._evidence, self._weight = np.zeros((size, markers)), np.zeros(size)
-        self._free = list(range(size))
-        self._track = np.zeros(0, dtype=np.int64)
+        decay = math.exp(-1.0 / (self._rules.evidence_memory * self.rate))
+        self._tracks = TrackEvidence(len(self._model.markers), self._limits, decay, self._independent)
         self._rival, self._lead = np.zeros(0, dtype=np.int64), 0.0
-        self._searched, self._age = -np.inf, 0
-        self._waiting: deque[_Seen] = deque()
+        self._last_search, self._age = -np.inf, 0
+        self._waiting: deque[_WaitingFrame] = deque()
         self._pushed = 0
+
+    def _forget_person(self) -> None:
+        """Return to the body model of the training."""
+        self._body: BodyArrays = self._model.labeller.body
+        if self._live is not None:
+            self._live.restart()
 
     def push(self, points: ArrayLike) -> FrameLabels | None:
         """Take the next frame's points; give the labels of the frame `delay` pushes ago, None where there is none yet.
 
-        points: (n, 3) m, in any order, n may be 0. Raises AsterismError where they have another shape or are not finite; the stream
-        then stands as it was before.
+        points: (n, 3) m, in any order, n may be 0. Raises AsterismError where they have another shape or are not finite; the frame is then
+        not counted, and the stream can go on.
         """
         xyz = np.asarray(points, dtype=np.float64)
         if xyz.size == 0:
@@ -157,9 +188,12 @@ class Stream:
         xyz = rotate_z_up(xyz, self._vertical)
         place = np.lexsort((xyz[:, 2], xyz[:, 1], xyz[:, 0]))
         xyz = np.ascontiguousarray(xyz[place])
-        rival = self._link(xyz)
-        self._look(xyz, rival)
-        self._waiting.append(_Seen(self._pushed, self._track, place))
+        previous = self._tracks.link(xyz, (frame.rows for frame in self._waiting))
+        rival = np.full(len(xyz), NULL, dtype=np.int64)
+        if len(self._rival):
+            rival[previous >= 0] = self._rival[previous[previous >= 0]]
+        self._update(xyz, rival)
+        self._waiting.append(_WaitingFrame(self._pushed, self._tracks.current, place))
         self._pushed += 1
         return self._labels() if len(self._waiting) > self.delay else None
 
@@ -169,212 +203,174 @@ class Stream:
         self._restart()
         return rest
 
-    def _link(self, xyz: Floats) -> Ints:
-        """Continue the tracks with a frame's points. Returns the rival labelling's marker of each point."""
-        if len(xyz) > len(self._ends.age):
-            ends, count = make_track_ends(2 * len(xyz)), len(self._track)
-            for array, old in zip(ends, self._ends, strict=True):
-                array[:count] = old[:count]
-            self._ends, self._following, self._link_workspace = ends, make_track_ends(2 * len(xyz)), make_link_workspace(2 * len(xyz))
-        previous = np.empty(len(xyz), dtype=np.int64)
-        link_step(self._ends, len(self._track), xyz, self._limits, self._link_workspace, previous, self._following)
-        self._ends, self._following = self._following, self._ends
-        linked = previous >= 0
-        new = int((~linked).sum())
-        if len(self._free) < new:
-            size = len(self._weight)
-            self._free.extend(range(size, 2 * size + new))
-            self._evidence = np.concatenate([self._evidence, np.zeros((size + new, len(self._markers)))])
-            self._weight = np.concatenate([self._weight, np.zeros(size + new)])
-        track, rival = np.empty(len(xyz), dtype=np.int64), np.full(len(xyz), NULL, dtype=np.int64)
-        track[linked] = self._track[previous[linked]]
-        fresh = [self._free.pop() for _ in range(new)]
-        track[~linked] = fresh
-        self._evidence[fresh], self._weight[fresh] = 0.0, 0.0
-        if len(self._rival):
-            rival[linked] = self._rival[previous[linked]]
-        self._release(np.setdiff1d(self._track, track, assume_unique=True))
-        self._track = track
-        return rival
-
-    def _release(self, tracks: Ints) -> None:
-        """Tracks that no frame needs any more give their rows back."""
-        if len(tracks):
-            needed = set().union(*(seen.track.tolist() for seen in self._waiting))
-            self._free.extend(track for track in tracks.tolist() if track not in needed)
-
-    def _totals(self, tracks: Ints, most: float = np.inf) -> Floats:
-        """(n, M) nats: what all frames of each track say for each marker, counted `most` times one frame at most."""
-        weight = self._weight[tracks]
-        told = np.minimum(1.0 + self._new * np.maximum(weight - 1.0, 0.0), most) / np.maximum(weight, 1.0)
-        return self._evidence[tracks] * told[:, None]
-
-    def _look(self, xyz: Floats, rival: Ints) -> None:
-        """See what labelling the frame has, and let it speak for every track."""
-        model, rules = self._model, self._rules
+    def _update(self, xyz: Floats, rival: Ints) -> None:
+        """Label a frame, and add its scores to the evidence of its tracks. rival (n,): the rival labelling's marker of each point."""
         if self._live is not None:
             self._body = self._live.step() or self._body
-        markers, latents = self._body.load.shape[1], self._body.load.shape[3]
-        self._evidence[self._track] *= self._forget
-        self._weight[self._track] *= self._forget
+        self._tracks.fade()
         self._rival = np.full(len(xyz), NULL, dtype=np.int64)
         if len(xyz) < 3:
             return
-        settings = frame_settings(model.settings, len(xyz), markers)
-        workspace = make_body_workspace(len(xyz), markers, latents)
-        rows = _assign(self._totals(self._track))
-        score, pose = self._refine(xyz, rows, settings, workspace)
-        lead, challenge = self._lead, np.full(markers, NULL, dtype=np.int64)
-        if (rival >= 0).sum() >= 3:
-            challenge[rival[rival >= 0]] = np.nonzero(rival >= 0)[0]
-        labelled = int((rows >= 0).sum())
-        explained = score >= settings.usual_score * labelled - settings.first_ghost_cost and labelled >= min(len(xyz), markers) - 1
+        markers, latents = self._body.load.shape[1], self._body.load.shape[3]
+        settings = frame_settings(self._model.labeller.settings, len(xyz), markers)
+        frame = _Frame(xyz, settings, make_body_workspace(len(xyz), markers, latents))
+        carried = self._refined(frame, _assign(self._tracks.totals(self._tracks.current)))
         self._age += 1
-        young = self._age * self._new < 1.0
-        wait = 0.0 if young else (rules.search if explained else rules.again) * self.rate
-        if self._pushed - self._searched >= wait and (challenge < 0).all():
-            self._searched = self._pushed
-            challenge, lead = self._search(xyz, settings, workspace), 0.0
-        if (challenge >= 0).sum() >= 3 and not np.array_equal(challenge, rows):
-            other, other_pose = self._refine(xyz, challenge, settings, workspace)
-            lead += max(self._new, 1.0 / self._age) * (other - score) if np.isfinite(score) else np.inf
-            hopeless = labelled < 0.5 * min(len(xyz), markers) and other > score
-            if np.array_equal(challenge, rows) or lead < -rules.lead:
-                lead = 0.0
-            elif lead > rules.lead or hopeless:
-                if (challenge == rows).sum() < 0.5 * labelled or labelled < 3:
-                    self._forget_person()
-                changed = _marker_of(challenge, len(xyz)) != _marker_of(rows, len(xyz))
-                self._evidence[self._track[changed]], self._weight[self._track[changed]] = 0.0, 0.0
-                rows, pose, lead, self._age = challenge, other_pose, 0.0, 0
-            else:
-                self._rival = _marker_of(challenge, len(xyz))
-        self._lead = lead
-        if (rows >= 0).sum() < 3:
+        is_young = self._age * self._independent < 1.0
+        challenge, lead = self._challenge(frame, rival, carried, is_young)
+        chosen, self._lead = self._contest(frame, carried, challenge, lead)
+        if chosen.labelled < 3:
             return
-        rescore(self._body, pose, xyz, rows, settings, workspace)
-        self._evidence[self._track] += np.clip(workspace.scores.T, -rules.most, rules.most)
-        self._weight[self._track] += 1.0
-        if self._live is not None and not young and self._live.wants(self._pushed):
-            self._learn(xyz, self._live, workspace, settings)
+        rescore(self._body, chosen.pose, xyz, chosen.point_of, settings, frame.workspace)
+        self._tracks.add(np.clip(frame.workspace.scores.T, -self._rules.max_score, self._rules.max_score))
+        if self._live is not None and not is_young and self._live.needs(self._pushed):
+            self._learn_body(frame, self._live)
 
-    def _learn(self, xyz: Floats, live: LiveBody, workspace: BodyWorkspace, settings: FrameSettings) -> None:
-        """Let the frame teach what this body is like, where enough of it is labelled surely."""
-        scores = self._totals(self._track)
-        rows = _assign(scores)
-        sure = (rows >= 0) & (_margins(scores, self._totals(self._track, self._rules.riding), rows) >= live.rules.sure)
-        if sure.sum() < live.rules.share * len(rows):
+    def _refined(self, frame: _Frame, point_of: Ints) -> _RefinedLabelling:
+        """A labelling of the frame, (M,), corrected and completed by the whole body."""
+        if (point_of >= 0).sum() < 3:
+            return _RefinedLabelling(point_of, -np.inf, 0)
+        point_of, workspace = point_of.copy(), frame.workspace
+        workspace.outlier[:] = False
+        pose = best_pose(self._body, frame.xyz, point_of, frame.settings, workspace)[0]
+        score = float(refine(self._body, pose, frame.xyz, point_of, frame.settings, workspace))
+        if (point_of >= 0).sum() >= 3:
+            return _RefinedLabelling(point_of, score, int(best_pose(self._body, frame.xyz, point_of, frame.settings, workspace)[0]))
+        return _RefinedLabelling(point_of, score, 0)
+
+    def _challenge(self, frame: _Frame, rival: Ints, carried: _RefinedLabelling, is_young: bool) -> tuple[Ints, float]:
+        """The labelling that competes with the carried one, (M,), and its lead in nats: the rival as linked, or one from a new search."""
+        points, markers = len(frame.xyz), len(carried.point_of)
+        point_of = np.full(markers, NULL, dtype=np.int64)
+        if (rival >= 0).sum() >= 3:
+            point_of[rival[rival >= 0]] = np.nonzero(rival >= 0)[0]
+        usual = frame.settings.usual_score * carried.labelled - frame.settings.first_ghost_cost
+        explained = carried.score >= usual and carried.labelled >= min(points, markers) - 1
+        wait = 0.0 if is_young else (self._rules.search_interval if explained else self._rules.retry_interval) * self.rate
+        if self._pushed - self._last_search >= wait and (point_of < 0).all():
+            self._last_search = self._pushed
+            return self._search(frame), 0.0
+        return point_of, self._lead
+
+    def _contest(self, frame: _Frame, carried: _RefinedLabelling, challenge: Ints, lead: float) -> tuple[_RefinedLabelling, float]:
+        """The carried labelling or the challenging one, and the lead of the one that remains a rival, in nats."""
+        if (challenge >= 0).sum() < 3 or np.array_equal(challenge, carried.point_of):
+            return carried, lead
+        rival = self._refined(frame, challenge)
+        lead += max(self._independent, 1.0 / self._age) * (rival.score - carried.score) if np.isfinite(carried.score) else np.inf
+        if np.array_equal(rival.point_of, carried.point_of) or lead < -self._rules.takeover_margin:
+            return carried, 0.0
+        rejected = carried.labelled < 0.5 * min(len(frame.xyz), len(challenge)) and rival.score > carried.score
+        if lead > self._rules.takeover_margin or rejected:
+            self._take_over(carried, rival, len(frame.xyz))
+            return rival, 0.0
+        self._rival = _marker_of(rival.point_of, len(frame.xyz))
+        return carried, lead
+
+    def _take_over(self, carried: _RefinedLabelling, rival: _RefinedLabelling, points: int) -> None:
+        """Forget the evidence of all tracks whose label changes; and the person, if few labels stay."""
+        if (rival.point_of == carried.point_of).sum() < 0.5 * carried.labelled or carried.labelled < 3:
+            self._forget_person()
+        changed = _marker_of(rival.point_of, points) != _marker_of(carried.point_of, points)
+        self._tracks.clear(self._tracks.current[changed])
+        self._age = 0
+
+    def _learn_body(self, frame: _Frame, live: LiveBody) -> None:
+        """Give a frame to the live body model, if enough of its labels have large margins."""
+        scores = self._tracks.totals(self._tracks.current)
+        point_of = _assign(scores)
+        margins = _margins(scores, self._tracks.totals(self._tracks.current, self._rules.max_ghost_evidence), point_of)
+        certain = (point_of >= 0) & (margins >= live.rules.min_margin)
+        if certain.sum() < live.rules.min_share * len(point_of):
             return
-        workspace.outlier[:] = False
-        pose = best_pose(self._model.body, xyz, np.where(sure, rows, NULL), settings, workspace)[0]
-        live.see(self._pushed, np.where(sure[:, None], xyz[rows], np.nan), int(pose))
+        frame.workspace.outlier[:] = False
+        body, labels = self._model.labeller.body, np.where(certain, point_of, NULL)
+        pose = best_pose(body, frame.xyz, labels, frame.settings, frame.workspace)[0]
+        live.add(self._pushed, np.where(certain[:, None], frame.xyz[point_of], np.nan), int(pose))
 
-    def _forget_person(self) -> None:
-        """Whoever comes is not who was there."""
-        self._body = self._model.body
-        if self._live is not None:
-            self._live.restart()
-
-    def _refine(self, xyz: Floats, rows: Ints, settings: FrameSettings, workspace: BodyWorkspace) -> tuple[float, int]:
-        """Mend and complete a labelling of the frame, in place: its score in nats, and the key pose."""
-        body = self._body
-        if (rows >= 0).sum() < 3:
-            return -np.inf, 0
-        workspace.outlier[:] = False
-        pose = best_pose(body, xyz, rows, settings, workspace)[0]
-        score = float(refine(body, pose, xyz, rows, settings, workspace))
-        return score, int(best_pose(body, xyz, rows, settings, workspace)[0]) if (rows >= 0).sum() >= 3 else 0
-
-    def _search(self, xyz: Floats, settings: FrameSettings, workspace: BodyWorkspace) -> Ints:
-        """The best labelling of the frame that a search finds, whatever came before: (M,). For large marker sets it is a short one."""
-        model, rules = self._model, self._rules
-        short = settings
+    def _search(self, frame: _Frame) -> Ints:
+        """The best labelling of the frame that a search finds without knowing the past: (M,). For large marker sets the search is short."""
+        labeller, settings = self._model.labeller, frame.settings
         if len(self._candidates.proposals) < MAX_LABELLINGS:
-            short = settings._replace(
-                max_evaluations=rules.budget,
+            settings = settings._replace(
+                max_evaluations=self._rules.max_evaluations,
                 votes_needed=1,
                 extra_anchors=1,
                 max_votes_needed=2,
                 proposals_per_anchor=min(2, settings.proposals_per_anchor),
             )
-        order = np.argsort(-xyz[:, 2], kind="stable")
+        order = np.argsort(-frame.xyz[:, 2], kind="stable")
         counters = np.zeros(4, dtype=np.int64)
-        _, best = find_labellings(
-            np.ascontiguousarray(xyz[order]),
-            np.arange(len(xyz)),
-            model.solvers,
-            model.anchors,
-            model.body,
-            short,
-            workspace,
-            self._candidates,
-            counters,
-        )
-        rows = np.full(model.body.load.shape[1], NULL, dtype=np.int64)
-        if best >= 0 and np.isfinite(self._candidates.scores[best]):
-            found = self._candidates.labellings[best]
-            rows = np.where(found >= 0, order[found], NULL)
-        return rows
+        model = FrameModel(labeller.solvers, labeller.anchors, labeller.body, settings)
+        workspace = make_search_workspace(frame.workspace, self._candidates, settings.proposals_per_anchor)
+        _, best = find_labellings(model, np.ascontiguousarray(frame.xyz[order]), workspace, counters)
+        if best < 0 or not np.isfinite(self._candidates.scores[best]):
+            return np.full(len(self._model.markers), NULL, dtype=np.int64)
+        found = self._candidates.labellings[best]
+        return np.where(found >= 0, order[found], NULL)
 
     def _labels(self) -> FrameLabels:
-        """The oldest waiting frame's labels, from all that its tracks have said until now."""
-        seen = self._waiting.popleft()
-        scores = self._totals(seen.track)
-        rows = _assign(scores)
-        margins = _margins(scores, self._totals(seen.track, self._rules.riding), rows)
-        given = rows >= 0
-        own = np.where(given, self._confidence(margins, given.sum() < len(seen.track)), 0.5 * np.exp(np.minimum(margins, 0.0)))
-        kept = given & (own >= self._least_confidence)
-        indices, confidence = np.full(self._count, NULL, dtype=np.int64), np.zeros(self._count)
-        indices[self._markers[kept]] = seen.place[rows[kept]]
-        confidence[self._markers] = own
-        self._release(np.setdiff1d(seen.track, self._track, assume_unique=True))
-        return FrameLabels(seen.frame, indices, confidence)
+        """The oldest waiting frame's labels, from all evidence that its tracks have now."""
+        waiting, model = self._waiting.popleft(), self._model
+        scores = self._tracks.totals(waiting.rows)
+        point_of = _assign(scores)
+        margins = _margins(scores, self._tracks.totals(waiting.rows, self._rules.max_ghost_evidence), point_of)
+        given = point_of >= 0
+        chance = np.where(given, self._confidence(margins, given.sum() < len(waiting.rows)), 0.5 * np.exp(np.minimum(margins, 0.0)))
+        kept = given & (chance >= model.least_confidence)
+        indices, confidence = np.full(model.names, NULL, dtype=np.int64), np.zeros(model.names)
+        indices[model.markers[kept]] = waiting.place[point_of[kept]]
+        confidence[model.markers] = chance
+        ended = np.setdiff1d(waiting.rows, self._tracks.current, assume_unique=True)
+        self._tracks.release(ended, (frame.rows for frame in self._waiting))
+        return FrameLabels(waiting.frame, indices, confidence)
 
-    def _confidence(self, margins: Floats, spare: bool) -> Floats:
-        """The probability that labels with such margins are right; `spare` says whether points are left over in their frame."""
-        single = self._calibrations[int(spare)].confidence(margins)
-        return np.minimum(single, 1.0 / (1.0 + np.exp((self._rules.doubt - margins) / self._rules.dull))) if spare else single
+    def _confidence(self, margins: Floats, points_left: bool) -> Floats:
+        """The probability that labels with such margins are right; points_left: whether their frame has points without a label."""
+        single = self._model.calibrations[int(points_left)].confidence(margins)
+        if not points_left:
+            return single
+        return np.minimum(single, 1.0 / (1.0 + np.exp((self._rules.ghost_margin_loss - margins) / self._rules.log_odds_scale)))
 
 
-def _marker_of(rows: Ints, points: int) -> Ints:
+def _marker_of(point_of: Ints, points: int) -> Ints:
     """The marker of each point (n,), from the point of each marker (M,)."""
     marker = np.full(points, NULL, dtype=np.int64)
-    marker[rows[rows >= 0]] = np.nonzero(rows >= 0)[0]
+    marker[point_of[point_of >= 0]] = np.nonzero(point_of >= 0)[0]
     return marker
 
 
 def _assign(scores: Floats) -> Ints:
     """Points to markers, best score first, none below zero: (n, M) nats in, (M,) points out."""
-    rows = np.full(scores.shape[1], NULL, dtype=np.int64)
+    point_of = np.full(scores.shape[1], NULL, dtype=np.int64)
     points, markers = np.nonzero(scores > 0.0)
     taken = np.zeros(len(scores), dtype=np.bool_)
     for e in np.argsort(-scores[points, markers], kind="stable"):
-        if rows[markers[e]] < 0 and not taken[points[e]]:
-            rows[markers[e]] = points[e]
+        if point_of[markers[e]] < 0 and not taken[points[e]]:
+            point_of[markers[e]] = points[e]
             taken[points[e]] = True
-    return rows
+    return point_of
 
 
-def _margins(scores: Floats, single: Floats, rows: Ints) -> Floats:
+def _margins(scores: Floats, limited: Floats, point_of: Ints) -> Floats:
     """By how many nats each marker's point beats the nearest other labelling: none, a free point, a swap, another marker taking the point.
 
-    Whether a point is a marker or a ghost that rides along, a second frame hardly tells; which of two markers it is, all frames tell.
-    For a marker without a point, how far its best free point is from being taken (not above 0).
-    IN scores (n, M) of all frames of each point's track together, single (n, M) of few of them, rows (M,).
+    A second frame hardly helps to distinguish a marker from a ghost that moves with the body; it does help to distinguish two markers.
+    For a marker without a point: minus the nats that its best free point lacks, not above 0.
+    scores (n, M) of all frames of each point's track; limited (n, M) of few independent ones; point_of (M,). Gives (M,).
     """
     points, markers = scores.shape
     free = np.ones(points, dtype=np.bool_)
-    free[rows[rows >= 0]] = False
-    best_free = single[free].max(axis=0) if free.any() else np.full(markers, -np.inf)
-    given = np.nonzero(rows >= 0)[0]
+    free[point_of[point_of >= 0]] = False
+    best_free = limited[free].max(axis=0) if free.any() else np.full(markers, -np.inf)
+    given = np.nonzero(point_of >= 0)[0]
     margins = np.minimum(best_free, 0.0)
-    here = single[rows[given], given]
+    here = limited[point_of[given], given]
     margins[given] = np.minimum(here, here - np.maximum(best_free[given], 0.0))
-    # what marker m' (columns) gets from the point of marker m (rows), and the other way round
-    own, takes = scores[rows[given], given], scores[rows[given]]
-    cost = own[:, None] - takes
-    cost[:, given] += own[None, :] - np.maximum(takes[:, given].T, 0.0)
+    # what marker m' (columns) gains by the point of marker m (rows), and the other way round
+    held, takes = scores[point_of[given], given], scores[point_of[given]]
+    cost = held[:, None] - takes
+    cost[:, given] += held[None, :] - np.maximum(takes[:, given].T, 0.0)
     cost[np.arange(len(given)), given] = np.inf
     margins[given] = np.minimum(margins[given], cost.min(axis=1, initial=np.inf))
     return margins

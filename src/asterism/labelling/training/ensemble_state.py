@@ -16,7 +16,7 @@ from asterism.labelling.training.calibration import Calibration
 from asterism.labelling.training.learning import TrainingConfig, TrainingState
 from asterism.labelling.training.model_file import reading, write_arrays
 from asterism.labelling.training.sample import Sample
-from asterism.labelling.whole.certainty import STEEP, Certainty
+from asterism.labelling.whole.certainty import MAX_SLOPE, Certainty
 from asterism.recording import Floats, Ints, MarkerSet
 
 
@@ -74,7 +74,7 @@ class EnsembleState:
             "usual_score": self.usual_score,
             "least_confidence": self.least_confidence,
             "least_confidence_in_time": self.certainty.least_confidence,
-            "steep_in_time": self.certainty.steep,
+            "steep_in_time": self.certainty.max_slope,
             "look": asdict(self.frame_settings),
             "about": self.about,
             "recipe": None if self.training is None else self.training.config.to_dict(),
@@ -145,7 +145,7 @@ def _certainty(head: dict[str, Any], arrays: dict[str, Any]) -> Certainty | None
     """The certainty of whole recordings; None in models of an earlier Asterism."""
     if "time_calibration_0" not in arrays:
         return None
-    least, steep = float(head["least_confidence_in_time"]), float(head.get("steep_in_time", STEEP))
+    least, steep = float(head["least_confidence_in_time"]), float(head.get("steep_in_time", MAX_SLOPE))
     return Certainty(_two_curves(arrays, "time_calibration"), least, steep)
 
 

@@ -26,8 +26,8 @@ from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.labelling.training.calibration import Calibration
 from asterism.labelling.training.sample import FEWEST_SHOWN, Sample
 from asterism.labelling.whole.certainty import Certainty, TrialLabels
-from asterism.labelling.whole.label import trial
-from asterism.labelling.whole.scene import TimeRules
+from asterism.labelling.whole.label import run_trials
+from asterism.labelling.whole.scene import RecordingLabellingSettings
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording, is_unnamed
 
@@ -275,7 +275,7 @@ def _try_fold(
     model = BodyLabeller.from_model(body, anchors, config.rules.frames.with_usual_score(usual_score))
     in_frames = _try_frames(model, tested, people[out], rules, seed)
     chosen = _some_stretches(stretches, np.unique(people[out]), shown, rules)
-    in_time = trial(model, chosen, rules.time_trials, TimeRules(), SubjectRules(), config.rules.body, seed)
+    in_time = run_trials(model, chosen, rules.time_trials, RecordingLabellingSettings(), SubjectRules(), config.rules.body, seed)
     return _HeldOutTrial(usual_score, in_frames, in_time)
 
 

@@ -1,4 +1,7 @@
-"""Kernels of the whole-recording look: the frames looked at, the tracklets and their labels in; each tracklet's evidence out."""
+"""Kernels for whole recordings: sampled frames, tracklets and their labels in; each tracklet's evidence, labels and margins out.
+
+The plain twins are in `tests/twins_tracks.py`.
+"""
 
 from __future__ import annotations
 
@@ -21,16 +24,16 @@ def score_frames(xyz, offsets, track, label, body, settings, out, totals, poses)
     O(P M + E (K M r^2 + r^3)); memory for one frame.
     """
     markers, latents = body.load.shape[1], body.load.shape[3]
-    rows = np.empty(markers, dtype=np.int64)
+    point_of = np.empty(markers, dtype=np.int64)
     workspace = make_body_workspace(0, markers, latents)
     for t in range(len(offsets) - 1):
         first, n = offsets[t], offsets[t + 1] - offsets[t]
-        rows[:] = -1
+        point_of[:] = -1
         labelled = 0
         for c in range(n):
             m = label[track[first + c]]
             if m >= 0:
-                rows[m] = c
+                point_of[m] = c
                 labelled += 1
         if labelled < 3:
             out[first : first + n] = 0.0
@@ -39,22 +42,22 @@ def score_frames(xyz, offsets, track, label, body, settings, out, totals, poses)
         if n != len(workspace.aligned):
             workspace = make_body_workspace(n, markers, latents)
         points = xyz[first : first + n]
-        own = frame_settings(settings, n, markers)
+        own_settings = frame_settings(settings, n, markers)
         workspace.outlier[:] = False
-        k, _ = best_pose(body, points, rows, own, workspace)
+        k, _ = best_pose(body, points, point_of, own_settings, workspace)
         poses[t] = k
-        totals[t] = rescore(body, k, points, rows, own, workspace)
+        totals[t] = rescore(body, k, points, point_of, own_settings, workspace)
         for c in range(n):
             for m in range(markers):
                 out[first + c, m] = workspace.scores[m, c]
 
 
 @kernel
-def gather(track, scores, least, most, sums, counts):
-    """Add up each tracklet's scores over the frames looked at, each held between `least` and `most`.
+def sum_scores(track, scores, least, most, sums, counts):
+    """Add up each tracklet's scores over its points, each clipped to `least` and `most`.
 
     IN  track (P,); scores (P, M) nats; least, most nats
-    OUT sums (J, M) nats; counts (J,) points
+    OUT sums (J, M) nats; counts (J,) points; both are added to. O(P M).
     """
     for p in range(len(track)):
         j = track[p]
@@ -64,8 +67,11 @@ def gather(track, scores, least, most, sums, counts):
 
 
 @kernel
-def still_there(there, count, last, frame):
-    """Keep those of the first `count` tracklets in `there` that last until `frame`, in their order, in place; returns how many."""
+def keep_lasting(there, count, last, frame):
+    """Keep those of the first `count` tracklets in `there` that last until `frame`, in their order.
+
+    IN/OUT there (J,); IN last (J,) frames. Returns how many are kept. O(count).
+    """
     kept = 0
     for s in range(count):
         if last[there[s]] >= frame:
@@ -76,9 +82,9 @@ def still_there(there, count, last, frame):
 
 @kernel
 def overlaps(gain, first, last, order):
-    """Pairs (n, 2) of tracklets that are there at the same time and both gain by a common marker.
+    """Pairs (n, 2) of tracklets that overlap in time and both gain by a common marker.
 
-    IN  gain (J, L); first, last (J,); order (J,) by first frame. O(J * tracklets there at once * L).
+    IN  gain (J, L); first, last (J,); order (J,) tracklets by first frame. O(J * simultaneous tracklets * L).
     """
     tracks, markers = gain.shape
     pairs = np.empty((max(16, tracks), 2), dtype=np.int64)
@@ -94,7 +100,7 @@ def overlaps(gain, first, last, order):
                 break
         if not any_gain:
             continue
-        n_there = still_there(there, n_there, last, first[j])
+        n_there = keep_lasting(there, n_there, last, first[j])
         for s in range(n_there):
             i = there[s]
             for m in range(markers):
@@ -113,10 +119,10 @@ def overlaps(gain, first, last, order):
 
 @kernel
 def branch_and_bound(gain, first, last, steps, label):
-    """The labels of the greatest total gain, one marker once at a time, depth first: a tracklet's markers from the best to none.
+    """The labels of the greatest total gain, each marker once at a time; depth first, a tracklet's markers from the best to none.
 
-    IN  gain (J, L), of which only what is above 0 is taken; first, last (J,) frames; steps: after so many it gives up
-    OUT label (J,), -1 for none. Returns whether it came to its end; at worst O(L^J).
+    IN  gain (J, L), only gains above 0 are taken; first, last (J,) frames; steps: the search gives up after so many
+    OUT label (J,), -1 for none. Returns whether the search was completed. O(L^J) at worst.
     """
     tracks, markers = gain.shape
     ranked = np.empty((tracks, markers + 1), dtype=np.int64)
@@ -171,23 +177,23 @@ def branch_and_bound(gain, first, last, steps, label):
 
 @kernel
 def margins_of(gain, label, first, last, order):
-    """By how much each tracklet's label beats what it or its neighbours in time could have been instead.
+    """By how much each tracklet's label beats the other labels that it, or the tracklets that overlap it in time, could have.
 
-    For a labelled tracklet: against no label, every other marker (pushing its holder out, or swapping with it), and every other tracklet
-    that could take its marker. For one without a label: its best gain less what the present holder would lose, negative.
-    IN  gain (J, L); label (J,); first, last (J,); order (J,) by first frame
-    OUT margin (J,) nats, rival (J,) the best other marker (for a null: the best marker), -1 for none
-    O(J * tracklets there at once * L).
+    For a labelled tracklet: against no label, every other marker (whose holder loses it, or swaps), and every unlabelled tracklet that
+    could take its marker. For one without a label: its best gain less what the present holder would lose, negative.
+    IN  gain (J, L) nats; label (J,); first, last (J,) frames; order (J,) tracklets by first frame
+    Returns margin (J,) nats and rival (J,), the best other marker (for a null: the best marker), -1 for none.
+    O(J * simultaneous tracklets * L).
     """
     tracks, markers = gain.shape
     margin, rival = np.empty(tracks), np.full(tracks, -1, dtype=np.int64)
     taken = np.zeros((tracks, markers))
-    # what it costs to free each marker for a tracklet: the sum over its holders at that time of their gain over their best way out
+    # what it costs to free each marker for a tracklet: what its holders at that time lose if they take the tracklet's label or none
     there = np.empty(tracks, dtype=np.int64)
     n_there = 0
     for o in range(tracks):
         j = order[o]
-        n_there = still_there(there, n_there, last, first[j])
+        n_there = keep_lasting(there, n_there, last, first[j])
         for s in range(n_there):
             i = there[s]
             if label[i] >= 0 and label[i] != label[j]:
@@ -208,7 +214,7 @@ def margins_of(gain, label, first, last, order):
     n_there = 0
     for o in range(tracks):
         j = order[o]
-        n_there = still_there(there, n_there, last, first[j])
+        n_there = keep_lasting(there, n_there, last, first[j])
         for s in range(n_there):
             i = there[s]
             if label[i] >= 0 and label[j] < 0:

@@ -1,4 +1,4 @@
-"""How sure a tracklet's label is: margins of labels whose rightness is known in; confidence, and what is too doubtful to give, out."""
+"""How certain a tracklet's label is: margins of labels from trials with known truth in; confidence, and the least one to accept, out."""
 
 from __future__ import annotations
 
@@ -10,72 +10,77 @@ import numpy as np
 from asterism.labelling.training.calibration import Calibration
 from asterism.recording import NULL, Floats, Ints
 
-LEAST_TRUST = 0.1
-"""Share of what a margin itself says that trials can never take away."""
+MIN_TRUST = 0.1
+"""Confidence is never less than this share of what the margin alone says, whatever the trials showed."""
 
-STEEP, STEEP_OF_ONE = 5.0, 3.5
-"""Log odds per nat of margin that a label is right, at most: one without any margin is a coin toss, whatever the trials say. A model of one
-person was tried on that person only, so its trials are believed less; from five people on they count in full."""
+MAX_SLOPE, MAX_SLOPE_OF_ONE = 5.0, 3.5
+"""Log odds per nat of margin that a label is right, at most: without a margin a label is a coin toss, whatever the trials showed. The lower
+value is for a model of one person, which was tried on that person only; from five people on the first one holds."""
 
 
 @dataclass(frozen=True)
 class TrialLabels:
-    """Labels given in trials whose truth is known: margin (n,) nats, right (n,) 0 or 1, beside (n,) whether a ghost may have been near."""
+    """Labels from n trials with known truth.
+
+    margin           (n,) nats
+    right            (n,) 0 or 1
+    near_unlabelled  (n,) 1 where a point without a label was there at the same time, which may be a ghost
+    """
 
     margin: Floats
     right: Floats
-    beside: Ints
+    near_unlabelled: Ints
 
     @classmethod
     def together(cls, parts: Sequence[TrialLabels]) -> TrialLabels:
         """All trials as one."""
         if not parts:
             return cls(np.empty(0), np.empty(0), np.empty(0, dtype=np.int64))
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("margin", "right", "beside")))
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("margin", "right", "near_unlabelled")))
 
 
 @dataclass(frozen=True)
 class Certainty:
     """From tracklets' margins to the confidence of their labels.
 
-    calibrations      of tracklets beside which no point is left over, and of those beside which some are: where ghosts are, less is sure
-    least_confidence  below which a label is taken back
-    steep             log odds per nat of margin at most
+    calibrations      for tracklets without and with an unlabelled point at the same time: where ghosts may be, labels are less certain
+    least_confidence  labels below this confidence are taken back
+    max_slope         log odds per nat of margin at most
     """
 
     calibrations: tuple[Calibration, Calibration]
     least_confidence: float
-    steep: float = STEEP
+    max_slope: float = MAX_SLOPE
 
-    def confidence(self, margin: Floats, beside: Ints) -> Floats:
+    def confidence(self, margin: Floats, near_unlabelled: Ints) -> Floats:
         """The probability that labels are right: (J,).
 
-        Small margins were seldom tried, so `steep` bounds what the trials say there; and it is never less than a tenth of that bound, for
-        where a few people tried were all labelled wrong (one person stood, the other walked) that does not prove the next one wrong.
+        Few trials have small margins, so `max_slope` bounds the confidence there. Confidence is never less than a tenth of that bound: if
+        all labels of the few people tried were wrong (one person stood, the other walked), those of the next one may still be right.
         """
         alone, crowded = (calibration.confidence(margin) for calibration in self.calibrations)
-        bound = 1.0 / (1.0 + np.exp(-self.steep * np.clip(margin, -100.0, 100.0)))
-        return np.clip(np.where(beside > 0, crowded, alone), LEAST_TRUST * bound, bound)
+        bound = 1.0 / (1.0 + np.exp(-self.max_slope * np.clip(margin, -100.0, 100.0)))
+        return np.clip(np.where(near_unlabelled > 0, crowded, alone), MIN_TRUST * bound, bound)
 
     @classmethod
-    def fit(cls, tried: TrialLabels, target: float, people: int) -> Certainty:
-        """Calibrate on trials of a model of so many people.
+    def fit(cls, trials: TrialLabels, target: float, people: int) -> Certainty:
+        """Calibrate on trials of a model of so many people; `target`: share of the given labels that shall be right, where ghosts are near.
 
-        `target` is the share of the labels given that shall be right, where ghosts are near.
-
-        How sure a label must be for that: a power law through what was measured on people left out (docs/recordings.md): 0.70, 0.83, 0.91
-        for 0.99, 0.999, 0.9999. Solved from the trials of each training it would hang on the one or two wrong tracklets that it saw.
+        The least confidence for that is a power law, fitted to people left out (docs/recordings.md): 0.70, 0.83, 0.91 for targets of 0.99,
+        0.999, 0.9999. Solved from the trials of each training, it would depend on the one or two wrong tracklets among them.
         """
-        one, other = (Calibration.fit(tried.margin[tried.beside == side], tried.right[tried.beside == side]) for side in (0, 1))
-        steep = STEEP_OF_ONE + (STEEP - STEEP_OF_ONE) * min(people - 1, 4) / 4
-        return cls((one, other), 1.0 - (1.0 - target) ** 0.26, steep)
+        one, other = (
+            Calibration.fit(trials.margin[trials.near_unlabelled == side], trials.right[trials.near_unlabelled == side]) for side in (0, 1)
+        )
+        max_slope = MAX_SLOPE_OF_ONE + (MAX_SLOPE - MAX_SLOPE_OF_ONE) * min(people - 1, 4) / 4
+        return cls((one, other), 1.0 - (1.0 - target) ** 0.26, max_slope)
 
 
-def beside_spare(label: Ints, first: Ints, last: Ints) -> Ints:
-    """1 for tracklets during which a tracklet without a label is there, else 0: (J,). O(J + T)."""
-    spare = label == NULL
+def overlaps_unlabelled(label: Ints, first: Ints, last: Ints) -> Ints:
+    """1 for tracklets that overlap in time with a tracklet without a label, else 0: (J,). O(J + T)."""
+    unlabelled = label == NULL
     steps = np.zeros(int(last.max(initial=-1)) + 2, dtype=np.int64)
-    np.add.at(steps, first[spare], 1)
-    np.add.at(steps, last[spare] + 1, -1)
+    np.add.at(steps, first[unlabelled], 1)
+    np.add.at(steps, last[unlabelled] + 1, -1)
     before = np.concatenate([[0], np.cumsum(np.cumsum(steps) > 0)])
     return (before[last + 1] > before[first]).astype(np.int64)

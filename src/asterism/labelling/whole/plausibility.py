@@ -1,4 +1,4 @@
-"""What speaks against labels when all are chosen: distances that are not those of this body, or not those of any body known."""
+"""Labels checked when all are chosen: distances between markers that are not those of this body, or not those of any body known."""
 
 from __future__ import annotations
 
@@ -7,91 +7,76 @@ from numpy.typing import NDArray
 
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules, length_scale
-from asterism.labelling.whole._distance_kernels import foreign_distances, misfits
+from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
 from asterism.labelling.whole._kernels import score_frames
-from asterism.labelling.whole.certainty import beside_spare
-from asterism.labelling.whole.scene import Scene, TimeRules, own_labels
+from asterism.labelling.whole.certainty import overlaps_unlabelled
+from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body
 from asterism.recording import NULL, Floats, Ints
 
-LEAST, PARTNERS, MOST = 5, 6, 8.0
-"""Frames that a distance must be known from; the steadiest distances that count; standard deviations that one counts at most."""
+MIN_FRAMES, MAX_PARTNERS, MAX_DEVIATION = 5, 6, 8.0
+"""Frames that a distance must be known from; how many of the steadiest distances count; standard deviations that one counts at most."""
 
 
-def riding_along(scene: Scene, label: Ints, starts: Ints, rules: TimeRules) -> Floats:
+def ghost_penalty(scene: Scene, label: Ints, offsets: Ints, rules: RecordingLabellingSettings) -> Floats:
     """Nats of margin (J,) that tracklets lose whose near-rigid distances are not those that their markers have elsewhere in the recording.
 
-    A ghost that rides along where a marker is hidden can have the right pose, but hardly the right distances of this very body. Only
-    recordings with points that nobody claims are suspected of ghosts.
+    A ghost that moves with the body where a marker is hidden can fit the pose, but hardly the distances of this very body. Only tracklets
+    during which some point has no label are checked: elsewhere there is no sign of ghosts.
     """
-    off, one = np.zeros(len(label)), np.zeros(len(label))
-    spare = beside_spare(label, scene.first, scene.last)
-    if not spare.any():
-        return off
-    for number in range(len(starts) - 1):
-        own = own_labels(label, starts, number)
-        misfits(
-            scene.seen_xyz,
-            scene.seen_frame,
-            scene.seen_track,
-            own,
-            frames=len(scene.looked),
-            markers=int(starts[number + 1] - starts[number]),
-            noise=rules.rigid_noise,
-            rigid=rules.rigid,
-            least=LEAST,
-            partners=PARTNERS,
-            most=MOST,
-            out=one,
-        )
-        off = np.maximum(off, one)
-    return rules.misfit_cost * np.maximum(off - rules.misfit, 0.0) ** 2 * (spare > 0)
+    worst, of_body = np.zeros(len(label)), np.zeros(len(label))
+    near_unlabelled = overlaps_unlabelled(label, scene.first, scene.last)
+    if not near_unlabelled.any():
+        return worst
+    points = TrackedPoints(scene.sampled_xyz, scene.sampled_frame, scene.sampled_track, len(scene.sampled_frames))
+    limits = DistanceLimits(rules.min_rigid_std, 0.0, rules.max_rigid_std, MIN_FRAMES, MAX_PARTNERS, MAX_DEVIATION)
+    for number in range(len(offsets) - 1):
+        own = labels_of_body(label, offsets, number)
+        rigid_deviations(points, own, int(offsets[number + 1] - offsets[number]), limits, of_body)
+        worst = np.maximum(worst, of_body)
+    return rules.deviation_cost * np.maximum(worst - rules.max_rigid_deviation, 0.0) ** 2 * (near_unlabelled > 0)
 
 
-def strange(labeller: BodyLabeller, body: BodyModel, scene: Scene, own: Ints, rules: TimeRules, body_rules: BodyRules) -> NDArray[np.bool_]:
+def off_training_distances(
+    labeller: BodyLabeller, body: BodyModel, scene: Scene, label: Ints, rules: RecordingLabellingSettings, body_rules: BodyRules
+) -> NDArray[np.bool_]:
     """Labelled tracklets (J,) whose distances to near-rigid neighbours are not those that their marker had in the training.
 
-    Where most frames of a tracklet explain their labels worse than nearly every frame of people left out did, it is a movement that the
-    model knows nothing of: there a label must prove itself by distances that fit better, and is doubted where there are none to compare.
-    own (J,): labels as markers of this body, -1 for none; body: the model as adapted to the subject.
+    Where most frames of a tracklet fit their labels worse than nearly every frame of people left out did, the movement is one that the
+    model does not know: there the distances must fit more closely, and a label that has no distances to compare is doubtful, too.
+    label (J,): labels as markers of this body, -1 for none; body: the model as adapted to the subject.
     """
-    markers = labeller.model.mean.shape[1]
-    apart = np.linalg.norm(labeller.model.mean[:, :, None] - labeller.model.mean[:, None], axis=3)
+    between = np.linalg.norm(labeller.model.mean[:, :, None] - labeller.model.mean[:, None], axis=3)
     unit = length_scale(labeller.model.mean[0], body_rules)
-    off = np.empty(len(own))
-    usual = foreign_distances(
-        scene.seen_xyz,
-        scene.seen_frame,
-        scene.seen_track,
-        own,
-        frames=len(scene.looked),
-        low=apart.min(axis=0),
-        high=apart.max(axis=0),
-        noise=rules.foreign_noise * unit,
-        size=body_rules.size_std,
-        rigid=rules.rigid * unit,
-        least=LEAST,
-        partners=PARTNERS,
-        most=MOST,
-        out=off,
+    deviation = np.empty(len(label))
+    points = TrackedPoints(scene.sampled_xyz, scene.sampled_frame, scene.sampled_track, len(scene.sampled_frames))
+    limits = DistanceLimits(
+        rules.training_noise * unit, body_rules.size_std, rules.max_rigid_std * unit, MIN_FRAMES, MAX_PARTNERS, MAX_DEVIATION
     )
-    scores, totals = np.empty((len(scene.seen_xyz), markers)), np.empty(len(scene.looked))
-    arrays = labeller.body if body is labeller.model else body.arrays()
-    poses = np.empty(len(scene.looked), dtype=np.int64)
-    score_frames(scene.seen_xyz, scene.seen_offsets, scene.seen_track, own, arrays, labeller.settings, scores, totals, poses)
-    points = np.nonzero(own[scene.seen_track] != NULL)[0]
-    frame, track = scene.seen_frame[points], scene.seen_track[points]
-    # the more points there are, the less one more that lies well tells; see `frame_settings`
-    crowd = np.log1p(np.maximum(np.diff(scene.seen_offsets) - markers, 0))
-    poor = _medians(scores[points, own[track]], frame, len(scene.looked)) < labeller.settings.usual_score - crowd
-    looks, poorly = np.bincount(track, minlength=len(own)), np.bincount(track, weights=poor[frame], minlength=len(own))
-    unfamiliar = poorly > 0.5 * looks
+    usual = training_deviations(points, label, between.min(axis=0), between.max(axis=0), limits, deviation)
+    unfamiliar = _in_unfamiliar_movement(labeller, body, scene, label)
     # a body that differs all over, as another person does from the only one of the training, says little against single labels
-    limit = np.where(unfamiliar, rules.unfamiliar, rules.familiar * max(1.0, usual))
-    return (own != NULL) & np.where(np.isnan(off), unfamiliar, off > limit)
+    limit = np.where(unfamiliar, rules.max_deviation_unfamiliar, rules.max_deviation_familiar * max(1.0, usual))
+    return (label != NULL) & np.where(np.isnan(deviation), unfamiliar, deviation > limit)
+
+
+def _in_unfamiliar_movement(labeller: BodyLabeller, body: BodyModel, scene: Scene, label: Ints) -> NDArray[np.bool_]:
+    """Tracklets (J,) most of whose sampled frames fit the body worse than nearly every frame of people left out did."""
+    markers, frames = labeller.body.mean.shape[1], len(scene.sampled_frames)
+    scores, totals = np.empty((len(scene.sampled_xyz), markers)), np.empty(frames)
+    arrays = labeller.body if body is labeller.model else body.arrays()
+    poses = np.empty(frames, dtype=np.int64)
+    score_frames(scene.sampled_xyz, scene.sampled_offsets, scene.sampled_track, label, arrays, labeller.settings, scores, totals, poses)
+    points = np.nonzero(label[scene.sampled_track] != NULL)[0]
+    frame, track = scene.sampled_frame[points], scene.sampled_track[points]
+    # the more points there are, the less one more that lies well means; see `frame_settings`
+    log_surplus = np.log1p(np.maximum(np.diff(scene.sampled_offsets) - markers, 0))
+    poor = _medians(scores[points, label[track]], frame, frames) < labeller.settings.usual_score - log_surplus
+    count, poor_count = np.bincount(track, minlength=len(label)), np.bincount(track, weights=poor[frame], minlength=len(label))
+    return poor_count > 0.5 * count
 
 
 def _medians(values: Floats, group: Ints, groups: int) -> Floats:
-    """The (lower) median of the values of each group, NaN for one that is empty: (groups,)."""
+    """The (lower) median of the values of each group, NaN for an empty one: (groups,)."""
     order = np.lexsort((values, group))
     counts = np.bincount(group, minlength=groups)
     begins = np.concatenate([[0], np.cumsum(counts)[:-1]])

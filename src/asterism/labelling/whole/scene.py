@@ -1,4 +1,4 @@
-"""A recording laid out for labelling as a whole: clouds and their tracklets in; ordered points and the frames to look at, out."""
+"""A recording prepared for labelling as a whole: clouds and their tracklets in; sorted points and the frames to label singly out."""
 
 from __future__ import annotations
 
@@ -15,60 +15,70 @@ from asterism.tracking.linking import Tracklets
 
 
 @dataclass(frozen=True)
-class TimeRules:
-    """How a whole recording is labelled. Chosen on the gait subjects, each left out in turn (docs/recordings.md).
+class RecordingLabellingSettings:
+    """How a recording is labelled as a whole. All were chosen on the gait subjects, each left out in turn (docs/recordings.md).
 
-    look         seconds between the frames that are looked at
-    rounds       relabellings after which the labels are taken as they are
-    least_score  nats that one frame can say against a label (negative)
-    most_score   nats that one frame can say for a label
-    alike        correlation of two looks at one tracklet: many looks are worth 1 / alike independent ones at most
-    long_track   seconds from which a tracklet is too long for a ghost, where the recording shows no long ghosts
-    blink        seconds up to which a tracklet is a double where a long one is never farther than
-    double       m from it: a marker that the cameras composed twice
-    ghosts_cost  nats that it costs to take a recording for one with ghosts, and again for one with long ghosts
-    vote_limit   nats that one frame-wise look can say for a label
-    sure         nats from which a tracklet's label teaches the model the subject's own body
-    clear        nats; where every tracklet's label has more, the model is not adapted: there is nothing to win
-    rigid        m; two markers are near-rigid where their distance spreads by less in this recording
-    rigid_noise  m that such a distance varies at least
-    misfit       standard deviations that a tracklet's near-rigid distances may be off without being doubted
-    misfit_cost  nats of margin lost for each square of what is beyond that
-    foreign_noise  m that a near-rigid distance differs between bodies of one size at least
-    familiar     standard deviations that a tracklet's near-rigid distances may be off those of the training where the frame fits as usual
-    unfamiliar   the same where most of its frames fit worse than those of people left out did
-    calibrate    how often the model is adapted to the subject's own body; 0 for never
+    frame_interval    s between the frames that are sampled: labelled singly, and scored
+    max_rounds        relabellings after which the labels are taken as they are
+    min_score         nats, the most that one frame can say against a label (negative)
+    max_score         nats, the most that one frame can say for a label
+    frame_correlation correlation of two frames of one tracklet: many frames are worth 1 / frame_correlation independent ones at most
+    long_track        s; a longer tracklet is no ghost, unless the recording shows long ghosts
+    short_track       s; a tracklet up to this long is a duplicate if all its points lie beside a long one
+    duplicate_distance m; a point nearer than this to another may be a marker that the cameras composed twice
+    ghosts_cost       nats for the explanation that a recording shows ghosts, and as many again for long ghosts
+    max_vote          nats, the most that the labelling of a single frame can vote for a label
+    adapt_margin      nats; the model is adapted to the subject by tracklets whose labels have at least this margin
+    no_adapt_margin   nats; where all labels have more, the model is not adapted, as nothing could change
+    max_rigid_std     m; two markers are near-rigid where their distance varies by less in this recording
+    min_rigid_std     m; the standard deviation of such a distance is taken as at least this
+    max_rigid_deviation standard deviations by which a tracklet's near-rigid distances may differ without a loss of margin
+    deviation_cost    nats of margin lost for each square of what exceeds that
+    training_noise    m, standard deviation of a near-rigid distance between bodies of one size, beyond the range of the training
+    max_deviation_familiar standard deviations by which a tracklet's near-rigid distances may differ from the training's
+    max_deviation_unfamiliar the same where most frames of the tracklet fit worse than those of people left out did
+    adapt_rounds      how often the model is adapted to the subject's own body; 0 for never
     """
 
-    look: float = 0.1
-    rounds: int = 4
-    least_score: float = -4.0
-    most_score: float = 15.0
-    alike: float = 0.3
+    frame_interval: float = 0.1
+    max_rounds: int = 4
+    min_score: float = -4.0
+    max_score: float = 15.0
+    frame_correlation: float = 0.3
     long_track: float = 0.9
-    blink: float = 0.05
-    double: float = 0.03
+    short_track: float = 0.05
+    duplicate_distance: float = 0.03
     ghosts_cost: float = 30.0
-    vote_limit: float = 10.0
-    sure: float = 6.0
-    clear: float = 15.0
-    rigid: float = 0.02
-    rigid_noise: float = 0.004
-    misfit: float = 1.2
-    misfit_cost: float = 12.0
-    foreign_noise: float = 0.01
-    familiar: float = 5.0
-    unfamiliar: float = 2.5
-    calibrate: int = 2
+    max_vote: float = 10.0
+    adapt_margin: float = 6.0
+    no_adapt_margin: float = 15.0
+    max_rigid_std: float = 0.02
+    min_rigid_std: float = 0.004
+    max_rigid_deviation: float = 1.2
+    deviation_cost: float = 12.0
+    training_noise: float = 0.01
+    max_deviation_familiar: float = 5.0
+    max_deviation_unfamiliar: float = 2.5
+    adapt_rounds: int = 2
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A recording laid out for the kernels.
+    """A recording of P points in T frames and J tracklets, prepared for the kernels; E of the frames are sampled, with Q points.
 
-    xyz (P, 3) m, z up; offsets (T + 1,); place (P,) each point's place in its frame of the clouds; track (P,); first, last (J,) frames
-    looked (E,) the frames looked at, and their points: seen_xyz (Q, 3), seen_offsets (E + 1,), seen_track (Q,), seen_frame (Q,) of 0..E-1
-    independent (J,) independent looks at each tracklet; double (J,) whether a tracklet is no more than a double of a long one
+    xyz             (P, 3) m, z up, sorted within each frame
+    offsets         (T + 1,) where each frame's points begin
+    place           (P,) each point's place in its frame of the clouds
+    track           (P,) each point's tracklet
+    first, last     (J,) first and last frame of each tracklet
+    rate            frames per second
+    sampled_frames  (E,) the frames that are sampled
+    sampled_xyz     (Q, 3) m, their points
+    sampled_offsets (E + 1,) where each sampled frame's points begin
+    sampled_track   (Q,) each sampled point's tracklet
+    sampled_frame   (Q,) each sampled point's frame, 0..E-1
+    independent     (J,) how many independent frames the sampled frames of each tracklet amount to
+    duplicate       (J,) bool, short tracklets that are duplicates of long ones
     """
 
     xyz: Floats
@@ -78,19 +88,19 @@ class Scene:
     first: Ints
     last: Ints
     rate: float
-    looked: Ints
-    seen_xyz: Floats
-    seen_offsets: Ints
-    seen_track: Ints
-    seen_frame: Ints
+    sampled_frames: Ints
+    sampled_xyz: Floats
+    sampled_offsets: Ints
+    sampled_track: Ints
+    sampled_frame: Ints
     independent: Floats
-    double: NDArray[np.bool_]
+    duplicate: NDArray[np.bool_]
 
 
-def lay_out(clouds: Clouds, tracklets: Tracklets, rules: TimeRules, unit: float) -> Scene:
-    """Order the points of every frame, whatever order they came in, number the tracklets likewise, and choose the frames to look at.
+def prepare_scene(clouds: Clouds, tracklets: Tracklets, rules: RecordingLabellingSettings, unit: float) -> Scene:
+    """Sort the points of every frame, number the tracklets by their first points, and choose the frames to sample.
 
-    unit: `length_scale` of the smallest body that is looked for.
+    The result does not depend on the order of the points. unit: `length_scale` of the smallest body in the recording.
     """
     frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
     xyz = rotate_z_up(clouds.xyz, clouds.vertical)
@@ -98,27 +108,17 @@ def lay_out(clouds: Clouds, tracklets: Tracklets, rules: TimeRules, unit: float)
     xyz = np.ascontiguousarray(xyz[order])
     _, begins, track = np.unique(tracklets.of_point[order], return_index=True, return_inverse=True)
     rank = np.empty(len(begins), dtype=np.int64)
-    by_first_point = np.argsort(begins)
-    rank[by_first_point] = np.arange(len(begins))
+    rank[np.argsort(begins)] = np.arange(len(begins))
     track = rank[track]
     first, last = np.full(len(begins), len(clouds)), np.full(len(begins), -1)
     np.minimum.at(first, track, frame_of)
     np.maximum.at(last, track, frame_of)
 
-    step = max(1, round(rules.look * clouds.rate))
-    look = np.zeros(len(clouds), dtype=np.bool_)
-    look[step // 2 :: step] = True
-    if len(look) and not look.any():
-        look[len(look) // 2] = True
-    seen_before = np.concatenate([[0], np.cumsum(look)])
-    unseen = np.nonzero(seen_before[last + 1] == seen_before[first])[0]
-    for j in unseen[np.argsort(last[unseen], kind="stable")]:
-        if not look[first[j] : last[j] + 1].any():
-            look[(first[j] + last[j]) // 2] = True
-    looked = np.nonzero(look)[0]
-    seen = look[frame_of]
-    seen_track = track[seen]
-    looks = np.bincount(seen_track, minlength=len(begins))
+    is_sampled = _sampled_frames(len(clouds), max(1, round(rules.frame_interval * clouds.rate)), first, last)
+    frames = np.nonzero(is_sampled)[0]
+    points = is_sampled[frame_of]
+    sampled_track = track[points]
+    samples = np.bincount(sampled_track, minlength=len(begins))
     return Scene(
         xyz,
         clouds.offsets,
@@ -127,34 +127,50 @@ def lay_out(clouds: Clouds, tracklets: Tracklets, rules: TimeRules, unit: float)
         first,
         last,
         clouds.rate,
-        looked,
-        np.ascontiguousarray(xyz[seen]),
-        np.concatenate([[0], np.cumsum(clouds.counts[looked])]).astype(np.int64),
-        seen_track,
-        np.repeat(np.arange(len(looked)), clouds.counts[looked]),
-        looks / (1.0 + rules.alike * (looks - 1.0)),
-        _doubles(xyz, clouds.offsets, track, (last - first + 1) / clouds.rate, rules, unit),
+        frames,
+        np.ascontiguousarray(xyz[points]),
+        np.concatenate([[0], np.cumsum(clouds.counts[frames])]).astype(np.int64),
+        sampled_track,
+        np.repeat(np.arange(len(frames)), clouds.counts[frames]),
+        samples / (1.0 + rules.frame_correlation * (samples - 1.0)),
+        _duplicates(xyz, clouds.offsets, track, (last - first + 1) / clouds.rate, rules, unit),
     )
 
 
-def _doubles(xyz: Floats, offsets: Ints, track: Ints, duration: Floats, rules: TimeRules, unit: float) -> NDArray[np.bool_]:
-    """Tracklets (J,) of a blink all of whose points lie beside one of a long tracklet. O(points of blinks * points of a frame)."""
-    double = duration <= rules.blink
+def _sampled_frames(frames: int, step: int, first: Ints, last: Ints) -> NDArray[np.bool_]:
+    """Every `step`-th frame, and as many more as every tracklet needs to have one: (T,)."""
+    sampled = np.zeros(frames, dtype=np.bool_)
+    sampled[step // 2 :: step] = True
+    if len(sampled) and not sampled.any():
+        sampled[len(sampled) // 2] = True
+    before = np.concatenate([[0], np.cumsum(sampled)])
+    missed = np.nonzero(before[last + 1] == before[first])[0]
+    for j in missed[np.argsort(last[missed], kind="stable")]:
+        if not sampled[first[j] : last[j] + 1].any():
+            sampled[(first[j] + last[j]) // 2] = True
+    return sampled
+
+
+def _duplicates(
+    xyz: Floats, offsets: Ints, track: Ints, duration: Floats, rules: RecordingLabellingSettings, unit: float
+) -> NDArray[np.bool_]:
+    """Short tracklets (J,) all of whose points lie beside one of a long tracklet. O(their points * points of a frame)."""
+    duplicate = duration <= rules.short_track
     long = duration >= rules.long_track
-    points = np.nonzero(double[track])[0]
+    points = np.nonzero(duplicate[track])[0]
     for point, frame in zip(points, np.searchsorted(offsets, points, side="right") - 1, strict=True):
         others = np.arange(offsets[frame], offsets[frame + 1])
         others = others[long[track[others]]]
-        if not (np.linalg.norm(xyz[others] - xyz[point], axis=1) < rules.double * unit).any():
-            double[track[point]] = False
-    return double
+        if not (np.linalg.norm(xyz[others] - xyz[point], axis=1) < rules.duplicate_distance * unit).any():
+            duplicate[track[point]] = False
+    return duplicate
 
 
-def marker_starts(labellers: Sequence[BodyLabeller]) -> Ints:
-    """Where each body's markers begin among the columns of all bodies, and their number at the end."""
+def marker_offsets(labellers: Sequence[BodyLabeller]) -> Ints:
+    """Where each body's markers begin among the columns of all bodies, and the number of columns at the end."""
     return np.concatenate([[0], np.cumsum([labeller.body.mean.shape[1] for labeller in labellers])]).astype(np.int64)
 
 
-def own_labels(label: Ints, starts: Ints, number: int) -> Ints:
-    """The labels (J,) as one body's markers, -1 for those of others."""
-    return np.where((label >= starts[number]) & (label < starts[number + 1]), label - starts[number], NULL)
+def labels_of_body(label: Ints, offsets: Ints, number: int) -> Ints:
+    """Labels (J,), columns of all bodies, as markers of one body; -1 for those of others."""
+    return np.where((label >= offsets[number]) & (label < offsets[number + 1]), label - offsets[number], NULL)

@@ -1,0 +1,97 @@
+"""Live tracks: points frame by frame in; which points continue which track, and each track's evidence for each marker, out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from asterism.recording import Floats, Ints
+from asterism.tracking._link_kernels import link_step
+from asterism.tracking._link_workspace_kernels import LinkLimits, make_link_workspace, make_track_ends
+
+
+class TrackEvidence:
+    """Links points online, and adds up what the frames of each track say for each of M markers.
+
+    A track keeps one row of the table for as long as it continues, or a frame that it is in waits for its labels. Memory grows with the
+    points of a frame and the frames that wait.
+
+    markers      M
+    limits       when a point continues a track, at the stream's frame rate
+    decay        share of the evidence that is left after a frame
+    independent  share of an independent frame that each further frame of a track counts as
+
+    current      (n,) rows of the last frame's points
+    """
+
+    def __init__(self, markers: int, limits: LinkLimits, decay: float, independent: float) -> None:
+        self._limits, self._decay, self._independent = limits, decay, independent
+        size = 16
+        self._ends, self._next_ends, self._workspace = make_track_ends(size), make_track_ends(size), make_link_workspace(size)
+        self._evidence, self._frames = np.zeros((size, markers)), np.zeros(size)
+        self._free = list(range(size))
+        self.current = np.zeros(0, dtype=np.int64)
+
+    def __len__(self) -> int:
+        """Rows of the table."""
+        return len(self._frames)
+
+    def link(self, xyz: Floats, waiting: Iterable[Ints]) -> Ints:
+        """Continue the tracks with a frame's points, (n, 3) m, sorted by x; waiting: rows of the frames that wait for labels.
+
+        Gives the point of the frame before that each point continues, -1 for none.
+        """
+        if len(xyz) > len(self._ends.age):
+            ends, count = make_track_ends(2 * len(xyz)), len(self.current)
+            for array, old in zip(ends, self._ends, strict=True):
+                array[:count] = old[:count]
+            self._ends, self._next_ends, self._workspace = ends, make_track_ends(2 * len(xyz)), make_link_workspace(2 * len(xyz))
+        previous = np.empty(len(xyz), dtype=np.int64)
+        link_step(self._ends, len(self.current), xyz, self._limits, self._workspace, previous, self._next_ends)
+        self._ends, self._next_ends = self._next_ends, self._ends
+        linked = previous >= 0
+        rows = np.empty(len(xyz), dtype=np.int64)
+        rows[linked] = self.current[previous[linked]]
+        rows[~linked] = self._new_rows(int((~linked).sum()))
+        ended = np.setdiff1d(self.current, rows, assume_unique=True)
+        self.current = rows
+        self.release(ended, waiting)
+        return previous
+
+    def _new_rows(self, count: int) -> list[int]:
+        """Empty rows for tracks that begin."""
+        if len(self._free) < count:
+            size = len(self._frames)
+            self._free.extend(range(size, 2 * size + count))
+            self._evidence = np.concatenate([self._evidence, np.zeros((size + count, self._evidence.shape[1]))])
+            self._frames = np.concatenate([self._frames, np.zeros(size + count)])
+        rows = [self._free.pop() for _ in range(count)]
+        self.clear(rows)
+        return rows
+
+    def release(self, rows: Ints, waiting: Iterable[Ints]) -> None:
+        """Free the rows of tracks that have ended, except those that a waiting frame needs."""
+        if len(rows):
+            needed = set().union(*(of_frame.tolist() for of_frame in waiting))
+            self._free.extend(row for row in rows.tolist() if row not in needed)
+
+    def fade(self) -> None:
+        """Let the evidence of the current tracks decay by one frame."""
+        self._evidence[self.current] *= self._decay
+        self._frames[self.current] *= self._decay
+
+    def add(self, scores: Floats) -> None:
+        """Add a frame's scores, (n, M) nats, to the current tracks."""
+        self._evidence[self.current] += scores
+        self._frames[self.current] += 1.0
+
+    def clear(self, rows: Ints | list[int]) -> None:
+        """Forget the evidence of some tracks."""
+        self._evidence[rows], self._frames[rows] = 0.0, 0.0
+
+    def totals(self, rows: Ints, max_frames: float = np.inf) -> Floats:
+        """What all frames of each track say for each marker, (n, M) nats: as much as so many independent frames say, at most."""
+        frames = self._frames[rows]
+        share = np.minimum(1.0 + self._independent * np.maximum(frames - 1.0, 0.0), max_frames) / np.maximum(frames, 1.0)
+        return self._evidence[rows] * share[:, None]
