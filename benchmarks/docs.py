@@ -142,6 +142,11 @@ SECTIONS = (
         r"features, (?P<column>single frames|\+ [a-z ]+), (?P<line>.*)",
     ),
     ("Features of motion: solvers by pool", "feature pool", None),
+    (
+        "Ten tuned numbers at half and double, 3 hidden + 3 ghosts",
+        "sensitivity, ",
+        r"sensitivity, (?P<line>.*), (?P<column>(?:once|half|double): .*)",
+    ),
     ("Speed", "speed, ", None),
     ("Real gaps and ghosts", "dirt, ", None),
     ("From one trial to all subjects", "loop, ", r"loop, (?P<column>.*?, one trial \w+): (?P<line>.*)"),

@@ -31,6 +31,6 @@ CHECKED_BY: dict[str, str] = {
     f"{_POINTS}._plain_kernels.merge_versions": "",
     f"{_POINTS}._score_kernels.score": "",
     f"{_POINTS}._compose_kernels.compose": "",
-    "asterism.calibration.wand._kernels.agree": "",
+    "asterism.calibration.wand._kernels.locate_wand": "",
 }
 """Kernel -> "test_file.py::test_name" of the check; empty where there is none yet."""

@@ -25,7 +25,7 @@ from asterism.cameras.accuracy import (
 from asterism.cameras.accuracy.sensitivity import _slopes
 from asterism.errors import AsterismError
 from asterism.recording import Floats
-from asterism.simulation.cameras import random_rig, ring_rig, wave_wand
+from asterism.simulation.cameras import random_rig, ring_rig, simulate_wand
 
 
 @given(st.integers(0, 10_000))
@@ -165,7 +165,7 @@ def test_turned_rooms_have_turned_maps() -> None:
 
 def test_wand_errors_are_found_where_they_are() -> None:
     """A scale that is wrong by 1 % at x > 0 only."""
-    _, truth = wave_wand(ring_rig(6), rng=np.random.default_rng(0))
+    _, truth = simulate_wand(ring_rig(6), rng=np.random.default_rng(0))
     positions = truth.positions.copy()
     right = positions[:, :, 0].min(axis=1) > 0
     positions[right] *= 1.01

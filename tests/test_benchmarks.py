@@ -16,14 +16,23 @@ import pytest
 from asterism.errors import AsterismError
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts, simulate_occlusions
 from asterism.recording import NULL, Clouds, Labelling, Recording
+from asterism.tracking import LinkRules
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
-benchmark_data, docs, figures, peer, score, tracking, equality, structure, ablation, dirt, loop_picture, main = (
+benchmark_data, docs, figures, peer, score, tracking, equality, structure, sensitivity, ablation, dirt, loop_picture, main = (
     import_module(f"benchmarks.{name}")
     for name in (
         *("data", "docs", "figures", "peer", "score", "tracking"),
-        *("house.equality", "house.structure", "recordings.ablation", "recordings.dirt", "recordings.loop_picture", "__main__"),
+        *(
+            "house.equality",
+            "house.structure",
+            "recordings.sensitivity",
+            "recordings.ablation",
+            "recordings.dirt",
+            "recordings.loop_picture",
+            "__main__",
+        ),
     )
 )
 
@@ -304,6 +313,16 @@ def test_numbers_that_differ_are_counted_and_missing_values_are_equal() -> None:
     assert equality._differing(before, before.copy()) == 0
     assert equality._differing(before, np.array([1.0, np.nan, 4.0])) == 1
     assert equality._differing(before, before[:2]) == equality._differing(before, None) == 3
+
+
+def test_a_tuned_number_is_changed_for_a_while_wherever_it_stands() -> None:
+    standing = LinkRules()
+    with sensitivity.multiplied(LinkRules, "ratio_test", 0.5):
+        assert (standing.ratio_test, LinkRules().ratio_test, LinkRules(ratio_test=7.0).ratio_test) == (1.25, 1.25, 7.0)
+        assert LinkRules().noise == 0.002
+    assert standing == LinkRules() and standing.ratio_test == 2.5
+    for rules, field in sensitivity.NUMBERS:
+        assert getattr(rules(), field) != 0
 
 
 def test_the_picture_of_the_loop_shows_every_round() -> None:

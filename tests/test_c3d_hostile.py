@@ -102,7 +102,7 @@ def test_a_file_cut_anywhere_gives_its_whole_frames_or_a_sentence(tmp_path: Path
         assert frames == min(40, (cut - start) // (6 * 16)), f"cut at {cut}"
         np.testing.assert_array_equal(recording.positions, whole.positions[:frames])
         if frames < 40:
-            assert any("breaks off" in oddity for oddity in recording.metadata["oddities"])
+            assert any("breaks off" in finding.sentence for finding in recording.metadata["findings"])
     assert len(frames_seen) > 30
 
 

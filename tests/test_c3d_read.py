@@ -224,7 +224,7 @@ def test_metres_millimetres_and_no_units_give_the_same_body(data: Path) -> None:
         middle = len(recording) // 2
         height = np.nanmax(recording.positions[middle, :, 2]) - np.nanmin(recording.positions[middle, :, 2])
         assert 0.6 < height < 2.2, f"{name}: {height} m"
-    assert any("units" in oddity for oddity in recording.metadata["oddities"])
+    assert any("units" in finding.sentence for finding in recording.metadata["findings"])
 
 
 def test_units_that_make_a_body_of_a_millimetre_are_refused(tmp_path: Path) -> None:
@@ -267,7 +267,7 @@ def test_description_names_what_is_there(data: Path) -> None:
     assert {"LHipAngles", "PELO", "LHJC", "CentreOfMass"} <= set(told["points"]["computed"])
     assert told["parameters"]["POINT"] > 20
     broken = describe(data / "conformance/c3d/sample_18/bad_parameter_section.c3d")
-    assert any("cut" in oddity for oddity in broken["oddities"])
+    assert any("cut" in finding.sentence for finding in broken["findings"])
 
 
 def test_an_event_keeps_its_minutes(tmp_path: Path) -> None:

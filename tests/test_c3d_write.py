@@ -114,7 +114,7 @@ def test_longer_names_and_more_points_move_the_data_and_nothing_else(data: Path,
         again = read(tmp_path / "out.c3d", vertical="z", markers=grown.labels)
         step = 1e-5 if before.layout.real else before.scale * recording.metadata["metres_per_unit"]
         np.testing.assert_allclose(again.positions, grown.positions, atol=step, err_msg=str(path))
-        assert parameters(after, LABEL_PARAMETERS) == parameters(before, LABEL_PARAMETERS) or "cut" in str(before.oddities), path
+        assert parameters(after, LABEL_PARAMETERS) == parameters(before, LABEL_PARAMETERS) or "cut" in str(before.findings), path
         assert np.array_equal(after.words[:, 4 * after.layout.points :], before.words[:, 4 * before.layout.points :]), path
 
 
@@ -243,7 +243,7 @@ def test_a_new_file_opens_elsewhere_with_equal_content(tmp_path: Path, frames: i
         np.testing.assert_allclose(third, recording.positions * 1000, rtol=1e-6, atol=1e-3)
     again = read(path)
     np.testing.assert_allclose(again.positions, recording.positions, rtol=1e-6, atol=1e-6)
-    assert (again.labels, again.rate, again.metadata["subject"], again.metadata.get("oddities")) == (recording.labels, 120.0, "Ann", None)
+    assert (again.labels, again.rate, again.metadata["subject"], again.metadata.get("findings")) == (recording.labels, 120.0, "Ann", None)
     assert again.vertical.tolist() == [0, 1, 0]
 
 

@@ -15,8 +15,8 @@ from asterism.reconstruction import ReconstructionSettings, reconstruct, summary
 from asterism.reconstruction.camera_fit import fit_of_cameras
 from asterism.recording import Blobs
 from asterism.simulation import simulate_walks
-from asterism.simulation.cameras import images_of, ring_rig, walker_capsules
-from asterism.simulation.compared import compare_points
+from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, walker_capsules
+from asterism.simulation.comparison import compare_points
 
 
 @cache
@@ -25,7 +25,11 @@ def filmed(cameras: int, noise: float = 0.3, frames: int = 80) -> tuple[Rig, np.
     rng = np.random.default_rng(8)
     walk = simulate_walks(1, frames=frames, seed=4)[0]
     rig = ring_rig(cameras, rng=rng)
-    return rig, walk.positions, images_of(rig, walk.positions, noise, walker_capsules(walk), strays=0.5, rng=rng)[0]
+    return (
+        rig,
+        walk.positions,
+        simulate_blobs(rig, walk.positions, ImagingSettings(noise=noise, strays=0.5), body=walker_capsules(walk), rng=rng)[0],
+    )
 
 
 def turned(camera: Camera, degrees: float) -> Camera:

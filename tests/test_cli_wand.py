@@ -12,7 +12,7 @@ from asterism.cameras import Rig
 from asterism.cameras.files import read_rig, write_rig
 from asterism.cli import main
 from asterism.formats import write_blobs
-from asterism.simulation.cameras import images_of, ring_rig, wave_wand
+from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, simulate_wand
 
 
 def run(*args: object) -> int:
@@ -24,13 +24,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """wand.csv of four cameras, floor.csv of an L-frame, lenses.toml, dark.csv in which camera c3 saw nothing."""
     place = tmp_path_factory.mktemp("wand")
     rig = ring_rig(4, rng=np.random.default_rng(1))
-    blobs, _ = wave_wand(rig, frames=250, rng=np.random.default_rng(2), rate=20.0, outliers=0.01)
+    blobs, _ = simulate_wand(rig, settings=ImagingSettings(noise=0.2, outliers=0.01), frames=250, rng=np.random.default_rng(2), rate=20.0)
     write_blobs(blobs, place / "wand.csv")
     lines = (place / "wand.csv").read_text(encoding="utf-8").splitlines()
     kept = [line for line in lines if not line.startswith("#") and ",c3," not in line]
     (place / "dark.csv").write_text("\n".join([*kept, "0,c3,,,"]) + "\n", encoding="utf-8")
     frame = np.array([[0.0, 0, 0], [0.2, 0, 0], [0.6, 0, 0], [0, 0.4, 0]])
-    write_blobs(images_of(rig, np.tile(frame, (10, 1, 1)), 0.2, rng=np.random.default_rng(3))[0], place / "floor.csv")
+    write_blobs(
+        simulate_blobs(rig, np.tile(frame, (10, 1, 1)), ImagingSettings(noise=0.2), rng=np.random.default_rng(3))[0], place / "floor.csv"
+    )
     rows = ["point,camera,x,y"]
     for name, point in zip(["origin", "x", "y"], frame[[0, 2, 3]], strict=True):
         rows += [f"{name},{camera.name},{x},{y}" for camera in rig for x, y in [camera.project(point)]]

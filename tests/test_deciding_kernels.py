@@ -27,7 +27,8 @@ def test_the_check_of_a_deciding_kernel_exists_and_calls_it(kernel: str, test: s
     called = kernel.rpartition(".")[2]
     reached, waiting = set(), [name]
     while waiting:
-        words = {node.id for node in ast.walk(functions[waiting.pop()]) if isinstance(node, ast.Name)}
+        nodes = list(ast.walk(functions[waiting.pop()]))
+        words = {node.id for node in nodes if isinstance(node, ast.Name)} | {node.attr for node in nodes if isinstance(node, ast.Attribute)}
         waiting += [word for word in words & set(functions) if word not in reached]
-        reached |= words | {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+        reached |= words
     assert called in reached, f"{test} does not call {called}"

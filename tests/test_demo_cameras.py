@@ -18,10 +18,10 @@ from asterism.errors import AsterismError
 from asterism.formats import read_blobs
 from asterism.geometry import rotation_from_vector
 from asterism.recording import Clouds
-from asterism.simulation import chain, simulate_walks
+from asterism.simulation import pipeline, simulate_walks
 from asterism.simulation.cameras import ring_rig
-from asterism.simulation.chain import Check, Outcome
-from asterism.simulation.compared import compare_points, compare_rigs
+from asterism.simulation.comparison import compare_points, compare_rigs
+from asterism.simulation.pipeline import Criterion, PipelineResult
 from asterism.simulation.session import simulate_session
 
 
@@ -69,17 +69,17 @@ def test_a_session_is_the_same_each_time_and_another_with_another_seed() -> None
 
 
 def test_a_measurement_that_is_not_there_keeps_no_promise() -> None:
-    assert not Check("", float("nan"), 1.0, False, "").kept
-    assert not Check("", float("nan"), 1.0, True, "").kept
-    assert Check("", 1.0, 1.0, False, "").kept
+    assert not Criterion("", float("nan"), 1.0, False, "").met
+    assert not Criterion("", float("nan"), 1.0, True, "").met
+    assert Criterion("", 1.0, 1.0, False, "").met
 
 
 def test_the_demo_keeps_its_promises_and_says_when_it_does_not(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    outcomes: list[Outcome] = []
-    work = chain.work_through
-    monkeypatch.setattr(chain, "work_through", lambda *given: outcomes.append(work(*given)) or outcomes[-1])
+    outcomes: list[PipelineResult] = []
+    work = pipeline.run_pipeline
+    monkeypatch.setattr(pipeline, "run_pipeline", lambda *given: outcomes.append(work(*given)) or outcomes[-1])
     folder, told = tmp_path / "demo", tmp_path / "demo.json"
     assert main(["demo", "cameras", "-o", str(folder), "--json", str(told)]) == 0
     shown = capsys.readouterr()
@@ -88,7 +88,7 @@ def test_the_demo_keeps_its_promises_and_says_when_it_does_not(
     content = json.loads(told.read_text())
     assert content["found_within_3_mm"] > 0.995
     assert content["labels"]["wrong"] <= 0.005 * content["labels"]["right"]
-    assert all(check["kept"] for check in content["checks"])
+    assert all(check["met"] for check in content["criteria"])
     errors = compare_rigs(read_rig(folder / "rig.toml"), read_rig(folder / "true-rig.toml"))
     assert errors.position.max() < 0.002
     assert len(read_blobs(folder / "walk.csv")) == 300
@@ -104,8 +104,8 @@ def test_the_demo_keeps_its_promises_and_says_when_it_does_not(
     capsys.readouterr()
 
     damaged = replace(outcomes[0], wrong=500)
-    monkeypatch.setattr(chain, "work_through", lambda *given: damaged)
+    monkeypatch.setattr(pipeline, "run_pipeline", lambda *given: damaged)
     assert main(["demo", "cameras", "-o", str(folder), "--json", "-"]) == 1
     shown = capsys.readouterr()
     assert "labels that are wrong" in shown.err
-    assert [check["name"] for check in json.loads(shown.out)["checks"] if not check["kept"]] == ["labels that are wrong"]
+    assert [check["name"] for check in json.loads(shown.out)["criteria"] if not check["met"]] == ["labels that are wrong"]

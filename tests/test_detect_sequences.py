@@ -14,11 +14,11 @@ import twins_detection
 from asterism.cameras import Rig
 from asterism.cameras.files import write_rig
 from asterism.cli import main
-from asterism.detection import detect, find_blobs
+from asterism.detection import BlobSettings, DetectionSettings, detect, find_blobs
 from asterism.errors import AsterismError
 from asterism.formats import read_blobs
 from asterism.recording import Blobs
-from asterism.simulation.cameras import render, ring_rig, wave_wand
+from asterism.simulation.cameras import ImagingSettings, RenderSettings, render_images, ring_rig, simulate_wand
 from asterism.synchronization import _sync_kernels, lags
 from asterism.synchronization.lags import out_of_step, slips
 
@@ -38,7 +38,7 @@ def waved(rig: Rig) -> Blobs:
 def wand(rig: Rig, delays: np.ndarray, seed: int, frames: int = 40) -> Blobs:
     """A waved wand whose blobs are 6 px wide; cameras take their images so many s late."""
     rng = np.random.default_rng(seed)
-    blobs, _ = wave_wand(rig, frames=frames, rng=rng, rate=50.0, noise=0.0, merging=False, delays=delays)
+    blobs, _ = simulate_wand(rig, settings=ImagingSettings(noise=0.0, merging=False, delays=delays), frames=frames, rng=rng, rate=50.0)
     return replace(blobs, sizes=np.full(len(blobs.xy), 6.0))
 
 
@@ -48,7 +48,7 @@ def folders(waved: Blobs, tmp_path_factory: pytest.TempPathFactory) -> list[Path
     root = tmp_path_factory.mktemp("session")
     for c, name in enumerate(waved.cameras):
         (root / name).mkdir()
-        for t, image in enumerate(render(waved, c, SIZE, rng=np.random.default_rng(c))):
+        for t, image in enumerate(render_images(waved, c, SIZE, rng=np.random.default_rng(c))):
             if (t, c) != (12, 1):
                 cv2.imwrite(str(root / name / f"img_{t + 8}.png"), image)
     return [root / name for name in waved.cameras]
@@ -80,13 +80,13 @@ def test_a_folder_of_images_per_camera(folders: list[Path], waved: Blobs) -> Non
     assert np.sqrt((away[~lost] ** 2).mean() / 2) < 0.05
     again = detect(folders)
     assert np.array_equal(result.blobs.xy, again.blobs.xy)
-    assert result.problems == ()
+    assert result.findings == ()
 
 
 def test_videos_agree_with_images(folders: list[Path], waved: Blobs, tmp_path: Path) -> None:
     for c, name in enumerate(waved.cameras):
         out = cv2.VideoWriter(str(tmp_path / f"{name}.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 50.0, SIZE)
-        for image in render(waved, c, SIZE, rng=np.random.default_rng(c)):
+        for image in render_images(waved, c, SIZE, rng=np.random.default_rng(c)):
             out.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
         out.release()
     result = detect([tmp_path / f"{name}.avi" for name in waved.cameras])
@@ -100,11 +100,11 @@ def test_videos_agree_with_images(folders: list[Path], waved: Blobs, tmp_path: P
     broken.write_bytes(whole[: int(0.6 * len(whole))])
     result = detect([broken])
     assert 0 < result.cameras[0].frames < 40
-    assert f"{result.cameras[0].frames} of 40 frames can be read" in result.problems[0]
+    assert f"{result.cameras[0].frames} of 40 frames can be read" in result.findings[0].sentence
 
 
 def test_pages_of_16_bits_and_series(waved: Blobs, tmp_path: Path) -> None:
-    pages = list(render(waved, 0, SIZE, rng=np.random.default_rng(0), bits=16))[:10]
+    pages = list(render_images(waved, 0, SIZE, RenderSettings(bits=16), rng=np.random.default_rng(0)))[:10]
     cv2.imwritemulti(str(tmp_path / "cam.tif"), pages)
     for t, image in enumerate(pages):
         (tmp_path / f"shot.{t + 1}").write_bytes(cv2.imencode(".tif", image)[1].tobytes())
@@ -112,7 +112,7 @@ def test_pages_of_16_bits_and_series(waved: Blobs, tmp_path: Path) -> None:
     assert len(by_pages) == len(by_series) == 10
     assert np.array_equal(by_pages.xy, by_series.xy)
     assert by_series.cameras == ("shot",)
-    direct = find_blobs(pages[3], threshold=detect([tmp_path / "cam.tif"]).cameras[0].threshold)
+    direct = find_blobs(pages[3], BlobSettings(threshold=detect([tmp_path / "cam.tif"]).cameras[0].threshold))
     assert set(map(tuple, by_pages.of(3, 0))) <= set(map(tuple, direct.xy))
 
 
@@ -122,11 +122,11 @@ def test_times_bring_cameras_to_a_common_clock(rig: Rig, tmp_path: Path) -> None
     rows = ["camera,frame,time"]
     for c, name in enumerate(rig.names):
         (tmp_path / name).mkdir()
-        for t, image in enumerate(render(moved, c, SIZE, rng=np.random.default_rng(c))):
+        for t, image in enumerate(render_images(moved, c, SIZE, rng=np.random.default_rng(c))):
             cv2.imwrite(str(tmp_path / name / f"{t}.png"), image)
             rows.append(f"{name},{t},{t / 50 + late[c]}")
     (tmp_path / "times.csv").write_text("\n".join(rows))
-    result = detect([tmp_path / name for name in rig.names], times=tmp_path / "times.csv")
+    result = detect([tmp_path / name for name in rig.names], DetectionSettings(times=tmp_path / "times.csv"))
     common = result.blobs
     assert common.times is not None and np.ptp(common.times, axis=1).max() == 0
     truth = wand(rig, np.full(3, late.mean()), 5)
@@ -136,7 +136,13 @@ def test_times_bring_cameras_to_a_common_clock(rig: Rig, tmp_path: Path) -> None
 
 
 def test_cameras_out_of_step_are_named(rig: Rig) -> None:
-    blobs, _ = wave_wand(ring_rig(cameras=4, rng=np.random.default_rng(3)), frames=700, rng=np.random.default_rng(4), rate=60.0, strays=0.2)
+    blobs, _ = simulate_wand(
+        ring_rig(cameras=4, rng=np.random.default_rng(3)),
+        settings=ImagingSettings(noise=0.2, strays=0.2),
+        frames=700,
+        rng=np.random.default_rng(4),
+        rate=60.0,
+    )
     true = ring_rig(cameras=4, rng=np.random.default_rng(3))
     for offsets in ([0, 0, 0, 0], [0, 6, 0, 0]):
         frame = blobs.frame_of + np.array(offsets)[blobs.camera_of]
@@ -158,14 +164,14 @@ def test_a_camera_that_loses_an_image_on_the_way_is_named(rig: Rig, tmp_path: Pa
     assert slips(blobs, rig).tolist() == [0, 0, 0]
     for c, name in enumerate(rig.names):
         video = cv2.VideoWriter(str(tmp_path / f"{name}.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 50.0, SIZE, isColor=False)
-        for t, image in enumerate(render(blobs, c, SIZE, rng=np.random.default_rng(c))):
+        for t, image in enumerate(render_images(blobs, c, SIZE, rng=np.random.default_rng(c))):
             if (c, t) != (1, 80):
                 video.write(image)
         video.release()
     found = detect([tmp_path / f"{name}.avi" for name in rig.names], rig=rig)
     assert found.blobs.rate == 50 and not found.rate_assumed
-    [said] = [sentence for sentence in found.problems if "on the way" in sentence]
-    assert said.startswith("camera c2 lost 1 image on the way and is out of step from there on;")
+    [lost] = [finding for finding in found.findings if finding.code == "detect-lost-images"]
+    assert lost.sentence == "camera c2 lost 1 image on the way and is out of step from there on."
     assert np.isnan(slips(wand(rig, np.zeros(3), 6), rig)).all(), "40 frames are too few to tell"
 
 
@@ -183,7 +189,7 @@ def test_blobs_on_epipolar_lines_are_counted_as_by_the_twin(seed: int) -> None:
 
 def test_cameras_some_hundred_frames_out_of_step_are_named() -> None:
     true = ring_rig(cameras=3, rng=np.random.default_rng(3))
-    blobs, _ = wave_wand(true, frames=800, rng=np.random.default_rng(4), rate=60.0)
+    blobs, _ = simulate_wand(true, frames=800, rng=np.random.default_rng(4), rate=60.0)
     frame = blobs.frame_of + np.array([0, 200, 0])[blobs.camera_of]
     kept = frame < len(blobs)
     moved = Blobs.from_rows(frame[kept], blobs.camera_of[kept], blobs.xy[kept], blobs.cameras, frames=len(blobs))
@@ -205,7 +211,7 @@ def test_command_line(folders: list[Path], rig: Rig, waved: Blobs, tmp_path: Pat
     assert "40 frames at 100 frames/s, which nothing says: give --rate;" in said.out
     blobs, told = read_blobs(tmp_path / "2d.csv"), json.loads((tmp_path / "2d.json").read_text())
     assert len(blobs.xy) == told["blobs"] == sum(camera["blobs"] for camera in told["cameras"])
-    assert told["problems"] == []
+    assert told["findings"] == []
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert page.count("data:image/jpeg;base64") == 3
     capsys.readouterr()
@@ -242,17 +248,17 @@ def test_hostile_sequences(folders: list[Path], rig: Rig, tmp_path: Path) -> Non
     for name, text in hours.items():
         (tmp_path / name).write_text(text)
     other = ring_rig(cameras=3, size=(640, 480), rng=np.random.default_rng(1))
-    for paths, options, message in [
+    for paths, given, message in [
         ([tmp_path / "empty"], {}, "holds no images"),
         ([tmp_path / "gone"], {}, "does not exist"),
         ([tmp_path / "none.%d"], {}, "no image of that name"),
-        ([tmp_path / "text.mp4"], {}, "neither an image nor a video"),
+        ([tmp_path / "text.mp4"], {}, "cannot be opened as an image or a video"),
         ([tmp_path / "nothing.png"], {}, "none of its images"),
         ([tmp_path / "cut.png"], {}, "none of its images"),
         ([tmp_path / "mixed"], {}, "30 x 20 after images of 20 x 20"),
         ([folders[0], folders[0]], {}, "its own"),
         ([], {}, "no camera"),
-        (folders, {"threshold": [30, 40]}, "2 thresholds for 3 cameras"),
+        (folders, {"thresholds": [30, 40]}, "2 thresholds for 3 cameras"),
         (folders, {"rig": other}, "the rig says 640 x 480"),
         ([tmp_path / "mixed"], {"rig": rig}, "no camera mixed"),
         (folders[:1], {"times": tmp_path / "none.csv"}, "none.csv is empty"),
@@ -262,13 +268,17 @@ def test_hostile_sequences(folders: list[Path], rig: Rig, tmp_path: Path) -> Non
         (folders[:1], {"times": tmp_path / "few.csv"}, "1 times"),
         (folders[1:2], {"times": tmp_path / "few.csv"}, "no times of camera"),
     ]:
+        options = dict(given)
+        of_rig = options.pop("rig", None)
         with pytest.raises(AsterismError, match=message):
-            detect(paths, **options)
+            detect(paths, DetectionSettings(**options), rig=of_rig)
 
 
 def test_real_videos_and_their_times(data: Path) -> None:
     folder = data / "cameras" / "charuco-4cam"
-    result = detect([folder / f"cam_{c}.mp4" for c in range(2)], times=folder / "timestamps.csv", threshold=250)
+    result = detect(
+        [folder / f"cam_{c}.mp4" for c in range(2)], DetectionSettings(BlobSettings(threshold=250), times=folder / "timestamps.csv")
+    )
     assert (len(result.blobs), result.blobs.first_frame) == (111, 26)
     assert result.blobs.rate == pytest.approx(6.0, abs=0.1)
     assert all(camera.frames == 111 and camera.size == (1280, 720) for camera in result.cameras)

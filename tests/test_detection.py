@@ -12,7 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from twins_detection import grown
 
-from asterism.detection import Flag, _ground_kernels, _kernels, automatic_threshold, find_blobs, static_mask
+from asterism.detection import BlobSettings, Flag, _region_kernels, automatic_threshold, find_blobs, static_mask
+from asterism.detection import _moment_kernels as moments
+from asterism.detection._run_kernels import Runs, find_runs, group_runs
+from asterism.detection._split_kernels import split_at_saddles
 from asterism.errors import AsterismError
 
 
@@ -52,7 +55,7 @@ def test_components_equal_opencv(seed: int, height: int, width: int, share: floa
     rng = np.random.default_rng(seed)
     image = (rng.integers(0, 2**bits, (height, width)) * (rng.random((height, width)) < share)).astype(f"uint{bits}")
     threshold = 2 ** (bits - 2)
-    found = find_blobs(image, threshold=threshold, connectivity=connectivity, min_size=0, max_size=1e4, split=1.0)
+    found = find_blobs(image, BlobSettings(threshold=threshold, connectivity=connectivity, min_size=0, max_size=1e4, split=1.0))
 
     count, labels, stats, _ = cv2.connectedComponentsWithStats((image > threshold).astype(np.uint8), connectivity=connectivity)
     weights = np.maximum(image.astype(float) - threshold, 0).ravel()
@@ -74,7 +77,7 @@ def test_centroids_of_rendered_markers(top: float) -> None:
     rms = np.sqrt((off(found.xy, places) ** 2).mean() / 2)
     assert len(found) == 40
     assert rms < 0.02, f"{rms:.3f} px RMS per axis, allowed 0.02"
-    assert np.abs(find_blobs(image, threshold=100 * grey).size - 8.0).max() < 0.5, "at half of their height"
+    assert np.abs(find_blobs(image, BlobSettings(threshold=100 * grey)).size - 8.0).max() < 0.5, "at half of their height"
     assert found.roundness.min() > 0.9
     assert not found.flags.any()
 
@@ -82,16 +85,19 @@ def test_centroids_of_rendered_markers(top: float) -> None:
 def test_a_shifted_image_has_shifted_blobs() -> None:
     """The other way round too: what is found follows the image, it is not made up."""
     image = discs(apart(10, 2))
-    before, after = find_blobs(image, threshold=60), find_blobs(np.roll(image, (3, -2), axis=(0, 1)), threshold=60)
+    before, after = (
+        find_blobs(image, BlobSettings(threshold=60)),
+        find_blobs(np.roll(image, (3, -2), axis=(0, 1)), BlobSettings(threshold=60)),
+    )
     assert np.allclose(after.xy, before.xy + np.array([-2, 3]), atol=1e-12)
 
 
 def test_the_image_stays_as_it_is_however_it_lies_in_memory() -> None:
     image = discs(apart(10, 2), top=65535.0, peak=40_000.0, dark=2000.0, noise=300.0)
-    frozen, plain = image.copy(), find_blobs(image, threshold=9000)
+    frozen, plain = image.copy(), find_blobs(image, BlobSettings(threshold=9000))
     frozen.flags.writeable = False
     for same in (frozen, image.astype(">u2"), np.asfortranarray(image), np.dstack([image] * 3)):
-        assert np.array_equal(find_blobs(same, threshold=9000).xy, plain.xy)
+        assert np.array_equal(find_blobs(same, BlobSettings(threshold=9000)).xy, plain.xy)
     assert np.array_equal(image, frozen)
 
 
@@ -100,7 +106,7 @@ def test_overlapping_markers_are_split(distance: float) -> None:
     """Discs of 8 px that overlap or touch, in all directions: both are found and said to overlap."""
     for turn in np.linspace(0, np.pi, 7):
         places = 100 + 0.5 * distance * np.array([[np.cos(turn), np.sin(turn)], [-np.cos(turn), -np.sin(turn)]])
-        found = find_blobs(discs(places, seed=int(100 * turn)), threshold=20)
+        found = find_blobs(discs(places, seed=int(100 * turn)), BlobSettings(threshold=20))
         assert len(found) == 2, f"{len(found)} blobs at {np.degrees(turn):.0f} degrees"
         assert off(found.xy, places).max() < 0.15, f"{off(found.xy, places)} px"
         assert distance > 8.0 or (found.flags & Flag.OVERLAPPING).all()
@@ -111,7 +117,7 @@ def test_a_streak_is_flagged_not_split() -> None:
     found = find_blobs(streak)
     assert len(found) == 1
     assert found.flags[0] & Flag.UNROUND
-    assert len(find_blobs(streak, min_roundness=0.6)) == 0
+    assert len(find_blobs(streak, BlobSettings(min_roundness=0.6))) == 0
 
 
 def test_flags_say_what_is_doubtful() -> None:
@@ -128,19 +134,19 @@ def test_windows_and_hot_pixels_are_left_out() -> None:
     image = discs(places)
     image[20:220, 230:310] = 200
     image[3, 3] = 255
-    assert off(find_blobs(image, threshold=60).xy, places).max() < 0.1
-    assert len(find_blobs(image, threshold=60)) == len(places)
+    assert off(find_blobs(image, BlobSettings(threshold=60)).xy, places).max() < 0.1
+    assert len(find_blobs(image, BlobSettings(threshold=60))) == len(places)
 
 
 def test_uneven_light_is_taken_off() -> None:
     places = apart(15, 4)
     image = discs(places, peak=60).astype(float) + np.linspace(0, 120, 320)[None]
     image = np.clip(image, 0, 255).astype(np.uint8)
-    found = find_blobs(image, background=31, threshold=20)
+    found = find_blobs(image, BlobSettings(background=31, threshold=20))
     assert len(found) == 15
     assert off(found.xy, places).max() < 0.3
     empty = np.broadcast_to(10 + np.linspace(0, 120, 320), (240, 320)).astype(np.uint8)
-    assert off(find_blobs(image, background=empty, threshold=20).xy, places).max() < 0.15
+    assert off(find_blobs(image, BlobSettings(background=empty, threshold=20)).xy, places).max() < 0.15
 
 
 def test_static_reflections_are_masked() -> None:
@@ -148,11 +154,11 @@ def test_static_reflections_are_masked() -> None:
     frames = [discs(np.concatenate([still, [[20.0 + 14 * k, 120.0]]]), seed=k) for k in range(20)]
     mask = static_mask(frames)
     for k, frame in enumerate(frames):
-        found = find_blobs(frame, mask=mask)
+        found = find_blobs(frame, BlobSettings(mask=mask))
         assert len(found) == 1, f"frame {k}: {len(found)} blobs"
         assert off(found.xy, np.array([[20.0 + 14 * k, 120.0]])).max() < 0.1
     assert len(find_blobs(frames[0])) == 3
-    passing = find_blobs(discs(np.concatenate([still, [[57.0, 60.0]]])), mask=mask)
+    passing = find_blobs(discs(np.concatenate([still, [[57.0, 60.0]]])), BlobSettings(mask=mask))
     assert (passing.flags & Flag.AT_BORDER).all(), "a marker half behind a mask is where nobody knows"
 
 
@@ -172,9 +178,9 @@ def test_dark_flat_and_full_images_have_no_blobs() -> None:
     [
         (np.zeros((4, 4)), {}, "8 or 16 bit"),
         (np.zeros((4, 4), np.int16), {}, "8 or 16 bit"),
-        (np.zeros(4, np.uint8), {}, "no grey image"),
-        (np.zeros((0, 4), np.uint8), {}, "no grey image"),
-        (np.dstack([np.eye(4, dtype=np.uint8), *2 * [np.zeros((4, 4), np.uint8)]]), {}, "no grey image"),
+        (np.zeros(4, np.uint8), {}, "not a grey image"),
+        (np.zeros((0, 4), np.uint8), {}, "not a grey image"),
+        (np.dstack([np.eye(4, dtype=np.uint8), *2 * [np.zeros((4, 4), np.uint8)]]), {}, "not a grey image"),
         (np.zeros((4, 4), np.uint8), {"threshold": 255}, "grey scale"),
         (np.zeros((4, 4), np.uint8), {"threshold": -1}, "grey scale"),
         (np.zeros((4, 4), np.uint8), {"threshold": np.nan}, "grey scale"),
@@ -184,12 +190,12 @@ def test_dark_flat_and_full_images_have_no_blobs() -> None:
         (np.zeros((4, 4), np.uint8), {"mask": np.zeros((4, 5))}, "mask"),
         (np.zeros((4, 4), np.uint8), {"background": 4}, "odd"),
         (np.zeros((4, 4), np.uint8), {"background": np.zeros((5, 4), np.uint8)}, "background"),
-        (np.zeros((4, 4), np.uint8), {"weigh_from": "peak"}, "weigh"),
+        (np.zeros((4, 4), np.uint8), {"weight_reference": "peak"}, "weigh"),
     ],
 )
 def test_images_and_settings_that_cannot_be_are_refused(image: np.ndarray, settings: dict, message: str) -> None:
     with pytest.raises(AsterismError, match=message):
-        find_blobs(image, **settings)
+        find_blobs(image, BlobSettings(**settings))
 
 
 @given(st.integers(0, 10_000), st.integers(3, 16), st.integers(3, 16), st.floats(0.5, 60), st.integers(0, 60))
@@ -198,7 +204,7 @@ def test_blobs_grown_by_steps_equal_their_twin(seed: int, height: int, width: in
     rng = np.random.default_rng(seed)
     image = np.maximum(rng.integers(-60, 100, (height, width)), 0).astype(np.uint8)
     image = np.maximum(image, cv2.GaussianBlur(image, (3, 3), 0) // 2 * (image > 0)).astype(np.uint8)
-    found = find_blobs(image, threshold=0, min_peak=lowest, step=step, min_size=0, max_size=1e3)
+    found = find_blobs(image, BlobSettings(threshold=0, min_peak=lowest, step=step, min_size=0, max_size=1e3))
     expected = []
     for pixels in grown(image, step, lowest):
         places = np.array(sorted(pixels))
@@ -209,6 +215,41 @@ def test_blobs_grown_by_steps_equal_their_twin(seed: int, height: int, width: in
     assert np.allclose(sorted(map(tuple, np.round(measured, 6))), sorted(map(tuple, np.round(expected, 6))), atol=1e-5)
 
 
+def component(seed: int, height: int, width: int) -> np.ndarray:
+    """The weights (h, w) of the largest component of a smooth random image, 0 around it."""
+    rng = np.random.default_rng(seed)
+    smooth = cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), 1.5)
+    weight = np.pad(np.maximum(np.rint(40 * smooth / smooth.std()), 0).astype(np.int64), 1)
+    labels, _ = twins_detection.label_regions(weight > 0, np.ones((3, 3)))
+    return np.where(labels == np.argmax(np.bincount(labels.ravel())[1:]) + 1, weight, 0)
+
+
+@given(st.integers(0, 10_000), st.integers(6, 24), st.integers(6, 24), st.floats(0.02, 0.6))
+@settings(max_examples=60, deadline=None)
+def test_components_part_at_saddles_as_by_the_twin(seed: int, height: int, width: int, share: float) -> None:
+    weight = component(seed, height, width)
+    ys, xs, label = np.empty(weight.size, np.int64), np.empty(weight.size, np.int64), np.full(weight.shape, -1)
+    count, parts = split_at_saddles(weight, share, ys, xs, label)
+    assert count == (weight > 0).sum()
+    places = list(zip(ys[:count].tolist(), xs[:count].tolist(), strict=True))
+    found = [{place for place in places if label[place] == part} for part in range(parts)] if parts > 1 else [set(places)]
+    assert {frozenset(blob) for blob in found} == {frozenset(blob) for blob in twins_detection.parted(weight, share)}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pixels_of_overlapping_blobs_are_shared_as_by_the_twin(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    places = np.array([[9.0, 10.0], [15.0, 11.0], [11.0, 16.0]]) + rng.uniform(-0.5, 0.5, (3, 2))
+    weight = np.rint(discs(places, 6.0, (26, 26), seed=seed).astype(float)).astype(np.int64)
+    ys, xs = np.nonzero(weight > 0)
+    out = np.zeros((3, moments.COLUMNS))
+    out[:, [moments.X, moments.Y]] = places + rng.uniform(-1, 1, (3, 2))
+    out[:, [moments.XX, moments.YY, moments.WEIGHT]] = [4.0, 4.0, 1000.0]
+    expected = twins_detection.shared(weight[ys, xs], np.stack([xs, ys], axis=1), out[:, [moments.X, moments.Y]], 4.0, moments.SETTLED_PX)
+    moments.share_pixels(weight, ys, xs, out)
+    assert np.allclose(out[:, [moments.X, moments.Y]], expected, atol=1e-9)
+
+
 @given(st.integers(0, 10_000), st.integers(20, 110), st.integers(20, 110), st.sampled_from([8, 16]))
 @settings(max_examples=20, deadline=None)
 def test_large_areas_that_are_raised_equal_their_twin(seed: int, height: int, width: int, bits: int) -> None:
@@ -216,12 +257,11 @@ def test_large_areas_that_are_raised_equal_their_twin(seed: int, height: int, wi
     smooth = cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), 6)
     image = np.clip(2 ** (bits - 2) * (1 + smooth / smooth.std()) + rng.normal(0, 3, smooth.shape), 0, 2**bits - 1).astype(f"uint{bits}")
     level = np.full_like(image, 2 ** (bits - 2))
-    expected = twins_detection.raised(image, level, 50, 1.5, _ground_kernels.SOME)
-    runs = [np.empty(image.size, np.int32) for _ in range(4)]
-    count = _kernels.find_runs(image, level, 1, *runs)
-    order, starts = _kernels.by_component(runs[3], count)
+    expected = twins_detection.raised(image, level, 50, 1.5, _region_kernels.SAMPLE)
+    runs = Runs(*(np.empty(image.size, np.int32) for _ in range(4)))
+    components = group_runs(runs, find_runs(image, level, 1, runs))
     before = level.copy()
-    changed = _ground_kernels.raise_levels(image, level, *runs[:3], order, starts, 50.0, 1.5, 2**bits - 1)
+    changed = _region_kernels.raise_threshold(image, level, components, 50.0, 1.5, 2**bits - 1)
     assert changed == (level != before).any()
     assert np.array_equal(level, expected)
 
@@ -230,15 +270,15 @@ def test_large_areas_that_are_raised_equal_their_twin(seed: int, height: int, wi
 def test_what_stands_out_equals_its_twin(seed: int) -> None:
     rng = np.random.default_rng(seed)
     image = rng.integers(0, 255, (40, 50)).astype(np.uint8)
-    blobs = np.zeros((30, _kernels.COLUMNS))
-    blobs[:, [_kernels.X, _kernels.Y]] = rng.uniform(0, [49, 39], (30, 2))
-    blobs[:, [_kernels.WIDE, _kernels.TALL]] = rng.integers(1, 12, (30, 2))
+    blobs = np.zeros((30, moments.COLUMNS))
+    blobs[:, [moments.X, moments.Y]] = rng.uniform(0, [49, 39], (30, 2))
+    blobs[:, [moments.WIDE, moments.TALL]] = rng.integers(1, 12, (30, 2))
     out = np.empty(30, np.bool_)
-    _ground_kernels.stand_out(image, blobs, 110.0, out)
+    _region_kernels.stands_out(image, blobs, 110.0, out)
     assert 0 < out.sum() < 30
-    for blob, clear in zip(blobs, out, strict=True):
-        place, extent = blob[[_kernels.X, _kernels.Y]], blob[[_kernels.WIDE, _kernels.TALL]]
-        assert clear == (twins_detection.contrast(image, place, extent) > 110)
+    for blob, distinct in zip(blobs, out, strict=True):
+        place, extent = blob[[moments.X, moments.Y]], blob[[moments.WIDE, moments.TALL]]
+        assert distinct == (twins_detection.contrast(image, place, extent) > 110)
 
 
 @pytest.mark.parametrize(("skin", "rough"), [(10, 1.5), (30, 4), (60, 8)])
@@ -256,7 +296,7 @@ def test_markers_on_a_body_that_shines_are_found(skin: float, rough: float) -> N
     found = find_blobs(grey)
     assert len(found) == len(places)
     assert off(found.xy, places).max() < 0.3
-    assert len(find_blobs(grey, threshold=25)) != len(places)
+    assert len(find_blobs(grey, BlobSettings(threshold=25))) != len(places)
 
 
 def test_a_bright_particle_does_not_swallow_a_dim_one() -> None:
@@ -264,7 +304,7 @@ def test_a_bright_particle_does_not_swallow_a_dim_one() -> None:
     ys, xs = np.mgrid[:40, :40]
     image = 8 + 230.0 * np.exp(-((xs - 20) ** 2 + (ys - 20) ** 2) / 2.0) + 30.0 * np.exp(-((xs - 15) ** 2 + (ys - 17) ** 2) / 3.0)
     image = np.rint(image).astype(np.uint8)
-    found = find_blobs(image, threshold=14, step=100, weigh_from="background", background=np.full_like(image, 8))
+    found = find_blobs(image, BlobSettings(threshold=14, step=100, weight_reference="background", background=np.full_like(image, 8)))
     assert off(found.xy, np.array([[20.0, 20.0], [15.0, 17.0]])).max() < 0.3
 
 
@@ -272,7 +312,7 @@ def test_background_is_exceeded_by_more_than_the_threshold_exactly() -> None:
     """The local mean is rounded so that integers compare with it as with the mean itself."""
     image = np.random.default_rng(6).integers(0, 60, (50, 80)).astype(np.uint8)
     mean = cv2.blur(image.astype(float), (5, 5))
-    found = find_blobs(image, background=5, threshold=12, min_size=0, max_size=1e3, split=1.0)
+    found = find_blobs(image, BlobSettings(background=5, threshold=12, min_size=0, max_size=1e3, split=1.0))
     assert np.pi * (found.size**2).sum() / 4 == pytest.approx((image - mean > 12 + 1e-9).sum())
 
 
@@ -281,8 +321,8 @@ def test_particles_of_a_peer_are_found(data: Path) -> None:
     folder = data / "cameras" / "particles-4cam"
     image = cv2.imread(str(folder / "images" / "cam1.10001"), cv2.IMREAD_UNCHANGED)
     peer = np.loadtxt(folder / "images" / "cam1.10001_targets", skiprows=1)
-    how = {"background": 25, "threshold": 9, "weigh_from": "background", "min_peak": 18, "step": 100}
-    found = find_blobs(image, **how, min_size=2.25, max_size=25.25, min_width=2, min_weight=151)
+    how = {"background": 25, "threshold": 9, "weight_reference": "background", "min_peak": 18, "step": 100}
+    found = find_blobs(image, BlobSettings(**how, min_size=2.25, max_size=25.25, min_width=2, min_weight=151))
     kept = found.xy[found.flags & Flag.AT_BORDER == 0]
     away, back = off(kept, peer[:, 1:3] - 0.5), off(peer[:, 1:3] - 0.5, kept)
     assert (away < 1).mean() > 0.99

@@ -235,7 +235,7 @@ def test_the_time_column_is_believed_against_a_stale_rate(tmp_path):
     (tmp_path / "walk.trc").write_text(TRC.replace("\t0.00\t", "\t0.0\t").replace("\t0.01\t", "\t0.005\t").replace("\t0.02\t", "\t0.010\t"))
     recording = read(tmp_path / "walk.trc", vertical="y")
     assert recording.rate == pytest.approx(200.0)
-    assert any("frames per second" in oddity for oddity in recording.metadata["oddities"])
+    assert any("frames per second" in finding.sentence for finding in recording.metadata["findings"])
 
 
 def test_frames_left_out_become_missing_frames(tmp_path):
@@ -275,7 +275,7 @@ def test_units_in_the_wrong_field_are_found(tmp_path):
     (tmp_path / "walk.trc").write_text(text)
     recording = read(tmp_path / "walk.trc")
     np.testing.assert_allclose(recording.positions, body().positions, atol=1e-7, equal_nan=True)
-    assert any("another field" in oddity for oddity in recording.metadata["oddities"])
+    assert any("another field" in finding.sentence for finding in recording.metadata["findings"])
 
 
 def test_absent_units_are_told_from_the_body_and_said(tmp_path):
@@ -284,7 +284,7 @@ def test_absent_units_are_told_from_the_body_and_said(tmp_path):
     (tmp_path / "walk.trc").write_text(text)
     recording = read(tmp_path / "walk.trc")
     assert recording.metadata["units"] == "mm"
-    assert any("size of the body" in oddity for oddity in recording.metadata["oddities"])
+    assert any("size of the body" in finding.sentence for finding in recording.metadata["findings"])
 
 
 WIDE = {

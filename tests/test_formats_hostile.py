@@ -241,7 +241,7 @@ def test_an_npz_of_a_later_version_or_of_others_is_refused(tmp_path):
 
 def test_frame_numbers_that_would_need_gigabytes_are_refused(tmp_path):
     (tmp_path / "walk.csv").write_text("# rate=100\nframe,marker,x,y,z\n1,A,0,0,1\n2000000000,A,0,0,1\n")
-    with pytest.raises(AsterismError, match="mend the frame column"):
+    with pytest.raises(AsterismError, match="correct the frame column"):
         read(tmp_path / "walk.csv")
 
 

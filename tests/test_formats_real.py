@@ -64,7 +64,7 @@ def test_the_same_take_as_trc_and_c3d_is_the_same(data):
     text, binary = read(folder / "lem_static.trc"), read(folder / "lem_static.c3d")
     assert text.labels == binary.labels
     np.testing.assert_allclose(text.positions, binary.positions, atol=1e-5)
-    assert any("1300 frames" in oddity for oddity in text.metadata["oddities"])
+    assert any("1300 frames" in finding.sentence for finding in text.metadata["findings"])
 
 
 def test_the_same_take_as_nexus_csv_and_trc_has_the_same_markers(data):

@@ -8,7 +8,7 @@ import pytest
 from asterism.errors import AsterismError
 from asterism.formats import read, write
 from asterism.formats._columns import settle_vertical
-from asterism.formats._vertical import tell_vertical, vertical_from_positions
+from asterism.formats._vertical import estimate_vertical, vertical_from_positions
 from asterism.recording import Recording
 
 AXES = {"x": (1, 0, 0), "-x": (-1, 0, 0), "y": (0, 1, 0), "-y": (0, -1, 0), "z": (0, 0, 1), "-z": (0, 0, -1)}
@@ -84,7 +84,7 @@ def lying(height: float) -> np.ndarray:
 
 
 def test_somebody_lying_on_the_floor_is_not_stood_up_by_names():
-    told = tell_vertical(lying(0.01), GAIT)
+    told = estimate_vertical(lying(0.01), GAIT)
     assert told.vector is None or tuple(told.vector) == (0, 0, 1)
 
 

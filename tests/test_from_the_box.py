@@ -20,8 +20,8 @@ from asterism.cli import main
 from asterism.labelling import SolverEnsemble, TrainingRules, group_tracklets, name_groups
 from asterism.recording import Blobs, Recording
 from asterism.simulation import simulate_standing, simulate_walks
-from asterism.simulation.cameras import images_of, ring_rig, walker_capsules, wave_wand
-from asterism.simulation.compared import compare_rigs
+from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, simulate_wand, walker_capsules
+from asterism.simulation.comparison import compare_rigs
 
 PAGE = Path(__file__).parent.parent / "docs" / "from-the-box.md"
 SIZE = (480, 384)
@@ -61,17 +61,27 @@ def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Rig, dict[
     """Four cameras' videos of a wand, of the wand on the floor, and of two people, in the folder that is worked in."""
     monkeypatch.chdir(tmp_path)
     rig = ring_rig(4, radius=3.4, height=2.3, size=SIZE, focal=0.75 * SIZE[0], rng=np.random.default_rng(5))
-    film(tmp_path / "wand", wave_wand(rig, frames=150, rate=5.0, noise=0.0, merging=False, rng=np.random.default_rng(6))[0], 5.0)
+    film(
+        tmp_path / "wand",
+        simulate_wand(rig, settings=ImagingSettings(noise=0.0, merging=False), frames=150, rate=5.0, rng=np.random.default_rng(6))[0],
+        5.0,
+    )
     along = np.array([0.0, 0.2, 0.6])[:, None]
     lying = np.concatenate([np.tile(along * [1.0, 0, 0], (12, 1, 1)), np.tile([0, 0.1, 0] + along * [0, 1.0, 0], (12, 1, 1))])
-    film(tmp_path / "floor", images_of(rig, lying, 0.0, rng=np.random.default_rng(7))[0], RATE)
+    film(tmp_path / "floor", simulate_blobs(rig, lying, ImagingSettings(noise=0.0), rng=np.random.default_rng(7))[0], RATE)
     people: dict[str, Recording] = {}
     standing, walks = simulate_standing(2, 20, RATE, seed=2), simulate_walks(2, 80, RATE, seed=2, trials=2)
     for person, name in enumerate(("ann", "ben")):
         people |= {f"{name}-static": standing[person]} | {f"{name}-walk{n + 1}": walks[2 * person + n] for n in range(2 - person)}
     for name, recording in people.items():
         rng = np.random.default_rng([8, *name.encode()])
-        film(tmp_path / name, images_of(rig, recording.positions, 0.0, walker_capsules(recording), merging=False, rng=rng)[0], RATE)
+        film(
+            tmp_path / name,
+            simulate_blobs(rig, recording.positions, ImagingSettings(noise=0.0, merging=False), body=walker_capsules(recording), rng=rng)[
+                0
+            ],
+            RATE,
+        )
     return rig, people
 
 

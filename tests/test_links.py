@@ -9,14 +9,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from twins_links import combine_directions as combine_plainly
 from twins_links import is_cut, link_forward, strays
+from twins_links import repair_links as repair_plainly
 
 from asterism.formats import read
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds, Recording
 from asterism.simulation import simulate_walks
-from asterism.tracking._cut_kernels import count_strays, find_cuts
+from asterism.tracking._chain_kernels import combine_directions, number_chains, sort_frames
+from asterism.tracking._cut_kernels import count_strays, find_cuts, repair_links
 from asterism.tracking._link_kernels import link_frames
+from asterism.tracking._link_workspace_kernels import Links
 from asterism.tracking.linking import LinkRules, Tracklets, _along_numbers, find_tracklets
 
 MOVEMENT = (
@@ -213,11 +217,13 @@ def test_the_kernel_equals_its_twin() -> None:
 
 
 def test_the_cuts_equal_their_twin() -> None:
-    limits = LinkRules().limits(100.0)._replace(jump=np.inf)
+    limits = LinkRules().limits(100.0)
     rng = np.random.default_rng(0)
     for seed in range(4):
         recording = swapped(swapped(walks()[seed % 3].frames(np.arange(40)), rng)[0], rng, 3)[0]
-        positions = recording.positions + rng.normal(scale=0.004, size=recording.positions.shape)
+        positions = recording.positions + rng.normal(scale=0.004 * (seed % 2), size=recording.positions.shape)
+        for _ in range(3):  # jumps without a rival
+            positions[rng.integers(5, 35) :, rng.integers(positions.shape[1])] += rng.normal(scale=0.05, size=3)
         positions[rng.random(positions.shape[:2]) < 0.02] = np.nan
         clouds = replace(recording, positions=positions).clouds()
         links = _along_numbers(clouds.columns, frame_of(clouds))
@@ -229,6 +235,98 @@ def test_the_cuts_equal_their_twin() -> None:
         ]
         np.testing.assert_array_equal(got, wanted)
         assert got.any()
+
+
+def test_ties_and_coincident_points_are_linked_as_the_twin_links_them() -> None:
+    """Points on a grid of 1 cm, in frames of 0 to 6 points: many distances are equal."""
+    limits = LinkRules().limits(100.0)
+    linked = 0
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        points = np.round(rng.normal(scale=0.05, size=(6, 3)), 2)
+        frames = []
+        for _ in range(10):
+            points = points + np.round(rng.normal(scale=0.002, size=3), 2)
+            shown = points[rng.random(6) < rng.choice([0.0, 0.9, 0.9])]
+            frames.append(np.array(sorted(map(tuple, shown))).reshape(-1, 3))
+        offsets = np.concatenate([[0], np.cumsum([len(frame) for frame in frames])])
+        got = np.empty(offsets[-1], dtype=np.int64)
+        link_frames(np.concatenate(frames), offsets, limits, False, got)
+        wanted = link_forward(frames, limits)
+        for t in range(1, len(frames)):
+            own = got[offsets[t] : offsets[t + 1]]
+            np.testing.assert_array_equal(np.where(own >= 0, own - offsets[t - 1], -1), wanted[t])
+            linked += int((own >= 0).sum())
+    assert linked > 20
+
+
+def random_links(rng: np.random.Generator, counts: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Links between the points of neighbouring frames, each point in one at most: previous, following (P,)."""
+    offsets = np.concatenate([[0], np.cumsum(counts)])
+    previous, following = np.full(offsets[-1], -1), np.full(offsets[-1], -1)
+    for t in range(1, len(counts)):
+        n = min(counts[t - 1], counts[t])
+        one, other = offsets[t - 1] + rng.permutation(counts[t - 1])[:n], offsets[t] + rng.permutation(counts[t])[:n]
+        kept = rng.random(n) < share
+        following[one[kept]], previous[other[kept]] = other[kept], one[kept]
+    return previous, following
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.integers(0, 2**31))
+def test_both_directions_are_combined_as_the_twin_combines_them(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(0, 4, 7)
+    forward, following = random_links(rng, counts, 0.7)
+    _, backward = random_links(rng, counts, 0.7)
+    if rng.random() < 0.8:  # mostly the same links, some of them missing
+        backward = np.where(rng.random(len(following)) < 0.3, -1, following)
+    got = [np.empty(len(forward), dtype=np.int64) for _ in range(2)]
+    combine_directions(forward, backward, *got)
+    links = combine_plainly(forward, backward)
+    assert {(int(p), q) for q, p in enumerate(got[0]) if p >= 0} == links
+    assert {(p, int(q)) for p, q in enumerate(got[1]) if q >= 0} == links
+
+
+def test_ends_and_beginnings_are_joined_as_the_twin_joins_them() -> None:
+    limits = LinkRules().limits(100.0)
+    joined = refused = 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        noise = rng.choice([0.0, 0.0005, 0.004])
+        clouds = Clouds.from_points(walks()[seed % 3].positions[:12, :8] + rng.normal(scale=noise, size=(12, 8, 3)), rate=100.0)
+        frame, columns = frame_of(clouds), np.tile(np.arange(8), 12)
+        whole = _along_numbers(columns, frame)
+        previous, following = whole.previous.copy(), whole.following.copy()
+        broken = np.nonzero((previous >= 0) & (rng.random(len(previous)) < 0.2))[0]
+        following[previous[broken]] = -1
+        previous[broken] = -1
+        forbidden = np.full(len(previous), -1)
+        forbidden[broken[::4]] = whole.previous[broken[::4]]
+        wanted = repair_plainly(clouds.xyz, frame, previous, following, forbidden, limits)
+        links = Links(previous, following)
+        repair_links(clouds.xyz, clouds.offsets, links, forbidden, limits)
+        np.testing.assert_array_equal(links.previous, wanted[0])
+        np.testing.assert_array_equal(links.following, wanted[1])
+        joined, refused = joined + int((previous[broken] >= 0).sum()), refused + int((previous[broken] < 0).sum())
+    assert joined > 20 and refused > 20
+
+
+def test_points_are_sorted_and_chains_numbered() -> None:
+    rng = np.random.default_rng(0)
+    counts = rng.integers(0, 6, 12)
+    frame, offsets = np.repeat(np.arange(12), counts), np.concatenate([[0], np.cumsum(counts)])
+    xyz = np.round(rng.normal(size=(len(frame), 3)))
+    order = np.arange(len(frame))
+    sort_frames(xyz, offsets, order)
+    np.testing.assert_array_equal(order, np.lexsort((xyz[:, 2], xyz[:, 1], xyz[:, 0], frame)))
+    previous, _ = random_links(rng, counts, 0.7)
+    of_point = np.empty(len(frame), dtype=np.int64)
+    count = number_chains(previous, of_point)
+    assert sorted(set(of_point.tolist())) == list(range(count))
+    assert count == (previous < 0).sum()
+    for p, before in enumerate(previous):
+        assert of_point[p] == (of_point[before] if before >= 0 else of_point[:p].max(initial=-1) + 1)
 
 
 def test_the_strays_equal_their_twin() -> None:

@@ -160,7 +160,7 @@ def test_some_blobs_frames_and_cameras(seed: int) -> None:
 
 
 def test_a_camera_without_blobs_is_named() -> None:
-    with pytest.raises(AsterismError, match="no blobs of camera d; there are a, b, c"):
+    with pytest.raises(AsterismError, match="no camera d; the blobs are of a, b, c"):
         blobs().select_cameras(["a", "d"])
 
 

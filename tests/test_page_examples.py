@@ -28,7 +28,7 @@ from asterism.cli import app
 from asterism.formats import write_blobs
 from asterism.labelling import SolverEnsemble, TrainingRules
 from asterism.simulation import simulate_walks
-from asterism.simulation.cameras import images_of, render, ring_rig, walker_capsules, wave_wand
+from asterism.simulation.cameras import ImagingSettings, render_images, ring_rig, simulate_blobs, simulate_wand, walker_capsules
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
@@ -54,9 +54,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rig = called(ring_rig(3, rng=np.random.default_rng(1)), "left", "middle", "right")
     write_rig(rig, folder / "rig.toml")
     write_rig(called(ring_rig(2), "8", "9"), folder / "walking.xcp")
-    write_blobs(wave_wand(rig, frames=250, rate=20.0, rng=np.random.default_rng(2))[0], folder / "wand.csv")
+    write_blobs(simulate_wand(rig, frames=250, rate=20.0, rng=np.random.default_rng(2))[0], folder / "wand.csv")
     walk = simulate_walks(1, frames=60)[0]
-    seen, _ = images_of(rig, walk.positions, 0.2, walker_capsules(walk), rng=np.random.default_rng(3))
+    seen, _ = simulate_blobs(rig, walk.positions, ImagingSettings(noise=0.2), body=walker_capsules(walk), rng=np.random.default_rng(3))
     for name in ("walk.csv", "2d.csv"):
         write_blobs(seen, folder / name)
     for side in ("left", "right"):
@@ -89,8 +89,8 @@ def trained_at_once(model: SolverEnsemble, monkeypatch: pytest.MonkeyPatch) -> N
 def test_the_examples_of_a_page_run_one_after_the_other(page: Path, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copytree(files, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
-    dot, _ = images_of(ring_rig(1), np.zeros((1, 3)), rng=np.random.default_rng(4))
-    known: dict[str, Any] = {"image": next(render(dot, 0, (1280, 1024), rng=np.random.default_rng(5)))}
+    dot, _ = simulate_blobs(ring_rig(1), np.zeros((1, 3)), rng=np.random.default_rng(4))
+    known: dict[str, Any] = {"image": next(render_images(dot, 0, (1280, 1024), rng=np.random.default_rng(5)))}
     for number, block in enumerate(blocks_of(page, "python"), 1):
         if PHOTOGRAPHS.exists() or not any(name in block for name in NEEDS_PHOTOGRAPHS):
             exec(compile(block, f"{page.name}, example {number}", "exec"), known)

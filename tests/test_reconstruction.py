@@ -31,7 +31,7 @@ from asterism.reconstruction._score_kernels import best_blob
 from asterism.reconstruction.problem import ObservationModel, Problem, common_view, image_bounds
 from asterism.reconstruction.rays import to_rays
 from asterism.recording import Blobs, Clouds
-from asterism.simulation.cameras import images_of, ring_rig, walker_capsules
+from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, walker_capsules
 from asterism.tracking.columns import columns_of
 
 EVERYWHERE = np.array([[-np.inf] * 3, [np.inf] * 3])
@@ -69,7 +69,7 @@ def images(cameras: int = 8, count: int = 30, frames: int = 20, seed: int = 0, *
     rng = np.random.default_rng(seed)
     rig = ring_rig(cameras, rng=rng)
     truth = markers(frames, count, seed)
-    blobs, shows = images_of(rig, truth, rng=rng, **({"noise": 0.3, "merging": False} | more))
+    blobs, shows = simulate_blobs(rig, truth, ImagingSettings(**{"noise": 0.3, "merging": False} | more), rng=rng)
     return rig, blobs, truth, shows
 
 
@@ -290,7 +290,7 @@ def test_thousands_of_particles_in_a_frame() -> None:
     rig = ring_rig(4, radius=1.0, height=1.4)
     rng = np.random.default_rng(5)
     truth = rng.uniform([-0.15, -0.15, 0.8], [0.15, 0.15, 1.0], (1, 3000, 3))
-    blobs, _ = images_of(rig, truth, noise=0.1, merging=False, rng=rng)
+    blobs, _ = simulate_blobs(rig, truth, ImagingSettings(noise=0.1, merging=False), rng=rng)
     result = reconstruct(blobs, rig, ReconstructionSettings(noise=0.1, min_cameras=3))
     hits, ghosts, _ = found(result, truth, 1e-3)
     assert hits > 0.98 * 3000
@@ -301,7 +301,9 @@ def test_cameras_that_take_turns_are_brought_to_one_clock() -> None:
     rig = ring_rig(4)
     t = np.arange(40)[:, None, None] / 100
     path = markers(1, 8, 2, apart=0.3) + np.concatenate([0.3 * np.sin(6 * t), 0.3 * np.cos(6 * t), 0.2 * t], axis=2)
-    blobs, _ = images_of(rig, path, noise=0.05, merging=False, delays=[0.0, 0.002, 0.004, 0.006], rng=np.random.default_rng(0))
+    blobs, _ = simulate_blobs(
+        rig, path, ImagingSettings(noise=0.05, merging=False, delays=[0.0, 0.002, 0.004, 0.006]), rng=np.random.default_rng(0)
+    )
     result = reconstruct(blobs, rig)
     later = 0.003 * 100
     truth = path[5:-5] + later * (path[6:-4] - path[4:-6]) / 2
@@ -497,7 +499,9 @@ def test_a_walk_seen_by_a_real_rig(data: Path) -> None:
     folder = data / "cameras" / "vicon-rig-walk"
     rig, walk = read_rig(folder / "walking_1.xcp"), formats.read(folder / "walking_1.c3d").frames(slice(800, 840))
     rng = np.random.default_rng(0)
-    blobs, _ = images_of(rig, walk.positions, noise=0.15, body=walker_capsules(walk), strays=0.3, rng=rng, rate=walk.rate)
+    blobs, _ = simulate_blobs(
+        rig, walk.positions, ImagingSettings(noise=0.15, strays=0.3), body=walker_capsules(walk), rng=rng, rate=walk.rate
+    )
     hits, ghosts, off = found(reconstruct(blobs, rig), walk.positions)
     assert hits >= 0.995 * walk.visible.sum()
     assert ghosts <= 2

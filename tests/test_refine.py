@@ -19,7 +19,7 @@ from asterism.formats import write_blobs
 from asterism.geometry import rotation_from_vector
 from asterism.recording import Blobs
 from asterism.simulation import simulate_walks
-from asterism.simulation.cameras import images_of, ring_rig, walker_capsules
+from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, walker_capsules
 
 
 @cache
@@ -27,7 +27,7 @@ def filmed(cameras: int) -> tuple[Rig, Blobs]:
     rng = np.random.default_rng(1)
     walk = simulate_walks(1, frames=300, seed=2)[0]
     rig = ring_rig(cameras, rng=rng)
-    return rig, images_of(rig, walk.positions, 0.3, walker_capsules(walk), strays=0.5, rng=rng)[0]
+    return rig, simulate_blobs(rig, walk.positions, ImagingSettings(noise=0.3, strays=0.5), body=walker_capsules(walk), rng=rng)[0]
 
 
 def bumped(camera: Camera, degrees: float, metres: float) -> Camera:
@@ -152,5 +152,5 @@ def test_a_rig_that_is_not_the_recordings_is_refused_and_one_other_lens_is_lost(
 def test_markers_that_stand_in_few_places_tell_nothing() -> None:
     true, _ = filmed(6)
     still = np.tile(np.array([[0.0, 0.0, 1.0], [0.4, 0.1, 1.2], [-0.3, 0.3, 0.6]]), (60, 1, 1))
-    blobs, _ = images_of(true, still, 0.3, rng=np.random.default_rng(0))
+    blobs, _ = simulate_blobs(true, still, ImagingSettings(noise=0.3), rng=np.random.default_rng(0))
     assert {check.state for check in refine_rig(blobs, true).cameras} == {"unknown"}

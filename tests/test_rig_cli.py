@@ -14,7 +14,7 @@ from asterism.cameras.aim import looking
 from asterism.cameras.files import read_rig, write_rig
 from asterism.cli import main
 from asterism.formats import write_blobs
-from asterism.simulation.cameras import images_of, ring_rig, wave_wand
+from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, simulate_wand
 
 
 @pytest.fixture(scope="module")
@@ -23,9 +23,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("rigs")
     rig = ring_rig(5, rng=np.random.default_rng(0))
     write_rig(rig, place / "ring.toml")
-    write_blobs(wave_wand(rig, frames=300, rate=30, rng=np.random.default_rng(1))[0], place / "wand.csv")
+    write_blobs(simulate_wand(rig, frames=300, rate=30, rng=np.random.default_rng(1))[0], place / "wand.csv")
     still = np.tile([[0.2, 0.3, 0.02], [-0.5, 0.1, 0.9]], (100, 1, 1))
-    write_blobs(images_of(rig, still, noise=0.2, rng=np.random.default_rng(2))[0], place / "still.csv")
+    write_blobs(simulate_blobs(rig, still, ImagingSettings(noise=0.2), rng=np.random.default_rng(2))[0], place / "still.csv")
     rotation, translation = looking(rig[1].position, 3 * rig[1].position)
     away = replace(rig[1], rotation=rotation, translation=translation)
     write_rig(replace(rig, cameras=(rig[0], away, *rig.cameras[2:])), place / "idle.toml")

@@ -18,13 +18,15 @@ from asterism.simulation.cameras import (
     MERGED,
     STRAY,
     Capsules,
+    ImagingSettings,
+    RenderSettings,
     _kernels,
-    images_of,
     random_rig,
-    render,
+    render_images,
     ring_rig,
+    simulate_blobs,
+    simulate_wand,
     walker_capsules,
-    wave_wand,
 )
 
 
@@ -45,7 +47,7 @@ def test_every_camera_of_a_ring_looks_at_the_volume() -> None:
 def test_every_camera_of_a_random_rig_sees_the_wand(seed: int) -> None:
     rig = random_rig(rng=np.random.default_rng(seed))
     assert 3 <= len(rig) <= 12
-    blobs, truth = wave_wand(rig, frames=300, rate=30, rng=np.random.default_rng(seed))
+    blobs, truth = simulate_wand(rig, frames=300, rate=30, rng=np.random.default_rng(seed))
     whole = np.zeros((300, len(rig)), dtype=int)
     np.add.at(whole, (blobs.frame_of, blobs.camera_of), truth.identity >= 0)
     share = (whole == 3).mean(axis=0)
@@ -54,7 +56,9 @@ def test_every_camera_of_a_random_rig_sees_the_wand(seed: int) -> None:
 
 def test_the_wand_keeps_its_lengths_and_blobs_lie_where_markers_are() -> None:
     rig = ring_rig(6, rng=np.random.default_rng(1))
-    blobs, truth = wave_wand(rig, (0.0, 0.2, 0.6), 500, noise=0.2, rng=np.random.default_rng(2), merging=False)
+    blobs, truth = simulate_wand(
+        rig, (0.0, 0.2, 0.6), 500, settings=ImagingSettings(noise=0.2, merging=False), rng=np.random.default_rng(2)
+    )
     gaps = np.linalg.norm(np.diff(truth.positions, axis=1), axis=2)
     assert np.abs(gaps - (0.2, 0.4)).max() < 1e-12
     speed = np.linalg.norm(np.diff(truth.positions[:, 1], axis=0), axis=1) * 100
@@ -67,17 +71,24 @@ def test_the_wand_keeps_its_lengths_and_blobs_lie_where_markers_are() -> None:
 
 def test_same_generator_same_blobs() -> None:
     rig = random_rig(5, rng=np.random.default_rng(3))
-    made = [wave_wand(rig, frames=100, rng=np.random.default_rng(4), strays=2, outliers=0.05, dropped=0.1) for _ in range(2)]
+    made = [
+        simulate_wand(
+            rig, settings=ImagingSettings(noise=0.2, strays=2, outliers=0.05, dropped=0.1), frames=100, rng=np.random.default_rng(4)
+        )
+        for _ in range(2)
+    ]
     assert np.array_equal(made[0][0].xy, made[1][0].xy)
     assert np.array_equal(made[0][1].identity, made[1][1].identity)
-    other = wave_wand(rig, frames=100, rng=np.random.default_rng(5))[0]
+    other = simulate_wand(rig, frames=100, rng=np.random.default_rng(5))[0]
     assert not np.array_equal(made[0][0].xy[:10], other.xy[:10])
 
 
 def test_what_is_asked_for_is_what_is_in_the_blobs() -> None:
     rig = ring_rig(4)
     still = np.tile(np.array([[0.0, 0, 0.9], [0.3, 0, 1.2]]), (2000, 1, 1))
-    blobs, identity = images_of(rig, still, rng=np.random.default_rng(0), dropped=0.1, missed=0.2, outliers=0.05, strays=0.5)
+    blobs, identity = simulate_blobs(
+        rig, still, ImagingSettings(dropped=0.1, missed=0.2, outliers=0.05, strays=0.5), rng=np.random.default_rng(0)
+    )
     assert abs((blobs.counts == 0).mean() - 0.1 - 0.9 * 0.04 * np.exp(-0.5)) < 0.01
     arrived = blobs.counts > 0
     per_image = np.zeros(arrived.shape)
@@ -89,7 +100,7 @@ def test_what_is_asked_for_is_what_is_in_the_blobs() -> None:
 
 def test_outside_the_image_and_missing_there_are_no_blobs() -> None:
     rig = ring_rig(3)
-    blobs, identity = images_of(rig, [[[0.0, 0, 0.9], [0.0, 0, 50.0], [np.nan, 0, 0]]], rng=np.random.default_rng(0))
+    blobs, identity = simulate_blobs(rig, [[[0.0, 0, 0.9], [0.0, 0, 50.0], [np.nan, 0, 0]]], rng=np.random.default_rng(0))
     assert set(identity.tolist()) == {0}
     assert (blobs.counts == 1).all()
 
@@ -97,7 +108,7 @@ def test_outside_the_image_and_missing_there_are_no_blobs() -> None:
 def test_blobs_in_an_image_stand_from_top_to_bottom_and_tell_nothing_else() -> None:
     rig = ring_rig(3)
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 20, 3)) + np.array([0, 0, 0.9])
-    blobs, identity = images_of(rig, points, rng=np.random.default_rng(0))
+    blobs, identity = simulate_blobs(rig, points, rng=np.random.default_rng(0))
     for t in range(50):
         assert (np.diff(blobs.of(t, 1)[:, 1]) >= 0).all()
     assert np.corrcoef(identity[:-1], identity[1:])[0, 1] < 0.1
@@ -107,8 +118,8 @@ def test_a_limb_hides_what_is_behind_it_and_on_its_far_side_only() -> None:
     rig = ring_rig(4, height=0.9)  # cameras at +x, +y, -x, -y, level with the limb's middle
     limb = _one_capsule([0, 0, 0.5], [0, 0, 1.3], 0.05)
     markers = [[[0.057, 0, 0.9], [-0.5, 0, 0.9], [0.02, 0, 0.9], [0, 0, 1.6]]]
-    _, identity = images_of(rig, markers, body=limb, rng=np.random.default_rng(0), merging=False)
-    blobs, _ = images_of(rig, markers, body=limb, rng=np.random.default_rng(0), merging=False)
+    _, identity = simulate_blobs(rig, markers, ImagingSettings(merging=False), body=limb, rng=np.random.default_rng(0))
+    blobs, _ = simulate_blobs(rig, markers, ImagingSettings(merging=False), body=limb, rng=np.random.default_rng(0))
     seen = {(int(c), int(m)) for c, m in zip(blobs.camera_of, identity, strict=True)}
     assert {m for c, m in seen if c == 0} == {0, 2, 3}, "from +x the marker half a metre behind the limb is hidden"
     assert {m for c, m in seen if c == 2} == {1, 3}, "from -x those on the limb's far side are; one under its skin is hidden by its core"
@@ -159,9 +170,9 @@ def test_merge_equals_connected_components(seed: int) -> None:
 def test_two_markers_in_a_line_with_a_camera_become_one_blob_between_them() -> None:
     rig = ring_rig(2, height=0.9)
     pair = [[[0.0, 0, 0.9], [0.3, 0.004, 0.9]]]
-    blobs, identity = images_of(rig, pair, noise=0.0, rng=np.random.default_rng(0))
+    blobs, identity = simulate_blobs(rig, pair, ImagingSettings(noise=0.0), rng=np.random.default_rng(0))
     assert identity.tolist() == [MERGED, MERGED]
-    apart, _ = images_of(rig, pair, noise=0.0, rng=np.random.default_rng(0), merging=False)
+    apart, _ = simulate_blobs(rig, pair, ImagingSettings(noise=0.0, merging=False), rng=np.random.default_rng(0))
     low, high = apart.of(0, 0).min(axis=0), apart.of(0, 0).max(axis=0)
     assert ((low <= blobs.of(0, 0)[0]) & (blobs.of(0, 0)[0] <= high)).all()
     assert blobs.sizes[0] > apart.sizes.min()
@@ -171,7 +182,7 @@ def test_a_late_camera_shows_where_the_marker_has_got_to() -> None:
     rig = ring_rig(2)
     time = np.arange(200) / 100
     points = np.stack([0.5 * time - 0.5, 0.1 * time, 0.9 + 0 * time], axis=1)[:, None]
-    blobs, _ = images_of(rig, points, noise=0.0, rng=np.random.default_rng(0), delays=[0.0, 0.0035])
+    blobs, _ = simulate_blobs(rig, points, ImagingSettings(noise=0.0, delays=[0.0, 0.0035]), rng=np.random.default_rng(0))
     assert blobs.times is not None
     assert np.allclose(blobs.times[:, 1] - time, 0.0035)
     late = rig[1].project(points[:, 0] + 0.0035 * np.array([0.5, 0.1, 0]))
@@ -185,7 +196,7 @@ def test_a_body_hides_a_walkers_markers_and_leaves_most_of_them() -> None:
     shares = [
         np.bincount(identity, minlength=len(walk.labels)) / (60 * 8)
         for identity in (
-            images_of(rig, walk.positions, body=body, rng=np.random.default_rng(0), merging=False)[1]
+            simulate_blobs(rig, walk.positions, ImagingSettings(merging=False), body=body, rng=np.random.default_rng(0))[1]
             for body in (None, walker_capsules(walk))
         )
     ]
@@ -216,13 +227,29 @@ def test_markers_without_a_pelvis_have_no_body() -> None:
         walker_capsules(Recording(np.zeros((3, 1, 3)), ("LKNE",), 100.0, "z"))
 
 
+@pytest.mark.parametrize("gaussian", [False, True])
+def test_blobs_are_drawn_as_by_the_twin(gaussian: bool) -> None:
+    """The twin looks at every pixel of the image, not only at those near a blob; a Gaussian is cut off where it is 0.2 % of its height."""
+    rng = np.random.default_rng(1)
+    xy, sizes = rng.uniform(-3, 43, (12, 2)), rng.uniform(2, 9, 12)
+    image = np.full((40, 40), 5.0)
+    _kernels.draw(xy, sizes, gaussian, 200.0, image)
+    row, column = np.mgrid[:40, :40]
+    away = np.hypot(column - xy[:, 0, None, None], row - xy[:, 1, None, None])
+    radius = 0.5 * sizes[:, None, None]
+    light = 200.0 * (0.5 ** ((away / radius) ** 2) if gaussian else np.clip(radius + 0.5 - away, 0, 1))
+    assert np.allclose(image, np.maximum(light.max(axis=0), 5.0), atol=200 * 0.002)
+
+
 @pytest.mark.parametrize("bits", [8, 12])
 @pytest.mark.parametrize("shape", ["disc", "gaussian"])
 def test_rendered_blobs_have_their_centroids_where_the_blobs_are(bits: int, shape: str) -> None:
     rig = ring_rig(1, size=(640, 480))
     points = np.random.default_rng(0).uniform(-0.3, 0.3, (3, 1, 3)) + np.array([0, 0, 0.9])
-    blobs, _ = images_of(rig, points, noise=0.0, diameter=0.04, rng=np.random.default_rng(0))
-    images = list(render(blobs, 0, (640, 480), rng=np.random.default_rng(0), shape=shape, bits=bits, noise=0.0, background=0.0))
+    blobs, _ = simulate_blobs(rig, points, ImagingSettings(noise=0.0, diameter=0.04), rng=np.random.default_rng(0))
+    images = list(
+        render_images(blobs, 0, (640, 480), RenderSettings(shape=shape, bits=bits, noise=0.0, background=0.0), rng=np.random.default_rng(0))
+    )
     assert images[0].dtype == (np.uint8 if bits == 8 else np.uint16)
     assert images[0].shape == (480, 640)
     for t, image in enumerate(images):
@@ -230,14 +257,15 @@ def test_rendered_blobs_have_their_centroids_where_the_blobs_are(bits: int, shap
         weight = image[row, column].astype(float)
         centroid = np.array([column @ weight, row @ weight]) / weight.sum()
         assert np.abs(centroid - blobs.of(t, 0)[0]).max() < 0.03
-    noisy = next(render(blobs, 0, (640, 480), rng=np.random.default_rng(0), shape=shape, bits=bits, noise=0.02))
+    noisy = next(render_images(blobs, 0, (640, 480), RenderSettings(shape=shape, bits=bits, noise=0.02), rng=np.random.default_rng(0)))
     dark = noisy[:100, :100].astype(float) / (2**bits - 1)
     assert abs(dark.std() - 0.02) < 0.003
     assert abs(dark.mean() - 0.06) < 0.002
 
 
 def test_a_reflection_stays_where_it_is() -> None:
-    blobs, identity = images_of(ring_rig(2), np.full((50, 1, 3), np.nan), rng=np.random.default_rng(0), reflections=1, noise=0.2)
+    settings, nothing = ImagingSettings(reflections=1, noise=0.2), np.full((50, 1, 3), np.nan)
+    blobs, identity = simulate_blobs(ring_rig(2), nothing, settings, rng=np.random.default_rng(0))
     assert (identity == STRAY).all()
     assert (blobs.counts <= 1).all()
     own = blobs.xy[blobs.camera_of == 0]
@@ -247,23 +275,23 @@ def test_a_reflection_stays_where_it_is() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"noise": -1.0}, "noise"),
-        ({"dropped": 1.5}, "dropped"),
-        ({"delays": [0.1]}, "delays"),
+        ({"settings": ImagingSettings(noise=-1.0)}, "noise"),
+        ({"settings": ImagingSettings(dropped=1.5)}, "dropped"),
+        ({"settings": ImagingSettings(delays=[0.1])}, "delays"),
         ({"body": _one_capsule([0, 0, 0], [0, 0, 1], 0.1, frames=2)}, "frames"),
         ({"positions": np.zeros((1, 2, 2))}, "shape"),
     ],
 )
-def test_what_makes_no_sense_is_refused(change: dict, message: str) -> None:
+def test_arguments_out_of_range_are_refused(change: dict, message: str) -> None:
     with pytest.raises(AsterismError, match=message):
-        images_of(**{"rig": ring_rig(3), "positions": np.zeros((1, 1, 3)), "rng": np.random.default_rng(0)} | change)
+        simulate_blobs(ring_rig(3), **({"positions": np.zeros((1, 1, 3)), "rng": np.random.default_rng(0)} | change))
 
 
 def test_a_camera_without_an_image_size_is_named() -> None:
     rig = ring_rig(2)
     blind = Rig((rig[0], replace(rig[1], size=None)))
     with pytest.raises(AsterismError, match="camera c2"):
-        images_of(blind, np.zeros((1, 1, 3)), rng=np.random.default_rng(0))
+        simulate_blobs(blind, np.zeros((1, 1, 3)), rng=np.random.default_rng(0))
 
 
 def test_cameras_back_to_back_have_no_volume_for_a_wand() -> None:
@@ -271,4 +299,4 @@ def test_cameras_back_to_back_have_no_volume_for_a_wand() -> None:
     turned = np.diag([-1.0, 1.0, -1.0])
     away = Rig(tuple(replace(c, rotation=turned @ c.rotation, translation=turned @ c.translation) for c in rig))
     with pytest.raises(AsterismError, match="turn them"):
-        wave_wand(away, frames=10, rng=np.random.default_rng(0))
+        simulate_wand(away, frames=10, rng=np.random.default_rng(0))

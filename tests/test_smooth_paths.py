@@ -17,11 +17,11 @@ from asterism.cameras.files import write_rig
 from asterism.cli import app
 from asterism.formats import read_clouds, write_blobs
 from asterism.motion import smooth_paths
-from asterism.motion._kernels import THIRD, smooth_path
+from asterism.motion._kernels import THIRD, JerkModel, smooth_path
 from asterism.reconstruction import Reconstruction, ReconstructionSettings, reconstruct
 from asterism.recording import Clouds
 from asterism.simulation import simulate_walks
-from asterism.simulation.cameras import images_of, ring_rig, walker_capsules
+from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, walker_capsules
 
 Case = tuple[Rig, np.ndarray, Reconstruction]
 
@@ -35,7 +35,7 @@ def walk() -> Case:
     rng = np.random.default_rng(5)
     rig, recording = ring_rig(7, rng=rng), simulate_walks(1, frames=150, seed=5)[0]
     truth = gaussian_filter1d(recording.positions, 2.0, axis=0)
-    blobs, _ = images_of(rig, truth, noise=0.3, body=walker_capsules(recording), strays=0.3, rng=rng)
+    blobs, _ = simulate_blobs(rig, truth, ImagingSettings(noise=0.3, strays=0.3), body=walker_capsules(recording), rng=rng)
     return rig, truth, reconstruct(blobs, rig, ReconstructionSettings(noise=0.3))
 
 
@@ -93,7 +93,7 @@ def test_a_path_is_that_of_the_dense_twin() -> None:
                 variance[t] = (trust * floor + sum(w * square[i] for w, i in near)) / (trust + 3 * sum(w for w, _ in near))
     path, known = np.empty((frames, 3)), np.empty((frames, 3, 3))
     rows, columns = np.triu_indices(3)
-    smooth_path(measured, information[:, rows, columns], floor, trust, weights, rounds, path, known)
+    smooth_path(measured, information[:, rows, columns], JerkModel(floor, trust, weights, rounds), path, known)
     np.testing.assert_allclose(path, mean.reshape(-1, 3), atol=1e-9)
     expected = [inverse[3 * t : 3 * t + 3, 3 * t : 3 * t + 3] for t in range(frames)]
     np.testing.assert_allclose(known, expected, rtol=1e-6, atol=1e-12)

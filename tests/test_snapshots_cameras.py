@@ -13,7 +13,7 @@ import snapshot
 from asterism.cameras.files import write_rig
 from asterism.formats import write_blobs
 from asterism.simulation import simulate_walks
-from asterism.simulation.cameras import images_of, ring_rig, wave_wand
+from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, simulate_wand
 
 CASES = {
     "detect": ["detect cam1 cam2 -o images.csv", "detect cam1 -o images.csv"],
@@ -41,9 +41,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_rig(rig, place / "rig.toml")
     bumped = replace(rig[1], translation=np.add(rig[1].translation, [0.02, 0.0, 0.0]))
     write_rig(replace(rig, cameras=(rig[0], bumped, *rig.cameras[2:])), place / "bumped.toml")
-    write_blobs(wave_wand(rig, frames=250, rng=np.random.default_rng(2), rate=20.0, outliers=0.01)[0], place / "wand.csv")
+    write_blobs(
+        simulate_wand(rig, settings=ImagingSettings(noise=0.2, outliers=0.01), frames=250, rng=np.random.default_rng(2), rate=20.0)[0],
+        place / "wand.csv",
+    )
     [walk] = simulate_walks(subjects=1, frames=100, markers="helen-hayes", seed=3)
-    write_blobs(images_of(rig, walk.positions, 0.2, rng=np.random.default_rng(3))[0], place / "body.csv")
+    write_blobs(simulate_blobs(rig, walk.positions, ImagingSettings(noise=0.2), rng=np.random.default_rng(3))[0], place / "body.csv")
     for camera in ("cam1", "cam2"):
         (place / camera).mkdir()
         for frame in range(5):

@@ -17,8 +17,8 @@ from asterism.reconstruction import ReconstructionSettings, reconstruct, summary
 from asterism.reconstruction.static_points import find_static_points
 from asterism.recording import Blobs
 from asterism.simulation import simulate_walks
-from asterism.simulation.cameras import images_of, ring_rig, walker_capsules
-from asterism.simulation.compared import compare_points
+from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, walker_capsules
+from asterism.simulation.comparison import compare_points
 
 
 @cache
@@ -27,7 +27,13 @@ def filmed(reflections: int, frames: int = 120) -> tuple[Rig, np.ndarray, Blobs]
     walk = simulate_walks(1, frames=frames, seed=9)[0]
     rig = ring_rig(6, rng=rng)
     lamp = np.tile([1.2, -0.9, 0.1], (frames, 1, 1))
-    blobs, _ = images_of(rig, np.concatenate([walk.positions, lamp], axis=1), 0.3, walker_capsules(walk), reflections=reflections, rng=rng)
+    blobs, _ = simulate_blobs(
+        rig,
+        np.concatenate([walk.positions, lamp], axis=1),
+        ImagingSettings(noise=0.3, reflections=reflections),
+        body=walker_capsules(walk),
+        rng=rng,
+    )
     return rig, walk.positions, blobs
 
 
@@ -65,7 +71,7 @@ def test_reflections_that_meet_in_two_cameras_are_found() -> None:
 def test_a_static_trial_is_no_finding_until_masking_takes_it() -> None:
     rig, truth, _ = filmed(0)
     still = np.repeat(truth[:1], 80, axis=0)
-    blobs, _ = images_of(rig, still, 0.3, missed=0.1, rng=np.random.default_rng(0))
+    blobs, _ = simulate_blobs(rig, still, ImagingSettings(noise=0.3, missed=0.1), rng=np.random.default_rng(0))
     made = reconstruct(blobs, rig)
     assert summary(made, rig)[1] == ()
     assert len(find_static_points(made)) > 0.8 * still.shape[1]

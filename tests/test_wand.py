@@ -28,7 +28,7 @@ from asterism.cameras.bundle import Sightings, locate
 from asterism.errors import AsterismError
 from asterism.geometry import rotation_from_vector
 from asterism.recording import Blobs
-from asterism.simulation.cameras import images_of, random_rig, ring_rig, wave_wand
+from asterism.simulation.cameras import ImagingSettings, random_rig, ring_rig, simulate_blobs, simulate_wand
 
 WAND = (0.0, 0.2, 0.6)
 SIZE = (1280, 1024)
@@ -47,7 +47,7 @@ def waved(
     cameras: int = 4, frames: int = 250, seed: int = 2, outliers: float = 0.0, lengths: tuple[float, ...] = WAND
 ) -> tuple[Rig, Blobs]:
     rig = a_rig(cameras)
-    return rig, wave_wand(rig, lengths, frames, rng=rng_of(seed), rate=20.0, outliers=outliers)[0]
+    return rig, simulate_wand(rig, lengths, frames, settings=ImagingSettings(noise=0.2, outliers=outliers), rng=rng_of(seed), rate=20.0)[0]
 
 
 @cache
@@ -104,7 +104,14 @@ def test_the_same_again_bit_for_bit() -> None:
 def test_rigs_of_all_kinds_with_outliers(seed: int) -> None:
     rng = rng_of(seed)
     rig = random_rig(rng=rng)
-    blobs = wave_wand(rig, WAND, 300, rng=rng, rate=20.0, outliers=0.05, strays=0.1, missed=0.02, dropped=0.01, reflections=1)[0]
+    blobs = simulate_wand(
+        rig,
+        WAND,
+        300,
+        settings=ImagingSettings(noise=0.2, outliers=0.05, strays=0.1, missed=0.02, dropped=0.01, reflections=1),
+        rng=rng,
+        rate=20.0,
+    )[0]
     made = calibrate_wand(blobs, WAND, sizes={camera.name: camera.size for camera in rig})
     assert len(made.rig) == len(rig)
     assert made.usable, sentences(made)
@@ -114,7 +121,7 @@ def test_rigs_of_all_kinds_with_outliers(seed: int) -> None:
 def test_an_unlucky_first_look_is_not_believed() -> None:
     """What single images take for the wand is right nearly always, and what cameras agree on is right always."""
     rig = a_rig(5)
-    blobs, truth = wave_wand(rig, WAND, 200, rng=rng_of(4), rate=20.0, outliers=0.1, strays=1.0)
+    blobs, truth = simulate_wand(rig, WAND, 200, settings=ImagingSettings(noise=0.2, outliers=0.1, strays=1.0), rng=rng_of(4), rate=20.0)
     wand = wand_of(WAND)
     detections = identify(blobs, wand)
     shown = (detections >= 0).all(axis=2)
@@ -128,7 +135,9 @@ def test_an_unlucky_first_look_is_not_believed() -> None:
 
 @pytest.mark.parametrize("middle", [0.2, 0.28], ids=["ratio", "alike from both ends"])
 def test_the_wand_in_each_image_equals_the_plain_search(middle: float) -> None:
-    blobs, _ = wave_wand(a_rig(3), (0.0, middle, 0.6), 60, rng=rng_of(21), outliers=0.1, strays=2.0)
+    blobs, _ = simulate_wand(
+        a_rig(3), (0.0, middle, 0.6), 60, settings=ImagingSettings(noise=0.2, outliers=0.1, strays=2.0), rng=rng_of(21)
+    )
     wand = wand_of([0.0, middle, 0.6])
     detections = identify(blobs, wand)
     for t in range(len(blobs)):
@@ -140,7 +149,7 @@ def test_the_wand_in_each_image_equals_the_plain_search(middle: float) -> None:
 
 def test_what_cameras_agree_on_is_supported_as_the_plain_search_says() -> None:
     rig = a_rig(4)
-    blobs, _ = wave_wand(rig, WAND, 40, rng=rng_of(22), outliers=0.1, strays=1.0)
+    blobs, _ = simulate_wand(rig, WAND, 40, settings=ImagingSettings(noise=0.2, outliers=0.1, strays=1.0), rng=rng_of(22))
     wand = wand_of(WAND)
     detections = identify(blobs, wand)
     poses = locate_wand(blobs, detections, wand, list(rig), 6.0)
@@ -193,7 +202,7 @@ def test_cameras_that_are_not_triggered_together() -> None:
     """Delays of up to half a frame at 100 frames per second: without the times the wand would bend by centimetres."""
     rig = a_rig(4)
     delays = np.array([0.0, 0.003, -0.002, 0.004])
-    blobs, _ = wave_wand(rig, WAND, 800, rng=rng_of(7), rate=100.0, delays=delays)
+    blobs, _ = simulate_wand(rig, WAND, 800, settings=ImagingSettings(noise=0.2, delays=delays), rng=rng_of(7), rate=100.0)
     made = calibrate_wand(blobs, WAND, sizes=SIZE)
     assert made.usable, sentences(made)
     assert made.noise < 0.25
@@ -205,7 +214,7 @@ def test_cameras_that_are_not_triggered_together() -> None:
 @pytest.mark.parametrize("late", [-3, 5, 61])
 def test_a_camera_out_of_step_is_named_and_its_images_moved(late: int) -> None:
     rig = a_rig(4)
-    blobs, _ = wave_wand(rig, WAND, 800, rng=rng_of(8), rate=100.0)
+    blobs, _ = simulate_wand(rig, WAND, 800, rng=rng_of(8), rate=100.0)
     mixed = edited(blobs, lambda frame, camera, xy: (np.where(camera == 2, frame - late, frame), camera, xy))
     made = calibrate_wand(mixed, WAND, sizes=SIZE)
     assert made.lag_frames.tolist() == [0, 0, late, 0]
@@ -216,7 +225,7 @@ def test_a_camera_out_of_step_is_named_and_its_images_moved(late: int) -> None:
 def test_two_cameras_out_of_step_hide_nothing() -> None:
     """What a lag moves lies nearly all along the epipolar lines of two cameras, where the place of the wand takes it in."""
     rig = a_rig(2, 5)
-    blobs, _ = wave_wand(rig, WAND, 600, rng=rng_of(6), rate=60.0)
+    blobs, _ = simulate_wand(rig, WAND, 600, rng=rng_of(6), rate=60.0)
     mixed = edited(blobs, lambda frame, camera, xy: (np.where(camera == 1, frame - 1, frame), camera, xy))
     made = calibrate_wand(mixed, WAND, sizes=SIZE)
     assert made.lag_frames.tolist() == [0, 1]
@@ -227,7 +236,7 @@ def test_two_cameras_out_of_step_hide_nothing() -> None:
 def test_a_part_of_a_frame_is_measured_and_mended(lengths: tuple[float, ...]) -> None:
     rig = a_rig(3)
     delays = np.array([0.0, 0.004, 0.0])
-    blobs, _ = wave_wand(rig, lengths, 600, rng=rng_of(17), rate=100.0, delays=delays)
+    blobs, _ = simulate_wand(rig, lengths, 600, settings=ImagingSettings(noise=0.2, delays=delays), rng=rng_of(17), rate=100.0)
     made = calibrate_wand(replace(blobs, times=None), lengths, sizes=SIZE)
     assert made.usable, sentences(made)
     said = re.search(rf"camera {rig[1].name} takes its images (\S+) frames late", sentences(made))
@@ -238,7 +247,9 @@ def test_a_part_of_a_frame_is_measured_and_mended(lengths: tuple[float, ...]) ->
 def test_lags_are_told_though_the_ends_of_a_wand_change_from_frame_to_frame() -> None:
     """A wand that looks alike from both ends may be named either way in each frame: its markers do not jump for that."""
     rig, wand = a_rig(4), wand_of((0.0, 0.25, 0.5))
-    blobs, _ = wave_wand(rig, (0.0, 0.25, 0.5), 300, rng=rng_of(30), rate=100.0, delays=np.array([0.0, 0.003, 0.0, 0.0]))
+    blobs, _ = simulate_wand(
+        rig, (0.0, 0.25, 0.5), 300, settings=ImagingSettings(noise=0.2, delays=np.array([0.0, 0.003, 0.0, 0.0])), rng=rng_of(30), rate=100.0
+    )
     found = locate_wand(blobs, identify(blobs, wand), wand, list(rig), 15.0)
     turned = rng_of(31).random(300) < 0.5
     starts = np.where(turned[:, None], found.starts + 0.5 * found.directions, found.starts)
@@ -251,7 +262,7 @@ def test_lags_are_told_though_the_ends_of_a_wand_change_from_frame_to_frame() ->
 
 def test_a_camera_that_loses_frames_is_named() -> None:
     rig = a_rig(4)
-    blobs, _ = wave_wand(rig, WAND, 800, rng=rng_of(18), rate=100.0)
+    blobs, _ = simulate_wand(rig, WAND, 800, rng=rng_of(18), rate=100.0)
     lost = edited(blobs, lambda frame, camera, xy: (np.where((camera == 2) & (frame > 400), frame - 1, frame), camera, xy))
     made = calibrate_wand(lost, WAND, sizes=SIZE)
     assert not made.usable
@@ -262,7 +273,9 @@ def test_a_camera_that_loses_frames_is_named() -> None:
 
 def test_times_may_be_missing_where_a_camera_saw_nothing() -> None:
     rig = a_rig(4)
-    blobs, _ = wave_wand(rig, WAND, 700, rng=rng_of(28), rate=50.0, delays=np.array([0.0, 0.006, -0.004, 0.008]))
+    blobs, _ = simulate_wand(
+        rig, WAND, 700, settings=ImagingSettings(noise=0.2, delays=np.array([0.0, 0.006, -0.004, 0.008])), rng=rng_of(28), rate=50.0
+    )
     times = np.where(rng_of(29).random((700, 4)) < 0.1, np.nan, blobs.times)
     times[0, 1] = times[-1, 2] = np.nan
     made = calibrate_wand(replace(blobs, times=times), WAND, sizes=SIZE)
@@ -276,7 +289,9 @@ def test_times_may_be_missing_where_a_camera_saw_nothing() -> None:
 def test_times_do_not_turn_a_wand_around_that_was_out_of_sight() -> None:
     """Which end is which is told by each image; from the image before only where wands look alike from both ends."""
     rig = a_rig(4)
-    blobs, _ = wave_wand(rig, WAND, 500, rng=rng_of(19), rate=15.0, delays=np.zeros(4), dropped=0.1)
+    blobs, _ = simulate_wand(
+        rig, WAND, 500, settings=ImagingSettings(noise=0.2, delays=np.zeros(4), dropped=0.1), rng=rng_of(19), rate=15.0
+    )
     step = np.diff(blobs.times[:, 0]).min()
     staggered = replace(blobs, times=blobs.times + 0.002 * step * np.arange(4))
     made = calibrate_wand(staggered, WAND, sizes=SIZE)
@@ -311,7 +326,7 @@ def test_a_chain_of_cameras_in_which_each_sees_the_wand_with_its_neighbours_only
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     points = middle[:, None] + along[:, None] * (np.array(WAND)[:, None] - 0.3)
     rig = Rig(tuple(cameras), vertical=np.array([0.0, 0.0, 1.0]))
-    blobs, _ = images_of(rig, points, 0.2, rng=rng)
+    blobs, _ = simulate_blobs(rig, points, ImagingSettings(noise=0.2), rng=rng)
     assert ((blobs.counts == 3).sum(axis=1) <= 2).all()
     made = calibrate_wand(blobs, WAND, sizes=SIZE)
     assert made.usable, sentences(made)
@@ -335,7 +350,7 @@ def test_lights_that_never_move_are_no_wand() -> None:
 
 def test_two_markers_are_found_beside_lights_that_never_move() -> None:
     rig = a_rig(4)
-    blobs, _ = wave_wand(rig, (0.0, 0.5), 400, rng=rng_of(24), rate=20.0, reflections=2)
+    blobs, _ = simulate_wand(rig, (0.0, 0.5), 400, settings=ImagingSettings(noise=0.2, reflections=2), rng=rng_of(24), rate=20.0)
     made = calibrate_wand(blobs, (0.0, 0.5), sizes=SIZE)
     assert made.usable, sentences(made)
     assert unseen_error(rig, made.rig) < 0.001
@@ -343,7 +358,7 @@ def test_two_markers_are_found_beside_lights_that_never_move() -> None:
 
 def test_one_marker_before_two_cameras_is_not_enough() -> None:
     rig = a_rig(2)
-    blobs, _ = wave_wand(rig, (0.0,), 400, rng=rng_of(25), rate=20.0)
+    blobs, _ = simulate_wand(rig, (0.0,), 400, rng=rng_of(25), rate=20.0)
     apart = float(np.linalg.norm(rig[0].position - rig[1].position))
     made = calibrate_wand(blobs, (0.0,), sizes=SIZE, distance=(*rig.names, apart))
     assert not made.usable
@@ -400,7 +415,7 @@ def test_a_wand_waved_in_a_plane_is_not_trusted() -> None:
     angle, middle = rng.uniform(0, 2 * np.pi, 300), rng.uniform(-0.8, 0.8, (300, 2))
     along = np.stack([np.cos(angle), np.sin(angle), np.zeros(300)], axis=1)
     points = np.concatenate([middle, np.full((300, 1), 1.0)], axis=1)[:, None] + along[:, None] * (np.array(WAND)[:, None] - 0.3)
-    blobs, _ = images_of(rig, points, 0.2, rng=rng)
+    blobs, _ = simulate_blobs(rig, points, ImagingSettings(noise=0.2), rng=rng)
     made = calibrate_wand(blobs, WAND, sizes=SIZE)
     assert not made.usable
     assert "in a plane only" in sentences(made)
@@ -425,7 +440,7 @@ def bumped(cameras: int, turn: float, at: int, frames: int = 400) -> tuple[Rig, 
     axis = rotation_from_vector(turn * np.array([0.37, 0.93, 0.0]))
     turned = replace(rig[1], rotation=axis @ rig[1].rotation, translation=axis @ rig[1].translation)
     later = replace(rig, cameras=(rig[0], turned, *rig.cameras[2:]))
-    both = [wave_wand(of, WAND, frames, rng=rng_of(2), rate=20.0)[0] for of in (rig, later)]
+    both = [simulate_wand(of, WAND, frames, rng=rng_of(2), rate=20.0)[0] for of in (rig, later)]
     parts = [(blobs.frame_of, blobs.camera_of, blobs.xy, blobs.frame_of >= at) for blobs in both]
     parts = [tuple(part[late == n] for part in rest) for n, (*rest, late) in enumerate(parts)]
     frame, camera, xy = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -499,7 +514,7 @@ def test_a_wand_that_stayed_in_one_place_says_nothing_about_others() -> None:
     along = rng.normal(size=(250, 3))
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     points = rng.uniform(0.9, 1.1, (250, 3))[:, None] + along[:, None] * (np.array(WAND)[:, None] - 0.3)
-    made = calibrate_wand(images_of(rig, points, 0.2, rng=rng)[0], WAND, sizes=SIZE)
+    made = calibrate_wand(simulate_blobs(rig, points, ImagingSettings(noise=0.2), rng=rng)[0], WAND, sizes=SIZE)
     assert re.search(r"stayed in a small part of the volume, 0\.\d x 0\.\d x 0\.\d m", sentences(made)), sentences(made)
 
 
@@ -536,7 +551,7 @@ L_FRAME = np.array([[0.0, 0, 0], [0.2, 0, 0], [0.6, 0, 0], [0, 0.4, 0]])
 
 
 def lying(rig: Rig, points: np.ndarray, seed: int = 14) -> Blobs:
-    return images_of(rig, np.tile(points, (20, 1, 1)), 0.2, rng=rng_of(seed), strays=0.2)[0]
+    return simulate_blobs(rig, np.tile(points, (20, 1, 1)), ImagingSettings(noise=0.2, strays=0.2), rng=rng_of(seed))[0]
 
 
 def test_the_world_from_an_l_frame() -> None:
@@ -566,7 +581,7 @@ def test_a_mirrored_world_is_not_delivered() -> None:
     along = np.array(WAND)[:, None]
     twice = np.concatenate([np.tile(along * way, (15, 1, 1)) for way in ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0])])
     with pytest.raises(AsterismError, match="y is counted from the bottom"):
-        world_from_floor_wand(made.rig, flipped(images_of(rig, twice, 0.2, rng=rng_of(27))[0]), WAND)
+        world_from_floor_wand(made.rig, flipped(simulate_blobs(rig, twice, ImagingSettings(noise=0.2), rng=rng_of(27))[0]), WAND)
     swapped = world_from_points([0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0])
     with pytest.raises(AsterismError, match=r"upside down.*x and y are swapped"):
         in_world(rig, swapped, "three points")
@@ -598,20 +613,26 @@ def test_the_world_from_a_wand_on_the_floor() -> None:
     along = np.array(WAND)[:, None]
     first = np.array([0.1, 0.2, 0.0]) + along * [1.0, 0, 0]
     second = np.array([0.1, 0.2, 0.0]) + along * [0.0, -1.0, 0]
-    blobs, _ = images_of(rig, np.concatenate([np.tile(first, (15, 1, 1)), np.tile(second, (15, 1, 1))]), 0.2, rng=rng_of(15))
+    blobs, _ = simulate_blobs(
+        rig, np.concatenate([np.tile(first, (15, 1, 1)), np.tile(second, (15, 1, 1))]), ImagingSettings(noise=0.2), rng=rng_of(15)
+    )
     world = in_world(made.rig, world_from_floor_wand(made.rig, blobs, WAND), "floor")
     for camera in world:
         assert np.linalg.norm(camera.position - rig[camera.name].position + [0.1, 0.2, 0.0]) < 0.02
     carried = [np.array([0.1 * (1 - t), 0.2, 0.4 * t]) + along * [np.cos(2 * t), -np.sin(2 * t), 0.3] for t in np.linspace(0.2, 0.8, 9)]
-    blobs, _ = images_of(rig, np.concatenate([carried[5:], [first] * 60, carried, [second] * 8]), 0.2, rng=rng_of(17))
+    blobs, _ = simulate_blobs(
+        rig, np.concatenate([carried[5:], [first] * 60, carried, [second] * 8]), ImagingSettings(noise=0.2), rng=rng_of(17)
+    )
     picked_up = in_world(made.rig, world_from_floor_wand(made.rig, blobs, WAND), "floor")
     for camera in picked_up:
         assert np.linalg.norm(camera.position - world[camera.name].position) < 0.01, "one recording, the wand carried in between"
     sloping = np.array([0.1, 0.2, 0.0]) + along * [0.0, 0.8, 0.6]
-    aslant, _ = images_of(rig, np.concatenate([np.tile(first, (15, 1, 1)), np.tile(sloping, (15, 1, 1))]), 0.2, rng=rng_of(15))
+    aslant, _ = simulate_blobs(
+        rig, np.concatenate([np.tile(first, (15, 1, 1)), np.tile(sloping, (15, 1, 1))]), ImagingSettings(noise=0.2), rng=rng_of(15)
+    )
     with pytest.raises(AsterismError, match=r"camera c\d would stand \d\.\d\d m below the floor"):
         world_from_floor_wand(made.rig, aslant, WAND)
-    one_way, _ = images_of(rig, np.tile(first, (15, 1, 1)), 0.2, rng=rng_of(16))
+    one_way, _ = simulate_blobs(rig, np.tile(first, (15, 1, 1)), ImagingSettings(noise=0.2), rng=rng_of(16))
     with pytest.raises(AsterismError, match="two directions"):
         world_from_floor_wand(made.rig, one_way, WAND)
 

@@ -9,7 +9,7 @@ BESIDE = ((-1, 0), (1, 0), (0, -1), (0, 1))
 
 
 def grown(weight: np.ndarray, step: float, lowest: float) -> list[set[tuple[int, int]]]:
-    """The pixels (row, column) of each blob that grows from a peak: see `_grow` in detection's kernels. weight (H, W), 0 where dark."""
+    """The pixels (row, column) of each blob that grows from a peak: see `grow_from_peaks`. weight (H, W), 0 where dark."""
     padded = {place: float(w) for place, w in np.ndenumerate(weight)}
     at = lambda r, c: padded.get((r, c), 0.0)  # noqa: E731
     components, _ = label_regions(weight > 0, np.ones((3, 3)))
@@ -64,7 +64,7 @@ def crossing(flat, offsets, cameras, a, b, frames, essential, near, longest, cro
 
 
 def raised(image: np.ndarray, level: np.ndarray, largest: float, noise: float, some: int) -> np.ndarray:
-    """The level (H, W) with components larger than `largest` as grounds of their own: see `raise_levels` in detection's kernels."""
+    """The level (H, W) raised in components larger than `largest`: see `raise_threshold`."""
     out = level.astype(float)
     components, count = label_regions(image > level, np.ones((3, 3)))
     for component in range(1, count + 1):
@@ -78,7 +78,7 @@ def raised(image: np.ndarray, level: np.ndarray, largest: float, noise: float, s
 
 
 def contrast(image: np.ndarray, xy: np.ndarray, extent: np.ndarray) -> float:
-    """How much brighter a blob's box is than the pixels 2 px around it: see `stand_out` in detection's kernels."""
+    """How much brighter a blob's box is than the pixels 2 px around it: see `stands_out`."""
     left, upper = np.trunc(xy - extent / 2).astype(int) - 2
     right, lower = np.ceil(xy + extent / 2).astype(int) + 2
     box = np.full((lower - upper + 1, right - left + 1), np.nan)
@@ -89,3 +89,59 @@ def contrast(image: np.ndarray, xy: np.ndarray, extent: np.ndarray) -> float:
     box[1:-1, 1:-1] = np.nan
     around = np.sort(box[np.isfinite(box)])
     return float(max(np.nanmax(inner), 0) - around[len(around) // 2])
+
+
+def parted(weight: np.ndarray, share: float) -> list[set[tuple[int, int]]]:
+    """The pixels (row, column) of the blobs that a component parts into at its saddles: see `split_at_saddles`. 0 around the component."""
+    pixels = [tuple(map(int, place)) for place in np.argwhere(weight > 0)]
+    around = [(dr, dc) for dr in (-1, 0, 1) for dc in (-1, 0, 1)]
+    distance = edge_distance(weight)
+    height = {p: distance[p] * sum(int(weight[p[0] + dr, p[1] + dc]) for dr, dc in around) for p in pixels}
+    blobs: list[list[tuple[int, int]]] = []  # the first pixel of each is its peak
+    for r, c in sorted(pixels, key=lambda p: (-height[p], p)):
+        home: list[tuple[int, int]] | None = None
+        for other in [(r + dr, c + dc) for dr, dc in around]:
+            group = next((blob for blob in blobs if other in blob), None)
+            if group is None or group is home:
+                continue
+            if home is None:
+                home = group
+                continue
+            high, low = sorted((home, group), key=lambda blob: (-height[blob[0]], blob[0]))
+            if height[low[0]] - height[r, c] < share * height[low[0]]:
+                high += low
+                blobs = [blob for blob in blobs if blob is not low]
+            home = high
+        if home is None:
+            blobs.append([(r, c)])
+        else:
+            home.append((r, c))
+    return [set(blob) for blob in blobs]
+
+
+def edge_distance(weight: np.ndarray) -> np.ndarray:
+    """The shortest way of each pixel to one without weight, 3 for a step aside and 4 for one across, by relaxing until nothing changes."""
+    away = np.where(weight > 0, 10**6, 0)
+    steps = [((dr, dc), 3 if 0 in (dr, dc) else 4) for dr in (-1, 0, 1) for dc in (-1, 0, 1) if (dr, dc) != (0, 0)]
+    while True:
+        nearer = np.min([away, *(np.roll(away, step, axis=(0, 1)) + cost for step, cost in steps)], axis=0)
+        if (nearer == away).all():
+            return away
+        away = nearer
+
+
+def shared(weight: np.ndarray, places: np.ndarray, centres: np.ndarray, spread: float, settled: float) -> np.ndarray:
+    """Centres (m, 2) of round Gaussians after expectation and maximization over weighted pixels (n,), (n, 2): see `share_pixels`."""
+    spreads, totals = np.full(len(centres), spread + 0.1), np.full(len(centres), 1000.0)
+    for _ in range(100):
+        squares = ((places[:, None] - centres[None]) ** 2).sum(axis=2)
+        share = totals / spreads * np.exp(-0.5 * squares / spreads)
+        part = weight[:, None] * share / share.sum(axis=1, keepdims=True)
+        totals = part.sum(axis=0)
+        moved = part.T @ places / totals[:, None]
+        spreads = 0.5 * ((part.T @ (places**2)) / totals[:, None] - moved**2).sum(axis=1) + 0.1
+        still = np.abs(moved - centres).max() < settled
+        centres = moved
+        if still:
+            break
+    return centres

@@ -11,7 +11,7 @@ from asterism.cameras.accuracy import covariance
 from asterism.labelling import SolverEnsemble
 from asterism.recording import Floats
 from asterism.simulation import simulate_walks
-from asterism.simulation.chain import Outcome, work_through
+from asterism.simulation.pipeline import PipelineResult, run_pipeline
 from asterism.simulation.session import NOISE, Session, simulate_session
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
@@ -37,7 +37,7 @@ def _best_possible(session: Session) -> Floats:
 
 def demo(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """A rig and a walker of its own for each seed; 39 markers, whose model has not seen the walker."""
-    outcomes: list[Outcome] = []
+    results: list[PipelineResult] = []
     possible: list[Floats] = []
     seconds: list[float] = []
     for seed in range(1 if benchmark.quick else SEEDS):
@@ -45,14 +45,14 @@ def demo(benchmark: BenchmarkRun) -> Iterator[Figure]:
         ensemble: SolverEnsemble = benchmark.fit(walks[:-1], [str(walk.metadata["subject"]) for walk in walks[:-1]])
         session = simulate_session(walks[-1], seed)
         started = time.perf_counter()
-        outcomes.append(work_through(session, ensemble))
+        results.append(run_pipeline(session, ensemble))
         seconds.append(time.perf_counter() - started)
         possible.append(_best_possible(session))
-    wanted = sum(int(made.points.wanted.sum()) for made in outcomes)
-    error = np.concatenate([made.points.error[made.points.wanted] for made in outcomes])
-    points = sum(made.points.points for made in outcomes)
-    right, wrong = sum(made.right for made in outcomes), sum(made.wrong for made in outcomes)
-    found = right + sum(made.unlabelled for made in outcomes)
+    wanted = sum(int(result.points.wanted.sum()) for result in results)
+    error = np.concatenate([result.points.error[result.points.wanted] for result in results])
+    points = sum(result.points.points for result in results)
+    right, wrong = sum(result.right for result in results), sum(result.wrong for result in results)
+    found = right + sum(result.unlabelled for result in results)
     row = f"simulated session, 8 cameras, {NOISE} px, body, strays"
     for millimetres in (1, 2, 3):
         share = float((error <= 0.001 * millimetres).mean())
@@ -61,9 +61,11 @@ def demo(benchmark: BenchmarkRun) -> Iterator[Figure]:
     share = float((best <= 0.001).mean())
     yield Figure(f"{row}: within 1 mm, by the true rig and the blobs' noise alone", "none", share, "fraction", len(best))
     yield Figure(f"{row}: distance from the truth, median", "none", 1000 * float(np.nanmedian(error)), "mm", wanted)
-    yield Figure(f"{row}: ghosts per 1,000 points", "none", 1000 * sum(made.points.ghosts for made in outcomes) / points, "points", points)
+    yield Figure(
+        f"{row}: ghosts per 1,000 points", "none", 1000 * sum(result.points.ghosts for result in results) / points, "points", points
+    )
     yield Figure(f"{row}: markers found that are labelled right", "none", right / found, "fraction", found)
     yield Figure(f"{row}: labels that are wrong", "none", wrong / max(right + wrong, 1), "fraction", right + wrong)
-    focal = max(float(made.rig_errors.focal.max()) for made in outcomes)
-    yield Figure(f"{row}: focal length, largest error", "none", 100 * focal, "%", 8 * len(outcomes))
-    yield Figure(f"{row}: from blobs to labels", "none", float(np.median(seconds)), "s", len(outcomes))
+    focal = max(float(result.rig_errors.focal.max()) for result in results)
+    yield Figure(f"{row}: focal length, largest error", "none", 100 * focal, "%", 8 * len(results))
+    yield Figure(f"{row}: from blobs to labels", "none", float(np.median(seconds)), "s", len(results))

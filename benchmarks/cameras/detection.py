@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from asterism.detection import Flag, find_blobs
+from asterism.detection import BlobSettings, Flag, ImageBlobs, find_blobs
 from asterism.recording import Blobs, Floats
-from asterism.simulation.cameras import render
+from asterism.simulation.cameras import RenderSettings, render_images
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import folder
 from benchmarks.figures import Figure
@@ -36,7 +36,7 @@ def particles(benchmark: BenchmarkRun) -> Iterator[Figure]:
     for camera, step in images:
         image, targets = _image(camera, step), _targets(camera, step)
         pairs["the peer's thresholds"].append((_as_the_peer(image, camera), targets))
-        pairs["automatic"].append((_whole_blobs(find_blobs(image, background=WINDOW)), targets))
+        pairs["automatic"].append((_whole_blobs(find_blobs(image, BlobSettings(background=WINDOW))), targets))
     for how, both in pairs.items():
         asked = how != "automatic"
         row = f"particles-4cam, blobs against the peer's targets, {how}"
@@ -57,7 +57,7 @@ def detection(benchmark: BenchmarkRun) -> Iterator[Figure]:
     parameters.blobColor, parameters.filterByArea, parameters.minArea = 255, True, 4
     detector = cv2.SimpleBlobDetector_create(parameters)
     ways: dict[str, tuple[str, Callable[[], Any]]] = {
-        "detection, 1280 x 1024, 300 blobs, one core": ("< 2", lambda: find_blobs(image, threshold=60)),
+        "detection, 1280 x 1024, 300 blobs, one core": ("< 2", lambda: find_blobs(image, BlobSettings(threshold=60))),
         "detection, 1280 x 1024, 300 blobs, one core, threshold told from the image": ("< 2", lambda: find_blobs(image)),
         "detection, 1280 x 1024, 300 blobs, one core, OpenCV SimpleBlobDetector": ("none", lambda: detector.detect(image)),
     }
@@ -104,11 +104,10 @@ def _as_the_peer(image: NDArray[np.uint8], camera: int) -> Floats:
     """Blobs by the settings in the peer's parameter file; its peaks exceed twice the threshold."""
     numbers = [int(word) for word in (_files() / "parameters" / "targ_rec.par").read_text().split()]
     threshold, step, fewest, most, narrow, _, low, _, weight = numbers[camera - 1], *numbers[4:12]
-    spots = find_blobs(
-        image,
+    settings = BlobSettings(
         threshold=threshold,
         background=WINDOW,
-        weigh_from="background",
+        weight_reference="background",
         min_peak=2 * threshold,
         step=step,
         min_size=2 * np.sqrt((fewest - 0.1) / np.pi),
@@ -116,11 +115,11 @@ def _as_the_peer(image: NDArray[np.uint8], camera: int) -> Floats:
         min_width=min(narrow, low),
         min_weight=weight + 1,
     )
-    return _whole_blobs(spots)
+    return _whole_blobs(find_blobs(image, settings))
 
 
-def _whole_blobs(spots: Any) -> Floats:
-    return spots.xy[spots.flags & Flag.AT_BORDER == 0]
+def _whole_blobs(blobs: ImageBlobs) -> Floats:
+    return blobs.xy[blobs.flags & Flag.AT_BORDER == 0]
 
 
 def _apart(count: int, distance: float, rng: np.random.Generator) -> Floats:
@@ -136,7 +135,7 @@ def _apart(count: int, distance: float, rng: np.random.Generator) -> Floats:
 def _rendered(places: Floats, diameter: float, shape: str, noise: float, rng: np.random.Generator) -> NDArray[Any]:
     none = np.zeros(len(places))
     blobs = Blobs.from_rows(none, none, places, ["one"], sizes=none + diameter)
-    return next(render(blobs, 0, SIZE, rng=rng, shape=shape, noise=noise))
+    return next(render_images(blobs, 0, SIZE, RenderSettings(shape=shape, noise=noise), rng=rng))
 
 
 def _bound(diameter: float, shape: str, noise: float) -> float:
@@ -153,7 +152,9 @@ def _bound(diameter: float, shape: str, noise: float) -> float:
 def _light(place: Floats, diameter: float, shape: str) -> Floats:
     """The noiseless light of one marker, 16 bits fine, in grey values of 8 bits."""
     blobs = Blobs.from_rows([0], [0], [place], ["one"], sizes=[diameter])
-    image = next(render(blobs, 0, (40, 40), rng=np.random.default_rng(0), shape=shape, noise=0.0, bits=16, background=0.0))
+    image = next(
+        render_images(blobs, 0, (40, 40), RenderSettings(shape=shape, noise=0.0, bits=16, background=0.0), rng=np.random.default_rng(0))
+    )
     return image.astype(np.float64) * 255 / 65535
 
 

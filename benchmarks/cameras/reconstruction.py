@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from asterism.cameras import Rig
 from asterism.reconstruction import Reconstruction, ReconstructionSettings, reconstruct
 from asterism.recording import Blobs, Floats, Ints
-from asterism.simulation.cameras import images_of, ring_rig
+from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 
@@ -75,7 +75,7 @@ def scene(cameras: int, markers: int, frames: int, **more: float) -> tuple[Rig, 
         while near.any():
             frame[near] = rng.uniform([-0.8, -0.8, 0.2], [0.8, 0.8, 1.8], (int(near.sum()), 3))
             near = _too_near(frame)
-    blobs, shows = images_of(rig, truth, noise=NOISE, rng=rng, **more)
+    blobs, shows = simulate_blobs(rig, truth, ImagingSettings(noise=NOISE, **more), rng=rng)
     return rig, blobs, truth, shows
 
 

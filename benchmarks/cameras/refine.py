@@ -12,7 +12,7 @@ from asterism.calibration import refine_rig
 from asterism.cameras import Camera, Rig
 from asterism.geometry import rotation_from_vector
 from asterism.simulation import simulate_walks
-from asterism.simulation.cameras import images_of, ring_rig, walker_capsules
+from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, walker_capsules
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 
@@ -39,7 +39,7 @@ def _trial(_bench: BenchmarkRun, seed: int) -> tuple[bool, list[float]]:
     rng = np.random.default_rng(seed)
     true = ring_rig(int(rng.integers(4, 11)), rng=rng)
     walk = simulate_walks(1, frames=FRAMES, seed=seed)[0]
-    blobs, _ = images_of(true, walk.positions, NOISE, walker_capsules(walk), strays=0.5, rng=rng)
+    blobs, _ = simulate_blobs(true, walk.positions, ImagingSettings(noise=NOISE, strays=0.5), body=walker_capsules(walk), rng=rng)
     most = 1 if len(true) < 6 else 2
     chosen = sorted(rng.choice(len(true), int(rng.integers(0, most + 1)), replace=False).tolist())
     rig = replace(true, cameras=tuple(_bumped(camera, rng) if c in chosen else camera for c, camera in enumerate(true)))

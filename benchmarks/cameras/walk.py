@@ -11,7 +11,7 @@ from asterism.formats import read
 from asterism.motion import smooth_paths
 from asterism.reconstruction import Reconstruction, reconstruct
 from asterism.recording import NULL, Clouds, Floats, Labelling, Recording
-from asterism.simulation.cameras import images_of, walker_capsules
+from asterism.simulation.cameras import ImagingSettings, simulate_blobs, walker_capsules
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.cameras.reconstruction import NEAR, NOISE, judged
 from benchmarks.data import folder
@@ -36,7 +36,9 @@ def walk(benchmark: BenchmarkRun) -> Iterator[Figure]:
     body = walker_capsules(recording)
     for noise in (NOISE, RIGS_OWN_NOISE):
         rng = np.random.default_rng(0)
-        blobs, shows = images_of(rig, recording.positions, noise=noise, body=body, strays=STRAYS, rng=rng, rate=recording.rate)
+        blobs, shows = simulate_blobs(
+            rig, recording.positions, ImagingSettings(noise=noise, strays=STRAYS), body=body, rng=rng, rate=recording.rate
+        )
         result = reconstruct(blobs, rig)
         told = judged(result, recording.positions, shows)
         row = f"vicon-rig-walk, {noise} px, body, strays"

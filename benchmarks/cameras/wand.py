@@ -16,7 +16,7 @@ from asterism.cameras.bundle import AdjustSettings, Sightings, adjust, free_para
 from asterism.errors import AsterismError
 from asterism.geometry import place_objects, rotation_from_vector
 from asterism.recording import Floats
-from asterism.simulation.cameras import random_rig, ring_rig, wave_wand
+from asterism.simulation.cameras import ImagingSettings, random_rig, ring_rig, simulate_wand
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 
@@ -37,7 +37,7 @@ def wand(benchmark: BenchmarkRun) -> Iterator[Figure]:
     for seed in range(seeds + 1):
         rng = np.random.default_rng(seed)
         rig = ring_rig(CAMERAS, rng=rng)
-        blobs, truth = wave_wand(rig, WAND, 600 if benchmark.quick else FRAMES, rng=rng, noise=NOISE)
+        blobs, truth = simulate_wand(rig, WAND, 600 if benchmark.quick else FRAMES, settings=ImagingSettings(noise=NOISE), rng=rng)
         started = time.perf_counter()
         made = calibrate_wand(blobs, WAND, sizes={camera.name: camera.size for camera in rig})
         if seed == 0:
@@ -87,7 +87,7 @@ def _arrives(benchmark: BenchmarkRun, which: tuple[bool, int]) -> tuple[bool, bo
     """Of one rig: whether all its cameras were found right, whether the calibration calls itself usable, and its error, m."""
     rng = np.random.default_rng(which[1])
     rig = random_rig(rng=rng)
-    blobs, _ = wave_wand(rig, WAND, RIG_FRAMES, rng=rng, rate=20.0, noise=NOISE, outliers=OUTLIERS)
+    blobs, _ = simulate_wand(rig, WAND, RIG_FRAMES, settings=ImagingSettings(noise=NOISE, outliers=OUTLIERS), rng=rng, rate=20.0)
     try:
         made = calibrate_wand(blobs, WAND, sizes={camera.name: camera.size for camera in rig})
     except AsterismError:

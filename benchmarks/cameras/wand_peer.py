@@ -13,7 +13,7 @@ from asterism.cameras import Camera, Rig
 from asterism.cameras.bundle import locate
 from asterism.geometry import vector_from_rotation
 from asterism.recording import Floats
-from asterism.simulation.cameras import ring_rig, wave_wand
+from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_wand
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.cameras.wand import CAMERAS, FRAMES, NOISE, UNSEEN, WAND, points_error, volume
 from benchmarks.figures import Figure
@@ -33,7 +33,7 @@ def wand_peer(benchmark: BenchmarkRun) -> Iterator[Figure]:
         return
     rng = np.random.default_rng(1)
     rig = ring_rig(CAMERAS, rng=rng)
-    blobs, _ = wave_wand(rig, WAND, 200 if benchmark.quick else FRAMES, rng=rng, noise=NOISE)
+    blobs, _ = simulate_wand(rig, WAND, 200 if benchmark.quick else FRAMES, settings=ImagingSettings(noise=NOISE), rng=rng)
     made = calibrate_wand(blobs, WAND, sizes={camera.name: camera.size for camera in rig})
     sightings = replace(made.sightings, frame=np.searchsorted(made.used, made.sightings.frame))
     seen = np.full((len(made.rig), len(made.used) * len(WAND), 2), np.nan)

@@ -15,6 +15,7 @@ from benchmarks.recordings.full_body import full_body
 from benchmarks.recordings.gaps import gaps
 from benchmarks.recordings.loop import loop
 from benchmarks.recordings.movement import movement
+from benchmarks.recordings.sensitivity import sensitivity
 from benchmarks.recordings.speed import speed
 from benchmarks.recordings.stream import stream
 from benchmarks.recordings.swaps import swaps
@@ -27,6 +28,7 @@ ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
     "bodies": bodies,
     "stream": stream,
     "loop": loop,
+    "sensitivity": sensitivity,
     "baselines": baselines,
     "gaps": gaps,
     "ablation": ablation,

@@ -10,13 +10,14 @@ import numpy as np
 from asterism.calibration import calibrate_wand
 from asterism.cameras.accuracy import map_rig
 from asterism.simulation import compare_rigs
-from asterism.simulation.cameras import ring_rig, wave_wand
+from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_wand
 
 
 def main(picture: str = "calibrate_a_rig.png", cameras: int = 8, frames: int = 900) -> float:
     """Draw the picture; returns the largest error of a camera's place in metres."""
     truth = ring_rig(cameras, rng=np.random.default_rng(1))
-    blobs, _ = wave_wand(truth, (0.0, 0.2, 0.6), frames, rate=30.0, noise=0.2, strays=0.2, rng=np.random.default_rng(2))
+    seen = ImagingSettings(noise=0.2, strays=0.2)
+    blobs, _ = simulate_wand(truth, (0.0, 0.2, 0.6), frames, settings=seen, rate=30.0, rng=np.random.default_rng(2))
 
     calibration = calibrate_wand(blobs, [0.0, 0.2, 0.6], sizes=(1280, 1024))
     for finding in calibration.findings:
@@ -27,7 +28,7 @@ def main(picture: str = "calibrate_a_rig.png", cameras: int = 8, frames: int = 9
     figure, (bars, space) = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
     places = np.arange(cameras)
     bars.bar(places - 0.2, 1000 * errors.position, 0.4, color="#0f7b8a", label="error, from the truth")
-    bars.bar(places + 0.2, 1000 * calibration.place_sigma, 0.4, color="#a5d8dc", label="standard deviation, as calibrated")
+    bars.bar(places + 0.2, 1000 * calibration.position_sigma, 0.4, color="#a5d8dc", label="standard deviation, as calibrated")
     bars.set_xticks(places, calibration.rig.names)
     bars.set(title="where the cameras stand", ylabel="mm")
     bars.margins(y=0.25)

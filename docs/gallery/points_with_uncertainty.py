@@ -9,14 +9,14 @@ import numpy as np
 
 from asterism.reconstruction import reconstruct
 from asterism.simulation import simulate_walks
-from asterism.simulation.cameras import images_of, ring_rig, walker_capsules
+from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, walker_capsules
 
 
 def main(picture: str = "points_with_uncertainty.png", frames: int = 150) -> float:
     """Draw the picture; returns the median error of a point in metres."""
     rng = np.random.default_rng(0)
     rig, walk = ring_rig(6, rng=rng), simulate_walks(1, frames, markers="plug-in-gait")[0]
-    blobs, _ = images_of(rig, walk.positions, noise=0.3, body=walker_capsules(walk), strays=0.5, rng=rng)
+    blobs, _ = simulate_blobs(rig, walk.positions, ImagingSettings(noise=0.3, strays=0.5), body=walker_capsules(walk), rng=rng)
 
     result = reconstruct(blobs, rig)
     print(f"{len(result.clouds.xyz)} points of {blobs.counts.sum()} blobs")

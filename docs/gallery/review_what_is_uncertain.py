@@ -1,6 +1,6 @@
 """Look at the pieces that need a person, and at nothing else.
 
-A model of three people labels a fourth one, with markers hidden and ghosts beside them. `review` ranks the pieces of paths by the number
+A model of two people labels a third one, with markers hidden and ghosts beside them. `review` ranks the pieces of paths by the number
 of samples that an answer is expected to correct. Here the truth answers. The picture shows how fast the errors go.
 """
 
@@ -11,14 +11,14 @@ from asterism.labelling import apply_answers, review
 from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
 
 
-def main(picture: str = "review_what_is_uncertain.png", subjects: int = 4, frames: int = 400) -> list[int]:
+def main(picture: str = "review_what_is_uncertain.png", subjects: int = 3, frames: int = 400) -> list[int]:
     """Draw the picture; returns how many samples are wrong or missing after each answer."""
     *training, walk = simulate_walks(subjects, frames, markers="helen-hayes", seed=5)
     ensemble = asterism.SolverEnsemble.fit(training, seed=0)
     clouds, truth = simulate_gaps_and_ghosts(walk, hidden=4, ghosts=4, seed=6)
     labelling = ensemble.label(clouds, time=True)
 
-    items = review(labelling, clouds, top=25)
+    items = review(labelling, clouds, top=40)
     remaining = [int((labelling.indices != truth).sum())]
     for item in items:
         places = item.points - clouds.offsets[clouds.frame_of[item.points]]

@@ -1,4 +1,4 @@
-"""The command line: words in; a call of the rooms, a table and an exit status out."""
+"""The command line: arguments in; a call of the library, a table and an exit status out."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from asterism.cli import _console, calibrate, rig
+from asterism.cli import _console, _first_compile, calibrate, rig
 from asterism.cli.audit import audit
 from asterism.cli.capturability import capturability
 from asterism.cli.convert import convert
@@ -27,10 +27,9 @@ from asterism.cli.reconstruct import reconstruct
 from asterism.cli.review import review
 from asterism.cli.train import train
 from asterism.errors import AsterismError
-from asterism.progress import on_first_compile
 
-_RENAMED = {"--keep": "--keep-labels", "--anyway": "--force", "--mine-again": "--search-again"}
-"""Options that had another name once: the old name, which is no longer shown, and the new one."""
+_RENAMED = {"--keep": "--keep-labels", "--anyway": "--force", "--weigh-from": "--weight-reference", "--mine-again": "--search-again"}
+"""Renamed options: the old name, which is accepted and no longer shown, and the new one."""
 _LISTS = ("--occlusions", "--ghosts", "--wand")
 
 app = typer.Typer(
@@ -79,10 +78,10 @@ _EXAMPLES: dict[Callable[..., None], str] = {
 
 
 _GROUPS: dict[str, tuple[str, dict[Callable[..., None], str]]] = {
-    "calibrate": ("Make the rig of a set of cameras, and mend it.", calibrate.VERBS),
-    "rig": ("Tell what a rig measures, and where to hang cameras.", rig.VERBS),
+    "calibrate": ("Make the rig of a set of cameras, and correct it.", calibrate.VERBS),
+    "rig": ("Show how exactly a rig measures, and where to place cameras.", rig.VERBS),
 }
-"""The first words of verbs of two words: their help, their verbs."""
+"""The first words of commands with two words: their help, and their commands."""
 
 
 def _paragraphs(text: str) -> str:
@@ -106,10 +105,10 @@ def main(args: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
-    if args is None:
-        on_first_compile(_console.announce_first_compile)
     try:
         words = _lists_joined(_globbed(_respelled(sys.argv[1:] if args is None else args)))
+        if args is None:
+            _first_compile.prepare(words)
         status = app(args=words or ["--help"], prog_name="asterism", standalone_mode=False)
     except AsterismError as problem:
         _console.error(str(problem))
@@ -133,17 +132,17 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _respelled(args: Sequence[str]) -> list[str]:
-    """Options under the names that they have now; an earlier name goes on working."""
+    """The arguments with the present names of options in place of earlier ones."""
     return ["=".join([_RENAMED.get(name, name), *value]) for name, *value in (arg.split("=", 1) for arg in args)]
 
 
 def _globbed(args: Sequence[str]) -> list[str]:
-    """`*.c3d` becomes the files that it means, for shells that leave that to the program."""
+    """`*.c3d` becomes the files that match, for shells that leave this to the program."""
     return [path for arg in args for path in (sorted(glob.glob(arg)) if glob.has_magic(arg) and not os.path.exists(arg) else []) or [arg]]
 
 
 def _lists_joined(args: Sequence[str]) -> list[str]:
-    """`--occlusions 0 1 2` becomes `--occlusions 0,1,2`: the numbers that follow such an option are all its own."""
+    """`--occlusions 0 1 2` becomes `--occlusions 0,1,2`: all numbers that follow such an option belong to it."""
     joined: list[str] = []
     of_a_list = False
     for arg in args:

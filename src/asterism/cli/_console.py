@@ -1,4 +1,4 @@
-"""What all commands print with: results to standard output, failures and progress to standard error."""
+"""How all commands print: results to standard output, failures and progress to standard error."""
 
 from __future__ import annotations
 
@@ -21,12 +21,10 @@ if TYPE_CHECKING:
 
 
 _WIDTH_WHEN_PIPED = 160
-_COMPILE_SECONDS = 30
-"""How long the kernels of one command take to compile on two idle cores of 2024 (s)."""
 
 
 def console() -> Console:
-    """Standard output as Rich sees it; wide where it is no terminal, so that nothing is cut off."""
+    """Standard output as Rich sees it; wide where it is not a terminal, so that nothing is cut off."""
     from rich.console import Console
 
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDTH_WHEN_PIPED
@@ -65,7 +63,7 @@ def reason(problem: Exception) -> str:
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> None:
     """Print a table: the first `left` columns are text, the others numbers, which are never cut.
 
-    Where it is too wide for the terminal and fits lying on its side, a column for each row, it is printed so.
+    A table that is too wide for the terminal is printed with a column for each row, if that fits.
     """
     from rich import box
     from rich.table import Table
@@ -88,7 +86,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, 
 
 
 def _width(lines: Sequence[Sequence[str]]) -> int:
-    """How many characters a table takes whose cells stand in one line each."""
+    """The width of a table in characters, with each cell in one line."""
     return sum(max(map(len, cells)) + 3 for cells in zip(*lines, strict=True))
 
 
@@ -106,7 +104,7 @@ def facts(title: str, rows: Sequence[tuple[str, str]]) -> None:
 
 
 def percent(fraction: float, digits: int = 2) -> str:
-    """0.1234 as 12.34 %, without a sign for what is not defined."""
+    """0.1234 as 12.34 %, or a dash for NaN."""
     return "–" if math.isnan(fraction) else f"{100 * fraction:.{digits}f} %"
 
 
@@ -139,29 +137,22 @@ def progress(what: str) -> Iterator[Progress | None]:
             _bars.pop()
 
 
-def announce_first_compile(kept: bool) -> None:
-    """Say once on standard error why the first run takes longer: in the progress line where there is one, else as a line."""
-    if kept:
-        sentence = f"Compiling numerical kernels; this happens once (about {_COMPILE_SECONDS} s)"
-        if _bars:
-            _bars[-1](sentence)
-            return
-    else:
-        sentence = (
-            f"Compiling numerical kernels (about {_COMPILE_SECONDS} s). No folder for compiled kernels can be written, so every run"
-            " compiles them again; name a writable one in NUMBA_CACHE_DIR"
-        )
+def notice(sentence: str, *, in_progress_line: bool = False) -> None:
+    """Print a line on standard error that is no failure; in the progress line where there is one and `in_progress_line` is set."""
+    if _bars and in_progress_line:
+        _bars[-1](sentence.rstrip("."))
+        return
     if _bars:
         from rich.console import Console
 
-        Console(stderr=True, highlight=False).print(f"{sentence}.", markup=False)
+        Console(stderr=True, highlight=False).print(sentence, markup=False)
         return
     sys.stdout.flush()
-    print(f"{sentence}.", file=sys.stderr, flush=True)
+    print(sentence, file=sys.stderr, flush=True)
 
 
 class Batch:
-    """A run over many files: one that fails is named and the others go on."""
+    """A run over many files: a file that fails is named, and the others are still done."""
 
     def __init__(self, verb: str) -> None:
         self.verb = verb
@@ -171,7 +162,7 @@ class Batch:
 
     @contextmanager
     def file(self, path: Path) -> Iterator[None]:
-        """Work on one file; what it raises for bad input or a disk that refuses becomes one line on standard error."""
+        """Work on one file; its AsterismError or OSError becomes one line on standard error."""
         try:
             yield
         except (AsterismError, OSError) as problem:
@@ -182,17 +173,17 @@ class Batch:
             self.done.append(path)
 
     def found(self, finding: Finding) -> None:
-        """Name what was found about a file that was done all the same."""
+        """Print a finding on a file, and count it in the exit status."""
         report(finding)
         self.findings.append(finding)
 
     @property
     def status(self) -> int:
-        """0 all files done and nothing found, 1 some files failed or something was found, 2 none done."""
+        """0: all files done, without warnings. 1: some files failed, or a warning or error was found. 2: no file done."""
         return 2 if self.failed and not self.done else 1 if self.failed else exit_status(self.findings)
 
     def close(self) -> int:
-        """Name the failed files once more where the batch was longer than one; returns the status."""
+        """Name the failed files once more where the batch had several files; returns the status."""
         total = len(self.done) + len(self.failed)
         if self.failed and total > 1:
             error(f"{total} files: {len(self.done)} {self.verb}, {len(self.failed)} failed: {', '.join(map(str, self.failed))}")
@@ -218,7 +209,7 @@ def check_new(given: Path | str | None, overwrite: bool) -> None:
 
 
 def check_outputs(outputs: Sequence[Path | str | None], inputs: Sequence[Path | None], overwrite: bool) -> None:
-    """Raise AsterismError where an output cannot be made (`check_new`), is one of the inputs, or is named twice."""
+    """Raise AsterismError where an output cannot be made (`check_new`), is an input, or is named twice."""
     read = {path.resolve() for path in inputs if path is not None}
     written: set[Path] = set()
     for given in outputs:
@@ -227,7 +218,7 @@ def check_outputs(outputs: Sequence[Path | str | None], inputs: Sequence[Path | 
             continue
         path = Path(given).resolve()
         if path in read or path in written:
-            raise AsterismError(f"{given} is {'an input' if path in read else 'named twice'}; write to a file of its own.")
+            raise AsterismError(f"{given} is {'an input' if path in read else 'named twice'}; write to another file.")
         written.add(path)
 
 

@@ -1,4 +1,4 @@
-"""The arguments and options that several commands share, each worded once."""
+"""The arguments and options that several commands share."""
 
 from __future__ import annotations
 
@@ -74,7 +74,9 @@ Features = Annotated[
 ]
 RulesOption = Annotated[Rules, typer.Option("--rules", help="How a frame is labelled: by the whole body, or by solvers' votes.")]
 FrameWise = Annotated[bool, typer.Option("--frame-wise", help="Each frame by itself, without time and tracks.")]
-KeepLabels = Annotated[bool, typer.Option("--keep-labels", help="Labels that a file already has stay; only points without a name get one.")]
+KeepLabels = Annotated[
+    bool, typer.Option("--keep-labels", help="Labels that a file already has stay; only points without a name get a label.")
+]
 Subject = Annotated[
     Path | None,
     typer.Option(
@@ -100,7 +102,9 @@ def vertical_axis(given: str | None) -> str | list[float] | None:
     try:
         return [float(number) for number in given.split(",")]
     except ValueError:
-        raise AsterismError(f"--vertical {given} is no direction; give an axis such as z or -y, or three numbers such as 0,0,1.") from None
+        raise AsterismError(
+            f"--vertical {given} is not a direction; give an axis such as z or -y, or three numbers such as 0,0,1."
+        ) from None
 
 
 def numbers(given: str, option: str) -> tuple[int, ...]:
@@ -110,23 +114,23 @@ def numbers(given: str, option: str) -> tuple[int, ...]:
     except ValueError:
         listed = ()
     if not listed or min(listed) < 0:
-        raise AsterismError(f"{option} {given} is no list of numbers; give for example {option} 0 1 2 3.")
+        raise AsterismError(f"{option} {given} is not a list of numbers; give for example {option} 0 1 2 3.")
     return listed
 
 
 def metres(given: str, option: str) -> tuple[float, ...]:
-    """The lengths of a list option, in order. Raises AsterismError where one is no number."""
+    """The lengths of a list option, in order. Raises AsterismError where one is not a number."""
     try:
         return tuple(float(number) for number in given.replace(",", " ").split())
     except ValueError:
-        raise AsterismError(f"{option} {given} is no list of metres; give for example {option} 0 0.2 0.6.") from None
+        raise AsterismError(f"{option} {given} is not a list of lengths in metres; give for example {option} 0 0.2 0.6.") from None
 
 
 def image_size(given: str, option: str) -> tuple[int, int]:
     """The width and height (px) of "1280x1024". Raises AsterismError for anything else."""
     sides = given.lower().replace("×", "x").split("x")
     if len(sides) != 2 or not all(side.strip().isdigit() and int(side) > 0 for side in sides):
-        raise AsterismError(f"{option} {given} is no image size; give width x height in pixels, such as 1280x1024.")
+        raise AsterismError(f"{option} {given} is not an image size; give width x height in pixels, such as 1280x1024.")
     return int(sides[0]), int(sides[1])
 
 
@@ -142,6 +146,6 @@ def feature_names(given: str | None) -> tuple[str, ...] | None:
 
 
 def check_hit_rate(given: float) -> None:
-    """Raise AsterismError where a target hit rate makes no sense."""
+    """Raise AsterismError where a target hit rate is not below 1 and at least 0.5."""
     if not 0.5 <= given < 1:
-        raise AsterismError(f"--target-hit-rate {given} is no share from 0.5 to below 1; give for example 0.999.")
+        raise AsterismError(f"--target-hit-rate {given} is not a share from 0.5 to below 1; give for example 0.999.")

@@ -1,4 +1,4 @@
-"""What commands do with files before and after the rooms: read labelled ones, sum up a labelling."""
+"""Shared by commands on recordings: files in, labelled recordings out; a labelling in, its shares out; findings on files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def is_rig(path: Path) -> bool:
-    """Whether a name is that of a rig file or of a folder of them; names of recordings need no look at the formats of rigs."""
+    """Whether a name is that of a rig file or of a folder of them; for a recording's name, the formats of rigs are not loaded."""
     if formats.is_recording_file(path) and not path.is_dir():
         return False
     from asterism.cameras.files import is_rig_file
@@ -40,16 +40,17 @@ def read_labelled(
     for path in files:
         with batch.file(path):
             recording = formats.read(path, markers=marker_set, vertical=axis)
+            report_warnings(recording, batch)
             if complete and marker_set is not None:
                 _check_complete(path, recording)
             recordings.append(recording)
     if not recordings:
-        raise AsterismError("none of the files can be used; see above.")
-    return recordings if marker_set is not None else _with_common_markers(recordings)
+        raise AsterismError("none of the files can be used; the reasons are above.")
+    return recordings if marker_set is not None else _with_common_markers(recordings, batch)
 
 
 def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | None, batch: _console.Batch) -> list[Recording]:
-    """The files of a batch that can be read, each with the markers of a set; without a set, with all its own named physical points.
+    """The files of a batch that can be read, each with the markers of a set; without a set, with all its named physical points.
 
     A file without a labelled sample counts as one that cannot be used. Raises AsterismError where none is left.
     """
@@ -60,13 +61,14 @@ def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str
     for path in files:
         with batch.file(path):
             recording = formats.read(path, markers=marker_set, vertical=axis)
+            report_warnings(recording, batch)
             if marker_set is None:
                 recording = recording.select(named_markers(recording))
             if not recording.visible.any():
                 raise AsterismError(f"{path} has no labelled point; label it first, or name its markers with --markers.")
             recordings.append(recording)
     if not recordings:
-        raise AsterismError("none of the files can be used; see above.")
+        raise AsterismError("none of the files can be used; the reasons are above.")
     return recordings
 
 
@@ -84,19 +86,29 @@ def _check_complete(path: Path, recording: Recording) -> None:
         )
 
 
-def _with_common_markers(recordings: Sequence[Recording]) -> list[Recording]:
+def _with_common_markers(recordings: Sequence[Recording], batch: _console.Batch) -> list[Recording]:
     from asterism.labelling.training.learning import common_markers
 
     common, left_out = common_markers(recordings)
-    say_left_out(len(common), left_out)
+    for finding in left_out_markers(len(common), left_out):
+        batch.found(finding)
     return [recording.select(common) for recording in recordings]
 
 
-def say_left_out(used: int, left_out: Sequence[str]) -> None:
-    """Say which markers are not used because only some files have them."""
-    if left_out:
-        few = ", ".join(left_out[:8]) + (", ..." if len(left_out) > 8 else "")
-        _console.error(f"using the {used} markers that all files have; {len(left_out)} are in some files only ({few}).")
+def left_out_markers(used: int, left_out: Sequence[str]) -> list[Finding]:
+    """The finding that some markers are not used because only some files have them; empty where there are none."""
+    if not left_out:
+        return []
+    few = ", ".join(left_out[:8]) + (", ..." if len(left_out) > 8 else "")
+    sentence = f"the files share {used} markers, which are used; {len(left_out)} others are in some files only ({few})."
+    return [Finding("recordings-differ", Severity.NOTE, "the files", sentence, "Name the markers with --markers to use others.")]
+
+
+def report_warnings(recording: Recording, batch: _console.Batch) -> None:
+    """Name what the reader of a file found, without its notes, which `asterism info` shows."""
+    for finding in recording.metadata.get("findings", ()):
+        if finding.severity > Severity.NOTE:
+            batch.found(finding)
 
 
 def not_carried(target: Path, lost: Sequence[str]) -> list[Finding]:

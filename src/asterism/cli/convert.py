@@ -32,7 +32,7 @@ def convert(options: ConvertOptions) -> None:
     """Write a file in another format.
 
     The suffix of OUT says which: C3D, TRC, CSV, TSV, MAT or NPZ; tables of numbers are MOT, STO or CSV.
-    Rigs become .toml (Asterism's own), *anipose.toml, camera_array.toml, .yml, .xml, .xcp, .qca.txt or .ori.
+    Rigs become .toml (Asterism's), *anipose.toml, camera_array.toml, .yml, .xml, .xcp, .qca.txt or .ori.
     What the other format cannot carry is named on standard error.
     """
     from asterism import formats

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _WALKERS, _NEW_WALKERS, _FRAMES, _RATE = 10, 2, 150, 50.0
 _MARKERS = "helen-hayes"
 _CONDITIONS = ((0, 0), (2, 0), (4, 0), (2, 3))
-"""How many markers are in a gap, and how many ghosts there are, at every moment. The last condition is the hardest; the report shows it."""
+"""The numbers of markers in a gap and of ghosts at every moment. The last condition is the hardest; the report shows it."""
 
 
 class Part(StrEnum):

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import Files, Json, Overwrite
+
+if TYPE_CHECKING:
+    from asterism.findings import Finding
 
 _UNITS = {"rate": " frames/s", "duration": " s"}
 _LONGEST_LIST = {"physical": 200, "events": 40}
@@ -32,32 +35,36 @@ class InfoOptions:
 def info(options: InfoOptions) -> None:
     """Show what files hold.
 
-    Points (physical, computed, unnamed), frames, rate, units, the vertical, events, gaps and remarks on the file. Of rig files and
-    folders of them: cameras, their lenses, positions and errors, and what the file lacks.
+    Points (physical, computed, unnamed), frames, rate, units, the vertical, events and gaps; and findings, where a file
+    contradicts itself or breaks off. Of rig files and folders of them: cameras, their lenses, positions and errors, and what the
+    file lacks.
     """
     _console.check_new(options.json, options.overwrite)
     batch = _console.Batch("shown")
     contents: list[dict[str, Any]] = []
     for path in options.files:
         with batch.file(path):
-            contents.append({"file": path, **_content(path, show=options.json != "-")})
+            contents.append({"file": path, **_content(path, batch, show=options.json != "-")})
     _console.write_json(options.json, {"command": "info", "files": contents, "failed": batch.failed})
     raise typer.Exit(batch.close())
 
 
-def _content(path: Path, *, show: bool) -> dict[str, Any]:
-    """What one file holds, printed where it should be shown."""
+def _content(path: Path, batch: _console.Batch, *, show: bool) -> dict[str, Any]:
+    """What one file holds, printed where it should be shown; its findings are named in any case."""
     from asterism import formats
     from asterism.cli._recordings import is_rig
 
     rig = is_rig(path)
     whole = _described_rig(path) if rig else formats.describe(path)
+    findings: Sequence[Finding] = whole.pop("findings", ())
     content = {key: value for key, value in whole.items() if key != "file"}
     if show:
         _console.facts(str(path), list(_rows({key: value for key, value in content.items() if not (rig and key == "cameras")})))
     if show and rig:
         _console.table("cameras", _CAMERA_COLUMNS, [_camera_row(camera) for camera in content["cameras"]])
-    return content
+    for finding in findings:
+        batch.found(finding)
+    return {**content, "findings": [_console.as_json(finding) for finding in findings]}
 
 
 def _described_rig(path: Path) -> dict[str, Any]:

@@ -147,11 +147,15 @@ class _Result:
 def _check(options: LabelOptions) -> None:
     """Raise AsterismError where options contradict each other, or an output cannot be made."""
     if len(options.model) > 1 and not options.in_time:
-        raise AsterismError("several bodies are told apart by time and tracks; leave out --frame-wise and --rules, or give one --model.")
+        raise AsterismError(
+            "several bodies are separated by their tracks over time; leave out --frame-wise and --rules, or give one --model."
+        )
     if len(options.model) > 1 and options.subject is not None:
         raise AsterismError("a trial of the subject narrows one model; leave out --subject, or give one --model.")
     if options.subject is not None and options.rules is not Rules.WHOLE_BODY:
-        raise AsterismError(f"the rules {options.rules.value} know no body that a trial could narrow; leave out --subject, or --rules.")
+        raise AsterismError(
+            f"the rules {options.rules.value} do not use a body model that a trial could narrow; leave out --subject, or --rules."
+        )
     _console.check_new(options.report, options.overwrite)
     _console.check_new(options.json, options.overwrite)
 
@@ -159,11 +163,12 @@ def _check(options: LabelOptions) -> None:
 def _labelled(labeller: _Labeller, batch: _console.Batch, path: Path, target: Path, progress: Progress | None) -> _Result:
     """Label one file and write it."""
     from asterism import __version__, formats
-    from asterism.cli._recordings import label_shares, labels_kept, not_carried
+    from asterism.cli._recordings import label_shares, labels_kept, not_carried, report_warnings
     from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
 
     options = labeller.options
     recording, clouds = _read(path, vertical_axis(options.vertical))
+    report_warnings(recording, batch)
     if not batch.done and len(clouds):  # compiles, so that the rate below is that of the work
         labeller.label(clouds.frames([0]))
     started = time.perf_counter()
@@ -175,7 +180,7 @@ def _labelled(labeller: _Labeller, batch: _console.Batch, path: Path, target: Pa
                 "label-other-subject",
                 Severity.WARNING,
                 str(path),
-                f"{options.subject} is not of this body, or its markers were placed anew; the file was labelled without it.",
+                f"{options.subject} is not of this body, or its markers were placed again; the file was labelled without it.",
                 "Give a trial of the same session with --subject.",
             )
         )

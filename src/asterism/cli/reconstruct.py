@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,12 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from asterism.cli import _console
+from asterism.cli._command import takes
 from asterism.cli._options import Json, Overwrite
 
 if TYPE_CHECKING:
     from asterism.cameras import Rig
     from asterism.findings import Finding
-    from asterism.reconstruction import Reconstruction
+    from asterism.reconstruction import Reconstruction, ReconstructionSettings
 
 
 class Method(StrEnum):
@@ -24,17 +26,20 @@ class Method(StrEnum):
     PLAIN = "plain"
 
 
-def reconstruct(
-    blobs: Annotated[Path, typer.Argument(metavar="BLOBS", help="2D CSV: frame, camera, x, y[, size][, time].", show_default=False)],
-    rig: Annotated[Path, typer.Option("--rig", metavar="FILE", help="The calibrated rig.", show_default=False)],
+@dataclass(frozen=True)
+class ReconstructOptions:
+    """What `asterism reconstruct` is asked to do."""
+
+    blobs: Annotated[Path, typer.Argument(metavar="BLOBS", help="2D CSV: frame, camera, x, y[, size][, time].", show_default=False)]
+    rig: Annotated[Path, typer.Option("--rig", metavar="FILE", help="The calibrated rig.", show_default=False)]
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="FILE", help="Where the points go: .npz, .c3d, .csv, .trc, ...", show_default=False)
-    ],
-    method: Annotated[Method, typer.Option(help="The likeliest set of points, or the thesis' plain merging.")] = Method.GLOBAL,
-    min_cameras: Annotated[int, typer.Option(metavar="N", min=2, help="How many cameras must show a point.")] = 2,
+    ]
+    method: Annotated[Method, typer.Option(help="The likeliest set of points, or the thesis' plain merging.")] = Method.GLOBAL
+    min_cameras: Annotated[int, typer.Option(metavar="N", min=2, help="How many cameras must show a point.")] = 2
     noise: Annotated[
         float | None, typer.Option(metavar="PX", help="How far off blobs are, per axis. Else estimated from the blobs.", show_default=False)
-    ] = None,
+    ] = None
     volume: Annotated[
         str | None,
         typer.Option(
@@ -42,56 +47,65 @@ def reconstruct(
             help="Where points may be: width x depth x height in m around the origin, or spans such as -3:3,-2:2,0:2.5. Else anywhere.",
             show_default=False,
         ),
-    ] = None,
+    ] = None
     mask_static: Annotated[
         bool, typer.Option("--mask-static", help="Leave out blobs that never move: lamps, reflections, and markers that rest.")
-    ] = False,
+    ] = False
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Move points to where their paths through time say that they are, with the exactness of that.")
-    ] = False,
-    rate: Annotated[float | None, typer.Option(metavar="HZ", help="Frames per second. Else as the file says.", show_default=False)] = None,
-    overwrite: Overwrite = False,
-    json: Json = None,
-) -> None:
+    ] = False
+    rate: Annotated[float | None, typer.Option(metavar="HZ", help="Frames per second. Else as the file says.", show_default=False)] = None
+    overwrite: Overwrite = False
+    json: Json = None
+
+    def settings(self, rig: Rig) -> ReconstructionSettings:
+        """The options as `asterism.reconstruction.reconstruct` takes them."""
+        from asterism.cameras.accuracy import Volume
+        from asterism.reconstruction import ReconstructionSettings
+
+        box = None if self.volume is None else Volume.parse(self.volume, "z" if rig.vertical is None else rig.vertical)
+        return ReconstructionSettings(
+            method=self.method.value,
+            noise=self.noise,
+            min_cameras=self.min_cameras,
+            volume=None if box is None else (box.low, box.high),
+            mask_static=self.mask_static,
+        )
+
+
+@takes(ReconstructOptions)
+def reconstruct(options: ReconstructOptions) -> None:
     """Make 3D points from the blobs of calibrated cameras.
 
     Each blob shows one point at most, and of all sets of points that the blobs of a frame allow the likeliest is chosen, so that few ghosts
     are left. Every point carries its reprojection error, covariance and cameras; NPZ keeps all of them, C3D what it can.
     `asterism label` then gives the points names.
     """
-    from asterism.cameras.accuracy import Volume
+    from asterism import reconstruction
     from asterism.cameras.files import read_rig
     from asterism.findings import exit_status
     from asterism.formats import check_suffix, read_blobs
-    from asterism.reconstruction import ReconstructionSettings, summary
-    from asterism.reconstruction import reconstruct as points_of
 
+    output = options.output
     check_suffix(output)
-    _console.check_new(output, overwrite)
-    _console.check_new(json, overwrite)
-    calibrated = read_rig(rig)
-    box = None if volume is None else Volume.parse(volume, "z" if calibrated.vertical is None else calibrated.vertical)
-    seen = read_blobs(blobs, cameras=calibrated.names, rate=rate)
-    settings = ReconstructionSettings(
-        method=method.value,
-        noise=noise,
-        min_cameras=min_cameras,
-        volume=None if box is None else (box.low, box.high),
-        mask_static=mask_static,
-    )
+    _console.check_new(output, options.overwrite)
+    _console.check_new(options.json, options.overwrite)
+    rig = read_rig(options.rig)
+    settings = options.settings(rig)
+    blobs = read_blobs(options.blobs, cameras=rig.names, rate=options.rate)
     with _console.progress("reconstructing") as progress:
-        result = points_of(seen, calibrated, settings, progress=progress)
-    numbers, findings = summary(result, calibrated)
-    if smooth:
-        result, numbers["smoothed"] = _smoothed(result, calibrated)
+        result = reconstruction.reconstruct(blobs, rig, settings, progress=progress)
+    numbers, findings = reconstruction.summary(result, rig)
+    if options.smooth:
+        result, numbers["smoothed"] = _smoothed(result, rig)
     lost = result.write(output)
-    findings = (*_guesses(rig, calibrated), *findings, *(_not_written(output, what) for what in lost))
+    findings = (*_guesses(options.rig, rig), *findings, *(_not_written(output, what) for what in lost))
     for finding in findings:
         _console.report(finding)
-    if json != "-":
+    if options.json != "-":
         _print(output, numbers)
     told = {**numbers, "findings": [_console.as_json(finding) for finding in findings], "not_carried": lost}
-    _console.write_json(json, {"command": "reconstruct", "blobs": blobs, "rig": rig, "output": output, **told})
+    _console.write_json(options.json, {"command": "reconstruct", "blobs": options.blobs, "rig": options.rig, "output": output, **told})
     raise typer.Exit(exit_status(findings))
 
 

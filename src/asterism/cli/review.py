@@ -55,7 +55,7 @@ def review(options: ReviewOptions) -> None:
             with batch.file(path):
                 if progress:
                     progress((len(batch.done) + len(batch.failed)) / len(options.files), path.name)
-                _add(found, path, ensemble, options)
+                _add(found, path, ensemble, options, batch)
     if options.json != "-" and batch.done:
         _print(found)
     if options.report is not None:
@@ -103,14 +103,15 @@ class _Review:
     lines: Sequence[_Line] = field(default_factory=tuple)
 
 
-def _add(found: _Review, path: Path, ensemble: SolverEnsemble, options: ReviewOptions) -> None:
+def _add(found: _Review, path: Path, ensemble: SolverEnsemble, options: ReviewOptions, batch: _console.Batch) -> None:
     """Label one file and add what there is to check in it."""
     from asterism import formats
-    from asterism.cli._recordings import labels_kept
+    from asterism.cli._recordings import labels_kept, report_warnings
     from asterism.labelling import review as review_labelling
     from asterism.report import ReviewEntry
 
     recording = formats.read(path, vertical=vertical_axis(options.vertical))
+    report_warnings(recording, batch)
     clouds = recording.clouds()
     labelling = ensemble.label(clouds, time=not options.frame_wise, workers=options.workers)
     if options.keep_labels:

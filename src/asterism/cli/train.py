@@ -62,7 +62,7 @@ def train(options: TrainOptions) -> None:
     features = feature_names(options.features)
     _console.check_new(options.output, options.overwrite)
     _console.check_new(options.json, options.overwrite)
-    from asterism.cli._recordings import marker_set_of, say_left_out
+    from asterism.cli._recordings import left_out_markers, marker_set_of
 
     marker_set = marker_set_of(options.markers)
     recordings = _read(options.files, marker_set, options.vertical)
@@ -85,7 +85,9 @@ def train(options: TrainOptions) -> None:
     seconds = time.perf_counter() - started
     ensemble.save(options.output)
     names, about = ensemble.marker_set.names, ensemble.about
-    say_left_out(len(names), about["left_out_markers"])
+    findings = [*left_out_markers(len(names), about["left_out_markers"]), *(error.finding for error in errors)]
+    for finding in left_out_markers(len(names), about["left_out_markers"]):
+        _console.report(finding)
     if options.json != "-":
         _print(options.output, len(names), len(recordings), about, seconds)
     _console.write_json(
@@ -97,7 +99,7 @@ def train(options: TrainOptions) -> None:
             "files": options.files,
             **about,
             "left_out": [asdict(error) for error in errors],
-            "findings": [_console.as_json(error.finding) for error in errors],
+            "findings": [_console.as_json(finding) for finding in findings],
             "seconds": seconds,
         },
     )

@@ -1,14 +1,18 @@
 """Marker blobs from images and video."""
 
-from asterism.detection.blobs import Flag, Spots, automatic_threshold, find_blobs, static_mask
-from asterism.detection.sequences import CameraImages, Detection, detect
+from asterism.detection.blobs import BlobSettings, Flag, ImageBlobs, find_blobs, static_mask
+from asterism.detection.camera_images import CameraImages
+from asterism.detection.sequences import Detection, DetectionSettings, detect
 from asterism.detection.static_lights import find_static_lights, without_static_lights
+from asterism.detection.thresholds import automatic_threshold
 
 __all__ = [
+    "BlobSettings",
     "CameraImages",
     "Detection",
+    "DetectionSettings",
     "Flag",
-    "Spots",
+    "ImageBlobs",
     "automatic_threshold",
     "detect",
     "find_blobs",

@@ -1,9 +1,9 @@
-"""The sequences of several cameras in; their cameras' names, frame numbers and clock out."""
+"""The sequences of several cameras in; the names of the cameras, their frame numbers and clock out."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +12,18 @@ from asterism.cameras import Rig
 from asterism.detection.sources import Source
 from asterism.detection.times import FrameTimes
 from asterism.errors import AsterismError
-from asterism.recording import Blobs, Floats
+from asterism.findings import Finding, Severity
+from asterism.recording import Blobs, Floats, Ints
 from asterism.synchronization import to_common_clock
 
 _DEFAULT_RATE = 100.0
+"""Frames per second where nothing says the rate."""
 _LINKED = 0.8
 """Share of the blobs that interpolation to a common clock must keep."""
 
 
-def names_of(sources: Sequence[Source], rig: Rig | None) -> list[str]:
-    """What the cameras are called: as their files or folders, as the folders these are in where that is not unique, or as in the rig."""
+def camera_names(sources: Sequence[Source], rig: Rig | None) -> list[str]:
+    """The cameras' names: of their files or folders, of the folders these are in where that is not unique, or those of the rig."""
     paths = [source.path.resolve() for source in sources]
     twice = next((source.path for i, source in enumerate(sources) if paths[i] in paths[:i]), None)
     if twice is not None:
@@ -50,55 +52,86 @@ def _number(name: str) -> int | None:
     return int(digits[-1]) if digits else None
 
 
-def numbered(
-    sources: Sequence[Source], read: Sequence[NDArray[np.int64]], names: Sequence[str], stamps: FrameTimes | None, problems: list[str]
+def align_frames(
+    sources: Sequence[Source], read: Sequence[NDArray[np.int64]], names: Sequence[str], stamps: FrameTimes | None, findings: list[Finding]
 ) -> tuple[list[NDArray[np.int64]], Floats | None, int]:
-    """For each camera the frame of each place in its sequence, -1 where it belongs to none; times (T, C) s or None; the first frame's
-    number."""
+    """The common frames of several cameras.
+
+    read     for each camera the places in its sequence of the images that were read
+    findings what is wrong is added to it
+
+    Returns for each camera the frame of each place in its sequence, -1 where it belongs to none; times (T, C) s or None; and the number
+    of the first frame.
+    """
     lengths = [max(len(source), int(places.max(initial=-1)) + 1) for source, places in zip(sources, read, strict=True)]
     rows = _counted(sources, lengths)
     if stamps is None:
         first = min(int(frames[0]) for frames in rows)
-        last = [int(frames[-1]) for frames in rows]
-        if max(last) - min(last) > 2:
-            short, long = int(np.argmin(last)), int(np.argmax(last))
-            problems.append(
-                f"camera {names[short]} ends {last[long] - last[short]} frames before {names[long]}; cut them alike or give --times."
-            )
-        early, late = int(np.argmin(last)), int(np.argmax(last))
-        if len(set(lengths)) == 1 and 0 < rows[late][0] - rows[early][0] == last[late] - last[early] <= 2:
-            theirs = f"{names[late]} {rows[late][0]} to {last[late]}"
-            problems.append(
-                f"camera {names[early]} has images {rows[early][0]} to {last[early]}, {theirs}: as many, but numbered otherwise; number "
-                "them alike if they were taken together."
-            )
+        findings += _mismatches(rows, lengths, names)
         return [frames - first for frames in rows], None, first
-    taken = []
-    for c, mine in enumerate(stamps.of(names)):
-        frame = stamps.frame[mine]
-        if len(mine) == lengths[c]:
-            places = np.arange(lengths[c])
-        elif frame.min() >= rows[c][0] and frame.max() <= rows[c][-1] and np.isin(frame, rows[c]).all():
-            places = np.searchsorted(rows[c], frame)
-        else:
-            raise AsterismError(
-                f"{stamps.path} has {len(mine)} times of camera {names[c]}, frames {frame.min()} to {frame.max()}, "
-                f"and it has {lengths[c]} images; give the times of these images."
-            )
-        taken.append((mine, places))
-    common = [rows[c][places] if stamps.sync is None else stamps.sync[mine] for c, (mine, places) in enumerate(taken)]
+    taken = [_timed_places(stamps, stamped, rows[c], lengths[c], names[c]) for c, stamped in enumerate(stamps.of(names))]
+    common = [rows[c][places] if stamps.sync is None else stamps.sync[stamped] for c, (stamped, places) in enumerate(taken)]
     first = min(int(frames.min()) for frames in common)
     when = np.full((max(int(frames.max()) for frames in common) - first + 1, len(names)), np.nan)
     numbers = []
-    for c, ((mine, places), frames) in enumerate(zip(taken, common, strict=True)):
-        there = np.isin(places, read[c])
-        when[frames[there] - first, c] = stamps.time[mine[there]]
+    for c, ((stamped, places), frames) in enumerate(zip(taken, common, strict=True)):
+        known = np.isin(places, read[c])
+        when[frames[known] - first, c] = stamps.time[stamped[known]]
         number = np.full(lengths[c], -1)
         number[places] = frames - first
         numbers.append(number)
         if len(places) < lengths[c]:
-            problems.append(f"{stamps.path} has no time of {lengths[c] - len(places)} images of camera {names[c]}; they are left out.")
+            findings.append(
+                Finding(
+                    "detect-images-without-time",
+                    Severity.WARNING,
+                    names[c],
+                    f"{stamps.path} has no time of {lengths[c] - len(places)} images of camera {names[c]}; they are left out.",
+                    "Add their times to the file.",
+                )
+            )
     return numbers, when, first
+
+
+def _mismatches(rows: Sequence[NDArray[np.int64]], lengths: Sequence[int], names: Sequence[str]) -> Iterator[Finding]:
+    """Cameras whose frame numbers (rows) end at different frames, or are as many but numbered otherwise."""
+    last = [int(frames[-1]) for frames in rows]
+    early, late = int(np.argmin(last)), int(np.argmax(last))
+    if max(last) - min(last) > 2:
+        yield Finding(
+            "detect-ends-early",
+            Severity.WARNING,
+            names[early],
+            f"camera {names[early]} ends {last[late] - last[early]} frames before {names[late]}.",
+            "Cut them alike or give --times.",
+        )
+    if len(set(lengths)) == 1 and 0 < rows[late][0] - rows[early][0] == last[late] - last[early] <= 2:
+        theirs = f"{names[late]} {rows[late][0]} to {last[late]}"
+        yield Finding(
+            "detect-numbered-otherwise",
+            Severity.WARNING,
+            names[early],
+            f"camera {names[early]} has images {rows[early][0]} to {last[early]}, {theirs}: as many, but numbered otherwise.",
+            "Number them alike if they were taken together.",
+        )
+
+
+def _timed_places(stamps: FrameTimes, rows: Ints, numbers: NDArray[np.int64], length: int, name: str) -> tuple[Ints, Ints]:
+    """Which rows of a file of times are a camera's, and the place of each in its sequence.
+
+    numbers  the frame numbers of the camera's `length` images
+
+    Raises AsterismError where the times are of other images.
+    """
+    frame = stamps.frame[rows]
+    if len(rows) == length:
+        return rows, np.arange(length)
+    if frame.min() >= numbers[0] and frame.max() <= numbers[-1] and np.isin(frame, numbers).all():
+        return rows, np.searchsorted(numbers, frame)
+    raise AsterismError(
+        f"{stamps.path} has {len(rows)} times of camera {name}, frames {frame.min()} to {frame.max()}, and it has {length} images; "
+        "give the times of these images."
+    )
 
 
 def _counted(sources: Sequence[Source], lengths: Sequence[int]) -> list[NDArray[np.int64]]:
@@ -111,8 +144,10 @@ def _counted(sources: Sequence[Source], lengths: Sequence[int]) -> list[NDArray[
     return [source.numbers // step for source in sources]
 
 
-def rate_of(sources: Sequence[Source], given: float | None, when: Floats | None, names: Sequence[str], problems: list[str]) -> float:
-    """Frames per second: as given, by the times, by the videos, or 100; videos that differ are a problem."""
+def common_rate(
+    sources: Sequence[Source], given: float | None, when: Floats | None, names: Sequence[str], findings: list[Finding]
+) -> float:
+    """Frames per second: as given, by the times (T, C) s, by the videos, or 100; videos that differ are added to `findings`."""
     if given is not None:
         return given
     if when is not None:
@@ -123,15 +158,23 @@ def rate_of(sources: Sequence[Source], given: float | None, when: Floats | None,
         return _DEFAULT_RATE
     if np.ptp(rates) > 0.01 * rates.min():
         slow, fast = int(np.argmin(rates)), int(np.argmax(rates))
-        problems.append(
-            f"camera {names[slow]} has {rates[slow]:g} frames/s, {names[fast]} {rates[fast]:g}: their frames do not match; give --times."
+        findings.append(
+            Finding(
+                "detect-rates-differ",
+                Severity.WARNING,
+                names[slow],
+                f"camera {names[slow]} has {rates[slow]:g} frames/s, {names[fast]} {rates[fast]:g}: their frames do not match.",
+                "Give --times.",
+            )
         )
     return float(np.median(rates))
 
 
-def on_common_clock(blobs: Blobs, problems: list[str]) -> tuple[Blobs, float]:
-    """Interpolated to common instants where most blobs can be followed from frame to frame; else as they are, which is a problem. And the
-    share of blobs that this leaves out."""
+def on_common_clock(blobs: Blobs, findings: list[Finding]) -> tuple[Blobs, float]:
+    """The blobs at common instants where most of them can be followed from frame to frame; else as they are, which is added to `findings`.
+
+    Returns the share of blobs that this leaves out, too.
+    """
     common = to_common_clock(blobs)
     before, after = blobs.counts.sum(axis=0) / np.maximum(len(blobs), 1), common.counts.sum(axis=0) / np.maximum(len(common), 1)
     images = np.ones(before.shape) if blobs.times is None else np.isfinite(blobs.times).mean(axis=0)
@@ -140,8 +183,14 @@ def on_common_clock(blobs: Blobs, problems: list[str]) -> tuple[Blobs, float]:
     if not lost.any():
         return common, max(0.0, 1.0 - float(after.sum() / max(before.sum(), 1e-9)))
     which = ", ".join(name for name, gone in zip(blobs.cameras, lost, strict=True) if gone)
-    problems.append(
-        f"camera {which}: fewer than {100 * _LINKED:.0f} % of the blobs can be followed from frame to frame, so none are interpolated to a "
-        "common clock; each keeps its time."
+    findings.append(
+        Finding(
+            "detect-not-followed",
+            Severity.WARNING,
+            which,
+            f"camera {which}: fewer than {100 * _LINKED:.0f} % of the blobs can be followed from frame to frame, so none are interpolated "
+            "to a common clock; each keeps its time.",
+            "Trigger the cameras together, or record at a higher frame rate.",
+        )
     )
     return blobs, 0.0

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.detection.blobs import Grey, as_grey
+from asterism.detection.grey import Grey, as_grey
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class Source:
 
 
 def open_source(path: str | Path) -> Source:
-    """Look at a path: a video, a folder of images, a series such as cam1.%d or a multi-page TIFF; a single image is a series of one.
+    """Open a path: a video, a folder of images, a series such as cam1.%d or a multi-page TIFF; a single image is a series of one.
 
     Images are put in natural order (2 before 10); where their names end in numbers these are the frames' numbers, so that a gap in them
     is a gap in time. Raises AsterismError where there is no such thing, or nothing in it that can be read.
@@ -89,7 +89,7 @@ def open_source(path: str | Path) -> Source:
     with _film(path) as capture:
         there, image = capture.read()
         if not there:
-            raise AsterismError(f"{path} is neither an image nor a video that can be opened; it may be cut off, record or copy it again.")
+            raise AsterismError(f"{path} cannot be opened as an image or a video; it may be cut off, record or copy it again.")
         if _is_deep(capture) and image.dtype != np.uint16:
             raise AsterismError(f"{path} has more than 8 bits, of which OpenCV {cv2.__version__} reads 8; make 16 bit PNG or TIFF of it.")
         rate = float(capture.get(cv2.CAP_PROP_FPS))
@@ -189,14 +189,14 @@ def _page(file: Path, at: int, place: int) -> NDArray[Any] | None:
 
 
 def _tiff(content: NDArray[np.uint8]) -> tuple[str, bool]:
-    """The order of bytes in a TIFF, and whether its offsets have eight of them; "" for what is no TIFF."""
+    """The order of bytes in a TIFF, and whether its offsets have eight of them; "" for what is not a TIFF."""
     head = content[:4].tobytes()
     orders = {b"II*\0": ("<", False), b"MM\0*": (">", False), b"II+\0": ("<", True), b"MM\0+": (">", True)}
     return orders.get(head, ("", False))
 
 
 def _pages(file: Path) -> tuple[tuple[int, ...], bool]:
-    """Where each page of a TIFF is described, and whether the file ends before the last one; nothing for what is no TIFF."""
+    """Where each page of a TIFF is described, and whether the file ends before the last one; nothing for what is not a TIFF."""
     content = np.memmap(file, np.uint8, "r") if file.stat().st_size else np.zeros(0, np.uint8)
     order, big = _tiff(content)
     if not order:
@@ -243,10 +243,10 @@ def _series(path: Path, name: str, files: list[Path]) -> Source:
     files = sorted(files, key=lambda file: [(len(d.lstrip("0")), d) if d.isdigit() else (0, d) for d in re.split(r"(\d+)", file.name)])
     kinds = Counter(_kind(file) for file in files)
     usual, most = kinds.most_common(1)[0]
-    odd = next((file for file in files if _kind(file) != usual), None)
-    if most > 1 and odd is not None:
-        others = next(file for file in files if _kind(file) == usual)
-        raise AsterismError(f"{path} holds {odd.name} beside {others.name}: are these one camera's? Give the folder or series of one.")
+    other = next((file for file in files if _kind(file) != usual), None)
+    if most > 1 and other is not None:
+        image = next(file for file in files if _kind(file) == usual)
+        raise AsterismError(f"{path} holds {other.name} beside {image.name}: are these one camera's? Give the folder or series of one.")
     last = [re.findall(r"\d+", file.name if file.suffix[1:].isdigit() else file.stem) for file in files]
     numbers = np.array([int(found[-1]) if found and len(found[-1]) < 18 else -1 for found in last], dtype=np.int64)
     steps = np.diff(numbers)
@@ -262,7 +262,7 @@ def _kind(file: Path) -> str:
 
 def _listed(folder: Path) -> list[Path]:
     if not folder.is_dir():
-        raise AsterismError(f"{folder} is no folder; give one that exists.")
+        raise AsterismError(f"{folder} is not a folder; give one that exists.")
     return [file for file in folder.iterdir() if file.is_file() and not file.name.startswith(".")]
 
 

@@ -44,18 +44,18 @@ class FrameTimes:
 
         Raises AsterismError where a camera has none.
         """
-        said = list(dict.fromkeys(self.camera))
+        listed = list(dict.fromkeys(self.camera))
         ends = [re.search(r"(\d+)\D*$", name) for name in cameras]
         numbers = [str(int(end[1])) if end else "" for end in ends]
-        if set(cameras) <= set(said):
+        if set(cameras) <= set(listed):
             keys = list(cameras)
-        elif len(set(numbers)) == len(cameras) and set(numbers) <= set(said):
+        elif len(set(numbers)) == len(cameras) and set(numbers) <= set(listed):
             keys = numbers
-        elif len(said) == len(cameras) and all(name.isdigit() for name in said):
-            keys = sorted(said, key=int)
+        elif len(listed) == len(cameras) and all(name.isdigit() for name in listed):
+            keys = sorted(listed, key=int)
         else:
-            lacking = next((name for name in cameras if name not in said), cameras[0])
-            raise AsterismError(f"{self.path} has no times of camera {lacking}, only of {', '.join(said[:12])}; name them alike.")
+            lacking = next((name for name in cameras if name not in listed), cameras[0])
+            raise AsterismError(f"{self.path} has no times of camera {lacking}, only of {', '.join(listed[:12])}; name them alike.")
         names = np.array(self.camera)
         return [np.flatnonzero(names == key)[np.argsort(self.frame[names == key], kind="stable")] for key in keys]
 
@@ -63,8 +63,8 @@ class FrameTimes:
 def read_times(path: str | Path) -> FrameTimes:
     """Frame times from a CSV file with the columns camera, frame and time (s), and perhaps sync_index.
 
-    Raises AsterismError, naming file and line, where a column is missing, a cell is no number, a camera has two times of one image or two
-    images of one common frame, or times are not seconds.
+    Raises AsterismError, naming file and line, where a column is missing, a cell is not a number, a camera has two times of one image
+    or two images of one common frame, or times are not seconds.
     """
     path = Path(path)
     lines = [(i + 1, line) for i, line in enumerate(lines_of(decoded(path, read_bytes(path)))) if line.strip(" ,;\t") and line[0] != "#"]
@@ -80,8 +80,8 @@ def read_times(path: str | Path) -> FrameTimes:
     numbers = np.zeros((len(lines) - 1, 3))
     for row, (line, text) in enumerate(lines[1:]):
         cells = cells_of(text.replace(",", ".") if delimiter == ";" else text, delimiter)
-        told = [number_of(cells[at[key]]) if 0 <= at[key] < len(cells) else None for key in ("frame", "time", "sync")]
-        numbers[row] = [np.nan if number is None else number for number in told]
+        given = [number_of(cells[at[key]]) if 0 <= at[key] < len(cells) else None for key in ("frame", "time", "sync")]
+        numbers[row] = [np.nan if number is None else number for number in given]
         whole = numbers[row, [0, 2] if at["sync"] >= 0 else [0]]
         if not np.isfinite(numbers[row, 1]) or not (whole == np.rint(whole)).all() or not cells[at["camera"]]:
             raise AsterismError(f"{path}, line {line}: {text[:60]!r} lacks a number; give camera, frame and time, or leave the row out.")
@@ -95,11 +95,11 @@ def read_times(path: str | Path) -> FrameTimes:
 def _check(path: Path, names: Sequence[str], frame: NDArray[np.int64], time: Floats, sync: NDArray[np.int64] | None) -> None:
     steps = []
     for name in dict.fromkeys(names):
-        own = np.flatnonzero(np.array(names) == name)
-        own = own[np.argsort(frame[own], kind="stable")]
-        steps.append(np.diff(time[own]))
+        rows = np.flatnonzero(np.array(names) == name)
+        rows = rows[np.argsort(frame[rows], kind="stable")]
+        steps.append(np.diff(time[rows]))
         for what, numbers in (("image", frame), ("common frame", sync)):
-            counted = np.unique(numbers[own], return_counts=True) if numbers is not None else (np.zeros(0), np.zeros(0))
+            counted = np.unique(numbers[rows], return_counts=True) if numbers is not None else (np.zeros(0), np.zeros(0))
             if (counted[1] > 1).any():
                 raise AsterismError(f"{path}: camera {name} has two rows of {what} {counted[0][np.argmax(counted[1])]}; leave one out.")
     usual = float(np.median(np.concatenate(steps))) if any(map(len, steps)) else 0.0

@@ -1,4 +1,4 @@
-"""What all readers share: the points that a file holds, under its own names, become a `Recording`."""
+"""Shared by all readers: the points of a file, under the names in the file, in; a `Recording` out."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
+from asterism.formats._findings import located, missing_samples, units_assumed, vertical_conflict
 from asterism.formats._physical import COMPUTED, UNNAMED, kinds_by_name
 from asterism.formats._text import some_of
-from asterism.formats._vertical import tell_vertical, vertical_from_positions
+from asterism.formats._vertical import estimate_vertical, vertical_from_positions
 from asterism.recording import Event, Floats, MarkerSet, ProcessingStep, Recording, as_vertical, canonical, without_subject
 
 __all__ = [
@@ -39,17 +41,17 @@ _FURTHEST = 1e6
 
 @dataclass(frozen=True)
 class Points:
-    """Every point of a file, in metres, still under the file's own labels.
+    """Every point of a file, in metres, under the labels of the file.
 
     positions  (T, P, 3) m, NaN missing
     labels     (P,) as in the file, repeats and subject prefixes included
     rate       frames per second
     format     "TRC", "CSV", ...
-    units      the file's unit of length, as it is written again
-    kinds      (P,) "marker", "computed" or "unnamed", or None: told by name
-    declared   the vertical that the file or its format lays down, or None
-    fallback   the vertical to take where nothing else tells, or None
-    oddities   what was strange about the file and how it was taken
+    units      the file's unit of length, in which it is written again
+    kinds      (P,) "marker", "computed" or "unnamed"; None: by name
+    declared   the vertical that the file or its format defines, or None
+    fallback   the vertical where nothing else determines it, or None
+    findings   what a person should know about the file; their sentences name no file (`located` adds it)
     log        what was done to the recording before it was written
     """
 
@@ -65,7 +67,7 @@ class Points:
     first_time: float | None = None
     events: tuple[Event, ...] = ()
     subject: str = ""
-    oddities: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
     log: tuple[ProcessingStep, ...] = ()
 
@@ -79,9 +81,9 @@ def recording_of(path: Path, points: Points, markers: Any = None, vertical: Arra
     """The recording that `asterism.read` gives for the points of a file.
 
     markers   None: all points but the computed ones; else what `MarkerSet.load` takes: exactly its columns, NaN where absent
-    vertical  None: told (see `settle_vertical`); else a vector or an axis name
+    vertical  None: determined by `settle_vertical`; else a vector or an axis name
 
-    Raises AsterismError, naming the file, where no marker of the set is there, one is there twice, or up cannot be told.
+    Raises AsterismError, naming the file, where it has no marker of the set, has one twice, or does not determine the vertical.
     """
     labels, subject = without_common_subject(points.labels)
     kinds = np.array(points.kind_of_points, dtype=object)
@@ -91,14 +93,14 @@ def recording_of(path: Path, points: Points, markers: Any = None, vertical: Arra
     else:
         columns, names = wanted_columns(path, labels, MarkerSet.load(markers))
     positions = np.full((len(points.positions), len(names), 3), np.nan)
-    there = columns >= 0
-    positions[:, there] = points.positions[:, columns[there]]
+    present = columns >= 0
+    positions[:, present] = points.positions[:, columns[present]]
     up, how = settle_vertical(
         path, points.positions[:, physical], [labels[c] for c in physical], vertical, declared=points.declared, fallback=points.fallback
     )
-    oddities = points.oddities
+    findings = points.findings
     if how == "data against file":
-        oddities = (*oddities, "the vertical that the file declares contradicts its markers; the markers were believed")
+        findings = (*findings, vertical_conflict("the declared vertical contradicts the markers; the vertical is that of the markers"))
     origin = np.where(np.isnan(positions[:, :, 0]), -1, columns[None, :])
     metadata: dict[str, Any] = {
         "file": str(path),
@@ -107,7 +109,7 @@ def recording_of(path: Path, points: Points, markers: Any = None, vertical: Arra
         "subject": points.subject or subject,
         "vertical_from": how,
         **({} if points.first_time is None else {"first_time": points.first_time}),
-        **({"oddities": list(oddities)} if oddities else {}),
+        **({"findings": located(path, findings)} if findings else {}),
         **points.extra,
     }
     return Recording(
@@ -119,7 +121,7 @@ def recording_of(path: Path, points: Points, markers: Any = None, vertical: Arra
         metadata=metadata,
         source=points,
         origin=origin.astype(np.int64),
-        taken=tuple(int(c) for c in (physical if markers is None else columns[there])),
+        taken=tuple(int(c) for c in (physical if markers is None else columns[present])),
         first_frame=points.first_frame,
         log=points.log,
     )
@@ -128,8 +130,8 @@ def recording_of(path: Path, points: Points, markers: Any = None, vertical: Arra
 def wanted_columns(path: Path, labels: Sequence[str], wanted: MarkerSet) -> tuple[NDArray[np.int64], tuple[str, ...]]:
     """The column of each marker of the set, -1 where absent, and the set's names.
 
-    A column with the set's own name goes before one with an alias of it.
-    Raises AsterismError where none is there, or two columns carry one marker's name.
+    A column with the name in the set takes precedence over one with an alias.
+    Raises AsterismError where no marker of the set is present, or two columns carry one marker's name.
     """
     exact = {canonical(without_subject(label)) for label in labels} & {canonical(name) for name in wanted.names}
     spelled = [
@@ -161,28 +163,28 @@ def settle_vertical(
 ) -> tuple[Floats, str]:
     """The vertical of a file and where it comes from: "given", "file", "data", "data against file" or "convention".
 
-    positions (T, P, 3) and labels (P,) of the physical points. In this order: what the caller gives; what the markers say where
-    two signs agree on it (headers are often wrong); what the file declares; what the markers suggest; the fallback.
+    positions (T, P, 3) and labels (P,) of the physical points. The first of these that determines it: what the caller gives; the markers,
+    where two signs agree (headers are often wrong); what the file declares; the markers with one sign; the fallback.
 
-    Raises AsterismError where none of these speaks.
+    Raises AsterismError where none of these does.
     """
     if given is not None:
         return as_vertical(given), "given"
-    told = tell_vertical(positions, labels)
+    found = estimate_vertical(positions, labels)
     if declared is not None:
         declared = as_vertical(declared)
-        if told.sure and told.vector is not None and float(told.vector @ declared) < 0.5:
-            return told.vector, "data against file"
+        if found.certain and found.vector is not None and float(found.vector @ declared) < 0.5:
+            return found.vector, "data against file"
         return declared, "file"
-    if told.vector is not None:
-        return told.vector, "data"
+    if found.vector is not None:
+        return found.vector, "data"
     if fallback is not None:
         return as_vertical(fallback), "convention"
-    raise AsterismError(f"{path} does not say which way is up and its points do not tell; give vertical=, for example vertical='z'.")
+    raise AsterismError(f"{path} does not say which way is up and its points do not show it; give vertical=, for example vertical='z'.")
 
 
 def without_common_subject(labels: Sequence[str]) -> tuple[tuple[str, ...], str]:
-    """The labels without the subject's name that all of them carry before a colon, and that name ("" where there is none).
+    """The labels without the subject's name that all of them carry before a colon, and that name, "" for no name.
 
     Unnamed points need not carry it. Names that would be left as Marker1, Marker2, ... keep their prefix.
     """
@@ -198,38 +200,38 @@ def without_common_subject(labels: Sequence[str]) -> tuple[tuple[str, ...], str]
 
 
 def is_unnamed(label: str) -> bool:
-    """Whether a label only numbers a point that nobody named: *12, Unlabeled:108, U3, x56."""
+    """Whether a label only numbers an unnamed point: *12, Unlabeled:108, U3, x56."""
     return kinds_by_name([label])[0] == UNNAMED
 
 
-def metres_per_unit(path: Path, said: str | None, raw: Floats, others: Sequence[str] = ()) -> tuple[float, str, str]:
-    """Metres per unit of a file, that unit's name, and a remark ("" where the file said it and it fits).
+def metres_per_unit(path: Path, declared: str | None, raw: Floats, others: Sequence[str] = ()) -> tuple[float, str, list[Finding]]:
+    """Metres per unit of a file, that unit's name, and a finding where the unit is assumed.
 
-    said    what stands where the unit belongs, or None
-    raw     (T, P, 3) positions in the file's unit
-    others  further header values among which a misplaced unit may stand
+    declared  what stands where the unit belongs, or None
+    raw       (T, P, 3) positions in the file's unit
+    others    further header values among which a misplaced unit may stand
 
     Raises AsterismError where the unit that the file names makes a body of less than 5 mm or more than 60 m.
     """
     size = body_size(raw)
-    scale = _METRES.get((said or "").strip().casefold())
+    scale = _METRES.get((declared or "").strip().casefold())
     if scale is not None:
         if np.isfinite(size) and not _SMALLEST_BODY <= size * scale <= _LARGEST_BODY:
             likely = _unit_by_size(size, raw)
             if _METRES[likely] == scale:
-                return scale, _short_unit(scale), f"the points lie {size * scale:.3g} m apart"
+                return scale, _short_unit(scale), [units_assumed(f"the points lie {size * scale:.3g} m apart")]
             raise AsterismError(
-                f"{path} gives its units as {said}, which makes its points {size * scale:.3g} m wide; "
+                f"{path} gives its units as {declared}, which makes its points {size * scale:.3g} m wide; "
                 f"the units are probably {likely}: correct the units field."
             )
-        return scale, _short_unit(scale), ""
+        return scale, _short_unit(scale), []
     misplaced = next((other.strip() for other in others if other.strip().casefold() in _METRES), None)
-    what = f"units {said.strip()!r} mean nothing" if said and said.strip() else "no units in the file"
+    what = f"the units {declared.strip()!r} are not known" if declared and declared.strip() else "no units in the file"
     if misplaced is not None:
         found, name, _ = metres_per_unit(path, misplaced, raw)
-        return found, name, f"{what}; {name} stands in another field of the header"
+        return found, name, [units_assumed(f"{what}; {name} stands in another field of the header")]
     name = _unit_by_size(size, raw)
-    return _METRES[name], name, f"{what}; {name} fits the size of the body"
+    return _METRES[name], name, [units_assumed(f"{what}; {name} fits the size of the body")]
 
 
 def _short_unit(scale: float) -> str:
@@ -237,9 +239,9 @@ def _short_unit(scale: float) -> str:
 
 
 def body_size(raw: Floats) -> float:
-    """About how large what a frame shows is, in the unit given: four times the median distance from the median point.
+    """The size of what a frame shows, in the given unit: four times the median distance from the median point.
 
-    A body's height for a whole body; a few lost points do not matter. NaN without two points.
+    About the height of a whole body. A few missing points do not matter. NaN with fewer than two points.
     """
     some = raw[:: max(1, len(raw) // 200)]
     some = np.where(np.isfinite(some).all(axis=2, keepdims=True) & (np.abs(some) < 1e100).all(axis=2, keepdims=True), some, np.nan)
@@ -252,23 +254,23 @@ def body_size(raw: Floats) -> float:
 
 
 def _unit_by_size(size: float, raw: Floats) -> str:
-    """The unit that makes a body of that size human; a single point has none, only its distance from the origin."""
+    """The unit in which that size is a person's; for a single point, the unit that fits its distance from the origin."""
     if np.isfinite(size):
         return "m" if size < 12 else "cm" if size < 300 else "mm"
     away = np.abs(raw[np.isfinite(raw)])
     return "m" if len(away) and float(np.median(away)) < 12 else "mm"
 
 
-def as_metres(raw: Floats, scale: float, zero_is_missing: bool = True) -> tuple[Floats, list[str]]:
-    """Positions in metres with NaN for what cannot be a place (not finite, beyond 1000 km, zero in all three), and remarks."""
+def as_metres(raw: Floats, scale: float, zero_is_missing: bool = True) -> tuple[Floats, list[Finding]]:
+    """Positions in metres, NaN for what cannot be a place (not finite, beyond 1000 km, zero in all three); and findings."""
     with np.errstate(over="ignore", invalid="ignore"):
         positions = raw * scale
-        strange = np.any(np.isinf(raw) | (np.abs(positions) > _FURTHEST), axis=2)
+        impossible = np.any(np.isinf(raw) | (np.abs(positions) > _FURTHEST), axis=2)
     zero = np.all(raw == 0, axis=2) & zero_is_missing
-    positions[strange | zero | np.isnan(positions).any(axis=2)] = np.nan
-    remarks = []
-    if strange.any():
-        remarks.append(f"{int(strange.sum())} samples are infinite or beyond 1000 km; taken as missing")
+    positions[impossible | zero | np.isnan(positions).any(axis=2)] = np.nan
+    findings = []
+    if impossible.any():
+        findings.append(missing_samples(f"{int(impossible.sum())} samples are infinite or beyond 1000 km; taken as missing"))
     if zero.any():
-        remarks.append(f"{int(zero.sum())} samples are zero in all three coordinates; taken as missing")
-    return positions, remarks
+        findings.append(missing_samples(f"{int(zero.sum())} samples are zero in all three coordinates; taken as missing"))
+    return positions, findings

@@ -1,4 +1,4 @@
-"""The comment lines that our CSV files begin with: what a plain table cannot say (units, rate, vertical, events), out and in."""
+"""The comment lines at the head of our CSV files (units, rate, vertical, events): text in, values out, and back."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from asterism.recording import Event, Floats, as_vertical
 
 @dataclass(frozen=True)
 class Comments:
-    """What the comment lines of a CSV file say; None where they do not."""
+    """The values in the comment lines of a CSV file; None for those that it does not have."""
 
     units: str | None = None
     rate: float | None = None
@@ -25,7 +25,7 @@ class Comments:
 
 
 def comments_of(lines: Sequence[str]) -> Comments:
-    """The comments among the first lines of a file; what cannot be understood is left out."""
+    """The comments among the first lines of a file. Comments that cannot be read are left out."""
     found: dict[str, str] = {}
     events = []
     for line in lines:

@@ -2,35 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.formats._columns import Points, settle_vertical, without_common_subject
+from asterism.formats._findings import located, point_names
 from asterism.formats._physical import COMPUTED, MARKER, UNNAMED
 from asterism.recording import Floats
 
+_MANY_LABELS = 2000
+
 
 def described(path: Path, points: Points) -> dict[str, Any]:
-    """Format, frames, rate, duration (s), units, vertical and where it comes from, points by kind, missing, gaps, events, log, oddities.
+    """Format, frames, rate, duration (s), units, vertical and where it comes from, points by kind, missing, gaps, events, log, findings.
 
     Missing and gaps count the physical named points; a gap is a run of missing frames between two seen ones.
     """
     labels, subject = without_common_subject(points.labels)
     kinds = np.array(points.kind_of_points, dtype=object)
     physical = np.nonzero(kinds == MARKER)[0]
-    there = np.nonzero(kinds != COMPUTED)[0]
+    captured = np.nonzero(kinds != COMPUTED)[0]
     seen = ~np.isnan(points.positions[:, physical, 0])
     try:
         vertical, how = settle_vertical(
-            path, points.positions[:, there], [labels[c] for c in there], declared=points.declared, fallback=points.fallback
+            path, points.positions[:, captured], [labels[c] for c in captured], declared=points.declared, fallback=points.fallback
         )
         up: list[float] | None = [float(v) for v in vertical]
     except AsterismError:
-        up, how = None, "cannot be told"
-    twice = sorted({label for label in labels if labels.count(label) > 1}) if len(labels) < 2000 else []
+        up, how = None, "not determined"
     return {
         "file": str(path),
         "format": points.format,
@@ -51,12 +55,18 @@ def described(path: Path, points: Points) -> dict[str, Any]:
         "gaps": gaps(seen),
         "events": [{"label": e.label, "context": e.context, "time": e.time} for e in points.events],
         "log": [str(step) for step in points.log],
-        "oddities": [*points.oddities, *(f"the label {label} occurs {labels.count(label)} times" for label in twice)],
+        "findings": located(path, [*points.findings, *_repeated(labels)]),
     }
 
 
+def _repeated(labels: Sequence[str]) -> list[Finding]:
+    """A finding for each label that occurs several times; nothing for files with very many labels."""
+    twice = sorted({label for label in labels if labels.count(label) > 1}) if len(labels) < _MANY_LABELS else []
+    return [point_names(f"the label {label} occurs {labels.count(label)} times") for label in twice]
+
+
 def gaps(seen: Floats) -> int:
-    """How many runs of missing frames lie between two seen ones, over all columns of seen (T, P)."""
+    """The number of runs of missing frames between two seen ones, over all columns of seen (T, P)."""
     count = 0
     for column in np.asarray(seen, dtype=bool).T:
         frames = np.nonzero(column)[0]

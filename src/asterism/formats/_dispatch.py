@@ -46,12 +46,12 @@ _KNOWN = "C3D, TRC, CSV, TSV, MAT, MOT, STO and NPZ"
 def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None = None) -> Recording:
     """A recording from a file: C3D, TRC, CSV (wide, long, Motive's, Nexus'), QTM's TSV and MAT, MOT, STO or NPZ.
 
-    markers   None: every point that the file says is physical, under its own label; else a marker set (its name, a TOML file, a
+    markers   None: every physical point, under its label in the file; else a marker set (its name, a TOML file, a
               list of names, a `MarkerSet`): exactly its columns in its order, NaN where the file lacks one
-    vertical  None: what the file declares or its format lays down, else what the data tells; or "z", "-y", a vector
+    vertical  None: what the file declares or its format defines, else what the data show; or "z", "-y", a vector
 
     Positions are metres. Raises AsterismError, naming the file, where it cannot be read, has no marker of the set, has one of
-    them twice, or up cannot be told.
+    them twice, or the vertical is not determined.
     """
     path = Path(path)
     kind = _kind_of(path)
@@ -73,11 +73,11 @@ def read_clouds(path: str | Path, vertical: ArrayLike | str | None = None) -> Cl
 
 
 def write(path: str | Path, recording: Recording | Clouds) -> list[str]:
-    """Write a recording in the format of the suffix; clouds as .npz or .csv. A file there is replaced at once or not at all.
+    """Write a recording in the format of the suffix; clouds as .npz or .csv. An existing file is replaced completely or not at all.
 
     A .csv has a row per frame, a .long.csv a row per sample (frame, time, marker, x, y, z).
 
-    Returns what the format could not carry, one sentence each; an empty list where nothing was lost. A recording that was read
+    Returns what the format cannot carry, a phrase each; an empty list where it carries everything. A recording that was read
     from C3D and is written as C3D keeps everything else as it was.
 
     Raises AsterismError where the suffix is unknown or the file cannot be written.
@@ -100,7 +100,7 @@ def write(path: str | Path, recording: Recording | Clouds) -> list[str]:
 
 
 def read_evidence(path: str | Path) -> Evidence | None:
-    """What the points of an NPZ file of clouds rest on, as `write_points` put it there; None where a file does not say.
+    """The evidence of the points of an NPZ file of clouds, as `write_points` wrote it; None where the file has none.
 
     Raises AsterismError where the file cannot be read.
     """
@@ -120,25 +120,26 @@ def check_suffix(path: str | Path) -> None:
 
 
 def write_points(path: str | Path, clouds: Clouds, evidence: Evidence, columns: Ints) -> list[str]:
-    """Write points that cameras made, in the format of the suffix: .npz and .csv as clouds, others as unlabelled columns *1, *2, ...
+    """Write reconstructed points in the format of the suffix: .npz and .csv as clouds, others as unlabelled columns *1, *2, ...
 
     columns  (P,) int: the column of each point where the format has columns; no two of a frame in one
-    NPZ keeps all of the evidence, C3D residuals up to 2.55 mm and the first seven cameras. Returns what was lost, one sentence each.
+    NPZ keeps all of the evidence, C3D residuals up to 2.55 mm and the first seven cameras. Returns what the format cannot carry, a
+    phrase each.
     Raises AsterismError where the suffix is unknown or the file cannot be written.
     """
     path = Path(path)
     suffix = path.suffix.casefold()
     if suffix == ".npz":
         return npz.write_npz_clouds(path, clouds, evidence)
-    lost = ["what each point rests on (residual, covariance, cameras)"]
+    omitted = ["the evidence of each point (residual, covariance, cameras)"]
     if suffix == ".csv":
-        return write(path, clouds) + lost
+        return write(path, clouds) + omitted
     frames, many = clouds.frame_of, int(columns.max(initial=-1)) + 1
     positions = np.full((len(clouds), many, 3), np.nan)
     positions[frames, columns] = clouds.xyz
     recording = Recording(positions, tuple(f"*{i + 1}" for i in range(many)), clouds.rate, clouds.vertical)
     if suffix != ".c3d":
-        return write(path, recording) + lost
+        return write(path, recording) + omitted
     residual, cameras = np.zeros((len(clouds), many)), np.zeros((len(clouds), many, len(evidence.camera_names)), dtype=np.bool_)
     residual[frames, columns] = evidence.residual * evidence.depth_scale
     cameras[frames, columns] = evidence.cameras
@@ -156,7 +157,7 @@ def _with_computed(recording: Recording) -> Recording:
 
 
 def describe(path: str | Path) -> dict[str, Any]:
-    """What a file holds, as plain values for people and JSON: format, frames, rate, units, vertical, points, gaps, events, oddities.
+    """What a file holds, as plain values: format, frames, rate, units, vertical, points, gaps, events; as `findings` a tuple of `Finding`.
 
     Raises AsterismError where the file cannot be read.
     """

@@ -30,10 +30,10 @@ class Group:
 
 
 def marker_groups(names: Sequence[str]) -> tuple[list[Group], list[int]]:
-    """The points that a table's column names spell out, in column order, and the columns that belong to none.
+    """The points that a table's column names spell out, in column order, and the other columns.
 
-    Understood are NAME_x, NAME.X, NAME X, NAME:x, NAME_tx, x_NAME, NAME_pos_x, NAME[0] and NAMEX, each with a unit after it or
-    not; the first way of writing that makes the most groups is taken for the whole file.
+    The spellings are NAME_x, NAME.X, NAME X, NAME:x, NAME_tx, x_NAME, NAME_pos_x, NAME[0] and NAMEX, each with or without a unit
+    after it. The first spelling that gives the most groups counts for the whole file.
     """
     best: list[Group] = []
     for pattern in _SUFFIXES:
@@ -44,8 +44,8 @@ def marker_groups(names: Sequence[str]) -> tuple[list[Group], list[int]]:
     return best, [i for i in range(len(names)) if i not in taken]
 
 
-def own_groups(names: Sequence[str], before_axis: str, start: int = 0) -> list[Group] | None:
-    """The points where all columns from `start` on are NAME + before_axis + x, y, z side by side, as we write them; else None."""
+def exact_groups(names: Sequence[str], before_axis: str, start: int = 0) -> list[Group] | None:
+    """The points where all columns from `start` on are NAME + before_axis + x, y, z side by side, as Asterism writes them; else None."""
     found = []
     for i in range(start, len(names), 3):
         stems = [name.removesuffix(before_axis + axis) for name, axis in zip(names[i : i + 3], "xyz", strict=False)]
@@ -56,7 +56,7 @@ def own_groups(names: Sequence[str], before_axis: str, start: int = 0) -> list[G
 
 
 def _groups(names: Sequence[str], pattern: re.Pattern[str]) -> list[Group]:
-    waiting: dict[str, dict[int, int]] = {}
+    incomplete: dict[str, dict[int, int]] = {}
     found: list[tuple[int, Group]] = []
     for column, name in enumerate(names):
         match = pattern.fullmatch(name.strip())
@@ -65,9 +65,9 @@ def _groups(names: Sequence[str], pattern: re.Pattern[str]) -> list[Group]:
         marker, axis = match["name"].strip(), match["axis"].lower()
         if _NO_POSITIONS.fullmatch(marker):
             continue
-        axes = waiting.setdefault(marker, {})
+        axes = incomplete.setdefault(marker, {})
         axes[("xyz".find(axis) if axis in "xyz" else int(axis))] = column
         if len(axes) == 3:
             found.append((min(axes.values()), Group(marker, (axes[0], axes[1], axes[2]), match["units"] or match["bare"])))
-            del waiting[marker]
+            del incomplete[marker]
     return [group for _, group in sorted(found, key=lambda pair: pair[0])]

@@ -21,7 +21,7 @@ _MOST_BYTES = 256 << 20
 
 
 def variables_of(data: bytes) -> dict[str, Any]:
-    """The variables of a MAT file by name. Arrays keep MATLAB's shape (numbers as float64 or uint8); what is no number, text, cell or
+    """The variables of a MAT file by name. Arrays keep MATLAB's shape (numbers as float64 or uint8); what is not a number, text, cell or
     struct (function handles, sparse matrices, objects) is None.
 
     Raises ValueError where the file is not what it says, or would unpack to far more than it holds.
@@ -110,7 +110,7 @@ def _cells(body: bytes, place: int, order: str, count: int, depth: int) -> tuple
 
 
 def _structs(body: bytes, place: int, order: str, count: int, depth: int) -> Any:
-    """A dictionary where there is one struct, else a list of them."""
+    """A dictionary for one struct, a list of dictionaries for several."""
     _, length, place = _element(body, place, order)
     _, names, place = _element(body, place, order)
     width = struct.unpack_from(order + "i", length)[0] if len(length) >= 4 else 0

@@ -1,8 +1,8 @@
-"""Which points of a file are markers on a body, which a model computed, which nobody named: labels and positions in, kinds out.
+"""Labels and positions of a file in; which points are markers on a body, computed by a model, or unnamed, out.
 
-No list of exact names is complete, so families of names decide first (joint centres, segment axes, angles, ...), then geometry:
-what a model computes keeps exact relations that no measured marker keeps: unit axes of one length stay at right angles, midpoints
-stay in the middle, to the last bit that the file stores. Where in doubt a point counts as a marker: a lost marker costs more.
+No list of exact names is complete, so families of names decide first (joint centres, segment axes, angles, ...), then geometry.
+Computed points keep exact relations that no measured marker keeps: axes of one length stay at right angles, and midpoints stay in
+the middle, to the last bit that the file stores. An uncertain point counts as a marker, because a missing marker costs more.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from asterism.recording import Floats, canonical, is_unnamed, without_subject
 
 MARKER, COMPUTED, UNNAMED = "marker", "computed", "unnamed"
 
-_LOOKED_AT = 24
+_FRAMES_TESTED = 24
 _FEWEST_FRAMES = 5
 _EXACT = 1.5e-6
 _VERY_EXACT = 3e-7
@@ -43,10 +43,10 @@ _ORIGINS = "O0"
 
 
 def kinds_by_name(labels: Sequence[str]) -> list[str]:
-    """For each label "marker", "computed" or "unnamed", told from the names alone; a subject prefix is looked through.
+    """For each label "marker", "computed" or "unnamed", from the names alone; the prefix of a subject is ignored.
 
     A name that ends in O, A, L or P (or O, X, Y, Z; or 0 to 3 without a fourth neighbour) is a segment's axis only where the
-    whole family is there.
+    whole family is present.
     """
     bare = [without_subject(label).strip() for label in labels]
     families = _families(bare)
@@ -64,9 +64,9 @@ def kinds_by_name(labels: Sequence[str]) -> list[str]:
 def point_kinds(labels: Sequence[str], positions: Floats | None = None, declared: Collection[str] = ()) -> list[str]:
     """For each point "marker", "computed" or "unnamed".
 
-    labels     (P,) as the file has them
-    positions  (T, P, 3) m, NaN missing; None, or rounded ones (integer files), leave the names to decide
-    declared   labels that the file itself lists as angles, forces, moments, powers, scalars or modelled markers
+    labels     (P,) of the file
+    positions  (T, P, 3) m, NaN missing; None for rounded ones (integer files): then the names decide
+    declared   labels that the file lists as angles, forces, moments, powers, scalars or modelled markers
     """
     listed = {canonical(without_subject(label)) for label in declared} - {""}
     kinds = kinds_by_name(labels)
@@ -96,7 +96,7 @@ def _judge_by_geometry(labels: Sequence[str], positions: Floats, kinds: list[str
     points = [p for p, kind in enumerate(kinds) if kind != UNNAMED]
     if not 4 <= len(points) <= 20 * _MOST_POINTS:
         return
-    frames = np.linspace(0, len(positions) - 1, min(_LOOKED_AT, len(positions))).astype(int)
+    frames = np.linspace(0, len(positions) - 1, min(_FRAMES_TESTED, len(positions))).astype(int)
     some = positions[frames]
     _mark_flat_values(some, points, kinds)
     _mark_far_values(some, [p for p in points if kinds[p] == MARKER], kinds)
@@ -126,12 +126,12 @@ def _may_be_joint(label: str) -> bool:
 
 
 def _mark_flat_values(some: Floats, points: list[int], kinds: list[str]) -> None:
-    """A power or a scalar fills one coordinate and leaves the others at zero; where most points lie in a plane it means nothing."""
+    """Powers and scalars: one coordinate, the others zero. Not used where most points lie in a plane."""
     values = some[:, points]
-    there = np.isfinite(values[:, :, 0]).sum(axis=0) >= _FEWEST_FRAMES
+    present = np.isfinite(values[:, :, 0]).sum(axis=0) >= _FEWEST_FRAMES
     flat = (np.where(np.isfinite(values), values, 0.0) == 0.0).all(axis=0).sum(axis=1) >= 1
-    if there.any() and (flat & there).sum() < 0.5 * there.sum():
-        for point, is_flat in zip(points, flat & there, strict=True):
+    if present.any() and (flat & present).sum() < 0.5 * present.sum():
+        for point, is_flat in zip(points, flat & present, strict=True):
             if is_flat:
                 kinds[point] = COMPUTED
 
@@ -139,39 +139,38 @@ def _mark_flat_values(some: Floats, points: list[int], kinds: list[str]) -> None
 def _mark_far_values(some: Floats, points: list[int], kinds: list[str]) -> None:
     """Undeclared angles and moments: values that change, far from every marker.
 
-    An angle in degrees, taken for millimetres, never leaves the box of 360 mm around the laboratory's origin, wherever the body
-    is; a moment in newton millimetres lies tens of metres away. What never strays 0.8 m from all markers is left alone,
-    and so is what stands still.
+    An angle in degrees, read as millimetres, stays within 360 mm of the laboratory's origin, wherever the body is. A moment in newton
+    millimetres is tens of metres away. Points that stay within 0.8 m of a marker, or do not move, stay markers.
     """
     values = some[:, points]
-    there = np.asarray(np.isfinite(values[:, :, 0]))
-    size = np.where(there, np.abs(values).max(axis=2), 0.0).max(axis=0)
-    centre = np.nanmedian(np.where((there.sum(axis=1) > 0)[:, None, None], values, 0.0), axis=1)
-    offset = np.where(there, np.abs(values - centre[:, None]).max(axis=2), 0.0)
-    suspect = (size < _LARGEST_ANGLE) | ((offset > _ABSURD).sum(axis=0) > 0.5 * there.sum(axis=0))
-    low = np.where(there[:, :, None], values, np.inf).min(axis=0)
-    high = np.where(there[:, :, None], values, -np.inf).max(axis=0)
-    suspect &= (there.sum(axis=0) >= _FEWEST_FRAMES) & ((high - low).max(axis=1) > _STILL)
+    present = np.asarray(np.isfinite(values[:, :, 0]))
+    size = np.where(present, np.abs(values).max(axis=2), 0.0).max(axis=0)
+    centre = np.nanmedian(np.where((present.sum(axis=1) > 0)[:, None, None], values, 0.0), axis=1)
+    offset = np.where(present, np.abs(values - centre[:, None]).max(axis=2), 0.0)
+    suspect = (size < _LARGEST_ANGLE) | ((offset > _ABSURD).sum(axis=0) > 0.5 * present.sum(axis=0))
+    low = np.where(present[:, :, None], values, np.inf).min(axis=0)
+    high = np.where(present[:, :, None], values, -np.inf).max(axis=0)
+    suspect &= (present.sum(axis=0) >= _FEWEST_FRAMES) & ((high - low).max(axis=1) > _STILL)
     if not suspect.any() or (~suspect).sum() < 4:
         return
     body = np.where(np.isfinite(values[:, ~suspect]), values[:, ~suspect], np.inf)
     for place in np.nonzero(suspect)[0]:
         with np.errstate(invalid="ignore"):
             nearest = np.linalg.norm(body - values[:, [place]], axis=2).min(axis=1)
-        if (nearest[there[:, place]] > _ALONE).mean() >= 0.2:
+        if (nearest[present[:, place]] > _ALONE).mean() >= 0.2:
             kinds[points[place]] = COMPUTED
 
 
 def _wobble(some: Floats) -> tuple[Floats, NDArray[np.int64]]:
-    """(P, P) by how much the distance of two points varies, and in how many frames both are there."""
+    """(P, P) m, the range of the distance of two points; and (P, P) the number of frames in which both are present."""
     seen = np.zeros((some.shape[1],) * 2, dtype=np.int64)
     low, high = np.full(seen.shape, np.inf), np.full(seen.shape, -np.inf)
     for frame in some:
-        apart = np.sqrt(((frame[:, None] - frame[None]) ** 2).sum(axis=2))
-        both = np.isfinite(apart)
+        distance = np.sqrt(((frame[:, None] - frame[None]) ** 2).sum(axis=2))
+        both = np.isfinite(distance)
         seen += both
-        low = np.where(both, np.minimum(low, apart), low)
-        high = np.where(both, np.maximum(high, apart), high)
+        low = np.where(both, np.minimum(low, distance), low)
+        high = np.where(both, np.maximum(high, distance), high)
     return np.where(seen > 0, high - low, np.inf), seen
 
 
@@ -180,22 +179,22 @@ def _orthogonal_frames(
 ) -> list[tuple[int, tuple[int, int, int]]]:
     """Every (origin, three tips) whose tips stay at right angles and exact distances: a model's segment axes.
 
-    The arms are of one length, or the tips of one name: a marker may lie on the axis that was laid through it.
+    The arms have one length, or the tips one name: a marker may lie on an axis that was defined by it.
     """
     stems = np.array([label[:-1] for label in labels])
-    kin = stems[:, None] == stems
+    same_name = stems[:, None] == stems
     found = []
     for origin in np.nonzero(exact.sum(axis=1) >= 3)[0]:
         around = np.nonzero(exact[origin] & ~judged)[0][:24]
         arms = some[:, around] - some[:, [origin]]
         lengths = np.linalg.norm(arms, axis=2)
         with np.errstate(invalid="ignore", divide="ignore"):
-            alike = np.nanmax(np.abs(lengths[:, :, None] - lengths[:, None, :]), axis=0) < 2 * _EXACT
+            same_length = np.nanmax(np.abs(lengths[:, :, None] - lengths[:, None, :]), axis=0) < 2 * _EXACT
             arms = arms / lengths[:, :, None]
             cosines = np.abs(np.einsum("tik,tjk->tij", arms, arms))
         square = np.nan_to_num(cosines, nan=0.0).max(axis=0) < _RIGHT_ANGLE
         square &= np.isfinite(cosines).sum(axis=0) >= _FEWEST_FRAMES
-        square &= exact[np.ix_(around, around)] & (alike | kin[np.ix_(around, around)])
+        square &= exact[np.ix_(around, around)] & (same_length | same_name[np.ix_(around, around)])
         for i, j in zip(*np.nonzero(np.triu(square)), strict=True):
             found += [
                 (int(origin), (int(around[i]), int(around[j]), int(around[k]))) for k in np.nonzero(square[i] & square[j])[0] if k > j
@@ -210,7 +209,7 @@ def _mark_frames(
     seen: NDArray[np.int64],
     judged: NDArray[np.bool_],
 ) -> None:
-    """The tips of axes are computed, an origin of their name too, and what hangs on them exactly without being an origin."""
+    """The tips of axes are computed, and an origin with their name, and a point at exact distances from them that is not an origin."""
     origins = {origin for origin, _ in found}
     for origin, tips in found:
         judged[list(tips)] = True
@@ -224,7 +223,7 @@ def _mark_frames(
 def _mark_twins_and_offsets(labels: Sequence[str], some: Floats, exact: NDArray[np.bool_], judged: NDArray[np.bool_]) -> None:
     """A copy of a computed point, and a point at an exact distance from one marker, whose name it extends (LANK1 from LANK).
 
-    Where a point is stiff with several, as on the solved rigid bodies of some systems, its name says nothing.
+    The name is not used where a point has exact distances from several markers, as on the solved rigid bodies of some systems.
     """
     for a, b in zip(*np.nonzero(exact), strict=True):
         with np.errstate(invalid="ignore"):
@@ -238,23 +237,23 @@ def _mark_twins_and_offsets(labels: Sequence[str], some: Floats, exact: NDArray[
 
 
 def _is_plain_name(label: str) -> bool:
-    """A plain marker name, letters without a number, is kept even where a model puts an origin onto it."""
+    """Whether a name is letters without a number; such a marker is kept even where a model puts an origin onto it."""
     return re.fullmatch(r"[A-Za-z.]{2,}", label) is not None
 
 
 def _mark_midpoints(some: Floats, judged: NDArray[np.bool_]) -> None:
-    """A point exactly half-way between two markers in every frame is no marker."""
+    """A point exactly half-way between two markers in every frame is computed."""
     markers = np.nonzero(~judged & (np.isfinite(some[:, :, 0]).sum(axis=0) >= _FEWEST_FRAMES))[0]
     if not 3 <= len(markers) <= 150:
         return
-    here = some[:, markers]
-    frame = here[int(np.isfinite(here[:, :, 0]).sum(axis=1).argmax())]
+    paths = some[:, markers]
+    frame = paths[int(np.isfinite(paths[:, :, 0]).sum(axis=1).argmax())]
     i, j = np.triu_indices(len(markers), k=1)
     for k in range(len(markers)):
         close = np.abs(frame[i] + frame[j] - 2 * frame[k]).max(axis=1) < 4 * _EXACT
         for a, b in zip(i[close], j[close], strict=True):
-            miss = np.abs(here[:, a] + here[:, b] - 2 * here[:, k]).max(axis=1)
-            apart = np.linalg.norm(here[:, a] - here[:, b], axis=1)
-            both = np.isfinite(miss)
-            if both.sum() >= _FEWEST_FRAMES and k not in (a, b) and miss[both].max() < 4 * _EXACT and apart[both].min() > 0.01:
+            error = np.abs(paths[:, a] + paths[:, b] - 2 * paths[:, k]).max(axis=1)
+            distance = np.linalg.norm(paths[:, a] - paths[:, b], axis=1)
+            both = np.isfinite(error)
+            if both.sum() >= _FEWEST_FRAMES and k not in (a, b) and error[both].max() < 4 * _EXACT and distance[both].min() > 0.01:
                 judged[markers[k]] = True

@@ -1,4 +1,4 @@
-"""What the readers of text files share: bytes in; lines, rows of numbers and frames in their places out."""
+"""Shared by readers of text files: bytes in; lines, rows of numbers and frames in their places out."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
+from asterism.formats._findings import frame_numbers, rate_conflict, short_rows
 from asterism.recording import Floats
 
 _MISSING = {"", "na", "n/a", "#n/a", "null", "none", "-", "--", "nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#ind", "1.#ind"}
@@ -32,7 +34,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def decoded(path: Path, data: bytes) -> str:
-    """The text of a file: UTF-8 or UTF-16 with its mark, else Latin-1. Raises AsterismError where it is no text."""
+    """The text of a file: UTF-8 or UTF-16 with its mark, else Latin-1. Raises AsterismError where it is not text."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16", errors="replace")
     if b"\x00" in data[:4096]:
@@ -57,7 +59,7 @@ def delimiter_of(line: str) -> str | None:
 
 
 def cells_of(line: str, delimiter: str | None) -> list[str]:
-    """The cells of a line, without blanks and quotes around them."""
+    """The cells of a line, without surrounding blanks and quotes."""
     if delimiter is None:
         return line.split()
     if '"' in line:
@@ -74,20 +76,20 @@ def some_of(names: Sequence[str], most: int = 5) -> str:
 
 
 def number_of(cell: str) -> float | None:
-    """A number as people write it, NaN for the many spellings of missing, None for anything else."""
+    """A number in any common spelling, NaN for a spelling of missing, None for anything else."""
     cell = cell.strip().strip('"').strip()
     if cell.casefold() in _MISSING:
         return float("nan")
     return float(cell) if _NUMBER.fullmatch(cell) else None
 
 
-def rows_of_numbers(path: Path, lines: Sequence[str], first_line: int, delimiter: str | None, width: int) -> tuple[Floats, list[str]]:
-    """The numbers of a table: (rows, width), NaN where a cell is blank or a row is short; and remarks.
+def rows_of_numbers(path: Path, lines: Sequence[str], first_line: int, delimiter: str | None, width: int) -> tuple[Floats, list[Finding]]:
+    """The numbers of a table: (rows, width), NaN where a cell is blank or a row is short; and findings.
 
     lines       the data lines; blank ones are skipped
     first_line  the number in the file of lines[0], counted from 1, for messages
 
-    Raises AsterismError, naming line and column, where a cell is no number or a row is too long.
+    Raises AsterismError, naming line and column, where a cell is not a number or a row is too long.
     """
     kept = [i for i, line in enumerate(lines) if line.strip(' \t,;"')]
     out = np.full((len(kept), width), np.nan)
@@ -100,7 +102,7 @@ def rows_of_numbers(path: Path, lines: Sequence[str], first_line: int, delimiter
         if len(cells) > width:
             if any(cell.strip() for cell in cells[width:]):
                 raise AsterismError(
-                    f"{path}, line {first_line + i}: {len(cells)} cells where the header has {width}; mend this line or the header."
+                    f"{path}, line {first_line + i}: {len(cells)} cells where the header has {width}; correct this line or the header."
                 )
             cells = cells[:width]
         elif len(cells) < width:
@@ -117,31 +119,32 @@ def rows_of_numbers(path: Path, lines: Sequence[str], first_line: int, delimiter
                         f"{path}, line {first_line + i}, column {column + 1}: {cell.strip()[:30]!r} is not a number; correct or blank it."
                     ) from None
                 out[row, column] = number
-    remarks = [f"line {first_line + kept[row]} has fewer cells than the header; the rest is taken as missing" for row in short[:1]]
-    if len(short) > 1:
-        remarks[0] += f" (and {len(short) - 1} more lines)"
-    return out, remarks
+    more = f" (and {len(short) - 1} more lines)" if len(short) > 1 else ""
+    where = [f"line {first_line + kept[row]} has fewer cells than the header; the rest is taken as missing{more}" for row in short[:1]]
+    return out, [short_rows(sentence) for sentence in where]
 
 
-def rate_of(path: Path, said: float | None, times: Floats | None, remarks: list[str]) -> float:
-    """Frames per second from the header's word and the time column; where they differ, `remarks` gets a sentence.
+def rate_of(path: Path, declared: float | None, times: Floats | None, findings: list[Finding]) -> float:
+    """Frames per second by the header (`declared`) and the time column; where they differ, one more finding goes into `findings`.
 
-    Even steps of the time column are believed against the header: they belong to the very samples.
-    Raises AsterismError where neither tells.
+    An evenly spaced time column takes precedence over the header, because it belongs to these samples.
+    Raises AsterismError where neither gives a rate.
     """
-    timed, agrees = _timed_rate(times, said)
-    good = said is not None and np.isfinite(said) and 0 < said < 1e6
-    if good and said is not None and (agrees or timed is None):
-        return float(said)
+    timed, agrees = _timed_rate(times, declared)
+    good = declared is not None and np.isfinite(declared) and 0 < declared < 1e6
+    if good and declared is not None and (agrees or timed is None):
+        return float(declared)
     if timed is None:
         raise AsterismError(f"{path} does not say how many frames per second it has; add the rate to its header or a time column.")
     if good:
-        remarks.append(f"the header says {said:g} frames per second, the time column {timed:.6g}; the time column was believed")
+        findings.append(
+            rate_conflict(f"the header says {declared:g} frames per second, the time column {timed:.6g}; the rate is the latter")
+        )
     return timed
 
 
-def _timed_rate(times: Floats | None, said: float | None) -> tuple[float | None, bool]:
-    """The rate of evenly spaced times, else None; and whether `said` explains them to the digits that they are printed with."""
+def _timed_rate(times: Floats | None, declared: float | None) -> tuple[float | None, bool]:
+    """The rate of evenly spaced times, else None; and whether `declared` agrees with them within their printed digits."""
     if times is None or len(times) < 2 or not (np.abs(times) < 1e9).all():
         return None, False
     span, steps = float(times[-1] - times[0]), np.diff(times)
@@ -149,12 +152,12 @@ def _timed_rate(times: Floats | None, said: float | None) -> tuple[float | None,
     mean = span / len(steps)
     if not np.isfinite(span) or mean < 1e-6 or np.abs(steps - mean).max() > 1.01 * digit + 0.02 * mean:
         return None, False
-    agrees = said is not None and said > 0 and abs(len(steps) / said - span) <= 1.01 * digit + 1e-4 * span
+    agrees = declared is not None and declared > 0 and abs(len(steps) / declared - span) <= 1.01 * digit + 1e-4 * span
     return float(f"{1.0 / mean:.6g}"), agrees
 
 
-def frames_in_place(frames: Floats, rows: Floats) -> tuple[Floats, int, list[str]]:
-    """Rows (T, ...) with NaN rows put in where frame numbers were left out, the first frame's number, and remarks."""
+def frames_in_place(frames: Floats, rows: Floats) -> tuple[Floats, int, list[Finding]]:
+    """Rows (T, ...) with NaN rows inserted where frame numbers are left out, the first frame's number, and findings."""
     if not len(frames):
         return rows, 1, []
     numbers = np.round(np.where(np.isfinite(frames), frames, 0.0))
@@ -166,14 +169,14 @@ def frames_in_place(frames: Floats, rows: Floats) -> tuple[Floats, int, list[str
         return rows, first, []
     span = int(numbers[-1] - numbers[0]) + 1
     if (steps < 1).any() or span > 4 * len(frames) + 1000:
-        return rows, first, ["the frame numbers do not run upwards one by one; the lines were taken one after the other"]
+        return rows, first, [frame_numbers("the frame numbers do not rise one by one; the lines were taken in their order")]
     filled = np.full((span, *rows.shape[1:]), np.nan)
     filled[(numbers - numbers[0]).astype(np.int64)] = rows
-    return filled, first, [f"{span - len(frames)} frames are left out in the file; they were put in as missing"]
+    return filled, first, [frame_numbers(f"{span - len(frames)} frames are left out in the file; they were inserted as missing")]
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Put `data` into the file at once or not at all. Raises AsterismError where the folder cannot be written to."""
+    """Write the whole file or nothing. Raises AsterismError where the folder cannot be written to."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         temporary.write_bytes(data)

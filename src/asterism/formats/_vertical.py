@@ -1,4 +1,4 @@
-"""Which way is up, told from the positions alone: (frames, points, 3) in, a unit vector or None out."""
+"""The vertical, from positions alone: (frames, points, 3) in, a unit vector or None out."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from asterism.recording import Floats, canonical, without_subject
 
-_FRAMES_LOOKED_AT = 400
+_MOST_FRAMES = 400
 _SURE_SHARE = 0.85
 _LIKELY_SHARE = 0.6
 _PELVIS = 2
@@ -30,37 +30,37 @@ _LEVEL_PATTERNS = tuple(re.compile(f"{_SIDE}(?:{cores}){_TAIL}") for cores in _L
 
 
 @dataclass(frozen=True)
-class Told:
-    """What the data says about up: a unit vector or None, and whether two independent signs agree on it."""
+class VerticalEstimate:
+    """What the positions show of the vertical: a unit vector or None, and whether two independent signs agree on it."""
 
     vector: Floats | None
-    sure: bool = False
+    certain: bool = False
 
 
 def vertical_from_positions(positions: Floats, labels: Sequence[str] = ()) -> Floats | None:
-    """The axis that points up, told from how a body stands and moves, or None where that cannot be told.
+    """The axis that points up, from how a body stands and moves, or None where that does not show.
 
     positions  (T, P, 3) in any one unit, NaN missing: physical markers only
     labels     (P,) names, as far as there are any
 
-    Returns a unit vector along one of the six axis directions; a tilted vertical is not looked for. See `tell_vertical`.
+    Returns a unit vector along one of the six axis directions, never a tilted one. See `estimate_vertical`.
     """
-    return tell_vertical(positions, labels).vector
+    return estimate_vertical(positions, labels).vector
 
 
-def tell_vertical(positions: Floats, labels: Sequence[str] = ()) -> Told:
-    """Like `vertical_from_positions`, with how sure it is.
+def estimate_vertical(positions: Floats, labels: Sequence[str] = ()) -> VerticalEstimate:
+    """`vertical_from_positions`, and whether two signs agree.
 
     Three signs: recognised names (head, shoulder, pelvis, knee, foot) vote by the majority of the frames; the floor is where
-    everything lies above zero and often just above it; the shape of a body is longest upwards, and its floor end stands still
-    from time to time. Names that contradict the floor (somebody lying) leave it open.
+    everything lies above zero and often just above it; a body is longest upwards, and its end on the floor stands still
+    from time to time. Where names contradict the floor (a person who lies), the result is None.
     """
     positions = np.asarray(positions, dtype=np.float64)
     if positions.ndim != 3 or positions.shape[0] == 0 or positions.shape[1] < 3:
-        return Told(None)
+        return VerticalEstimate(None)
     positions = np.where(np.isfinite(positions), positions, np.nan)
     if np.isnan(positions).all():
-        return Told(None)
+        return VerticalEstimate(None)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         named, share = _by_names(positions, labels) if len(labels) == positions.shape[1] else (None, 0.0)
@@ -68,15 +68,15 @@ def tell_vertical(positions: Floats, labels: Sequence[str] = ()) -> Told:
         shaped = _by_shape(positions)
         if named is not None and share >= _SURE_SHARE:
             if above is not None and above != named:
-                return Told(None)
-            return Told(_unit(*named), sure=named == above)
+                return VerticalEstimate(None)
+            return VerticalEstimate(_unit(*named), certain=named == above)
         if floored is not None:
-            return Told(_unit(*floored), sure=floored == above and floored in (shaped, named))
+            return VerticalEstimate(_unit(*floored), certain=floored == above and floored in (shaped, named))
         if named is not None and share >= _LIKELY_SHARE:
-            return Told(_unit(*named))
+            return VerticalEstimate(_unit(*named))
         if shaped is not None:
-            return Told(_unit(*shaped))
-        return Told(_unit(*above) if above is not None and _long_axis(positions) in (None, above[0]) else None)
+            return VerticalEstimate(_unit(*shaped))
+        return VerticalEstimate(_unit(*above) if above is not None and _long_axis(positions) in (None, above[0]) else None)
 
 
 def _by_names(positions: Floats, labels: Sequence[str]) -> tuple[tuple[int, bool] | None, float]:
@@ -101,7 +101,7 @@ def _by_names(positions: Floats, labels: Sequence[str]) -> tuple[tuple[int, bool
 
 
 def _by_floor(positions: Floats) -> tuple[tuple[int, bool] | None, tuple[int, bool] | None]:
-    """The one direction in which all lies above zero, and the same again where it also rests on a floor at zero."""
+    """The only direction in which all lies above zero, and the only one in which it also rests on a floor at zero; None for several."""
     ends = np.nanpercentile(_sampled(positions).reshape(-1, 3), [0.5, 5, 95, 99.5], axis=0)
     above, resting = [], []
     for axis in range(3):
@@ -124,7 +124,7 @@ def _long_axis(positions: Floats) -> int | None:
 
 
 def _by_shape(positions: Floats) -> tuple[int, bool] | None:
-    """The axis along which a frame's points reach furthest; its lower end is at zero height, or where points stand still."""
+    """The axis along which a frame's points extend furthest; its lower end is at zero height, or where points stand still."""
     axis = _long_axis(positions)
     if axis is None:
         return None
@@ -153,7 +153,7 @@ def _level(label: str) -> int:
 
 
 def _quantile(some: Floats, share: float) -> Floats:
-    """(T, 3) the quantile over the points that are there, NaN where none is; as `nanquantile`, without its loop over frames."""
+    """(T, 3) the quantile over the points present, NaN without any; as `nanquantile`, without its loop over frames."""
     ordered = np.sort(some, axis=1)
     place = share * np.maximum(np.isfinite(some).sum(axis=1, keepdims=True) - 1, 0)
     low = np.floor(place).astype(np.int64)
@@ -162,7 +162,7 @@ def _quantile(some: Floats, share: float) -> Floats:
 
 
 def _sampled(positions: Floats) -> Floats:
-    return positions[:: max(1, len(positions) // _FRAMES_LOOKED_AT)]
+    return positions[:: max(1, len(positions) // _MOST_FRAMES)]
 
 
 def _unit(axis: int, downwards: bool) -> Floats:

@@ -1,4 +1,4 @@
-"""What the writers of text files share: a recording in; its points in order and numbers as text out."""
+"""Shared by writers of text files: a recording in; its points in order, and numbers as text, out."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from asterism.recording import Floats, Recording
 def all_points(recording: Recording, format: str, *, events: bool = False) -> tuple[Floats, tuple[str, ...], list[str]]:
     """Positions (T, P, 3) m and labels to write, and what `format` cannot carry.
 
-    These are the recording's columns, then the points of its source that it does not stand for (computed ones).
+    These are the recording's columns, then the other points of its source (computed ones).
     `events` says whether the format can carry events.
     """
-    positions, labels, lost = recording.positions, list(recording.labels), []
+    positions, labels, omitted = recording.positions, list(recording.labels), []
     source = recording.source
     if isinstance(source, Points):
         if len(source.positions) == len(positions):
@@ -22,12 +22,12 @@ def all_points(recording: Recording, format: str, *, events: bool = False) -> tu
             positions = np.concatenate([positions, source.positions[:, others]], axis=1)
             labels += [source.labels[c] for c in others]
     elif source is not None:
-        lost.append(
+        omitted.append(
             f"what {recording.metadata.get('file', 'the source')} holds besides markers and events (analog, computed points, parameters)"
         )
     if recording.events and not events:
-        lost.append(f"{len(recording.events)} events: {format} has no place for them")
-    return positions, tuple(labels), lost
+        omitted.append(f"{len(recording.events)} events, for which {format} has no place")
+    return positions, tuple(labels), omitted
 
 
 def dense_rows(values: Floats, decimals: int) -> Floats:

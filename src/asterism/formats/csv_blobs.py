@@ -34,13 +34,13 @@ _CLOCK_JITTER = 1e-6
 def read_blobs(path: str | Path, cameras: Sequence[str] | None = None, rate: float | None = None) -> Blobs:
     """The blobs of a 2D CSV file with the columns frame, camera, x, y (px) and perhaps size (px) and time (s).
 
-    cameras  names in the rig's order, which the column `camera` calls by name or by number; else the cameras are those that the
+    cameras  names in the rig's order; the column `camera` holds names or numbers. Without them, the cameras are those that the
              file mentions
-    rate     frames per second; else what the file's comments say, else what its times tell, else 100
+    rate     frames per second; else what the file's comments say, else by its times, else 100
 
-    Frames may start anywhere and be left out: `first_frame` has the first one's number. A row without x and y says that the camera
-    saw nothing; a blob that is repeated counts once. Raises AsterismError, naming file and line, where a column is missing, a cell is
-    no number, a camera is unknown or its number ambiguous, one camera took one frame at two times, or the file breaks off.
+    Frames may start at any number and be left out; `first_frame` is the number of the first. A row without x and y is an image without
+    blobs. A blob that is repeated counts once. Raises AsterismError, naming file and line, where a column is missing, a cell is
+    not a number, a camera is unknown or its number ambiguous, a camera has two times for one frame, or the file breaks off.
     """
     path = Path(path)
     lines = lines_of(decoded(path, read_bytes(path)))
@@ -48,15 +48,17 @@ def read_blobs(path: str | Path, cameras: Sequence[str] | None = None, rate: flo
     start = next((i for i, line in enumerate(lines) if line.strip(" ,;\t") and not line.startswith("#")), len(lines))
     sheet = _Sheet.opened(path, lines, start)
     values, names = sheet.values()
-    told = tuple(name for name in comments.get("cameras", "").split("|") if name)
-    order, camera = _cameras(path, names, values[:, 1], told if cameras is None else tuple(cameras), strict=cameras is not None)
-    _refuse(sheet, values[:, 0] != np.round(values[:, 0]), "the frame is no whole number; correct it")
+    listed = tuple(name for name in comments.get("cameras", "").split("|") if name)
+    order, camera = _cameras(path, names, values[:, 1], listed if cameras is None else tuple(cameras), strict=cameras is not None)
+    _refuse(sheet, values[:, 0] != np.round(values[:, 0]), "the frame is not a whole number; correct it")
     _refuse(sheet, np.abs(values[:, 0]) > 2**53, "the frame number is too large; correct it")
-    there = ~np.isnan(values[:, 2:4])
-    said = _whole(comments.get("blobs"), int(there[:, 0].sum()))
-    if said != there[:, 0].sum():
-        raise AsterismError(f"{path} says that it has {said} blobs and has {there[:, 0].sum()}; it was cut off or joined, write it again.")
-    _refuse(sheet, there[:, 0] != there[:, 1], "only one of x and y is given; give both, or neither where the camera saw nothing")
+    present = ~np.isnan(values[:, 2:4])
+    declared_blobs = _whole(comments.get("blobs"), int(present[:, 0].sum()))
+    if declared_blobs != present[:, 0].sum():
+        raise AsterismError(
+            f"{path} declares {declared_blobs} blobs and has {present[:, 0].sum()}; it was cut off or joined, write it again."
+        )
+    _refuse(sheet, present[:, 0] != present[:, 1], "only one of x and y is given; give both, or neither where the camera saw nothing")
     _refuse(sheet, np.isinf(values[:, 2:4]).any(axis=1), "a position is infinite; leave the row out")
     _refuse(sheet, values[:, 4] < 0, "a size is negative; correct it")
     frames = values[:, 0].astype(np.int64)
@@ -64,9 +66,11 @@ def read_blobs(path: str | Path, cameras: Sequence[str] | None = None, rate: flo
     first = int(frames.min(initial=declared))
     total = max(int(frames.max(initial=first - 1)) - first + 1, _whole(comments.get("frames"), 0))
     if total * len(order) > _MOST_SPREAD * len(values) + _MOST_EMPTY:
-        raise AsterismError(f"{path}: frame numbers run from {first} to {first + total - 1} for {len(values)} rows; mend the column frame.")
+        raise AsterismError(
+            f"{path}: frame numbers run from {first} to {first + total - 1} for {len(values)} rows; correct the column frame."
+        )
     times = _times(sheet, values[:, 5], frames - first, camera, total, len(order))
-    seen = there.all(axis=1) & _first_of_its_kind(np.column_stack([frames, camera, values[:, 2:4]]))
+    seen = present.all(axis=1) & _first_of_its_kind(np.column_stack([frames, camera, values[:, 2:4]]))
     blobs = Blobs.from_rows(
         frames[seen] - first,
         camera[seen],
@@ -81,7 +85,7 @@ def read_blobs(path: str | Path, cameras: Sequence[str] | None = None, rate: flo
 
 
 def _first_of_its_kind(rows: Floats) -> NDArray[np.bool_]:
-    """(n,) whether no earlier one of the rows (n, m) is the same."""
+    """(n,) whether a row of (n, m) differs from all rows before it."""
     order = np.lexsort(rows.T[::-1])
     first = np.ones(len(rows), dtype=bool)
     first[order[1:]] = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
@@ -89,7 +93,7 @@ def _first_of_its_kind(rows: Floats) -> NDArray[np.bool_]:
 
 
 def write_blobs(blobs: Blobs, path: str | Path) -> None:
-    """Write blobs as 2D CSV, 17 digits: they come back as they were. Raises AsterismError where the file cannot be written."""
+    """Write blobs as 2D CSV, with 17 digits, to be read back unchanged. Raises AsterismError where the file cannot be written."""
     path = Path(path)
     spoilt = next((name for name in blobs.cameras if re.search(r'[,;\t"|\r\n]', name) or name != name.strip()), None)
     if spoilt is not None:
@@ -117,7 +121,7 @@ def write_blobs(blobs: Blobs, path: str | Path) -> None:
 
 
 def describe_blobs(path: Path) -> dict[str, Any]:
-    """What a 2D file holds, as plain values: frames, rate, cameras with their blobs and the share of frames in which they saw any."""
+    """What a 2D file holds, as plain values: frames, rate, cameras with their blobs and the number of frames with blobs."""
     blobs = read_blobs(path)
     counts = blobs.counts
     return {
@@ -144,7 +148,7 @@ def _columns(names: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True)
 class _Sheet:
-    """The rows of one file below its header; `place` is the column of each of our six, -1 where there is none."""
+    """The rows of one file below its header; `place` is the column of each of `_COLUMNS`, -1 for a missing one."""
 
     path: Path
     lines: list[str]
@@ -177,7 +181,7 @@ class _Sheet:
             return self._careful()
 
     def _fast(self) -> tuple[Floats, list[str]]:
-        """All cells at once, where each is blank, a number or a camera's name; else ValueError."""
+        """All cells at once. Raises ValueError where one is not blank, a number or a camera's name."""
         known: dict[str, int] = {}
         used = [column for column in self.place if column >= 0]
         body = [line for line in self.lines[self.header + 1 :] if line]
@@ -206,7 +210,7 @@ class _Sheet:
         return out, list(known)
 
     def _careful(self) -> tuple[Floats, list[str]]:
-        """Row by row, with blanks; every cell that cannot be is named."""
+        """Row by row, with blanks. Raises AsterismError that names the first impossible cell."""
         known: dict[str, int] = {}
         rows = []
         header = _columns(cells_of(self.lines[self.header], self.delimiter))
@@ -217,17 +221,17 @@ class _Sheet:
             if len(cells) <= max(self.place):
                 raise AsterismError(f"{where}: {len(cells)} cells, {self.width} in the header; the file breaks off, write it again.")
             if any(cells[self.width :]):
-                raise AsterismError(f"{where}: {len(cells)} cells where the header has {self.width}; mend this line or the header.")
+                raise AsterismError(f"{where}: {len(cells)} cells where the header has {self.width}; correct this line or the header.")
             row = [number_of(cells[k]) if k >= 0 else float("nan") for k in self.place]
             name = cells[self.place[1]]
             row[1] = known.setdefault(name, len(known))
             wrong = next((k for k, value in enumerate(row) if value is None or (k == 0 and value != value) or (k == 1 and not name)), None)
             if wrong is not None and _columns(cells) == header:
-                raise AsterismError(f"{where}: the header comes a second time, two files were joined; give them one after the other.")
+                raise AsterismError(f"{where}: a second header; two files were joined, give them one after the other.")
             if wrong is not None:
                 what = cells[self.place[wrong]]
                 raise AsterismError(
-                    f"{where}: {what[:30]!r} is no {'camera' if wrong == 1 else 'number'} ({list(_COLUMNS)[wrong]}); correct it."
+                    f"{where}: {what[:30]!r} is not a {'camera' if wrong == 1 else 'number'} ({list(_COLUMNS)[wrong]}); correct it."
                 )
             rows.append(row)
         return np.array(rows, dtype=np.float64).reshape(-1, 6), list(known)
@@ -243,23 +247,23 @@ def _refuse(sheet: _Sheet, wrong: Any, why: str) -> None:
 
 
 def _cameras(path: Path, used: list[str], place: Floats, names: tuple[str, ...], strict: bool) -> tuple[tuple[str, ...], Ints]:
-    """The cameras' names in order, and for each row its camera; `strict`: the names are all that there are."""
+    """The cameras' names in order, and for each row its camera; `strict`: no other names are allowed."""
     plain = [str(int(float(name))) if re.fullmatch(r"\d{1,9}(\.0*)?", name) else name for name in used]
     if not strict:
         named = [name for name in plain if name not in names]
         names = (*names, *sorted(dict.fromkeys(named), key=lambda name: [(len(d), d) if d.isdigit() else (0, d) for d in _pieces(name)]))
     elif not all(name in names for name in plain):
-        strangers = [name for name in plain if name not in names]
+        unknown_names = [name for name in plain if name not in names]
         numbers = [int(name) for name in plain if name.isdigit()]
         if len(numbers) < len(plain) or max(numbers) > len(names):
-            unknown = next((name for name in strangers if not name.isdigit()), strangers[0])
+            unknown = next((name for name in unknown_names if not name.isdigit()), unknown_names[0])
             raise AsterismError(f"{path}: there is no camera {unknown[:40]}; the rig has {some_of(names, 12)}.")
         if 0 in numbers and len(names) in numbers:
             raise AsterismError(f"{path}: cameras are numbered 0 to {len(names)}, one more than the rig has ({some_of(names, 12)}).")
         if 0 not in numbers and len(names) not in numbers:
             raise AsterismError(
-                f"{path}: cameras are numbered {min(numbers)} to {max(numbers)} and the rig has {len(names)}: it cannot be told whether "
-                "they count from 0 or from 1; name them as the rig does."
+                f"{path}: cameras are numbered {min(numbers)} to {max(numbers)} and the rig has {len(names)}: they may "
+                "count from 0 or from 1; name them as the rig does."
             )
         plain = [names[number - (0 not in numbers)] for number in numbers]
     if not names:
@@ -277,15 +281,15 @@ def _times(sheet: _Sheet, stamps: Floats, frame: Ints, camera: Ints, frames: int
     if not np.isfinite(stamps).any():
         return None
     times = np.full(frames * cameras, np.nan)
-    cell, told = frame * cameras + camera, np.isfinite(stamps)
-    times[cell[told][::-1]] = stamps[told][::-1]
-    differs = told & (np.abs(times[cell] - stamps) > _CLOCK_JITTER)
-    _refuse(sheet, differs, "the camera took this frame at two different times; mend the column time")
+    cell, known = frame * cameras + camera, np.isfinite(stamps)
+    times[cell[known][::-1]] = stamps[known][::-1]
+    differs = known & (np.abs(times[cell] - stamps) > _CLOCK_JITTER)
+    _refuse(sheet, differs, "the camera took this frame at two different times; correct the column time")
     return times.reshape(frames, cameras)
 
 
-def _rate(said: str | None, times: Floats | None) -> float:
-    number = number_of(said or "")
+def _rate(declared: str | None, times: Floats | None) -> float:
+    number = number_of(declared or "")
     if number is not None and 0 < number < 1e6:
         return float(number)
     if times is not None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
 from asterism.formats._text import cells_of, decoded, delimiter_of, lines_of, number_of, rate_of, read_bytes, some_of, write_atomically
@@ -36,9 +37,9 @@ def is_long(lines: Sequence[str]) -> bool:
 def read_long(path: Path) -> Points:
     """All points of a CSV file with one row per sample; without a column of names, the n-th point of each frame is called *n.
 
-    Frames come from a frame column, else from the distinct times. A frame that no row mentions is one without points.
+    Frames come from a frame column, else from the distinct times. A frame without rows has no points.
 
-    Raises AsterismError, naming file and line, where a marker occurs twice in a frame or a cell is no number.
+    Raises AsterismError, naming file and line, where a marker occurs twice in a frame or a cell is not a number.
     """
     lines = lines_of(decoded(path, read_bytes(path)))
     comments = comments_of(lines)
@@ -54,29 +55,29 @@ def read_long(path: Path) -> Points:
     values, marks, line_numbers = _samples(path, lines, at + 1, delimiter, wanted, name_at)
     count = 1 + (frame_at is not None and time_at is not None)
     raw = values[:, count:]
-    remarks: list[str] = []
+    findings: list[Finding] = []
     frame, frames, first = _frames(path, values[:, 0], frame_at is not None, comments.first_frame, comments.frames, line_numbers)
     times: Floats | None = None
     if time_at is not None:
         stamps = values[:, [i for i in (frame_at, time_at) if i is not None].index(time_at)]
         times = np.full(frames, np.nan)
         times[frame] = stamps
-        there = np.isfinite(times)
-        if there.sum() > 1:
-            times = np.interp(np.arange(frames), np.nonzero(there)[0], times[there])
+        known = np.isfinite(times)
+        if known.sum() > 1:
+            times = np.interp(np.arange(frames), np.nonzero(known)[0], times[known])
     labels, column = _columns(path, marks, frame, line_numbers)
     if frames * max(1, len(labels)) > _MOST_SPREAD * len(values) + _MOST_EMPTY:
         raise AsterismError(
-            f"{path} spreads over {frames} frames and {len(labels)} points, too many to hold; split it or mend its frame numbers."
+            f"{path} spreads over {frames} frames and {len(labels)} points, too many for memory; split it or correct its frame numbers."
         )
     spread = np.full((frames, len(labels), 3), np.nan)
     spread[frame, column] = raw
-    scale, name, remark = metres_per_unit(path, comments.units or units, spread)
-    positions, odd = as_metres(spread, scale)
+    scale, name, found = metres_per_unit(path, comments.units or units, spread)
+    positions, missing = as_metres(spread, scale)
     return Points(
         positions,
         tuple(labels),
-        rate_of(path, comments.rate, times, remarks),
+        rate_of(path, comments.rate, times, findings),
         "CSV long",
         units=name,
         declared=comments.vertical,
@@ -84,13 +85,13 @@ def read_long(path: Path) -> Points:
         first_time=float(times[0]) if times is not None and len(times) and np.isfinite(times[0]) else None,
         events=comments.events,
         subject=comments.subject,
-        oddities=tuple([*([remark] if remark else []), *remarks, *odd]),
+        findings=(*found, *findings, *missing),
     )
 
 
 def write_long(path: Path, recording: Recording) -> list[str]:
     """Write one row per visible sample: frame, time, marker, x, y, z in metres, 17 digits."""
-    positions, labels, lost = all_points(recording, "CSV", events=True)
+    positions, labels, omitted = all_points(recording, "CSV", events=True)
     first, times = recording.first_frame, recording.times
     head = comment_lines(
         "m", recording.rate, recording.vertical, len(positions), first, str(recording.metadata.get("subject", "")), recording.events
@@ -104,8 +105,8 @@ def write_long(path: Path, recording: Recording) -> list[str]:
     write_atomically(path, ("\n".join([*head, "frame,time,marker,x,y,z", *rows]) + "\n").encode())
     unseen = [label for m, label in enumerate(labels) if np.isnan(positions[:, m, 0]).all()]
     if unseen:
-        lost.append(f"columns without a sample: {', '.join(unseen[:5])}")
-    return lost
+        omitted.append(f"columns without a sample: {', '.join(unseen[:5])}")
+    return omitted
 
 
 def write_clouds(path: Path, clouds: Clouds) -> list[str]:
@@ -133,7 +134,7 @@ def _samples(
         if len(cells) <= last:
             if i == len(lines) - 1:
                 break
-            raise AsterismError(f"{path}, line {i + 1}: {len(cells)} cells where the header has more; mend or remove this line.")
+            raise AsterismError(f"{path}, line {i + 1}: {len(cells)} cells where the header has more; correct or remove this line.")
         try:
             row = [float(cells[k]) for k in wanted]
         except ValueError:
@@ -155,12 +156,12 @@ def _samples(
 def _frames(
     path: Path, column: Floats, numbered: bool, first: int | None, count: int | None, lines: list[int]
 ) -> tuple[NDArray[np.int64], int, int]:
-    """For each row its frame from 0, how many frames there are, and the first one's number."""
+    """For each row its frame from 0, the number of frames, and the number of the first."""
     if not len(column):
         return np.empty(0, dtype=np.int64), count or 0, 1 if first is None else first
     wrong = ~np.isfinite(column) | ((column != np.round(column)) | (np.abs(column) > 2**31) if numbered else False)
     if wrong.any():
-        raise AsterismError(f"{path}, line {lines[int(np.nonzero(wrong)[0][0])]}: the frame is no whole number; correct it.")
+        raise AsterismError(f"{path}, line {lines[int(np.nonzero(wrong)[0][0])]}: the frame is not a whole number; correct it.")
     if not numbered:
         _, frame = np.unique(column, return_inverse=True)
         return frame.astype(np.int64), int(frame.max()) + 1, 1
@@ -170,7 +171,9 @@ def _frames(
     if count is not None and span <= count <= span + 1_000_000:
         span = count
     if span > 100 * len(column) + 100_000:
-        raise AsterismError(f"{path}: frame numbers run from {low} to {low + span - 1} for {len(column)} samples; mend the frame column.")
+        raise AsterismError(
+            f"{path}: frame numbers run from {low} to {low + span - 1} for {len(column)} samples; correct the frame column."
+        )
     return frame, span, low
 
 

@@ -1,4 +1,4 @@
-"""Motive's CSV export (versions 1.2x and 3.x): a file in, its markers out; poses of rigid bodies and bones are no points."""
+"""Motive's CSV export (versions 1.2x and 3.x): a file in, its markers out; poses of rigid bodies and bones are left out."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.formats._columns import Points, as_metres, metres_per_unit
+from asterism.formats._findings import header_conflict
 from asterism.formats._physical import COMPUTED, MARKER, UNNAMED, kinds_by_name
 from asterism.formats._text import cells_of, decoded, frames_in_place, lines_of, number_of, rate_of, read_bytes, rows_of_numbers
 from asterism.recording import Floats, as_vertical
@@ -28,7 +29,7 @@ def read_motive(path: Path) -> Points:
     """All markers of a Motive export. Rigid-body markers count as computed only where the file also has the measured ones.
 
     Positions of rigid bodies and bones are poses, computed. Motive is Y up. Raises AsterismError, naming the file, where its
-    header or a cell makes no sense.
+    header or a cell cannot be read.
     """
     lines = lines_of(decoded(path, read_bytes(path)))
     header = _key_values(cells_of(lines[0], ","))
@@ -45,18 +46,18 @@ def read_motive(path: Path) -> Points:
     blocks = _blocks(types, names, what, axes)
     if not blocks:
         raise AsterismError(f"{path} holds no positions; export it from Motive again, with markers.")
-    values, remarks = rows_of_numbers(path, lines[at + 1 :], at + 2, ",", len(axes))
+    values, findings = rows_of_numbers(path, lines[at + 1 :], at + 2, ",", len(axes))
     raw = values[:, [column for block in blocks for column in block.columns]].reshape(len(values), len(blocks), 3)
-    scale, units, remark = metres_per_unit(path, header.get("length units"), raw)
-    positions, odd = as_metres(raw, scale)
-    said = number_of(header.get("export frame rate", header.get("capture frame rate", "")))
+    scale, units, found = metres_per_unit(path, header.get("length units"), raw)
+    positions, missing = as_metres(raw, scale)
+    declared = number_of(header.get("export frame rate", header.get("capture frame rate", "")))
     times = values[:, 1] if len(axes) > 1 and axes[1].casefold().startswith("time") else None
-    rate = rate_of(path, said, times, remarks)
+    rate = rate_of(path, declared, times, findings)
     kinds = _kinds(blocks, positions)
     positions, first, jumps = frames_in_place(values[:, 0], positions)
     total = number_of(header.get("total exported frames", ""))
     if total is not None and total == total and total != len(values):
-        remarks.append(f"the header says {total:g} frames, the file holds {len(values)}")
+        findings.append(header_conflict(f"the header says {total:g} frames, the file holds {len(values)}"))
     return Points(
         positions,
         tuple(block.name for block in blocks),
@@ -67,7 +68,7 @@ def read_motive(path: Path) -> Points:
         declared=as_vertical("y"),
         first_frame=first,
         first_time=float(times[0]) if times is not None and len(times) and np.isfinite(times[0]) else None,
-        oddities=tuple([*([remark] if remark else []), *remarks, *odd, *jumps]),
+        findings=(*found, *findings, *missing, *jumps),
         extra={"motive_version": header.get("format version", ""), "take": header.get("take name", "")},
     )
 

@@ -27,7 +27,7 @@ def is_nexus(lines: Sequence[str]) -> bool:
 def read_nexus(path: Path) -> Points:
     """The points of the section Trajectories, and the events of the section Events where the file has one.
 
-    Nexus is Z up. Raises AsterismError, naming file and line, where there is no such section or a cell is no number.
+    Nexus is Z up. Raises AsterismError, naming file and line, where it has no such section or a cell is not a number.
     """
     lines = lines_of(decoded(path, read_bytes(path)))
     bare = [line.strip(" ,;\t").casefold() for line in lines]
@@ -48,10 +48,10 @@ def read_nexus(path: Path) -> Points:
         raise AsterismError(f"{path}, line {at + 3}: no trajectory is named over columns X, Y, Z; export the file again.")
     start = at + (5 if has_units else 4)
     end = next((i for i in range(start, len(lines)) if not bare[i] or bare[i] in _SECTIONS), len(lines))
-    values, remarks = rows_of_numbers(path, lines[start:end], start + 1, delimiter, max(len(over), len(axes), max(columns) + 1))
+    values, findings = rows_of_numbers(path, lines[start:end], start + 1, delimiter, max(len(over), len(axes), max(columns) + 1))
     raw = values[:, columns].reshape(len(values), len(labels), 3)
-    scale, name, remark = metres_per_unit(path, units if has_units else None, raw)
-    positions, odd = as_metres(raw, scale)
+    scale, name, found = metres_per_unit(path, units if has_units else None, raw)
+    positions, missing = as_metres(raw, scale)
     frame_at = next((i for i, cell in enumerate(axes) if cell.casefold() == "frame"), 0)
     positions, first, jumps = frames_in_place(values[:, frame_at], positions)
     return Points(
@@ -63,7 +63,7 @@ def read_nexus(path: Path) -> Points:
         declared=as_vertical("z"),
         first_frame=first,
         events=_events(lines, bare),
-        oddities=tuple([*([remark] if remark else []), *remarks, *odd, *jumps]),
+        findings=(*found, *findings, *missing, *jumps),
     )
 
 

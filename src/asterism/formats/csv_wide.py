@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.formats._columns import _METRES, Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
-from asterism.formats._groups import marker_groups, own_groups
+from asterism.formats._groups import exact_groups, marker_groups
 from asterism.formats._text import (
     cells_of,
     decoded,
@@ -35,9 +36,10 @@ def read_wide(path: Path) -> Points:
     """All points of a CSV file with three columns per marker, separated by commas, semicolons or tabs.
 
     The header is one row (LKNE_x, LKNE.X, X LKNE, LKNE_x (mm), LKNE[0], ...) or two (names over x, y, z); a row of units may
-    follow. The rate comes from a time column or a comment line `# rate=100`. Missing is blank, NaN, or zero in all three.
+    follow. The rate comes from a time column or a comment line `# rate=100`. A sample is missing where it is blank, NaN, or zero in all
+    three coordinates.
 
-    Raises AsterismError, naming the file, where no three columns are a marker.
+    Raises AsterismError, naming the file, where no three columns are those of a marker.
     """
     lines = lines_of(decoded(path, read_bytes(path)))
     comments = comments_of(lines)
@@ -46,17 +48,17 @@ def read_wide(path: Path) -> Points:
         raise AsterismError(f"{path} has no header row; write one such as frame,time,LKNE_x,LKNE_y,LKNE_z.")
     delimiter = delimiter_of(lines[at])
     names, units, body_at = _header(lines, at, delimiter)
-    ours = comments.frames is not None and names[:2] == ["frame", "time"]
-    own = own_groups(names, "_", 2) if ours else None
-    groups, rest = marker_groups(names) if own is None else (own, [0, 1])
+    by_asterism = comments.frames is not None and names[:2] == ["frame", "time"]
+    exact = exact_groups(names, "_", 2) if by_asterism else None
+    groups, rest = marker_groups(names) if exact is None else (exact, [0, 1])
     if not groups:
         shown = some_of([name for name in names if name])
         raise AsterismError(f"{path} has no marker in its header ({shown}): name three columns LKNE_x, LKNE_y, LKNE_z to make one.")
-    values, remarks = rows_of_numbers(path, _numbers_only(lines[body_at:], names, rest, delimiter), body_at + 1, delimiter, len(names))
+    values, findings = rows_of_numbers(path, _numbers_only(lines[body_at:], names, rest, delimiter), body_at + 1, delimiter, len(names))
     raw = values[:, [column for group in groups for column in group.columns]].reshape(len(values), len(groups), 3)
     unit = comments.units or units or next((group.units for group in groups if group.units), None)
-    scale, name, remark = metres_per_unit(path, unit, raw)
-    positions, odd = as_metres(raw, scale)
+    scale, name, found = metres_per_unit(path, unit, raw)
+    positions, missing = as_metres(raw, scale)
     time_at = next((i for i in rest if names[i] and _TIME.fullmatch(names[i])), None)
     frame_at = next((i for i in rest if _FRAME.fullmatch(names[i]) and i != time_at), None)
     times = None
@@ -64,8 +66,8 @@ def read_wide(path: Path) -> Points:
         match = _TIME.fullmatch(names[time_at])
         milliseconds = match is not None and (match["unit"] or "").lower().startswith("m")
         times = values[:, time_at] * (0.001 if milliseconds else 1.0)
-    rate = rate_of(path, comments.rate, times, remarks)
-    first, jumps = comments.first_frame, list[str]()
+    rate = rate_of(path, comments.rate, times, findings)
+    first, jumps = comments.first_frame, list[Finding]()
     if frame_at is not None:
         positions, numbered, jumps = frames_in_place(values[:, frame_at], positions)
         first = numbered if len(values) else first
@@ -80,16 +82,16 @@ def read_wide(path: Path) -> Points:
         first_time=float(times[0]) if times is not None and len(times) and np.isfinite(times[0]) else None,
         events=comments.events,
         subject=comments.subject,
-        oddities=tuple([*([remark] if remark else []), *remarks, *odd, *jumps]),
+        findings=(*found, *findings, *missing, *jumps),
     )
 
 
 def write_wide(path: Path, recording: Recording) -> list[str]:
     """Write frame, time and three columns per marker; comment lines on top carry units, rate, vertical and events.
 
-    Units are those of the file that the recording came from where that is mm, cm or m, else metres. Returns what was lost.
+    Units are those of the file that the recording came from where that is mm, cm or m, else metres. Returns what the format cannot carry.
     """
-    positions, labels, lost = all_points(recording, "CSV", events=True)
+    positions, labels, omitted = all_points(recording, "CSV", events=True)
     units = str(recording.metadata.get("units", "")).casefold()
     units = units if units in ("mm", "cm", "m") else "m"
     decimals = {"mm": 6, "cm": 7, "m": 9}[units]
@@ -103,8 +105,8 @@ def write_wide(path: Path, recording: Recording) -> list[str]:
     rows = [",".join(filter(None, (str(first + t), f"{times[t]:.9g}", row))) for t, row in enumerate(body)]
     write_atomically(path, ("\n".join([*head, ",".join(["frame", "time", *names]), *rows]) + "\n").encode())
     if len(set(labels)) < len(labels):
-        lost.append("labels that occur more than once: a number was added to each repeat")
-    return lost
+        omitted.append("labels that occur more than once, to whose repeats a number was added")
+    return omitted
 
 
 def _header(lines: list[str], at: int, delimiter: str | None) -> tuple[list[str], str | None, int]:

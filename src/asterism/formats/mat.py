@@ -61,8 +61,8 @@ def _points(path: Path, take: dict[str, Any]) -> Points:
     together = np.concatenate(raw, axis=1) if raw else np.full((frames, 0, 3), np.nan)
     if not np.isfinite(rate) or rate <= 0:
         raise AsterismError(f"{path} gives a frame rate of {rate:g}; export it from QTM again.")
-    scale, units, remark = metres_per_unit(path, "mm", together)
-    positions, odd = as_metres(together, scale, zero_is_missing=False)
+    scale, units, found = metres_per_unit(path, "mm", together)
+    positions, missing = as_metres(together, scale, zero_is_missing=False)
     return Points(
         positions,
         tuple(labels),
@@ -73,7 +73,7 @@ def _points(path: Path, take: dict[str, Any]) -> Points:
         declared=as_vertical("z"),
         first_frame=int(_number(take["StartFrame"])) if "StartFrame" in take else 1,
         events=_events(take.get("Events")),
-        oddities=tuple([*([remark] if remark else []), *odd]),
+        findings=(*found, *missing),
         extra={"time_stamp": str(take.get("Timestamp", "")).replace("\t", " ")},
     )
 
@@ -107,8 +107,8 @@ def _events(entries: Any) -> tuple[Event, ...]:
 
 
 def write_mat(path: Path, recording: Recording) -> list[str]:
-    """Write a MAT file laid out as QTM does, in millimetres, compressed. Returns what was lost."""
-    positions, labels, lost = all_points(recording, "MAT", events=True)
+    """Write a MAT file laid out as QTM does, in millimetres, compressed. Returns what the format cannot carry."""
+    positions, labels, omitted = all_points(recording, "MAT", events=True)
     named = [i for i, label in enumerate(labels) if not label.startswith("*")]
     rest = [i for i in range(len(labels)) if i not in set(named)]
     parts: dict[str, Any] = {"Labeled": _part(positions[:, named], [labels[i] for i in named])}
@@ -135,10 +135,10 @@ def write_mat(path: Path, recording: Recording) -> list[str]:
     savemat(buffer, {name: take}, do_compression=True, long_field_names=True)
     write_atomically(path, buffer.getvalue())
     if recording.vertical[2] < 0.99:
-        lost.append("the vertical: QTM's files are Z up")
+        omitted.append("the vertical: QTM's files are Z up")
     if any(event.context for event in recording.events):
-        lost.append("the sides of events: they stand before the events' names")
-    return lost
+        omitted.append("the sides of events: they stand before the events' names")
+    return omitted
 
 
 def _part(positions: Floats, labels: list[str] | None) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""NPZ, our own plain container without pickle: recordings and clouds in, the same out, bit for bit."""
+"""NPZ, Asterism's own container without pickle: recordings and clouds in, the same out, bit for bit."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ _MOST_BYTES = 8 << 30
 
 
 def read_npz(path: Path) -> Points:
-    """The points of an NPZ file of ours: of a recording, or of clouds with the n-th point of each frame as *n.
+    """The points of an NPZ file of Asterism: of a recording, or of clouds with the n-th point of each frame as *n.
 
-    Raises AsterismError, naming the file, where it is damaged, of a later version, or not ours.
+    Raises AsterismError, naming the file, where it is damaged, of a later version, or not of Asterism.
     """
     clouds = read_npz_clouds(path)
     if clouds is not None:
         return _points_of_clouds(clouds)
-    held = _arrays(path)
+    stored = _arrays(path)
     try:
-        notes = json.loads(str(held["notes"]))
-        positions = np.array(held["positions"], dtype=np.float64)
-        labels = tuple(str(label) for label in held["labels"])
+        notes = json.loads(str(stored["notes"]))
+        positions = np.array(stored["positions"], dtype=np.float64)
+        labels = tuple(str(label) for label in stored["labels"])
         events = tuple(Event(str(e[0]), float(e[1]), str(e[2])) for e in notes.get("events", []))
         if positions.ndim != 3 or positions.shape[1:] != (len(labels), 3) or np.isinf(positions).any():
             raise ValueError(f"positions {positions.shape} do not fit {len(labels)} labels, or are infinite")
         positions[np.isnan(positions).any(axis=2)] = np.nan
-        rate = float(held["rate"])
+        rate = float(stored["rate"])
         if not np.isfinite(rate) or rate <= 0:
             raise ValueError(f"frame rate {rate}")
         first_time = notes.get("first_time")
@@ -49,7 +49,7 @@ def read_npz(path: Path) -> Points:
             "NPZ",
             units="m",
             kinds=tuple(str(kind) for kind in notes["kinds"]) if len(notes.get("kinds", [])) == len(labels) else None,
-            declared=as_vertical(held["vertical"]),
+            declared=as_vertical(stored["vertical"]),
             first_frame=int(notes.get("first_frame", 1)),
             first_time=None if first_time is None else float(first_time),
             events=events,
@@ -57,35 +57,35 @@ def read_npz(path: Path) -> Points:
             log=log_from_text(str(notes.get("log", "[]"))),
         )
     except (KeyError, TypeError, ValueError, IndexError, OverflowError, AttributeError, AsterismError) as problem:
-        raise AsterismError(f"{path} is no recording or clouds of Asterism, or is damaged ({problem}); write it again.") from problem
+        raise AsterismError(f"{path} is not a recording or clouds of Asterism, or is damaged ({problem}); write it again.") from problem
 
 
 def read_npz_clouds(path: Path) -> Clouds | None:
-    """The clouds in an NPZ file, or None where it holds a recording. Raises AsterismError where it is damaged or not ours."""
-    held = _arrays(path, only_kind=True)
-    if str(held.get("kind")) != "clouds":
+    """The clouds in an NPZ file, or None where it holds a recording. Raises AsterismError where it is damaged or not of Asterism."""
+    stored = _arrays(path, only_kind=True)
+    if str(stored.get("kind")) != "clouds":
         return None
-    held = _arrays(path)
+    stored = _arrays(path)
     try:
-        xyz, offsets = np.array(held["xyz"], dtype=np.float64), np.array(held["offsets"], dtype=np.int64)
-        columns = np.array(held["columns"], dtype=np.int64)
+        xyz, offsets = np.array(stored["xyz"], dtype=np.float64), np.array(stored["offsets"], dtype=np.int64)
+        columns = np.array(stored["columns"], dtype=np.int64)
         fits = xyz.ndim == 2 and xyz.shape[1] == 3 and offsets.ndim == 1 and len(offsets) > 0 and columns.shape == (len(xyz),)
         if not fits or offsets[0] != 0 or offsets[-1] != len(xyz) or (np.diff(offsets) < 0).any() or not np.isfinite(xyz).all():
             raise ValueError("its points and frames do not fit together")
-        rate = float(held["rate"])
+        rate = float(stored["rate"])
         if not np.isfinite(rate) or rate <= 0:
             raise ValueError(f"frame rate {rate}")
-        tracks = np.array(held["tracks"], dtype=np.int64) if "tracks" in held else None
+        tracks = np.array(stored["tracks"], dtype=np.int64) if "tracks" in stored else None
         if tracks is not None and tracks.shape != (len(xyz),):
             raise ValueError("its points and tracks do not fit together")
-        return Clouds(xyz, offsets, rate, as_vertical(held["vertical"]), columns, tracks)
+        return Clouds(xyz, offsets, rate, as_vertical(stored["vertical"]), columns, tracks)
     except (KeyError, TypeError, ValueError, IndexError, OverflowError, AsterismError) as problem:
         raise AsterismError(f"{path} is damaged ({problem}); write it again.") from problem
 
 
 def write_npz(path: Path, recording: Recording) -> list[str]:
-    """Write positions, labels, rate, vertical and events as they are. Returns what was lost."""
-    positions, labels, lost = all_points(recording, "NPZ", events=True)
+    """Write positions, labels, rate, vertical and events as they are. Returns what the format cannot carry."""
+    positions, labels, omitted = all_points(recording, "NPZ", events=True)
     kinds = list[str]()
     if isinstance(recording.source, Points) and len(labels) > len(recording.labels):
         kinds = ["marker"] * len(recording.labels) + ["computed"] * (len(labels) - len(recording.labels))
@@ -108,48 +108,48 @@ def write_npz(path: Path, recording: Recording) -> list[str]:
         vertical=recording.vertical,
         notes=json.dumps(notes),
     )
-    return lost
+    return omitted
 
 
 def read_npz_evidence(path: Path) -> Evidence | None:
-    """What the points of clouds in an NPZ file rest on, or None where it does not say. Raises AsterismError where it is damaged."""
+    """The evidence of the points of clouds in an NPZ file, or None where it has none. Raises AsterismError where it is damaged."""
     clouds = read_npz_clouds(path)
     if clouds is None:
         return None
-    held = _arrays(path)
-    if "residual" not in held:
+    stored = _arrays(path)
+    if "residual" not in stored:
         return None
     try:
         evidence = Evidence(
-            np.array(held["residual"], dtype=np.float64),
-            np.array(held["covariance"], dtype=np.float64),
-            np.array(held["cameras"], dtype=np.bool_),
-            tuple(str(name) for name in held["camera_names"]),
-            np.array(held["depth_scale"], dtype=np.float64),
+            np.array(stored["residual"], dtype=np.float64),
+            np.array(stored["covariance"], dtype=np.float64),
+            np.array(stored["cameras"], dtype=np.bool_),
+            tuple(str(name) for name in stored["camera_names"]),
+            np.array(stored["depth_scale"], dtype=np.float64),
         )
     except (KeyError, TypeError, ValueError) as problem:
         raise AsterismError(f"{path} is damaged ({problem}); write it again.") from problem
     points, cameras = len(clouds.xyz), len(evidence.camera_names)
     shapes = (evidence.residual.shape, evidence.covariance.shape, evidence.cameras.shape, evidence.depth_scale.shape)
     if shapes != ((points,), (points, 3, 3), (points, cameras), (points,)):
-        raise AsterismError(f"{path} is damaged (its points and what they rest on do not fit together); write it again.")
+        raise AsterismError(f"{path} is damaged (its points and their evidence do not fit together); write it again.")
     return evidence
 
 
 def write_npz_clouds(path: Path, clouds: Clouds, evidence: Evidence | None = None) -> list[str]:
-    """Write clouds as they are, and what their points rest on; nothing is lost."""
-    held: dict[str, Any] = {"xyz": clouds.xyz, "offsets": clouds.offsets, "columns": clouds.columns, "vertical": clouds.vertical}
+    """Write clouds, and the evidence of their points, unchanged and completely."""
+    stored: dict[str, Any] = {"xyz": clouds.xyz, "offsets": clouds.offsets, "columns": clouds.columns, "vertical": clouds.vertical}
     if clouds.tracks is not None:
-        held["tracks"] = clouds.tracks
+        stored["tracks"] = clouds.tracks
     if evidence is not None:
-        held |= {
+        stored |= {
             "residual": evidence.residual,
             "covariance": evidence.covariance,
             "cameras": evidence.cameras,
             "camera_names": np.array(evidence.camera_names, dtype=str),
             "depth_scale": evidence.depth_scale,
         }
-    _save(path, kind="clouds", rate=clouds.rate, **held)
+    _save(path, kind="clouds", rate=clouds.rate, **stored)
     return []
 
 
@@ -175,8 +175,8 @@ def described_clouds(path: Path, clouds: Clouds) -> dict[str, Any]:
 
 def _save(path: Path, **arrays: Any) -> None:
     buffer = io.BytesIO()
-    held: dict[str, Any] = {"asterism": VERSION, **arrays}
-    np.savez_compressed(buffer, **held)
+    stored: dict[str, Any] = {"asterism": VERSION, **arrays}
+    np.savez_compressed(buffer, **stored)
     write_atomically(path, buffer.getvalue())
 
 
@@ -187,22 +187,22 @@ def _arrays(path: Path, only_kind: bool = False) -> dict[str, NDArray[Any]]:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             if sum(entry.file_size for entry in archive.infolist()) > min(_MOST_BYTES, 1100 * len(data) + 65536):
                 raise ValueError("it claims to hold more than it can")
-            held = {}
+            stored = {}
             for entry in archive.infolist():
                 name = entry.filename.removesuffix(".npy")
                 if only_kind and name not in ("asterism", "kind"):
                     continue
-                held[name] = _array(archive.read(entry))
+                stored[name] = _array(archive.read(entry))
     except ValueError as problem:
         raise AsterismError(f"{path} is damaged ({str(problem)[:100]}); write it again.") from problem
     except Exception as problem:  # a damaged archive raises anything from zlib.error to SyntaxError
         raise AsterismError(f"{path} is damaged ({type(problem).__name__}); write it again.") from problem
-    version = held.get("asterism")
+    version = stored.get("asterism")
     if version is None or version.shape != () or version.dtype.kind not in "iu":
         raise AsterismError(f"{path} is an NPZ file, but none that Asterism wrote; write it with asterism.write.")
     if int(version) > VERSION:
         raise AsterismError(f"{path} has format version {int(version)}, this Asterism reads up to {VERSION}; install a later one.")
-    return held
+    return stored
 
 
 def _array(data: bytes) -> NDArray[Any]:

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
-from asterism.formats._groups import Group, marker_groups, own_groups
+from asterism.formats._groups import Group, exact_groups, marker_groups
 from asterism.formats._text import (
     cells_of,
     decoded,
@@ -36,7 +37,7 @@ class Table:
     """Named values over time, such as joint angles or forces.
 
     names       (C,) column names, the time column left out
-    values      (T, C) in the file's own units, NaN missing
+    values      (T, C) in the file's units, NaN missing
     times       (T,) s
     title       what the first line of the file calls it
     in_degrees  whether angles are degrees; None where the file does not say
@@ -56,7 +57,7 @@ class Table:
 
     @property
     def rate(self) -> float:
-        """Rows per second, by the times; by the header where there are fewer than two rows, NaN where it does not say."""
+        """Rows per second, by the times; by the header with fewer than two rows; NaN where neither gives it."""
         steps = np.diff(self.times)
         steps = steps[np.isfinite(steps) & (steps > 0)]
         return float(f"{1 / steps.mean():.6g}") if len(steps) else self.said_rate
@@ -65,7 +66,7 @@ class Table:
 def read_table(path: str | Path) -> Table:
     """The table in a MOT, STO or CSV file; cells that hold three values (Vec3) become columns name_x, name_y, name_z.
 
-    Raises AsterismError, naming file and line, where there is no row of names over numbers, or no time column.
+    Raises AsterismError, naming file and line, where it has no row of names above numbers, or no time column.
     """
     path = Path(path)
     lines = lines_of(decoded(path, read_bytes(path)))
@@ -115,9 +116,9 @@ def table_or_none(path: Path) -> Table | None:
 
 
 def write_table(path: str | Path, table: Table) -> list[str]:
-    """Write a table as .mot, .sto or .csv; values keep 17 digits, so that they come back as they were.
+    """Write a table as .mot, .sto or .csv; values keep 17 digits, so that they are read back unchanged.
 
-    Returns an empty list: nothing is lost. Raises AsterismError for another suffix or where the file cannot be written.
+    Returns an empty list: these formats carry everything. Raises AsterismError for another suffix or where the file cannot be written.
     """
     path = Path(path)
     suffix = path.suffix.casefold()
@@ -151,8 +152,8 @@ def holds_markers(table: Table, strictly: bool = True) -> bool:
 
 
 def _groups_of(table: Table) -> tuple[list[Group], list[int]]:
-    own = own_groups(table.names, "_t") if table.title == _MARKERS else None
-    return (own, []) if own is not None else marker_groups(table.names)
+    exact = exact_groups(table.names, "_t") if table.title == _MARKERS else None
+    return (exact, []) if exact is not None else marker_groups(table.names)
 
 
 def read_marker_table(path: Path) -> Points:
@@ -172,10 +173,10 @@ def points_of_table(path: Path, table: Table) -> Points:
         )
     groups, _ = _groups_of(table)
     raw = table.values[:, [column for group in groups for column in group.columns]].reshape(len(table.values), len(groups), 3)
-    remarks: list[str] = []
-    scale, units, remark = metres_per_unit(path, table.units or next((g.units for g in groups if g.units), None), raw)
-    positions, odd = as_metres(raw, scale)
-    rate = rate_of(path, table.said_rate, table.times, remarks)
+    findings: list[Finding] = []
+    scale, units, found = metres_per_unit(path, table.units or next((g.units for g in groups if g.units), None), raw)
+    positions, missing = as_metres(raw, scale)
+    rate = rate_of(path, table.said_rate, table.times, findings)
     start = float(table.times[0]) if len(table.times) and np.abs(table.times[0]) < 1e9 else None
     return Points(
         positions,
@@ -186,13 +187,13 @@ def points_of_table(path: Path, table: Table) -> Points:
         fallback=as_vertical("y"),
         first_frame=1 if start is None else round(start * rate) + 1,
         first_time=start,
-        oddities=tuple([*([remark] if remark else []), *remarks, *odd]),
+        findings=(*found, *findings, *missing),
     )
 
 
 def write_marker_table(path: Path, recording: Recording) -> list[str]:
     """Write positions in metres as columns name_tx, name_ty, name_tz of a MOT or STO file."""
-    positions, labels, lost = all_points(recording, path.suffix[1:].upper())
+    positions, labels, omitted = all_points(recording, path.suffix[1:].upper())
     bare = [re.sub(r"[\s,;]+", "_", label) for label in labels]
     names = tuple(f"{name}_t{axis}" for name in bare for axis in "xyz")
     times = np.round(recording.times, 9)
@@ -200,8 +201,8 @@ def write_marker_table(path: Path, recording: Recording) -> list[str]:
     values[(values == 0).all(axis=2), 0] = 1e-9
     write_table(path, Table(names, values.reshape(len(values), len(names)), times, _MARKERS, units="m", said_rate=recording.rate))
     if recording.vertical[1] < 0.99:
-        lost.append(f"the vertical: {path.suffix[1:].upper()} readers take Y as up or tell it from the data")
-    return lost
+        omitted.append(f"the vertical: {path.suffix[1:].upper()} readers take Y as up or determine it from the data")
+    return omitted
 
 
 def described_table(path: Path, table: Table) -> dict[str, Any]:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.formats._columns import _METRES, Points, as_metres, metres_per_unit
+from asterism.formats._findings import cut_off, header_conflict, point_names
 from asterism.formats._text import (
     cells_of,
     decoded,
@@ -22,21 +25,72 @@ from asterism.formats._text import (
     write_atomically,
 )
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
-from asterism.recording import Recording, as_vertical
+from asterism.recording import Floats, Recording, as_vertical
 
 Y_UP = as_vertical("y")
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """The parts of a TRC file: its header's values, its markers' names and its table.
+
+    header     the values by their lower-case keys
+    labels     (P,) names
+    rows       (T, 2 + 3 P) frame, time, coordinates
+    delimiter  what separates cells; None is any blank
+    findings   what was found while reading
+    """
+
+    header: dict[str, str]
+    labels: list[str]
+    rows: Floats
+    delimiter: str | None
+    findings: list[Finding]
 
 
 def read_trc(path: Path) -> Points:
     """All points of a TRC file, with tabs, commas, semicolons or blanks between its cells.
 
-    Missing is a blank, NaN in any spelling, or zero in all three coordinates. Columns count, not the header's numbers. Up is
-    what the data says, else Y, as in OpenSim.
+    A sample is missing where it is blank, NaN in any spelling, or zero in all three coordinates. The number of points is that of the
+    columns, not that in the header. The vertical is what the data show, else Y, as in OpenSim.
 
-    Raises AsterismError, naming file and line, where the header is not that of a TRC file or a cell is no number.
+    Raises AsterismError, naming file and line, where the header is not that of a TRC file or a cell is not a number.
     """
-    text = decoded(path, read_bytes(path))
-    lines = lines_of(text)
+    lines = lines_of(decoded(path, read_bytes(path)))
+    sheet = _sheet(path, lines)
+    header, labels, rows, findings = sheet.header, sheet.labels, sheet.rows, sheet.findings
+    raw = rows[:, 2:].reshape(len(rows), len(labels), 3)
+    if len(raw) and _cut_short(lines, sheet.delimiter):
+        findings.append(cut_off("the file ends within a line; the last marker of its last frame is taken as missing"))
+        seen = np.nonzero(~np.isnan(raw[-1]).all(axis=1))[0]
+        raw[-1, seen[-1:]] = np.nan
+    scale, units, found = metres_per_unit(path, header.get("units"), raw, list(header.values()))
+    positions, missing = as_metres(raw, scale)
+    declared = number_of(header.get("datarate", ""))
+    if declared is None or not declared > 0:
+        declared = number_of(header.get("camerarate", ""))
+    rate = rate_of(path, declared, rows[:, 1], findings)
+    first_time = float(rows[0, 1]) if len(rows) and np.isfinite(rows[0, 1]) else None
+    positions, first, jumps = frames_in_place(rows[:, 0], positions)
+    for key, count, what in (("numframes", len(rows), "frames"), ("nummarkers", len(labels), "markers")):
+        number = number_of(header.get(key, ""))
+        if number is None or number != count:
+            findings.append(header_conflict(f"the header says {header.get(key) or 'no number of'} {what}, the file holds {count}"))
+    return Points(
+        positions,
+        tuple(labels),
+        rate,
+        "TRC",
+        units=units,
+        fallback=Y_UP,
+        first_frame=first,
+        first_time=first_time,
+        findings=(*found, *findings, *missing, *jumps),
+    )
+
+
+def _sheet(path: Path, lines: list[str]) -> _Sheet:
+    """The parts of a file. Raises AsterismError where the header is not that of a TRC file or a cell is not a number."""
     at = next((i for i, line in enumerate(lines[:12]) if "datarate" in line.casefold()), None)
     if at is None or at + 2 >= len(lines):
         raise AsterismError(f"{path} is not a TRC file: it has no line with DataRate, CameraRate, NumFrames; export it again.")
@@ -50,49 +104,19 @@ def read_trc(path: Path) -> Points:
     letters = cells_of(lines[names_at + 1], delimiter) if names_at + 1 < len(lines) else []
     has_letters = any(re.fullmatch(r"[XYZxyz]\d*", cell) for cell in letters)
     data_at = names_at + 2 if has_letters else names_at + 1
-    labels, remarks = _labels(path, lines[names_at], delimiter, letters if has_letters else [], lines[data_at : data_at + 3])
+    labels, findings = _labels(lines[names_at], delimiter, letters if has_letters else [], lines[data_at : data_at + 3])
     if letters and has_letters and not _in_order(letters):
-        raise AsterismError(
-            f"{path}, line {names_at + 2}: the coordinates do not stand in the order X, Y, Z; export the file in that order."
-        )
+        raise AsterismError(f"{path}, line {names_at + 2}: the coordinates are not in the order X, Y, Z; export the file in that order.")
     rows, more = rows_of_numbers(path, lines[data_at:], data_at + 1, delimiter, 2 + 3 * len(labels))
-    remarks += more
-    raw = rows[:, 2:].reshape(len(rows), len(labels), 3)
-    if len(raw) and _cut_short(lines, delimiter):
-        remarks.append("the file ends within a line; the last marker of its last frame is taken as missing")
-        seen = np.nonzero(~np.isnan(raw[-1]).all(axis=1))[0]
-        raw[-1, seen[-1:]] = np.nan
-    scale, units, remark = metres_per_unit(path, header.get("units"), raw, list(header.values()))
-    positions, odd = as_metres(raw, scale)
-    said = number_of(header.get("datarate", ""))
-    if said is None or not said > 0:
-        said = number_of(header.get("camerarate", ""))
-    rate = rate_of(path, said, rows[:, 1], remarks)
-    first_time = float(rows[0, 1]) if len(rows) and np.isfinite(rows[0, 1]) else None
-    positions, first, jumps = frames_in_place(rows[:, 0], positions)
-    for key, found, what in (("numframes", len(rows), "frames"), ("nummarkers", len(labels), "markers")):
-        number = number_of(header.get(key, ""))
-        if number is None or number != found:
-            remarks.append(f"the header says {header.get(key) or 'no number of'} {what}, the file holds {found}")
-    return Points(
-        positions,
-        tuple(labels),
-        rate,
-        "TRC",
-        units=units,
-        fallback=Y_UP,
-        first_frame=first,
-        first_time=first_time,
-        oddities=tuple([*([remark] if remark else []), *remarks, *odd, *jumps]),
-    )
+    return _Sheet(header, labels, rows, delimiter, [*findings, *more])
 
 
 def write_trc(path: Path, recording: Recording) -> list[str]:
     """Write a TRC file in the units of the file that the recording came from, else millimetres; blanks are missing.
 
-    Axes stay as they are: a vertical other than Y is in the list of what the format cannot say, as are events.
+    The axes stay as they are. Returns what the format cannot carry: a vertical other than Y, and events.
     """
-    positions, labels, lost = all_points(recording, "TRC")
+    positions, labels, omitted = all_points(recording, "TRC")
     units = str(recording.metadata.get("units", "")).casefold()
     units = units if units in ("mm", "cm", "m") else "mm"
     values = positions / _METRES[units]
@@ -113,8 +137,8 @@ def write_trc(path: Path, recording: Recording) -> list[str]:
     rows = ["\t".join(filter(None, (str(first + t), f"{times[t]:.6f}", row))) for t, row in enumerate(body)]
     write_atomically(path, ("\n".join([*head, *rows]) + "\n").encode())
     if recording.vertical[1] < 0.99:
-        lost.append("the vertical: TRC readers take Y as up or tell it from the data")
-    return lost
+        omitted.append("the vertical: TRC readers take Y as up or determine it from the data")
+    return omitted
 
 
 def _header(keys: str, values: str) -> dict[str, str]:
@@ -128,8 +152,8 @@ def _header(keys: str, values: str) -> dict[str, str]:
     return {name.casefold(): cell for name, cell in pairs if name}
 
 
-def _labels(path: Path, line: str, delimiter: str | None, letters: list[str], data: list[str]) -> tuple[list[str], list[str]]:
-    """Marker names, whether they stand over their X column (and two blanks follow) or close together."""
+def _labels(line: str, delimiter: str | None, letters: list[str], data: list[str]) -> tuple[list[str], list[Finding]]:
+    """Marker names, whether each stands over its X column (with two blanks after it) or directly behind the one before; and findings."""
     cells = cells_of(line, delimiter)[2:]
     named = [cell for cell in cells if cell]
     width = max((len(cells_of(row, delimiter)) for row in data if row.strip()), default=0)
@@ -143,9 +167,9 @@ def _labels(path: Path, line: str, delimiter: str | None, letters: list[str], da
     else:
         labels = named
     nameless = sum(not label for label in labels)
-    remarks = [f"{nameless} points have no name; they are numbered *1, *2, ..."] if nameless else []
+    findings = [point_names(f"{nameless} points have no name; they are numbered *1, *2, ...")] if nameless else []
     numbers = iter(range(1, nameless + 1))
-    return [label or f"*{next(numbers)}" for label in labels], remarks
+    return [label or f"*{next(numbers)}" for label in labels], findings
 
 
 def _in_order(letters: list[str]) -> bool:

@@ -1,14 +1,17 @@
-"""QTM's TSV export of 3D data: a file in, its points out, and back; a table with tabs that is no such export reads as CSV."""
+"""QTM's TSV export of 3D data: a file in, its points out, and back; any other table with tabs is read as CSV."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
+from asterism.formats._findings import header_conflict
 from asterism.formats._text import decoded, frames_in_place, lines_of, number_of, rate_of, read_bytes, rows_of_numbers, write_atomically
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.formats.csv_long import is_long, read_long
@@ -18,57 +21,48 @@ from asterism.recording import Event, Recording, as_vertical
 _KEY = re.compile(r"[A-Z][A-Z_0-9]{3,}")
 
 
+@dataclass(frozen=True)
+class _Head:
+    """The lines above the table: their keys with values, the events, and the place of the line that follows."""
+
+    values: dict[str, list[str]]
+    events: list[Event]
+    stop: int
+
+    def first(self, key: str) -> str:
+        """The first value of a key, "" where there is none."""
+        return (self.values.get(key) or [""])[0]
+
+
 def read_tsv(path: Path) -> Points:
     """All trajectories of a QTM export (3D data, with or without the columns Frame and Time and their header). QTM is Z up.
 
-    Raises AsterismError, naming the file, where it holds 6D data, has no marker names, or a cell is no number.
+    Raises AsterismError, naming the file, where it holds 6D data, has no marker names, or a cell is not a number.
     """
     lines = lines_of(decoded(path, read_bytes(path)))
-    header: dict[str, list[str]] = {}
-    events: list[Event] = []
-    at = len(lines)
-    for i, line in enumerate(lines):
-        cells = [cell.strip() for cell in line.split("\t")]
-        if not line.strip():
-            continue
-        if not _KEY.fullmatch(cells[0]) or (len(cells) > 1 and number_of(cells[0]) is not None):
-            at = i
-            break
-        if cells[0] == "EVENT" and len(cells) > 3:
-            time = number_of(cells[3])
-            if time is not None and np.isfinite(time):
-                events.append(Event(cells[1], float(time)))
-        else:
-            header.setdefault(cells[0], cells[1:])
-    if "MARKER_NAMES" not in header:
-        if not header:
+    head = _head(lines)
+    if "MARKER_NAMES" not in head.values:
+        if not head.values:
             return read_long(path) if is_long(lines) else read_wide(path)
         raise AsterismError(f"{path} has no line MARKER_NAMES; export 3D data from QTM again, with its header.")
-    included = (header.get("DATA_INCLUDED") or ["3D"])[0].upper()
+    included = (head.first("DATA_INCLUDED") or "3D").upper()
     if included != "3D":
-        raise AsterismError(f"{path} holds {included} data (poses of bodies), no trajectories; export 3D data from QTM.")
-    labels = [label for label in header["MARKER_NAMES"] if label]
-    remarks: list[str] = []
-    extra, start = 0, at
-    if at < len(lines) and number_of(lines[at].split("\t")[0]) is None:
-        titles = [cell.strip().casefold() for cell in lines[at].split("\t")]
-        extra = int("frame" in titles[:2]) + int("time" in titles[:2])
-        start = at + 1
-    elif at < len(lines):
-        extra = {2: 2, 1: 1}.get(len(lines[at].rstrip("\t").split("\t")) - 3 * len(labels), 0)
-    rows, more = rows_of_numbers(path, lines[start:], start + 1, "\t", extra + 3 * len(labels))
+        raise AsterismError(f"{path} holds {included} data (poses of bodies) and no trajectories; export 3D data from QTM.")
+    labels = [label for label in head.values["MARKER_NAMES"] if label]
+    start, extra = _table(lines, head.stop, len(labels))
+    rows, short = rows_of_numbers(path, lines[start:], start + 1, "\t", extra + 3 * len(labels))
     raw = rows[:, extra:].reshape(len(rows), len(labels), 3)
-    scale, units, remark = metres_per_unit(path, "mm", raw)
-    positions, odd = as_metres(raw, scale)
+    scale, units, findings = metres_per_unit(path, "mm", raw)
+    positions, missing = as_metres(raw, scale)
     times = rows[:, extra - 1] if extra else None
-    rate = rate_of(path, number_of((header.get("FREQUENCY") or [""])[0]), times, remarks)
-    first, jumps = 1, list[str]()
+    rate = rate_of(path, number_of(head.first("FREQUENCY")), times, findings)
+    first, jumps = 1, list[Finding]()
     if extra == 2:
         positions, first, jumps = frames_in_place(rows[:, 0], positions)
-    for key, found, what in (("NO_OF_FRAMES", len(rows), "frames"), ("NO_OF_MARKERS", len(labels), "markers")):
-        number = number_of((header.get(key) or [""])[0])
-        if number is not None and number != found:
-            remarks.append(f"the header says {number:g} {what}, the file holds {found}")
+    for key, count, what in (("NO_OF_FRAMES", len(rows), "frames"), ("NO_OF_MARKERS", len(labels), "markers")):
+        number = number_of(head.first(key))
+        if number is not None and number != count:
+            findings.append(header_conflict(f"the header says {number:g} {what}, the file holds {count}"))
     return Points(
         positions,
         tuple(labels),
@@ -78,15 +72,44 @@ def read_tsv(path: Path) -> Points:
         declared=as_vertical("z"),
         first_frame=first,
         first_time=float(times[0]) if times is not None and len(times) and np.isfinite(times[0]) else None,
-        events=tuple(events),
-        oddities=tuple([*([remark] if remark else []), *remarks, *more, *odd, *jumps]),
-        extra={"description": (header.get("DESCRIPTION") or [""])[0], "time_stamp": (header.get("TIME_STAMP") or [""])[0]},
+        events=tuple(head.events),
+        findings=(*findings, *short, *missing, *jumps),
+        extra={"description": head.first("DESCRIPTION"), "time_stamp": head.first("TIME_STAMP")},
     )
 
 
+def _head(lines: list[str]) -> _Head:
+    """The header of a file: lines that begin with a key in capitals."""
+    values: dict[str, list[str]] = {}
+    events: list[Event] = []
+    for i, line in enumerate(lines):
+        cells = [cell.strip() for cell in line.split("\t")]
+        if not line.strip():
+            continue
+        if not _KEY.fullmatch(cells[0]) or (len(cells) > 1 and number_of(cells[0]) is not None):
+            return _Head(values, events, i)
+        if cells[0] == "EVENT" and len(cells) > 3:
+            time = number_of(cells[3])
+            if time is not None and np.isfinite(time):
+                events.append(Event(cells[1], float(time)))
+        else:
+            values.setdefault(cells[0], cells[1:])
+    return _Head(values, events, len(lines))
+
+
+def _table(lines: list[str], at: int, markers: int) -> tuple[int, int]:
+    """The place of the first row of numbers, and how many columns (Frame, Time) stand before the coordinates."""
+    if at < len(lines) and number_of(lines[at].split("\t")[0]) is None:
+        titles = [cell.strip().casefold() for cell in lines[at].split("\t")]
+        return at + 1, int("frame" in titles[:2]) + int("time" in titles[:2])
+    if at < len(lines):
+        return at, {2: 2, 1: 1}.get(len(lines[at].rstrip("\t").split("\t")) - 3 * markers, 0)
+    return at, 0
+
+
 def write_tsv(path: Path, recording: Recording) -> list[str]:
-    """Write a QTM-like TSV: millimetres, columns Frame and Time, blank where missing. Returns what was lost."""
-    positions, labels, lost = all_points(recording, "TSV", events=True)
+    """Write a QTM-like TSV: millimetres, columns Frame and Time, blank where missing. Returns what the format cannot carry."""
+    positions, labels, omitted = all_points(recording, "TSV", events=True)
     first, times = recording.first_frame, recording.times
     names = [re.sub(r"[\t\r\n]", " ", label) for label in labels]
     head = [
@@ -109,7 +132,7 @@ def write_tsv(path: Path, recording: Recording) -> list[str]:
     rows = ["\t".join(filter(None, (str(first + t), f"{times[t]:.6f}", row))) for t, row in enumerate(body)]
     write_atomically(path, ("\n".join([*head, *rows]) + "\n").encode())
     if recording.vertical[2] < 0.99:
-        lost.append("the vertical: QTM's files are Z up")
+        omitted.append("the vertical: QTM's files are Z up")
     if any(event.context for event in recording.events):
-        lost.append("the sides of events: they stand before the events' names")
-    return lost
+        omitted.append("the sides of events: they stand before the events' names")
+    return omitted

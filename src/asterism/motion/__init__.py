@@ -1,5 +1,5 @@
-"""What happens to points along their paths through time."""
+"""Motion of points along their paths through time."""
 
-from asterism.motion.smoothing import SmoothPaths, smooth_paths
+from asterism.motion.smoothing import SmoothingRules, SmoothPaths, smooth_paths
 
-__all__ = ["SmoothPaths", "smooth_paths"]
+__all__ = ["SmoothPaths", "SmoothingRules", "smooth_paths"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,34 +14,48 @@ BAND = 12
 THIRD = np.array([-1.0, 3.0, -3.0, 1.0])
 
 
+class JerkModel(NamedTuple):
+    """How third differences are distributed.
+
+    floor    m2, their variance that is expected beforehand; it counts as much as `trust` of them
+    weights  (2 h + 1,) of the differences around one in the estimate of its variance
+    rounds   of expectation and maximization
+    """
+
+    floor: float
+    trust: float
+    weights: np.ndarray
+    rounds: int
+
+
 @kernel
-def smooth_path(measured, information, floor, trust, weights, rounds, path, covariance):
+def smooth_path(measured, information, model, path, covariance):
     """One path as the posterior mean of a motion whose jerk changes its strength along the way.
 
     The third differences of the path are normal about 0 with a variance s_t, alike in all axes, which is estimated together with it
     (expectation-maximization): it is what the differences around t are in the mean, `floor` counting as much as `trust` of them.
 
-    IN  measured (n, 3) m, n >= 4; information (n, 6) 1/m2, the inverse covariance of each as (xx, xy, xz, yy, yz, zz)
-        floor m2; trust; weights (2 h + 1,) of the differences around one; rounds
+    IN  measured (n, 3) m, n >= 4; information (n, 6) 1/m2, the inverse covariance of each as (xx, xy, xz, yy, yz, zz); model JerkModel
     OUT path (n, 3) m, covariance (n, 3, 3) m2
     O(rounds * n) time, O(n) memory: all matrices are banded.
     """
+    weights = model.weights
     n = len(measured)
     reach = len(weights) // 2
     lower, inverse, right = np.empty((3 * n, BAND)), np.zeros((3 * n, BAND)), np.empty(3 * n)
     variance, square = np.empty(n - 3), np.empty(n - 3)
     variance[:] = _usual(information)
-    for done in range(rounds):
+    for done in range(model.rounds):
         _normal_equations(measured, information, variance, lower, right)
         _factor(lower)
         _solve(lower, right)
         _invert(lower, inverse)
-        if done == rounds - 1:
+        if done == model.rounds - 1:
             break
         for t in range(n - 3):
             square[t] = _expected_square(right, inverse, t)
         for t in range(n - 3):
-            above, below = trust * floor, trust
+            above, below = model.trust * model.floor, model.trust
             for k in range(max(-reach, -t), min(reach, n - 4 - t) + 1):
                 above += weights[k + reach] * square[t + k]
                 below += 3.0 * weights[k + reach]

@@ -9,7 +9,7 @@ import numpy as np
 
 from asterism._jit import kernel
 from asterism.geometry._kernels import symmetric_inverse
-from asterism.reconstruction._fit_kernels import add_ray, closest_point, fit, fit_and_prune, fit_workspace, set_zero
+from asterism.reconstruction._fit_kernels import FitWorkspace, add_ray, closest_point, fit, fit_and_prune, fit_workspace, set_zero
 from asterism.reconstruction._hypothesis_kernels import append_hypothesis, empty_hypotheses, same_rays
 from asterism.reconstruction._input_kernels import END, FEWEST, FIRST, GATE, NOISE, inside_volume
 from asterism.reconstruction._order_kernels import ascending
@@ -42,6 +42,15 @@ class PairAngles(NamedTuple):
     variances: np.ndarray
 
 
+class ComposeWorkspace(NamedTuple):
+    """What composition works on: epipolar angles of a pair, what is known about each blob, rays (C,) of one hypothesis, and its fit."""
+
+    epipolar: PairAngles
+    blob_index: BlobIndex
+    rays: np.ndarray
+    fit: FitWorkspace
+
+
 @kernel
 def compose(rig, frame):
     """All hypotheses of a frame that are likelier than strays: pairs of blobs that pass the gate, grown through all other cameras.
@@ -59,18 +68,18 @@ def compose(rig, frame):
     found, count, gated = empty_hypotheses(max(16, 2 * blobs), cameras), 0, 0
     index = BlobIndex(np.full(blobs, -1, np.int64), np.zeros(blobs, np.bool_), np.ones(blobs, np.bool_))
     epipolar = PairAngles(np.empty((2, most)), np.empty((2, most)))
-    rays, work = np.empty(cameras, np.int64), fit_workspace()
+    work = ComposeWorkspace(epipolar, index, np.empty(cameras, np.int64), fit_workspace())
     for pair in range(len(rig.pairs)):
-        found, count, passed = _compose_pair(rig, frame, pair, epipolar, index, found, count, rays, work)
+        found, count, passed = _compose_pair(rig, frame, pair, found, count, work)
         gated += passed
     return found, count, gated
 
 
 @kernel
-def _compose_pair(rig, frame, pair, epipolar, index, found, count, rays, work):
+def _compose_pair(rig, frame, pair, found, count, work):
     """Compose all blobs of one camera pair whose epipolar angles agree.
 
-    OUT epipolar; index and found, added to; rays (C,) and work: workspaces
+    OUT found, added to; work ComposeWorkspace
     Returns Hypotheses, how many there are now, and how many pairs of blobs passed the gate.
     """
     a, b = rig.pairs[pair, 0], rig.pairs[pair, 1]
@@ -79,6 +88,7 @@ def _compose_pair(rig, frame, pair, epipolar, index, found, count, rays, work):
     gated = 0
     if many_a == 0 or many_b == 0:
         return found, count, gated
+    epipolar = work.epipolar
     _epipolar_angles(rig, frame, pair, 0, epipolar)
     _epipolar_angles(rig, frame, pair, 1, epipolar)
     angle, variance = epipolar.angles[0], epipolar.variances[0]
@@ -88,7 +98,7 @@ def _compose_pair(rig, frame, pair, epipolar, index, found, count, rays, work):
     while last > 0 and others[order[last - 1]] == np.inf:
         last -= 1
     widest = 0.0
-    for k in range(last):
+    for k in range(many_b):
         widest = max(widest, variances[k])
     gate = rig.limits[GATE]
     for k in range(many_a):
@@ -107,7 +117,7 @@ def _compose_pair(rig, frame, pair, epipolar, index, found, count, rays, work):
                 if miss * miss > gate * gate * (variance[k] + variances[m]):
                     continue
                 gated += 1
-                found, count = _compose_blobs(rig, frame, pair, first_a + k, first_b + m, index, found, count, rays, work)
+                found, count = _compose_blobs(rig, frame, pair, first_a + k, first_b + m, found, count, work)
     return found, count, gated
 
 
@@ -165,17 +175,18 @@ def _first_not_below(values, order, last, limit):
 
 
 @kernel
-def _compose_blobs(rig, frame, pair, i, j, index, found, count, rays, work):
+def _compose_blobs(rig, frame, pair, i, j, found, count, work):
     """Grow blob i of a pair's first camera and blob j of its second, and add the hypothesis unless it is known or unlikely.
 
     Returns Hypotheses and how many there are now.
     """
+    index, rays = work.blob_index, work.rays
     if (index.well_supported[i] and index.well_supported[j]) or _is_composed(rig, pair, i, j, index, found):
         return found, count
-    many, worth = _grow_hypothesis(rig, frame, pair, i, j, index.available, rays, work)
+    many, worth = _grow_hypothesis(rig, frame, pair, i, j, index.available, rays, work.fit)
     if not worth > 0.0 or _is_listed(found, index.head, rays):
         return found, count
-    found = append_hypothesis(found, count, rays, work.point, worth)
+    found = append_hypothesis(found, count, rays, work.fit.point, worth)
     for c in range(len(rays)):
         if rays[c] >= 0:
             found.links[count, c] = index.head[rays[c]]

@@ -12,7 +12,7 @@ from asterism.reconstruction._order_kernels import ascending
 
 MOST_WORK = 5_000_000
 """How many times the search in one component may look at a rival before it stops with the best set found so far, and how many times the
-exchanges that follow may. It bounds a component to about 0.1 s."""
+exchanges that follow may."""
 TOLERANCE = 1e-9
 """nats: a set must be better by more to replace another, so that rounding does not decide."""
 

@@ -21,7 +21,7 @@ from asterism.recording import Floats
 
 @dataclass(frozen=True)
 class SummaryRules:
-    """When a rig or a recording is suspect. Chosen on simulated rings of 3 to 12 cameras, whole and with moved or exchanged cameras.
+    """When a rig or a recording is suspect: see tests/test_camera_fit.py for the rigs that must give a finding, and those that must not.
 
     max_noise         px: blobs of markers are found to a few tenths; more means that the rig is not the recording's, or not what it was
     joint_misfit      beside the camera with the largest systematic residual, those are named that have this share of it: a moved camera

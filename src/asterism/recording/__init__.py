@@ -1,4 +1,4 @@
-"""The nouns of the house: arrays in; recordings, clouds, blobs, labellings and marker sets out."""
+"""The types of the data: arrays in; recordings, clouds, blobs, labellings and marker sets out."""
 
 from asterism.recording.arrays import Floats, Ints, as_vertical
 from asterism.recording.blobs import Blobs

@@ -1,4 +1,4 @@
-"""What all nouns share: array types, the frame rate and the vertical."""
+"""Shared by all types of this package: array types, the frame rate and the vertical."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def as_vertical(vertical: ArrayLike | str) -> Floats:
     if isinstance(vertical, str):
         match = re.fullmatch(r"([+-]?)([xyz])", vertical.strip().casefold())
         if not match:
-            raise AsterismError(f"vertical {vertical!r} is no axis; give x, y, z, -x, -y or -z.")
+            raise AsterismError(f"vertical {vertical!r} is not an axis; give x, y, z, -x, -y or -z.")
         vector = np.zeros(3)
         vector["xyz".index(match[2])] = -1.0 if match[1] == "-" else 1.0
         return vector
@@ -32,10 +32,10 @@ def as_vertical(vertical: ArrayLike | str) -> Floats:
 
 
 def frame_rows(offsets: Ints, cells: Ints) -> tuple[Ints, Ints]:
-    """Where the rows of some cells of a flat array lie, and the cells' new offsets.
+    """The rows of some cells of a flat array, and the offsets of these cells in an array of only these rows.
 
-    offsets (n + 1,): cell i owns the rows offsets[i]:offsets[i + 1]. cells (m,): those wanted, in order.
-    Returns the rows (r,) and the offsets (m + 1,) of the array that these rows make.
+    offsets (n + 1,): cell i has the rows offsets[i]:offsets[i + 1]. cells (m,): the cells to take, in order.
+    Returns the rows (r,) and the new offsets (m + 1,).
     """
     counts = np.diff(offsets)[cells]
     new = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
@@ -44,7 +44,7 @@ def frame_rows(offsets: Ints, cells: Ints) -> tuple[Ints, Ints]:
 
 
 def checked_rate(rate: float) -> float:
-    """A frame rate as a float. Raises AsterismError where it is no positive number."""
+    """A frame rate as a float. Raises AsterismError where it is not a positive number."""
     if not np.isfinite(rate) or rate <= 0:
-        raise AsterismError(f"frame rate {rate} is not a positive number of frames per second; pass the right one.")
+        raise AsterismError(f"frame rate {rate} is not a positive number of frames per second; give the right one.")
     return float(rate)

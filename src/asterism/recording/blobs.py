@@ -1,4 +1,4 @@
-"""Marker images: where synchronised cameras saw something bright, in pixels, without any identity."""
+"""Blobs: bright spots in the images of synchronised cameras, in pixels, without identity."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class Blobs:
     """2D points per frame and camera, in one flat array.
 
     xy       (P, 2) px, OpenCV's axes: the centre of the top left pixel is (0, 0), x to the right, y down; all finite
-    offsets  (T * C + 1,) int: frame t of camera c owns xy[offsets[t * C + c]:offsets[t * C + c + 1]]
+    offsets  (T * C + 1,) int: frame t of camera c has xy[offsets[t * C + c]:offsets[t * C + c + 1]]
     cameras  (C,) camera names
     rate     frames per second
     sizes    (P,) px, diameter of each blob, NaN where unknown
-    times    (T, C) s, when each camera took each frame, NaN where it took none; None where all are triggered together
+    times    (T, C) s, when each camera took each frame, NaN where it took none; None where all cameras are triggered together
     first_frame  the number that the file gives frame 0
     """
 
@@ -49,7 +49,7 @@ class Blobs:
     ) -> Blobs:
         """Blobs from one row per blob, in any order; blobs of one camera and frame keep their order.
 
-        frame (P,) int from 0, camera (P,) int place in `cameras`, xy (P, 2) px, sizes (P,) px; frames: how many there are in all (T),
+        frame (P,) int from 0, camera (P,) int place in `cameras`, xy (P, 2) px, sizes (P,) px; frames: their number (T),
         by default up to the last one with a blob; times (T, C) s. Raises AsterismError where shapes differ, a number is out of range or
         a position is not finite.
         """
@@ -59,7 +59,7 @@ class Blobs:
         if not len(frame) == len(camera) == len(xy) == len(sizes):
             raise AsterismError(f"{len(frame)} frame numbers, {len(camera)} cameras, {len(xy)} positions; give one of each per blob.")
         if not cameras or len(set(cameras)) < len(cameras):
-            raise AsterismError(f"cameras are named {', '.join(cameras) or '(none)'}; give each camera a name of its own.")
+            raise AsterismError(f"cameras are named {', '.join(cameras) or '(none)'}; give each camera another name.")
         if not np.isfinite(xy).all():
             row = int(np.argmax(~np.isfinite(xy).all(axis=1)))
             raise AsterismError(f"frame {frame[row]}, camera {camera[row]}: a blob's position is NaN or infinite; leave it out.")
@@ -80,7 +80,7 @@ class Blobs:
         return (len(self.offsets) - 1) // len(self.cameras)
 
     def select(self, kept: NDArray[np.bool_]) -> Blobs:
-        """Some of the blobs: `kept` (P,) says which. All frames and cameras stay, also those without a blob."""
+        """Some of the blobs: those that `kept` (P,) marks. All frames and cameras stay, also those without a blob."""
         before = np.concatenate([[0], np.cumsum(kept)])
         return replace(self, xy=self.xy[kept], offsets=before[self.offsets].astype(np.int64), sizes=self.sizes[kept])
 
@@ -88,7 +88,7 @@ class Blobs:
         """The blobs of these cameras, in this order. Raises AsterismError where a name is absent."""
         absent = [name for name in cameras if name not in self.cameras]
         if absent or not cameras:
-            raise AsterismError(f"there are no blobs of camera {absent[0] if absent else '(none)'}; there are {', '.join(self.cameras)}.")
+            raise AsterismError(f"there is no camera {absent[0] if absent else '(none)'}; the blobs are of {', '.join(self.cameras)}.")
         at = np.array([self.cameras.index(name) for name in cameras], dtype=np.int64)
         return self._cells(np.arange(len(self)), at)
 

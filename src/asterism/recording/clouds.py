@@ -1,4 +1,4 @@
-"""Unlabelled points, and the labels that they are given."""
+"""Unlabelled points of each frame, and labels for them."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class Clouds:
     """Unlabelled points, frame by frame, in one flat array.
 
     xyz       (P, 3) m, all points of all frames one after the other, all finite
-    offsets   (T + 1,) int: frame t owns xyz[offsets[t]:offsets[t + 1]]
+    offsets   (T + 1,) int: frame t has xyz[offsets[t]:offsets[t + 1]]
     rate      frames per second
     vertical  (3,) unit vector, up
-    columns   (P,) int: the column of the recording that each point came from, -1 where it came from none
-    tracks    (P,) int: the track that the camera system put each point into, -1 for none; or None where it gave no tracks at all.
-              A track holds at most one point of a frame; it is a hint that may be wrong, never an identity
+    columns   (P,) int: the column of the recording that each point came from, -1 where it came from no column
+    tracks    (P,) int: the track of each point by the camera system, -1 for none; None where the system gave no tracks.
+              A track has at most one point in a frame. It may jump from one marker to another
     """
 
     xyz: Floats
@@ -89,7 +89,7 @@ class Clouds:
         return np.repeat(np.arange(len(self)), self.counts)
 
     def select(self, kept: NDArray[np.bool_]) -> Clouds:
-        """The clouds with some of their points: `kept` (P,) says which. All frames stay, also those without a point."""
+        """The clouds with the points that `kept` (P,) marks. All frames stay, also those without a point."""
         before = np.concatenate([[0], np.cumsum(kept)])
         return replace(
             self,
@@ -132,13 +132,13 @@ def _index(which: Any) -> Any:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What each point of clouds rests on, where cameras made it.
+    """The evidence of each point of clouds that cameras measured.
 
     residual      (P,) px, its reprojection error: RMS over its cameras of the distance between blob and projection
     covariance    (P, 3, 3) m2
-    cameras       (P, C) bool: those that it was made from
+    cameras       (P, C) bool: whether the point was computed from this camera
     camera_names  (C,)
-    depth_scale   (P,) m/px: how far a pixel of residual is at the point, the mean over its cameras
+    depth_scale   (P,) m/px: the length at the point that a pixel shows, mean over its cameras
     """
 
     residual: Floats
@@ -153,9 +153,9 @@ class Labelling:
     """Which candidate of its frame's cloud each marker is (the thesis' L, section 4.1).
 
     indices     (T, M) int, the candidate's place in the frame, -1 for none ("I do not know" or occluded)
-    confidence  (T, M) in [0, 1]: the probability that this entry is right; for -1, the confidence of the best candidate that was not given
+    confidence  (T, M) in [0, 1]: the probability that this entry is right; for -1, that of the best candidate, which was not accepted
     names       (M,) marker names
-    candidates  (T, M) int, for -1 the place of the best candidate that was not given, -1 for none; None where nobody kept them
+    candidates  (T, M) int, for -1 the place of the best candidate, which was not accepted, or -1; None where they were not kept
     """
 
     indices: Ints
@@ -194,5 +194,5 @@ def _checked_tracks(tracks: Iterable[ArrayLike], counts: Ints) -> Ints:
             raise AsterismError(f"frame {t}: track numbers are {frame.dtype}, expected whole numbers; -1 is for none.")
         numbered = frame[frame >= 0]
         if len(np.unique(numbered)) < len(numbered):
-            raise AsterismError(f"frame {t}: two points have the same track number; a track holds one point of a frame.")
+            raise AsterismError(f"frame {t}: two points have the same track number; a track has at most one point in a frame.")
     return np.concatenate([np.zeros(0, dtype=np.int64), *(frame.ravel().astype(np.int64) for frame in frames)])

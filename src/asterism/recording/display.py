@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from html import escape
 
 Rows = Sequence[tuple[str, str]]
-"""What there is to say about an object: names and values."""
+"""What is shown of an object: names and values."""
 
 
 def as_text(name: str, rows: Rows) -> str:
@@ -25,7 +25,7 @@ def as_html(name: str, rows: Rows) -> str:
 
 
 def listed(names: Sequence[str], most: int = 6) -> str:
-    """The first names of a list, and how many there are in all: "LASI, RASI, ... (15)"."""
+    """The first names of a list, and their number: "LASI, RASI, ... (15)"."""
     shown = ", ".join(names[:most])
     return shown if len(names) <= most else f"{shown}, ... ({len(names)})"
 

@@ -1,4 +1,4 @@
-"""Marker sets: which markers a body wears, what laboratories call them, and which labels name nothing."""
+"""Marker sets: the markers of a body, their spellings in files, and which labels only number a point."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _UNNAMED = re.compile(
 
 @dataclass(frozen=True)
 class MarkerSet:
-    """Which markers a body wears, and what laboratories call them.
+    """The markers of a body, and their spellings in files.
 
-    names     marker names in order: the columns of every `Labelling` made with this set
-    aliases   for each name its other spellings; case, punctuation and a subject prefix never matter
+    names     marker names in order: the columns of every `Labelling` with this set
+    aliases   for each name its other spellings; case, punctuation and a subject prefix are ignored
     pairs     (left, right) names that mirror each other
     segments  segment name -> names of the markers on it
     """
@@ -51,11 +51,11 @@ class MarkerSet:
         if len(set(self.names)) != len(self.names):
             twice = next(name for name in self.names if self.names.count(name) > 1)
             raise AsterismError(f"marker set {self.title or '(unnamed)'}: {twice} is listed twice; keep it once.")
-        strangers = {m for pair in self.pairs for m in pair} | {m for ms in self.segments.values() for m in ms}
-        strangers = (strangers | set(self.aliases)) - set(self.names)
-        if strangers:
+        unlisted = {m for pair in self.pairs for m in pair} | {m for ms in self.segments.values() for m in ms}
+        unlisted = (unlisted | set(self.aliases)) - set(self.names)
+        if unlisted:
             raise AsterismError(
-                f"marker set {self.title or '(unnamed)'}: {sorted(strangers)[0]} is named in aliases, pairs or segments "
+                f"marker set {self.title or '(unnamed)'}: {sorted(unlisted)[0]} is named in aliases, pairs or segments "
                 "but not among the markers; add it there or drop it here."
             )
 
@@ -67,13 +67,13 @@ class MarkerSet:
         return {canonical(s): name for name in self.names for s in (name, *self.aliases.get(name, ()))}
 
     def name_of(self, label: str) -> str | None:
-        """The marker that a file's label means, or None. A subject prefix ("Ann:LKNE", "Ann_LKNE:") is looked through."""
+        """The marker that a file's label means, or None. A subject prefix ("Ann:LKNE", "Ann_LKNE:") is ignored."""
         return self._name_of_spelling.get(canonical(label)) or self._name_of_spelling.get(canonical(without_subject(label)))
 
     def columns_of(self, labels: Sequence[str]) -> Ints:
-        """For each marker the column that carries its label: (M,), -1 where there is none.
+        """For each marker the column that carries its label: (M,), -1 where no column does.
 
-        Raises AsterismError where two columns claim one marker: it would be a guess which of them is right.
+        Raises AsterismError where two columns have one marker's label.
         """
         columns = np.full(len(self.names), -1, dtype=np.int64)
         index = {name: i for i, name in enumerate(self.names)}
@@ -90,7 +90,7 @@ class MarkerSet:
 
     @classmethod
     def load(cls, source: str | Path | MarkerSet | Sequence[str]) -> MarkerSet:
-        """A shipped set by name ("helen-hayes"), a TOML file by path, a list of names, or a set as it is.
+        """A shipped set by name ("helen-hayes"), a TOML file by path, a list of names, or a marker set.
 
         Raises AsterismError where the name is not shipped, or the file is missing or not a marker set.
         """
@@ -122,7 +122,7 @@ class MarkerSet:
             )
         except (tomllib.TOMLDecodeError, KeyError, TypeError, ValueError) as problem:
             raise AsterismError(
-                f"{origin} is not a marker set ({problem}); it is TOML with a list `markers`, perhaps `aliases`, `pairs` and `segments`."
+                f"{origin} is not a marker set ({problem}); it is TOML with a list `markers`, if needed `aliases`, `pairs` and `segments`."
             ) from problem
 
 
@@ -133,12 +133,12 @@ def shipped_marker_sets() -> tuple[str, ...]:
 
 
 def canonical(label: str) -> str:
-    """A label without case and punctuation: R.ASIS, r_asis and RASIS are one."""
+    """A label without case and punctuation: R.ASIS, r_asis and RASIS give the same."""
     return re.sub(r"[^\w*]|_", "", label.casefold())
 
 
 def is_unnamed(label: str) -> bool:
-    """Whether a label only counts points that nobody named: *12, uname*3, U7, Unlabeled:108, 20100, Unidentified, or nothing at all."""
+    """Whether a label only numbers an unnamed point: *12, uname*3, U7, Unlabeled:108, 20100, Unidentified, or nothing at all."""
     return _UNNAMED.fullmatch(without_subject(label).strip()) is not None
 
 

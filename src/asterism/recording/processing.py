@@ -33,7 +33,7 @@ def log_as_text(log: Sequence[ProcessingStep]) -> str:
 
 
 def log_from_text(text: str) -> tuple[ProcessingStep, ...]:
-    """The processing log that `log_as_text` wrote; empty where the text is something else, since no file is refused for its log."""
+    """The processing log that `log_as_text` wrote; empty for any other text: a damaged log makes no file unreadable."""
     try:
         steps = json.loads(text)
         return tuple(ProcessingStep(str(action), str(by), dict(settings)) for action, by, settings in steps)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 class Event:
     """Something that happens at one instant of a recording, such as a heel strike.
 
-    `time` is in seconds on the file's own clock (0 is the first sample of the trial, which need not be the first frame
+    `time` is in seconds on the file's clock (0 is the first sample of the trial, which need not be the first frame
     that is stored); `context` is the side or subject that the file names ("Left", "Right", "General", or empty).
     """
 
@@ -39,12 +39,12 @@ class Recording:
     """Labelled positions over time, and everything that must survive until they are written again.
 
     positions  (T, M, 3) m, NaN where missing
-    labels     (M,) names of the columns; markers of a set, or a file's own names
+    labels     (M,) names of the columns; markers of a set, or the names in a file
     rate       frames per second
     vertical   (3,) unit vector, up
     events     instants that the file marks
-    metadata   plain values worth showing: file, format, units, subject, ...; `first_time`, in seconds, where a file
-               gives its first frame another time than (first_frame - 1) / rate
+    metadata   values worth showing: file, format, units, subject, ...; `first_time`, in seconds, where a file
+               gives its first frame another time than (first_frame - 1) / rate; `findings`, what its reader found out about a file
     source     the file's whole content as its format keeps it, or None (belongs to `formats`)
     origin     (T, M) int: the point column of `source` that each sample came from, -1 where it came from none
     taken      the point columns of `source` that this recording stands for: a writer replaces those and keeps the others
@@ -100,8 +100,8 @@ class Recording:
 
     def _facts(self) -> Rows:
         file = str(self.metadata.get("file", ""))
-        there = self.visible
-        missing = f"{100 * (1 - there.mean()):.2g} % of the samples" if there.size and not there.all() else ""
+        visible = self.visible
+        missing = f"{100 * (1 - visible.mean()):.2g} % of the samples" if visible.size and not visible.all() else ""
         return (
             ("file", file),
             ("frames", duration(len(self), self.rate)),
@@ -160,7 +160,7 @@ class Recording:
 
     @property
     def visible(self) -> NDArray[np.bool_]:
-        """(T, M) whether a sample is there."""
+        """(T, M) whether a sample is present."""
         return ~np.isnan(self.positions[:, :, 0])
 
     def clouds(self) -> Clouds:
@@ -192,7 +192,7 @@ class Recording:
         )
 
     def frames(self, which: slice | Sequence[int] | NDArray[Any]) -> Recording:
-        """Some of the frames as a recording of its own, without the source file (its analog data would no longer fit).
+        """Some of the frames as a new recording, without the source file (its analog data would no longer fit).
 
         `first_frame`, times and events follow. Frames at equal steps, such as every second one, keep the clock, and the rate falls with
         the step. Any other choice joins pieces: their frames follow each other at the old rate, and each event stays at its frame.
@@ -218,9 +218,9 @@ class Recording:
         """This recording's points under the labels that `labelling` gives them.
 
         The columns are the labelling's markers, then, as unlabelled columns *1, *2, ..., the samples that no marker took, each
-        still apart from samples of other columns: nothing is lost. With `keep_names` such a column that had a name keeps it, as
-        long as no marker has it. `clouds` are the clouds that were labelled, by default `self.clouds()`. What the recording carries
-        besides (source, events, metadata) goes on, and `by`, such as the model's file, goes into the processing log.
+        still apart from samples of other columns. With `keep_names`, such a column that had a name keeps it, if no marker has
+        that name. `clouds` are the clouds that were labelled, by default `self.clouds()`. The source, events and metadata stay,
+        and `by`, such as the model's file, goes into the processing log.
         Raises AsterismError where the clouds are not this recording's.
         """
         clouds = self.clouds() if clouds is None else clouds
@@ -243,8 +243,8 @@ class Recording:
         rest_origin = np.where(np.isnan(left[:, rest, 0]), -1, origin[:, rest])
         names = [f"*{i + 1}" for i in range(len(rest))]
         if keep_names:
-            own = [self.labels[column] for column in rest]
-            names = [new if is_unnamed(old) or old in labelling.names else old for new, old in zip(names, own, strict=True)]
+            before = [self.labels[column] for column in rest]
+            names = [new if is_unnamed(old) or old in labelling.names else old for new, old in zip(names, before, strict=True)]
         return replace(
             self,
             positions=np.concatenate([positions, left[:, rest]], axis=1),
@@ -273,7 +273,7 @@ def keep_labels(labelling: Labelling, recording: Recording, clouds: Clouds, mark
     marker_set  its names are the labelling's, in order; its aliases say which of the recording's labels mean a marker
 
     Where a column of the recording is a marker of the set, its samples are that marker, with confidence 1. A label of the model
-    yields where it names such a sample otherwise, gives the marker another point, or falls on a column with a name of its own.
+    is removed where it gives such a sample another name, gives the marker another point, or is on a column that has a name.
     Raises AsterismError where two columns of the recording claim one marker.
     """
     indices, confidence = labelling.indices.copy(), labelling.confidence.copy()
@@ -288,8 +288,8 @@ def keep_labels(labelling: Labelling, recording: Recording, clouds: Clouds, mark
 
     given_frames, given_markers = np.nonzero(indices >= 0)
     points = clouds.offsets[given_frames] + indices[given_frames, given_markers]
-    yields = named[clouds.columns[points]]
-    indices[given_frames[yields], given_markers[yields]] = NULL
+    removed = named[clouds.columns[points]]
+    indices[given_frames[removed], given_markers[removed]] = NULL
     indices[frames, markers] = kept - clouds.offsets[frames]
     confidence[frames, markers] = 1.0
     return replace(labelling, indices=indices, confidence=confidence)

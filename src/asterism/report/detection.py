@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from asterism.findings import Severity, worst
 from asterism.recording import Floats
 from asterism.report import figures
 from asterism.report.page import Cell, Page, Section, Table, count, percent, write_page
@@ -28,7 +29,7 @@ def detection_report(
 
     Raises AsterismError where the file cannot be written.
     """
-    cameras, blobs = detection.cameras, detection.blobs
+    cameras, blobs, findings = detection.cameras, detection.blobs, detection.findings
     seconds = np.arange(len(blobs)) / blobs.rate
     step = figures.frames_per_column(len(blobs))
     starts = np.arange(0, len(blobs), step)
@@ -40,7 +41,7 @@ def detection_report(
     sections = [
         Section(
             "What each camera sees",
-            "One image of each camera; circles are blobs, as wide as they were measured. Amber: doubtful, because it overlaps another, is "
+            "One image of each camera; circles are blobs, as wide as they were measured. Amber: flagged, because it overlaps another, is "
             "cut by the image's edge or is not round.",
             figure=_contact_sheet(cameras),
         ),
@@ -57,9 +58,9 @@ def detection_report(
         (count(len(blobs)), "frames", ""),
         (count(len(blobs.xy)), "blobs", ""),
         (count(missing), "images missing", "bad" if missing else "good"),
-        (str(len(detection.problems)), "problems", "bad" if detection.problems else "good"),
+        (str(len(findings)), "findings", "bad" if worst(findings) > Severity.NOTE else "good"),
     ]
-    lead = " ".join(detection.problems) or "Nothing is wrong with the images."
+    lead = " ".join(map(str, findings)) or "Nothing is wrong with the images."
     write_page(path, Page(title, lead, settings or {}, merits, sections))
 
 
@@ -110,7 +111,7 @@ def _contact_sheet(cameras: tuple[CameraImages, ...]) -> figures.Figure:
             {"source": _picture(camera), "xref": x, "yref": y, "x": -0.5, "y": -0.5, "sizex": wide, "sizey": tall, "layer": "below"}
             | {"sizing": "stretch"}
         )
-        text = f"{camera.name}, image {camera.sample_frame}: {len(camera.spots)} blobs"
+        text = f"{camera.name}, image {camera.sample_frame}: {len(camera.sample_blobs)} blobs"
         layout["annotations"].append(
             {"text": text, "xref": f"{x} domain", "yref": f"{y} domain", "x": 0, "y": 1, "yanchor": "bottom", "xanchor": "left"}
             | {"showarrow": False}
@@ -121,19 +122,19 @@ def _contact_sheet(cameras: tuple[CameraImages, ...]) -> figures.Figure:
 
 
 def _circles(camera: CameraImages, x: str, y: str) -> list[Mapping[str, Any]]:
-    """The blobs of the sample image as circles in its own pixels: sure ones and doubtful ones."""
+    """The blobs of the sample image as circles in its own pixels: those without a flag and those with one."""
     turn = np.append(np.linspace(0, 2 * np.pi, 17), np.nan)
     traces: list[Mapping[str, Any]] = []
-    spots = camera.spots
-    for doubtful, colour in ((False, "#2ad4c4"), (True, "#ffb000")):
-        these = (spots.flags > 0) == doubtful
-        radius = np.maximum(0.5 * spots.size[these] + 2.0, 0.007 * camera.size[0])
+    blobs = camera.sample_blobs
+    for flagged, colour in ((False, "#2ad4c4"), (True, "#ffb000")):
+        these = (blobs.flags > 0) == flagged
+        radius = np.maximum(0.5 * blobs.size[these] + 2.0, 0.007 * camera.size[0])
         traces.append(
             {
                 "type": "scatter",
                 "mode": "lines",
-                "x": np.round(spots.xy[these, 0, None] + radius[:, None] * np.cos(turn), 1).ravel(),
-                "y": np.round(spots.xy[these, 1, None] + radius[:, None] * np.sin(turn), 1).ravel(),
+                "x": np.round(blobs.xy[these, 0, None] + radius[:, None] * np.cos(turn), 1).ravel(),
+                "y": np.round(blobs.xy[these, 1, None] + radius[:, None] * np.sin(turn), 1).ravel(),
                 "xaxis": x,
                 "yaxis": y,
                 "line": {"color": colour, "width": 2},
@@ -148,7 +149,7 @@ def _picture(camera: CameraImages) -> str:
     import cv2
 
     image = camera.sample.astype(np.float64)
-    above = max(2.0 * camera.threshold, float(np.median(camera.spots.peak)) if len(camera.spots) else 0.0, 1.0)
+    above = max(2.0 * camera.threshold, float(np.median(camera.sample_blobs.peak)) if len(camera.sample_blobs) else 0.0, 1.0)
     bright = float(np.median(image)) + above
     grey = np.clip(255.0 * image / bright, 0, 255).astype(np.uint8)
     scale = min(1.0, _WIDEST / grey.shape[1])
@@ -188,7 +189,7 @@ def _table(cameras: tuple[CameraImages, ...]) -> Table:
             percent(camera.saturated / max(camera.blobs, 1)),
             count(camera.at_border),
             f"{percent(camera.masked)} in {camera.masked_places}",
-            Cell(count(camera.behind), float(abs(camera.behind) >= 1), "bad"),
+            Cell(count(camera.lag_frames), float(abs(camera.lag_frames) >= 1), "bad"),
         ]
         for camera in cameras
     ]

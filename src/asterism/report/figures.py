@@ -19,6 +19,19 @@ CONFIDENCE_SHADES = ((0.0, "#d8eef0"), (0.25, "#a5d8dc"), (0.5, "#5fb6be"), (0.7
 COLUMNS = 600
 """The most columns of a timeline; longer recordings are drawn by blocks of frames."""
 
+_LEVEL_BAR = {
+    "tickvals": [HIDDEN, UNSURE, 0, 1, 2, 3, 4],
+    "ticktext": ["hidden", "unsure", "0 %", "90 %", "99 %", "99.9 %", "99.99 %"],
+    "thickness": 12,
+    "outlinewidth": 0,
+    "orientation": "h",
+    "y": 1.01,
+    "yanchor": "bottom",
+    "tickfont": {"size": 11},
+    "ticklabelposition": "outside top",
+}
+"""The scale beside a timeline: what its colours mean."""
+
 
 def figure(data: Sequence[Mapping[str, Any]], height: int, **layout: Any) -> Figure:
     """A figure in the style of all pages; `layout` adds to it or overrides it."""
@@ -72,17 +85,7 @@ def timeline(
             "colorscale": _level_colors(low, high),
             "ygap": 1,
             "hovertemplate": "%{y}, %{x:.2f} s: %{text}<extra></extra>",
-            "colorbar": {
-                "tickvals": [HIDDEN, UNSURE, 0, 1, 2, 3, 4],
-                "ticktext": ["hidden", "unsure", "0 %", "90 %", "99 %", "99.9 %", "99.99 %"],
-                "thickness": 12,
-                "outlinewidth": 0,
-                "orientation": "h",
-                "y": 1.01,
-                "yanchor": "bottom",
-                "tickfont": {"size": 11},
-                "ticklabelposition": "outside top",
-            },
+            "colorbar": _LEVEL_BAR,
         }
     ]
     if wrong is not None and wrong.any():

@@ -23,7 +23,7 @@ NOTHING = "–"
 
 @dataclass(frozen=True)
 class Cell:
-    """A table's cell: its text, how strongly it is tinted (0 to 1), and with which of the page's tints ("warn", "bad")."""
+    """A table's cell: its text, the strength of its tint (0 to 1), and which of the page's tints it is ("warn", "bad")."""
 
     text: str
     tint: float = 0.0
@@ -64,17 +64,17 @@ class Page:
 
 
 def write_page(path: str | Path, page: Page) -> None:
-    """Render the page and put it at `path` in one go. Raises AsterismError where the file cannot be written."""
+    """Render the page and write it to `path`, completely or not at all. Raises AsterismError where the file cannot be written."""
     target = Path(path)
     figures = {f"figure-{i}": s.figure for i, s in enumerate(page.sections) if s.figure is not None}
     scenes = {f"scene-{i}": s.scene for i, s in enumerate(page.sections) if s.scene is not None}
     environment = Environment(
         loader=PackageLoader("asterism.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    made = {"Asterism": _version(), **page.facts, "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")}
+    facts = {"Asterism": _version(), **page.facts, "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")}
     html = environment.get_template("page.html").render(
         page=page,
-        facts={name: _told(value) for name, value in made.items() if value is not None},
+        facts={name: _fact_text(value) for name, value in facts.items() if value is not None},
         style=_template("page.css"),
         script=_template("page.js"),
         plotly=_plotly() if figures or scenes else "",
@@ -118,7 +118,7 @@ def plain(value: Any) -> Any:
     return value
 
 
-def _told(value: Any) -> str:
+def _fact_text(value: Any) -> str:
     return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 

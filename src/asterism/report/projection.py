@@ -1,4 +1,4 @@
-"""Points of one frame in; out comes a figure that shows them from the side and from the front, with their names."""
+"""Points of one frame in; a figure that shows them from the side and from the front, with their names, out."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from asterism.recording import Clouds, Floats
 from asterism.report import figures
 
 _SECONDS_AROUND = 0.5
-_WALKS = 0.2
+_MIN_SPEED = 0.2
 _MARGIN = 0.12
 _LEAST_HALF = 0.6
 
 
 @dataclass(frozen=True)
 class Dots:
-    """Points of one look and legend entry: xyz (N, 3) m in the recording's axes, one text each; `path` joins them by a line."""
+    """Points with one style and legend entry: xyz (N, 3) m in the recording's axes, one text each; `path` joins them by a line."""
 
     name: str
     xyz: Floats
@@ -30,24 +30,24 @@ class Dots:
 
 
 def travel(clouds: Clouds, frame: int) -> Floats:
-    """(3,) the horizontal unit vector in which the cloud moves around a frame; where it stands, the direction in which it is flattest."""
+    """(3,) the horizontal unit vector in which the cloud travels around a frame; where it does not, the one along which it is thinnest."""
     reach = max(1, round(_SECONDS_AROUND * clouds.rate))
     some = [t for t in range(max(0, frame - reach), min(len(clouds), frame + reach + 1)) if clouds.counts[t]]
     up = clouds.vertical
     if len(some) >= 2:
-        way = np.median(clouds[some[-1]], axis=0) - np.median(clouds[some[0]], axis=0)
-        way = way - up * (way @ up)
-        if np.linalg.norm(way) * clouds.rate >= _WALKS * (some[-1] - some[0]):
-            return way / np.linalg.norm(way)
+        path = np.median(clouds[some[-1]], axis=0) - np.median(clouds[some[0]], axis=0)
+        path = path - up * (path @ up)
+        if np.linalg.norm(path) * clouds.rate >= _MIN_SPEED * (some[-1] - some[0]):
+            return path / np.linalg.norm(path)
     level = np.linalg.svd(np.stack([up, np.zeros(3), np.zeros(3)]))[2][1:]
     flat = (clouds[frame] - clouds[frame].mean(axis=0)) @ level.T if clouds.counts[frame] else np.zeros((1, 2))
     return np.linalg.svd(flat)[2][1] @ level
 
 
 def two_views(groups: Sequence[Dots], vertical: Floats, ahead: Floats, height: int = 420) -> figures.Figure:
-    """A figure: left from the subject's right side, so that it walks to the right; right from the front, its left side on the right.
+    """A figure with two views: left from the subject's right side, so that it walks to the right; right from the front.
 
-    Both views have one scale; the origin is the middle of all points on the floor plan, the lowest of them in height. m
+    Both views have one scale, in metres. The origin is the middle of all points on the floor plan, at the height of the lowest.
     """
     left = np.cross(vertical, ahead)
     every = np.concatenate([dots.xyz for dots in groups if len(dots.xyz)] or [np.zeros((1, 3))])
@@ -94,6 +94,6 @@ def two_views(groups: Sequence[Dots], vertical: Floats, ahead: Floats, height: i
 
 
 def _sides(across: Floats, height: Floats, alternate: bool) -> list[str]:
-    """On which side of its point each text stands: outwards, or left and right in turn from the top down."""
+    """On which side of its point each text is: outwards, or left and right by turns from the top down."""
     to_the_left = np.argsort(np.argsort(-height, kind="stable"), kind="stable") % 2 == 0 if alternate else across < 0
     return ["middle left" if left else "middle right" for left in to_the_left]

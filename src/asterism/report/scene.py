@@ -1,4 +1,4 @@
-"""A labelling and its clouds in; out comes what the page needs to show the body moving in 3D."""
+"""A labelling and its clouds in; the data with which the page shows the moving body in 3D out."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from asterism.geometry import rotate_z_up
 from asterism.recording import Clouds, Floats, Labelling, MarkerSet, canonical, shipped_marker_sets
 
 FRAMES = 200
-"""At most so many frames go into a page."""
+"""The most frames in a page."""
 LONGEST_BONE = 0.65
+"""m, the longest line between two markers."""
 REST_POINTS = 150
-"""At most so many unlabelled points are drawn per frame."""
+"""The most unlabelled points that are drawn in a frame."""
 
 
 def known_set(names: Sequence[str]) -> MarkerSet | None:
@@ -37,24 +38,24 @@ def scene(labelling: Labelling, clouds: Clouds, marker_set: MarkerSet | None, wr
     if not seen.any():
         return None
     marker_set = marker_set or known_set(labelling.names)
-    follow = _follow(labelled, seen)
-    labelled = labelled - follow[:, None]
+    origin = _body_position(labelled, seen)
+    labelled = labelled - origin[:, None]
     frames = _frames(seen, clouds.rate)
     ranges = _ranges(labelled[seen])
     rest = []
     for t in frames:
         taken = labelling.indices[t][labelling.indices[t] >= 0]
-        left = rotate_z_up(np.delete(clouds[int(t)], taken, axis=0), clouds.vertical) - follow[t]
+        left = rotate_z_up(np.delete(clouds[int(t)], taken, axis=0), clouds.vertical) - origin[t]
         near = ((left > ranges[:, 0]) & (left < ranges[:, 1])).all(axis=1)
         rest.append(_millimetres(left[near][:REST_POINTS]))
     mistaken = wrong if wrong is not None else np.zeros(seen.shape, dtype=bool)
     sides = _sides(labelling.names, marker_set)
-    there = {*sides, *(["wrong"] if mistaken[frames].any() else []), *(["rest"] if any(rest) else [])}
+    shown = {*sides, *(["wrong"] if mistaken[frames].any() else []), *(["rest"] if any(rest) else [])}
     return {
         "names": list(labelling.names),
         "named": len(labelling.names) <= 20,
         "side": sides,
-        "shown": sorted(there),
+        "shown": sorted(shown),
         "bones": _bones(labelled, seen, labelling.names, marker_set),
         "points": [_millimetres(labelled[t]) for t in frames],
         "rest": rest,
@@ -68,8 +69,8 @@ def scene(labelling: Labelling, clouds: Clouds, marker_set: MarkerSet | None, wr
     }
 
 
-def _follow(labelled: Floats, seen: NDArray[np.bool_]) -> Floats:
-    """(T, 3) m: the place on the floor above which the body is, smoothed; its height is the lowest marker of all."""
+def _body_position(labelled: Floats, seen: NDArray[np.bool_]) -> Floats:
+    """(T, 3) m: the place on the floor below the body, smoothed; its height is that of the lowest markers in the recording."""
     some = np.nonzero(seen.any(axis=1))[0]
     middle = np.array([np.median(labelled[t, seen[t]], axis=0) for t in some])
     every = np.arange(len(labelled))
@@ -80,14 +81,14 @@ def _follow(labelled: Floats, seen: NDArray[np.bool_]) -> Floats:
 
 
 def _frames(seen: NDArray[np.bool_], rate: float) -> NDArray[np.int64]:
-    """Frames to show: from the first with labels on, some 25 per second; sparser where that would be too many."""
+    """Frames to show, from the first with labels: about 25 per second, fewer where that would be more than FRAMES."""
     some = np.nonzero(seen.any(axis=1))[0]
     step = max(1, round(rate / 25), -(-(some[-1] + 1 - some[0]) // FRAMES))
     return np.arange(some[0], some[-1] + 1, step)
 
 
 def _ranges(points: Floats) -> Floats:
-    """(3, 2) m: what holds nearly all points, with a margin."""
+    """(3, 2) m: the box that holds nearly all points, with a margin."""
     low, high = np.percentile(points, 0.5, axis=0), np.percentile(points, 99.5, axis=0)
     margin = np.array([0.15, 0.15, 0.1])
     return np.round(np.stack([low - margin, high + margin], axis=1), 3)
@@ -106,20 +107,20 @@ def _sides(names: Sequence[str], marker_set: MarkerSet | None) -> list[str]:
 
 
 def _bones(labelled: Floats, seen: NDArray[np.bool_], names: Sequence[str], marker_set: MarkerSet | None) -> list[list[int]]:
-    """Pairs of markers to join by a line: those of one segment first, then those whose distance is short and changes least."""
+    """Pairs of markers to join by a line: those of one segment first, then pairs with a short distance that changes little."""
     some = np.nonzero(seen.any(axis=1))[0]
     some = some[:: max(1, len(some) // 200)]
     gaps = np.linalg.norm(labelled[some][:, :, None] - labelled[some][:, None], axis=3)
     known = np.isfinite(gaps)
-    often = known.sum(axis=0) >= max(3, len(some) // 10)
+    frequent = known.sum(axis=0) >= max(3, len(some) // 10)
     number = np.maximum(known.sum(axis=0), 1)
     mean = np.where(known, gaps, 0.0).sum(axis=0) / number
     spread = np.sqrt(np.where(known, (gaps - mean) ** 2, 0.0).sum(axis=0) / number)
     cost = 1e-6 + spread + 0.15 * mean
     index = {canonical(name): i for i, name in enumerate(names)}
     for members in marker_set.segments.values() if marker_set else ():
-        own = [index[canonical(name)] for name in members if canonical(name) in index]
-        cost[np.ix_(own, own)] *= 0.01
-    cost[~often | (mean > LONGEST_BONE)] = 0.0
+        segment = [index[canonical(name)] for name in members if canonical(name) in index]
+        cost[np.ix_(segment, segment)] *= 0.01
+    cost[~frequent | (mean > LONGEST_BONE)] = 0.0
     np.fill_diagonal(cost, 0.0)
     return [[int(a), int(b)] for a, b in zip(*minimum_spanning_tree(np.triu(cost)).nonzero(), strict=True)]

@@ -1,8 +1,8 @@
-"""A number of subjects in; out come recordings of people who never lived, with known truth: for the demo, tests and benchmarks."""
+"""Simulated recordings of people, with known truth: for the demo, tests and benchmarks."""
 
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts, simulate_occlusions
 from asterism.simulation.body import simulated_markers
-from asterism.simulation.compared import PointErrors, RigErrors, compare_points, compare_rigs
+from asterism.simulation.comparison import PointErrors, RigErrors, compare_points, compare_rigs
 from asterism.simulation.walks import simulate_standing, simulate_walks
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""A random generator in; out comes a body: the sizes of its segments and the places of the markers on its skin.
+"""A random generator in; a body out: the sizes of its segments and the positions of the markers on its skin.
 
 Every segment has axes x forward, y left, z up when the body stands upright with hanging arms. The tables give a body of
 `REFERENCE_HEIGHT` in metres, left side only: the right side mirrors y. Lengths are rounded shares of stature near those of

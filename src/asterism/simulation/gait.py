@@ -1,4 +1,4 @@
-"""A body and the phase of its gait in; out come the places and rotations of its segments in every frame.
+"""A body and the phase of its gait in; positions and rotations of its segments in every frame out.
 
 The joint angles are periodic curves through round numbers near those of normal gait in textbooks (degrees, every 10 % of the
 cycle, which starts with the foot strike); each walker bends them in a way of its own. Axes: x ahead, y left, z up.
@@ -95,19 +95,19 @@ def pose(body: Body, style: Style, phase: Floats, foot_turn: tuple[Floats, Float
     pelvis_at[:, 1] = style.sway * np.sin(2 * np.pi * (phase - 0.06))
     segments = {"pelvis": (pelvis, pelvis_at)}
     soles = np.empty((frames, 4, 3))
-    for side, sign, own in (("left", 1.0, 0), ("right", -1.0, 1)):
+    for side, sign, place in (("left", 1.0, 0), ("right", -1.0, 1)):
         hip = pelvis_at + pelvis @ np.array([0.0, sign * lengths["hips"] / 2, 0.0])
         swing, bend, pitch = angle["hip"][side] - tilt, np.maximum(angle["knee"][side], 0.0), angle["foot"][side]
         reach = lengths["thigh"] * np.cos(swing) + lengths["shank"] * np.cos(swing - bend)
         sideways = np.arctan2(sign * style.step_width / 2 - hip[:, 1], reach)
-        thigh = _about("x", sideways) @ _about("y", -swing) @ _about("z", 0.5 * foot_turn[own] + sign * 0.4 * style.toe_out)
+        thigh = _about("x", sideways) @ _about("y", -swing) @ _about("z", 0.5 * foot_turn[place] + sign * 0.4 * style.toe_out)
         knee = hip + thigh @ np.array([0.0, 0.0, -lengths["thigh"]])
         shank = thigh @ _about("y", bend)
         ankle = knee + shank @ np.array([0.0, 0.0, -lengths["shank"]])
-        foot = _about("z", foot_turn[own] + sign * style.toe_out) @ _about("y", -pitch)
+        foot = _about("z", foot_turn[place] + sign * style.toe_out) @ _about("y", -pitch)
         segments |= {f"{side} thigh": (thigh, hip), f"{side} shank": (shank, knee), f"{side} foot": (foot, ankle)}
-        for place, point in enumerate((HEEL, BALL)):
-            soles[:, 2 * own + place] = ankle + foot @ np.array([point[0] * body.size, point[1], -lengths["ankle"]])
+        for end, point in enumerate((HEEL, BALL)):
+            soles[:, 2 * place + end] = ankle + foot @ np.array([point[0] * body.size, point[1], -lengths["ankle"]])
     segments |= _upper_body(body, style, angle, pelvis, pelvis_at)
     return Pose(segments, soles)
 

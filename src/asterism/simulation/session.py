@@ -1,14 +1,14 @@
-"""A seed in; out comes a whole session in a simulated laboratory: rig, waved wand, L-frame, a walker, and what the cameras saw of each."""
+"""A seed in; a session in a simulated laboratory out: rig, waved wand, L-frame, a walker, and what the cameras saw of each."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from asterism.cameras import Rig
 from asterism.recording import Blobs, Floats, Ints, Recording
-from asterism.simulation.cameras import WandTruth, images_of, ring_rig, walker_capsules, wave_wand
+from asterism.simulation.cameras import ImagingSettings, WandTruth, ring_rig, simulate_blobs, simulate_wand, walker_capsules
 
 WAND = (0.0, 0.2, 0.6)
 L_FRAME = ((0.0, 0.0, 0.0), (0.2, 0.0, 0.0), (0.6, 0.0, 0.0), (0.0, 0.4, 0.0))
@@ -18,13 +18,13 @@ NOISE = 0.2
 
 @dataclass(frozen=True)
 class Session:
-    """What was there, and what eight cameras saw of it.
+    """What happened, and what the cameras saw of it.
 
     rig                  the truth; the world is that of the L-frame
     wand, wand_truth     a waved wand of lengths `WAND`, outliers and strays among its blobs
     l_frame              a recording of markers that lie where `L_FRAME` says
     walk                 the person, as true trajectories
-    blobs, identity      what the cameras saw of the person, and which marker each blob is, see `images_of`
+    blobs, identity      what the cameras saw of the person, and which marker each blob is, see `simulate_blobs`
     """
 
     rig: Rig
@@ -48,22 +48,16 @@ def simulate_session(walk: Recording, seed: int = 0, *, cameras: int = 8, wand_f
     """Cameras of 2048 x 1536 px in a ring of 4 m, and what they see of a wand, an L-frame and a person.
 
     noise  px, standard deviation of each blob's x and y
-    Dirt: 1 % of the wand's blobs are elsewhere; images show passing lights (0.3 on average); 1 % of the images never arrive, 1 % of blobs
-    are missed; the body hides markers; blobs that overlap run into each other. Every camera sees a reflection until the walker comes: by
-    then it is masked. The same arguments give the same session.
+    Errors: 1 % of the wand's blobs are elsewhere; images show passing lights (0.3 on average); 1 % of the images never arrive, 1 % of blobs
+    are missed; the body hides markers; blobs that overlap become one. Every camera sees a reflection until the walker comes: by then it is
+    masked. The same arguments give the same session.
     """
     rngs = [np.random.default_rng([seed, part]) for part in range(4)]
     rig = ring_rig(cameras, radius=4.0, height=2.6, size=(2048, 1536), rng=rngs[0])
-    dirt = {"noise": noise, "strays": 0.3, "dropped": 0.01, "missed": 0.01}
-    wand, truth = wave_wand(rig, WAND, wand_frames, rate=60.0, rng=rngs[1], outliers=0.01, reflections=1, **dirt)  # type: ignore[arg-type]
+    usual = ImagingSettings(noise=noise, strays=0.3, dropped=0.01, missed=0.01)
+    waved = replace(usual, outliers=0.01, reflections=1)
+    wand, truth = simulate_wand(rig, WAND, wand_frames, settings=waved, rate=60.0, rng=rngs[1])
     lying: Floats = np.tile(L_FRAME, (60, 1, 1))
-    l_frame = images_of(rig, lying, rng=rngs[2], rate=60.0, reflections=1, **dirt)[0]  # type: ignore[arg-type]
-    blobs, identity = images_of(
-        rig,
-        walk.positions,
-        body=walker_capsules(walk),
-        rng=rngs[3],
-        rate=walk.rate,
-        **dirt,  # type: ignore[arg-type]
-    )
+    l_frame = simulate_blobs(rig, lying, replace(usual, reflections=1), rng=rngs[2], rate=60.0)[0]
+    blobs, identity = simulate_blobs(rig, walk.positions, usual, body=walker_capsules(walk), rng=rngs[3], rate=walk.rate)
     return Session(rig, wand, truth, l_frame, walk, blobs, identity)

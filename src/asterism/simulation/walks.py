@@ -1,4 +1,4 @@
-"""Subjects, frames and a marker set in; out come recordings of walking and standing people, with events, in a room of any vertical."""
+"""Subjects, frames and a marker set in; recordings of walking and standing people, with events, in a room of any vertical, out."""
 
 from __future__ import annotations
 
@@ -171,9 +171,9 @@ def _markers(body: Body, segments: dict[str, tuple[Floats, Floats]], phase: Floa
     shares = np.array([0.6, 0.6, 0.35, 0.35, 0.3, 0.3])[:, None, None] * body.slides[None, :, None]
     sliding = np.einsum("tb,bmx->tmx", basis, rng.normal(size=(len(shares), count, 3)) * shares)
     for segment in dict.fromkeys(body.segments):
-        own = [i for i, name in enumerate(body.segments) if name == segment]
+        markers = [i for i, name in enumerate(body.segments) if name == segment]
         rotation, origin = segments[segment]
-        out[:, own] = (body.places[own] + sliding[:, own]) @ rotation.swapaxes(1, 2) + origin[:, None]
+        out[:, markers] = (body.places[markers] + sliding[:, markers]) @ rotation.swapaxes(1, 2) + origin[:, None]
     return out
 
 

@@ -1,4 +1,4 @@
-"""C3D files of all vendors: read, described and written so that nothing in them is lost."""
+"""C3D files of all vendors: read, described and written with all that they hold."""
 
 from asterism.formats.c3d._describe import describe_c3d
 from asterism.formats.c3d._reader import read_c3d

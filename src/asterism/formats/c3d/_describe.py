@@ -11,9 +11,9 @@ from asterism.formats.c3d._reader import encoding_of, points_of
 
 
 def describe_c3d(path: Path) -> dict[str, Any]:
-    """What every format tells (see `asterism.formats.describe`), and encoding, analog data, force plates, parameters, manufacturer.
+    """What is said of every format (see `asterism.formats.describe`), and encoding, analog data, force plates, parameters, manufacturer.
 
-    Files without points are described too. Raises AsterismError where this is no C3D file, or its rate or units cannot be.
+    Files without points are described too. Raises AsterismError where this is not a C3D file, or its rate or units are impossible.
     """
     file = open_c3d(path)
     parameters = file.parameters

@@ -86,7 +86,7 @@ def label_parameters(file: C3DFile, labels: Sequence[bytes], descriptions: Seque
 
 
 def with_events(parameters: Parameters, events: Sequence[Event]) -> Parameters:
-    """The parameters with these events in the group EVENT, in place of those that were there."""
+    """The parameters with these events in the group EVENT, in place of those that it had."""
     parameters, group = _with_group(parameters, "EVENT")
     changes: dict[tuple[str, str], Record | None] = {}
     for name in (*_EVENT_WIDTHS, "TIMES", "ICON_IDS", "GENERIC_FLAGS"):
@@ -98,13 +98,13 @@ def with_events(parameters: Parameters, events: Sequence[Event]) -> Parameters:
 
 
 def with_log(parameters: Parameters, log: Sequence[ProcessingStep]) -> Parameters:
-    """The parameters with this processing log in the group ASTERISM, in place of the one that was there."""
+    """The parameters with this processing log in the group ASTERISM, in place of the one that they had."""
     parameters, group = _with_group(parameters, LOG_GROUP)
     return parameters.replaced({(LOG_GROUP, LOG): log_record(log, group, parameters.processor)})
 
 
 def log_record(log: Sequence[ProcessingStep], group: int, processor: Processor) -> Record:
-    """A processing log as one text, cut into lines that a parameter can hold. The oldest steps go where it is too long."""
+    """A processing log as one text, cut into lines that a parameter can hold. Where it is too long, the oldest steps are left out."""
     log = tuple(log)
     while len(text := log_as_text(log).encode("ascii")) > _LOG_WIDTH * MOST_STRINGS:
         log = log[1:]
@@ -113,7 +113,7 @@ def log_record(log: Sequence[ProcessingStep], group: int, processor: Processor) 
 
 
 def log_of(parameters: Parameters) -> tuple[ProcessingStep, ...]:
-    """The processing log in the group ASTERISM; empty where there is none."""
+    """The processing log in the group ASTERISM; empty where the file has none."""
     record = parameters.find(LOG_GROUP, LOG)
     return () if record is None or record.kind != CHARACTER else log_from_text(record.data.decode("ascii", "replace"))
 

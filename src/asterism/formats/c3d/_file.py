@@ -1,7 +1,7 @@
 """A C3D file as a whole: its bytes in, header, parameters, points and analog samples out, whatever the vendor.
 
 Headers and parameters of real files contradict each other. What they say about the data block (points, analog samples, frames,
-number format) is taken as a set of claims, and those are believed which agree with the length of the file.
+number format) is treated as a set of claims; those that agree with the length of the file are used.
 Source: the public C3D format specification.
 """
 
@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
+from asterism.formats._findings import cut_off, header_conflict
 from asterism.formats.c3d._numbers import PC, PROCESSORS, Processor, Words
 from asterism.formats.c3d._parameters import Parameters, parse_parameters, text_of
 from asterism.recording import Event, Floats
@@ -30,7 +32,7 @@ _NOWHERE = 1e8
 
 @dataclass(frozen=True)
 class Header:
-    """The first block: numbers as they stand there, believed or not."""
+    """The first block, with its numbers as they are, right or wrong."""
 
     parameters_at: int
     points: int
@@ -75,7 +77,7 @@ class C3DFile:
     header: Header
     parameters: Parameters
     layout: Layout
-    oddities: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return parse_c3d, (self.raw, self.path)
@@ -107,29 +109,29 @@ class C3DFile:
         return self.processor.floats(fourth) if self.layout.real else self.processor.integers(fourth).astype(np.float32)
 
     @cached_property
-    def residuals_say_nothing(self) -> bool:
-        """Every residual is negative and yet there are coordinates, as SIMI writes them."""
+    def residuals_are_unused(self) -> bool:
+        """Whether every residual is negative although the file has coordinates, as SIMI writes them."""
         return bool((self.residuals < 0).all() and (self.point_words[:, :, :3] & self._not_sign).any())
 
     @cached_property
     def zeros_are_missing(self) -> bool:
-        """No residual is negative: then a point at exactly (0, 0, 0) is how this file says missing, unless we wrote it."""
-        return self.residuals_say_nothing or not (self.ours or (self.residuals < 0).any())
+        """Whether a point at exactly (0, 0, 0) is missing: where no residual is negative, except in files of Asterism."""
+        return self.residuals_are_unused or not (self.by_asterism or (self.residuals < 0).any())
 
     @cached_property
-    def ours(self) -> bool:
-        """Whether Asterism made this file."""
+    def by_asterism(self) -> bool:
+        """Whether Asterism wrote this file."""
         return self.parameters.text("MANUFACTURER", "SOFTWARE").startswith("Asterism")
 
     @cached_property
     def coordinates(self) -> Floats:
-        """(frames, points, 3) in the file's unit, NaN where a point is missing (not finite and absurd ones included)."""
+        """(frames, points, 3) in the file's unit, NaN where a point is missing, not finite or impossibly far away."""
         xyz = np.ascontiguousarray(self.point_words[:, :, :3])
         with np.errstate(invalid="ignore", over="ignore"):
             stored = self.processor.floats(xyz) if self.layout.real else self.processor.integers(xyz)
             values = stored.astype(np.float64) * (1.0 if self.layout.real else self.scale)
             missing = ~(np.abs(values) < _NOWHERE).all(axis=2)
-        if not self.residuals_say_nothing:
+        if not self.residuals_are_unused:
             missing |= self.residuals < 0
         if self.zeros_are_missing:
             missing |= ~(xyz & self._not_sign).any(axis=2)
@@ -168,7 +170,7 @@ class C3DFile:
 
     @cached_property
     def analog_channels(self) -> int:
-        """Analog channels that really lie in the data block."""
+        """Number of analog channels in the data block."""
         analog = self.layout.analog
         for channels in (self.parameters.count("ANALOG", "USED"), self._channels_by_header()):
             if channels and analog and analog % channels == 0:
@@ -228,7 +230,7 @@ def numbered(parameters: Parameters, group: str, name: str) -> list[str]:
 
 
 def open_c3d(path: Path) -> C3DFile:
-    """Parse a file. Raises AsterismError where it cannot be opened or is no C3D file."""
+    """Parse a file. Raises AsterismError where it cannot be opened or is not a C3D file."""
     try:
         raw = path.read_bytes()
     except OSError as problem:
@@ -237,22 +239,22 @@ def open_c3d(path: Path) -> C3DFile:
 
 
 def parse_c3d(raw: bytes, path: str) -> C3DFile:
-    """Parse a file's bytes; `path` names it in messages. Raises AsterismError where this is no C3D file, or holds no data."""
+    """Parse a file's bytes; `path` names it in messages. Raises AsterismError where this is not a C3D file, or holds no data."""
     if not raw:
         raise AsterismError(f"{path} is empty; export or copy it again.")
     if len(raw) < BLOCK or raw[1] != _KEY:
         why = f"it is only {len(raw)} bytes long" if len(raw) < BLOCK else "its second byte is not the C3D mark"
         raise AsterismError(f"{path} is not a C3D file ({why}); export or copy it again.")
-    oddities: list[str] = []
+    findings: list[Finding] = []
     parameters_at = max(raw[0] - 1, 1) * BLOCK
     if parameters_at + 4 > len(raw):
         raise AsterismError(f"{path} breaks off before its parameters; export or copy it again.")
     processor = PROCESSORS.get(raw[parameters_at + 3])
     if processor is None:
-        processor = _guessed_processor(raw)
-        oddities.append(f"processor type {raw[parameters_at + 3]} is unknown, {processor.name} is taken")
+        processor = _likely_processor(raw)
+        findings.append(header_conflict(f"processor type {raw[parameters_at + 3]} is unknown; {processor.name} is assumed"))
     header = _header(raw, processor, parameters_at)
-    data_at = _data_start(raw, processor, header, oddities)
+    data_at = _data_start(raw, processor, header, findings)
     stop = data_at if data_at > parameters_at else min(len(raw), parameters_at + BLOCK * max(raw[parameters_at + 2], 1))
     parameters = parse_parameters(raw[parameters_at:stop], processor)
     data_start = (parameters.count("POINT", "DATA_START") or 0) * BLOCK - BLOCK
@@ -260,12 +262,16 @@ def parse_c3d(raw: bytes, path: str) -> C3DFile:
         data_at = data_start
         parameters = parse_parameters(raw[parameters_at:data_at], processor)
     elif data_start != data_at:
-        oddities.append(f"POINT:DATA_START says block {data_start // BLOCK + 1}, the header {data_at // BLOCK + 1}; the header is believed")
-    layout = _layout(path, len(raw), data_at, header, parameters, oddities)
-    return C3DFile(path, raw, processor, header, parameters, layout, (*oddities, *parameters.oddities))
+        findings.append(
+            header_conflict(
+                f"POINT:DATA_START says block {data_start // BLOCK + 1}, the header {data_at // BLOCK + 1}; the header was used"
+            )
+        )
+    layout = _layout(path, len(raw), data_at, header, parameters, findings)
+    return C3DFile(path, raw, processor, header, parameters, layout, (*findings, *parameters.findings))
 
 
-def _guessed_processor(raw: bytes) -> Processor:
+def _likely_processor(raw: bytes) -> Processor:
     def sane(processor: Processor) -> bool:
         rate = processor.float_at(raw, 20)
         return np.isfinite(rate) and 0.1 <= rate <= 1e5
@@ -291,16 +297,18 @@ def _header(raw: bytes, processor: Processor, parameters_at: int) -> Header:
     )
 
 
-def _data_start(raw: bytes, processor: Processor, header: Header, oddities: list[str]) -> int:
+def _data_start(raw: bytes, processor: Processor, header: Header, findings: list[Finding]) -> int:
     if BLOCK <= header.data_at <= len(raw) and header.data_at != header.parameters_at:
         return header.data_at
     counted = header.parameters_at + BLOCK * raw[header.parameters_at + 2]
     if header.data_at:
-        oddities.append(f"the header says that data begin in block {header.data_at // BLOCK + 1}, which the file does not have")
+        findings.append(
+            header_conflict(f"the header says that data begin in block {header.data_at // BLOCK + 1}, which the file does not have")
+        )
     return min(counted, len(raw))
 
 
-def _layout(path: str, size: int, start: int, header: Header, parameters: Parameters, oddities: list[str]) -> Layout:
+def _layout(path: str, size: int, start: int, header: Header, parameters: Parameters, findings: list[Finding]) -> Layout:
     room = size - start
     claims = list(_claims(header, parameters, start))
     fits = [(claim, room - (claim.stop - start)) for claim in claims]
@@ -314,21 +322,21 @@ def _layout(path: str, size: int, start: int, header: Header, parameters: Parame
             raise AsterismError(f"{path} breaks off before its first frame ends; export or copy it again.")
         best = Layout(start, min(frames, claim.frames), claim.points, claim.analog, claim.real)
         if best.frames < claim.frames:
-            oddities.append(f"the file breaks off: {best.frames} of {claim.frames} frames are there")
+            findings.append(cut_off(f"the file breaks off: it holds {best.frames} of {claim.frames} frames"))
     first = claims[0]
-    for noun, said, found in (
+    for noun, declared, found in (
         ("points", header.points, best.points),
         ("analog samples per frame", header.analog_per_frame, best.analog),
         ("points", parameters.count("POINT", "USED"), best.points),
         ("frames", first.frames, best.frames),
     ):
-        if said is not None and said != found and not any("breaks off:" in oddity for oddity in oddities):
-            oddities.append(f"{said} {noun} are declared where the data hold {found}")
+        if declared is not None and declared != found and not any("breaks off:" in finding.sentence for finding in findings):
+            findings.append(header_conflict(f"{declared} {noun} are declared, the data hold {found}"))
     return best
 
 
 def _claims(header: Header, parameters: Parameters, start: int) -> Iterator[Layout]:
-    """Every reading of the data block that some part of the file supports, the most trusted first."""
+    """Every layout of the data block that some part of the file declares, the most reliable first."""
     used = parameters.count("POINT", "USED")
     channels, rates = parameters.count("ANALOG", "USED"), [parameters.number(group, "RATE") for group in ("ANALOG", "POINT")]
     analog = [header.analog_per_frame]

@@ -44,7 +44,7 @@ def fresh_c3d(recording: Recording, target: str, residual: Floats | None = None,
     data[:, :, 3] = 0.0 if residual is None or cameras is None else _fourth_word(residual, cameras)
     data[~recording.visible] = (0.0, 0.0, 0.0, -1.0)
     block = PC.store(PC.words_of_floats(data))
-    ending = b"" if frames >= _MOST else bytes(-len(block) % BLOCK)  # readers take what follows uncounted frames for frames
+    ending = b"" if frames >= _MOST else bytes(-len(block) % BLOCK)  # readers take bytes behind uncounted frames for frames
     return _header(recording, first, len(section) // BLOCK + 2, step) + section + block + ending
 
 

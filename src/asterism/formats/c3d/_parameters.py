@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.findings import Finding
+from asterism.formats._findings import header_conflict
 from asterism.formats.c3d._numbers import Processor
 
 CHARACTER, BYTE, INTEGER, FLOAT = -1, 1, 2, 4
@@ -40,13 +42,13 @@ class Record:
 
 @dataclass(frozen=True)
 class Parameters:
-    """A parsed section: `records` in file order, `tail` the bytes after the last of them, `oddities` what was wrong."""
+    """A parsed section: `records` in file order, `tail` the bytes after the last of them, `findings` what was wrong."""
 
     head: bytes
     records: tuple[Record, ...]
     tail: bytes
     processor: Processor
-    oddities: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     _index: Mapping[tuple[str, str], int] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -143,16 +145,16 @@ class Parameters:
                 records.insert(after + 1, change)
         ended_by_link = bool(self.records) and self.records[-1].last
         tail = b"\0\0" + self.tail[2:] if ended_by_link else self.tail
-        return Parameters(self.head, tuple(records), tail, self.processor, self.oddities)
+        return Parameters(self.head, tuple(records), tail, self.processor, self.findings)
 
-    def mended(self) -> Parameters:
+    def repaired(self) -> Parameters:
         """The section with a last parameter that the data cut short filled up with blanks, so that something can follow it."""
         if not self.records or not self.records[-1].cut or self.records[-1].last:
             return self
         last = self.records[-1]
         data = last.data.ljust(prod(last.dimensions) * abs(last.kind), b" " if last.kind == CHARACTER else b"\0")
         whole = make_parameter(last.name, last.group, last.kind, last.dimensions, data, processor=self.processor)
-        return Parameters(self.head, (*self.records[:-1], whole), b"", self.processor, self.oddities)
+        return Parameters(self.head, (*self.records[:-1], whole), b"", self.processor, self.findings)
 
     def to_bytes(self) -> bytes:
         """The section with its four-byte head, as long as its records need and ended by a zero record."""
@@ -168,9 +170,9 @@ class Parameters:
 
 
 def parse_parameters(section: bytes, processor: Processor) -> Parameters:
-    """The records of a section (its four-byte head included), as far as they make sense."""
+    """The records of a section (its four-byte head included), up to the first that cannot be read."""
     records: list[Record] = []
-    oddities: list[str] = []
+    findings: list[Finding] = []
     at = _HEADER
     while at + 2 <= len(section):
         size = int.from_bytes(section[at : at + 1], "little", signed=True)
@@ -178,14 +180,14 @@ def parse_parameters(section: bytes, processor: Processor) -> Parameters:
             break
         record, problem = _record_at(section, at, abs(size), processor)
         if problem:
-            oddities.append(problem)
+            findings.append(header_conflict(problem))
         if record is None:
             break
         records.append(record)
         at += len(record.raw)
         if record.last or record.cut:
             break
-    return Parameters(section[:_HEADER], tuple(records), section[at:], processor, tuple(oddities))
+    return Parameters(section[:_HEADER], tuple(records), section[at:], processor, tuple(findings))
 
 
 def _record_at(section: bytes, at: int, size: int, processor: Processor) -> tuple[Record | None, str]:
@@ -225,9 +227,9 @@ def _record_at(section: bytes, at: int, size: int, processor: Processor) -> tupl
 def make_group(name: str, group: int, description: str = "", *, processor: Processor) -> Record:
     """A new group record."""
     text = name.encode("utf-8")[:127]
-    said = description.encode("utf-8")[:255]
-    link = processor.bytes_of_unsigned(3 + len(said))
-    raw = bytes([len(text), 256 - group]) + text + link + bytes([len(said)]) + said
+    note = description.encode("utf-8")[:255]
+    link = processor.bytes_of_unsigned(3 + len(note))
+    raw = bytes([len(text), 256 - group]) + text + link + bytes([len(note)]) + note
     return Record(raw, name, group, True, False)
 
 
@@ -235,13 +237,13 @@ def make_parameter(
     name: str, group: int, kind: int, dimensions: Sequence[int], data: bytes, *, processor: Processor, like: Record | None = None
 ) -> Record:
     """A new parameter record; from `like` come the spelling and lock of the name, and the description."""
-    text, size, said = name.encode("utf-8")[:127], len(name.encode("utf-8")[:127]), b"\0"
+    text, size, note = name.encode("utf-8")[:127], len(name.encode("utf-8")[:127]), b"\0"
     if like is not None:
         old = int.from_bytes(like.raw[:1], "little", signed=True)
         text, size = like.raw[2 : 2 + abs(old)], old
         begin = 2 + abs(old) + 4 + len(like.dimensions) + len(like.data)
-        said = like.raw[begin : begin + 1 + like.raw[begin]] if begin < len(like.raw) else b"\0"
-    body = kind.to_bytes(1, "little", signed=True) + bytes([len(dimensions), *dimensions]) + data + said
+        note = like.raw[begin : begin + 1 + like.raw[begin]] if begin < len(like.raw) else b"\0"
+    body = kind.to_bytes(1, "little", signed=True) + bytes([len(dimensions), *dimensions]) + data + note
     raw = size.to_bytes(1, "little", signed=True) + bytes([group]) + text + processor.bytes_of_unsigned(2 + len(body)) + body
     return Record(raw, name, group, False, False, kind, tuple(dimensions), data)
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.formats._columns import Points, metres_per_unit, recording_of
 from asterism.formats._physical import COMPUTED, point_kinds
 from asterism.formats.c3d._edit import log_of
@@ -23,15 +24,15 @@ def read_c3d(path: Path, markers: Any = None, vertical: ArrayLike | str | None =
     """The recording in a C3D file of any vendor, byte order and number format.
 
     path      the file
-    markers   None: every point that is no computed one, under the file's labels; else what `MarkerSet.load` takes
-    vertical  None: what POINT:Y_SCREEN declares unless the markers clearly contradict it, else told from the markers, else +Z, the
-              custom of C3D files (metadata["vertical_from"] says which)
+    markers   None: every point that is not computed, under the file's labels; else what `MarkerSet.load` takes
+    vertical  None: what POINT:Y_SCREEN declares unless the markers contradict it with two signs, else what the markers show, else +Z, the
+              convention of C3D files (metadata["vertical_from"] says which)
 
     Returns positions in metres, NaN where a point is missing (negative residual, not finite, or all zero where the file has no
-    other way to say it); events; and as `source` the whole file, so that `write_c3d` loses nothing.
+    other mark for it); events; and as `source` the whole file, so that `write_c3d` loses nothing.
 
-    Raises AsterismError where the file is no C3D file, holds no points or no frames, has none of the markers or one of them
-    twice, or units that cannot be. Source: the public C3D format specification.
+    Raises AsterismError where the file is not a C3D file, holds no points or no frames, has none of the markers or one of them
+    twice, or has impossible units. Source: the public C3D format specification.
     """
     file = open_c3d(path)
     if not file.layout.points:
@@ -43,8 +44,8 @@ def read_c3d(path: Path, markers: Any = None, vertical: ArrayLike | str | None =
 
 
 def points_of(file: C3DFile) -> Points:
-    """Every point of a file in metres, with what the file says about them. Raises AsterismError for a rate or units that cannot be."""
-    positions, scale, units, remark = in_metres(file)
+    """Every point of a file in metres, with what the file says about them. Raises AsterismError for an impossible rate or unit."""
+    positions, scale, units, found = in_metres(file)
     return Points(
         positions=positions,
         labels=tuple(file.labels),
@@ -57,20 +58,20 @@ def points_of(file: C3DFile) -> Points:
         first_frame=file.first_frame,
         events=file.events,
         subject=subject_of(file),
-        oddities=(*file.oddities, *([remark] if remark else [])),
+        findings=(*file.findings, *found),
         extra={"encoding": encoding_of(file), "metres_per_unit": scale},
         log=log_of(file.parameters),
     )
 
 
-def in_metres(file: C3DFile) -> tuple[Floats, float, str, str]:
-    """(frames, points, 3) m; metres per unit; the unit's name; a remark where the file did not say it properly."""
+def in_metres(file: C3DFile) -> tuple[Floats, float, str, list[Finding]]:
+    """(frames, points, 3) m; metres per unit; the unit's name; a finding where the unit is assumed."""
     raw = file.coordinates
     kinds = point_kinds(file.labels, None, declared_computed(file))
-    bodily = np.array([kind != COMPUTED for kind in kinds], dtype=bool)
+    captured = np.array([kind != COMPUTED for kind in kinds], dtype=bool)
     others = [file.parameters.text("POINT", name) for name in ("MODELED_MARKER_UNITS", "SCALAR_UNITS")]
-    scale, units, remark = metres_per_unit(Path(file.path), file.parameters.text("POINT", "UNITS"), raw[:, bodily], others)
-    return raw / round(1 / scale) if scale < 1 and scale == 1 / round(1 / scale) else raw * scale, scale, units, remark
+    scale, units, found = metres_per_unit(Path(file.path), file.parameters.text("POINT", "UNITS"), raw[:, captured], others)
+    return raw / round(1 / scale) if scale < 1 and scale == 1 / round(1 / scale) else raw * scale, scale, units, found
 
 
 def kinds_of_points(file: C3DFile, positions: Floats) -> list[str]:
@@ -82,7 +83,7 @@ def kinds_of_points(file: C3DFile, positions: Floats) -> list[str]:
 
 
 def declared_computed(file: C3DFile) -> set[str]:
-    """Labels that the file lists as angles, forces and the like, in the groups that it names itself too (POINT:TYPE_GROUPS)."""
+    """Labels that the file lists as angles, forces and the like, also in the groups that it defines (POINT:TYPE_GROUPS)."""
     groups = dict.fromkeys([*_COMPUTED_GROUPS, *(name.upper() for name in file.parameters.strings("POINT", "TYPE_GROUPS")[::2])])
     return {
         label
@@ -97,19 +98,19 @@ def declared_computed(file: C3DFile) -> set[str]:
 def declared_vertical(file: C3DFile) -> Floats | None:
     """The axis that POINT:Y_SCREEN says points up the screen, or None.
 
-    Qualisys writes -Z for a vertical that is +Z; so a minus is believed only where we wrote it.
+    Qualisys writes -Z for a vertical that is +Z, so a minus counts only in files that Asterism wrote.
     """
     vector = file.parameters.values("POINT", "VERTICAL")
-    if file.ours and len(vector) == 3 and np.isfinite(vector).all() and vector.any():
+    if file.by_asterism and len(vector) == 3 and np.isfinite(vector).all() and vector.any():
         return as_vertical(vector)
-    said = file.parameters.text("POINT", "Y_SCREEN").casefold()
-    if len(said) not in (1, 2) or said[-1] not in "xyz" or said[:-1] not in ("", "+", "-"):
+    axis = file.parameters.text("POINT", "Y_SCREEN").casefold()
+    if len(axis) not in (1, 2) or axis[-1] not in "xyz" or axis[:-1] not in ("", "+", "-"):
         return None
-    return as_vertical(said if file.ours else said[-1])
+    return as_vertical(axis if file.by_asterism else axis[-1])
 
 
 def subject_of(file: C3DFile) -> str:
-    """The one subject that SUBJECTS:NAMES names, or nothing."""
+    """The one subject that SUBJECTS:NAMES names, else ""."""
     names = [name for name in file.parameters.strings("SUBJECTS", "NAMES") if name]
     return names[0] if len(names) == 1 else ""
 

@@ -1,7 +1,7 @@
 """Write recordings as C3D: a recording and a path in, a file out.
 
-A recording that was read from C3D goes back into a copy of that file: columns it stands for are replaced, sample by sample, by
-the bits they came from; whatever else the file holds stays as it was. Any other recording gets a new file.
+A recording that was read from C3D is written into a copy of that file. The columns that it replaces are written sample by sample, with
+the bits that they came from; everything else in the file stays. Any other recording gets a new file.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ _MOST_POINTS = 65535
 
 
 def write_c3d(path: Path, recording: Recording) -> None:
-    """Write a recording as C3D; a file at `path` is replaced at once or not at all.
+    """Write a recording as C3D; a file at `path` is replaced completely or not at all.
 
-    Where the recording was read from C3D, every sample that is still what it was (`origin`) is copied bit by bit with its residual
-    and cameras, new samples get residual 0, lost ones are written as the file itself writes missing points; points that the
-    recording does not stand for (`taken`), analog data, parameters, byte order and number format stay. Unchanged, the file comes
-    out byte for byte.
+    Where the recording was read from C3D, every unchanged sample (`origin`) is copied bit by bit with its residual
+    and cameras, new samples get residual 0, missing ones are written as the file writes missing points; points that the
+    recording does not replace (`taken`), analog data, parameters, byte order and number format stay. An unchanged recording gives
+    the file byte for byte.
 
     Raises AsterismError where the recording does not fit its source (other frames, a label twice), a coordinate does not fit the
     file's integers, or the file cannot be written.
@@ -49,31 +49,31 @@ def write_c3d(path: Path, recording: Recording) -> None:
 
 
 def write_c3d_points(path: Path, recording: Recording, residual: Floats, cameras: NDArray[np.bool_]) -> None:
-    """Write a new C3D file whose points say how well cameras agreed on them, and which.
+    """Write a new C3D file whose points have residuals and the cameras that saw them.
 
     residual (T, M) m, cameras (T, M, C). Raises AsterismError as `write_c3d` does.
     """
     if not recording.labels or not len(recording):
         raise AsterismError(
-            f"{path}: there are no {'points' if len(recording) else 'frames'}, and a C3D file needs both; nothing was written."
+            f"{path}: the recording has no {'points' if len(recording) else 'frames'}, and a C3D file needs both; nothing was written."
         )
     write_atomically(path, fresh_c3d(recording, str(path), residual, cameras))
 
 
 @dataclass(frozen=True)
 class _Slot:
-    """One point column of the new file: the old column whose place it takes (None: a new place) and the recording's column (None: kept)."""
+    """A point column of the new file: the old column in its place (None: new), and the recording's column (None: the old one stays)."""
 
     place: int | None
     column: int | None
 
 
 def rewritten(file: C3DFile, recording: Recording, target: str) -> bytes:
-    """The bytes of `file` with the columns that `recording` stands for replaced by its columns."""
+    """The bytes of `file`, with the columns of `recording` in place of those that it replaces."""
     if len(recording) != file.layout.frames:
         raise AsterismError(
             f"{target}: the recording has {len(recording)} frames, the file that it was read from {file.layout.frames}; "
-            "cut recordings with `frames()`, which lets go of the file."
+            "cut recordings with `frames()`, which drops the file."
         )
     origin = recording.origin
     if origin is None or origin.shape != recording.positions.shape[:2]:
@@ -106,7 +106,7 @@ def rewritten(file: C3DFile, recording: Recording, target: str) -> bytes:
 
 
 def _slots(seen: Sequence[str], recording: Recording, origin: Ints, points: int) -> list[_Slot]:
-    """The columns of the new file: old places where a label or the samples' origin say so, new ones behind."""
+    """The columns of the new file: in an old place by label or by the samples' origin, else behind the others."""
     free = {place for place in recording.taken if 0 <= place < points}
     place_of: dict[int, int] = {}
     main = [int(np.bincount(column[column >= 0]).argmax()) if (column >= 0).any() else -1 for column in origin.T]
@@ -147,24 +147,24 @@ def _data(file: C3DFile, recording: Recording, origin: Ints, slots: Sequence[_Sl
         if slot.column is None:
             out[:, new] = points[:, slot.place]
             continue
-        here = recording.positions[:, slot.column]
-        done = np.zeros(len(here), dtype=bool)
-        sources = [origin[:, slot.column]] + ([np.full(len(here), slot.place)] if slot.place is not None else [])
+        new_positions = recording.positions[:, slot.column]
+        done = np.zeros(len(new_positions), dtype=bool)
+        sources = [origin[:, slot.column]] + ([np.full(len(new_positions), slot.place)] if slot.place is not None else [])
         for source in sources:
-            there = before[frames, source]
-            same = ((there == here) | (np.isnan(there) & np.isnan(here))).all(axis=1) & (source >= 0) & ~done
+            old = before[frames, source]
+            same = ((old == new_positions) | (np.isnan(old) & np.isnan(new_positions))).all(axis=1) & (source >= 0) & ~done
             out[same, new] = points[frames[same], source[same]]
             done |= same
-        gone = ~done & np.isnan(here[:, 0])
+        gone = ~done & np.isnan(new_positions[:, 0])
         out[gone, new] = missing
         fresh = ~done & ~gone
-        out[fresh, new] = _encoded(file, here[fresh], scale, recording.labels[slot.column], target)
+        out[fresh, new] = _encoded(file, new_positions[fresh], scale, recording.labels[slot.column], target)
     return np.concatenate([out.reshape(len(frames), -1), file.words[:, 4 * file.layout.points :]], axis=1)
 
 
 def _missing_words(file: C3DFile) -> Words:
     """The four words with which this file says that a point is missing."""
-    if file.zeros_are_missing and np.isnan(file.coordinates).any() and not file.residuals_say_nothing:
+    if file.zeros_are_missing and np.isnan(file.coordinates).any() and not file.residuals_are_unused:
         return np.zeros(4, dtype=file.point_words.dtype)
     if file.layout.real:
         return file.processor.words_of_floats([0.0, 0.0, 0.0, -1.0])
@@ -174,7 +174,7 @@ def _missing_words(file: C3DFile) -> Words:
 def _encoded(file: C3DFile, positions: Floats, scale: float, label: str, target: str) -> Words:
     """(N, 4) words of new samples, (N, 3) m."""
     raw = positions * round(1 / scale) if scale < 1 and scale == 1 / round(1 / scale) else positions / scale
-    residual = np.full((len(raw), 1), -1.0 if file.residuals_say_nothing else 0.0)
+    residual = np.full((len(raw), 1), -1.0 if file.residuals_are_unused else 0.0)
     if file.layout.real:
         return file.processor.words_of_floats(np.concatenate([raw, residual], axis=1))
     steps = np.rint(raw / file.scale)
@@ -204,7 +204,7 @@ def _labels(file: C3DFile, seen: Sequence[str], recording: Recording, slots: Seq
             kept.add(label.casefold())
         elif label.casefold() in kept:
             raise AsterismError(
-                f"{target}: {label} would stand there twice, as a marker and as a point of the file that was not read; "
+                f"{target}: {label} would occur twice, as a marker and as a point of the file that was not read; "
                 "read the file with a marker set that has it, or rename it."
             )
         labels.append((label if is_unnamed(label) else prefix + label).encode("utf-8"))
@@ -221,7 +221,7 @@ def _with_rate(parameters: Parameters, factor: float) -> Parameters:
 
 
 def _assembled(file: C3DFile, parameters: Parameters, words: Words, points: int, rate: float | None) -> bytes:
-    """Header, parameters, data and whatever follows, with the pointers that move set anew."""
+    """Header, parameters, data and what follows, with their pointers updated."""
     raw, start = file.raw, file.layout.start
     begin = min(file.header.parameters_at, start)
     section, shift = raw[begin:start], 0
@@ -244,7 +244,7 @@ def _assembled(file: C3DFile, parameters: Parameters, words: Words, points: int,
 
 
 def _tail(file: C3DFile, growth: int) -> tuple[bytes, int]:
-    """What follows the data, padded so that it begins on its old place in a block; and by how many blocks it moves."""
+    """What follows the data, padded so that it begins at the same place in a block; and by how many blocks it moves."""
     tail = file.raw[file.layout.stop :]
     if not growth:
         return tail, 0
@@ -258,7 +258,7 @@ def _fitted_section(file: C3DFile, parameters: Parameters, tail_shift: int) -> t
     """The parameter section in whole blocks, and by how many blocks it has grown."""
     start = file.layout.start
     room = start - file.header.parameters_at
-    parameters = parameters.mended()
+    parameters = parameters.repaired()
     blocks = -(-len(parameters.to_bytes()) // BLOCK)
     shift = max(0, blocks - room // BLOCK)
     changes: dict[tuple[str, str], Record | None] = {}

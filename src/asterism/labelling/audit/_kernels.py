@@ -10,31 +10,35 @@ from asterism._jit import kernel
 from asterism.labelling.body._score_kernels import best_pose, evidence, rescore
 from asterism.labelling.body._workspace_kernels import make_body_workspace
 
-FREEDOM = 3.0
-"""Degrees of freedom of the heavy-tailed steps: impacts and the like are no wonders."""
+DEGREES_OF_FREEDOM = 3.0
+"""Of the Student t density of a step, so that impacts and other sudden steps cost little."""
 
 
 @kernel
-def surprise(before, at, after, early, late, scale):
-    """Log density (nats, up to a constant) of a step: how far a point lies from where its last two let expect it.
+def step_log_density(before, at, after, early, late, scale):
+    """Log density (nats, up to a constant) of a step: the distance of a point from its prediction at constant velocity from the last two.
 
-    IN  before, at, after (3,) m; early, late frames between them; scale m, usual miss where both are 1
+    IN  before, at, after (3,) m; early, late frames between them; scale m, usual prediction error where both are 1
+    OUT nats
+    O(1).
     """
     ratio = late / early
     square = 0.0
     for i in range(3):
-        miss = after[i] - at[i] - ratio * (at[i] - before[i])
-        square += miss * miss
+        error = after[i] - at[i] - ratio * (at[i] - before[i])
+        square += error * error
     usual = scale * 0.5 * late * (late + early)
-    return -0.5 * (FREEDOM + 3.0) * math.log(1.0 + square / (FREEDOM * usual * usual))
+    return -0.5 * (DEGREES_OF_FREEDOM + 3.0) * math.log(1.0 + square / (DEGREES_OF_FREEDOM * usual * usual))
 
 
 @kernel
 def path_score(paths, times, scales, emission, switch, states):
-    """How well two paths are explained if their points are exchanged where `states` says so, in nats.
+    """Log likelihood (nats, up to a constant) of two paths whose points are exchanged in the frames that `states` marks.
 
     IN  paths (n, 2, 3) m; times (n,) frames, rising; scales (2,) m; emission (n,) nats for each exchanged frame;
         switch nats for each change; states (n,) 0 or 1
+    OUT nats
+    O(n).
     """
     score = 0.0
     for i in range(len(times)):
@@ -45,23 +49,24 @@ def path_score(paths, times, scales, emission, switch, states):
             early, late = times[i - 1] - times[i - 2], times[i] - times[i - 1]
             for who in range(2):
                 one, two, three = paths[i - 2, who ^ states[i - 2]], paths[i - 1, who ^ states[i - 1]], paths[i, who ^ states[i]]
-                score += surprise(one, two, three, early, late, scales[who])
+                score += step_log_density(one, two, three, early, late, scales[who])
     return score
 
 
 @kernel
 def exchange_path(paths, times, scales, emission, switch, states):
-    """Where two markers' points are best taken as exchanged: the most likely path of a two-state chain (Viterbi over pairs of frames).
+    """The frames in which two markers are most likely exchanged: the best path of a two-state chain (Viterbi over pairs of frames).
 
-    IN  as `path_score`. OUT states (n,). Returns by how much it beats "never", in nats (0 where it is never).
-    O(8 n), 8 n bytes of memory.
+    IN  paths, times, scales, emission, switch as in `path_score`
+    OUT states (n,) 0 or 1; returned: nats by which they are more likely than no exchange, 0 where no exchange is most likely
+    O(8 n), 4 n bytes.
     """
     n = len(times)
     states[:] = 0
     if n < 3:
         return 0.0
     # score[2 * s + r]: best so far with state s in the frame before last and r in the last
-    score, fresh = np.empty(4), np.empty(4)
+    score, updated = np.empty(4), np.empty(4)
     origin = np.zeros((n, 4), dtype=np.int8)
     for s in range(2):
         for r in range(2):
@@ -69,20 +74,20 @@ def exchange_path(paths, times, scales, emission, switch, states):
     never = 0.0
     for i in range(2, n):
         early, late = times[i - 1] - times[i - 2], times[i] - times[i - 1]
-        fresh[:] = -np.inf
+        updated[:] = -np.inf
         for q in range(2):
             for s in range(2):
                 for r in range(2):
                     step = 0.0
                     for who in range(2):
-                        step += surprise(paths[i - 2, who ^ q], paths[i - 1, who ^ s], paths[i, who ^ r], early, late, scales[who])
+                        step += step_log_density(paths[i - 2, who ^ q], paths[i - 1, who ^ s], paths[i, who ^ r], early, late, scales[who])
                     if q == 0 and s == 0 and r == 0:
                         never += step
                     step += score[2 * q + s] + r * emission[i] - (switch if s != r else 0.0)
-                    if step > fresh[2 * s + r]:
-                        fresh[2 * s + r] = step
+                    if step > updated[2 * s + r]:
+                        updated[2 * s + r] = step
                         origin[i, 2 * s + r] = q
-        score[:] = fresh
+        score[:] = updated
     best = int(np.argmax(score))
     top = score[best]
     if top <= never:
@@ -97,35 +102,36 @@ def exchange_path(paths, times, scales, emission, switch, states):
 
 @kernel
 def all_exchanges(positions, scales, emission, switch, pairs, gains):
-    """`exchange_path` of many pairs of markers over the frames that show both.
+    """The gain of `exchange_path` for many pairs of markers, over the frames that show both.
 
-    A pair's wider scale counts for both, so that an exchange from the start to a frame and one from there to the end gain the same.
+    The larger scale of a pair counts for both markers, so that an exchange up to a frame and one from there on gain the same.
 
     IN  positions (T, M, 3) m, NaN where missing; scales (M,) m; emission (P, T) nats; pairs (P, 2)
     OUT gains (P,) nats
+    O(P T).
     """
     frames = len(positions)
     paths, times, states = np.empty((frames, 2, 3)), np.empty(frames), np.empty(frames, dtype=np.int64)
-    own, ends = np.empty(frames), np.empty(2)
+    pair_emission, pair_scales = np.empty(frames), np.empty(2)
     for p in range(len(pairs)):
         a, b = pairs[p]
         n = 0
         for t in range(frames):
             if not (np.isnan(positions[t, a, 0]) or np.isnan(positions[t, b, 0])):
-                paths[n, 0], paths[n, 1], times[n], own[n] = positions[t, a], positions[t, b], t, emission[p, t]
+                paths[n, 0], paths[n, 1], times[n], pair_emission[n] = positions[t, a], positions[t, b], t, emission[p, t]
                 n += 1
-        ends[:] = max(scales[a], scales[b])
-        gains[p] = exchange_path(paths[:n], times[:n], ends, own[:n], switch, states[:n])
+        pair_scales[:] = max(scales[a], scales[b])
+        gains[p] = exchange_path(paths[:n], times[:n], pair_scales, pair_emission[:n], switch, states[:n])
 
 
 @kernel
-def exchange_gains(frames, body, settings, pairs, look, most, gains, own):
-    """By how many nats each frame is explained better with two markers exchanged.
+def exchange_gains(frames, body, settings, pairs, least, most, gains, own_scores):
+    """Nats by which each frame is explained better with two markers exchanged.
 
     IN   frames (N, M, 3) m, z up, NaN where missing; body BodyArrays; settings FrameSettings; pairs (P, 2);
-         look nats: an exchange that the leave-one-out scores put farther behind is not computed exactly; most nats that count
-    OUT  gains (P, N), within -most and most, 0 where a marker is missing; own (N, M) each point's score as its own marker,
-         given all others, NaN where missing
+         least nats: an exchange that loses more by the leave-one-out scores is not computed exactly; most nats, the bound of a gain
+    OUT  gains (P, N), within -most and most, 0 where a marker is missing; own_scores (N, M) each point's score as the marker that it
+         is labelled, given all others, NaN where missing
     O(N (M r^2 + r^3 + P)) and O(M r^2 + r^3) for each exchange computed exactly.
     """
     markers, latents = body.load.shape[1], body.load.shape[3]
@@ -140,7 +146,7 @@ def exchange_gains(frames, body, settings, pairs, look, most, gains, own):
                 rows[m] = n
                 n += 1
         gains[:, t] = 0.0
-        own[t] = np.nan
+        own_scores[t] = np.nan
         if n < 4:
             continue
         workspace = make_body_workspace(n, markers, latents)
@@ -149,7 +155,7 @@ def exchange_gains(frames, body, settings, pairs, look, most, gains, own):
         scores = workspace.scores.copy()
         for m in range(markers):
             if rows[m] >= 0:
-                own[t, m] = scores[m, rows[m]]
+                own_scores[t, m] = scores[m, rows[m]]
         workspace.outlier[:] = False
         top = -np.inf
         for p in range(len(pairs)):
@@ -158,7 +164,7 @@ def exchange_gains(frames, body, settings, pairs, look, most, gains, own):
                 continue
             estimate = scores[a, rows[b]] + scores[b, rows[a]] - max(scores[a, rows[a]], -most) - max(scores[b, rows[b]], -most)
             gain = -most
-            if estimate > -look:
+            if estimate > -least:
                 if top == -np.inf:
                     top = evidence(body, k, points[:n], rows, settings, workspace)
                 trial[:] = rows

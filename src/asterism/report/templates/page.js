@@ -12,7 +12,7 @@
   for (const [id, figure] of Object.entries(data.figures)) draw(document.getElementById(id), figure.data, figure.layout);
 
   function startScene(box, scene) {
-    const view = box.querySelector(".view"), slider = box.querySelector("input[type=range]"), told = box.querySelector("output");
+    const view = box.querySelector(".view"), slider = box.querySelector("input[type=range]"), position = box.querySelector("output");
     const play = box.querySelector(".play"), names = box.querySelector(".names");
     const groups = ["left", "right", "middle", "wrong", "rest"];
     let timer = null;
@@ -66,7 +66,7 @@
       Plotly.restyle(view, {
         x: now.map(t => column(t.points, 0)), y: now.map(t => column(t.points, 1)), z: now.map(t => column(t.points, 2)), text: now.map(t => t.text)
       });
-      told.textContent = "frame " + scene.frames[f] + ", " + scene.seconds[f].toFixed(2) + " s";
+      position.textContent = "frame " + scene.frames[f] + ", " + scene.seconds[f].toFixed(2) + " s";
     }
     function stop() { clearInterval(timer); timer = null; play.textContent = "Play"; }
 
@@ -84,7 +84,7 @@
         show(+slider.value);
       }, Math.max(40, scene.step_ms));
     });
-    told.textContent = "frame " + scene.frames[0] + ", " + scene.seconds[0].toFixed(2) + " s";
+    position.textContent = "frame " + scene.frames[0] + ", " + scene.seconds[0].toFixed(2) + " s";
   }
   for (const [id, scene] of Object.entries(data.scenes)) startScene(document.getElementById(id), scene);
 })();

@@ -37,20 +37,20 @@ def ring_rig(
     focal = 0.86 * size[0] if focal is None else focal
     if cameras < 1 or not min(radius, *size, focal) > 0:
         raise AsterismError("a ring needs at least one camera, and a positive radius, image size and focal length.")
-    made = []
+    hung = []
     for i in range(cameras):
         angle = 2 * np.pi * i / cameras
         jitter = np.zeros(9) if rng is None else rng.normal(size=9)
         place = np.array([radius * np.cos(angle), radius * np.sin(angle), height]) + 0.15 * jitter[:3]
         target = np.array([0.0, 0.0, TARGET_HEIGHT]) + 0.15 * jitter[3:6]
-        own = focal * (1 + 0.01 * jitter[6])
+        of_camera = focal * (1 + 0.01 * jitter[6])
         off = 0.01 * size[0] * jitter[7:]
-        made.append(_camera(f"c{i + 1}", place, target, 0.035 * jitter[5], size, own, off, -0.06 if distortion else 0.0, 0.0))
-    return Rig(tuple(made), vertical=np.array([0.0, 0.0, 1.0]))
+        hung.append(_camera(f"c{i + 1}", place, target, 0.035 * jitter[5], size, of_camera, off, (-0.06 if distortion else 0.0, 0.0)))
+    return Rig(tuple(hung), vertical=np.array([0.0, 0.0, 1.0]))
 
 
 def random_rig(cameras: int | None = None, *, rng: np.random.Generator) -> Rig:
-    """A rig as somebody may have hung it: every camera of its own kind, all looking at parts of one volume around (0, 0, 0.9) m.
+    """A rig as somebody may have hung it: every camera of a different kind, all looking at parts of one volume around (0, 0, 0.9) m.
 
     By default 3 to 12 cameras, all around or on one side (at least 120 degrees), 2.5 to 6 m away and 0.4 to 3.5 m high, rolled by up to
     8 degrees; images of 640 x 480 to 2352 x 1728; lenses that see 38 to 80 degrees, and at least 0.9 m around where they look;
@@ -63,7 +63,7 @@ def random_rig(cameras: int | None = None, *, rng: np.random.Generator) -> Rig:
     step = arc / max(count, 2)
     start = rng.uniform(0, 2 * np.pi)
     same_size = SIZES[int(rng.integers(len(SIZES)))] if rng.random() < 0.5 else None
-    made = []
+    hung = []
     for i in range(count):
         angle = start + step * (i + rng.uniform(-0.3, 0.3))
         distance = rng.uniform(2.5, 6.0)
@@ -74,19 +74,31 @@ def random_rig(cameras: int | None = None, *, rng: np.random.Generator) -> Rig:
         view = max(np.radians(rng.uniform(38, 80)), narrowest * size[0] / size[1])
         focal = 0.5 * size[0] / np.tan(0.5 * view)
         off = 0.01 * size[0] * rng.normal(size=2)
-        made.append(
+        hung.append(
             _camera(
-                f"c{i + 1}", place, target, rng.uniform(-0.14, 0.14), size, focal, off, rng.uniform(-0.15, 0.03), rng.uniform(-0.02, 0.02)
+                f"c{i + 1}", place, target, rng.uniform(-0.14, 0.14), size, focal, off, (rng.uniform(-0.15, 0.03), rng.uniform(-0.02, 0.02))
             )
         )
-    return Rig(tuple(made), vertical=np.array([0.0, 0.0, 1.0]))
+    return Rig(tuple(hung), vertical=np.array([0.0, 0.0, 1.0]))
 
 
 def _camera(
-    name: str, place: Floats, target: Floats, roll: float, size: tuple[int, int], focal: float, off: Floats, barrel: float, bend: float
+    name: str,
+    place: Floats,
+    target: Floats,
+    roll: float,
+    size: tuple[int, int],
+    focal: float,
+    off: Floats,
+    distortion: tuple[float, float],
 ) -> Camera:
-    """`barrel`, `bend`: how much the r2 and r4 terms change the radius in the image's corners."""
+    """A camera at a place (3,) m that looks at a target (3,) m.
+
+    roll        rad
+    off         (2,) px, of the principal point
+    distortion  by which share the r2 and r4 terms change the radius in the image's corners
+    """
     rotation, translation = looking(place, target, roll)
     corner = (size[0] ** 2 + size[1] ** 2) / (2 * focal) ** 2
     centre = (0.5 * (size[0] - 1) + float(off[0]), 0.5 * (size[1] - 1) + float(off[1]))
-    return Camera(name, size, (focal, focal), centre, rotation, translation, radial=(barrel / corner, bend / corner**2))
+    return Camera(name, size, (focal, focal), centre, rotation, translation, radial=(distortion[0] / corner, distortion[1] / corner**2))

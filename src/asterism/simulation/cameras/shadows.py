@@ -1,4 +1,4 @@
-"""A labelled recording of a person in; out comes the body that hides markers from cameras: capsules between estimated joints."""
+"""A labelled recording of a person in; the body that hides markers from cameras out: capsules between estimated joints."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def walker_capsules(recording: Recording) -> Capsules:
     """The body of the person in a recording, for occlusion: trunk, head, arms, legs and feet.
 
     Joints come from the markers by their usual names (those of Helen Hayes, Plug-in Gait and cluster sets: LASI, RPSI, SACR, LKNE or the
-    shank's cluster, LANK or LMALL, ...); what has no markers is put where it usually is: a trunk upright on the pelvis, hanging arms.
+    shank's cluster, LANK or LMALL, ...); a part without markers is put where it usually is: an upright trunk on the pelvis, hanging arms.
     Offsets and radii grow with the pelvis. Good enough to hide what a body hides, not for anatomy. Raises AsterismError where
     the markers on the front of the pelvis, or those on its back, are absent.
     """
@@ -53,7 +53,7 @@ def walker_capsules(recording: Recording) -> Capsules:
     left_front, right_front = markers.mean("LASI"), markers.mean("RASI")
     front, back = markers.mean("LASI", "RASI"), markers.mean("LPSI", "RPSI", "SACR")
     if left_front is None or right_front is None or front is None or back is None:
-        raise AsterismError("a body needs the pelvis' markers (LASI, RASI, and LPSI and RPSI or SACR) for its shadow; label them.")
+        raise AsterismError("a body needs the pelvis' markers (LASI, RASI, and LPSI and RPSI or SACR); label them.")
     width = float(np.nanmedian(np.linalg.norm(left_front - right_front, axis=1)))
     scale = width / PELVIS_WIDTH
     left = _unit(left_front - right_front)
@@ -107,10 +107,10 @@ class _Markers:
 
     def mean(self, *names: str) -> Floats | None:
         """(T, 3) m, NaN in frames in which one of those that the recording has is missing; None where it has none of them."""
-        own = [self._place[canonical(name)] for name in names if canonical(name) in self._place]
-        if not own:
+        known = [self._place[canonical(name)] for name in names if canonical(name) in self._place]
+        if not known:
             return None
-        mean: Floats = self._positions[:, own].mean(axis=1)
+        mean: Floats = self._positions[:, known].mean(axis=1)
         return mean
 
 

@@ -1,4 +1,4 @@
-"""A rig in; out comes a wand waved through what it sees: three markers in line, with the truth about them."""
+"""A rig in; the blobs of a wand that is waved through what it sees, and the truth about them, out."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from asterism.cameras import Rig
 from asterism.cameras.accuracy import lines_of_sight_meet, sees
 from asterism.errors import AsterismError
 from asterism.recording import Blobs, Floats, Ints
-from asterism.simulation.cameras.images import images_of
+from asterism.simulation.cameras.images import ImagingSettings, simulate_blobs
 
 STEP = 0.6
 """Seconds between the places and directions that a hand aims at."""
@@ -31,28 +31,22 @@ class WandTruth:
     identity: Ints
 
 
-def wave_wand(
+def simulate_wand(
     rig: Rig,
     lengths: Sequence[float] = (0.0, 0.2, 0.6),
     frames: int = 2000,
     *,
     rng: np.random.Generator,
     rate: float = 100.0,
-    noise: float = 0.2,
-    outliers: float = 0.0,
-    missed: float = 0.0,
-    strays: float = 0.0,
-    dropped: float = 0.0,
-    reflections: int = 0,
-    merging: bool = True,
-    delays: ArrayLike | None = None,
+    settings: ImagingSettings | None = None,
 ) -> tuple[Blobs, WandTruth]:
     """A wand waved by hand through the volume that the rig sees: 1 to 2 m/s, turning all the while.
 
-    lengths  m, where its markers sit along it (any number of them, increasing)
-    rate     frames per second; few frames cover the volume only at a low rate
-    The other arguments are those of `images_of`; outliers 0.05 puts 5 % of the blobs elsewhere. Raises AsterismError as it does, and
-    where no place is seen by two cameras.
+    lengths   m, where its markers sit along it (any number of them, increasing)
+    rate      frames per second; few frames cover the volume only at a low rate
+    settings  how the cameras see it; None: 0.2 px of noise
+
+    Raises AsterismError as `simulate_blobs` does, and where no place is seen by two cameras.
     """
     along = np.asarray(lengths, dtype=np.float64)
     if len(along) < 1 or frames < 1 or not rate > 0 or np.any(np.diff(along) <= 0):
@@ -66,21 +60,8 @@ def wave_wand(
     direction = CubicSpline(np.arange(steps), directions)(time)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     positions = middle[:, None] + direction[:, None] * (along - along.mean())[:, None]
-    blobs, identity = images_of(
-        rig,
-        positions,
-        noise,
-        None,
-        strays,
-        dropped,
-        rng=rng,
-        rate=rate,
-        missed=missed,
-        outliers=outliers,
-        reflections=reflections,
-        merging=merging,
-        delays=delays,
-    )
+    imaging = ImagingSettings(noise=0.2) if settings is None else settings
+    blobs, identity = simulate_blobs(rig, positions, imaging, rng=rng, rate=rate)
     return blobs, WandTruth(positions, identity)
 
 

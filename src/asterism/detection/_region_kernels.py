@@ -1,4 +1,4 @@
-"""Kernels of what lies behind markers: components too large to be any, and the pixels around each blob, in; what must be exceeded, out."""
+"""What lies behind markers: regions too large to be a marker, and the pixels around each blob, in; what must be exceeded, out."""
 
 from __future__ import annotations
 
@@ -7,23 +7,25 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.detection._kernels import TALL, WIDE, X, Y
+from asterism.detection._moment_kernels import TALL, WIDE, X, Y
 
-SOME, QUARTILE = 4096, 0.6745
-"""Grey values that tell what a large component is like; standard deviations from the median to a quartile."""
+SAMPLE = 4096
+"""Grey values of a large component from which its median and quartile are taken, at most."""
+QUARTILE = 0.6745
+"""Standard deviations from the median to a quartile."""
 
 
 @kernel
-def raise_levels(image, level, rows, firsts, lasts, order, starts, largest, noise, top):
-    """Make each component that is too large for a marker a ground of its own: its pixels must stand out from it.
+def raise_threshold(image, level, components, largest, noise, top):
+    """Raise the threshold within each component that is too large for a marker, so that markers must stand out from it.
 
-    IN  image (H, W); rows, firsts, lasts: runs; order, starts: see `by_component`; largest: area px of a marker; noise: the least that a
-        component's grey values are taken to have; top: the end of the grey scale
-    OUT level (H, W): in those components their median and six times the standard deviation that the lower quartile tells, where that is
-        higher
+    IN  image (H, W); components Components; largest: area px of a marker; noise: the least standard deviation of a component's grey
+        values; top: the end of the grey scale
+    OUT level (H, W): in those components the median plus six standard deviations, by the lower quartile, where that is higher
     Returns whether there is such a component. O(pixels above the level), but for some thousand values sorted per component.
     Twin: tests/twins_detection.py
     """
+    rows, firsts, lasts, order, starts = components.rows, components.firsts, components.lasts, components.order, components.starts
     raised = False
     for component in range(len(starts) - 1):
         runs = order[starts[component] : starts[component + 1]]
@@ -32,7 +34,7 @@ def raise_levels(image, level, rows, firsts, lasts, order, starts, largest, nois
             area += lasts[run] - firsts[run] + 1
         if area <= largest:
             continue
-        every = (area + SOME - 1) // SOME
+        every = (area + SAMPLE - 1) // SAMPLE
         values = np.empty((area + every - 1) // every, np.float64)
         place = n = 0
         for run in runs:
@@ -43,17 +45,17 @@ def raise_levels(image, level, rows, firsts, lasts, order, starts, largest, nois
                 place += 1
         values.sort()
         middle = values[n // 2]
-        own = middle + 6.0 * max(noise, (middle - values[n // 4]) / QUARTILE)
+        threshold = middle + 6.0 * max(noise, (middle - values[n // 4]) / QUARTILE)
         for run in runs:
             for column in range(firsts[run], lasts[run] + 1):
-                if own > level[rows[run], column]:
-                    level[rows[run], column] = min(own, top)
+                if threshold > level[rows[run], column]:
+                    level[rows[run], column] = min(threshold, top)
                     raised = True
     return raised
 
 
 @kernel
-def stand_out(image, blobs, contrast, out):
+def stands_out(image, blobs, contrast, out):
     """Whether the brightest pixel of each blob's box is brighter by more than a contrast than the median of those around it, 2 px away.
 
     IN  image (H, W); blobs (N, COLUMNS); contrast: grey values

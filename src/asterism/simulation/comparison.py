@@ -1,4 +1,4 @@
-"""What was reconstructed and what was there in; how far apart they are out."""
+"""What was reconstructed and the truth in; how far apart they are out."""
 
 from __future__ import annotations
 
@@ -15,9 +15,12 @@ from asterism.recording import NULL, Clouds, Floats, Ints
 
 @dataclass(frozen=True)
 class RigErrors:
-    """A rig against the true one, camera by camera, after both worlds are laid over each other by turning and shifting, not scaling.
+    """A rig against the true one, camera by camera, after the worlds are aligned by rotation and translation, without a scale.
 
-    position  (C,) m; direction (C,) rad, between the lines of sight; focal (C,) share, of fx; world (m, rad): how far the worlds were apart
+    position   (C,) m
+    direction  (C,) rad, between the lines of sight
+    focal      (C,) share, of fx
+    world      (m, rad): translation and rotation between the worlds
     """
 
     position: Floats
@@ -33,7 +36,7 @@ class PointErrors:
     truth   (T, M) int: the point of its frame's cloud that is each marker, -1 where none is near; a point is one marker's only
     error   (T, M) m, its distance from the truth, NaN where there is none
     wanted  (T, M) bool: the markers that should have been found
-    ghosts  how many points are no marker, seen or not
+    ghosts  how many points belong to no marker, seen or not
     points  how many points there are
     """
 
@@ -52,15 +55,15 @@ def compare_rigs(rig: Rig, truth: Rig) -> RigErrors:
     """How far a rig is from the true one; cameras are paired by name. Raises AsterismError where fewer than three are in both."""
     names = [name for name in rig.names if name in truth.names]
     if len(names) < 3:
-        raise AsterismError("two rigs are laid over each other by three common cameras or more.")
-    own, true = rig.select(names), truth.select(names)
-    rotation, translation = fit_rigid(np.stack([c.position for c in own]), np.stack([c.position for c in true]))
-    moved = own.moved(rotation, translation)
+        raise AsterismError("two rigs are compared by three common cameras or more; name their cameras alike.")
+    chosen, true = rig.select(names), truth.select(names)
+    rotation, translation = fit_rigid(np.stack([c.position for c in chosen]), np.stack([c.position for c in true]))
+    moved = chosen.moved(rotation, translation)
     turned = np.clip([a.rotation[2] @ b.rotation[2] for a, b in zip(moved, true, strict=True)], -1.0, 1.0)
     return RigErrors(
         np.array([float(np.linalg.norm(a.position - b.position)) for a, b in zip(moved, true, strict=True)]),
         np.arccos(turned),
-        np.array([abs(a.focal[0] / b.focal[0] - 1.0) for a, b in zip(own, true, strict=True)]),
+        np.array([abs(a.focal[0] / b.focal[0] - 1.0) for a, b in zip(chosen, true, strict=True)]),
         (float(np.linalg.norm(translation)), float(np.arccos(np.clip(0.5 * (np.trace(rotation) - 1.0), -1.0, 1.0)))),
     )
 
@@ -72,20 +75,20 @@ def compare_points(clouds: Clouds, positions: ArrayLike, wanted: ArrayLike, reac
     reach      m: a point farther from every marker is a ghost
     Nearest pairs first, each point and marker once. Raises AsterismError where the numbers of frames differ.
     """
-    there = np.asarray(positions, dtype=np.float64)
-    if len(there) != len(clouds):
-        raise AsterismError(f"{len(clouds)} frames of points, {len(there)} of markers; give both the same.")
-    truth = np.full(there.shape[:2], NULL, dtype=np.int64)
-    error = np.full(there.shape[:2], np.nan)
+    markers = np.asarray(positions, dtype=np.float64)
+    if len(markers) != len(clouds):
+        raise AsterismError(f"{len(clouds)} frames of points, {len(markers)} of markers; give both the same.")
+    truth = np.full(markers.shape[:2], NULL, dtype=np.int64)
+    error = np.full(markers.shape[:2], np.nan)
     ghosts = 0
     for t, cloud in enumerate(clouds):
-        away = np.linalg.norm(there[t][:, None] - cloud[None], axis=2)
-        away = np.where(np.isfinite(away), away, np.inf)
-        ghosts += int((away.min(axis=0, initial=np.inf) > reach).sum())
-        for flat in np.argsort(away, axis=None, kind="stable"):
-            m, n = divmod(int(flat), len(cloud))
-            if away[m, n] > reach:
+        distance = np.linalg.norm(markers[t][:, None] - cloud[None], axis=2)
+        distance = np.where(np.isfinite(distance), distance, np.inf)
+        ghosts += int((distance.min(axis=0, initial=np.inf) > reach).sum())
+        for index in np.argsort(distance, axis=None, kind="stable"):
+            m, n = divmod(int(index), len(cloud))
+            if distance[m, n] > reach:
                 break
             if truth[t, m] == NULL and n not in truth[t]:
-                truth[t, m], error[t, m] = n, away[m, n]
+                truth[t, m], error[t, m] = n, distance[m, n]
     return PointErrors(truth, error, np.asarray(wanted, dtype=np.bool_), ghosts, len(clouds.xyz))

@@ -1,0 +1,266 @@
+"""Components of bright pixels in; one row of moments, size and flags per blob out."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from asterism._jit import kernel
+from asterism.detection._split_kernels import grow_from_peaks, split_at_saddles
+
+COLUMNS = 10
+X, Y, AREA, PEAK, XX, YY, XY, WEIGHT, WIDE, TALL = range(COLUMNS)
+"""Columns of a blob's row."""
+AT_BORDER, SATURATED, OVERLAPPING, UNROUND = 1, 2, 4, 8
+"""Bits of a blob's flags."""
+MOST_SWEEPS, SETTLED_PX = 100, 1e-3
+"""How often the pixels of overlapping blobs are shared again at most, until no centre moves by more (px)."""
+MOST_SHARED = 6000
+"""Pixels times blobs of a component beyond which its blobs stay cut where the flood cut them, as in the clutter of a lit room."""
+LEAST_SPREAD = 0.1
+"""px2, added to the variance of a blob while pixels are shared, so that a blob of one pixel has one."""
+
+
+class ImageArrays(NamedTuple):
+    """An image (H, W); base (H, W), above which grey values are weights; cut (H, W), not 0 where a blob may go on unseen."""
+
+    image: np.ndarray
+    base: np.ndarray
+    cut: np.ndarray
+
+
+class MeasureLimits(NamedTuple):
+    """What is a blob, and when a component is several.
+
+    min_area, max_area  px
+    min_peak   grey values above the base that the brightest pixel must exceed
+    split      see `split_at_saddles`; 1 and more: never
+    step       see `grow_from_peaks`; 0: not so
+    saturated  grey value from which a pixel is saturated
+    """
+
+    min_area: float
+    max_area: float
+    min_peak: float
+    split: float
+    step: float
+    saturated: float
+
+
+class Pixels(NamedTuple):
+    """The pixels of a component in its box: weight (h, w) with one pixel around it; ys, xs (n,); label (h, w) the blob of each pixel."""
+
+    weight: np.ndarray
+    ys: np.ndarray
+    xs: np.ndarray
+    label: np.ndarray
+
+
+class Box(NamedTuple):
+    """A component's bounding box: first and last row, first and last column."""
+
+    upper: int
+    lower: int
+    left: int
+    right: int
+
+
+@kernel
+def measure(arrays, components, limits, out, flags):
+    """Weighted moments of every component of a fitting size; components with several peaks become one blob per peak.
+
+    IN  arrays ImageArrays; components Components; limits MeasureLimits
+    OUT out (capacity, COLUMNS), flags (capacity,): one row per blob
+    Returns how many blobs there are. O(pixels above the level), n log n in components with several peaks. Twin: tests/twins_detection.py
+    """
+    blobs = 0
+    for component in range(len(components.starts) - 1):
+        runs = components.order[components.starts[component] : components.starts[component + 1]]
+        area, box = _extent(components, runs, arrays.image.shape[1])
+        if area < limits.min_area or (area > limits.max_area and limits.step == 0.0):
+            continue
+        parts = 1
+        large = box.right - box.left + box.lower - box.upper >= 4 and area >= 2 * limits.min_area
+        if limits.step > 0.0 or (large and limits.split < 1.0):
+            parts = _measure_parts(arrays, components, runs, area, box, limits, out[blobs:], flags[blobs:])
+        if parts == 1 and limits.step == 0.0:
+            _measure_whole(arrays, components, runs, limits.saturated, out[blobs], flags[blobs : blobs + 1])
+        kept = blobs
+        for blob in range(blobs, blobs + parts):
+            if limits.min_area <= out[blob, AREA] <= limits.max_area and out[blob, PEAK] > limits.min_peak:
+                for k in range(COLUMNS):
+                    out[kept, k] = out[blob, k]
+                flags[kept] = flags[blob] | (OVERLAPPING if parts > 1 else 0)
+                kept += 1
+        blobs = kept
+    return blobs
+
+
+@kernel
+def _extent(components, runs, width):
+    """A component's number of pixels and its bounding box; width: of the image."""
+    area, left, right = 0, width, 0
+    for run in runs:
+        area += components.lasts[run] - components.firsts[run] + 1
+        left, right = min(left, components.firsts[run]), max(right, components.lasts[run])
+    return area, Box(components.rows[runs[0]], components.rows[runs[-1]], left, right)
+
+
+@kernel
+def _measure_parts(arrays, components, runs, area, box, limits, out, flags):
+    """The blobs that a component is made of, where it is more than one or all are grown from peaks.
+
+    OUT out (blobs, COLUMNS), flags (blobs,)
+    Returns how many blobs there are.
+    """
+    weight = _weights(arrays, components, runs, box)
+    label = np.full(weight.shape, -1)
+    ys, xs = np.empty(area, np.int64), np.empty(area, np.int64)
+    if limits.step > 0.0:
+        n, parts = grow_from_peaks(weight, limits.step, limits.min_peak, ys, xs, label)
+    else:
+        n, parts = split_at_saddles(weight, limits.split, ys, xs, label)
+        if parts == 1:
+            return parts
+    ys, xs, parts_out = ys[:n], xs[:n], out[:parts]
+    _sum_parts(arrays, Pixels(weight, ys, xs, label), box, limits.saturated, parts_out, flags)
+    if limits.step == 0.0 and parts * n <= MOST_SHARED:
+        share_pixels(weight, ys, xs, parts_out)
+    for blob in range(parts):
+        parts_out[blob, X] += box.left - 1
+        parts_out[blob, Y] += box.upper - 1
+    return parts
+
+
+@kernel
+def _measure_whole(arrays, components, runs, saturated, out, flag):
+    """One component as one blob: moments about its first pixel, moved to the centroid."""
+    image, base, cut = arrays.image, arrays.base, arrays.cut
+    rows, firsts, lasts = components.rows, components.firsts, components.lasts
+    x0, y0 = firsts[runs[0]], rows[runs[0]]
+    left, right = x0, x0
+    total = sx = sy = sxx = syy = sxy = 0.0
+    area, full, ends = 0, 0, 0
+    peak = 0.0
+    for run in runs:
+        y = float(rows[run] - y0)
+        for column in range(firsts[run], lasts[run] + 1):
+            value = int(image[rows[run], column])
+            w, x = float(value - int(base[rows[run], column])), float(column - x0)
+            total += w
+            sx += w * x
+            sy += w * y
+            sxx += w * x * x
+            syy += w * y * y
+            sxy += w * x * y
+            peak = max(peak, w)
+            full += value >= saturated
+            ends += cut[rows[run], column] != 0
+        area += lasts[run] - firsts[run] + 1
+        left, right = min(left, firsts[run]), max(right, lasts[run])
+    x, y = sx / total, sy / total
+    out[WIDE], out[TALL] = right - left + 1, rows[runs[-1]] - y0 + 1
+    out[X], out[Y], out[AREA], out[PEAK], out[WEIGHT] = x0 + x, y0 + y, area, peak, total
+    out[XX], out[YY], out[XY] = sxx / total - x * x, syy / total - y * y, sxy / total - x * y
+    flag[0] = (SATURATED if full else 0) | (AT_BORDER if ends else 0)
+
+
+@kernel
+def _weights(arrays, components, runs, box):
+    """A component's weights in its bounding box, with one pixel of 0 around it; pixels of other components are 0 too."""
+    image, base, rows = arrays.image, arrays.base, components.rows
+    weight = np.zeros((box.lower - box.upper + 3, box.right - box.left + 3), np.int64)
+    for run in runs:
+        for column in range(components.firsts[run], components.lasts[run] + 1):
+            weight[rows[run] - box.upper + 1, column - box.left + 1] = int(image[rows[run], column]) - int(base[rows[run], column])
+    return weight
+
+
+@kernel
+def _sum_parts(arrays, pixels, box, saturated, out, flags):
+    """Moments, area, extent, peak and flags of the blobs that the pixels of a box belong to.
+
+    OUT out (blobs, COLUMNS), in the axes of the box with its border; flags (blobs,)
+    O(pixels).
+    """
+    weight, ys, xs, label = pixels.weight, pixels.ys, pixels.xs, pixels.label
+    upper, left = box.upper - 1, box.left - 1
+    ends = np.empty((len(out), 4), np.int64)
+    for blob in range(len(out)):
+        flags[blob] = 0
+        for k in range(COLUMNS):
+            out[blob, k] = 0.0
+        ends[blob, 0], ends[blob, 1] = weight.shape[1], 0
+        ends[blob, 2], ends[blob, 3] = weight.shape[0], 0
+    for i in range(len(ys)):
+        y, x = ys[i], xs[i]
+        blob, w = label[y, x], float(weight[y, x])
+        out[blob, WEIGHT] += w
+        out[blob, X] += w * x
+        out[blob, Y] += w * y
+        out[blob, XX] += w * x * x
+        out[blob, YY] += w * y * y
+        out[blob, XY] += w * x * y
+        out[blob, AREA] += 1.0
+        out[blob, PEAK] = max(out[blob, PEAK], w)
+        ends[blob, 0], ends[blob, 1] = min(ends[blob, 0], x), max(ends[blob, 1], x)
+        ends[blob, 2], ends[blob, 3] = min(ends[blob, 2], y), max(ends[blob, 3], y)
+        if arrays.image[upper + y, left + x] >= saturated:
+            flags[blob] |= SATURATED
+        if arrays.cut[upper + y, left + x]:
+            flags[blob] |= AT_BORDER
+    for blob in range(len(out)):
+        out[blob, WIDE], out[blob, TALL] = ends[blob, 1] - ends[blob, 0] + 1, ends[blob, 3] - ends[blob, 2] + 1
+        _to_central_moments(out[blob])
+
+
+@kernel
+def _to_central_moments(blob):
+    """Sums of weighted coordinates and their products to mean and covariance, in place."""
+    for k in (X, Y, XX, YY, XY):
+        blob[k] /= blob[WEIGHT]
+    blob[XX] -= blob[X] * blob[X]
+    blob[YY] -= blob[Y] * blob[Y]
+    blob[XY] -= blob[X] * blob[Y]
+
+
+@kernel
+def share_pixels(weight, ys, xs, out):
+    """Share the pixels (n,) of blobs that overlap by a mixture of round Gaussians, one per blob: expectation and maximization in turn.
+
+    OUT out (blobs, COLUMNS): moments and weights, begun from those of the parts that the blobs were cut into
+    O(sweeps n blobs), until no centre moves by SETTLED_PX, MOST_SWEEPS at most. Twin: tests/twins_detection.py
+    """
+    blobs = len(out)
+    share = np.empty(blobs)
+    sums = np.empty((blobs, COLUMNS))
+    for _ in range(MOST_SWEEPS):
+        for blob in range(blobs):
+            for k in range(COLUMNS):
+                sums[blob, k] = 0.0
+        for i in range(len(ys)):
+            x, y = float(xs[i]), float(ys[i])
+            total = 0.0
+            for blob in range(blobs):
+                spread = 0.5 * (out[blob, XX] + out[blob, YY]) + LEAST_SPREAD
+                dx, dy = x - out[blob, X], y - out[blob, Y]
+                share[blob] = out[blob, WEIGHT] / spread * math.exp(-0.5 * (dx * dx + dy * dy) / spread) + 1e-300
+                total += share[blob]
+            for blob in range(blobs):
+                w = weight[ys[i], xs[i]] * share[blob] / total
+                sums[blob, WEIGHT] += w
+                sums[blob, X] += w * x
+                sums[blob, Y] += w * y
+                sums[blob, XX] += w * x * x
+                sums[blob, YY] += w * y * y
+                sums[blob, XY] += w * x * y
+        moved = 0.0
+        for blob in range(blobs):
+            _to_central_moments(sums[blob])
+            moved = max(moved, math.fabs(out[blob, X] - sums[blob, X]), math.fabs(out[blob, Y] - sums[blob, Y]))
+            for k in (X, Y, XX, YY, XY, WEIGHT):
+                out[blob, k] = sums[blob, k]
+        if moved < SETTLED_PX:
+            break

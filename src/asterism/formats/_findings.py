@@ -1,0 +1,62 @@
+"""What a reader finds out about a file that a person should know: one function for each code of docs/findings.md.
+
+The sentences name no file and have no full stop, because readers of a part of a file do not know its path. `located` completes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from asterism.findings import Finding, Severity
+
+
+def located(path: Path | str, findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """The findings with their file, as whole sentences."""
+    return tuple(replace(finding, where=str(path), sentence=f"{path}: {finding.sentence}.") for finding in findings)
+
+
+def units_assumed(sentence: str) -> Finding:
+    """The file does not say its unit of length where it should; one was chosen."""
+    return Finding("format-units-assumed", Severity.NOTE, "", sentence, "Compare a known length, such as the body's height.")
+
+
+def vertical_conflict(sentence: str) -> Finding:
+    """The file declares another vertical than its markers show."""
+    return Finding("format-vertical-conflict", Severity.NOTE, "", sentence, "Give the vertical with --vertical where this is wrong.")
+
+
+def rate_conflict(sentence: str) -> Finding:
+    """Header and time column give different rates."""
+    return Finding("format-rate-conflict", Severity.NOTE, "", sentence, "Correct the rate in the header.")
+
+
+def header_conflict(sentence: str) -> Finding:
+    """The header declares something else than the file holds."""
+    return Finding("format-header-conflict", Severity.NOTE, "", sentence, "Export the file again where it should hold more.")
+
+
+def cut_off(sentence: str) -> Finding:
+    """The file, or a line or section of it, ends too early."""
+    return Finding("format-cut-off", Severity.WARNING, "", sentence, "Export or copy the file again.")
+
+
+def short_rows(sentence: str) -> Finding:
+    """Rows have fewer cells than the header has columns."""
+    return Finding("format-short-rows", Severity.NOTE, "", sentence, "Check these lines.")
+
+
+def missing_samples(sentence: str) -> Finding:
+    """Samples that cannot be positions were taken as missing."""
+    return Finding("format-missing-samples", Severity.NOTE, "", sentence, "Export the file again where they should be positions.")
+
+
+def frame_numbers(sentence: str) -> Finding:
+    """The frame numbers leave frames out, or are not in order."""
+    return Finding("format-frame-numbers", Severity.NOTE, "", sentence, "Check the frame column.")
+
+
+def point_names(sentence: str) -> Finding:
+    """Points have no name, or a name occurs several times."""
+    return Finding("format-point-names", Severity.NOTE, "", sentence, "Name each point once.")
