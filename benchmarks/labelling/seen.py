@@ -11,7 +11,7 @@ import numpy as np
 
 import asterism
 from asterism.labelling.simulated_occlusions import simulate_occlusions
-from asterism.recording import NULL, Ints, Labelling, Recording
+from asterism.recording import NULL, Clouds, Ints, Labelling, Recording
 from benchmarks.benchmark_run import BenchmarkRun, frames_per_second
 from benchmarks.data import GAIT_BODY, blocks, evenly, gait, people_and_trials
 from benchmarks.figures import Figure
@@ -81,6 +81,13 @@ def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
         clouds, _ = simulate_occlusions(recording, hidden, ghosts, seed=0)
         rate = frames_per_second(partial(ensemble.label, clouds, workers=1), len(clouds))
         yield Figure(f"ensemble, {hidden} occlusions + {ghosts} ghosts, one core", asked, rate, "frames/s", len(clouds))
+    rng = np.random.default_rng(3)
+    crowd = Clouds.from_points([rng.uniform(-1.5, 1.5, (500, 3)) for _ in range(8)], recording.rate, recording.vertical)
+    rate = frames_per_second(partial(ensemble.label, crowd, workers=1), len(crowd))
+    yield Figure("ensemble, 500 random points a frame, one core", "> 0.2", rate, "frames/s", len(crowd))
+    clouds, _ = simulate_occlusions(recording.frames(slice(0, 8)), 0, 200, seed=1)
+    rate = frames_per_second(partial(ensemble.label, clouds, workers=1), len(clouds))
+    yield Figure("ensemble, 200 ghosts a frame, one core", "> 0.2", rate, "frames/s", len(clouds))
 
 
 def training(benchmark: BenchmarkRun) -> Iterator[Figure]:
