@@ -11,6 +11,7 @@ _BODY = "asterism.labelling.body"
 _PARTIAL = "asterism.labelling.partial"
 _POINTS = "asterism.reconstruction"
 _TWINS = "test_reconstruction_twins.py"
+_PLAIN = f"{_TWINS}::test_the_plain_method_gives_every_pair_of_rays_that_meets via reconstruct"
 
 CHECKED_BY: dict[str, str] = {
     f"{_BODY}._refine_kernels.refine": "test_body_search.py::test_refinement",
@@ -28,7 +29,7 @@ CHECKED_BY: dict[str, str] = {
     f"{_POINTS}._shared_kernels.add_without_shared": f"{_TWINS}::test_hypotheses_without_shared_blobs_are_those_of_the_twin",
     f"{_POINTS}._frame_kernels.attach_available": f"{_TWINS}::test_available_blobs_are_attached_as_by_the_twin",
     f"{_POINTS}._frame_kernels.count_visibility": f"{_TWINS}::test_visibility_is_counted_as_by_the_rigs_own_projection",
-    f"{_POINTS}._plain_kernels.reconstruct_frame_plain": f"{_TWINS}::test_the_plain_method_gives_every_pair_of_rays_that_meets via reconstruct",
+    f"{_POINTS}._plain_kernels.reconstruct_frame_plain": _PLAIN,
     f"{_POINTS}._plain_kernels.merge_versions": f"{_TWINS}::test_versions_are_merged_as_by_the_twin",
     f"{_POINTS}._score_kernels.score": f"{_TWINS}::test_the_score_is_that_of_the_twin",
     f"{_POINTS}._compose_kernels.compose": f"{_TWINS}::test_composition_finds_what_trying_all_pairs_of_blobs_finds",
