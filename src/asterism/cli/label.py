@@ -163,7 +163,7 @@ def _labelled(labeller: _Labeller, batch: _console.Batch, path: Path, target: Pa
     """Label one file and write it."""
     from asterism import __version__, formats
     from asterism.cli._recordings import label_shares, labels_kept, not_carried, report_warnings
-    from asterism.labelling.ensemble import ANOTHER_PERSON
+    from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
 
     options = labeller.options
     recording, clouds = _read(path, vertical_axis(options.vertical))
@@ -173,7 +173,7 @@ def _labelled(labeller: _Labeller, batch: _console.Batch, path: Path, target: Pa
     started = time.perf_counter()
     share = _share(progress, batch, len(options.files), path)
     labelling, marker_set, one_of_two = labeller.label(clouds, share)
-    if labeller.ensembles[0].subject_fit(clouds, labelling) < ANOTHER_PERSON:
+    if labeller.ensembles[0].subject_fit(clouds, labelling) < OTHER_SUBJECT_FIT:
         batch.found(
             Finding(
                 "label-other-subject",
