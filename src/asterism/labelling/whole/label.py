@@ -12,7 +12,7 @@ from asterism.labelling.body._workspace_kernels import FrameSettings
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules, length_scale
 from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enough
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.labelling.whole._kernels import score_frames
 from asterism.labelling.whole.certainty import Certainty, TrialLabels, overlaps_unlabelled
 from asterism.labelling.whole.joint import SceneLabelling, label_scene
@@ -141,7 +141,7 @@ def run_trials(
     parts = []
     for stretch in stretches:
         for share, ghosts in trials:
-            clouds, truth = hide_in_gaps(stretch, round(share * len(stretch.labels)), ghosts, rng)
+            clouds, truth = simulate_gaps_and_ghosts(stretch, round(share * len(stretch.labels)), ghosts, rng)
             if not len(clouds.xyz):
                 continue
             scene = prepare_scene(clouds, find_tracklets(clouds), rules, length_scale(labeller.model.mean[0], body_rules))
