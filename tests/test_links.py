@@ -9,14 +9,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from twins_links import combine_directions as combine_plainly
 from twins_links import is_cut, link_forward, strays
+from twins_links import repair_links as repair_plainly
 
 from asterism.formats import read
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds, Recording
 from asterism.simulation import simulate_walks
-from asterism.tracking._cut_kernels import count_strays, find_cuts
+from asterism.tracking._chain_kernels import combine_directions, number_chains, sort_frames
+from asterism.tracking._cut_kernels import count_strays, find_cuts, repair_links
 from asterism.tracking._link_kernels import link_frames
+from asterism.tracking._link_workspace_kernels import Links
 from asterism.tracking.linking import LinkRules, Tracklets, _along_numbers, find_tracklets
 
 MOVEMENT = (
@@ -98,7 +102,7 @@ def swapped(recording: Recording, rng: np.random.Generator, length: int | None =
 def test_motion_links_walkers_without_a_wrong_link(rate: float, hidden: int, ghosts: int) -> None:
     wrong, missing, there = 0, 0, 0
     for i, walk in enumerate(walks(rate)):
-        clouds, truth = hide_in_gaps(walk, hidden, ghosts, i, number_tracks=False)
+        clouds, truth = simulate_gaps_and_ghosts(walk, hidden, ghosts, i, number_tracks=False)
         tracklets = find_tracklets(clouds)
         check(tracklets, clouds)
         parts = score(tracklets, clouds, truth)
@@ -120,7 +124,7 @@ def test_a_link_where_nothing_can_be_known_is_not_made() -> None:
 
 def test_numbered_gaps_are_followed_and_cut() -> None:
     for i, walk in enumerate(walks()):
-        clouds, truth = hide_in_gaps(walk, 3, 3, i)
+        clouds, truth = simulate_gaps_and_ghosts(walk, 3, 3, i)
         tracklets = find_tracklets(clouds)
         check(tracklets, clouds)
         assert score(tracklets, clouds, truth)[:2] == (0, 0)
@@ -175,7 +179,7 @@ def test_points_without_a_number_join_those_with_one() -> None:
 @given(st.integers(0, 10**6), st.booleans())
 def test_the_order_of_points_plays_no_part(seed: int, numbered: bool) -> None:
     rng = np.random.default_rng(seed)
-    clouds, _ = hide_in_gaps(walks()[seed % 3].frames(np.arange(60)), 2, 2, rng, number_tracks=numbered)
+    clouds, _ = simulate_gaps_and_ghosts(walks()[seed % 3].frames(np.arange(60)), 2, 2, rng, number_tracks=numbered)
     order = np.lexsort((rng.random(len(clouds.xyz)), frame_of(clouds)))
     shuffled = replace(clouds, xyz=clouds.xyz[order], tracks=None if clouds.tracks is None else clouds.tracks[order])
     one, other = find_tracklets(clouds), find_tracklets(shuffled)
@@ -187,7 +191,7 @@ def test_the_order_of_points_plays_no_part(seed: int, numbered: bool) -> None:
 @given(st.integers(0, 10**6))
 def test_backwards_and_moved_rigidly_it_is_the_same(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    clouds, _ = hide_in_gaps(walks()[seed % 3].frames(np.arange(80)), 2, 2, rng, number_tracks=False)
+    clouds, _ = simulate_gaps_and_ghosts(walks()[seed % 3].frames(np.arange(80)), 2, 2, rng, number_tracks=False)
     links = set(zip(*links_of(find_tracklets(clouds), clouds), strict=True))
     last = len(clouds.xyz) - 1
     backwards = replace(clouds, xyz=np.ascontiguousarray(clouds.xyz[::-1]), offsets=len(clouds.xyz) - clouds.offsets[::-1])
@@ -202,7 +206,7 @@ def test_the_kernel_equals_its_twin() -> None:
     limits = LinkRules().limits(100.0)
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        clouds, _ = hide_in_gaps(walks()[seed].frames(np.arange(40)), 3, 3, rng, number_tracks=False)
+        clouds, _ = simulate_gaps_and_ghosts(walks()[seed].frames(np.arange(40)), 3, 3, rng, number_tracks=False)
         frames = [np.array(sorted(map(tuple, frame))) for frame in clouds]
         xyz, got = np.concatenate(frames), np.empty(len(clouds.xyz), dtype=np.int64)
         link_frames(xyz, clouds.offsets, limits, False, got)
@@ -213,11 +217,13 @@ def test_the_kernel_equals_its_twin() -> None:
 
 
 def test_the_cuts_equal_their_twin() -> None:
-    limits = LinkRules().limits(100.0)._replace(jump=np.inf)
+    limits = LinkRules().limits(100.0)
     rng = np.random.default_rng(0)
     for seed in range(4):
         recording = swapped(swapped(walks()[seed % 3].frames(np.arange(40)), rng)[0], rng, 3)[0]
-        positions = recording.positions + rng.normal(scale=0.004, size=recording.positions.shape)
+        positions = recording.positions + rng.normal(scale=0.004 * (seed % 2), size=recording.positions.shape)
+        for _ in range(3):  # jumps without a rival
+            positions[rng.integers(5, 35) :, rng.integers(positions.shape[1])] += rng.normal(scale=0.05, size=3)
         positions[rng.random(positions.shape[:2]) < 0.02] = np.nan
         clouds = replace(recording, positions=positions).clouds()
         links = _along_numbers(clouds.columns, frame_of(clouds))
@@ -229,6 +235,98 @@ def test_the_cuts_equal_their_twin() -> None:
         ]
         np.testing.assert_array_equal(got, wanted)
         assert got.any()
+
+
+def test_ties_and_coincident_points_are_linked_as_the_twin_links_them() -> None:
+    """Points on a grid of 1 cm, in frames of 0 to 6 points: many distances are equal."""
+    limits = LinkRules().limits(100.0)
+    linked = 0
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        points = np.round(rng.normal(scale=0.05, size=(6, 3)), 2)
+        frames = []
+        for _ in range(10):
+            points = points + np.round(rng.normal(scale=0.002, size=3), 2)
+            shown = points[rng.random(6) < rng.choice([0.0, 0.9, 0.9])]
+            frames.append(np.array(sorted(map(tuple, shown))).reshape(-1, 3))
+        offsets = np.concatenate([[0], np.cumsum([len(frame) for frame in frames])])
+        got = np.empty(offsets[-1], dtype=np.int64)
+        link_frames(np.concatenate(frames), offsets, limits, False, got)
+        wanted = link_forward(frames, limits)
+        for t in range(1, len(frames)):
+            own = got[offsets[t] : offsets[t + 1]]
+            np.testing.assert_array_equal(np.where(own >= 0, own - offsets[t - 1], -1), wanted[t])
+            linked += int((own >= 0).sum())
+    assert linked > 20
+
+
+def random_links(rng: np.random.Generator, counts: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Links between the points of neighbouring frames, each point in one at most: previous, following (P,)."""
+    offsets = np.concatenate([[0], np.cumsum(counts)])
+    previous, following = np.full(offsets[-1], -1), np.full(offsets[-1], -1)
+    for t in range(1, len(counts)):
+        n = min(counts[t - 1], counts[t])
+        one, other = offsets[t - 1] + rng.permutation(counts[t - 1])[:n], offsets[t] + rng.permutation(counts[t])[:n]
+        kept = rng.random(n) < share
+        following[one[kept]], previous[other[kept]] = other[kept], one[kept]
+    return previous, following
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.integers(0, 2**31))
+def test_both_directions_are_combined_as_the_twin_combines_them(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(0, 4, 7)
+    forward, following = random_links(rng, counts, 0.7)
+    _, backward = random_links(rng, counts, 0.7)
+    if rng.random() < 0.8:  # mostly the same links, some of them missing
+        backward = np.where(rng.random(len(following)) < 0.3, -1, following)
+    got = [np.empty(len(forward), dtype=np.int64) for _ in range(2)]
+    combine_directions(forward, backward, *got)
+    links = combine_plainly(forward, backward)
+    assert {(int(p), q) for q, p in enumerate(got[0]) if p >= 0} == links
+    assert {(p, int(q)) for p, q in enumerate(got[1]) if q >= 0} == links
+
+
+def test_ends_and_beginnings_are_joined_as_the_twin_joins_them() -> None:
+    limits = LinkRules().limits(100.0)
+    joined = refused = 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        noise = rng.choice([0.0, 0.0005, 0.004])
+        clouds = Clouds.from_points(walks()[seed % 3].positions[:12, :8] + rng.normal(scale=noise, size=(12, 8, 3)), rate=100.0)
+        frame, columns = frame_of(clouds), np.tile(np.arange(8), 12)
+        whole = _along_numbers(columns, frame)
+        previous, following = whole.previous.copy(), whole.following.copy()
+        broken = np.nonzero((previous >= 0) & (rng.random(len(previous)) < 0.2))[0]
+        following[previous[broken]] = -1
+        previous[broken] = -1
+        forbidden = np.full(len(previous), -1)
+        forbidden[broken[::4]] = whole.previous[broken[::4]]
+        wanted = repair_plainly(clouds.xyz, frame, previous, following, forbidden, limits)
+        links = Links(previous, following)
+        repair_links(clouds.xyz, clouds.offsets, links, forbidden, limits)
+        np.testing.assert_array_equal(links.previous, wanted[0])
+        np.testing.assert_array_equal(links.following, wanted[1])
+        joined, refused = joined + int((previous[broken] >= 0).sum()), refused + int((previous[broken] < 0).sum())
+    assert joined > 20 and refused > 20
+
+
+def test_points_are_sorted_and_chains_numbered() -> None:
+    rng = np.random.default_rng(0)
+    counts = rng.integers(0, 6, 12)
+    frame, offsets = np.repeat(np.arange(12), counts), np.concatenate([[0], np.cumsum(counts)])
+    xyz = np.round(rng.normal(size=(len(frame), 3)))
+    order = np.arange(len(frame))
+    sort_frames(xyz, offsets, order)
+    np.testing.assert_array_equal(order, np.lexsort((xyz[:, 2], xyz[:, 1], xyz[:, 0], frame)))
+    previous, _ = random_links(rng, counts, 0.7)
+    of_point = np.empty(len(frame), dtype=np.int64)
+    count = number_chains(previous, of_point)
+    assert sorted(set(of_point.tolist())) == list(range(count))
+    assert count == (previous < 0).sum()
+    for p, before in enumerate(previous):
+        assert of_point[p] == (of_point[before] if before >= 0 else of_point[:p].max(initial=-1) + 1)
 
 
 def test_the_strays_equal_their_twin() -> None:
@@ -245,7 +343,7 @@ def test_the_strays_equal_their_twin() -> None:
 
 @pytest.mark.parametrize("ghosts", [0, 3])
 def test_columns_that_only_count_the_points_of_a_frame_are_not_followed(ghosts: int) -> None:
-    clouds, truth = hide_in_gaps(walks()[1], 3, ghosts, 0, number_tracks=False)
+    clouds, truth = simulate_gaps_and_ghosts(walks()[1], 3, ghosts, 0, number_tracks=False)
     file = Recording.from_clouds(clouds).clouds()  # its columns are places in an order that changes with every frame
     assert file.tracks is not None
     tracklets = find_tracklets(file)
@@ -298,7 +396,7 @@ def test_real_gait_is_linked_from_raw_clouds(data) -> None:
     for i, subject in enumerate(("HC002", "HC044")):
         recording = read(data / "gait" / subject / "turn.c3d", markers="helen-hayes")
         for hidden, ghosts in ((0, 0), (3, 0), (3, 3)):
-            clouds, truth = hide_in_gaps(recording, hidden, ghosts, i, number_tracks=False)
+            clouds, truth = simulate_gaps_and_ghosts(recording, hidden, ghosts, i, number_tracks=False)
             wrong, missing, there = score(find_tracklets(clouds), clouds, truth)
             assert wrong == 0
             assert missing <= 0.001 * there

@@ -120,6 +120,30 @@ def test_the_best_assignment(seed: int) -> None:
     assert np.isclose(total, wanted)
 
 
+@given(seeds)
+@settings(races, max_examples=40)
+def test_branch_and_bound_finds_the_best_of_all_labellings(seed: int) -> None:
+    """Ties and gains of 0 and below among them."""
+    rng = np.random.default_rng(seed)
+    tracklets, markers = int(rng.integers(1, 6)), int(rng.integers(1, 4))
+    first = rng.integers(0, 6, tracklets)
+    last = first + rng.integers(0, 6, tracklets)
+    gain = np.round(rng.normal(1.0, 3.0, (tracklets, markers)))
+    gain[rng.random(gain.shape) < 0.1] = -np.inf
+    label = np.empty(tracklets, dtype=np.int64)
+    assert kernels.branch_and_bound(gain, first, last, 100_000, label)
+    found = sum(gain[j, m] for j, m in enumerate(label) if m >= 0)
+    assert found == twins.best_total(gain, first, last)
+    for j in range(tracklets):
+        assert label[j] < 0 or gain[j, label[j]] > 0
+        assert not any(label[i] == label[j] >= 0 and twins.together(first, last, i, j) for i in range(j))
+
+
+def test_branch_and_bound_says_where_it_gave_up() -> None:
+    gain, frames = np.ones((12, 6)), np.zeros(12, dtype=np.int64)
+    assert not kernels.branch_and_bound(gain, frames, frames, 20, np.empty(12, dtype=np.int64))
+
+
 def _tracklets_of_one_body(seed):
     """A rigid body in 24 frames whose tracklets come and go, one of them 3 cm aside: body, xyz, frame, track, label."""
     rng = np.random.default_rng(seed)

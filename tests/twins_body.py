@@ -1,11 +1,15 @@
-"""Plain twins of the whole-body kernels: full covariances, scipy's densities and loops, nothing clever."""
+"""Plain twins of the whole-body kernels: full covariances, densities by their formula, every triple tried; nothing clever."""
 
 from __future__ import annotations
 
-import numpy as np
-from scipy.stats import multivariate_normal
+from itertools import permutations, product
 
+import numpy as np
+import twins
+
+from asterism.labelling.body._refine_kernels import MAX_ROUNDS
 from asterism.labelling.body._score_kernels import MAX_DISTANCE
+from asterism.labelling.body._search_kernels import MAX_LABELLINGS, MAX_MARKER_SCORE, MAX_PROPOSAL_GAP
 
 
 def placement(points, rows, mean, markers):
@@ -32,18 +36,17 @@ def coordinates(markers):
 
 def covariance(model, k):
     """(3M, 3M) m2, of the placed body: latents and noise together, block by block."""
-    size = 3 * len(model.mean[k])
-    out = np.zeros((size, size))
-    for a, one in enumerate(model.load[k]):
-        for b, other in enumerate(model.load[k]):
-            own = model.noise[k, a] if a == b else 0.0
-            out[3 * a : 3 * a + 3, 3 * b : 3 * b + 3] = one @ other.T + own
-    return out
+    load, noise = model.load[k], model.noise[k]
+    out = np.einsum("air,bjr->aibj", load, load)
+    for m in range(len(load)):
+        out[m, :, m] += noise[m]
+    return out.reshape(3 * len(load), -1)
 
 
 def log_density(deviation, spread):
-    """Of a normal distribution about 0; 0 for no numbers at all."""
-    return multivariate_normal(np.zeros(len(deviation)), spread).logpdf(deviation) if len(deviation) else 0.0
+    """Of a normal distribution about 0, by its formula; 0 for no numbers at all."""
+    square = deviation @ np.linalg.solve(spread, deviation)
+    return -0.5 * (len(deviation) * np.log(2 * np.pi) + np.linalg.slogdet(spread)[1] + square)
 
 
 def conditional(joint, wanted, known, deviation):
@@ -155,3 +158,195 @@ def assign_unambiguous(scores, gap):
             if scores[m, c] - max(rivals) > gap:
                 rows[m] = c
     return rows
+
+
+def count(rows):
+    """How many markers have a point."""
+    return sum(row >= 0 for row in rows)
+
+
+def best_pose(model, points, rows, outlier, settings):
+    """The key pose of the highest evidence."""
+    return int(np.argmax([evidence(model, k, points, rows, outlier, settings) for k in range(len(model.mean))]))
+
+
+def rescore(model, k, points, rows, outlier, settings):
+    """Score, leave-one-out scores (M, n) and outliers (M,) of a labelling; what an outlier is follows from the scores before."""
+    scores = leave_one_out_scores(model, k, points, rows, outlier, settings)
+    outlier = np.array([rows[m] >= 0 and scores[m, rows[m]] <= settings.outlier_score for m in range(len(rows))])
+    scores = leave_one_out_scores(model, k, points, rows, outlier, settings)
+    return evidence(model, k, points, rows, outlier, settings), scores, outlier
+
+
+def refine(model, k, points, rows, settings):
+    """Relabel until nothing changes, unambiguous labels first: score, rows."""
+    rows, outlier, only_unambiguous = list(rows), np.zeros(len(rows), dtype=bool), True
+    for step in range(MAX_ROUNDS):
+        if count(rows) < 3:
+            return -np.inf, [-1] * len(rows)
+        previous = rows
+        if step == 1:
+            k = best_pose(model, points, rows, outlier, settings)
+        score, scores, outlier = rescore(model, k, points, rows, outlier, settings)
+        if only_unambiguous:
+            rows = assign_unambiguous(scores, settings.assign_margin)
+            only_unambiguous = count(rows) > count(previous) and step < MAX_ROUNDS // 2
+        if not only_unambiguous:
+            rows = assign_greedily(scores, settings.first_ghost_cost)
+        if rows == previous:
+            break
+    return score, previous
+
+
+def anchor_triples(anchors, a, points):
+    """All points that an anchor's three markers may be, by trying every triple; none where there are more than memory is for."""
+    checks = [("g4", (0, 1)), ("g2", (0, 1)), ("g4", (0, 2)), ("g2", (0, 2)), ("g2", (1, 2)), ("g9", (0, 1, 2))]
+
+    def allowed(triple):
+        values = [twins.feature(name, [points[triple[slot]] for slot in slots]) for name, slots in checks]
+        return all(low <= value <= high for low, value, high in zip(anchors.low[a], values, anchors.high[a], strict=True))
+
+    triples = [triple for triple in permutations(range(len(points)), 3) if allowed(triple)]
+    return triples if len(triples) <= max(64, len(points) ** 2) else []
+
+
+def all_anchor_scores(model, k, points, rows3, triple, settings):
+    """`score_from_anchor` as the search uses it: 50 nats for the anchor's own points, nothing where no score above 0 can be."""
+    out = score_from_anchor(model, k, points, rows3, triple, settings)
+    aligned, deviation = placed_anchor(model, k, points, rows3, triple)
+    for m in set(range(len(out))) - set(triple.tolist()):
+        centre, spread = conditional(covariance(model, k), coordinates([m]), coordinates(triple), deviation)
+        base = settings.reward + log_density(np.zeros(3), spread)
+        far = ((aligned - model.mean[k, m] - centre) ** 2).sum(axis=1) > 2 * max(base, 0.0) * np.trace(spread)
+        out[m, far] = -np.inf
+    out[triple] = -np.inf
+    out[triple, rows3] = 50.0
+    return out
+
+
+def propose(model, triple, points, triples, settings):
+    """The triples worth refining, best first: [(score, key pose, triple)]."""
+    likely = []
+    for rows3 in triples:
+        found = [anchor_density(model, k, points, rows3, triple) for k in range(len(model.mean))]
+        k = int(np.argmax([density for density, _ in found]))
+        if found[k][1] <= settings.max_anchor_distance2:
+            likely.append((found[k][0], k, rows3))
+    limit = 2 * settings.proposals_per_anchor + 2 * max(0, len(points) - len(model.mean[0]))
+    ranked = []
+    for density, k, rows3 in sorted(likely, reverse=True)[:limit]:
+        scores = all_anchor_scores(model, k, points, np.array(rows3), triple, settings)
+        ranked.append((density + np.clip(scores.max(axis=1), 0.0, MAX_MARKER_SCORE).sum(), k, rows3))
+    return sorted(ranked, reverse=True)[: settings.proposals_per_anchor]
+
+
+def find_labellings(model, anchors, points, settings):
+    """The labellings found, {rows: [score, votes needed, anchors that led to it]}, and the best one, None for none."""
+    led_to, found, best, most, extra = {}, {}, None, 0, 0
+    markers, n = len(model.mean[0]), len(points)
+    for a, triple in enumerate(anchors.triples):
+        labelled = markers if best is None else count(best)
+        needs_more = extra < settings.extra_anchors and (labelled <= min(n, markers) - 2 or labelled <= 0.8 * markers)
+        enough = best is not None and len(found[best][2]) >= found[best][1]
+        if (enough and not needs_more) or len(led_to) + settings.proposals_per_anchor > MAX_LABELLINGS:
+            break
+        if best is not None and found[best][1] < settings.max_votes_needed:
+            hidden = any(best[m] < 0 for m in triple)
+            if (hidden and not needs_more) or (not hidden and enough):
+                continue
+            extra += hidden
+        ranked = propose(model, triple, points, anchor_triples(anchors, a, points), settings)
+        for score, k, rows3 in ranked:
+            if score < ranked[0][0] - MAX_PROPOSAL_GAP:
+                break
+            scores = all_anchor_scores(model, k, points, np.array(rows3), triple, settings)
+            proposal = tuple(assign_greedily(scores, settings.first_ghost_cost))
+            if count(proposal) < max(most - 2, settings.min_found_share * min(n, markers)):
+                continue
+            most = max(most, count(proposal))
+            if proposal in led_to:
+                final = led_to[proposal]
+            elif proposal in found:
+                final = proposal
+            else:
+                total, rows = refine(model, k, points, assign_unambiguous(scores, settings.assign_margin), settings)
+                final = led_to[proposal] = tuple(int(row) for row in rows)
+                if final not in found:
+                    usual = settings.usual_score * count(final) - settings.first_ghost_cost * (count(final) < n)
+                    needed = settings.max_votes_needed
+                    if total >= usual and count(final) >= 0.6 * min(n, markers):
+                        needed = 1 if count(final) == n == markers else settings.votes_needed
+                    found[final] = [total, needed, set()]
+            found[final][2].add(a)
+            if best is None or found[final][0] > found[best][0]:
+                best = final
+    return found, best
+
+
+def nearest_changes(model, points, rows, settings):
+    """Score, rows and margins (M,) of a labelling after the changes of one or two markers that make it better, four at most."""
+    rows, none = list(rows), np.zeros(len(rows), dtype=bool)
+    for _ in range(4):
+        k = best_pose(model, points, rows, none, settings)
+        top, scores, outlier = rescore(model, k, points, rows, none, settings)
+        owner = {row: m for m, row in enumerate(rows) if row >= 0}
+        hide = settings.first_ghost_cost if len(owner) == len(points) else 0.0
+        margins = [scores[m, row] + hide if row >= 0 else -np.inf for m, row in enumerate(rows)]
+        better = None
+        for m, c in product(range(len(rows)), range(len(points))):
+            other, row = owner.get(c), rows[m]
+            if other == m or scores[m, c] == -np.inf:
+                continue
+            cost = (scores[m, row] if row >= 0 else 0.0) - scores[m, c]
+            if other is not None:
+                swap = row >= 0 and scores[other, row] > -settings.exact_margin
+                cost += scores[other, c] - (max(0.0, scores[other, row]) if swap else 0.0)
+                if cost < settings.exact_margin or (row < 0 and scores[m, c] > -4 * settings.exact_margin):
+                    trial, flags = list(rows), outlier.copy()
+                    trial[m], trial[other] = c, row if swap else -1
+                    flags[[m, other]] = False
+                    cost = top - evidence(model, k, points, trial, flags, settings)
+                    if cost < -1e-6:
+                        better = trial
+                        break
+                margins[other] = min(margins[other], cost)
+            margins[m] = min(margins[m], cost) if row >= 0 else max(margins[m], -cost)
+        if better is None:
+            break
+        rows = better
+    return top, rows, margins
+
+
+def retry_doubtful(model, points, top, rows, margins, settings):
+    """The first better labelling that follows when one doubtful label is taken back; None where there is none."""
+    k = best_pose(model, points, rows, np.zeros(len(rows), dtype=bool), settings)
+    for m, row in enumerate(rows):
+        if row >= 0 and margins[m] < settings.exact_margin:
+            score, better = refine(model, k, points, [-1 if other == m else row for other, row in enumerate(rows)], settings)
+            if score > top + 1e-6:
+                return better
+    return None
+
+
+def label_frame(model, anchors, points, settings):
+    """Rows and margins (M,) of the best labelling of a frame."""
+    markers = len(model.mean[0])
+    crowd = np.log(1 + max(0, len(points) - markers))
+    names = ("reward", "outlier_score", "usual_score")
+    settings = settings._replace(**{name: getattr(settings, name) - crowd for name in names})
+    found, best = find_labellings(model, anchors, points, settings) if len(points) >= 3 else ({}, None)
+    if best is None or found[best][0] == -np.inf:
+        return [-1] * markers, [-np.inf] * markers
+    top, rows, margins = nearest_changes(model, points, best, settings)
+    for _ in range(3):
+        if count(rows) in (markers, len(points)):
+            break
+        better = retry_doubtful(model, points, top, rows, margins, settings)
+        if better is None:
+            break
+        top, rows, margins = nearest_changes(model, points, better, settings)
+    for other, (score, _, _) in found.items():
+        for m in range(markers):
+            if rows[m] >= 0 and other[m] != rows[m]:
+                margins[m] = min(margins[m], max(0.0, top - score))
+    return rows, margins

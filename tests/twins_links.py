@@ -120,7 +120,7 @@ def prediction_error(before, a, b, after):
 
 
 def is_cut(positions, t, column, limits):
-    """Whether a recording's column is cut between frames t - 1 and t: (T, M, 3), NaN where missing; jumps without a rival are left out."""
+    """Whether a recording's column is cut between frames t - 1 and t: (T, M, 3), NaN where missing."""
 
     def at(frame, k):
         there = 0 <= frame < len(positions) and not np.isnan(positions[frame, k, 0])
@@ -135,9 +135,24 @@ def is_cut(positions, t, column, limits):
         after = at(t + 1, j)
         return prediction_error(before, at(t - 1, i), at(t, j), after)
 
+    def jerk():
+        """The largest second difference of the column within three frames of the link."""
+        most = 0.0
+        for frames in (range(t - 2, t - 5, -1), range(t + 1, t + 4)):
+            for frame in frames:
+                if at(frame, column) is None:
+                    break
+                if at(frame - 1, column) is not None and at(frame + 1, column) is not None:
+                    most = max(most, norm(at(frame + 1, column) - 2 * at(frame, column) + at(frame - 1, column)))
+        return most
+
     own = miss(column, column)
     if own is None or norm(own) <= limits.no_cut_below:
         return False
+    if norm(own) >= limits.jump and at(t - 2, column) is not None and at(t + 1, column) is not None:
+        change = at(t + 1, column) - at(t, column) - at(t - 1, column) + at(t - 2, column)
+        if norm(own) > 3 * norm(change) and norm(own) > 4 * jerk():
+            return True
     for k in range(positions.shape[1]):
         if k == column:
             continue
@@ -166,3 +181,60 @@ def strays(positions, farther, least):
             length, nearest = norm(b - a), np.nanmin(np.linalg.norm(then - a, axis=1))
             wrong += length > least and farther * nearest < length
     return links, wrong
+
+
+def combine_directions(forward, backward):
+    """The links (p, q) of both directions that count, from forward (P,) previous points and backward (P,) next points."""
+    ahead = {(int(p), q) for q, p in enumerate(forward) if p >= 0}
+    back = {(p, int(q)) for p, q in enumerate(backward) if q >= 0}
+
+    def age(point, links):
+        """How many points of a chain there are up to this one, against the direction in which it was linked."""
+        before = [p for p, q in links if q == point]
+        return 1 + (age(before[0], links) if before else 0)
+
+    def unknown(p, q, other):
+        return not any(p == one or q == two for one, two in other)
+
+    reverse = {(q, p) for p, q in back}
+    links = ahead & back
+    links |= {(p, q) for p, q in ahead - back if unknown(p, q, back) and age(q, reverse) < 3}
+    links |= {(p, q) for p, q in back - ahead if unknown(p, q, ahead) and age(p, ahead) < 3}
+    return links
+
+
+def repair_links(xyz, frame, previous, following, forbidden, limits):
+    """The links after ends and beginnings were joined: previous, following (P,)."""
+    previous, following = list(previous), list(following)
+
+    def place(p):
+        return xyz[p] if p >= 0 else None
+
+    def error(a, b):
+        found = prediction_error(place(previous[a]), xyz[a], xyz[b], place(following[b]))
+        return np.inf if found is None else norm(found)
+
+    def jerk(a, b):
+        most = 0.0
+        for p, links in ((a, previous), (b, following)):
+            for _ in range(3):
+                p = links[p]
+                if p < 0:
+                    break
+                if previous[p] >= 0 and following[p] >= 0:
+                    most = max(most, norm(xyz[following[p]] - 2 * xyz[p] + xyz[previous[p]]))
+        return most
+
+    for t in range(1, int(max(frame, default=0)) + 1):
+        ends = [p for p in range(len(xyz)) if frame[p] == t - 1 and following[p] < 0]
+        starts = [p for p in range(len(xyz)) if frame[p] == t and previous[p] < 0]
+        errors = {(a, b): error(a, b) for a in ends for b in starts}
+        for a in ends if starts else []:
+            b = min(starts, key=lambda start: errors[a, start])
+            gate = min(limits.noise + limits.usual_change + limits.residual_gain * jerk(a, b), limits.noise + limits.max_change)
+            least = limits.ratio_test * errors[a, b] + limits.rival_gap
+            rivals = [errors[a, other] for other in starts if other != b] + [errors[other, b] for other in ends if other != a]
+            both_known = previous[a] >= 0 and following[b] >= 0
+            if both_known and forbidden[b] != a and errors[a, b] <= gate and all(rival > least for rival in rivals):
+                following[a], previous[b] = b, a
+    return previous, following

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import twins_body
 
@@ -152,3 +154,16 @@ def training_deviations(xyz, frame, track, label, frames, low, high, noise, size
             out[j] = np.mean([deviation for _, _, deviation in sorted(known_distances)[:partners]])
     usual = [excess(m, o, known)[0] for (m, o), known in all_known.items() if known and known[1] < rigid]
     return out, np.median(usual) if usual else 0.0
+
+
+def best_total(gain, first, last):
+    """The greatest total gain of all labellings that give no marker to two tracklets at once, by trying every labelling."""
+    tracklets, markers = gain.shape
+
+    def total(labels):
+        for j, i in product(range(tracklets), range(tracklets)):
+            if i < j and labels[i] == labels[j] >= 0 and together(first, last, i, j):
+                return -np.inf
+        return sum(gain[j, m] for j, m in enumerate(labels) if m >= 0)
+
+    return max(total(labels) for labels in product(range(-1, markers), repeat=tracklets))

@@ -63,6 +63,7 @@ def kernel(function: Function | None = None, /, *, inline: bool = False) -> Any:
         flags = _FLAGS | ({"inline": "always"} if inline else {})
         dispatcher: Any = njit(**flags)(function)
         if not numba.config.DISABLE_JIT:
+            _ignore_literals(dispatcher)
             _keep_compiled(dispatcher, function, flags)
         return dispatcher
 
@@ -117,6 +118,19 @@ def _imports(text: bytes, module: str, package: str) -> Iterator[str]:
         for name in [base, *(f"{base}.{word}" for word in words)] if base else words:
             if name.partition(".")[0] == top and name != module and name in sys.modules:
                 yield name
+
+
+def _ignore_literals(dispatcher: Any) -> None:
+    """Let a kernel that is called with a constant compile for the constant's type. Numba compiles it for each constant anew."""
+    resolve = getattr(dispatcher, "get_call_template", None)
+    unliteral = getattr(numba.types, "unliteral", None)
+    if resolve is None or unliteral is None:
+        return
+
+    def resolve_types(args: Any, kws: Any) -> Any:
+        return resolve(tuple(map(unliteral, args)), {name: unliteral(kind) for name, kind in kws.items()})
+
+    dispatcher.get_call_template = resolve_types
 
 
 def _keep_compiled(dispatcher: Any, function: Function, flags: dict[str, Any]) -> None:

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from asterism.cli import _console, calibrate, rig
+from asterism.cli import _console, _first_compile, calibrate, rig
 from asterism.cli.audit import audit
 from asterism.cli.capturability import capturability
 from asterism.cli.convert import convert
@@ -27,9 +27,8 @@ from asterism.cli.reconstruct import reconstruct
 from asterism.cli.review import review
 from asterism.cli.train import train
 from asterism.errors import AsterismError
-from asterism.progress import on_first_compile
 
-_RENAMED = {"--keep": "--keep-labels", "--anyway": "--force", "--weigh-from": "--weight-reference"}
+_RENAMED = {"--keep": "--keep-labels", "--anyway": "--force", "--weigh-from": "--weight-reference", "--mine-again": "--search-again"}
 """Renamed options: the old name, which is accepted and no longer shown, and the new one."""
 _LISTS = ("--occlusions", "--ghosts", "--wand")
 
@@ -106,10 +105,10 @@ def main(args: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
-    if args is None:
-        on_first_compile(_console.announce_first_compile)
     try:
         words = _lists_joined(_globbed(_respelled(sys.argv[1:] if args is None else args)))
+        if args is None:
+            _first_compile.prepare(words)
         status = app(args=words or ["--help"], prog_name="asterism", standalone_mode=False)
     except AsterismError as problem:
         _console.error(str(problem))

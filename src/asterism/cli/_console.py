@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 
 _WIDTH_WHEN_PIPED = 160
-_COMPILE_SECONDS = 30
-"""How long the kernels of one command take to compile on two idle cores of 2024 (s)."""
 
 
 def console() -> Console:
@@ -139,25 +137,18 @@ def progress(what: str) -> Iterator[Progress | None]:
             _bars.pop()
 
 
-def announce_first_compile(kept: bool) -> None:
-    """Say once on standard error why the first run takes longer: in the progress line where there is one, else as a line."""
-    if kept:
-        sentence = f"Compiling numerical kernels; this happens once (about {_COMPILE_SECONDS} s)"
-        if _bars:
-            _bars[-1](sentence)
-            return
-    else:
-        sentence = (
-            f"Compiling numerical kernels (about {_COMPILE_SECONDS} s). No folder for compiled kernels can be written, so every run"
-            " compiles them again; name a writable one in NUMBA_CACHE_DIR"
-        )
+def notice(sentence: str, *, in_progress_line: bool = False) -> None:
+    """Print a line on standard error that is no failure; in the progress line where there is one and `in_progress_line` is set."""
+    if _bars and in_progress_line:
+        _bars[-1](sentence.rstrip("."))
+        return
     if _bars:
         from rich.console import Console
 
-        Console(stderr=True, highlight=False).print(f"{sentence}.", markup=False)
+        Console(stderr=True, highlight=False).print(sentence, markup=False)
         return
     sys.stdout.flush()
-    print(f"{sentence}.", file=sys.stderr, flush=True)
+    print(sentence, file=sys.stderr, flush=True)
 
 
 class Batch:

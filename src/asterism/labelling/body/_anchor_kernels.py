@@ -36,7 +36,7 @@ def _anchor_displacement(model, a, k, points, anchor_points, workspace):
     return distance
 
 
-@kernel
+@kernel(inline=True)
 def anchor_key_pose(model, a, points, anchor_points, workspace):
     """The key pose that fits an anchor's own points best: (k, log density in nats, squared Mahalanobis distance).
 

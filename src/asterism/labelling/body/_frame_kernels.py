@@ -16,7 +16,7 @@ from asterism.labelling.body._search_kernels import MAX_LABELLINGS, find_labelli
 from asterism.labelling.body._workspace_kernels import FrameLabelling, FrameModel, FrameSettings, count_labelled, make_body_workspace
 
 
-@kernel
+@kernel(inline=True)
 def nearest_changes(body, points, settings, workspace, labelling):
     """For every marker, by how much the labelling beats the nearest one that differs there; a better one replaces it.
 
@@ -80,7 +80,7 @@ def nearest_changes(body, points, settings, workspace, labelling):
     return top
 
 
-@kernel
+@kernel(inline=True)
 def retry_doubtful(body, points, top, settings, workspace, labelling):
     """Where markers and points are both left over: take back each doubtful label in turn, and refine what remains.
 
@@ -105,7 +105,7 @@ def retry_doubtful(body, points, top, settings, workspace, labelling):
     return False
 
 
-@kernel
+@kernel(inline=True)
 def frame_settings(settings, points, markers):
     """The settings for a frame of so many points: the more points than markers, the likelier a ghost lies near any place. O(1)."""
     log_surplus = math.log(1.0 + max(0, points - markers))
@@ -127,7 +127,7 @@ def frame_settings(settings, points, markers):
     )
 
 
-@kernel
+@kernel(inline=True)
 def label_frame(model, points, workspace, labelling):
     """The best labelling of one frame, and by how much it beats the next one, marker by marker.
 
@@ -149,14 +149,14 @@ def label_frame(model, points, workspace, labelling):
         return
     point_of[:] = candidates.labellings[best]
     labelling.counters[3] = candidates.votes[best]
-    top = nearest_changes(body, points, settings, workspace.body, labelling)
-    for _ in range(3):
+    top = -np.inf
+    for attempt in range(4):
+        top = nearest_changes(body, points, settings, workspace.body, labelling)
         labelled = count_labelled(point_of)
-        if labelled == len(point_of) or labelled == len(points):
+        if attempt == 3 or labelled == len(point_of) or labelled == len(points):
             break
         if not retry_doubtful(body, points, top, settings, workspace.body, labelling):
             break
-        top = nearest_changes(body, points, settings, workspace.body, labelling)
     for h in range(count):
         for m in range(len(point_of)):
             if point_of[m] >= 0 and candidates.labellings[h, m] != point_of[m]:

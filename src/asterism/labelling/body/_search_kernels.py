@@ -116,7 +116,7 @@ def _index_of(table, count, point_of):
     return -1
 
 
-@kernel
+@kernel(inline=True)
 def propose(model, a, points, solutions, workspace):
     """Choose the triples of an anchor that are worth refining: those from which the whole body scores best.
 
@@ -157,7 +157,7 @@ def propose(model, a, points, solutions, workspace):
     return chosen
 
 
-@kernel
+@kernel(inline=True)
 def find_labellings(model, points, workspace, counters):
     """Let anchors propose labellings and refine them, until enough anchors have led to the best one.
 

@@ -1,0 +1,55 @@
+"""What the command line does in a run whose kernels no earlier run has compiled: it says so, and compiles in a second process, too."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+
+from asterism.cli import _console
+from asterism.progress import on_first_compile
+
+_SECONDS = 30
+"""How long the kernels of one command take to compile on two idle cores of 2024 (s)."""
+_AHEAD = {"demo": ["tracking", "whole"], "label": ["whole"], "evaluate": ["tracking", "whole"]}
+"""Steps of `labelling.compile_ahead` that each command reaches after it has compiled others itself."""
+
+
+def prepare(words: Sequence[str]) -> None:
+    """Be ready for the first kernel that compiles in the run of a command line."""
+    on_first_compile(lambda kept: _first_compile(words[0] if words else "", kept))
+
+
+def _first_compile(command: str, kept: bool) -> None:
+    if not kept:
+        _console.notice(
+            f"Compiling numerical kernels (about {_SECONDS} s). No folder for compiled kernels can be written, so every run compiles them"
+            " again; name a writable one in NUMBA_CACHE_DIR.",
+        )
+        return
+    _console.notice(f"Compiling numerical kernels; this happens once (about {_SECONDS} s).", in_progress_line=True)
+    if command in _AHEAD and (os.cpu_count() or 1) > 1 and sys.executable:
+        _compile_ahead(_AHEAD[command])
+
+
+def _compile_ahead(steps: Sequence[str]) -> None:
+    """Start the second process. It only fills the compile cache: where it fails, or the run ends before it, nothing is lost."""
+    try:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "asterism.labelling.compile_ahead", *steps],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+        )
+    except OSError:
+        return
+    atexit.register(_stop, process)
+
+
+def _stop(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        process.terminate()
+    process.wait()

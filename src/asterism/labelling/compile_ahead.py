@@ -1,0 +1,81 @@
+"""The kernels that a first labelling needs late, compiled ahead: `python -m asterism.labelling.compile_ahead STEP ...`.
+
+Numba compiles in one thread. Where no earlier run has compiled the kernels, the command line starts this module as a second process: it
+compiles those of later steps into the compile cache while the command itself compiles those of its first. The kernels are called with
+next to nothing: only the types of the arguments count.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, get_type_hints
+
+import numpy as np
+
+from asterism.recording import Clouds, Floats, Ints
+
+__all__ = ["STEPS", "main"]
+
+
+def compile_tracking() -> None:
+    """Compile what links points to tracklets, with track numbers and without: three frames of one point."""
+    from asterism.tracking.linking import find_tracklets
+
+    frames = [_floats(1, 3)] * 3
+    find_tracklets(Clouds.from_points(frames, 100.0))
+    find_tracklets(Clouds.from_points(frames, 100.0, tracks=[_ints(1)] * 3))
+
+
+def compile_whole() -> None:
+    """Compile what decides on the labels of a recording as a whole, after its frames were labelled."""
+    from asterism.labelling.body._workspace_kernels import BodyArrays, FrameSettings
+    from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
+    from asterism.labelling.whole._kernels import branch_and_bound, margins_of, overlaps, score_frames, sum_scores
+
+    body = BodyArrays(
+        mean=_floats(0, 0, 3),
+        whiten=_floats(0, 0, 3, 3),
+        load=_floats(0, 0, 3, 0),
+        gram=_floats(0, 0, 0, 0),
+        full=_floats(0, 0, 0),
+        spread=_floats(0, 0, 3, 3),
+        log_scale=_floats(0, 0),
+        log_weight=_floats(0),
+    )
+    xyz, offsets, track, label, gain = _floats(0, 3), np.zeros(1, dtype=np.int64), _ints(0), _ints(0), _floats(0, 1)
+    score_frames(xyz, offsets, track, label, body, _zeros(FrameSettings), _floats(0, 0), _floats(0), _ints(0))
+    points, limits = TrackedPoints(xyz, track, track, 0), _zeros(DistanceLimits)
+    rigid_deviations(points, label, 0, limits, _floats(0))
+    training_deviations(points, label, _floats(0, 0), _floats(0, 0), limits, _floats(0))
+    sum_scores(track, _floats(0, 0), 0.0, 0.0, _floats(0, 0), _floats(0))
+    overlaps(gain, track, track, track)
+    margins_of(gain, label, track, track, track)
+    branch_and_bound(gain, track, track, 1, label)
+
+
+STEPS: dict[str, Callable[[], None]] = {"tracking": compile_tracking, "whole": compile_whole}
+"""What can be compiled ahead, by name."""
+
+
+def main(steps: Sequence[str]) -> None:
+    """Compile steps of `STEPS`, one after the other."""
+    for step in steps:
+        STEPS[step]()
+
+
+def _floats(*shape: int) -> Floats:
+    return np.zeros(shape)
+
+
+def _ints(*shape: int) -> Ints:
+    return np.zeros(shape, dtype=np.int64)
+
+
+def _zeros(settings: type[Any]) -> Any:
+    """Settings, a named tuple, whose fields are 0, each of the type that it is annotated with."""
+    return settings(*(kind(0) for kind in get_type_hints(settings).values()))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,280 @@
+"""The decisions of the whole-body kernels against their plain twins and against all labellings of small frames."""
+
+from __future__ import annotations
+
+from itertools import combinations, permutations
+
+import numpy as np
+import pytest
+import twins_body as twins
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_body import LATENTS, MARKERS, POSES, SETTINGS, random_frame, random_model, ready
+
+from asterism.labelling.body._frame_kernels import label_clouds, label_frame, nearest_changes, retry_doubtful
+from asterism.labelling.body._refine_kernels import refine
+from asterism.labelling.body._score_kernels import best_pose, rescore
+from asterism.labelling.body._search_kernels import MAX_LABELLINGS, find_labellings, make_candidates, make_search_workspace, propose
+from asterism.labelling.body._workspace_kernels import FrameLabelling, FrameModel, make_body_workspace
+from asterism.labelling.body.anchors import AnchorRules, Anchors, with_intervals
+from asterism.labelling.body.model import BodyModel
+from asterism.labelling.partial._search_kernels import search
+
+races = settings(max_examples=15, deadline=None, derandomize=True)
+seeds = st.integers(0, 2**31)
+
+
+def anchors_for(model: BodyModel, rng: np.random.Generator, count: int = 6) -> Anchors:
+    """Anchors whose intervals hold what two people of the model did in 40 frames each."""
+    bodies = [rng.multivariate_normal(model.mean[k].reshape(-1), model.covariance(k), 40) for k in range(POSES)]
+    frames = np.concatenate(bodies).reshape(-1, MARKERS, 3)
+    triples = np.array(list(combinations(range(MARKERS), 3)))[rng.permutation(20)[:count]]
+    return with_intervals(triples, frames, np.arange(len(frames)) % 2, AnchorRules())
+
+
+def frame_model(model: BodyModel, anchors: Anchors) -> FrameModel:
+    return FrameModel(anchors.solvers(), anchors.arrays(model), model.arrays(), SETTINGS)
+
+
+def workspace_for(points: np.ndarray):
+    body = make_body_workspace(len(points), MARKERS, LATENTS)
+    return make_search_workspace(body, make_candidates(MAX_LABELLINGS, MARKERS), SETTINGS.proposals_per_anchor)
+
+
+def empty_labelling() -> FrameLabelling:
+    return FrameLabelling(np.full(MARKERS, -1), np.zeros(MARKERS), np.zeros(4, dtype=np.int64))
+
+
+def spoilt(rows: np.ndarray, points: int, rng: np.random.Generator) -> np.ndarray:
+    """A labelling with two markers exchanged, or one label lost, or one label put onto a free point, or none of these."""
+    rows, labelled = rows.copy(), np.nonzero(rows >= 0)[0]
+    free = np.setdiff1d(np.arange(points), rows)
+    match rng.integers(4):
+        case 0 if len(labelled) >= 2:
+            one, other = rng.permutation(labelled)[:2]
+            rows[[one, other]] = rows[[other, one]]
+        case 1 if len(labelled):
+            rows[rng.choice(labelled)] = -1
+        case 2 if len(free):
+            rows[rng.integers(MARKERS)] = rng.choice(free)
+    return rows
+
+
+@given(seed=seeds)
+@races
+def test_rescoring_finds_the_outliers(seed):
+    rng = np.random.default_rng(seed)
+    model = random_model(rng)
+    points, rows, outlier = random_frame(model, rng)
+    points[0] += rng.choice([0.0, 0.1, 0.3])
+    workspace = ready(points, outlier)
+    score = rescore(model.arrays(), 1, points, rows, SETTINGS, workspace)
+    # the twin begins with the same outliers
+    expected, scores, outliers = twins.rescore(model, 1, points, rows, outlier, SETTINGS)
+    np.testing.assert_array_equal(workspace.outlier, outliers)
+    np.testing.assert_allclose(workspace.scores, scores, rtol=1e-6, atol=1e-4)
+    assert score == pytest.approx(expected, rel=1e-7, abs=1e-5)
+
+
+@given(seed=seeds)
+@races
+def test_the_best_key_pose(seed):
+    rng = np.random.default_rng(seed)
+    model = random_model(rng)
+    points, rows, outlier = random_frame(model, rng)
+    k, score = best_pose(model.arrays(), points, rows, SETTINGS, ready(points, outlier))
+    assert k == twins.best_pose(model, points, rows, outlier, SETTINGS)
+    assert score == pytest.approx(twins.evidence(model, k, points, rows, outlier, SETTINGS), rel=1e-7, abs=1e-5)
+
+
+@given(seed=seeds)
+@races
+def test_refinement(seed):
+    rng = np.random.default_rng(seed)
+    model = random_model(rng)
+    points, rows, _ = random_frame(model, rng, least=2)
+    rows = spoilt(rows, len(points), rng)
+    k = int(rng.integers(POSES))
+    expected, refined = twins.refine(model, k, points, rows.tolist(), SETTINGS)
+    score = refine(model.arrays(), k, points, rows, SETTINGS, ready(points, False))
+    np.testing.assert_array_equal(rows, refined)
+    assert score == pytest.approx(expected, rel=1e-7, abs=1e-5)
+
+
+@given(seed=seeds)
+@races
+def test_proposals_of_an_anchor(seed):
+    rng = np.random.default_rng(seed)
+    model = random_model(rng)
+    anchors = anchors_for(model, rng)
+    points, _, _ = random_frame(model, rng, least=4)
+    workspace = workspace_for(points)
+    arrays = frame_model(model, anchors)
+    for a, triple in enumerate(anchors.triples):
+        counters = np.zeros(2, dtype=np.int64)
+        solutions = max(0, search(arrays.solvers, a, points, workspace.order, 10**6, workspace.triples, counters))
+        triples = twins.anchor_triples(anchors, a, points)
+        assert {tuple(rows) for rows in workspace.triples[:solutions].tolist()} == set(triples)
+        expected = twins.propose(model, triple, points, triples, SETTINGS)
+        chosen = propose(arrays, a, points, solutions, workspace)
+        got = [(workspace.triple_pose[s], tuple(workspace.triples[s].tolist())) for s in workspace.best_triple[:chosen]]
+        assert got == [(k, rows) for _, k, rows in expected]
+        np.testing.assert_allclose(workspace.best_score[:chosen], [score for score, _, _ in expected], rtol=1e-6, atol=1e-4)
+
+
+@given(seed=seeds)
+@races
+def test_the_labellings_that_anchors_lead_to(seed):
+    rng = np.random.default_rng(seed)
+    model = random_model(rng)
+    anchors = anchors_for(model, rng)
+    points, _, _ = random_frame(model, rng, least=3)
+    workspace = workspace_for(points)
+    expected, best_expected = twins.find_labellings(model, anchors, points, SETTINGS)
+    count, best = find_labellings(frame_model(model, anchors), points, workspace, np.zeros(4, dtype=np.int64))
+    found = workspace.candidates
+    got = {tuple(found.labellings[h].tolist()): (found.votes_needed[h], found.votes[h]) for h in range(count)}
+    assert got == {rows: (needed, len(votes)) for rows, (_, needed, votes) in expected.items()}
+    assert (tuple(found.labellings[best].tolist()) if best >= 0 else None) == best_expected
+    np.testing.assert_allclose(found.scores[:count], [score for score, _, _ in expected.values()], rtol=1e-6, atol=1e-4)
+
+
+def test_the_search_ends_with_its_budget():
+    rng = np.random.default_rng(0)
+    model = random_model(rng)
+    arrays = frame_model(model, anchors_for(model, rng))
+    points, _, _ = random_frame(model, rng, least=6)
+    short = arrays._replace(settings=SETTINGS._replace(max_evaluations=10))
+    counters = np.zeros(4, dtype=np.int64)
+    assert find_labellings(short, points, workspace_for(points), counters) == (0, -1)
+    assert counters[1] <= 2, "an anchor runs after the budget is spent"
+
+
+@given(seed=seeds)
+@races
+def test_the_nearest_changes(seed):
+    rng = np.random.default_rng(seed)
+    model = random_model(rng)
+    points, rows, _ = random_frame(model, rng, least=3)
+    labelling = empty_labelling()
+    labelling.point_of[:] = spoilt(rows, len(points), rng)
+    expected, better, margins = twins.nearest_changes(model, points, labelling.point_of.tolist(), SETTINGS)
+    top = nearest_changes(model.arrays(), points, SETTINGS, ready(points, False), labelling)
+    np.testing.assert_array_equal(labelling.point_of, better)
+    np.testing.assert_allclose(labelling.margins, margins, rtol=1e-6, atol=1e-4)
+    assert top == pytest.approx(expected, rel=1e-7, abs=1e-5)
+
+
+@given(seed=seeds)
+@races
+def test_doubtful_labels_are_tried_again(seed):
+    rng = np.random.default_rng(seed)
+    model = random_model(rng)
+    points, rows, _ = random_frame(model, rng, least=3)
+    rows = spoilt(rows, len(points), rng)
+    margins = rng.uniform(0.0, 2.0 * SETTINGS.exact_margin, MARKERS)
+    none = np.zeros(MARKERS, dtype=bool)
+    top = twins.evidence(model, twins.best_pose(model, points, rows, none, SETTINGS), points, rows, none, SETTINGS)
+    labelling = FrameLabelling(rows.copy(), margins, np.zeros(4, dtype=np.int64))
+    better = retry_doubtful(model.arrays(), points, top, SETTINGS, ready(points, False), labelling)
+    expected = twins.retry_doubtful(model, points, top, rows.tolist(), margins, SETTINGS)
+    assert better == (expected is not None)
+    np.testing.assert_array_equal(labelling.point_of, expected if better else rows)
+
+
+@given(seed=seeds)
+@settings(races, max_examples=8)
+def test_a_whole_frame(seed):
+    rng = np.random.default_rng(seed)
+    model = random_model(rng)
+    anchors = anchors_for(model, rng)
+    points, _, _ = random_frame(model, rng)
+    labelling = empty_labelling()
+    label_frame(frame_model(model, anchors), points, workspace_for(points), labelling)
+    rows, margins = twins.label_frame(model, anchors, points, SETTINGS)
+    np.testing.assert_array_equal(labelling.point_of, rows)
+    np.testing.assert_allclose(labelling.margins, margins, rtol=1e-6, atol=1e-4)
+
+
+def all_labellings(points: int):
+    """Every labelling of at least three markers by different points: (M,), -1 for none."""
+    for count in range(3, MARKERS + 1):
+        for markers in combinations(range(MARKERS), count):
+            for chosen in permutations(range(points), count):
+                rows = np.full(MARKERS, -1)
+                rows[list(markers)] = chosen
+                yield rows
+
+
+def test_hardly_any_labelling_of_a_small_frame_is_better():
+    """Five points of six markers, in 20 frames: against all 3,720 labellings of at least three markers.
+
+    The search is no exhaustive one. It may miss the best labelling of a frame only where that one, too, explains the frame poorly.
+    """
+    missed = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        model = random_model(rng)
+        anchors = anchors_for(model, rng, 20)
+        body = rng.multivariate_normal(model.mean[0].reshape(-1), model.covariance(0)).reshape(-1, 3)
+        points = np.ascontiguousarray(body[rng.permutation(MARKERS)[:5]])
+        labelling, arrays = empty_labelling(), frame_model(model, anchors)
+        label_frame(arrays, points, workspace_for(points), labelling)
+        workspace = ready(points, False)
+        best = max(best_pose(arrays.body, points, rows, SETTINGS, workspace)[1] for rows in all_labellings(5))
+        found = best_pose(arrays.body, points, labelling.point_of, SETTINGS, workspace)[1]
+        if found < best - 1e-6:
+            missed += 1
+            assert best < 10.0, f"frame {seed}: a labelling of {best:.1f} nats was missed, the one found has {found:.1f}"
+        assert not np.isnan(labelling.margins).any()
+    assert missed <= 4, f"{missed} of 20 best labellings missed"
+
+
+@pytest.mark.parametrize("points", [0, 1, 2])
+def test_fewer_than_three_points_are_nobody(points: int):
+    rng = np.random.default_rng(0)
+    model = random_model(rng)
+    labelling, xyz = empty_labelling(), model.mean[0, :points].copy()
+    label_frame(frame_model(model, anchors_for(model, rng)), xyz, workspace_for(xyz), labelling)
+    assert (labelling.point_of == -1).all() and (labelling.margins == -np.inf).all()
+
+
+@pytest.mark.parametrize("case", ["coincident", "nan", "double", "far"])
+def test_hostile_frames(case: str):
+    """No point is given twice, no point that is NaN is given, of two coincident points either may be; and the kernel comes back."""
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        model = random_model(rng)
+        points, _, _ = random_frame(model, rng, least=6)
+        match case:
+            case "coincident":
+                points[:] = points[0]
+            case "nan":
+                points[1] = np.nan
+            case "double":
+                points = np.concatenate([points, points[:1]])
+            case "far":
+                points[0] += 1e6
+        labelling = empty_labelling()
+        label_frame(frame_model(model, anchors_for(model, rng)), points, workspace_for(points), labelling)
+        given_points = labelling.point_of[labelling.point_of >= 0]
+        assert len(set(given_points.tolist())) == len(given_points)
+        assert np.isfinite(points[given_points]).all()
+        if case == "double" and {0, len(points) - 1} & set(given_points.tolist()):
+            m = int(np.nonzero(np.isin(labelling.point_of, (0, len(points) - 1)))[0][0])
+            assert labelling.margins[m] < 1.0, "one of two coincident points is preferred to the other"
+
+
+def test_clouds_are_labelled_as_their_frames_are():
+    rng = np.random.default_rng(0)
+    model = random_model(rng)
+    arrays = frame_model(model, anchors_for(model, rng))
+    frames = [random_frame(model, rng)[0] for _ in range(6)] + [np.empty((0, 3))]
+    offsets = np.concatenate([[0], np.cumsum([len(frame) for frame in frames])])
+    together = FrameLabelling(np.full((7, MARKERS), -1), np.zeros((7, MARKERS)), np.zeros((7, 4), dtype=np.int64))
+    label_clouds(arrays, np.concatenate(frames), offsets, 0, 7, together)
+    for t, points in enumerate(frames):
+        one = empty_labelling()
+        label_frame(arrays, points, workspace_for(points), one)
+        for part, whole in zip(one, together, strict=True):
+            np.testing.assert_array_equal(part, whole[t])

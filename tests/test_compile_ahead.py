@@ -1,0 +1,52 @@
+"""Kernels compiled ahead in a second process are those, and with those types, that labelling a recording as a whole calls."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from models import trained
+
+import asterism
+from asterism.labelling import compile_ahead
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
+from asterism.labelling.whole import _distance_kernels, _kernels
+from asterism.simulation import simulate_walks
+from asterism.tracking import _chain_kernels, _cut_kernels, _link_kernels
+
+ENTRIES: dict[str, Any] = {
+    f"{module.__name__}.{name}": getattr(module, name)
+    for module, names in {
+        _link_kernels: ["link_frames"],
+        _chain_kernels: ["combine_directions", "sort_frames", "number_chains"],
+        _cut_kernels: ["repair_links", "count_strays"],
+        _kernels: ["score_frames", "sum_scores", "overlaps", "margins_of", "branch_and_bound"],
+        _distance_kernels: ["rigid_deviations", "training_deviations"],
+    }.items()
+    for name in names
+}
+
+
+def compiled() -> dict[str, set[Any]]:
+    return {name: set(kernel.signatures) for name, kernel in ENTRIES.items()}
+
+
+def test_labelling_a_recording_as_a_whole_needs_nothing_more() -> None:
+    compile_ahead.main(list(compile_ahead.STEPS))
+    ahead = compiled()
+    assert all(ahead.values()), "every kernel of the list is compiled"
+    walks = simulate_walks(subjects=5, frames=120, seed=4)
+    ensemble = trained(walks[:4], miner=None)
+    clouds, _ = simulate_gaps_and_ghosts(walks[4], 2, 1, seed=1)
+    ensemble.label(clouds, time=True)
+    assert compiled() == ahead
+
+
+def test_a_process_that_compiles_ahead_fills_the_cache(tmp_path: Path) -> None:
+    source = str(Path(asterism.__file__).parents[1])
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": source}
+    subprocess.run([sys.executable, "-m", "asterism.labelling.compile_ahead", "tracking"], env=environment, check=True)
+    assert any("link_frames" in path.name for path in tmp_path.glob("asterism.tracking._link_kernels-*/*.nbc"))
