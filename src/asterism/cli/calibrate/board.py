@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -135,8 +135,7 @@ def _board(options: BoardOptions) -> Board:
         return Board("charuco", columns, rows, options.square, options.dictionary, options.marker, options.inverted)
     if options.chessboard is not None:
         return Board("chessboard", columns, rows, options.square, inverted=options.inverted)
-    kind: Literal["asymmetric circles", "circles"] = "asymmetric circles" if options.asymmetric else "circles"
-    return Board(kind, columns, rows, options.square, inverted=options.inverted)
+    return Board("asymmetric circles" if options.asymmetric else "circles", columns, rows, options.square, inverted=options.inverted)
 
 
 def _print(made: BoardCalibration) -> None:
