@@ -35,7 +35,7 @@ class Tally:
     bins: Floats = field(default_factory=lambda: np.zeros((BINS, 3)))
 
     def add(self, labelling: Labelling, truth: Ints) -> None:
-        """Count one labelling, truth (T, M) as `hide_and_haunt` gives it."""
+        """Count one labelling, truth (T, M) as `simulate_occlusions` gives it."""
         given, there = labelling.indices != NULL, truth != NULL
         right = given & (labelling.indices == truth)
         self.frames += len(truth)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from asterism.labelling.simulated_occlusions import hide_and_haunt
+from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.recording import Floats
 from asterism.simulation import simulate_walks
 
@@ -60,7 +60,7 @@ def place_names(at: Floats, names: list[str], taken: Floats) -> list[tuple[float
 def picture() -> str:
     """The picture as SVG text."""
     walk = simulate_walks(subjects=3, frames=200, markers="plug-in-gait", seed=11)[0]
-    clouds, truth = hide_and_haunt(walk, occlusions=1, ghosts=2, seed=28)
+    clouds, truth = simulate_occlusions(walk, occlusions=1, ghosts=2, seed=28)
     frame = round(next(event.time for event in walk.events if event.label == "Foot Strike" and event.time > 0.5) * walk.rate)
     points, names = clouds[frame], walk.labels
     column = {name: walk.positions[frame, i] for i, name in enumerate(names)}

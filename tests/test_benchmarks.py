@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from asterism.errors import AsterismError
-from asterism.labelling.simulated_occlusions import hide_and_haunt, hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts, simulate_occlusions
 from asterism.recording import NULL, Clouds, Labelling, Recording
 from asterism.tracking import LinkRules
 
@@ -122,7 +122,7 @@ def test_rates_are_those_of_a_frame_counted_by_hand() -> None:
 def test_some_frames_are_the_same_clouds_with_the_same_truth() -> None:
     rng = np.random.default_rng(0)
     recording = Recording(rng.normal(size=(9, 5, 3)), tuple("abcde"), 100.0)
-    clouds, truth = hide_and_haunt(recording, 2, 1, seed=3)
+    clouds, truth = simulate_occlusions(recording, 2, 1, seed=3)
     chosen = np.array([1, 4, 8])
     few, few_truth = score.some_frames(clouds, truth, chosen)
     assert len(few) == 3
@@ -133,7 +133,7 @@ def test_some_frames_are_the_same_clouds_with_the_same_truth() -> None:
 
 def test_frames_in_reverse_are_the_recording_backwards_with_its_tracks() -> None:
     recording = Recording(np.random.default_rng(0).normal(size=(60, 5, 3)), tuple("abcde"), 100.0)
-    clouds, truth = hide_in_gaps(recording, 2, 1, seed=3)
+    clouds, truth = simulate_gaps_and_ghosts(recording, 2, 1, seed=3)
     back, back_truth = score.some_frames(clouds, truth, np.arange(60)[::-1])
     np.testing.assert_array_equal(back_truth, truth[::-1])
     for frame in range(60):
@@ -152,16 +152,16 @@ def _crossing(frames: int = 100) -> Recording:
 
 def test_tracking_keeps_its_velocity_over_a_crossing_and_a_short_gap_but_loses_who_turns_in_a_long_one() -> None:
     recording = _crossing()
-    clouds, truth = hide_in_gaps(recording, 0, 0, seed=0)
+    clouds, truth = simulate_gaps_and_ghosts(recording, 0, 0, seed=0)
     assert (tracking.follow(recording.positions[0], clouds, recording.labels).indices == truth).all()
     gone = recording.positions.copy()
     gone[30:40, 0] = np.nan
-    clouds, truth = hide_in_gaps(Recording(gone, recording.labels, 100.0), 0, 0, seed=0)
+    clouds, truth = simulate_gaps_and_ghosts(Recording(gone, recording.labels, 100.0), 0, 0, seed=0)
     assert (tracking.follow(recording.positions[0], clouds, recording.labels).indices == truth).all()
     turned = recording.positions.copy()
     turned[60:, 0, 0] = turned[60, 0, 0] - 5 * (turned[60:, 0, 0] - turned[60, 0, 0])
     turned[30:80, 0] = np.nan
-    clouds, truth = hide_in_gaps(Recording(turned, recording.labels, 100.0), 0, 0, seed=0)
+    clouds, truth = simulate_gaps_and_ghosts(Recording(turned, recording.labels, 100.0), 0, 0, seed=0)
     indices = tracking.follow(recording.positions[0], clouds, recording.labels).indices
     assert (indices[80:, 0] != truth[80:, 0]).all() and (indices[:, 1:] == truth[:, 1:]).all()
 
@@ -233,11 +233,11 @@ def test_the_peer_labels_what_is_easy_and_has_no_doubt(vertical: tuple[float, fl
     if vertical[1]:
         train, test = (Recording(r.positions[:, :, [0, 2, 1]] * [-1, 1, 1], r.labels, r.rate, np.array(vertical)) for r in (train, test))
     key_poses = peer.KeyPoses.fit([train])
-    clouds, truth = hide_and_haunt(test, 0, 0, seed=0)
+    clouds, truth = simulate_occlusions(test, 0, 0, seed=0)
     easy = score.Tally()
     easy.add(key_poses.label(clouds), truth)
     assert easy.right_share == 1.0
-    clouds, truth = hide_and_haunt(test, 2, 2, seed=0)
+    clouds, truth = simulate_occlusions(test, 2, 2, seed=0)
     haunted = score.Tally()
     haunted.add(key_poses.label(clouds), truth)
     assert haunted.false_assignments > 0.02, "ghosts must mislead a method that always answers"

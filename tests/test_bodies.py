@@ -15,7 +15,7 @@ import asterism
 from asterism import formats
 from asterism.cli import main
 from asterism.labelling import SeveralBodies, join_labellings, label_together
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.labelling.whole.bodies import Bodies, follow_bodies
 from asterism.recording import Labelling, MarkerSet, Recording
 from asterism.simulation import simulate_walks
@@ -66,7 +66,7 @@ def judged(labellings: list[Labelling], truth: np.ndarray) -> tuple[float, float
 @pytest.mark.parametrize(("away", "speed"), [((0.8, 0.3, 0.0), 0.0), ((0.0, 1.0, 0.0), 1.5), ((0.3, 0.4, 0.0), 0.0)])
 @pytest.mark.parametrize(("hidden", "ghosts", "numbered"), [(0, 0, True), (4, 0, True), (4, 0, False), (2, 3, True)])
 def test_two_walkers_with_the_same_markers_are_told_apart(walks, walker, away, speed, hidden: int, ghosts: int, numbered: bool) -> None:
-    clouds, truth = hide_in_gaps(beside(walks[5], walks[6], away, speed), hidden, ghosts, 3, number_tracks=numbered)
+    clouds, truth = simulate_gaps_and_ghosts(beside(walks[5], walks[6], away, speed), hidden, ghosts, 3, number_tracks=numbered)
     right, wrong = judged(label_together([walker, walker], clouds), truth)
     assert right > 0.985, f"{right:.4f} right"
     assert wrong < 0.005, f"{wrong:.4f} wrong among those given"
@@ -77,7 +77,7 @@ def test_a_walker_and_a_box_are_told_apart_in_either_order(walks, walker, hidden
     rng = np.random.default_rng(0)
     box = trained([tumbling_box(rng) for _ in range(4)], miner=None, subjects=list("abcd"))
     both = beside(walks[5], tumbling_box(rng), (0.4, 0.3, 0.1))
-    clouds, truth = hide_in_gaps(both, hidden, ghosts, 1)
+    clouds, truth = simulate_gaps_and_ghosts(both, hidden, ghosts, 1)
     found = label_together([walker, box], clouds)
     right, wrong = judged(found, truth)
     assert right > 0.97, f"{right:.4f} right"
@@ -87,7 +87,7 @@ def test_a_walker_and_a_box_are_told_apart_in_either_order(walks, walker, hidden
 
 
 def test_no_point_belongs_to_two_bodies_and_workers_change_nothing(walks, walker) -> None:
-    clouds, _ = hide_in_gaps(beside(walks[5], walks[6], (0.2, 0.0, 0.0)), 4, 4, 0)
+    clouds, _ = simulate_gaps_and_ghosts(beside(walks[5], walks[6], (0.2, 0.0, 0.0)), 4, 4, 0)
     found = label_together([walker, walker], clouds)
     for frame in np.concatenate([labelling.indices for labelling in found], axis=1):
         given = frame[frame >= 0]
@@ -122,14 +122,14 @@ def test_a_body_is_followed_by_its_tracklets_whichever_is_found_better() -> None
 @pytest.mark.parametrize("away", [(0.8, 0.3, 0.0), (0.3, 0.0, 0.0)])
 @pytest.mark.parametrize(("hidden", "ghosts"), [(0, 0), (6, 0), (4, 6)])
 def test_two_people_for_one_model_are_said_and_never_mixed(walks, walker, away, hidden: int, ghosts: int) -> None:
-    clouds, _ = hide_in_gaps(beside(walks[5], walks[6], away), hidden, ghosts, 3)
+    clouds, _ = simulate_gaps_and_ghosts(beside(walks[5], walks[6], away), hidden, ghosts, 3)
     with pytest.raises(SeveralBodies, match=r"two bodies with the model's 15 markers .* once for each"):
         walker.label(clouds, time=True)
 
 
 @pytest.mark.parametrize(("hidden", "ghosts"), [(0, 0), (0, 15), (2, 30)])
 def test_one_person_among_ghosts_is_no_crowd(walks, walker, hidden: int, ghosts: int) -> None:
-    walker.label(hide_in_gaps(walks[5].frames(slice(60)), hidden, ghosts, 3)[0], time=True)
+    walker.label(simulate_gaps_and_ghosts(walks[5].frames(slice(60)), hidden, ghosts, 3)[0], time=True)
 
 
 def test_a_passer_by_of_a_moment_is_no_second_person(walks, walker) -> None:
@@ -172,7 +172,7 @@ def test_the_command_labels_two_walkers_and_a_box(walks, walker, tmp_path: Path,
     walker.save(tmp_path / "gait.model")
     box.save(tmp_path / "box.model")
     three = beside(beside(walks[5], walks[6], (0.8, 0.3, 0.0)), tumbling_box(rng), (0.0, 1.5, 0.2))
-    clouds, truth = hide_in_gaps(three, 3, 0, 1)
+    clouds, truth = simulate_gaps_and_ghosts(three, 3, 0, 1)
     formats.write(tmp_path / "three.c3d", Recording.from_clouds(clouds))
     models = ["-m", str(tmp_path / "gait.model"), "-m", str(tmp_path / "box.model"), "-m", str(tmp_path / "gait.model")]
     told = ["--json", str(tmp_path / "told.json"), "--report", str(tmp_path / "page.html")]

@@ -12,7 +12,7 @@ from models import trained
 
 import asterism
 from asterism.labelling import compile_ahead
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.labelling.whole import _distance_kernels, _kernels
 from asterism.simulation import simulate_walks
 from asterism.tracking import _chain_kernels, _cut_kernels, _link_kernels
@@ -40,7 +40,7 @@ def test_labelling_a_recording_as_a_whole_needs_nothing_more() -> None:
     assert all(ahead.values()), "every kernel of the list is compiled"
     walks = simulate_walks(subjects=5, frames=120, seed=4)
     ensemble = trained(walks[:4], miner=None)
-    clouds, _ = hide_in_gaps(walks[4], 2, 1, seed=1)
+    clouds, _ = simulate_gaps_and_ghosts(walks[4], 2, 1, seed=1)
     ensemble.label(clouds, time=True)
     assert compiled() == ahead
 

@@ -13,7 +13,7 @@ from models import trained
 
 from asterism import AsterismError, Clouds, MarkerSet, Recording, SolverEnsemble
 from asterism.labelling.ensemble import TrainingRules
-from asterism.simulation import hide_and_haunt, simulate_walks
+from asterism.simulation import simulate_occlusions, simulate_walks
 
 QUICK = {"miner": None, "training": TrainingRules(trial_frames=40, folds=5)}
 QUICKEST = {"miner": None, "training": TrainingRules(trial_frames=8, folds=2)}
@@ -40,7 +40,7 @@ def stranger(walkers):
 @pytest.fixture(scope="module")
 def hard(stranger):
     """Two markers hidden and a ghost in every frame: clouds and truth."""
-    return hide_and_haunt(stranger, 2, 1, seed=4)
+    return simulate_occlusions(stranger, 2, 1, seed=4)
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,7 @@ def turned(clouds, angle, shift):
 )
 def test_walkers_never_seen_are_labelled(model, walkers, occlusions, ghosts, least_right, most_wrong):
     for person, recording in enumerate(walkers[10:]):
-        clouds, truth = hide_and_haunt(recording, occlusions, ghosts, seed=person)
+        clouds, truth = simulate_occlusions(recording, occlusions, ghosts, seed=person)
         labelling = model.label(clouds)
         check_well_formed(labelling, clouds)
         right, wrong = rates(labelling, truth)
@@ -248,7 +248,7 @@ def test_five_hundred_points_that_are_nobody_are_not_a_body(model):
 
 
 def test_a_body_is_found_among_two_hundred_ghosts(model, stranger):
-    clouds, truth = hide_and_haunt(stranger.frames(slice(0, 3)), 0, 200, seed=1)
+    clouds, truth = simulate_occlusions(stranger.frames(slice(0, 3)), 0, 200, seed=1)
     labelling = model.label(clouds)
     check_well_formed(labelling, clouds)
     wrong = ((labelling.indices >= 0) & (labelling.indices != truth)).mean()
@@ -280,7 +280,7 @@ def test_a_stricter_target_gives_no_more_labels(few, small):
     """Same seed, same margins: what the strict model labels the lenient one labels alike."""
     lenient = SolverEnsemble.fit(few, target_hit_rate=0.9, **QUICKEST)
     assert lenient.least_confidence < small.least_confidence
-    clouds, _ = hide_and_haunt(few[0], 4, 2)
+    clouds, _ = simulate_occlusions(few[0], 4, 2)
     strict, free = small.label(clouds).indices, lenient.label(clouds).indices
     assert (strict >= 0).sum() < (free >= 0).sum()
     np.testing.assert_array_equal(free[strict >= 0], strict[strict >= 0])
@@ -354,10 +354,25 @@ def test_too_few_markers_are_refused(few):
         SolverEnsemble.fit([few[0].select(few[0].labels[:3])], **QUICKEST)
 
 
-def test_recordings_with_different_labels_are_refused(few):
-    strange = replace(few[1], labels=few[1].labels[::-1], metadata={"file": "strange.c3d"})
-    with pytest.raises(AsterismError, match=r"strange\.c3d has other markers"):
-        SolverEnsemble.fit([few[0], strange], **QUICKEST)
+def test_recordings_whose_markers_differ_teach_those_that_all_have(few):
+    """In the order of the first, whatever the columns of the others; what is left out is named."""
+    names = few[0].labels
+    differing = [few[0], few[1].select(names[::-1]), few[2].select(names[1:]), replace(few[3], labels=(*names[:-1], "*7"))]
+    model = SolverEnsemble.fit(differing, **QUICKEST)
+    assert model.marker_set.names == names[1:-1]
+    assert model.about["left_out_markers"] == sorted([names[0], names[-1]])
+    given = SolverEnsemble.fit(differing, marker_set=MarkerSet(names[1:-1]), **QUICKEST)
+    clouds = few[0].clouds()
+    np.testing.assert_array_equal(model.label(clouds).indices, given.label(clouds).indices)
+    np.testing.assert_array_equal(model.label(clouds).confidence, given.label(clouds).confidence)
+    assert SolverEnsemble.fit(few, **QUICKEST).about["left_out_markers"] == []
+
+
+def test_recordings_that_share_too_few_markers_are_refused(few):
+    names = few[0].labels
+    other = replace(few[1], labels=tuple(name if i < 3 else f"other {i}" for i, name in enumerate(names)))
+    with pytest.raises(AsterismError, match="share 3 labelled markers, fewer than 4; name the set"):
+        SolverEnsemble.fit([few[0], other], **QUICKEST)
 
 
 def test_subjects_are_one_per_recording(few):
@@ -394,7 +409,7 @@ def test_a_model_read_back_is_the_same_model(small, saved, few, tmp_path):
     assert again.marker_set == small.marker_set
     assert again.least_confidence == small.least_confidence
     assert again.about == small.about
-    clouds, _ = hide_and_haunt(few[1], 2, 2)
+    clouds, _ = simulate_occlusions(few[1], 2, 2)
     one, other = small.label(clouds), again.label(clouds)
     np.testing.assert_array_equal(other.indices, one.indices)
     np.testing.assert_array_equal(other.confidence, one.confidence)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from asterism import AsterismError
 from asterism.labelling.partial import _feature_kernels
 from asterism.labelling.partial._motion_kernels import G10, G18, WIDTH
-from asterism.labelling.partial.features import FEATURES, TEMPORAL, describe, members, needs_motion, pool
+from asterism.labelling.partial.features import FEATURES, TEMPORAL, describe, feature_pool, markers_read, needs_motion
 
 coordinates = st.floats(-2.0, 2.0, allow_nan=False).map(lambda x: round(x, 3))
 four_moving_points = st.integers(0, 10**6).map(lambda seed: np.round(np.random.default_rng(seed).uniform(-2, 2, (4, WIDTH)), 3))
@@ -41,7 +41,7 @@ def test_kernel_equals_twin(kind, points, moving):
 
 
 def test_pool_of_the_thesis_has_665():
-    kinds, slots = pool(15, ("g2", "g4", "g9"))
+    kinds, slots = feature_pool(15, ("g2", "g4", "g9"))
     assert len(kinds) == 665 == 105 + 105 + 455
     assert slots.shape == (665, 4)
 
@@ -51,7 +51,7 @@ def test_pool_of_the_thesis_has_665():
     [("g1", 30), ("g2", 10), ("g3", 15), ("g4", 10), ("g5", 30), ("g6", 15), ("g7", 10), ("g8", 10), ("g13", 10), ("g18", 10)],
 )
 def test_pool_sizes_of_five_markers(name, count):
-    assert len(pool(5, (name,))[0]) == count
+    assert len(feature_pool(5, (name,))[0]) == count
 
 
 @pytest.mark.parametrize("feature", FEATURES, ids=lambda feature: feature.name)
@@ -72,10 +72,10 @@ def test_arrangements_are_all_there_is_and_none_twice(feature):
 
 
 def test_many_markers_sample_four_point_features():
-    kinds, slots = pool(30, ("g2", "g3"), seed=3)
+    kinds, slots = feature_pool(30, ("g2", "g3"), seed=3)
     assert (kinds == 1).sum() == 435
     assert 15_000 < (kinds == 2).sum() <= 20_000
-    again = pool(30, ("g2", "g3"), seed=3)
+    again = feature_pool(30, ("g2", "g3"), seed=3)
     assert np.array_equal(slots, again[1])
     assert all(len(set(row)) == 4 for row in slots[kinds == 2][:200].tolist())
 
@@ -97,13 +97,13 @@ def test_missing_point_gives_nan_and_coincident_points_a_number(kind):
 
 def test_unknown_or_repeated_feature_is_refused():
     with pytest.raises(AsterismError, match="g19"):
-        pool(5, ("g2", "g19"))
+        feature_pool(5, ("g2", "g19"))
     with pytest.raises(AsterismError, match="once"):
-        pool(5, ("g2", "g2"))
+        feature_pool(5, ("g2", "g2"))
 
 
 def test_members_and_words():
-    kinds, slots = pool(4, ("g4", "g9"))
-    reads = members(kinds, slots, 4)
+    kinds, slots = feature_pool(4, ("g4", "g9"))
+    reads = markers_read(kinds, slots, 4)
     assert reads.sum(axis=1).tolist() == [2] * 6 + [3] * 4
     assert describe(kinds[0], slots[0], ["A", "B", "C", "D"]) == "height difference (A, B)"

@@ -15,7 +15,7 @@ from asterism import AsterismError, MarkerSet, Recording, SolverEnsemble, format
 from asterism.cli import main
 from asterism.labelling.ensemble import TrainingRules
 from asterism.labelling.training.sample import GRID, Clip, Sample
-from asterism.simulation import hide_and_haunt, simulate_walks
+from asterism.simulation import simulate_occlusions, simulate_walks
 
 QUICK = {"miner": None, "training": TrainingRules(trial_frames=8, folds=2)}
 PEOPLE = ("Ann", "Ben", "Cem", "Dee", "Eva", "Fay")
@@ -85,7 +85,7 @@ def test_another_person_changes_the_model_and_is_counted(first, walks, tmp_path)
 def test_corrections_teach(walks):
     """From one person's walk, other bodies are often unsure; with their corrected recordings learned, a body like them is labelled."""
     one = trained(walks[:1], **QUICK)
-    clouds, truth = hide_and_haunt(walks[5], 3, 0, seed=1)
+    clouds, truth = simulate_occlusions(walks[5], 3, 0, seed=1)
     learned = one.learn(walks[1:5], subjects=PEOPLE[1:5])
     before, after = rates(one.label(clouds), truth), rates(learned.label(clouds), truth)
     assert after[0] > before[0] + 0.02, f"{before[0]:.1%} right before, {after[0]:.1%} after"
@@ -99,7 +99,7 @@ def test_a_corrected_recording_may_lack_markers_and_wear_its_own_order(first, wa
     learned = first.learn([holed], subjects=["Dee"])
     assert learned.marker_set == first.marker_set
     assert learned.about["subjects"] == list(PEOPLE[:4])
-    clouds, truth = hide_and_haunt(walks[5], 0, 0)
+    clouds, truth = simulate_occlusions(walks[5], 0, 0)
     right, wrong = rates(learned.label(clouds), truth)
     assert right > 0.9 and wrong < 0.01
 
@@ -109,29 +109,29 @@ def test_a_marker_that_only_the_new_person_wears_is_learned(walks):
     bare = [walk.select(walk.labels[:-1]) for walk in walks[:3]]
     marker_set = MarkerSet(walks[0].labels)
     model = SolverEnsemble.fit(bare, subjects=PEOPLE[:3], marker_set=marker_set, **QUICK)
-    clouds, truth = hide_and_haunt(walks[3], 0, 0)
+    clouds, truth = simulate_occlusions(walks[3], 0, 0)
     assert (model.label(clouds).indices[:, -1] == -1).all()
     learned = model.learn([walks[3]], subjects=["Dee"])
     assert (learned.label(clouds).indices[:, -1] == truth[:, -1]).mean() > 0.9
 
 
-def test_solvers_of_the_thesis_stay_unless_mined_again(walks, tmp_path):
-    """With four markers, mining is quick."""
+def test_partial_solvers_stay_unless_searched_again(walks, tmp_path):
+    """With four markers, the search is quick."""
     rules = {"miner": "genetic", "training": replace(QUICK["training"], frames_per_person=20)}
     few = [walk.select(walk.labels[:4]) for walk in walks]
     model = SolverEnsemble.fit(few[:2], subjects=PEOPLE[:2], **rules)
     learned = model.learn([few[2]], subjects=["Cem"])
-    assert (learned.about["mined_from"], learned.about["recordings"]) == (2, 3)
+    assert (learned.about["partial_solvers_from"], learned.about["recordings"]) == (2, 3)
     clouds = few[3].clouds()
     np.testing.assert_array_equal(learned.label(clouds, rules="thesis").indices, model.label(clouds, rules="thesis").indices)
-    again = model.learn([few[2]], subjects=["Cem"], mine_again=True)
-    assert again.about["mined_from"] == 3
+    again = model.learn([few[2]], subjects=["Cem"], search_again=True)
+    assert again.about["partial_solvers_from"] == 3
     assert content(again, tmp_path) == content(SolverEnsemble.fit(few[:3], subjects=PEOPLE[:3], **rules), tmp_path)
 
 
 def test_solvers_that_were_never_searched_cannot_be_searched_again(first, walks):
     with pytest.raises(AsterismError, match="without partial solvers; train it again with --miner bottom-up"):
-        first.learn([walks[3]], mine_again=True)
+        first.learn([walks[3]], search_again=True)
 
 
 def test_progress_rises_to_one(first, walks):
@@ -264,7 +264,7 @@ def test_real_people_are_learned_without_the_old_files(data, tmp_path):
     names = ("HC002", "HC031", "HC033")
     model = SolverEnsemble.fit([r for n in names for r in trials(n)], subjects=[n for n in names for _ in range(2)], **QUICK)
     learned = model.learn([*trials("HC039"), *trials("HC044")], subjects=["HC039"] * 2 + ["HC044"] * 2)
-    clouds, truth = hide_and_haunt(trials("HC050")[1], 3, 0, seed=2)
+    clouds, truth = simulate_occlusions(trials("HC050")[1], 3, 0, seed=2)
     before, after = rates(model.label(clouds), truth), rates(learned.label(clouds), truth)
     assert after[0] >= before[0] - 0.01 and after[0] > 0.9, f"{before[0]:.1%} right before, {after[0]:.1%} after"
     assert len(content(learned, tmp_path)) < 1_000_000

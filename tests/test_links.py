@@ -14,7 +14,7 @@ from twins_links import is_cut, link_forward, strays
 from twins_links import repair_links as repair_plainly
 
 from asterism.formats import read
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds, Recording
 from asterism.simulation import simulate_walks
 from asterism.tracking._chain_kernels import combine_directions, number_chains, sort_frames
@@ -102,7 +102,7 @@ def swapped(recording: Recording, rng: np.random.Generator, length: int | None =
 def test_motion_links_walkers_without_a_wrong_link(rate: float, hidden: int, ghosts: int) -> None:
     wrong, missing, there = 0, 0, 0
     for i, walk in enumerate(walks(rate)):
-        clouds, truth = hide_in_gaps(walk, hidden, ghosts, i, number_tracks=False)
+        clouds, truth = simulate_gaps_and_ghosts(walk, hidden, ghosts, i, number_tracks=False)
         tracklets = find_tracklets(clouds)
         check(tracklets, clouds)
         parts = score(tracklets, clouds, truth)
@@ -124,7 +124,7 @@ def test_a_link_where_nothing_can_be_known_is_not_made() -> None:
 
 def test_numbered_gaps_are_followed_and_cut() -> None:
     for i, walk in enumerate(walks()):
-        clouds, truth = hide_in_gaps(walk, 3, 3, i)
+        clouds, truth = simulate_gaps_and_ghosts(walk, 3, 3, i)
         tracklets = find_tracklets(clouds)
         check(tracklets, clouds)
         assert score(tracklets, clouds, truth)[:2] == (0, 0)
@@ -179,7 +179,7 @@ def test_points_without_a_number_join_those_with_one() -> None:
 @given(st.integers(0, 10**6), st.booleans())
 def test_the_order_of_points_plays_no_part(seed: int, numbered: bool) -> None:
     rng = np.random.default_rng(seed)
-    clouds, _ = hide_in_gaps(walks()[seed % 3].frames(np.arange(60)), 2, 2, rng, number_tracks=numbered)
+    clouds, _ = simulate_gaps_and_ghosts(walks()[seed % 3].frames(np.arange(60)), 2, 2, rng, number_tracks=numbered)
     order = np.lexsort((rng.random(len(clouds.xyz)), frame_of(clouds)))
     shuffled = replace(clouds, xyz=clouds.xyz[order], tracks=None if clouds.tracks is None else clouds.tracks[order])
     one, other = find_tracklets(clouds), find_tracklets(shuffled)
@@ -191,7 +191,7 @@ def test_the_order_of_points_plays_no_part(seed: int, numbered: bool) -> None:
 @given(st.integers(0, 10**6))
 def test_backwards_and_moved_rigidly_it_is_the_same(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    clouds, _ = hide_in_gaps(walks()[seed % 3].frames(np.arange(80)), 2, 2, rng, number_tracks=False)
+    clouds, _ = simulate_gaps_and_ghosts(walks()[seed % 3].frames(np.arange(80)), 2, 2, rng, number_tracks=False)
     links = set(zip(*links_of(find_tracklets(clouds), clouds), strict=True))
     last = len(clouds.xyz) - 1
     backwards = replace(clouds, xyz=np.ascontiguousarray(clouds.xyz[::-1]), offsets=len(clouds.xyz) - clouds.offsets[::-1])
@@ -206,7 +206,7 @@ def test_the_kernel_equals_its_twin() -> None:
     limits = LinkRules().limits(100.0)
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        clouds, _ = hide_in_gaps(walks()[seed].frames(np.arange(40)), 3, 3, rng, number_tracks=False)
+        clouds, _ = simulate_gaps_and_ghosts(walks()[seed].frames(np.arange(40)), 3, 3, rng, number_tracks=False)
         frames = [np.array(sorted(map(tuple, frame))) for frame in clouds]
         xyz, got = np.concatenate(frames), np.empty(len(clouds.xyz), dtype=np.int64)
         link_frames(xyz, clouds.offsets, limits, False, got)
@@ -343,7 +343,7 @@ def test_the_strays_equal_their_twin() -> None:
 
 @pytest.mark.parametrize("ghosts", [0, 3])
 def test_columns_that_only_count_the_points_of_a_frame_are_not_followed(ghosts: int) -> None:
-    clouds, truth = hide_in_gaps(walks()[1], 3, ghosts, 0, number_tracks=False)
+    clouds, truth = simulate_gaps_and_ghosts(walks()[1], 3, ghosts, 0, number_tracks=False)
     file = Recording.from_clouds(clouds).clouds()  # its columns are places in an order that changes with every frame
     assert file.tracks is not None
     tracklets = find_tracklets(file)
@@ -396,7 +396,7 @@ def test_real_gait_is_linked_from_raw_clouds(data) -> None:
     for i, subject in enumerate(("HC002", "HC044")):
         recording = read(data / "gait" / subject / "turn.c3d", markers="helen-hayes")
         for hidden, ghosts in ((0, 0), (3, 0), (3, 3)):
-            clouds, truth = hide_in_gaps(recording, hidden, ghosts, i, number_tracks=False)
+            clouds, truth = simulate_gaps_and_ghosts(recording, hidden, ghosts, i, number_tracks=False)
             wrong, missing, there = score(find_tracklets(clouds), clouds, truth)
             assert wrong == 0
             assert missing <= 0.001 * there

@@ -9,10 +9,10 @@ from test_weak import bodies
 
 from asterism import AsterismError, Clouds, Recording
 from asterism.labelling.partial._search_kernels import search
-from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix, nobody
-from asterism.labelling.partial.solver import pack
-from asterism.labelling.partial.solver_search import Mine, Mining
-from asterism.labelling.simulated_occlusions import hide_and_haunt
+from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix, no_classifiers
+from asterism.labelling.partial.solver import pack_solvers
+from asterism.labelling.partial.solver_search import SearchSettings, SolverSearch
+from asterism.labelling.simulated_occlusions import simulate_occlusions
 
 FRAMES, GROUPS = bodies(people=3, frames=40)
 NAMES = tuple("ABCDEFG")
@@ -21,11 +21,11 @@ SUBSETS = [(0, 1, 2), (1, 2, 3, 4), (2, 4, 5, 6), (0, 3, 5), (0, 1, 2, 3, 4, 5, 
 
 @pytest.fixture(scope="module")
 def ensemble():
-    mine = Mine(FRAMES, GROUPS, settings=Mining(glance=50, exposures=200, proof=200))
-    solvers = [mine.build(subset) for subset in SUBSETS]
+    search_ = SolverSearch(FRAMES, GROUPS, settings=SearchSettings(screening_frames=50, evaluation_frames=200, validation_frames=200))
+    solvers = [search_.build_solver(subset) for subset in SUBSETS]
     trusted = np.concatenate([solver.markers != 3 for solver in solvers])
     rates = np.array([np.where(np.isin(np.arange(7), subset), 1.0, np.nan) for subset in SUBSETS])
-    return PartialSolvers(pack(solvers), rates, np.full(7, 0.99), np.ones(7, dtype=bool), trusted, nobody())
+    return PartialSolvers(pack_solvers(solvers), rates, np.full(7, 0.99), np.ones(7, dtype=bool), trusted, no_classifiers())
 
 
 def slow(ensemble, points):
@@ -46,7 +46,7 @@ def slow(ensemble, points):
 
 @pytest.mark.parametrize("hidden", [0, 1, 3])
 def test_labels_and_votes_equal_the_twin(ensemble, hidden):
-    clouds, _ = hide_and_haunt(Recording(FRAMES[::4], NAMES, 100.0), hidden, 2, seed=hidden)
+    clouds, _ = simulate_occlusions(Recording(FRAMES[::4], NAMES, 100.0), hidden, 2, seed=hidden)
     votes = label_by_matrix(clouds, ensemble, budget=10**7)
     able = [sum(ensemble.trusted[ensemble.solvers.markers == m]) for m in range(7)]
     for t, points in enumerate(clouds):
@@ -66,7 +66,7 @@ def test_twin_of_the_matrix_follows_the_safe_rules():
 
 
 def test_a_solver_without_budget_says_nothing(ensemble):
-    clouds, _ = hide_and_haunt(Recording(FRAMES[:3], NAMES, 100.0), 0, 0)
+    clouds, _ = simulate_occlusions(Recording(FRAMES[:3], NAMES, 100.0), 0, 0)
     votes = label_by_matrix(clouds, ensemble, budget=0)
     assert (votes.indices == -1).all()
 
@@ -89,7 +89,7 @@ def test_no_frames(ensemble):
 
 def test_arrays_there_and_back(ensemble):
     again = PartialSolvers.from_arrays(ensemble.to_arrays())
-    clouds, _ = hide_and_haunt(Recording(FRAMES[::10], NAMES, 100.0), 1, 1)
+    clouds, _ = simulate_occlusions(Recording(FRAMES[::10], NAMES, 100.0), 1, 1)
     assert np.array_equal(label_by_matrix(clouds, ensemble).indices, label_by_matrix(clouds, again).indices)
 
 

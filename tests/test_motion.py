@@ -15,17 +15,17 @@ from asterism.labelling.ensemble import TrainingRules
 from asterism.labelling.partial._feature_kernels import feature_value
 from asterism.labelling.partial._motion_kernels import WIDTH
 from asterism.labelling.partial._search_kernels import search
-from asterism.labelling.partial.features import FEATURES, TEMPORAL, kinds_of, needs_motion, pool
+from asterism.labelling.partial.features import FEATURES, TEMPORAL, feature_pool, kinds_of, needs_motion
 from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
-from asterism.labelling.partial.motion_points import frames_with_motion, motion_of
-from asterism.labelling.partial.solver import FullSolver, stack
-from asterism.labelling.partial.solver_search import Mining, mine
-from asterism.labelling.partial.weak import Spread, StrongClassifier
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.partial.motion_points import frames_with_motion, motion_of_points
+from asterism.labelling.partial.solver import FullSolver, FullSolverRules, stack_frames
+from asterism.labelling.partial.solver_search import SearchSettings, search_partial_solvers
+from asterism.labelling.partial.weak import FeatureRanges, StrongClassifier
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.simulation import simulate_walks
 
 WALKS = simulate_walks(subjects=3, frames=120, seed=2)
-QUICK = Mining(glance=60, exposures=200, proof=300, breadth=20, largest=5, most_solvers=25)
+QUICK = SearchSettings(screening_frames=60, evaluation_frames=200, validation_frames=300, beam_width=20, max_markers=5, max_solvers=25)
 BOTH = ("g2", "g4", "g9", *TEMPORAL)
 
 
@@ -68,7 +68,7 @@ def test_motion_is_unknown_beside_a_gap_and_without_tracks():
     assert known[[24, 39], 0, 9:].all()
     assert not known[[0, 19, 60], 1, 3:9].all(axis=1)[[0, 1, 2]].any()
     assert known[20:60, 1].all()
-    slow = motion_of(replace(recording.clouds(), rate=10.0))
+    slow = motion_of_points(replace(recording.clouds(), rate=10.0))
     assert np.isnan(slow[:, 3:]).all(), "ten frames a second do not say how a point moves"
     assert np.isfinite(slow[:, :3]).all()
 
@@ -86,7 +86,7 @@ def test_neither_heading_nor_place_nor_direction_of_time_changes_a_feature(seed,
     other = frames_with_motion(replace(recording, positions=positions[::-1] if backwards else positions))
     other = other[::-1] if backwards else other
     frames = frames_with_motion(recording)
-    kinds, slots = pool(3, [feature.name for feature in FEATURES if feature.points < 4])
+    kinds, slots = feature_pool(3, [feature.name for feature in FEATURES if feature.points < 4])
     for kind, slot in zip(kinds, slots, strict=True):
         for t in (22, 55):
             before, after = (feature_value(kind, np.ascontiguousarray(f[t]), *slot) for f in (frames, other))
@@ -110,9 +110,9 @@ def test_intervals_and_rejections_of_motion():
     positions = np.zeros((200, 3, 3)) + rng.normal(scale=2e-4, size=(200, 3, 3))
     positions[:, 1, 0] += 0.3
     positions[:, 2, 1] += swing
-    frames, groups = stack([Recording(positions, ("A", "B", "C"), 100.0, metadata={"subject": "S"})], motion=True)
+    frames, groups = stack_frames([Recording(positions, ("A", "B", "C"), 100.0, metadata={"subject": "S"})], motion=True)
     inner = slice(25, 175)
-    plain, moving = (Spread.measure(frames, groups, names).weak("range") for names in (("g2",), ("g2", "g11", "g15")))
+    plain, moving = (FeatureRanges.measure(frames, groups, names).classifiers("range") for names in (("g2",), ("g2", "g11", "g15")))
     swap = np.tile([0, 2, 1], (200, 1))
     caught = [(~StrongClassifier(weak, np.ones(len(weak)), 3).accepts(frames, swap))[inner].mean() for weak in (plain, moving)]
     assert caught[0] < 0.995
@@ -122,27 +122,27 @@ def test_intervals_and_rejections_of_motion():
 
 
 def test_frames_without_motion_are_refused_where_it_is_needed():
-    frames, groups = stack(WALKS)
+    frames, groups = stack_frames(WALKS)
     with pytest.raises(AsterismError, match="motion"):
-        Spread.measure(frames, groups, BOTH)
-    wide, _ = stack(WALKS, motion=True)
+        FeatureRanges.measure(frames, groups, BOTH)
+    wide, _ = stack_frames(WALKS, motion=True)
     assert wide.shape == (*frames.shape[:2], WIDTH)
-    weak = Spread.measure(wide, groups, ("g10",)).weak("range")
+    weak = FeatureRanges.measure(wide, groups, ("g10",)).classifiers("range")
     with pytest.raises(AsterismError, match="motion"):
         StrongClassifier(weak, np.ones(len(weak)), 15).accepts(frames, np.tile(np.arange(15), (len(frames), 1)))
 
 
 @pytest.fixture(scope="module")
 def mined():
-    frames, groups = stack(WALKS, motion=True)
-    return mine(frames, groups, targets=0.98, features=BOTH, settings=QUICK, widen=0.5, seed=0)
+    frames, groups = stack_frames(WALKS, motion=True)
+    return search_partial_solvers(frames, groups, targets=0.98, features=BOTH, settings=replace(QUICK, widen=0.5), seed=0)
 
 
 def test_miners_and_searches_take_features_of_motion(mined):
     used = {FEATURES[kind].name for kind in np.unique(mined.solvers.kinds)}
     assert set(TEMPORAL) - {"g18"} <= used
     assert mined.reads_motion
-    clouds, truth = hide_in_gaps(WALKS[1], 2, 0, seed=1)
+    clouds, truth = simulate_gaps_and_ghosts(WALKS[1], 2, 0, seed=1)
     indices = label_by_matrix(clouds, mined).indices
     right = ((indices == truth) & (indices >= 0)).sum()
     assert right / (indices >= 0).sum() > 0.99
@@ -151,10 +151,10 @@ def test_miners_and_searches_take_features_of_motion(mined):
 
 def test_what_motion_rules_out_is_what_each_search_would_find(mined):
     """Rules shared by all solvers of a frame give the proposals that each solver's own search gives with its own classifiers."""
-    clouds, _ = hide_in_gaps(WALKS[0].frames(slice(0, 60)), 2, 1, seed=3)
-    points = motion_of(clouds)
+    clouds, _ = simulate_gaps_and_ghosts(WALKS[0].frames(slice(0, 60)), 2, 1, seed=3)
+    points = motion_of_points(clouds)
     few = PartialSolvers(
-        mined.solvers, mined.hit_rates, mined.targets, mined.covered, np.ones_like(mined.trusted), mined.whole
+        mined.solvers, mined.hit_rates, mined.targets, mined.covered, np.ones_like(mined.trusted), mined.strong
     )  # every solver may propose
     votes = label_by_matrix(clouds, few, budget=10**7, complete=False).indices
     for t in range(0, 60, 12):
@@ -170,7 +170,7 @@ def test_what_motion_rules_out_is_what_each_search_would_find(mined):
 
 
 def test_clouds_without_tracks_or_with_one_frame_still_get_labels(mined):
-    clouds, truth = hide_in_gaps(WALKS[1].frames(slice(50, 51)), 0, 0, seed=1)
+    clouds, truth = simulate_gaps_and_ghosts(WALKS[1].frames(slice(50, 51)), 0, 0, seed=1)
     for tracks in (clouds.tracks, None, np.full(len(clouds.xyz), -1)):
         indices = label_by_matrix(replace(clouds, tracks=tracks), mined).indices
         assert ((indices == truth) | (indices < 0)).all()
@@ -180,8 +180,8 @@ def test_clouds_without_tracks_or_with_one_frame_still_get_labels(mined):
 
 
 def test_the_order_of_the_points_does_not_matter(mined):
-    clouds, truth = hide_in_gaps(WALKS[2], 1, 0, seed=5)
-    other, again = hide_in_gaps(WALKS[2], 1, 0, seed=5)
+    clouds, truth = simulate_gaps_and_ghosts(WALKS[2], 1, 0, seed=5)
+    other, again = simulate_gaps_and_ghosts(WALKS[2], 1, 0, seed=5)
     rng = np.random.default_rng(0)
     order = np.concatenate([clouds.offsets[t] + rng.permutation(clouds.counts[t]) for t in range(len(clouds))])
     mixed = replace(other, xyz=other.xyz[order], tracks=other.tracks[order])
@@ -194,8 +194,8 @@ def test_the_order_of_the_points_does_not_matter(mined):
 
 
 def test_full_solver_with_motion_labels_and_rejects():
-    clouds, truth = hide_in_gaps(WALKS[0], 0, 0, seed=2)
-    solver = FullSolver.fit(WALKS, features=("g2", "g4", "g18"), weak_classifiers=30, seed=0)
+    clouds, truth = simulate_gaps_and_ghosts(WALKS[0], 0, 0, seed=2)
+    solver = FullSolver.fit(WALKS, rules=FullSolverRules(features=("g2", "g4", "g18"), weak_classifiers=30), seed=0)
     labelling = solver.label(clouds)
     given_labels = labelling.indices >= 0
     assert (labelling.indices == truth)[given_labels].all()
@@ -207,14 +207,14 @@ def test_full_solver_with_motion_labels_and_rejects():
 def test_a_model_with_features_of_motion_is_saved_and_read_again(tmp_path):
     features = ("g2", "g4", "g9", "g11", "g16")
     walks = [walk.select(walk.labels[:5]) for walk in WALKS]
-    ensemble = SolverEnsemble.fit(walks, features=features, seed=0, training=TrainingRules(trial_frames=20, folds=2))
+    ensemble = SolverEnsemble.fit(walks, seed=0, training=TrainingRules(trial_frames=20, folds=2, features=features))
     assert ensemble.about["features"] == list(features)
     ensemble.save(tmp_path / "moving.model")
     again = SolverEnsemble.load(tmp_path / "moving.model")
-    clouds, truth = hide_in_gaps(walks[0], 1, 0, seed=1)
+    clouds, truth = simulate_gaps_and_ghosts(walks[0], 1, 0, seed=1)
     for rules in ("thesis", "partial-solvers"):
         one, two = ensemble.label(clouds, rules=rules), again.label(clouds, rules=rules)
         assert np.array_equal(one.indices, two.indices)
         assert ((one.indices == truth) | (one.indices < 0)).mean() > 0.98
     with pytest.raises(AsterismError, match="g99"):
-        SolverEnsemble.fit(walks, features=("g99",))
+        SolverEnsemble.fit(walks, training=TrainingRules(features=("g99",)))

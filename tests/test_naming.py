@@ -16,7 +16,7 @@ from asterism.cli import main
 from asterism.errors import AsterismError
 from asterism.labelling import MarkerGroups, SolverEnsemble, group_tracklets, name_groups
 from asterism.labelling.naming import locate_groups
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds, Floats, Ints, Recording
 from asterism.simulation import simulate_walks
 
@@ -53,7 +53,7 @@ def names_needed(counts: Floats, share: float = 0.99) -> int:
 
 @pytest.mark.parametrize("hidden", [0, 1, 3])
 def test_pieces_of_a_marker_are_joined_and_no_two_markers_are(hidden: int, walk: Recording) -> None:
-    clouds, truth = hide_in_gaps(walk, hidden, 0, seed=3)
+    clouds, truth = simulate_gaps_and_ghosts(walk, hidden, 0, seed=3)
     counts = table(group_tracklets(clouds), clouds, truth)
     wrong = counts.sum() - counts.max(axis=1).sum()
     assert wrong <= 0.002 * counts.sum(), f"{wrong:.0f} of {counts.sum():.0f} samples in a group of another marker"
@@ -64,7 +64,7 @@ def test_real_walks(data: Path) -> None:
     wrong, total, needed = 0.0, 0.0, []
     for number, (subject, trial) in enumerate([("HC002", "straight"), ("HC055", "turn"), ("HC039", "straight"), ("HC030", "turn")]):
         recording = formats.read(data / "gait" / subject / f"{trial}.c3d", markers="helen-hayes")
-        clouds, truth = hide_in_gaps(recording, 3, 0, seed=number)
+        clouds, truth = simulate_gaps_and_ghosts(recording, 3, 0, seed=number)
         counts = table(group_tracklets(clouds), clouds, truth)
         wrong, total = wrong + counts.sum() - counts.max(axis=1).sum(), total + counts.sum()
         needed.append(names_needed(counts))
@@ -90,7 +90,7 @@ def test_two_markers_that_exchange_places_are_not_joined() -> None:
 @given(st.integers(0, 2**31), st.integers(0, 2))
 def test_every_point_is_in_one_group_which_has_it_once_a_frame(seed: int, ghosts: int) -> None:
     short = simulate_walks(subjects=1, frames=60, markers="helen-hayes", seed=1)[0]
-    clouds, _ = hide_in_gaps(short, 3, ghosts, seed)
+    clouds, _ = simulate_gaps_and_ghosts(short, 3, ghosts, seed)
     groups = group_tracklets(clouds)
     frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
     assert len(np.unique(groups.of_point * len(clouds) + frame_of)) == len(clouds.xyz)
@@ -100,7 +100,7 @@ def test_every_point_is_in_one_group_which_has_it_once_a_frame(seed: int, ghosts
 
 
 def test_the_same_groups_again_and_however_the_recording_lies(walk: Recording) -> None:
-    clouds, _ = hide_in_gaps(walk, 2, 1, seed=4)
+    clouds, _ = simulate_gaps_and_ghosts(walk, 2, 1, seed=4)
     groups = group_tracklets(clouds)
     np.testing.assert_array_equal(group_tracklets(clouds).of_point, groups.of_point)
     moved = replace(clouds, xyz=clouds.xyz[:, [2, 0, 1]] + np.array([1.0, 2.0, 0.5]), vertical=np.array([1.0, 0.0, 0.0]))
@@ -138,7 +138,7 @@ def test_of_a_standing_subject_no_side_is_told() -> None:
 
 
 def test_names_make_a_labelled_recording(walk: Recording) -> None:
-    clouds, truth = hide_in_gaps(walk, 2, 1, seed=3)
+    clouds, truth = simulate_gaps_and_ghosts(walk, 2, 1, seed=3)
     raw = in_columns(clouds)
     own = raw.clouds()
     groups = group_tracklets(own)
@@ -192,7 +192,7 @@ def run(*args: object) -> int:
 
 @pytest.fixture
 def first(walk: Recording, tmp_path: Path) -> Path:
-    formats.write(tmp_path / "first.c3d", in_columns(hide_in_gaps(walk, 1, 0, seed=2)[0]))
+    formats.write(tmp_path / "first.c3d", in_columns(simulate_gaps_and_ghosts(walk, 1, 0, seed=2)[0]))
     return tmp_path / "first.c3d"
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from asterism.errors import AsterismError
-from asterism.labelling.simulated_occlusions import hide_and_haunt
+from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.recording import Clouds, Ints, Labelling, Recording
 from asterism.report import LabelledRecording, capturability_report, evaluation_report, label_report
 from asterism.simulation import simulate_walks
@@ -71,7 +71,7 @@ def read(path: Path) -> Reader:
 
 def labelled(recording: Recording, seed: int = 0) -> tuple[Clouds, Ints, Labelling]:
     """Two hidden, two ghosts; LTHI and RTHI swapped in the first ten frames, LKNE left out in the next five."""
-    clouds, truth = hide_and_haunt(recording, 2, 2, seed)
+    clouds, truth = simulate_occlusions(recording, 2, 2, seed)
     indices, confidence = truth.copy(), np.where(truth >= 0, 0.995, 0.1)
     left, right, knee = (recording.labels.index(name) for name in ("LTHI", "RTHI", "LKNE"))
     indices[:10, [left, right]] = indices[:10, [right, left]]
@@ -175,7 +175,7 @@ def test_names_of_files_and_markers_cannot_break_the_page(tmp_path: Path, walk: 
 
 def test_positions_in_the_scene_are_those_of_the_labels(tmp_path: Path) -> None:
     sideways = simulate_walks(1, frames=120, vertical="-y", seed=3)[0]
-    clouds, truth = hide_and_haunt(sideways, 0, 0)
+    clouds, truth = simulate_occlusions(sideways, 0, 0)
     labelling = Labelling(truth, np.ones(truth.shape), sideways.labels)
     page = make_label_page(tmp_path / "p.html", sideways, labelling=labelling, clouds=clouds, truth=truth)
     (scene,) = json.loads(page.json)["scenes"].values()

@@ -16,7 +16,7 @@ from asterism import formats
 from asterism.cli import main
 from asterism.errors import AsterismError
 from asterism.labelling import ReviewItem, apply_answers, review
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.labelling.whole.certainty import Certainty, TrialLabels
 from asterism.recording import Clouds, Ints, Labelling, Recording
 from asterism.report import ReviewEntry, review_report
@@ -52,7 +52,7 @@ def a_long_piece(clouds: Clouds, truth: Ints, least: int = 30) -> tuple[int, Int
 
 
 def test_a_doubtful_label_comes_first_and_gains_what_is_doubted(walks: list[Recording]) -> None:
-    clouds, truth = hide_in_gaps(walks[0], 2, 0, seed=1)
+    clouds, truth = simulate_gaps_and_ghosts(walks[0], 2, 0, seed=1)
     labelling = sure(truth, walks[0].labels)
     marker, points = a_long_piece(clouds, truth)
     frames = np.searchsorted(clouds.offsets, points, side="right") - 1
@@ -66,7 +66,7 @@ def test_a_doubtful_label_comes_first_and_gains_what_is_doubted(walks: list[Reco
 
 
 def test_a_point_without_a_label_is_offered_the_missing_marker(walks: list[Recording]) -> None:
-    clouds, truth = hide_in_gaps(walks[0], 2, 0, seed=1)
+    clouds, truth = simulate_gaps_and_ghosts(walks[0], 2, 0, seed=1)
     labelling = sure(truth, walks[0].labels)
     marker, points = a_long_piece(clouds, truth)
     frames = np.searchsorted(clouds.offsets, points, side="right") - 1
@@ -96,7 +96,7 @@ def test_the_best_candidate_of_a_missing_marker_is_asked_for_before_all_others(w
 
 def test_a_whole_recording_says_its_best_candidates(walks: list[Recording]) -> None:
     model = trained(walks[1:], seed=0, subjects=["b", "c", "d", "e"], miner=None)
-    clouds, truth = hide_in_gaps(walks[0], 3, 3, seed=4)
+    clouds, truth = simulate_gaps_and_ghosts(walks[0], 3, 3, seed=4)
     labelling = model.label(clouds, time=True)
     assert labelling.candidates is not None
     assert (labelling.candidates[labelling.indices >= 0] == -1).all() and (labelling.candidates < clouds.counts[:, None]).all()
@@ -105,7 +105,7 @@ def test_a_whole_recording_says_its_best_candidates(walks: list[Recording]) -> N
 
 
 def test_a_missing_marker_is_no_item_where_no_point_is_left(walks: list[Recording]) -> None:
-    clouds, truth = hide_in_gaps(walks[0], 3, 0, seed=1)
+    clouds, truth = simulate_gaps_and_ghosts(walks[0], 3, 0, seed=1)
     labelling = Labelling(truth, np.where(truth >= 0, 1.0, 0.5), walks[0].labels)
     assert review(labelling, clouds, least_gain=0.0) == []
 
@@ -124,7 +124,7 @@ def test_a_piece_with_two_names_is_doubted_however_sure_they_are(walks: list[Rec
 
 def test_settling_all_that_is_listed_mends_the_labels(walks: list[Recording]) -> None:
     ensemble = trained(walks[:2], miner=None, subjects=["a", "b"])
-    clouds, truth = hide_in_gaps(walks[4], 4, 0, seed=5)
+    clouds, truth = simulate_gaps_and_ghosts(walks[4], 4, 0, seed=5)
     labelling = ensemble.label(clouds)
     marker_of = truth_of_points(truth, clouds)
     wrong = int((labelling.indices != truth).sum())
@@ -157,7 +157,7 @@ def test_an_answer_takes_the_marker_from_another_point_and_none_takes_it_away() 
 def test_items_are_disjoint_ranked_and_never_promise_more_than_they_hold(seed: int, ghosts: int, tracks: bool) -> None:
     rng = np.random.default_rng(seed)
     walk = simulate_walks(subjects=1, frames=25, markers="helen-hayes", seed=1)[0]
-    clouds, truth = hide_in_gaps(walk, 2, ghosts, rng, number_tracks=tracks)
+    clouds, truth = simulate_gaps_and_ghosts(walk, 2, ghosts, rng, number_tracks=tracks)
     indices = np.where(rng.random(truth.shape) < 0.7, truth, -1)
     labelling = Labelling(indices, rng.random(truth.shape), walk.labels)
     items = review(labelling, clouds, least_gain=0.0)
@@ -195,7 +195,7 @@ def test_few_people_are_believed_less() -> None:
 
 
 def test_bad_input_is_named(walks: list[Recording]) -> None:
-    clouds, truth = hide_in_gaps(walks[0], 1, 0, seed=1)
+    clouds, truth = simulate_gaps_and_ghosts(walks[0], 1, 0, seed=1)
     labelling = sure(truth, walks[0].labels)
     with pytest.raises(AsterismError, match="does not belong to these clouds"):
         review(labelling, walks[1].frames(slice(0, 50)).clouds())
@@ -227,7 +227,7 @@ def folder(walks: list[Recording], tmp_path_factory: pytest.TempPathFactory) -> 
     place = tmp_path_factory.mktemp("review")
     trained(walks[:2], miner=None, subjects=["a", "b"]).save(place / "two.model")
     formats.write(place / "labelled.c3d", walks[4])
-    clouds, _ = hide_in_gaps(walks[4], 4, 1, seed=2)
+    clouds, _ = simulate_gaps_and_ghosts(walks[4], 4, 1, seed=2)
     formats.write(place / "raw.c3d", Recording.from_clouds(clouds))
     (place / "broken.c3d").write_bytes(b"no")
     return place

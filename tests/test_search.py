@@ -16,9 +16,17 @@ from asterism.labelling.partial._motion_kernels import WIDTH
 from asterism.labelling.partial._pair_search_kernels import load_frame, make_search_workspace, search_by_pairs
 from asterism.labelling.partial._search_kernels import search
 from asterism.labelling.partial.features import FEATURES as REGISTRY
-from asterism.labelling.partial.solver import FullSolver, pack, plant, replacements, share_pairs, stack, unpack
-from asterism.labelling.partial.weak import Spread, Weak
-from asterism.labelling.simulated_occlusions import hide_and_haunt
+from asterism.labelling.partial.solver import (
+    FullSolver,
+    build_search_tree,
+    factor_pair_rules,
+    pack_solvers,
+    replacement_table,
+    stack_frames,
+    unpack_solvers,
+)
+from asterism.labelling.partial.weak import FeatureRanges, WeakClassifiers
+from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.simulation import simulate_walks
 
 ALL = tuple(feature.name for feature in REGISTRY)
@@ -36,14 +44,14 @@ def solver_and_rules(width, seed=0):
     around = np.tile(frames, (1, 1, 2)) + rng.normal(scale=0.02, size=(*frames.shape[:2], 6))
     frames = np.concatenate([frames, around, rng.normal(scale=0.2, size=(*frames.shape[:2], 6))], axis=2)
     frames[rng.random(frames.shape[:2]) < 0.1, 3:] = np.nan
-    weak = Spread.measure(frames, groups, ALL).weak("range")
+    weak = FeatureRanges.measure(frames, groups, ALL).classifiers("range")
     outside = np.setdiff1d(np.arange(7), MARKERS)
     points = np.array([feature.points for feature in REGISTRY])[weak.kinds]
     own = np.array([not np.isin(slots[:count], outside).any() for slots, count in zip(weak.slots, points, strict=True)])
     weak = weak.take(own)
     room = width * (weak.high - weak.low) + 1e-9
-    weak = Weak(weak.kinds, weak.slots, weak.low - room, weak.high + room)
-    return frames, weak, plant(weak, replacements(frames, weak, np.random.default_rng(0)), MARKERS, int(MARKERS[2]))
+    weak = WeakClassifiers(weak.kinds, weak.slots, weak.low - room, weak.high + room)
+    return frames, weak, build_search_tree(weak, replacement_table(frames, weak, np.random.default_rng(0)), MARKERS, int(MARKERS[2]))
 
 
 def by_marker(solver, rows):
@@ -56,15 +64,15 @@ def test_search_finds_what_trying_everything_finds(width, frame, drop, seed):
     frames, weak, solver = solver_and_rules(width, seed)
     points = np.random.default_rng(frame).permutation(frames[frame])[drop:]
     place = {marker: i for i, marker in enumerate(MARKERS.tolist())}
-    local = Weak(weak.kinds, np.vectorize(lambda m: place.get(m, 0))(weak.slots), weak.low, weak.high)
+    local = WeakClassifiers(weak.kinds, np.vectorize(lambda m: place.get(m, 0))(weak.slots), weak.low, weak.high)
     expected = twins.labellings(local, MARKERS, points)
 
     found, counters = np.empty((2000, 4), dtype=np.int64), np.zeros(2, dtype=np.int64)
-    solutions = search(pack([solver]), 0, points, np.arange(len(points)), 10**7, found, counters)
+    solutions = search(pack_solvers([solver]), 0, points, np.arange(len(points)), 10**7, found, counters)
     assert {by_marker(solver, row) for row in found[:solutions]} == expected
     assert counters[0] > 0
 
-    rest, pairs = share_pairs(pack([solver]), 7)
+    rest, pairs = factor_pair_rules(pack_solvers([solver]), 7)
     workspace = make_search_workspace(7, len(points), 4, WIDTH, len(pairs.kinds))._replace(found=np.empty((2000, 4), dtype=np.int64))
     load_frame(points, len(points), pairs.kinds, workspace)
     solutions = search_by_pairs(rest, pairs, 0, len(points), 1, 10**7, workspace)
@@ -73,7 +81,7 @@ def test_search_finds_what_trying_everything_finds(width, frame, drop, seed):
 
 def test_budget_and_room_end_a_search_without_an_answer():
     frames, _, solver = solver_and_rules(20.0)
-    arrays, order, counters = pack([solver]), np.arange(7), np.zeros(2, dtype=np.int64)
+    arrays, order, counters = pack_solvers([solver]), np.arange(7), np.zeros(2, dtype=np.int64)
     assert search(arrays, 0, frames[0], order, 10, np.empty((2000, 4), dtype=np.int64), counters) == -1
     assert 10 < counters[0] < 100
     counters[:] = 0
@@ -83,14 +91,14 @@ def test_budget_and_room_end_a_search_without_an_answer():
 def test_too_few_points_have_no_labelling():
     frames, _, solver = solver_and_rules(1.0)
     found, counters = np.empty((4, 4), dtype=np.int64), np.zeros(2, dtype=np.int64)
-    assert search(pack([solver]), 0, frames[0][:3], np.arange(3), 1000, found, counters) == 0
+    assert search(pack_solvers([solver]), 0, frames[0][:3], np.arange(3), 1000, found, counters) == 0
 
 
 def test_more_than_64_points():
     frames, _, solver = solver_and_rules(0.0)
     far = np.random.default_rng(0).uniform(10, 50, size=(90, WIDTH))
     points = np.concatenate([far, frames[0]])
-    rest, pairs = share_pairs(pack([solver]), 7)
+    rest, pairs = factor_pair_rules(pack_solvers([solver]), 7)
     workspace = make_search_workspace(7, len(points), 4, WIDTH, len(pairs.kinds))
     load_frame(points, len(points), pairs.kinds, workspace)
     assert search_by_pairs(rest, pairs, 0, len(points), 1, 10**7, workspace) >= 1
@@ -100,7 +108,7 @@ def test_more_than_64_points():
 
 def test_pack_and_unpack():
     solvers = [solver_and_rules(width)[2] for width in (0.0, 1.0)]
-    for solver, again in zip(solvers, unpack(pack(solvers)), strict=True):
+    for solver, again in zip(solvers, unpack_solvers(pack_solvers(solvers)), strict=True):
         assert np.array_equal(solver.markers, again.markers)
         assert np.array_equal(solver.weak.low, again.weak.low)
         assert np.array_equal(solver.first_feature, again.first_feature)
@@ -123,7 +131,7 @@ def full():
 
 
 def test_full_solver_labels_shuffled_frames(full):
-    clouds, truth = hide_and_haunt(WALKS[0], 0, 0, seed=2)
+    clouds, truth = simulate_occlusions(WALKS[0], 0, 0, seed=2)
     labelling = full.label(clouds)
     given_labels = labelling.indices >= 0
     assert (labelling.indices == truth)[given_labels].all()
@@ -134,12 +142,12 @@ def test_full_solver_labels_shuffled_frames(full):
 
 
 def test_full_solver_is_silent_when_a_marker_is_hidden(full):
-    clouds, _ = hide_and_haunt(WALKS[0], 1, 0, seed=2)
+    clouds, _ = simulate_occlusions(WALKS[0], 1, 0, seed=2)
     assert (full.label(clouds).indices == -1).all()
 
 
 def test_full_solver_does_not_depend_on_order_place_heading_or_vertical(full):
-    clouds, truth = hide_and_haunt(WALKS[1].frames(slice(0, 20)), 0, 0, seed=3)
+    clouds, truth = simulate_occlusions(WALKS[1].frames(slice(0, 20)), 0, 0, seed=3)
     before = full.label(clouds).indices == truth
     turned = clouds.xyz @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]) + [3.0, -2.0, 0.5]
     assert np.array_equal(full.label(Clouds(turned, clouds.offsets, 100.0, clouds.vertical, clouds.columns)).indices == truth, before)
@@ -149,7 +157,7 @@ def test_full_solver_does_not_depend_on_order_place_heading_or_vertical(full):
 
 
 def test_full_solver_does_not_accept_a_mirrored_body(full):
-    clouds, _ = hide_and_haunt(WALKS[0], 0, 0, seed=2)
+    clouds, _ = simulate_occlusions(WALKS[0], 0, 0, seed=2)
     mirrored = Clouds(clouds.xyz * [1.0, -1.0, 1.0], clouds.offsets, 100.0, clouds.vertical, clouds.columns)
     names = full.names
     pairs = [(names.index("R" + name[1:]), i) for i, name in enumerate(names) if name[0] == "L" and "R" + name[1:] in names]
@@ -170,11 +178,11 @@ def test_full_solver_says_what_it_cannot_learn_from():
     with pytest.raises(AsterismError, match="at least three"):
         FullSolver.fit([WALKS[0].select(["RASI", "LASI"])])
     with pytest.raises(AsterismError, match="other columns"):
-        stack([WALKS[0], WALKS[1].select(WALKS[1].labels[::-1])])
+        stack_frames([WALKS[0], WALKS[1].select(WALKS[1].labels[::-1])])
     with pytest.raises(AsterismError, match="no frames"):
-        stack([])
+        stack_frames([])
     with pytest.raises(AsterismError, match="subjects"):
-        stack(WALKS, ["one"])
+        stack_frames(WALKS, ["one"])
     gone = WALKS[0].positions.copy()
     gone[:, 3] = np.nan
     with pytest.raises(AsterismError, match=f"{WALKS[0].labels[3]} is never visible"):
@@ -188,16 +196,16 @@ def test_full_solver_is_the_same_for_the_same_seed(full):
 
 
 def test_people_come_from_metadata():
-    frames, groups = stack(WALKS)
+    frames, groups = stack_frames(WALKS)
     assert len(frames) == 240
     assert np.array_equal(groups, np.repeat([0, 1, 2], 80))
 
 
 def test_every_order_of_three_markers_is_tried():
     """Three markers without a classifier between the last two: all labellings of three points are feasible."""
-    weak = Weak(np.array([1]), np.array([[0, 1, 0, 0]]), np.array([0.0]), np.array([99.0]))
+    weak = WeakClassifiers(np.array([1]), np.array([[0, 1, 0, 0]]), np.array([0.0]), np.array([99.0]))
     frames = np.random.default_rng(0).normal(size=(5, 3, 3))
-    solver = plant(weak, replacements(frames, weak, np.random.default_rng(0)), np.arange(3), 0)
+    solver = build_search_tree(weak, replacement_table(frames, weak, np.random.default_rng(0)), np.arange(3), 0)
     found, counters = np.empty((10, 3), dtype=np.int64), np.zeros(2, dtype=np.int64)
-    assert search(pack([solver]), 0, frames[0], np.arange(3), 1000, found, counters) == 6
+    assert search(pack_solvers([solver]), 0, frames[0], np.arange(3), 1000, found, counters) == 6
     assert {tuple(row) for row in found[:6].tolist()} == set(permutations(range(3)))

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism.errors import AsterismError
-from asterism.labelling.simulated_occlusions import GHOST_RADIUS, hide_and_haunt
+from asterism.labelling.simulated_occlusions import GHOST_RADIUS, simulate_occlusions
 from asterism.recording import Floats, Labelling, MarkerSet, Recording
 from asterism.simulation import simulate_standing, simulate_walks, simulated_markers
 
@@ -193,7 +193,7 @@ def gappy(frames: int, markers: int, seed: int) -> Recording:
 @settings(max_examples=80, deadline=None)
 def test_truth_and_clouds_agree(frames: int, markers: int, occlusions: int, ghosts: int, seed: int) -> None:
     recording, occlusions = gappy(frames, markers, seed), min(occlusions, markers)
-    clouds, truth = hide_and_haunt(recording, occlusions, ghosts, seed)
+    clouds, truth = simulate_occlusions(recording, occlusions, ghosts, seed)
     seen = recording.visible.sum(axis=1)
     left = np.maximum(seen - occlusions, 0)
     np.testing.assert_array_equal((truth >= 0).sum(axis=1), left)
@@ -210,7 +210,7 @@ def test_truth_and_clouds_agree(frames: int, markers: int, occlusions: int, ghos
 
 def test_ghosts_fill_the_ball_evenly_and_haunt_every_marker() -> None:
     recording = Recording(np.tile(np.arange(5.0)[None, :, None], (4000, 1, 3)), tuple("abcde"), 100.0)
-    clouds, truth = hide_and_haunt(recording, 5, 2, seed=1)
+    clouds, truth = simulate_occlusions(recording, 5, 2, seed=1)
     assert (truth == -1).all()
     host = np.rint(clouds.xyz.mean(axis=1))
     assert np.bincount(host.astype(int), minlength=5).min() > 1400
@@ -220,7 +220,7 @@ def test_ghosts_fill_the_ball_evenly_and_haunt_every_marker() -> None:
 
 def test_points_are_shuffled_and_every_marker_is_hidden_as_often() -> None:
     recording = simulate_walks(1, 3000)[0]
-    clouds, truth = hide_and_haunt(recording, 3, 2, seed=0)
+    clouds, truth = simulate_occlusions(recording, 3, 2, seed=0)
     hidden = (truth < 0).mean(axis=0)
     assert np.abs(hidden - 0.2).max() < 0.04
     mean_place = np.array([truth[truth[:, m] >= 0, m].mean() for m in range(15)])
@@ -230,26 +230,26 @@ def test_points_are_shuffled_and_every_marker_is_hidden_as_often() -> None:
 
 def test_hiding_repeats_with_its_seed_only() -> None:
     recording = simulate_walks(1, 50)[0]
-    one, same, other = (hide_and_haunt(recording, 2, 2, seed) for seed in (1, 1, 2))
+    one, same, other = (simulate_occlusions(recording, 2, 2, seed) for seed in (1, 1, 2))
     assert np.array_equal(one[0].xyz, same[0].xyz) and np.array_equal(one[1], same[1])
     assert not np.array_equal(one[1], other[1])
 
 
 def test_hiding_calls_no_function_per_frame() -> None:
-    few, many = (calls(lambda frames=frames: hide_and_haunt(gappy(frames, 15, 0), 3, 3)).total() for frames in (100, 10_000))
+    few, many = (calls(lambda frames=frames: simulate_occlusions(gappy(frames, 15, 0), 3, 3)).total() for frames in (100, 10_000))
     assert many <= few < 1000, f"{few} calls for 100 frames, {many} for 10,000"
 
 
 @pytest.mark.parametrize(("occlusions", "ghosts"), [(-1, 0), (16, 0), (0, -1)])
 def test_impossible_hiding_is_refused(occlusions: int, ghosts: int) -> None:
     with pytest.raises(AsterismError, match="ask for 0"):
-        hide_and_haunt(simulate_walks(1, 5)[0], occlusions, ghosts)
+        simulate_occlusions(simulate_walks(1, 5)[0], occlusions, ghosts)
 
 
 @given(st.integers(0, 8), st.integers(1, 6), st.integers(0, 50))
 @settings(max_examples=40, deadline=None)
 def test_an_anonymous_recording_holds_the_clouds_as_they_are(frames: int, markers: int, seed: int) -> None:
-    clouds, truth = hide_and_haunt(gappy(frames, markers, seed), 1, 1, seed)
+    clouds, truth = simulate_occlusions(gappy(frames, markers, seed), 1, 1, seed)
     recording = Recording.from_clouds(clouds)
     again = recording.clouds()
     np.testing.assert_array_equal(again.xyz, clouds.xyz)

@@ -10,7 +10,7 @@ import snapshot
 from models import trained
 
 from asterism import formats
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Recording
 from asterism.simulation import simulate_walks
 
@@ -61,7 +61,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for i, walk in enumerate(walks):
         formats.write(place / f"walk-{i}.c3d", walk)
     formats.write(place / "nameless.c3d", Recording.from_clouds(walks[3].clouds()))
-    formats.write(place / "gaps.c3d", Recording.from_clouds(hide_in_gaps(walks[3], 2, 1, seed=1)[0]))
+    formats.write(place / "gaps.c3d", Recording.from_clouds(simulate_gaps_and_ghosts(walks[3], 2, 1, seed=1)[0]))
     formats.write(place / "kneeless.c3d", walks[1].select([name for name in walks[1].labels if name != "LKNE"]))
     swapped = walks[2].positions.copy()
     thigh, knee = walks[2].labels.index("LTHI"), walks[2].labels.index("LKNE")

@@ -15,7 +15,7 @@ from asterism.labelling.body.model import BodyRules, factors
 from asterism.labelling.body.subject import SubjectRules, adapt_body
 from asterism.labelling.live.body import LiveBody, LiveRules
 from asterism.labelling.live.stream import FrameLabels, Stream, _assign, _margins
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds, Recording
 from asterism.simulation import simulate_walks
 
@@ -53,7 +53,7 @@ def test_labels_come_for_every_frame_with_the_stated_delay(walks, ensemble, dela
 
 @pytest.mark.parametrize(("hidden", "ghosts", "right", "wrong"), [(0, 0, 0.999, 0.0), (3, 0, 0.99, 0.002), (3, 3, 0.96, 0.02)])
 def test_someone_unseen_is_labelled_live(walks, ensemble, hidden: int, ghosts: int, right: float, wrong: float) -> None:
-    clouds, truth = hide_in_gaps(walks[5], hidden, ghosts, 2, number_tracks=False)
+    clouds, truth = simulate_gaps_and_ghosts(walks[5], hidden, ghosts, 2, number_tracks=False)
     shares = []
     for delay in (0, 20):
         got = indices(run(ensemble.stream(100.0, delay), clouds))
@@ -65,7 +65,7 @@ def test_someone_unseen_is_labelled_live(walks, ensemble, hidden: int, ghosts: i
 
 
 def test_no_point_is_two_markers_and_confidence_is_a_probability(walks, ensemble) -> None:
-    clouds, _ = hide_in_gaps(walks[5], 2, 3, 0)
+    clouds, _ = simulate_gaps_and_ghosts(walks[5], 2, 3, 0)
     for frame in run(ensemble.stream(100.0, 5), clouds):
         given = frame.indices[frame.indices >= 0]
         assert len(set(given.tolist())) == len(given)
@@ -75,7 +75,7 @@ def test_no_point_is_two_markers_and_confidence_is_a_probability(walks, ensemble
 
 def test_the_order_of_points_and_a_second_run_change_nothing(walks, ensemble) -> None:
     rng = np.random.default_rng(0)
-    clouds, _ = hide_in_gaps(walks[5].frames(slice(80)), 3, 2, 1)
+    clouds, _ = simulate_gaps_and_ghosts(walks[5].frames(slice(80)), 3, 2, 1)
     one = run(ensemble.stream(100.0, 3), clouds)
     again = run(ensemble.stream(100.0, 3), clouds)
     orders = [rng.permutation(n) for n in clouds.counts]
@@ -108,7 +108,7 @@ def test_a_stream_begins_anew_after_everybody_left_and_after_a_flush(walks, ense
 
 
 def test_memory_does_not_grow_with_time(walks, ensemble) -> None:
-    clouds, _ = hide_in_gaps(walks[5], 2, 3, 0)
+    clouds, _ = simulate_gaps_and_ghosts(walks[5], 2, 3, 0)
     stream = ensemble.stream(100.0, 10)
 
     def walk_on(times: int) -> int:
@@ -170,9 +170,9 @@ def test_who_comes_after_somebody_else_is_labelled_too(walks, ensemble) -> None:
 
 
 def test_the_body_that_a_stream_learns_is_the_one_that_is_there(walks, ensemble) -> None:
-    walk, model = walks[5].positions, ensemble._body
+    walk, model = walks[5].positions, ensemble.state.body
     live = LiveBody(model, BodyRules(), 100.0, LiveRules(adapt_after=(3, 6)))
-    settings, found, steps = ensemble._parts().settings, [], 0
+    settings, found, steps = ensemble.body_labeller.settings, [], 0
     rng = np.random.default_rng(0)
 
     def look(body, t: int) -> tuple[int, float]:
@@ -204,15 +204,15 @@ def test_a_body_learned_from_a_few_frames_of_whatever_markers_is_a_body(ensemble
     for _ in range(20):
         frames = walks[5].positions[rng.integers(0, 200, 6)] + rng.normal(scale=0.002, size=(6, 15, 3))
         frames[rng.random((6, 15)) < rng.uniform(0.0, 0.6)] = np.nan
-        poses = rng.integers(0, len(ensemble._body.mean), 6)
-        body = adapt_body(ensemble._body, frames, poses, np.ones(6), SubjectRules(), BodyRules())
+        poses = rng.integers(0, len(ensemble.state.body.mean), 6)
+        body = adapt_body(ensemble.state.body, frames, poses, np.ones(6), SubjectRules(), BodyRules())
         assert body.between is not None
         assert min(np.linalg.eigvalsh(between).min() for between in body.between) > -1e-9
         body.arrays()  # refuses what is no covariance
 
 
 def test_near_factors_leave_over_hardly_more(ensemble) -> None:
-    body = ensemble._body
+    body = ensemble.state.body
     covariance = body.within[0] + body.between[0]
     left = []
     for near in (False, True):

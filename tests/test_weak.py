@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 
 from asterism import AsterismError
 from asterism.labelling.partial._bit_kernels import popcount
-from asterism.labelling.partial.weak import Spread, StrongClassifier, Trial, choose_widening, readable, wrong_labellings
+from asterism.labelling.partial.weak import (
+    FeatureRanges,
+    StrongClassifier,
+    WrongLabellings,
+    choose_widening,
+    classifiers_over,
+    draw_wrong_labellings,
+)
 
 
 def bodies(people=4, frames=60, markers=7, seed=0):
@@ -25,11 +32,11 @@ def bodies(people=4, frames=60, markers=7, seed=0):
 
 
 FRAMES, GROUPS = bodies()
-SPREAD = Spread.measure(FRAMES, GROUPS)
+SPREAD = FeatureRanges.measure(FRAMES, GROUPS)
 
 
 def test_range_accepts_all_of_training_and_is_tight():
-    weak = SPREAD.weak("range")
+    weak = SPREAD.classifiers("range")
     right = np.tile(np.arange(7), (len(FRAMES), 1))
     strong = StrongClassifier(weak, np.ones(len(weak)), 7)
     assert strong.accepts(FRAMES, right).all()
@@ -39,31 +46,31 @@ def test_range_accepts_all_of_training_and_is_tight():
 
 
 def test_widened_moves_each_end_by_its_own_spread_over_people():
-    plain, wide = SPREAD.weak("range"), SPREAD.weak("widened", 1.0)
+    plain, wide = SPREAD.classifiers("range"), SPREAD.classifiers("widened", 1.0)
     lows = np.array([[np.linalg.norm(FRAMES[g == GROUPS][:, 0] - FRAMES[g == GROUPS][:, 1], axis=1).min() for g in range(4)]])
     row = np.nonzero((plain.kinds == 1) & (plain.slots[:, 0] == 0) & (plain.slots[:, 1] == 1))[0][0]
     assert plain.low[row] - wide.low[row] == pytest.approx(lows.std(ddof=1))
-    assert (SPREAD.weak("widened", 0.0).low == plain.low).all()
-    assert (SPREAD.weak("widened", 2.0).high >= wide.high).all()
+    assert (SPREAD.classifiers("widened", 0.0).low == plain.low).all()
+    assert (SPREAD.classifiers("widened", 2.0).high >= wide.high).all()
 
 
 def test_one_person_widens_by_a_share_of_the_range():
-    weak, wide = SPREAD.weak("range", people=[0]), SPREAD.weak("widened", 1.0, people=[0])
+    weak, wide = SPREAD.classifiers("range", people=[0]), SPREAD.classifiers("widened", 1.0, people=[0])
     assert np.allclose(weak.low - wide.low, 0.1 * (weak.high - weak.low))
 
 
 def test_a_feature_never_seen_accepts_everything():
     frames = FRAMES.copy()
     frames[:, 0] = np.nan
-    weak = Spread.measure(frames, GROUPS).weak("range")
+    weak = FeatureRanges.measure(frames, GROUPS).classifiers("range")
     unseen = (weak.slots[:, 0] == 0) & (weak.kinds != 8)
     assert np.isinf(weak.low[unseen]).all()
-    assert not np.isin(np.nonzero(unseen)[0], readable(weak, 7, range(7))).any()
+    assert not np.isin(np.nonzero(unseen)[0], classifiers_over(weak, 7, range(7))).any()
 
 
 def test_unknown_rule_is_refused():
     with pytest.raises(AsterismError, match="rule"):
-        SPREAD.weak("median")
+        SPREAD.classifiers("median")
 
 
 @given(n=st.integers(2, 12), seed=st.integers(0, 1000))
@@ -71,7 +78,7 @@ def test_unknown_rule_is_refused():
 def test_wrong_labellings_have_exactly_their_severity(n, seed):
     rng = np.random.default_rng(seed)
     severities = rng.integers(2, n + 1, size=50)
-    labels = wrong_labellings(n, severities, rng)
+    labels = draw_wrong_labellings(n, severities, rng)
     assert (np.sort(labels, axis=1) == np.arange(n)).all()
     assert ((labels != np.arange(n)).sum(axis=1) == severities).all()
 
@@ -102,19 +109,19 @@ def slow_boost(rejects, moved, weight, rows, markers, most):
 
 @pytest.mark.parametrize("markers", [range(7), (0, 2, 3, 5)])
 def test_boosting_equals_its_twin(markers):
-    weak = SPREAD.weak("range")
-    trial = Trial.draw(FRAMES, weak, np.random.default_rng(0), 256)
+    weak = SPREAD.classifiers("range")
+    trial = WrongLabellings.draw(FRAMES, weak, np.random.default_rng(0), 256)
     bits = np.unpackbits(trial.table.view(np.uint8), axis=1, bitorder="little").astype(bool)
-    moved = np.unpackbits(trial.moved.view(np.uint8), axis=1, bitorder="little").astype(bool)
-    rows = readable(weak, 7, list(markers))
+    moved = np.unpackbits(trial.wrong_markers.view(np.uint8), axis=1, bitorder="little").astype(bool)
+    rows = classifiers_over(weak, 7, list(markers))
     chosen, gains, once = trial.boost(rows, list(markers), 12)
     assert chosen.tolist() == slow_boost(bits, moved, np.repeat(trial.weight, 64), rows, markers, 12)
     assert (np.diff(gains[:once]) <= 0).all(), "within a round each adds no more than the one before"
 
 
 def test_strong_classifier_rejects_and_its_score_counts_weights():
-    weak = SPREAD.weak("range")
-    trial = Trial.draw(FRAMES, weak, np.random.default_rng(0), 1024)
+    weak = SPREAD.classifiers("range")
+    trial = WrongLabellings.draw(FRAMES, weak, np.random.default_rng(0), 1024)
     rows, gains, _ = trial.boost(np.arange(len(weak)), range(7), 20)
     strong = StrongClassifier(weak.take(rows), gains.astype(float), 7)
     assert strong.accuracy(FRAMES, wrong=20_000) > 0.99
@@ -127,7 +134,7 @@ def test_strong_classifier_rejects_and_its_score_counts_weights():
 
 
 def test_accuracy_is_the_same_for_the_same_seed_and_needs_whole_frames():
-    strong = StrongClassifier(SPREAD.weak("range").take(np.arange(3)), np.ones(3), 7)
+    strong = StrongClassifier(SPREAD.classifiers("range").take(np.arange(3)), np.ones(3), 7)
     assert strong.accuracy(FRAMES, 5000, seed=4) == strong.accuracy(FRAMES, 5000, seed=4)
     with pytest.raises(AsterismError, match="no frame shows all markers"):
         strong.accuracy(np.full((3, 7, 3), np.nan), 100)
@@ -136,7 +143,7 @@ def test_accuracy_is_the_same_for_the_same_seed_and_needs_whole_frames():
 def test_missing_points_are_ignored():
     frames = FRAMES[:4].copy()
     frames[:, 2] = np.nan
-    strong = StrongClassifier(SPREAD.weak("range"), np.ones(len(SPREAD.kinds)), 7)
+    strong = StrongClassifier(SPREAD.classifiers("range"), np.ones(len(SPREAD.kinds)), 7)
     assert strong.accepts(frames, np.tile(np.arange(7), (4, 1))).all()
 
 
@@ -144,6 +151,6 @@ def test_widening_is_chosen_larger_when_people_differ_more():
     rows = np.arange(len(SPREAD.kinds))
     alike = np.tile(FRAMES[GROUPS == 0], (2, 1, 1))
     groups = np.repeat([0, 1], len(alike) // 2)
-    same = choose_widening(Spread.measure(alike, groups), alike, groups, rows)
+    same = choose_widening(FeatureRanges.measure(alike, groups), alike, groups, rows)
     assert choose_widening(SPREAD, FRAMES, GROUPS, rows) > same
     assert choose_widening(SPREAD, FRAMES, np.zeros(len(FRAMES), dtype=int), rows) == 1.0

@@ -9,8 +9,8 @@ import pytest
 from models import trained
 
 import asterism
-from asterism.labelling.ensemble import ANOTHER_PERSON
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds
 from asterism.simulation import simulate_walks
 
@@ -29,7 +29,7 @@ def ensemble(walks: list[asterism.Recording]) -> asterism.SolverEnsemble:
 def test_a_stranger_with_gaps_is_labelled_right(
     ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording], number_tracks: bool
 ) -> None:
-    clouds, truth = hide_in_gaps(walks[4], 3, 0, seed=1, number_tracks=number_tracks)
+    clouds, truth = simulate_gaps_and_ghosts(walks[4], 3, 0, seed=1, number_tracks=number_tracks)
     labelling = ensemble.label(clouds, time=True)
     given = labelling.indices >= 0
     assert (labelling.indices == truth)[given].mean() > 0.999
@@ -67,7 +67,7 @@ def test_a_point_that_is_not_where_the_marker_was_in_training_is_not_given_its_l
 
 
 def test_the_order_of_the_points_plays_no_part(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
-    clouds, _ = hide_in_gaps(walks[4], 2, 2, seed=2)
+    clouds, _ = simulate_gaps_and_ghosts(walks[4], 2, 2, seed=2)
     assert clouds.tracks is not None
     rng = np.random.default_rng(0)
     order = np.concatenate([a + rng.permutation(b - a) for a, b in zip(clouds.offsets[:-1], clouds.offsets[1:], strict=True)])
@@ -92,7 +92,7 @@ def test_a_saved_model_labels_whole_recordings_alike(
 ) -> None:
     path = tmp_path / "walk.model"
     ensemble.save(path)
-    clouds, _ = hide_in_gaps(walks[4], 3, 1, seed=3)
+    clouds, _ = simulate_gaps_and_ghosts(walks[4], 3, 1, seed=3)
     one, other = ensemble.label(clouds, time=True), asterism.SolverEnsemble.load(path).label(clouds, time=True)
     assert np.array_equal(one.indices, other.indices)
     assert np.array_equal(one.confidence, other.confidence)
@@ -100,7 +100,7 @@ def test_a_saved_model_labels_whole_recordings_alike(
 
 def test_a_trial_of_the_person_makes_single_frames_surer(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
     adapted = ensemble.adapt(walks[4].frames(slice(0, 60)))
-    clouds, truth = hide_in_gaps(walks[4].frames(slice(60, 120)), 3, 0, seed=5)
+    clouds, truth = simulate_gaps_and_ghosts(walks[4].frames(slice(60, 120)), 3, 0, seed=5)
     own, general = adapted.label(clouds), ensemble.label(clouds)
     assert (own.indices == truth)[own.indices >= 0].all()
     assert own.confidence[truth >= 0].mean() > general.confidence[truth >= 0].mean()
@@ -108,7 +108,7 @@ def test_a_trial_of_the_person_makes_single_frames_surer(ensemble: asterism.Solv
 
 def test_an_unlabelled_trial_with_markers_missing_adapts_too(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
     anonymous = asterism.Recording(walks[4].positions[:60, 2:], tuple(f"*{i}" for i in range(13)), walks[4].rate)
-    clouds, truth = hide_in_gaps(walks[4].frames(slice(60, 120)), 3, 0, seed=5)
+    clouds, truth = simulate_gaps_and_ghosts(walks[4].frames(slice(60, 120)), 3, 0, seed=5)
     labelling = ensemble.adapt(anonymous).label(clouds, time=True)
     given = labelling.indices >= 0
     assert (labelling.indices == truth)[given].all()
@@ -125,8 +125,8 @@ def test_the_body_of_someone_else_is_told_apart(ensemble: asterism.SolverEnsembl
         labelling = again.label(clouds, time=True)
         fits.append(again.subject_fit(clouds, labelling))
         assert fits[-1] == adapted.subject_fit(clouds, labelling)
-    assert fits[4] > max(ANOTHER_PERSON, *fits[:4])
-    assert sum(fit < ANOTHER_PERSON for fit in fits[:4]) >= 3  # two of them are much alike
+    assert fits[4] > max(OTHER_SUBJECT_FIT, *fits[:4])
+    assert sum(fit < OTHER_SUBJECT_FIT for fit in fits[:4]) >= 3  # two of them are much alike
     assert np.isnan(ensemble.subject_fit(clouds, labelling))
 
 

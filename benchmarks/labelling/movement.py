@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.labelling.simulated_occlusions import hide_and_haunt
+from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.recording import NULL, Clouds, Ints, Labelling, Recording
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import Fold, Test, evenly, everything, movement_folds, spread
@@ -63,7 +63,7 @@ def _tested(benchmark: BenchmarkRun, number: int) -> dict[str, Tally]:
     for place, test in enumerate(fold.test):
         frames = test.frames[spread(len(test.frames), 50 if benchmark.quick else FRAMES)]
         for hidden in (0, 3):
-            count(f"{hidden} occlusions", *hide_and_haunt(test.recording.frames(frames), hidden, 0, seed=place))
+            count(f"{hidden} occlusions", *simulate_occlusions(test.recording.frames(frames), hidden, 0, seed=place))
         if test.file in REAL_DIRT:
             count(f"{Path(test.file).stem} as recorded", *_as_recorded(test, frames))
     benchmark.report(f"{fold.label}, {fold.person}: {', '.join(f'{c} FA {t.false_assignments:.4f}' for c, t in tallies.items())}")
@@ -80,5 +80,5 @@ def _as_recorded(test: Test, frames: Ints) -> tuple[Clouds, Ints]:
     rest = [column for column, label in enumerate(whole.labels) if label not in markers.labels]
     positions = np.concatenate([markers.positions[frames], whole.positions[frames][:, rest]], axis=1)
     labels = (*markers.labels, *(f"*{column}" for column in rest))
-    clouds, truth = hide_and_haunt(Recording(positions, labels, whole.rate, whole.vertical), 0, 0, seed=0)
+    clouds, truth = simulate_occlusions(Recording(positions, labels, whole.rate, whole.vertical), 0, 0, seed=0)
     return clouds, truth[:, : len(markers.labels)]

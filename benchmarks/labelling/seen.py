@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 import asterism
-from asterism.labelling.simulated_occlusions import hide_and_haunt
+from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.recording import NULL, Clouds, Ints, Labelling, Recording
 from benchmarks.benchmark_run import BenchmarkRun, frames_per_second
 from benchmarks.data import GAIT_BODY, blocks, evenly, gait, people_and_trials
@@ -48,7 +48,7 @@ def _column(benchmark: BenchmarkRun, target: float) -> list[Figure]:
     """One target hit rate over all occlusions."""
     ensemble, column, figures = _ensemble(benchmark, target), TARGETS.index(target), []
     for hidden in (4,) if benchmark.quick else range(1, 6):
-        clouds, truth = hide_and_haunt(test_frames(1024 if benchmark.quick else FRAMES), hidden, 0, seed=hidden)
+        clouds, truth = simulate_occlusions(test_frames(1024 if benchmark.quick else FRAMES), hidden, 0, seed=hidden)
         labelling = ensemble.label(clouds)
         tally = Tally()
         tally.add(labelling, truth)
@@ -78,14 +78,14 @@ def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
     ensemble = _ensemble(benchmark, 0.9999)
     recording = test_frames(1024 if benchmark.quick else 4096)
     for hidden, ghosts, asked in ((0, 0, "none"), (4, 0, "none"), (4, 3, "> 5000")):
-        clouds, _ = hide_and_haunt(recording, hidden, ghosts, seed=0)
+        clouds, _ = simulate_occlusions(recording, hidden, ghosts, seed=0)
         rate = frames_per_second(partial(ensemble.label, clouds, workers=1), len(clouds))
         yield Figure(f"ensemble, {hidden} occlusions + {ghosts} ghosts, one core", asked, rate, "frames/s", len(clouds))
     rng = np.random.default_rng(3)
     crowd = Clouds.from_points([rng.uniform(-1.5, 1.5, (500, 3)) for _ in range(8)], recording.rate, recording.vertical)
     rate = frames_per_second(partial(ensemble.label, crowd, workers=1), len(crowd))
     yield Figure("ensemble, 500 random points a frame, one core", "> 0.2", rate, "frames/s", len(crowd))
-    clouds, _ = hide_and_haunt(recording.frames(slice(0, 8)), 0, 200, seed=1)
+    clouds, _ = simulate_occlusions(recording.frames(slice(0, 8)), 0, 200, seed=1)
     rate = frames_per_second(partial(ensemble.label, clouds, workers=1), len(clouds))
     yield Figure("ensemble, 200 ghosts a frame, one core", "> 0.2", rate, "frames/s", len(clouds))
 
@@ -114,7 +114,7 @@ def full_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
     yield Figure(f"full body, {markers} markers: training", "< 1200", time.perf_counter() - started, "s", len(train))
     test = _joined([evenly(blocks(recording, odd=True), 64) for recording in recordings])
     for hidden in (0, 3):
-        clouds, truth = hide_and_haunt(test, hidden, 0, seed=hidden)
+        clouds, truth = simulate_occlusions(test, hidden, 0, seed=hidden)
         tally = Tally()
         tally.add(ensemble.label(clouds), truth)
         row = f"full body, {markers} markers, subjects seen, {hidden} occlusions"

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from asterism.labelling.simulated_occlusions import hide_and_haunt
+from asterism.labelling.simulated_occlusions import simulate_occlusions
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import evenly, gait, people_and_trials, spread
 from benchmarks.figures import Figure
@@ -79,7 +79,7 @@ def _left_out(benchmark: BenchmarkRun, subject: str) -> Outcome:
     ensemble, peer, outcome = benchmark.fit(train, people), KeyPoses.fit(train), Outcome()
     for (hidden, ghosts), name in CONDITIONS.items():
         for number, recording in enumerate(trials[subject]):
-            clouds, truth = hide_and_haunt(recording, hidden, ghosts, seed=number)
+            clouds, truth = simulate_occlusions(recording, hidden, ghosts, seed=number)
             outcome.ours[name].add(ensemble.label(clouds), truth)
             few, few_truth = some_frames(clouds, truth, spread(len(truth), PEER_FRAMES))
             started = time.perf_counter()

@@ -11,7 +11,7 @@ import numpy as np
 import asterism
 from asterism.labelling.body.model import BodyRules
 from asterism.labelling.body.subject import SubjectRules
-from asterism.labelling.whole.label import BodyInRecording, label_whole
+from asterism.labelling.whole.label import label_whole
 from asterism.labelling.whole.scene import RecordingLabellingSettings
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 from benchmarks.benchmark_run import BenchmarkRun
@@ -33,7 +33,7 @@ class Case:
 def uncalibrated(case: Case, clouds: Clouds) -> Labelling:
     """The whole recording with the model as it was trained: neither its body nor its distances are learned from the recording."""
     one = case.ensemble
-    member = BodyInRecording(one._parts(), one.marker_set.names, one._markers, one._in_time)
+    member = one.in_recording()
     return label_whole([member], clouds, RecordingLabellingSettings(adapt_rounds=0, deviation_cost=0.0), SubjectRules(), BodyRules())[0][0]
 
 

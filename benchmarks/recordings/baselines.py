@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 
-from asterism.labelling.simulated_occlusions import hide_a_few
+from asterism.labelling.simulated_occlusions import simulate_gaps
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import gait, spread
 from benchmarks.figures import Figure
@@ -40,7 +40,7 @@ def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:
             tallies[condition, POSES].add(poses.label(few), few_truth)
     for number, walk in enumerate(own):
         for seed in range(repeats):
-            clouds, truth = hide_a_few(walk, 5, seed=SEEDS * number + seed)
+            clouds, truth = simulate_gaps(walk, 5, seed=SEEDS * number + seed)
             tallies[FEW, TRACKING].add(follow(walk.positions[0], clouds, walk.labels), truth)
     benchmark.report(f"{subject} left out: {'; '.join(f'{c}, {m} {tally.right_share:.4f}' for (c, m), tally in tallies.items())}")
     return dict(tallies)

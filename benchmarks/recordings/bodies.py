@@ -11,7 +11,7 @@ import numpy as np
 
 import asterism
 from asterism.labelling import SeveralBodies, join_labellings, label_together
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Ints, Labelling, Recording
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import gait, people_and_trials
@@ -36,7 +36,7 @@ def bodies(benchmark: BenchmarkRun) -> Iterator[Figure]:
             for away in AWAY:
                 both = beside(first, second, away)
                 for condition, (hidden, ghosts) in CONDITIONS.items():
-                    clouds, truth = hide_in_gaps(both, hidden, ghosts, seed=number)
+                    clouds, truth = simulate_gaps_and_ghosts(both, hidden, ghosts, seed=number)
                     labellings = label_together([ensemble, ensemble], clouds)
                     orders = [_joined(labellings, ensemble), _joined(labellings[::-1], ensemble)]
                     twice[condition].add(max(orders, key=lambda labelling: _right(labelling, truth)), truth)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import NULL, Floats, Ints, Labelling, Recording
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import DIRTY, Fold, Test, everything, is_unnamed, movement_folds
@@ -80,7 +80,7 @@ def _tested(benchmark: BenchmarkRun, number: int) -> Found:
         ensemble = None
     for place, test in enumerate(fold.test):
         markers = len(test.recording.labels)
-        clouds, truth = hide_in_gaps(_with_pieces(test), 0, 0, seed=place)
+        clouds, truth = simulate_gaps_and_ghosts(_with_pieces(test), 0, 0, seed=place)
         nothing = silence(truth[:, :markers], test.recording.labels)
         labelling = ensemble.label(clouds, time=True) if ensemble else nothing
         found.tally.add(labelling, truth[:, :markers])

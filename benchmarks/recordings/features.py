@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from asterism.labelling import FullSolver
 from asterism.labelling.partial.features import TEMPORAL, THESIS, kinds_of
 from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
-from asterism.labelling.partial.solver import stack
-from asterism.labelling.partial.solver_search import FEATURES, Mining, mine
+from asterism.labelling.partial.solver import FullSolverRules, stack_frames
+from asterism.labelling.partial.solver_search import FEATURES, SearchSettings, search_partial_solvers
 from asterism.recording import Clouds, Labelling, Recording
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import gait
@@ -33,7 +33,7 @@ POOLS = {
 SUBJECTS = slice(2, None, 4)
 """Three of the eleven subjects, each left out in turn: a miner takes minutes for each pool."""
 
-MINING = Mining(glance=200, exposures=1000, proof=4000, breadth=100, most_solvers=80)
+SETTINGS = SearchSettings(screening_frames=200, evaluation_frames=1000, validation_frames=4000, beam_width=100, max_solvers=80)
 """A third of the usual search, for every pool alike."""
 
 WIDEN = 1.5
@@ -101,7 +101,7 @@ def _left_out(benchmark: BenchmarkRun, item: tuple[str, str]) -> tuple[str, Outc
                 outcome.tallies[f"{rules}, {condition}"].add(labelling, truth)
                 outcome.evaluations[f"{rules}, {condition}"] += made
     own = tuple(name for name in POOLS[pool] if name in TEMPORAL)
-    full = FullSolver.fit(train, features=THESIS + own, subjects=people, seed=0)
+    full = FullSolver.fit(train, rules=FullSolverRules(features=THESIS + own), subjects=people, seed=0)
     outcome.accuracies.append(full.accuracy(walks(subject), wrong=_wrong(benchmark), seed=0))
     for clouds, truth in with_gaps(benchmark, subject, 0, 0, seeds=1):
         outcome.tallies["full solver, none hidden"].add(full.label(clouds), truth)
@@ -117,9 +117,11 @@ def _wrong(benchmark: BenchmarkRun) -> int:
 
 def _mined(people: list[str], train: list[Recording], pool: str) -> PartialSolvers:
     moving = any(name in TEMPORAL for name in POOLS[pool])
-    frames, groups = stack(train, people, motion=moving)
+    frames, groups = stack_frames(train, people, motion=moving)
     usable = (~np.isnan(frames[:, :, 0])).sum(axis=1) >= 0.5 * frames.shape[1]
-    return mine(frames[usable], groups[usable], targets=0.999, features=POOLS[pool], widen=WIDEN, settings=MINING, seed=0)
+    return search_partial_solvers(
+        frames[usable], groups[usable], targets=0.999, features=POOLS[pool], settings=replace(SETTINGS, widen=WIDEN), seed=0
+    )
 
 
 def _labelled(clouds: Clouds, solvers: PartialSolvers, rules: str, names: tuple[str, ...]) -> tuple[Labelling, int]:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from asterism.labelling.simulated_occlusions import hide_a_few, hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps, simulate_gaps_and_ghosts
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import gait
 from benchmarks.figures import Figure
@@ -92,11 +92,11 @@ def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:
     still = standing(subject)
     for seed in range(1 if benchmark.quick else SEEDS):
         for number, walk in enumerate(walks(subject)):
-            clouds, truth = hide_a_few(walk, 5, seed=SEEDS * number + seed)
+            clouds, truth = simulate_gaps(walk, 5, seed=SEEDS * number + seed)
             tallies[FEW, WHOLE].add(ensemble.label(clouds, time=True), truth)
             tallies[FEW, FRAMEWISE].add(ensemble.label(clouds), truth)
         if still:
-            clouds, truth = hide_in_gaps(still, 3, 0, seed=seed)
+            clouds, truth = simulate_gaps_and_ghosts(still, 3, 0, seed=seed)
             tallies[STANDING, WHOLE].add(ensemble.label(clouds, time=True), truth)
             tallies[STANDING, FRAMEWISE].add(ensemble.label(clouds), truth)
     told = (f"{c} {tallies[c, WHOLE].right_share:.5f}, FA {tallies[c, WHOLE].false_assignments:.5f}" for c in CONDITIONS)

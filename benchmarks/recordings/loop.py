@@ -14,7 +14,7 @@ import numpy as np
 
 import asterism
 from asterism.labelling import ReviewItem, apply_answers, group_tracklets, name_groups, review
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import NULL, Clouds, Ints, Labelling, MarkerSet, Recording
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import file_of, gait
@@ -179,7 +179,7 @@ def _trials(benchmark: BenchmarkRun, hidden: int, ghosts: int) -> list[Trial]:
     out = []
     for subject, recordings in list(gait().items())[: 3 if benchmark.quick else None]:
         for number, recording in enumerate(recordings):
-            clouds, truth = hide_in_gaps(recording, hidden, ghosts, seed=1000 + number)
+            clouds, truth = simulate_gaps_and_ghosts(recording, hidden, ghosts, seed=1000 + number)
             out.append(Trial(subject, recording, clouds, truth))
     return out
 

@@ -9,7 +9,7 @@ from itertools import groupby
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import NULL, Ints, Labelling
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import DIRTY, Fold, movement_folds
@@ -54,7 +54,7 @@ def _tested(benchmark: BenchmarkRun, number: int) -> tuple[Tally, Tally]:
         ensemble = None
     for place, test in enumerate(fold.test):
         spare = max(0, len(test.frames) - LONGEST) // 2
-        clouds, truth = hide_in_gaps(test.recording.frames(test.frames[spare : spare + LONGEST]), 3, 0, seed=place)
+        clouds, truth = simulate_gaps_and_ghosts(test.recording.frames(test.frames[spare : spare + LONGEST]), 3, 0, seed=place)
         nothing = silence(truth, fold.train[0].labels)
         tally.add(ensemble.label(clouds, time=True) if ensemble else nothing, truth)
         framewise.add(ensemble.label(clouds) if ensemble else nothing, truth)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds, Ints, Recording
 from asterism.tracking.linking import Tracklets, find_tracklets
 from benchmarks.benchmark_run import BenchmarkRun, frames_per_second
@@ -45,14 +45,14 @@ def swaps(benchmark: BenchmarkRun) -> Iterator[Figure]:
         for hidden, ghosts in ((3, 0), (5, 0), (3, 3)):
             wrong, missing, there = 0, 0, 0
             for number, trial in enumerate(trials):
-                clouds, truth = hide_in_gaps(trial, hidden, ghosts, seed=number, number_tracks=False)
+                clouds, truth = simulate_gaps_and_ghosts(trial, hidden, ghosts, seed=number, number_tracks=False)
                 parts = _compare(find_tracklets(clouds), clouds, truth)
                 wrong, missing, there = wrong + parts[0], missing + parts[1], there + parts[2]
             condition = f"{hidden} hidden" + (f" + {ghosts} ghosts" if ghosts else "")
             asked = "< 0.0001" if ghosts else "< 0.00001"
             yield Figure(f"links by motion, {name}, {condition}: wrong", asked, wrong / there, "fraction", there)
             yield Figure(f"links by motion, {name}, {condition}: missing", "none", missing / there, "fraction", there)
-        clouds = hide_in_gaps(trials[0], 3, 3, number_tracks=False)[0]
+        clouds = simulate_gaps_and_ghosts(trials[0], 3, 3, number_tracks=False)[0]
         rate = frames_per_second(lambda clouds=clouds: find_tracklets(clouds), len(clouds))
         yield Figure(f"links by motion, {name}, 3 hidden + 3 ghosts: speed, one core", "none", rate, "frames/s", len(clouds))
 

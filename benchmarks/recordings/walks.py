@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import asterism
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds, Ints, Recording
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import file_of, gait, people_and_trials
@@ -40,7 +40,7 @@ def with_gaps(
     """The subject's walks with gaps and ghosts, the same ones for every method: clouds and the truth (T, M) about them."""
     for number, walk in enumerate(walks(subject, markers)):
         for seed in range(1 if benchmark.quick else seeds):
-            yield hide_in_gaps(walk, hidden, ghosts, seed=SEEDS * number + seed)
+            yield simulate_gaps_and_ghosts(walk, hidden, ghosts, seed=SEEDS * number + seed)
 
 
 def unseen_training(benchmark: BenchmarkRun, subject: str, markers: Markers = "helen-hayes") -> tuple[list[str], list[Recording]]:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.colors import ListedColormap
 
 import asterism
-from asterism.simulation import hide_in_gaps, simulate_walks
+from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
 
 
 def main(picture: str = "label_a_walk.png", subjects: int = 6, frames: int = 400) -> float:
@@ -17,7 +17,7 @@ def main(picture: str = "label_a_walk.png", subjects: int = 6, frames: int = 400
     *training, walk = simulate_walks(subjects, frames, markers="helen-hayes", seed=1)
     ensemble = asterism.SolverEnsemble.fit(training, seed=0)
 
-    clouds, truth = hide_in_gaps(walk, hidden=5, ghosts=3, seed=2)
+    clouds, truth = simulate_gaps_and_ghosts(walk, hidden=5, ghosts=3, seed=2)
     labelling = ensemble.label(clouds, time=True)
 
     hidden = truth == asterism.NULL

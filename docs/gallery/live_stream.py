@@ -10,14 +10,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import asterism
-from asterism.simulation import hide_in_gaps, simulate_walks
+from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
 
 
 def main(picture: str = "live_stream.png", subjects: int = 6, frames: int = 500, delays: tuple[int, ...] = (0, 5, 10, 25)) -> list[float]:
     """Draw the picture; returns, for each delay, the share of the markers in view that are labelled right."""
     *training, walk = simulate_walks(subjects, frames, markers="helen-hayes", seed=1)
     ensemble = asterism.SolverEnsemble.fit(training, seed=0)
-    clouds, truth = hide_in_gaps(walk, hidden=3, ghosts=1, seed=2, number_tracks=False)
+    clouds, truth = simulate_gaps_and_ghosts(walk, hidden=3, ghosts=1, seed=2, number_tracks=False)
     in_view = (truth != asterism.NULL).sum()
 
     right, seconds = [], []

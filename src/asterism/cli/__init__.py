@@ -28,7 +28,7 @@ from asterism.cli.review import review
 from asterism.cli.train import train
 from asterism.errors import AsterismError
 
-_RENAMED = {"--keep": "--keep-labels", "--anyway": "--force", "--weigh-from": "--weight-reference"}
+_RENAMED = {"--keep": "--keep-labels", "--anyway": "--force", "--weigh-from": "--weight-reference", "--mine-again": "--search-again"}
 """Renamed options: the old name, which is accepted and no longer shown, and the new one."""
 _LISTS = ("--occlusions", "--ghosts", "--wand")
 

@@ -12,12 +12,10 @@ from asterism.cli import _console
 from asterism.cli._options import marker_names, vertical_axis
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.recording import Clouds, Labelling, MarkerSet, Recording, is_unnamed, keep_labels
+from asterism.recording import Clouds, Labelling, MarkerSet, Recording, keep_labels
 
 if TYPE_CHECKING:
     from asterism.cameras import Rig
-
-_FEWEST_MARKERS = 4
 
 
 def is_rig(path: Path) -> bool:
@@ -56,6 +54,8 @@ def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str
 
     A file without a labelled sample counts as one that cannot be used. Raises AsterismError where none is left.
     """
+    from asterism.labelling.training.learning import named_markers
+
     axis = vertical_axis(vertical)
     recordings = []
     for path in files:
@@ -63,7 +63,7 @@ def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str
             recording = formats.read(path, markers=marker_set, vertical=axis)
             report_warnings(recording, batch)
             if marker_set is None:
-                recording = recording.select(list(_named(recording)))
+                recording = recording.select(named_markers(recording))
             if not recording.visible.any():
                 raise AsterismError(f"{path} has no labelled point; label it first, or name its markers with --markers.")
             recordings.append(recording)
@@ -87,25 +87,21 @@ def _check_complete(path: Path, recording: Recording) -> None:
 
 
 def _with_common_markers(recordings: Sequence[Recording], batch: _console.Batch) -> list[Recording]:
-    named = [_named(recording) for recording in recordings]
-    common = [name for name in named[0] if all(name in others for others in named)]
-    if len(common) < _FEWEST_MARKERS:
-        raise AsterismError(f"{batch.done[0]} and the other files share {len(common)} labelled markers; name the set with --markers.")
-    left_out = sorted({name for names in named for name in names} - set(common))
-    if left_out:
-        few = ", ".join(left_out[:8]) + (", ..." if len(left_out) > 8 else "")
-        sentence = f"the files share {len(common)} markers, which are used; {len(left_out)} others are in some files only ({few})."
-        batch.found(Finding("recordings-differ", Severity.NOTE, "the files", sentence, "Name the markers with --markers to use others."))
+    from asterism.labelling.training.learning import common_markers
+
+    common, left_out = common_markers(recordings)
+    for finding in left_out_markers(len(common), left_out):
+        batch.found(finding)
     return [recording.select(common) for recording in recordings]
 
 
-def _named(recording: Recording) -> dict[str, None]:
-    """The labels of the columns with a name that occurs once, and with a sample."""
-    return {
-        name: None
-        for column, name in enumerate(recording.labels)
-        if not is_unnamed(name) and recording.labels.count(name) == 1 and recording.visible[:, column].any()
-    }
+def left_out_markers(used: int, left_out: Sequence[str]) -> list[Finding]:
+    """The finding that some markers are not used because only some files have them; empty where there are none."""
+    if not left_out:
+        return []
+    few = ", ".join(left_out[:8]) + (", ..." if len(left_out) > 8 else "")
+    sentence = f"the files share {used} markers, which are used; {len(left_out)} others are in some files only ({few})."
+    return [Finding("recordings-differ", Severity.NOTE, "the files", sentence, "Name the markers with --markers to use others.")]
 
 
 def report_warnings(recording: Recording, batch: _console.Batch) -> None:

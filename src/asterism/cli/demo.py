@@ -132,12 +132,12 @@ def _trained(walks: Sequence[Recording], seed: int, show: Callable[[str], None])
 
 def _labelled(ensemble: SolverEnsemble, walks: Sequence[Recording], hidden: int, ghosts: int, seed: int) -> _Trial:
     """Label the walks, each as a whole, with so many markers in a gap and so many ghosts at every moment."""
-    from asterism.labelling.simulated_occlusions import hide_in_gaps
+    from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 
     counts = {"right": 0, "wrong": 0, "not labelled": 0, "visible": 0}
     seconds, frames = 0.0, 0
     for i, walk in enumerate(walks):
-        clouds, truth = hide_in_gaps(walk, hidden, ghosts, seed=seed + 1 + i)
+        clouds, truth = simulate_gaps_and_ghosts(walk, hidden, ghosts, seed=seed + 1 + i)
         started = time.perf_counter()
         labelling = ensemble.label(clouds, time=True)
         seconds += time.perf_counter() - started

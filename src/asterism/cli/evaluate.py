@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from asterism.cli import _console
+from asterism.cli._command import takes
 from asterism.cli._options import (
     Files,
     HitRate,
@@ -29,27 +31,34 @@ if TYPE_CHECKING:
     from asterism.labelling import Evaluation
 
 
-def evaluate(
-    files: Files,
-    model: Annotated[Path | None, typer.Option("--model", "-m", metavar="FILE", help="The model to test.", show_default=False)] = None,
+@dataclass(frozen=True)
+class EvaluateOptions:
+    """What `asterism evaluate` is asked to do."""
+
+    files: Files
+    model: Annotated[Path | None, typer.Option("--model", "-m", metavar="FILE", help="The model to test.", show_default=False)] = None
     leave_one_subject_out: Annotated[
         bool, typer.Option("--leave-one-subject-out", help="Instead of a model: train on all subjects but one, test on that one, for each.")
-    ] = False,
-    occlusions: Annotated[str, typer.Option(metavar="N N ...", help="How many markers to hide in each frame.")] = "0 1 2 3 4 5",
-    ghosts: Annotated[str, typer.Option(metavar="N N ...", help="How many ghost points to add to each frame.")] = "0",
-    markers: Markers = None,
-    rules: RulesOption = Rules.WHOLE_BODY,
-    target_hit_rate: HitRate = 0.999,
-    miner: MinerOption = None,
-    seed: Seed = 0,
-    vertical: Vertical = None,
-    overwrite: Overwrite = False,
-    report: Report = None,
-    json: Json = None,
-) -> None:
+    ] = False
+    occlusions: Annotated[str, typer.Option(metavar="N N ...", help="How many markers to hide in each frame.")] = "0 1 2 3 4 5"
+    ghosts: Annotated[str, typer.Option(metavar="N N ...", help="How many ghost points to add to each frame.")] = "0"
+    markers: Markers = None
+    rules: RulesOption = Rules.WHOLE_BODY
+    target_hit_rate: HitRate = 0.999
+    miner: MinerOption = None
+    seed: Seed = 0
+    vertical: Vertical = None
+    overwrite: Overwrite = False
+    report: Report = None
+    json: Json = None
+
+
+@takes(EvaluateOptions)
+def evaluate(options: EvaluateOptions) -> None:
     """Measure how far labels can be trusted.
 
-    Names are hidden, markers too, ghost points come, and the labels that the model gives are compared with the truth.
+    The labels of the files are taken away, markers are hidden, ghost points are added, and the labels that the model gives are compared
+    with the truth.
 
     FA: share of wrong labels among those given. FO: share of visible markers among those left without a label.
     Missed: share of visible markers left without a label.
@@ -59,45 +68,37 @@ def evaluate(
     the model has not seen; --markers, --target-hit-rate and --miner belong to it. Rules other than whole-body need a miner:
     bottom-up where none is named.
     """
-    if (model is None) == (not leave_one_subject_out):
-        raise AsterismError("evaluate takes either --model FILE or --leave-one-subject-out; give one of them.")
-    if model is not None and markers is not None:
-        raise AsterismError(f"{model} has its own marker set; leave --markers away.")
-    check_hit_rate(target_hit_rate)
-    hidden, haunted = numbers(occlusions, "--occlusions"), numbers(ghosts, "--ghosts")
-    _console.check_new(report, overwrite)
-    _console.check_new(json, overwrite)
+    settings = _settings(options)
     from asterism import labelling
     from asterism.cli._recordings import read_labelled
 
-    settings: dict[str, Any] = {"occlusions": hidden, "ghosts": haunted, "seed": seed, "rules": rules.value}
-    ensemble = None if model is None else labelling.SolverEnsemble.load(model)
+    ensemble = None if options.model is None else labelling.SolverEnsemble.load(options.model)
     batch = _console.Batch("read")
-    recordings = read_labelled(files, markers if ensemble is None else ensemble.marker_set, vertical, batch)
-    count = len(recordings[0].labels)
-    if max(hidden) > count:
-        raise AsterismError(f"--occlusions {max(hidden)} hides more than the {count} markers that there are; give smaller numbers.")
+    recordings = read_labelled(options.files, options.markers if ensemble is None else ensemble.marker_set, options.vertical, batch)
+    count, hidden = len(recordings[0].labels), max(settings["occlusions"])
+    if hidden > count:
+        raise AsterismError(f"--occlusions {hidden} hides more than the {count} markers that there are; give smaller numbers.")
     with _console.progress("evaluating") as progress:
         if ensemble is not None:
             evaluation = labelling.evaluate(ensemble, recordings, **settings, progress=progress)
         else:
             # the whole-body rules need no partial solvers, and their search takes most of the training
-            searched = None if rules is Rules.WHOLE_BODY or miner is None else miner.value
+            miner = None if options.rules is Rules.WHOLE_BODY or options.miner is None else options.miner.value
             evaluation = labelling.leave_one_subject_out(
-                recordings, **settings, progress=progress, target_hit_rate=target_hit_rate, miner=searched
+                recordings, **settings, progress=progress, target_hit_rate=options.target_hit_rate, miner=miner
             )
-    if json != "-":
+    if options.json != "-":
         _print(evaluation)
-    if report is not None:
+    if options.report is not None:
         from asterism.report import evaluation_report
 
-        evaluation_report(report, evaluation, settings={"model": model or "each subject left out in turn", **settings})
+        evaluation_report(options.report, evaluation, settings={"model": options.model or "each subject left out in turn", **settings})
     _console.write_json(
-        json,
+        options.json,
         {
             "command": "evaluate",
-            "model": model,
-            "leave_one_subject_out": leave_one_subject_out,
+            "model": options.model,
+            "leave_one_subject_out": options.leave_one_subject_out,
             "files": batch.done,
             "failed": batch.failed,
             **settings,
@@ -105,6 +106,19 @@ def evaluate(
         },
     )
     raise typer.Exit(batch.close())
+
+
+def _settings(options: EvaluateOptions) -> dict[str, Any]:
+    """The settings of the evaluation. Raises AsterismError where options contradict each other or an output exists."""
+    if (options.model is None) == (not options.leave_one_subject_out):
+        raise AsterismError("evaluate takes either --model FILE or --leave-one-subject-out; give one of them.")
+    if options.model is not None and options.markers is not None:
+        raise AsterismError(f"{options.model} has its own marker set; leave --markers away.")
+    check_hit_rate(options.target_hit_rate)
+    occlusions, ghosts = numbers(options.occlusions, "--occlusions"), numbers(options.ghosts, "--ghosts")
+    _console.check_new(options.report, options.overwrite)
+    _console.check_new(options.json, options.overwrite)
+    return {"occlusions": occlusions, "ghosts": ghosts, "seed": options.seed, "rules": options.rules.value}
 
 
 def _print(evaluation: Evaluation) -> None:

@@ -21,7 +21,7 @@ def learn(
         str | None,
         typer.Option("--subject", metavar="NAME", help="Who moves in the files. Else what each says, or its folder.", show_default=False),
     ] = None,
-    mine_again: Annotated[bool, typer.Option("--mine-again", help="Find the partial solvers anew, too; takes minutes.")] = False,
+    search_again: Annotated[bool, typer.Option("--search-again", help="Search the partial solvers anew, too; takes minutes.")] = False,
     vertical: Vertical = None,
     overwrite: Overwrite = False,
     json: Json = None,
@@ -44,7 +44,7 @@ def learn(
     started = time.perf_counter()
     with _console.progress("learning") as progress:
         after = before.learn(
-            recordings, subjects=None if subject is None else [subject] * len(recordings), mine_again=mine_again, progress=progress
+            recordings, subjects=None if subject is None else [subject] * len(recordings), search_again=search_again, progress=progress
         )
     seconds = time.perf_counter() - started
     after.save(output)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from asterism.cli import _console
+from asterism.cli._command import takes
 from asterism.cli._options import (
     Features,
     Files,
@@ -26,83 +28,120 @@ from asterism.cli._options import (
 from asterism.cli.audit import as_numbered
 from asterism.errors import AsterismError
 
+if TYPE_CHECKING:
+    from asterism.recording import MarkerSet, Recording
 
-def train(
-    files: Files,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The model to write.", show_default=False)],
-    markers: Markers = None,
-    target_hit_rate: HitRate = 0.999,
-    miner: MinerOption = None,
-    features: Features = None,
-    seed: Seed = 0,
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """What `asterism train` is asked to do."""
+
+    files: Files
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The model to write.", show_default=False)]
+    markers: Markers = None
+    target_hit_rate: HitRate = 0.999
+    miner: MinerOption = None
+    features: Features = None
+    seed: Seed = 0
     leave_out_damaged: Annotated[
         bool, typer.Option("--leave-out-damaged", help="Look through the files first, and leave out what cannot be right.")
-    ] = False,
-    vertical: Vertical = None,
-    overwrite: Overwrite = False,
-    json: Json = None,
-) -> None:
+    ] = False
+    vertical: Vertical = None
+    overwrite: Overwrite = False
+    json: Json = None
+
+
+@takes(TrainOptions)
+def train(options: TrainOptions) -> None:
     """Learn a marker set from files whose points are labelled.
 
-    Recordings of several people make a model that holds for people it has not seen. A file that lacks a marker of the set stops
-    the training before it starts, and is named.
+    Recordings of several people make a model that holds for people it has not seen. Without --markers the set is the markers that all
+    files have; the others are named. A file that lacks a marker of --markers stops the training before it starts, and is named.
     """
-    from asterism.cli._recordings import marker_set_of, read_labelled
+    check_hit_rate(options.target_hit_rate)
+    features = feature_names(options.features)
+    _console.check_new(options.output, options.overwrite)
+    _console.check_new(options.json, options.overwrite)
+    from asterism.cli._recordings import left_out_markers, marker_set_of
 
-    check_hit_rate(target_hit_rate)
-    chosen = feature_names(features)
-    _console.check_new(output, overwrite)
-    _console.check_new(json, overwrite)
-    marker_set = marker_set_of(markers)
-    batch = _console.Batch("read")
-    recordings = read_labelled(files, marker_set, vertical, batch, complete=True)
-    if batch.failed:
-        raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; mend them or leave them out.")
-    from asterism.labelling import SolverEnsemble, audit, remove_errors
+    marker_set = marker_set_of(options.markers)
+    recordings = _read(options.files, marker_set, options.vertical)
+    from asterism.labelling import SolverEnsemble, TrainingRules
 
-    left_out = []
-    if leave_out_damaged:
-        with _console.progress("auditing") as progress:
-            errors = [error for error in audit(recordings, seed=seed, progress=progress) if error.damage]
-        left_out = [as_numbered(error, recordings) for error in errors]
-        for error in left_out:
-            _console.report(error.finding)
-        recordings = remove_errors(recordings, errors)
+    errors: list[Any] = []
+    if options.leave_out_damaged:
+        recordings, errors = _without_damage(recordings, marker_set, options.seed)
     started = time.perf_counter()
     with _console.progress("training") as progress:
         ensemble = SolverEnsemble.fit(
             recordings,
-            seed=seed,
-            target_hit_rate=target_hit_rate,
-            miner=None if miner is None else miner.value,
-            features=chosen,
+            seed=options.seed,
+            target_hit_rate=options.target_hit_rate,
+            miner=None if options.miner is None else options.miner.value,
             marker_set=marker_set,
+            training=TrainingRules(features=features),
             progress=progress,
         )
     seconds = time.perf_counter() - started
-    ensemble.save(output)
+    ensemble.save(options.output)
     names, about = ensemble.marker_set.names, ensemble.about
-    if json != "-":
-        people = len(about["subjects"])
-        _console.result(
-            f"{output}: {len(names)} markers, from {len(recordings)} recording{'s' if len(recordings) > 1 else ''} of {people} "
-            f"subject{'s' if people > 1 else ''} ({about['frames']:,} frames) in {seconds:.0f} s"
-        )
-        if people == 1:
-            _console.result(
-                "advice: one person tells little of others, and nothing of postures not shown, where labels can be wrong at a confidence "
-                "near 1: look at what it labels first, and let it learn. Recordings of several people need a folder for each."
-            )
+    findings = [*left_out_markers(len(names), about["left_out_markers"]), *(error.finding for error in errors)]
+    for finding in left_out_markers(len(names), about["left_out_markers"]):
+        _console.report(finding)
+    if options.json != "-":
+        _print(options.output, len(names), len(recordings), about, seconds)
     _console.write_json(
-        json,
+        options.json,
         {
             "command": "train",
-            "model": output,
+            "model": options.output,
             "markers": names,
-            "files": files,
+            "files": options.files,
             **about,
-            "left_out": [asdict(error) for error in left_out],
-            "findings": [_console.as_json(error.finding) for error in left_out],
+            "left_out": [asdict(error) for error in errors],
+            "findings": [_console.as_json(finding) for finding in findings],
             "seconds": seconds,
         },
     )
+
+
+def _read(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | None) -> list[Recording]:
+    """The files' recordings: with the set's markers, else each with all its named ones. Raises AsterismError where one cannot be used."""
+    from asterism.cli._recordings import read_labelled, read_some
+
+    batch = _console.Batch("read")
+    if marker_set is None:
+        recordings = read_some(files, None, vertical, batch)
+    else:
+        recordings = read_labelled(files, marker_set, vertical, batch, complete=True)
+    if batch.failed:
+        raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; mend them or leave them out.")
+    return recordings
+
+
+def _without_damage(recordings: Sequence[Recording], marker_set: MarkerSet | None, seed: int) -> tuple[list[Recording], list[Any]]:
+    """The recordings without the samples that cannot be right, and the label errors found, each reported on the console."""
+    from asterism.labelling import audit, remove_errors
+    from asterism.labelling.training.learning import common_marker_set
+
+    names = (marker_set or common_marker_set(recordings)[0]).names
+    audited = [recording.select(names) for recording in recordings]
+    with _console.progress("auditing") as progress:
+        errors = [error for error in audit(audited, seed=seed, progress=progress) if error.damage]
+    numbered = [as_numbered(error, audited) for error in errors]
+    for error in numbered:
+        _console.report(error.finding)
+    return remove_errors(audited, errors), numbered
+
+
+def _print(output: Path, markers: int, recordings: int, about: dict[str, Any], seconds: float) -> None:
+    people = len(about["subjects"])
+    _console.result(
+        f"{output}: {markers} markers, from {recordings} recording{'s' if recordings > 1 else ''} of {people} "
+        f"subject{'s' if people > 1 else ''} ({about['frames']:,} frames) in {seconds:.0f} s"
+    )
+    if people == 1:
+        _console.result(
+            "advice: one person tells little of others, and nothing of postures not shown, where labels can be wrong at a confidence "
+            "near 1: look at what it labels first, and let it learn. Recordings of several people need a folder for each."
+        )

@@ -5,7 +5,7 @@ from asterism.labelling.capturability import Capturability, Change, capturabilit
 from asterism.labelling.ensemble import SolverEnsemble, TrainingRules, label_together
 from asterism.labelling.evaluation import Condition, Evaluation, evaluate, leave_one_subject_out
 from asterism.labelling.naming import MarkerGroups, group_tracklets, name_groups
-from asterism.labelling.partial.solver import FullSolver
+from asterism.labelling.partial.solver import FullSolver, FullSolverRules
 from asterism.labelling.review import ReviewItem, apply_answers, review
 from asterism.labelling.together import join_labellings
 from asterism.labelling.whole.bodies import SeveralBodies
@@ -16,6 +16,7 @@ __all__ = [
     "Condition",
     "Evaluation",
     "FullSolver",
+    "FullSolverRules",
     "LabelError",
     "MarkerGroups",
     "ReviewItem",

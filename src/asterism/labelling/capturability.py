@@ -12,10 +12,17 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.labelling.partial._matrix_kernels import count_confusions
-from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix, whole_model
-from asterism.labelling.partial.solver import FullSolver, stack
-from asterism.labelling.partial.solver_search import Mine, Mining, Subset, bottom_up, choose, hide
-from asterism.labelling.simulated_occlusions import hide_and_haunt
+from asterism.labelling.partial.matrix import PartialSolvers, classifiers_by_marker, label_by_matrix
+from asterism.labelling.partial.solver import FullSolver, FullSolverRules, stack_frames
+from asterism.labelling.partial.solver_search import (
+    MarkerSubset,
+    SearchSettings,
+    SolverSearch,
+    bottom_up,
+    choose_ensemble,
+    random_occlusions,
+)
+from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Recording
 
@@ -96,7 +103,7 @@ def capturability(
     differ, for a marker that is never there, or where no frame shows all markers.
     """
     tell = progress or (lambda fraction, doing: None)
-    frames, groups = stack(recordings, subjects)
+    frames, groups = stack_frames(recordings, subjects)
     names, markers = recordings[0].labels, frames.shape[1]
     if markers < 4:
         raise AsterismError(f"{markers} markers are too few to ask which of them can be told apart; give at least four.")
@@ -104,21 +111,25 @@ def capturability(
     tell(0.0, "full solver")
     hit_rates = _whole_hit_rates(np.concatenate([teach[0], test[0]]), np.concatenate([teach[1], test[1]]), names, seed)
     tell(0.1, "confusions")
-    settings = Mining(glance=200, exposures=800, proof=2000, breadth=60, largest=min(8, markers), most_solvers=50)
-    mine = Mine(*teach, settings=settings, seed=seed)
-    confusion = _confusion(mine, test[0], np.random.default_rng(seed))
-    chosen = choose(mine, bottom_up(mine, lambda fraction, doing: tell(0.15 + 0.35 * fraction, doing)), lambda fraction, doing: None)
+    settings = SearchSettings(
+        screening_frames=200, evaluation_frames=800, validation_frames=2000, beam_width=60, max_markers=min(8, markers), max_solvers=50
+    )
+    search = SolverSearch(*teach, settings=settings, seed=seed)
+    confusion = _confusion(search, test[0], np.random.default_rng(seed))
+    chosen = choose_ensemble(
+        search, bottom_up(search, lambda fraction, doing: tell(0.15 + 0.35 * fraction, doing)), lambda fraction, doing: None
+    )
     tell(0.55, "hidden markers")
     by_occlusions = []
     for hidden in range(min(MOST_HIDDEN, markers - 3) + 1):
-        clouds, truth = hide_and_haunt(Recording(test[0], names, 1.0), hidden, 0, seed)
+        clouds, truth = simulate_occlusions(Recording(test[0], names, 1.0), hidden, 0, seed)
         given = label_by_matrix(clouds, chosen).indices
         there = truth != NULL
         right = (given == truth) & there
         per_marker: Floats = right.sum(axis=0) / np.maximum(there.sum(axis=0), 1)
         by_occlusions.append((hidden, float(right.sum() / max(there.sum(), 1)), per_marker))
     hardest = np.argsort(by_occlusions[-1][2] + np.diagonal(confusion), kind="stable")[:WORST]
-    changes = _changes(chosen, mine, teach, test, names, hardest, seed, lambda fraction, doing: tell(0.6 + 0.4 * fraction, doing))
+    changes = _changes(chosen, search, teach, test, names, hardest, seed, lambda fraction, doing: tell(0.6 + 0.4 * fraction, doing))
     tell(1.0, "done")
     verdict = _verdict(names, hit_rates, confusion, by_occlusions, changes)
     return Capturability(names, hit_rates, confusion, by_occlusions, changes, verdict)
@@ -144,26 +155,29 @@ def _whole_hit_rates(frames: Floats, groups: Ints, names: Sequence[str], seed: i
     complete = ~np.isnan(frames[:, :, 0]).any(axis=1)
     if not complete.any():
         raise AsterismError("no frame shows all markers, so they cannot be compared; give recordings with fewer gaps, or fewer markers.")
-    solver = FullSolver.fit_frames(frames, groups, names, weak_classifiers=max(40, 3 * len(names)), widen=0.25, seed=seed)
-    clouds, truth = hide_and_haunt(Recording(frames[complete], tuple(names), 1.0), 0, 0, seed)
+    rules = FullSolverRules(weak_classifiers=max(40, 3 * len(names)), widen=0.25)
+    solver = FullSolver.fit_frames(frames, groups, names, rules=rules, seed=seed)
+    clouds, truth = simulate_occlusions(Recording(frames[complete], tuple(names), 1.0), 0, 0, seed)
     rates: Floats = (solver.label(clouds).indices == truth).mean(axis=0)
     return rates
 
 
-def _confusion(mine: Mine, frames: Floats, rng: np.random.Generator) -> Floats:
-    n = mine.n_markers
+def _confusion(search: SolverSearch, frames: Floats, rng: np.random.Generator) -> Floats:
+    n = search.n_markers
     taken_for, shown = np.zeros((n, n), dtype=np.int64), np.zeros(n, dtype=np.int64)
     known = np.argsort(rng.random((len(frames), n)), axis=1) < max(2, n // 3)
-    count_confusions(whole_model(mine.weak, mine.table), frames, np.arange(len(frames)), known, taken_for, shown)
+    count_confusions(classifiers_by_marker(search.weak, search.table), frames, np.arange(len(frames)), known, taken_for, shown)
     for marker in np.nonzero(shown == 0)[0]:
         taken_for[marker, marker] = 1
     confusion: Floats = taken_for / taken_for.sum(axis=1, keepdims=True)
     return confusion
 
 
-def _rebuilt(mine: Mine, subsets: Sequence[Subset]) -> PartialSolvers:
-    """The ensemble of the given subsets' solvers, on the mine's frames."""
-    return choose(mine, [assessed for subset in subsets if (assessed := mine.assess(subset)) is not None], lambda fraction, doing: None)
+def _rebuilt(search: SolverSearch, subsets: Sequence[MarkerSubset]) -> PartialSolvers:
+    """The ensemble of the given subsets' solvers, on the frames of the search."""
+    return choose_ensemble(
+        search, [evaluated for subset in subsets if (evaluated := search.evaluate(subset)) is not None], lambda fraction, doing: None
+    )
 
 
 def _found(ensemble: PartialSolvers, frames: Floats, hidden: NDArray[np.bool_], judged: NDArray[np.bool_]) -> float:
@@ -176,11 +190,18 @@ def _found(ensemble: PartialSolvers, frames: Floats, hidden: NDArray[np.bool_], 
 
 
 def _changes(
-    chosen: PartialSolvers, mine: Mine, teach: Half, test: Half, names: Sequence[str], hardest: Ints, seed: int, progress: Progress
+    chosen: PartialSolvers,
+    search: SolverSearch,
+    teach: Half,
+    test: Half,
+    names: Sequence[str],
+    hardest: Ints,
+    seed: int,
+    progress: Progress,
 ) -> list[Change]:
     """Every marker dropped, the hardest ones moved and given a neighbour; each judged by the markers that the set had before."""
     n = len(names)
-    hidden = hide(len(test[0]), n, COMPARED_HIDDEN, np.random.default_rng(seed))
+    hidden = random_occlusions(len(test[0]), n, COMPARED_HIDDEN, np.random.default_rng(seed))
     everyone = np.ones(n, dtype=np.bool_)
     before = _found(chosen, test[0], hidden, everyone)
     changes = []
@@ -192,17 +213,17 @@ def _changes(
         changes.append(Change("drop", names[marker], "without it", alone, _found(chosen, test[0], gone, others)))
 
     few = slice(None, None, max(1, len(teach[0]) // CHANGE_FRAMES))
-    settings = Mining(glance=200, exposures=800, proof=800, most_solvers=mine.settings.most_solvers)
+    settings = SearchSettings(screening_frames=200, evaluation_frames=800, validation_frames=800, max_solvers=search.settings.max_solvers)
     subsets = [tuple(np.sort(own).tolist()) for own in np.split(chosen.solvers.markers, chosen.solvers.first_depth[1:-1])]
 
-    def found(alter: Callable[[Floats], Floats], more: Sequence[Subset] = ()) -> float:
+    def found(alter: Callable[[Floats], Floats], more: Sequence[MarkerSubset] = ()) -> float:
         changed, tested = alter(teach[0][few]), alter(test[0])
         extra = tested.shape[1] - n
-        altered = _rebuilt(Mine(changed, teach[1][few], settings=settings, seed=seed), [*subsets, *more])
+        altered = _rebuilt(SolverSearch(changed, teach[1][few], settings=settings, seed=seed), [*subsets, *more])
         return _found(altered, tested, np.pad(hidden, ((0, 0), (0, extra))), np.pad(everyone, (0, extra)))
 
     before = found(lambda frames: frames)
-    near = _neighbours(mine)
+    near = _neighbours(search)
     for number, marker in enumerate(hardest.tolist()):
         progress(0.3 + 0.7 * number / len(hardest), "markers moved and added")
         one, two = int(near[marker, 0]), int(near[marker, 1])
@@ -228,9 +249,9 @@ def _added(frames: Floats, triple: tuple[int, int, int]) -> Floats:
     return np.concatenate([frames, ((a + b + c) / 3 + STEP * side)[:, None]], axis=1)
 
 
-def _neighbours(mine: Mine) -> NDArray[np.int64]:
+def _neighbours(search: SolverSearch) -> NDArray[np.int64]:
     """(M, M - 1) the other markers, those that keep the steadiest distance first: what sits on the same segment."""
-    between = mine.frames[:, :, None] - mine.frames[:, None]
+    between = search.frames[:, :, None] - search.frames[:, None]
     distance = np.sqrt((between**2).sum(axis=3))
     seen = ~np.isnan(distance)
     count = np.maximum(seen.sum(axis=0), 1)

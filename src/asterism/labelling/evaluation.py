@@ -11,8 +11,8 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.labelling.ensemble import SolverEnsemble
-from asterism.labelling.partial.solver import person
-from asterism.labelling.simulated_occlusions import hide_and_haunt
+from asterism.labelling.partial.solver import subject_of
+from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.progress import Progress
 from asterism.recording import Clouds, Floats, Ints, Recording
 
@@ -163,7 +163,7 @@ def expected_calibration_error(confidence: Floats, right: Any) -> tuple[float, l
 
 
 def _subjects(recordings: Sequence[Recording], subjects: Sequence[str] | None) -> list[str]:
-    return list(subjects) if subjects is not None else [person(recording) for recording in recordings]
+    return list(subjects) if subjects is not None else [subject_of(recording) for recording in recordings]
 
 
 def _check_occlusions(occlusions: Sequence[int], markers: int) -> None:
@@ -202,7 +202,7 @@ def _try(
     done = 0
     for (k, g), tally in tallies.items():
         for r, recording in enumerate(recordings):
-            clouds, truth = hide_and_haunt(recording, k, g, np.random.default_rng([seed, r, k, g]))
+            clouds, truth = simulate_occlusions(recording, k, g, np.random.default_rng([seed, r, k, g]))
             start = time.perf_counter()
             labelling, evaluations = ensemble.label_counted(clouds, rules=rules)
             tally.seconds += time.perf_counter() - start

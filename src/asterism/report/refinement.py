@@ -1,4 +1,4 @@
-"""A refinement in; out comes a page that says which camera was bumped, and by how much."""
+"""A refinement in; out comes a page that says which camera was moved, and by how much."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from asterism.report.space import rig_in_space
 if TYPE_CHECKING:
     from asterism.calibration import Refinement
 
-_TINTS = {"good": 0.0, "bumped": 0.6, "out of step": 0.6, "lost": 1.0, "unknown": 0.3}
+_TINTS = {"good": 0.0, "moved": 0.6, "out of step": 0.6, "lost": 1.0, "unknown": 0.3}
 
 
 def refinement_report(path: str | Path, made: Refinement, *, settings: Mapping[str, Any] | None = None) -> None:
@@ -23,8 +23,8 @@ def refinement_report(path: str | Path, made: Refinement, *, settings: Mapping[s
         [
             check.name,
             Cell(check.state, _TINTS[check.state], "bad" if check.state == "lost" else "warn"),
-            _number(check.before, 2),
-            _number(check.after, 2),
+            _number(check.moved_px, 2),
+            _number(check.rms_px, 2),
             _number(math.degrees(check.turned), 3),
             _number(1000 * check.shifted, 1),
             _number(100 * check.zoomed, 2),
@@ -42,23 +42,23 @@ def refinement_report(path: str | Path, made: Refinement, *, settings: Mapping[s
         "zoomed, %",
         "of the others' points shown",
     ]
-    lead = " ".join(f"{finding[0].upper()}{finding[1:]}" for finding in made.findings) or "No camera was bumped."
+    lead = " ".join(f"{sentence[0].upper()}{sentence[1:]}" for sentence in map(str, made.findings)) or "No camera was moved."
     merits = [
-        (str(states.count("bumped")), "cameras bumped and mended", "warn" if "bumped" in states else "good"),
+        (str(states.count("moved")), "cameras moved, with new poses", "warn" if "moved" in states else "good"),
         (str(states.count("lost")), "cameras lost", "bad" if "lost" in states else ""),
         (f"{made.noise:.2f} px", "noise of the blobs", ""),
-        (str(made.frames), "frames looked at", ""),
+        (str(made.frames), "frames used", ""),
     ]
     sections = [
         Section(
             "Each camera",
-            "By how much its view of what the others see has moved, and what is left with the mended rig. Markers hidden from a camera "
-            "are not shown by it, which is no fault.",
+            "By how much its view of what the others see has moved, and what is left with the refined rig. Markers hidden from a camera "
+            "are not shown by it; that is no fault.",
             table=Table(head, rows, left=2),
         ),
-        Section("The rig, mended", figure=rig_in_space(made.rig)),
+        Section("The refined rig", figure=rig_in_space(made.rig)),
     ]
-    write_page(path, Page("Was a camera bumped?", lead, settings or {}, merits, sections))
+    write_page(path, Page("Was a camera moved?", lead, settings or {}, merits, sections))
 
 
 def _number(value: float, digits: int) -> str:

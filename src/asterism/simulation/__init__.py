@@ -1,6 +1,6 @@
 """Simulated recordings of people, with known truth: for the demo, tests and benchmarks."""
 
-from asterism.labelling.simulated_occlusions import hide_and_haunt, hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts, simulate_occlusions
 from asterism.simulation.body import simulated_markers
 from asterism.simulation.comparison import PointErrors, RigErrors, compare_points, compare_rigs
 from asterism.simulation.walks import simulate_standing, simulate_walks
@@ -10,8 +10,8 @@ __all__ = [
     "RigErrors",
     "compare_points",
     "compare_rigs",
-    "hide_and_haunt",
-    "hide_in_gaps",
+    "simulate_gaps_and_ghosts",
+    "simulate_occlusions",
     "simulate_standing",
     "simulate_walks",
     "simulated_markers",

@@ -1,5 +1,6 @@
 """A rig and a volume in; out come its accuracy, sensitivity and repeatability, place by place (thesis 3.3), and better rigs (3.2.2)."""
 
+from asterism.cameras.accuracy.checks import check_map
 from asterism.cameras.accuracy.maps import RigMap, map_rig
 from asterism.cameras.accuracy.measured import WandAccuracy, repeatability, wand_accuracy
 from asterism.cameras.accuracy.sensitivity import Sensitivity, covariance, information, sees, sensitivity
@@ -10,6 +11,7 @@ __all__ = [
     "Sensitivity",
     "Volume",
     "WandAccuracy",
+    "check_map",
     "covariance",
     "information",
     "lines_of_sight_meet",

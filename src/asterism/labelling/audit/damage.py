@@ -22,7 +22,7 @@ from asterism.labelling.audit.paths import exchanges, jumps, pairs_of
 from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyRules, fit_body, names_of, subsample
-from asterism.labelling.partial.solver import person
+from asterism.labelling.partial.solver import subject_of
 from asterism.labelling.training.learning import renumbered
 from asterism.progress import Progress
 from asterism.recording import Floats, Ints, Recording
@@ -132,7 +132,7 @@ def audit(
     """
     if not recordings:
         raise AsterismError("there is no recording to audit; give at least one labelled file.")
-    given = [person(recording) for recording in recordings] if subjects is None else list(subjects)
+    given = [subject_of(recording) for recording in recordings] if subjects is None else list(subjects)
     if len(given) != len(recordings):
         raise AsterismError(f"{len(given)} subjects for {len(recordings)} recordings; give one name per recording.")
     rules, report = rules or AuditRules(), progress or (lambda fraction, what: None)

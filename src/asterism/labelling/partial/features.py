@@ -1,6 +1,6 @@
 """Features of points (thesis table 4.1) and of their motion (6.1, 6.2): the registry, and the pool of all over all subsets of a marker set.
 
-One more feature is one more `if kind == G19` in `motion._kernels.moving_feature` and one more line at the end of `FEATURES` here, with a
+One more feature is one more `if kind == G19` in `_motion_kernels.motion_feature` and one more line at the end of `FEATURES` here, with a
 constant G19 beside the others; the pool, the training, the search and the files that models are saved in take it from there.
 """
 
@@ -40,7 +40,7 @@ class Feature:
                   difference, moves the interval but not what it accepts, so such orders are left out
     unit          of its values
     source        where it comes from
-    moving        whether it reads the points' motion (`motion.points.motion_of`); where that is not known, every interval accepts
+    moving        whether it reads the points' motion (`motion_points.motion_of_points`); where that is not known, every interval accepts
     """
 
     name: str
@@ -81,7 +81,7 @@ FEATURES: tuple[Feature, ...] = (
     Feature("g17", "mean distance between one point before and the other after", 2, PAIR, "m", _NEIGHBOURS, True),
     Feature("g18", "mean of g9 over three frames", 3, TRIPLE, "m2", _NEIGHBOURS, True),
 )
-"""The registry; its order is that of the constants G1.. in `_kernels` and `motion._kernels`.
+"""The registry; its order is that of the constants G1.. in `_feature_kernels` and `_motion_kernels`.
 
 None of them changes when the recording is turned about the vertical or shifted, nor when it is played backwards.
 """
@@ -104,7 +104,7 @@ def kinds_of(names: Sequence[str]) -> Ints:
     return np.array(sorted(known[name] for name in names), dtype=np.int64)
 
 
-def pool(n_markers: int, features: Sequence[str] = THESIS, seed: int | np.random.Generator = 0) -> tuple[Ints, Ints]:
+def feature_pool(n_markers: int, features: Sequence[str] = THESIS, seed: int | np.random.Generator = 0) -> tuple[Ints, Ints]:
     """Every feature over every subset of the markers (section 4.3, step 1): kinds (F,) and slots (F, 4), unused slots 0.
 
     15 markers and the thesis' three features give its 665. With more than `MANY_MARKERS` markers, features of four points are a random
@@ -140,7 +140,7 @@ def check_motion(kinds: Ints, frames: Floats) -> None:
         raise AsterismError("features of motion need frames that carry their motion; make them with labelling.partial.motion_points.")
 
 
-def members(kinds: Ints, slots: Ints, n_markers: int) -> NDArray[np.bool_]:
+def markers_read(kinds: Ints, slots: Ints, n_markers: int) -> NDArray[np.bool_]:
     """(F, M) bool: which markers each feature reads."""
     out = np.zeros((len(kinds), n_markers), dtype=np.bool_)
     points = np.array([feature.points for feature in FEATURES])[kinds]

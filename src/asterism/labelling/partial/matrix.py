@@ -1,4 +1,4 @@
-"""The labelling matrix (thesis 4.5.4): clouds and an ensemble of partial solvers in; labels by safe rules, votes and the work done out."""
+"""The labelling matrix (thesis 4.5.4): clouds and an ensemble of partial solvers in; labels by safe rules, votes and evaluations out."""
 
 from __future__ import annotations
 
@@ -13,23 +13,30 @@ from asterism.errors import AsterismError
 from asterism.labelling.partial import _matrix_kernels
 from asterism.labelling.partial._matrix_kernels import MatrixRules, StrongClassifierArrays, VoteArrays
 from asterism.labelling.partial._search_kernels import SolverArrays
-from asterism.labelling.partial.features import FEATURES, members, needs_motion
-from asterism.labelling.partial.motion_points import with_motion
-from asterism.labelling.partial.solver import angles_by_cosine, share_pairs
-from asterism.labelling.partial.weak import Bits, Weak
+from asterism.labelling.partial.features import FEATURES, markers_read, needs_motion
+from asterism.labelling.partial.motion_points import feature_points
+from asterism.labelling.partial.solver import angles_to_cosines, factor_pair_rules
+from asterism.labelling.partial.weak import Bits, WeakClassifiers
 from asterism.recording import Clouds, Floats, Ints
 
-BUDGET = 20_000
-"""Feature evaluations that a partial solver may spend on one frame."""
 
-LEAST, OUTVOTE = 20, 5
-"""So many classifiers must have had a say before the whole model gives a label; so many times must a proposal outvote all others."""
+@dataclass(frozen=True)
+class VotingRules:
+    """How the proposals of an ensemble become labels. Chosen by hand on the gait recordings.
 
-ROUNDS = 3
-"""Completions at most."""
+    budget           feature evaluations that a partial solver may spend on one frame. Exhausted, it proposes nothing: deterministic,
+                     unlike a limit in seconds
+    min_tests        classifiers with known values that a label of the strong classifier takes
+    outvote          a proposal stands where it has more than this many times the votes of all others
+    rounds           completions at most. Not tuned
+    max_classifiers  classifiers of the strong classifier per marker, those that reject most
+    """
 
-WHOLE = 1500
-"""Classifiers of the whole model per marker, those that reject most."""
+    budget: int = 20_000
+    min_tests: int = 20
+    outvote: int = 5
+    rounds: int = 3
+    max_classifiers: int = 1500
 
 
 @dataclass(frozen=True)
@@ -39,9 +46,9 @@ class PartialSolvers:
     solvers    flat arrays of S solvers
     hit_rates  (S, M) of each solver's proposals the share that was right, NaN for markers it does not know (1st property)
     targets    (M,) a solver proposes a marker only where its hit rate reaches the marker's target
-    covered    (M,) bool: a solver reaches the target; of a marker that none reaches, the best solvers are in, and trusted nevertheless
+    covered    (M,) bool: a solver reaches the target. For a marker that none reaches, the best solvers are taken and trusted nevertheless
     trusted    (D,) bool by depth of all solvers: may this solver propose this marker
-    whole      the strong classifier of the whole model, marker by marker, for what follows the vote
+    strong     the strong classifier of all markers, marker by marker, which completes the labels after the vote
     """
 
     solvers: SolverArrays
@@ -49,7 +56,7 @@ class PartialSolvers:
     targets: Floats
     covered: NDArray[np.bool_]
     trusted: NDArray[np.bool_]
-    whole: StrongClassifierArrays
+    strong: StrongClassifierArrays
 
     def __len__(self) -> int:
         return len(self.solvers.first_depth) - 1
@@ -57,12 +64,12 @@ class PartialSolvers:
     @property
     def reads_motion(self) -> bool:
         """Whether any of its classifiers reads the points' motion."""
-        return needs_motion(self.solvers.kinds) or needs_motion(self.whole.kinds)
+        return needs_motion(self.solvers.kinds) or needs_motion(self.strong.kinds)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything as plain arrays, for a file."""
         arrays: dict[str, NDArray[Any]] = {f"solver_{name}": array for name, array in self.solvers._asdict().items()}
-        arrays |= {f"whole_{name}": array for name, array in self.whole._asdict().items()}
+        arrays |= {f"whole_{name}": array for name, array in self.strong._asdict().items()}
         return arrays | {"hit_rates": self.hit_rates, "targets": self.targets, "covered": self.covered, "trusted": self.trusted}
 
     @classmethod
@@ -70,16 +77,16 @@ class PartialSolvers:
         """What `to_arrays` gave. Raises AsterismError where an array is missing or they do not fit each other."""
         try:
             solvers = SolverArrays(*(_typed(arrays[f"solver_{name}"], name) for name in SolverArrays._fields))
-            whole = StrongClassifierArrays(*(_typed(arrays[f"whole_{name}"], name) for name in StrongClassifierArrays._fields))
+            strong = StrongClassifierArrays(*(_typed(arrays[f"whole_{name}"], name) for name in StrongClassifierArrays._fields))
             hit_rates, targets = (np.asarray(arrays[name], dtype=np.float64) for name in ("hit_rates", "targets"))
             covered, trusted = (np.asarray(arrays[name], dtype=np.bool_) for name in ("covered", "trusted"))
         except (KeyError, ValueError, TypeError) as problem:
             raise AsterismError(f"the partial solvers cannot be read ({problem}); train the model again.") from problem
         sizes = hit_rates.shape == (len(solvers.first_depth) - 1, len(targets)) and targets.ndim == 1
         sizes = sizes and covered.shape == targets.shape and trusted.shape == solvers.markers.shape
-        if not sizes or not _walkable(solvers, len(targets)) or not _testable(whole, len(targets)):
+        if not sizes or not _walkable(solvers, len(targets)) or not _testable(strong, len(targets)):
             raise AsterismError("the partial solvers do not fit together; the model is damaged, train it again.")
-        return cls(solvers, hit_rates, targets, covered, trusted, whole)
+        return cls(solvers, hit_rates, targets, covered, trusted, strong)
 
 
 def _typed(array: NDArray[Any], name: str) -> NDArray[Any]:
@@ -97,7 +104,7 @@ def _rising(first: Ints, count: int, end: int, step: int) -> bool:
 
 
 def _walkable(solvers: SolverArrays, markers: int) -> bool:
-    """Whether the kernels can walk over the solvers without leaving the arrays."""
+    """Whether the kernels stay within the arrays of the solvers."""
     first, depths = solvers.first_depth, len(solvers.markers)
     if not _classifiers(solvers.kinds, solvers.slots, solvers.low, solvers.high) or not len(first):
         return False
@@ -109,40 +116,43 @@ def _walkable(solvers: SolverArrays, markers: int) -> bool:
     return bool(known.all() and ((solvers.slots >= 0) & (solvers.slots <= reach[:, None])).all())
 
 
-def _testable(whole: StrongClassifierArrays, markers: int) -> bool:
-    """Whether the kernels can walk over the whole model without leaving the arrays."""
-    if not _classifiers(whole.kinds, whole.slots, whole.low, whole.high) or whole.points.shape != whole.kinds.shape:
+def _testable(strong: StrongClassifierArrays, markers: int) -> bool:
+    """Whether the kernels stay within the arrays of a strong classifier."""
+    if not _classifiers(strong.kinds, strong.slots, strong.low, strong.high) or strong.points.shape != strong.kinds.shape:
         return False
-    known = ((whole.slots >= 0) & (whole.slots < markers)).all()
-    return bool(known) and (len(whole.first) == 1 or _rising(whole.first, markers, len(whole.kinds), 0))
+    known = ((strong.slots >= 0) & (strong.slots < markers)).all()
+    return bool(known) and (len(strong.first) == 1 or _rising(strong.first, markers, len(strong.kinds), 0))
 
 
-def whole_model(weak: Weak, table: Bits) -> StrongClassifierArrays:
-    """The strong classifier of the whole model: for each marker the `WHOLE` classifiers that reject most wrong points of it, most first.
+def classifiers_by_marker(weak: WeakClassifiers, table: Bits) -> StrongClassifierArrays:
+    """The strong classifier of all markers: for each marker the `max_classifiers` that reject most wrong points of it, most first.
 
-    weak, table as from `solver.replacements`.
+    table as from `solver.replacement_table`.
     """
     share = np.unpackbits(np.ascontiguousarray(table).view(np.uint8), axis=2).sum(axis=2)
-    reads = members(weak.kinds, weak.slots, table.shape[1])
+    reads = markers_read(weak.kinds, weak.slots, table.shape[1])
     rows = []
     for marker in range(table.shape[1]):
         own = np.nonzero(reads[:, marker])[0]
-        rows.append(own[np.argsort(-share[own, marker].astype(np.int64), kind="stable")[:WHOLE]])
+        rows.append(own[np.argsort(-share[own, marker].astype(np.int64), kind="stable")[: VotingRules().max_classifiers]])
     chosen = np.concatenate(rows)
     points = np.array([feature.points for feature in FEATURES], dtype=np.int64)[weak.kinds[chosen]]
-    low, high = angles_by_cosine(weak.kinds[chosen], weak.low[chosen], weak.high[chosen])
+    low, high = angles_to_cosines(weak.kinds[chosen], weak.low[chosen], weak.high[chosen])
     first = np.cumsum([0, *map(len, rows)]).astype(np.int64)
     return StrongClassifierArrays(first, weak.kinds[chosen], np.ascontiguousarray(weak.slots[chosen]), points, low, high)
 
 
-def nobody() -> StrongClassifierArrays:
-    """A whole model without markers: the thesis' rules alone."""
+def no_classifiers() -> StrongClassifierArrays:
+    """A strong classifier without markers: then the thesis' rules decide alone."""
     none = np.empty(0, dtype=np.int64)
     return StrongClassifierArrays(np.zeros(1, dtype=np.int64), none, np.empty((0, 4), dtype=np.int64), none, np.empty(0), np.empty(0))
 
 
-def slack_of(targets: Floats) -> float:
-    """The share of an interval by which a rival may miss it and still forbid a completion: the higher the target hit rate, the more."""
+def near_miss_slack(targets: Floats) -> float:
+    """The share of an interval by which a value may miss it and still forbid a completion: the higher the target hit rates (M,), the more.
+
+    0 for a target of 0.999, 0.05 more for each further nine, 0.2 at most. Chosen by hand.
+    """
     nines = -np.log10(np.maximum(1.0 - targets.mean(), 1e-7))
     return float(np.clip(0.05 * (nines - 3.0), 0.0, 0.2))
 
@@ -151,8 +161,8 @@ class Votes(NamedTuple):
     """What an ensemble says of each frame.
 
     indices      (T, M) candidate of each marker, -1 for none
-    votes        (T, M) of the solvers trusted with a marker the share that proposes its candidate; for a null, that proposes the most
-                 proposed candidate. 0 for a label that completion gave without a proposal
+    votes        (T, M) of the solvers trusted with a marker the share that propose its candidate; for a null, the most proposed
+                 candidate. 0 for a label that completion gave without a proposal
     evaluations  (T,) feature evaluations
     """
 
@@ -161,28 +171,29 @@ class Votes(NamedTuple):
     evaluations: Ints
 
 
-def label_by_matrix(clouds: Clouds, ensemble: PartialSolvers, budget: int = BUDGET, *, complete: bool = True) -> Votes:
+def label_by_matrix(clouds: Clouds, ensemble: PartialSolvers, budget: int | None = None, *, complete: bool = True) -> Votes:
     """Label each frame by the proposals of all solvers.
 
-    A marker gets the candidate on which all proposals for it agree; none where there is no proposal, where two candidates are proposed, or
-    where the candidate is proposed for another marker too. `budget` is in feature evaluations per frame and solver: a solver that exhausts
-    it proposes nothing, the same on every machine. Where classifiers read motion, it is taken once from the tracks of the clouds; of points
-    without a known motion those classifiers say nothing.
+    A marker gets the candidate on which all proposals for it agree. It gets none where there is no proposal, where two candidates are
+    proposed, or where the candidate is proposed for another marker too. `budget` is in feature evaluations per frame and solver, by default
+    `VotingRules.budget`: a solver that exhausts it proposes nothing, the same on every machine. Motion, where classifiers read it, comes
+    from the tracks of the clouds. For points without a known motion those classifiers accept.
 
-    Without `complete` these are the rules of the thesis. With it, a label takes two solvers that propose it, where there are two (on the
-    gait recordings all wrong labels had a single one); a proposal that outvotes all others by `OUTVOTE` stands; and the strong classifier
-    of the whole model has the last word (a classifier whose points are not all labelled is ignored, section 4.4.2): a marker still without
-    a label gets the one free point that goes with the labels given, if that point goes with no other marker, nearly (`slack_of`); then what
-    a single solver proposed counts where it goes with the others.
+    Without `complete` these are the rules of the thesis. With it,
+
+    - a label takes two solvers that propose it, where there are two (on the gait recordings all wrong labels had a single one);
+    - a proposal that outvotes all others by `VotingRules.outvote` stands;
+    - the strong classifier of all markers decides last (a classifier whose points are not all labelled is ignored, section 4.4.2). A marker
+      without a label gets the one free point that is accepted with the labels given, if no other marker nearly accepts that point
+      (`near_miss_slack`). Then what a single solver proposed counts where it is accepted with the others.
     """
-    xyz = with_motion(clouds, ensemble.reads_motion)
+    xyz = feature_points(clouds, ensemble.reads_motion)
     frames, markers = len(clouds), len(ensemble.targets)
-    indices, votes = np.empty((frames, markers), dtype=np.int64), np.empty((frames, markers))
-    evaluations = np.empty(frames, dtype=np.int64)
-    whole = ensemble.whole if complete else nobody()
-    solvers, pairs = share_pairs(ensemble.solvers, markers)
-    rules = MatrixRules(OUTVOTE, slack_of(ensemble.targets), LEAST, ROUNDS, budget)
-    _matrix_kernels.label_by_matrix(
-        solvers, pairs, ensemble.trusted, whole, rules, xyz, clouds.offsets, VoteArrays(indices, votes, evaluations)
-    )
-    return Votes(indices, votes, evaluations)
+    votes = Votes(np.empty((frames, markers), dtype=np.int64), np.empty((frames, markers)), np.empty(frames, dtype=np.int64))
+    strong = ensemble.strong if complete else no_classifiers()
+    solvers, pairs = factor_pair_rules(ensemble.solvers, markers)
+    r = VotingRules()
+    rules = MatrixRules(r.outvote, near_miss_slack(ensemble.targets), r.min_tests, r.rounds, r.budget if budget is None else budget)
+    out = VoteArrays(votes.indices, votes.votes, votes.evaluations)
+    _matrix_kernels.label_by_matrix(solvers, pairs, ensemble.trusted, strong, rules, xyz, clouds.offsets, out)
+    return votes

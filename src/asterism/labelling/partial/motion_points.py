@@ -19,7 +19,7 @@ SLOWEST = 20.0
 """Frames per second below which frames lie too far apart to say how a point moves: then all motion is unknown."""
 
 
-def motion_of(clouds: Clouds, tracks: Ints | None = None) -> Floats:
+def motion_of_points(clouds: Clouds, tracks: Ints | None = None) -> Floats:
     """The upright points of clouds with their motion: (P, WIDTH), in the order of `clouds.xyz`.
 
     Columns 0:3 the position, 3:6 and 6:9 the positions `NEIGHBOUR` seconds before and after (m), 9:12 the velocity (m/s), 12:15 the
@@ -32,7 +32,7 @@ def motion_of(clouds: Clouds, tracks: Ints | None = None) -> Floats:
     out[:, :3] = clouds.xyz
     if clouds.rate >= SLOWEST:
         tracks = find_tracklets(clouds).of_point if tracks is None else tracks
-        frame = np.repeat(np.arange(len(clouds)), clouds.counts)
+        frame = clouds.frame_of
         order = np.lexsort((frame, tracks))
         away, reach = round(NEIGHBOUR * clouds.rate), max(2, round(REACH * clouds.rate))
         estimate_motion(clouds.xyz, frame, tracks, order, away, reach, clouds.rate, out)
@@ -43,10 +43,10 @@ def frames_with_motion(recording: Recording) -> Floats:
     """A labelled recording as upright frames with their motion: (T, M, WIDTH), NaN where a marker is missing. A column is a track."""
     clouds = recording.clouds()
     out = np.full((*recording.visible.shape, WIDTH), np.nan)
-    out[recording.visible] = motion_of(clouds, clouds.columns)
+    out[recording.visible] = motion_of_points(clouds, clouds.columns)
     return out
 
 
-def with_motion(clouds: Clouds, wanted: bool) -> Floats:
+def feature_points(clouds: Clouds, wanted: bool) -> Floats:
     """The upright points of clouds: with their motion (P, WIDTH) where it is wanted, else (P, 3)."""
-    return motion_of(clouds) if wanted else np.ascontiguousarray(rotate_z_up(clouds.xyz, clouds.vertical))
+    return motion_of_points(clouds) if wanted else np.ascontiguousarray(rotate_z_up(clouds.xyz, clouds.vertical))

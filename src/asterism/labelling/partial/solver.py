@@ -17,19 +17,47 @@ from asterism.labelling.partial._feature_kernels import G1, G2, G4, G6, G7, mark
 from asterism.labelling.partial._motion_kernels import G14
 from asterism.labelling.partial._pair_search_kernels import PairRules
 from asterism.labelling.partial._search_kernels import SolverArrays, label_by_full_solver, search
-from asterism.labelling.partial.features import FEATURES, THESIS, kinds_of, members, needs_motion
-from asterism.labelling.partial.motion_points import frames_with_motion, with_motion
-from asterism.labelling.partial.weak import Bits, Spread, StrongClassifier, Trial, Weak, choose_widening, readable
+from asterism.labelling.partial.features import FEATURES, THESIS, kinds_of, markers_read, needs_motion
+from asterism.labelling.partial.motion_points import feature_points, frames_with_motion
+from asterism.labelling.partial.weak import (
+    Bits,
+    FeatureRanges,
+    StrongClassifier,
+    WeakClassifiers,
+    WrongLabellings,
+    choose_widening,
+    classifiers_over,
+)
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
 
 BUDGET = 200_000
 """Feature evaluations that a search may spend on one frame. Exhausted, it gives no label: deterministic, unlike a limit in seconds."""
 
-WORDS = 2
-"""Replacements per marker that guide the order of a tree, in words of 64."""
+REPLACEMENT_WORDS = 2
+"""Replacements per marker that guide the order of a tree, in words of 64. Not tuned."""
 
-MINED_FRAMES, MINED_WEIGHT, ROUNDS = 2000, 64, 3
-"""Training frames searched for wrong labellings that pass, their weight against drawn ones, and how often."""
+
+@dataclass(frozen=True)
+class FullSolverRules:
+    """How a full solver is learned.
+
+    weak_classifiers  boosted classifiers of the solver (thesis 5.2: 40)
+    features          what they read, by name
+    rule              "range" or "widened", see `weak.FeatureRanges.classifiers`
+    widen             factor of rule "widened": small for people that training has seen; None: chosen on people left out. A larger
+                      one leaves more frames with more than one feasible labelling
+    sample_frames     training frames searched for wrong labellings that the solver accepts. Not tuned
+    accepted_weight   weight of these against drawn ones, per marker. Not tuned
+    rounds            how often they are searched and added. Chosen by hand
+    """
+
+    weak_classifiers: int = 40
+    features: tuple[str, ...] = THESIS
+    rule: str = "widened"
+    widen: float | None = 0.25
+    sample_frames: int = 2000
+    accepted_weight: int = 64
+    rounds: int = 3
 
 
 @dataclass(frozen=True)
@@ -41,12 +69,12 @@ class Solver:
     """
 
     markers: Ints
-    weak: Weak
+    weak: WeakClassifiers
     first_feature: Ints
     lowest_first: bool = False
 
 
-def pack(solvers: Sequence[Solver]) -> SolverArrays:
+def pack_solvers(solvers: Sequence[Solver]) -> SolverArrays:
     """Solvers in the flat arrays that the kernels walk over."""
     depths = [0, *(len(solver.markers) for solver in solvers)]
     counts = [len(solver.weak) for solver in solvers]
@@ -63,24 +91,23 @@ def pack(solvers: Sequence[Solver]) -> SolverArrays:
     )
 
 
-def unpack(arrays: SolverArrays) -> list[Solver]:
+def unpack_solvers(arrays: SolverArrays) -> list[Solver]:
     """The solvers of flat arrays, one by one."""
     solvers = []
     for begin, end in zip(arrays.first_depth[:-1], arrays.first_depth[1:], strict=True):
         first = arrays.first_feature[begin : end + 1]
         rows = slice(first[0], first[-1])
-        weak = Weak(arrays.kinds[rows], arrays.slots[rows], arrays.low[rows], arrays.high[rows])
+        weak = WeakClassifiers(arrays.kinds[rows], arrays.slots[rows], arrays.low[rows], arrays.high[rows])
         solvers.append(Solver(arrays.markers[begin:end], weak, first - first[0]))
     return solvers
 
 
-def share_pairs(arrays: SolverArrays, n_markers: int) -> tuple[SolverArrays, PairRules]:
+def factor_pair_rules(arrays: SolverArrays, n_markers: int) -> tuple[SolverArrays, PairRules]:
     """Solvers without their classifiers of distance, height and two points' motion, and these as rules for pairs that all solvers share.
 
     The intervals of angles become those of their cosines, and classifiers of three points' motion come last at their depth, as
-    `search_by_pairs` reads them.
-    A solver out of `mining` has all such classifiers over its markers, with the same intervals as the others, so that nothing changes but
-    speed.
+    `search_by_pairs` reads them. A solver from `solver_search` has all classifiers of pairs over its markers, with the same intervals as
+    the others, so the labellings found are the same.
     """
     shape = (n_markers, n_markers)
     moving = np.array([feature.moving and feature.points == 2 for feature in FEATURES])[arrays.kinds]
@@ -99,34 +126,34 @@ def share_pairs(arrays: SolverArrays, n_markers: int) -> tuple[SolverArrays, Pai
     np.maximum.at(rules.below, (b[above], a[above]), -arrays.high[above])
     np.minimum.at(rules.above, (b[above], a[above]), -arrays.low[above])
     place = np.searchsorted(used, arrays.kinds)
-    turned = moving & (arrays.kinds == G14)
-    for one, other, low_end, high_end in ((a, b, arrays.low, arrays.high), (b, a, *_either_way(turned, arrays.low, arrays.high))):
+    antisymmetric = moving & (arrays.kinds == G14)
+    for one, other, low_end, high_end in ((a, b, arrays.low, arrays.high), (b, a, *_exchanged(antisymmetric, arrays.low, arrays.high))):
         np.maximum.at(rules.low, (place[moving], one[moving], other[moving]), low_end[moving])
         np.minimum.at(rules.high, (place[moving], one[moving], other[moving]), high_end[moving])
     rest = ~(far | above | moving)
     first = np.concatenate([[0], np.cumsum(rest)])[arrays.first_feature]
-    low, high = angles_by_cosine(arrays.kinds, arrays.low, arrays.high)
+    low, high = angles_to_cosines(arrays.kinds, arrays.low, arrays.high)
     moving_last = np.lexsort((np.array([feature.moving for feature in FEATURES])[arrays.kinds[rest]], depth_of[rest]))
     kept = np.nonzero(rest)[0][moving_last]
     own = (arrays.kinds[kept], arrays.slots[kept], low[kept], high[kept])
     return SolverArrays(arrays.first_depth, arrays.markers, first.astype(np.int64), *own), rules
 
 
-def _either_way(turned: NDArray[np.bool_], low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Intervals with the points exchanged: of those `turned`, the value changes its sign."""
-    return np.where(turned, -high, low), np.where(turned, -low, high)
+def _exchanged(antisymmetric: NDArray[np.bool_], low: Floats, high: Floats) -> tuple[Floats, Floats]:
+    """Intervals with the two points exchanged: where `antisymmetric`, the value changes its sign."""
+    return np.where(antisymmetric, -high, low), np.where(antisymmetric, -low, high)
 
 
-def angles_by_cosine(kinds: Ints, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Intervals of which those of angles (rad) become those of their cosines; what reaches 0 or pi stays open."""
+def angles_to_cosines(kinds: Ints, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+    """Intervals, those of angles (rad) as those of their cosines. An end that reaches 0 or pi is open."""
     angle = np.isin(kinds, (G1, G6, G7))
     near = np.where(angle, np.where(high >= np.pi, -np.inf, np.cos(np.clip(high, 0.0, np.pi))), low)
     far = np.where(angle, np.where(low <= 0.0, np.inf, np.cos(np.clip(low, 0.0, np.pi))), high)
     return near, far
 
 
-def replacements(frames: Floats, weak: Weak, rng: np.random.Generator, words: int = WORDS) -> Bits:
-    """(F, M, words) bits: does a classifier reject when one marker alone is given another marker's point. Guides `plant`."""
+def replacement_table(frames: Floats, weak: WeakClassifiers, rng: np.random.Generator, words: int = REPLACEMENT_WORDS) -> Bits:
+    """(F, M, words) bits: whether a classifier rejects when one marker alone is given another marker's point. For `build_search_tree`."""
     n = frames.shape[1]
     visible = ~np.isnan(frames[:, :, 0])
     complete = np.nonzero(visible.all(axis=1))[0]
@@ -140,23 +167,23 @@ def replacements(frames: Floats, weak: Weak, rng: np.random.Generator, words: in
     return table.reshape(len(weak), n, words)
 
 
-def plant(weak: Weak, table: Bits, markers: Ints, start: int) -> Solver:
+def build_search_tree(weak: WeakClassifiers, table: Bits, markers: Ints, start: int) -> Solver:
     """The search tree of some classifiers (slots: markers) over `markers`, from marker `start` on; `table` as from `replacements`."""
     order, rank = np.empty(len(markers), dtype=np.int64), np.empty(len(weak), dtype=np.int64)
     first = np.empty(len(markers) + 1, dtype=np.int64)
-    order_tests(table, members(weak.kinds, weak.slots, table.shape[1]), markers, start, order, rank, first)
+    order_tests(table, markers_read(weak.kinds, weak.slots, table.shape[1]), markers, start, order, rank, first)
     depth_of = np.zeros(table.shape[1], dtype=np.int64)
     depth_of[order] = np.arange(len(order))
     ordered = weak.take(rank)
     unused = np.arange(4) >= np.array([feature.points for feature in FEATURES])[ordered.kinds][:, None]
-    return Solver(order, Weak(ordered.kinds, np.where(unused, 0, depth_of[ordered.slots]), ordered.low, ordered.high), first)
+    return Solver(order, WeakClassifiers(ordered.kinds, np.where(unused, 0, depth_of[ordered.slots]), ordered.low, ordered.high), first)
 
 
-def stack(recordings: Sequence[Recording], subjects: Sequence[str] | None = None, *, motion: bool = False) -> tuple[Floats, Ints]:
+def stack_frames(recordings: Sequence[Recording], subjects: Sequence[str] | None = None, *, motion: bool = False) -> tuple[Floats, Ints]:
     """Labelled recordings as upright frames (N, M, 3) m, with `motion` (N, M, WIDTH), and whose each frame is (N,).
 
     Without `subjects`, one name per recording, the person is `metadata["subject"]`, else the folder of the file.
-    Raises AsterismError where there is nothing, the labels differ, or the number of subjects does.
+    Raises AsterismError where there are no frames, the labels differ, or there is not one subject per recording.
     """
     if not recordings or not sum(map(len, recordings)):
         raise AsterismError("there are no frames to learn from; give at least one labelled recording.")
@@ -166,26 +193,26 @@ def stack(recordings: Sequence[Recording], subjects: Sequence[str] | None = None
             raise AsterismError(f"{name} has other columns than the first recording; read all with the same `markers`.")
     if subjects is not None and len(subjects) != len(recordings):
         raise AsterismError(f"{len(subjects)} subjects for {len(recordings)} recordings; give one name per recording.")
-    names = [person(recording) for recording in recordings] if subjects is None else list(subjects)
+    names = [subject_of(recording) for recording in recordings] if subjects is None else list(subjects)
     number = {name: i for i, name in enumerate(dict.fromkeys(names))}
     frames = np.concatenate([frames_with_motion(r) if motion else rotate_z_up(r.positions, r.vertical) for r in recordings])
     return frames, np.repeat([number[name] for name in names], [len(recording) for recording in recordings]).astype(np.int64)
 
 
-def person(recording: Recording) -> str:
-    """Who moves in a recording, as far as it says: its subject, else the folder of its file."""
+def subject_of(recording: Recording) -> str:
+    """The subject of a recording: `metadata["subject"]`, else the folder of its file."""
     return str(recording.metadata.get("subject") or PurePath(str(recording.metadata.get("file", ""))).parent)
 
 
 class FullSolver:
-    """A solver for the whole marker set: fast and sure, and silent as soon as one marker is hidden (thesis 5.2).
+    """A solver for all markers at once: fast, rarely wrong, and without a label as soon as one marker is hidden (thesis 5.2).
 
     names           (M,) markers
-    strong          the strong classifier, slots are markers
+    strong          the strong classifier; its slots are markers
     solver          its search tree
     hit_rates       (M,) share of training frames in which the marker was given its point
     evaluations     mean feature evaluations until the first feasible labelling, in the last `label` (frames without one left out)
-    evaluations_in_all  mean until the search has shown that there is no other
+    evaluations_in_all  mean until the search has shown that there is no other labelling
     """
 
     def __init__(self, names: Sequence[str], strong: StrongClassifier, solver: Solver, hit_rates: Floats) -> None:
@@ -197,45 +224,27 @@ class FullSolver:
         cls,
         recordings: Sequence[Recording],
         *,
-        weak_classifiers: int = 40,
-        features: Sequence[str] = THESIS,
-        rule: str = "widened",
-        widen: float | None = 0.25,
         subjects: Sequence[str] | None = None,
+        rules: FullSolverRules | None = None,
         seed: int = 0,
     ) -> FullSolver:
-        """Learn from labelled recordings with the same columns.
+        """Learn from labelled recordings with the same columns; `subjects` as for `stack_frames`.
 
-        widen  factor of rule "widened" (see `weak.Spread.weak`): small for people that training has seen; None: chosen on people left out,
-               larger, which leaves more frames with more than one feasible labelling
         Raises AsterismError for recordings that differ, an unknown feature or rule, or fewer than three markers.
         """
-        frames, groups = stack(recordings, subjects, motion=needs_motion(kinds_of(features)))
-        return cls.fit_frames(
-            frames,
-            groups,
-            recordings[0].labels,
-            weak_classifiers=weak_classifiers,
-            features=features,
-            rule=rule,
-            widen=widen,
-            seed=seed,
-        )
+        rules = rules or FullSolverRules()
+        frames, groups = stack_frames(recordings, subjects, motion=needs_motion(kinds_of(rules.features)))
+        return cls.fit_frames(frames, groups, recordings[0].labels, rules=rules, seed=seed)
 
     @classmethod
     def fit_frames(
-        cls,
-        frames: Floats,
-        groups: Ints,
-        names: Sequence[str],
-        *,
-        weak_classifiers: int = 40,
-        features: Sequence[str] = THESIS,
-        rule: str = "widened",
-        widen: float | None = 0.25,
-        seed: int = 0,
+        cls, frames: Floats, groups: Ints, names: Sequence[str], *, rules: FullSolverRules | None = None, seed: int = 0
     ) -> FullSolver:
-        """Learn from upright frames (N, M, 3) m, for features of motion (N, M, WIDTH); groups (N,) whose frame each is."""
+        """Learn from frames (N, M, 3) m, z up, for features of motion (N, M, WIDTH); groups (N,) whose frame each is.
+
+        Raises AsterismError as `fit` does, and for a marker that no frame shows.
+        """
+        rules = rules or FullSolverRules()
         if frames.shape[1] < 3:
             raise AsterismError(
                 f"{frames.shape[1]} markers cannot be told apart by distances and heights; a marker set needs at least three."
@@ -245,29 +254,21 @@ class FullSolver:
             raise AsterismError(f"marker {name} is never visible in the training recordings; leave it out of the marker set.")
         rng = np.random.default_rng(seed)
         markers = np.arange(frames.shape[1])
-        spread = Spread.measure(frames, groups, features, rng)
-        weak = spread.weak("range")
-        if rule == "widened" and widen is None:
-            trial = Trial.draw(frames, weak, rng)
-            rows, _, _ = trial.boost(readable(weak, len(markers), markers), markers, weak_classifiers)
-            widen = choose_widening(spread, frames, groups, rows, rng)
-        weak = spread.weak(rule, 0.0 if widen is None else widen)
-        candidates = readable(weak, len(markers), markers)
-        weak = weak.take(candidates)
-        table = replacements(frames, weak, rng)
-        trial = Trial.draw(frames, weak, rng)
-        sample = np.ascontiguousarray(frames[np.sort(rng.permutation(len(frames))[:MINED_FRAMES])])
-        for _ in range(ROUNDS):
-            rows, gains, _ = trial.boost(np.arange(len(weak)), markers, weak_classifiers)
-            solver = _quickest(weak.take(rows), table[rows], markers, sample)
-            passed, labels = _wrong_that_pass(solver, sample)
-            if not len(passed):
+        weak = _weak_classifiers(frames, groups, rules, rng)
+        table = replacement_table(frames, weak, rng)
+        wrong = WrongLabellings.draw(frames, weak, rng)
+        sample = np.ascontiguousarray(frames[np.sort(rng.permutation(len(frames))[: rules.sample_frames])])
+        for _ in range(rules.rounds):
+            rows, gains, _ = wrong.boost(np.arange(len(weak)), markers, rules.weak_classifiers)
+            solver = _fastest_tree(weak.take(rows), table[rows], markers, sample)
+            accepted, labels = _wrong_accepted(solver, sample)
+            if not len(accepted):
                 break
-            weight = np.full(-(-len(labels) // 64), MINED_WEIGHT * len(markers), dtype=np.int64)
-            trial = trial.joined(Trial.of(sample[passed], labels, weak, weight))
+            weight = np.full(-(-len(labels) // 64), rules.accepted_weight * len(markers), dtype=np.int64)
+            wrong = wrong.joined(WrongLabellings.from_labellings(sample[accepted], labels, weak, weight))
         strong = StrongClassifier(weak.take(rows), gains.astype(np.float64), len(markers))
         given = np.empty((len(sample), len(markers)), dtype=np.int64)
-        truth = _label(solver, sample, given)[0]
+        truth = _label_frames(solver, sample, given)[0]
         return cls(names, strong, solver, (given == truth).mean(axis=0))
 
     def label(self, clouds: Clouds) -> Labelling:
@@ -278,9 +279,9 @@ class FullSolver:
         indices = np.empty((len(clouds), len(self.names)), dtype=np.int64)
         first, total = np.empty(len(clouds), dtype=np.int64), np.empty(len(clouds), dtype=np.int64)
         label_by_full_solver(
-            pack([self.solver]),
+            pack_solvers([self.solver]),
             self.solver.lowest_first,
-            with_motion(clouds, needs_motion(self.solver.weak.kinds)),
+            feature_points(clouds, needs_motion(self.solver.weak.kinds)),
             clouds.offsets,
             BUDGET,
             indices,
@@ -294,26 +295,41 @@ class FullSolver:
 
     def accuracy(self, recordings: Sequence[Recording], *, wrong: int = 10**7, seed: int = 0) -> float:
         """Share of wrong labellings of the recordings' frames, from two to all labels permuted, that the strong classifier rejects."""
-        return self.strong.accuracy(stack(recordings, motion=needs_motion(self.strong.weak.kinds))[0], wrong, seed)
+        return self.strong.accuracy(stack_frames(recordings, motion=needs_motion(self.strong.weak.kinds))[0], wrong, seed)
 
 
-def _label(solver: Solver, frames: Floats, given: Ints) -> tuple[Ints, Ints, Ints]:
+def _weak_classifiers(frames: Floats, groups: Ints, rules: FullSolverRules, rng: np.random.Generator) -> WeakClassifiers:
+    """All weak classifiers that reject something, by the rule; `widen` chosen on people left out where it is None."""
+    markers, widen = np.arange(frames.shape[1]), rules.widen
+    ranges = FeatureRanges.measure(frames, groups, rules.features, rng)
+    weak = ranges.classifiers("range")
+    if rules.rule == "widened" and widen is None:
+        wrong = WrongLabellings.draw(frames, weak, rng)
+        rows, _, _ = wrong.boost(classifiers_over(weak, len(markers), markers), markers, rules.weak_classifiers)
+        widen = choose_widening(ranges, frames, groups, rows, rng)
+    weak = ranges.classifiers(rules.rule, 0.0 if widen is None else widen)
+    return weak.take(classifiers_over(weak, len(markers), markers))
+
+
+def _label_frames(solver: Solver, frames: Floats, given: Ints) -> tuple[Ints, Ints, Ints]:
     """The truth as rows of each frame's cloud, and the evaluations to the first labelling and in all. OUT given (N, M)."""
     visible = ~np.isnan(frames[:, :, 0])
     offsets = np.concatenate([[0], np.cumsum(visible.sum(axis=1))]).astype(np.int64)
     first, total = np.empty(len(frames), dtype=np.int64), np.empty(len(frames), dtype=np.int64)
-    label_by_full_solver(pack([solver]), solver.lowest_first, np.ascontiguousarray(frames[visible]), offsets, BUDGET, given, first, total)
+    label_by_full_solver(
+        pack_solvers([solver]), solver.lowest_first, np.ascontiguousarray(frames[visible]), offsets, BUDGET, given, first, total
+    )
     return np.where(visible, np.cumsum(visible, axis=1) - 1, NULL), first, total
 
 
-def _quickest(weak: Weak, table: Bits, markers: Ints, sample: Floats) -> Solver:
-    """The tree, among those from every first marker, that needs the fewest evaluations to the right labelling and in all together."""
+def _fastest_tree(weak: WeakClassifiers, table: Bits, markers: Ints, sample: Floats) -> Solver:
+    """The tree, among those from every first marker, with the fewest evaluations until the right labelling and in total, added up."""
     few = sample[:: max(1, len(sample) // 200)]
     given = np.empty((len(few), len(markers)), dtype=np.int64)
     best, fewest = None, float("inf")
     for start, lowest_first in product(markers, (False, True)):
-        solver = replace(plant(weak, table, markers, start), lowest_first=lowest_first)
-        _, first, total = _label(solver, few, given)
+        solver = replace(build_search_tree(weak, table, markers, start), lowest_first=lowest_first)
+        _, first, total = _label_frames(solver, few, given)
         cost = float(np.where(first < 0, total, first).mean() + total.mean())
         if cost < fewest:
             best, fewest = solver, cost
@@ -321,9 +337,9 @@ def _quickest(weak: Weak, table: Bits, markers: Ints, sample: Floats) -> Solver:
     return best
 
 
-def _wrong_that_pass(solver: Solver, sample: Floats) -> tuple[Ints, Ints]:
+def _wrong_accepted(solver: Solver, sample: Floats) -> tuple[Ints, Ints]:
     """Wrong labellings that the solver finds feasible: (K,) frames of the sample, (K, M) labels."""
-    arrays, depths = pack([solver]), len(solver.markers)
+    arrays, depths = pack_solvers([solver]), len(solver.markers)
     found, counters = np.empty((64, depths), dtype=np.int64), np.zeros(2, dtype=np.int64)
     passed, labels = [], []
     for number, points in enumerate(sample):

@@ -11,25 +11,26 @@ from numpy.typing import NDArray
 from asterism.errors import AsterismError
 from asterism.labelling.partial._build_kernels import choose_covering
 from asterism.labelling.partial._feature_kernels import count_rejected, feature_ranges, mark_rejections
-from asterism.labelling.partial.features import THESIS, check_motion, members, pool
+from asterism.labelling.partial.features import THESIS, check_motion, feature_pool, markers_read
 from asterism.recording import Floats, Ints
 
 Bits = NDArray[np.uint64]
 
-RULES = ("range", "widened")
-"""How an interval follows from training: eq. 4.4's smallest and largest value, or those moved outward by how much people differ."""
+INTERVAL_RULES = ("range", "widened")
+"""How an interval follows from training: smallest and largest value (eq. 4.4), or these moved outward by how much people differ."""
 
 WIDENINGS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0)
-"""The factors among which `choose_widening` chooses."""
+"""The factors from which `choose_widening` chooses. Chosen by hand."""
 
 ONE_PERSON_SHARE = 0.1
-"""With one person there is no spread over people; this share of the range stands in for it."""
+"""With one person there is no spread over people; this share of the range replaces it. Not tuned."""
 
 CHUNK = 100_000
+"""Wrong labellings that `StrongClassifier.accuracy` draws at once: bounds its memory."""
 
 
 @dataclass(frozen=True)
-class Weak:
+class WeakClassifiers:
     """Weak classifiers (eq. 4.4): a feature of some markers, and the interval that right labellings keep to.
 
     kinds (F,) places in `features.FEATURES`; slots (F, 4) markers; low, high (F,) in the feature's unit
@@ -43,13 +44,13 @@ class Weak:
     def __len__(self) -> int:
         return len(self.kinds)
 
-    def take(self, rows: Ints | NDArray[np.bool_]) -> Weak:
+    def take(self, rows: Ints | NDArray[np.bool_]) -> WeakClassifiers:
         """Some of them."""
-        return Weak(self.kinds[rows], self.slots[rows], self.low[rows], self.high[rows])
+        return WeakClassifiers(self.kinds[rows], self.slots[rows], self.low[rows], self.high[rows])
 
 
 @dataclass(frozen=True)
-class Spread:
+class FeatureRanges:
     """How the features of a pool spread: low, high (F, P), the smallest and largest value that each of P people showed.
 
     +inf and -inf where a person never showed all the feature's points.
@@ -61,36 +62,38 @@ class Spread:
     high: Floats
 
     @classmethod
-    def measure(cls, frames: Floats, groups: Ints, features: Sequence[str] = THESIS, seed: int | np.random.Generator = 0) -> Spread:
-        """Features over all subsets of the columns of upright frames (N, M, 3) m; groups (N,) whose frame each is. O(F N).
+    def measure(cls, frames: Floats, groups: Ints, features: Sequence[str] = THESIS, seed: int | np.random.Generator = 0) -> FeatureRanges:
+        """Features over all subsets of the columns of frames (N, M, 3) m, z up; groups (N,) whose frame each is. O(F N).
 
-        Features of motion take frames (N, M, WIDTH) as `motion.points.frames_with_motion` makes them; an unknown motion does not count.
+        Features of motion take frames (N, M, WIDTH) as `motion_points.frames_with_motion` gives them; an unknown motion does not count.
         """
-        kinds, slots = pool(frames.shape[1], features, seed)
+        kinds, slots = feature_pool(frames.shape[1], features, seed)
         check_motion(kinds, frames)
         people, group = np.unique(groups, return_inverse=True)
         low, high = np.empty((len(kinds), len(people))), np.empty((len(kinds), len(people)))
         feature_ranges(np.ascontiguousarray(frames), group.astype(np.int64), len(people), kinds, slots, low, high)
         return cls(kinds, slots, low, high)
 
-    def weak(self, rule: str = "range", widen: float = 1.0, people: Sequence[int] | NDArray[np.bool_] | slice = slice(None)) -> Weak:
+    def classifiers(
+        self, rule: str = "range", widen: float = 1.0, people: Sequence[int] | NDArray[np.bool_] | slice = slice(None)
+    ) -> WeakClassifiers:
         """The intervals that the given people's values make; a feature that none of them showed accepts everything.
 
         rule "range"    smallest and largest value (eq. 4.4)
         rule "widened"  each end moved outward by `widen` standard deviations of that end over the people; for one person by `widen`
                         times `ONE_PERSON_SHARE` of the range
         """
-        if rule not in RULES:
-            raise AsterismError(f"rule {rule!r} is not known; choose among {', '.join(RULES)}.")
+        if rule not in INTERVAL_RULES:
+            raise AsterismError(f"rule {rule!r} is not known; choose among {', '.join(INTERVAL_RULES)}.")
         low, high = self.low[:, people], self.high[:, people]
         shown = np.isfinite(low)
         count = shown.sum(axis=1)
         alpha, beta = low.min(axis=1), high.max(axis=1)
         if rule == "widened":
-            spread = np.where(count > 0, beta - alpha, 0.0)
-            alpha = alpha - widen * np.where(count > 1, _deviation(low, shown), ONE_PERSON_SHARE * spread)
-            beta = beta + widen * np.where(count > 1, _deviation(high, shown), ONE_PERSON_SHARE * spread)
-        return Weak(self.kinds, self.slots, np.where(count > 0, alpha, -np.inf), np.where(count > 0, beta, np.inf))
+            width = np.where(count > 0, beta - alpha, 0.0)
+            alpha = alpha - widen * np.where(count > 1, _deviation(low, shown), ONE_PERSON_SHARE * width)
+            beta = beta + widen * np.where(count > 1, _deviation(high, shown), ONE_PERSON_SHARE * width)
+        return WeakClassifiers(self.kinds, self.slots, np.where(count > 0, alpha, -np.inf), np.where(count > 0, beta, np.inf))
 
 
 def _deviation(values: Floats, shown: NDArray[np.bool_]) -> Floats:
@@ -100,7 +103,7 @@ def _deviation(values: Floats, shown: NDArray[np.bool_]) -> Floats:
     return np.sqrt(squares.sum(axis=1) / np.maximum(count - 1, 1))
 
 
-def wrong_labellings(n_markers: int, severities: Ints, rng: np.random.Generator) -> Ints:
+def draw_wrong_labellings(n_markers: int, severities: Ints, rng: np.random.Generator) -> Ints:
     """(K, M) labellings in each of which exactly severities[k] >= 2 labels, drawn at random, are wrong: permuted without a fixed point."""
     count = len(severities)
     labels = np.tile(np.arange(n_markers), (count, 1))
@@ -118,21 +121,21 @@ def wrong_labellings(n_markers: int, severities: Ints, rng: np.random.Generator)
 
 
 @dataclass(frozen=True)
-class Trial:
+class WrongLabellings:
     """Wrong labellings, and which weak classifiers of a pool reject them, as bits.
 
-    frames (K, M, 3) m, labels (K, M); table (F, W) bit k set where classifier f rejects labelling k; moved (M, W) bit k set where
+    frames (K, M, 3) m, labels (K, M); table (F, W) bit k set where classifier f rejects labelling k; wrong_markers (M, W) bit k set where
     labelling k is wrong about marker m; weight (W,) of the labellings of a word: the fewer labels are wrong, the harder and heavier
     """
 
     frames: Floats
     labels: Ints
     table: Bits
-    moved: Bits
+    wrong_markers: Bits
     weight: Ints
 
     @classmethod
-    def draw(cls, frames: Floats, weak: Weak, rng: np.random.Generator, count: int = 8192) -> Trial:
+    def draw(cls, frames: Floats, weak: WeakClassifiers, rng: np.random.Generator, count: int = 8192) -> WrongLabellings:
         """Permutations with severities from 2 to M (section 4.4.1), half of them of 2 to 4 labels, of frames without gaps if there are."""
         n = frames.shape[1]
         words = max(2, count // 64)
@@ -141,24 +144,24 @@ class Trial:
         complete = np.nonzero(~np.isnan(frames[:, :, 0]).any(axis=1))[0]
         source = complete if len(complete) >= 64 else np.arange(len(frames))
         drawn = frames[rng.choice(source, size=64 * words)]
-        labels = wrong_labellings(n, np.repeat(severity, 64), rng)
-        return cls.of(drawn, labels, weak, n + 1 - severity)
+        labels = draw_wrong_labellings(n, np.repeat(severity, 64), rng)
+        return cls.from_labellings(drawn, labels, weak, n + 1 - severity)
 
     @classmethod
-    def of(cls, frames: Floats, labels: Ints, weak: Weak, weight: Ints) -> Trial:
+    def from_labellings(cls, frames: Floats, labels: Ints, weak: WeakClassifiers, weight: Ints) -> WrongLabellings:
         """Given labellings; `weight` is one whole number per 64 of them."""
         words = -(-len(labels) // 64)
         table = np.zeros((len(weak), words), dtype=np.uint64)
         mark_rejections(np.ascontiguousarray(frames), np.ascontiguousarray(labels), weak.kinds, weak.slots, weak.low, weak.high, table)
         return cls(frames, labels, table, _pack((labels != np.arange(labels.shape[1])).T, words), weight.astype(np.int64))
 
-    def joined(self, other: Trial) -> Trial:
+    def joined(self, other: WrongLabellings) -> WrongLabellings:
         """Both trials' labellings."""
-        return Trial(
+        return WrongLabellings(
             np.concatenate([_padded(self.frames, self.table), other.frames]),
             np.concatenate([_padded(self.labels, self.table), other.labels]),
             np.concatenate([self.table, other.table], axis=1),
-            np.concatenate([self.moved, other.moved], axis=1),
+            np.concatenate([self.wrong_markers, other.wrong_markers], axis=1),
             np.concatenate([self.weight, other.weight]),
         )
 
@@ -168,7 +171,7 @@ class Trial:
         A labelling that is right about all of `markers` is no wrong sample for them. Returns at most `most` rows in order of selection,
         the weight each has earned, and how many of them were taken before every sample that can be rejected was.
         """
-        wrong = np.bitwise_or.reduce(self.moved[np.asarray(markers, dtype=np.int64)], axis=0)
+        wrong = np.bitwise_or.reduce(self.wrong_markers[np.asarray(markers, dtype=np.int64)], axis=0)
         chosen, gains = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
         count, once = choose_covering(np.ascontiguousarray(self.table[rows]), wrong, self.weight, min(most, len(rows)), chosen, gains)
         return rows[chosen[:count]], gains[:count].copy(), once
@@ -194,7 +197,7 @@ class StrongClassifier:
     weights  (F,) the weight that each earned when it was selected
     """
 
-    weak: Weak
+    weak: WeakClassifiers
     weights: Floats
     n_markers: int
 
@@ -232,13 +235,13 @@ class StrongClassifier:
         caught = 0
         for start in range(0, wrong, CHUNK):
             size = min(CHUNK, wrong - start)
-            labels = wrong_labellings(self.n_markers, rng.integers(2, self.n_markers + 1, size=size), rng)
+            labels = draw_wrong_labellings(self.n_markers, rng.integers(2, self.n_markers + 1, size=size), rng)
             choice = rng.integers(len(complete), size=size)
             caught += count_rejected(complete, choice, labels, self.weak.kinds, self.weak.slots, self.weak.low, self.weak.high)
         return caught / wrong
 
 
-def choose_widening(spread: Spread, frames: Floats, groups: Ints, rows: Ints, seed: int | np.random.Generator = 0) -> float:
+def choose_widening(ranges: FeatureRanges, frames: Floats, groups: Ints, rows: Ints, seed: int | np.random.Generator = 0) -> float:
     """The factor of rule "widened" that does best on people left out, one after the other, for the classifiers `rows`.
 
     Best: the share of a left-out person's frames that is accepted, minus the share of their wrong labellings of 2 or 3 labels that is
@@ -249,25 +252,25 @@ def choose_widening(spread: Spread, frames: Floats, groups: Ints, rows: Ints, se
         return 1.0
     rng = np.random.default_rng(seed)
     n = frames.shape[1]
-    kept = replace(spread, kinds=spread.kinds[rows], slots=spread.slots[rows], low=spread.low[rows], high=spread.high[rows])
+    kept = replace(ranges, kinds=ranges.kinds[rows], slots=ranges.slots[rows], low=ranges.low[rows], high=ranges.high[rows])
     merits = np.zeros(len(WIDENINGS))
     for p, person in enumerate(people):
         own = np.ascontiguousarray(frames[groups == person])
         right = np.tile(np.arange(n), (len(own), 1))
         choice = rng.integers(len(own), size=2000)
-        wrong = wrong_labellings(n, rng.integers(2, min(3, n) + 1, size=len(choice)), rng)
+        wrong = draw_wrong_labellings(n, rng.integers(2, min(3, n) + 1, size=len(choice)), rng)
         for w, widen in enumerate(WIDENINGS):
-            weak = kept.weak("widened", widen, np.arange(len(people)) != p)
+            weak = kept.classifiers("widened", widen, np.arange(len(people)) != p)
             refused = count_rejected(own, np.arange(len(own)), right, weak.kinds, weak.slots, weak.low, weak.high)
             caught = count_rejected(own, choice, wrong, weak.kinds, weak.slots, weak.low, weak.high)
             merits[w] += caught / len(choice) - refused / len(own)
     return WIDENINGS[int(np.argmax(merits))]
 
 
-def readable(weak: Weak, n_markers: int, markers: Ints | Sequence[int]) -> Ints:
-    """Rows of the classifiers that read only the given markers and reject something."""
+def classifiers_over(weak: WeakClassifiers, n_markers: int, markers: Ints | Sequence[int]) -> Ints:
+    """Rows of the classifiers that read only the given markers and have a finite interval."""
     outside = np.ones(n_markers, dtype=np.bool_)
     outside[np.asarray(markers, dtype=np.int64)] = False
-    strange = members(weak.kinds, weak.slots, n_markers)[:, outside].any(axis=1)
-    rows: Ints = np.nonzero(~strange & np.isfinite(weak.low))[0]
+    reads_others = markers_read(weak.kinds, weak.slots, n_markers)[:, outside].any(axis=1)
+    rows: Ints = np.nonzero(~reads_others & np.isfinite(weak.low))[0]
     return rows

@@ -12,7 +12,7 @@ from asterism.labelling.body._workspace_kernels import FrameSettings
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules, length_scale
 from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enough
-from asterism.labelling.simulated_occlusions import hide_in_gaps
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.labelling.whole._kernels import score_frames
 from asterism.labelling.whole.certainty import Certainty, TrialLabels, overlaps_unlabelled
 from asterism.labelling.whole.joint import SceneLabelling, label_scene
@@ -54,7 +54,7 @@ def label_whole(
     unit = min(length_scale(labeller.model.mean[0], body_rules) for labeller in labellers)
     scene = prepare_scene(clouds, find_tracklets(clouds), rules, unit)
     found = label_scene(labellers, scene, rules, subject_rules, body_rules, workers, progress)
-    frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
+    frame_of = clouds.frame_of
     near_unlabelled = overlaps_unlabelled(found.label, scene.first, scene.last)
     offsets = marker_offsets(labellers)
     labellings = []
@@ -141,13 +141,13 @@ def run_trials(
     parts = []
     for stretch in stretches:
         for share, ghosts in trials:
-            clouds, truth = hide_in_gaps(stretch, round(share * len(stretch.labels)), ghosts, rng)
+            clouds, truth = simulate_gaps_and_ghosts(stretch, round(share * len(stretch.labels)), ghosts, rng)
             if not len(clouds.xyz):
                 continue
             scene = prepare_scene(clouds, find_tracklets(clouds), rules, length_scale(labeller.model.mean[0], body_rules))
             found = label_scene([labeller], scene, rules, subject_rules, body_rules)
             label, near_unlabelled = found.label[scene.track], overlaps_unlabelled(found.label, scene.first, scene.last)
-            frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
+            frame_of = clouds.frame_of
             used = np.isin(frame_of, scene.sampled_frames) & (label != NULL)
             right = truth[frame_of[used], label[used]] == scene.place[used]
             track = scene.track[used]

@@ -1,0 +1,92 @@
+"""The state of a training in; all that an ensemble learns from it out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from asterism.labelling.partial.matrix import PartialSolvers
+from asterism.labelling.partial.solver_search import SearchSettings, search_partial_solvers
+from asterism.labelling.training.ensemble_state import EnsembleState
+from asterism.labelling.training.learning import TrainingConfig, TrainingState, learn_body, least_confidence
+from asterism.progress import Progress
+from asterism.recording import Floats, Ints, MarkerSet
+
+
+def train_ensemble(
+    marker_set: MarkerSet,
+    training: TrainingState,
+    progress: Progress | None = None,
+    *,
+    earlier: EnsembleState | None = None,
+    left_out: Sequence[str] = (),
+) -> EnsembleState:
+    """Learn the body, the confidence and, where the configuration names a miner, partial solvers.
+
+    earlier   a state whose partial solvers are kept instead of searching new ones
+    left_out  markers of the recordings that the marker set lacks, for `about`
+    Raises AsterismError where the sample shows too little.
+    """
+    report = progress or (lambda fraction, what: None)
+    config = training.config
+    markers, frames_with_motion, people, stretches = training.training_frames()
+    frames = np.ascontiguousarray(frames_with_motion[..., :3])
+    searching = config.miner is not None and earlier is None
+    share = 0.5 if searching else 1.0
+    learned = learn_body(frames, people, stretches, config, lambda fraction, what: report(share * fraction, what))
+    about = _about(training, len(frames), left_out)
+    partial = None
+    if searching:
+        partial = _search(config, frames_with_motion, people, lambda fraction, what: report(0.5 + 0.5 * fraction, what))
+        about["partial_solvers_from"] = about["recordings"]
+    elif earlier is not None and earlier.partial is not None:
+        # they know the markers by their place among those that the earlier training showed
+        partial = earlier.partial if np.array_equal(markers, earlier.markers) else None
+        before = earlier.about.get("partial_solvers_from", earlier.about.get("mined_from", 0))
+        about["partial_solvers_from"] = before if partial is not None else 0
+    report(1.0, "done")
+    return EnsembleState(
+        marker_set=marker_set,
+        markers=markers,
+        body=learned.body,
+        anchors=learned.anchors,
+        usual_score=learned.usual_score,
+        calibrations=learned.calibrations,
+        least_confidence=least_confidence(config.target_hit_rate),
+        frame_settings=config.rules.frames,
+        certainty=learned.certainty,
+        about=about,
+        partial=partial,
+        training=training,
+    )
+
+
+def _about(training: TrainingState, frames: int, left_out: Sequence[str]) -> dict[str, Any]:
+    config = training.config
+    return {
+        "seed": config.seed,
+        "target_hit_rate": config.target_hit_rate,
+        "miner": config.miner,
+        "features": None if config.rules.features is None else list(config.rules.features),
+        "subjects": list(training.sample.subjects),
+        "recordings": len(training.sample.recordings),
+        "frames": frames,
+        "left_out_markers": list(left_out),
+    }
+
+
+def _search(config: TrainingConfig, frames: Floats, people: Ints, progress: Progress) -> PartialSolvers:
+    """The partial solvers of a training; frames (N, M, 3) m, z up, or with their motion."""
+    return search_partial_solvers(
+        frames,
+        people,
+        features=config.rules.features,
+        targets=config.target_hit_rate,
+        miner=str(config.miner),
+        settings=replace(SearchSettings(), widen=config.rules.solver_widen),
+        seed=config.seed,
+        progress=progress,
+    )
