@@ -10,27 +10,30 @@ from __future__ import annotations
 _BODY = "asterism.labelling.body"
 _PARTIAL = "asterism.labelling.partial"
 _POINTS = "asterism.reconstruction"
+_TWINS = "test_reconstruction_twins.py"
+_PLAIN = f"{_TWINS}::test_the_plain_method_gives_every_pair_of_rays_that_meets via reconstruct"
 
 CHECKED_BY: dict[str, str] = {
-    f"{_BODY}._refine_kernels.refine": "",
-    f"{_BODY}._search_kernels.propose": "",
-    f"{_BODY}._search_kernels.find_labellings": "",
-    f"{_BODY}._frame_kernels.nearest_changes": "",
-    f"{_BODY}._frame_kernels.retry_doubtful": "",
-    f"{_BODY}._score_kernels.rescore": "",
-    f"{_BODY}._frame_kernels.label_frame": "",
-    f"{_PARTIAL}._matrix_kernels.check_marker": "",
-    f"{_PARTIAL}._matrix_kernels.complete_labels": "",
-    f"{_PARTIAL}._matrix_kernels.count_confusions": "",
-    f"{_PARTIAL}._build_kernels.order_tests": "",
-    f"{_PARTIAL}._search_kernels.label_by_full_solver": "",
-    f"{_POINTS}._shared_kernels.add_without_shared": "",
-    f"{_POINTS}._frame_kernels.attach_available": "",
-    f"{_POINTS}._frame_kernels.count_visibility": "",
-    f"{_POINTS}._plain_kernels.reconstruct_frame_plain": "",
-    f"{_POINTS}._plain_kernels.merge_versions": "",
-    f"{_POINTS}._score_kernels.score": "",
-    f"{_POINTS}._compose_kernels.compose": "",
-    "asterism.calibration.wand._kernels.locate_wand": "",
+    f"{_BODY}._refine_kernels.refine": "test_body_search.py::test_refinement",
+    f"{_BODY}._search_kernels.propose": "test_body_search.py::test_proposals_of_an_anchor",
+    f"{_BODY}._search_kernels.find_labellings": "test_body_search.py::test_the_labellings_that_anchors_lead_to",
+    f"{_BODY}._frame_kernels.nearest_changes": "test_body_search.py::test_the_nearest_changes",
+    f"{_BODY}._frame_kernels.retry_doubtful": "test_body_search.py::test_doubtful_labels_are_tried_again",
+    f"{_BODY}._score_kernels.rescore": "test_body_search.py::test_rescoring_finds_the_outliers",
+    f"{_BODY}._frame_kernels.label_frame": "test_body_search.py::test_a_whole_frame",
+    f"{_PARTIAL}._matrix_kernels.check_marker": "test_partial_twins.py::test_check_marker_on_all_placements_of_four_markers",
+    f"{_PARTIAL}._matrix_kernels.complete_labels": "test_partial_twins.py::test_complete_labels",
+    f"{_PARTIAL}._matrix_kernels.count_confusions": "test_partial_twins.py::test_count_confusions",
+    f"{_PARTIAL}._build_kernels.order_tests": "test_partial_twins.py::test_order_tests",
+    f"{_PARTIAL}._search_kernels.label_by_full_solver": "test_partial_twins.py::test_label_by_full_solver",
+    f"{_POINTS}._shared_kernels.add_without_shared": f"{_TWINS}::test_hypotheses_without_shared_blobs_are_those_of_the_twin",
+    f"{_POINTS}._frame_kernels.attach_available": f"{_TWINS}::test_available_blobs_are_attached_as_by_the_twin",
+    f"{_POINTS}._frame_kernels.count_visibility": f"{_TWINS}::test_visibility_is_counted_as_by_the_rigs_own_projection",
+    f"{_POINTS}._plain_kernels.reconstruct_frame_plain": _PLAIN,
+    f"{_POINTS}._plain_kernels.merge_versions": f"{_TWINS}::test_versions_are_merged_as_by_the_twin",
+    f"{_POINTS}._score_kernels.score": f"{_TWINS}::test_the_score_is_that_of_the_twin",
+    f"{_POINTS}._compose_kernels.compose": f"{_TWINS}::test_composition_finds_what_trying_all_pairs_of_blobs_finds",
+    "asterism.calibration.wand._kernels.locate_wand": "test_wand.py::test_what_cameras_agree_on_is_supported_as_the_plain_search_says",
 }
-"""Kernel -> "test_file.py::test_name" of the check; empty where there is none yet."""
+"""Kernel -> "test_file.py::test_name" of the check; " via function" where the test calls the kernel through another function; empty where
+there is none yet."""

@@ -380,6 +380,20 @@ def test_piped_output_has_no_escape_codes_and_no_bar(folder: Path, model: Path, 
     assert shown.stdout.count("\n") == 1
 
 
+def test_the_demo_labels_whole_recordings_as_label_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    place = tmp_path / "demo"
+    assert run("demo", "-o", place, "--json", tmp_path / "demo.json") == 0
+    shown = json.loads((tmp_path / "demo.json").read_text())
+    assert [(row["hidden"], row["ghosts"]) for row in shown["conditions"]] == [(0, 0), (2, 0), (4, 0), (2, 3)]
+    for row in shown["conditions"]:
+        assert row["right"] > 0.97 * row["visible"] and row["wrong"] < 0.01 * row["visible"], row
+    assert "each labelled as a whole" in capsys.readouterr().out
+    unlabelled = place / "walk-unlabelled.c3d"
+    assert run("label", unlabelled, "-m", place / "walkers.model", "-o", place / "again") == 0
+    labelled, again = (formats.read(path, markers=MARKERS) for path in (place / "walk-labelled.c3d", place / "again" / unlabelled.name))
+    np.testing.assert_array_equal(labelled.positions, again.positions)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no SIGINT to a single process")
 def test_interrupting_leaves_no_half_file(tmp_path: Path) -> None:
     process = subprocess.Popen(

@@ -20,11 +20,12 @@ def test_a_deciding_kernel_is_a_kernel(kernel: str) -> None:
 
 @pytest.mark.parametrize(("kernel", "test"), [(kernel, test) for kernel, test in CHECKED_BY.items() if test])
 def test_the_check_of_a_deciding_kernel_exists_and_calls_it(kernel: str, test: str) -> None:
-    file, _, name = test.partition("::")
+    place, _, through = test.partition(" via ")
+    file, _, name = place.partition("::")
     tree = ast.parse((TESTS / file).read_text(encoding="utf-8"))
     functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
     assert name in functions, f"{file} has no test {name}"
-    called = kernel.rpartition(".")[2]
+    called = through or kernel.rpartition(".")[2]
     reached, waiting = set(), [name]
     while waiting:
         nodes = list(ast.walk(functions[waiting.pop()]))

@@ -61,14 +61,13 @@ class LabelOptions:
 
 @takes(LabelOptions)
 def label(options: LabelOptions) -> None:
-    """Label the points of recordings.
+    """Label the points of recordings, whatever names the points have now.
 
-    Whatever names the points have now. Each file goes to FOLDER under its own name and format, with everything
-    else in it as it was. Points that no marker took become *1, *2, ... A line per file says which share of all markers in all
-    frames was labelled, and which share is unsure: not labelled though the frame has points left. The rules whole-body label a
-    recording as a whole, by its tracks; --frame-wise turns that off. Where several people or objects are in the room, give
-    --model once for each of them; names that two of them share become 1:LASI and 2:LASI. The trial given as --subject may be
-    labelled or not.
+    Each file is written to FOLDER under its name and format, with everything else in it unchanged. Points that are not labelled become
+    *1, *2, ... A line per file says which share of all markers in all frames is labelled, and which share is unsure: not labelled
+    in a frame with points left over. The rules whole-body label a recording as a whole, by its tracks; --frame-wise turns that off.
+    With several people or objects in the volume, give --model once for each of them; names that two of them share become 1:LASI and
+    2:LASI. The trial given as --subject may be labelled or not.
     """
     _check(options)
     targets = _targets(options.files, options.output)
@@ -102,7 +101,7 @@ def label(options: LabelOptions) -> None:
 
 @dataclass(frozen=True)
 class _Labeller:
-    """The models, and how they are used. general: the first model before a trial of the subject narrowed it."""
+    """The models and their names; `general` is the first model before a trial of the subject narrowed it."""
 
     options: LabelOptions
     ensembles: Sequence[SolverEnsemble]
@@ -118,7 +117,7 @@ class _Labeller:
         return cls(options, ensembles, names, general)
 
     def label(self, clouds: Clouds, progress: Progress | None = None, *, generally: bool = False) -> tuple[Labelling, MarkerSet, bool]:
-        """A file's labelling, its marker set, and whether it is that of one of two bodies only, because one was expected."""
+        """A file's labelling, its marker set, and whether it is that of one of two bodies, because one was expected."""
         from asterism.labelling import SeveralBodies, join_labellings, label_together
 
         ensembles, workers = [self.general] if generally else self.ensembles, self.options.workers
@@ -136,7 +135,7 @@ class _Labeller:
 
 @dataclass(frozen=True)
 class _Result:
-    """One labelled file: what the table, the JSON and the report say of it."""
+    """One labelled file, for the table, the JSON and the report."""
 
     row: dict[str, Any]
     labelling: Labelling
@@ -169,7 +168,7 @@ def _labelled(labeller: _Labeller, batch: _console.Batch, path: Path, target: Pa
     options = labeller.options
     recording, clouds = _read(path, vertical_axis(options.vertical))
     report_warnings(recording, batch)
-    if not batch.done and len(clouds):  # compiles, so that the rate below is that of the work
+    if not batch.done and len(clouds):  # compiles the kernels, so that the rate below leaves that out
         labeller.label(clouds.frames([0]))
     started = time.perf_counter()
     share = _share(progress, batch, len(options.files), path)
@@ -233,7 +232,7 @@ def _report(options: LabelOptions, labeller: _Labeller, results: Sequence[_Resul
 
 
 def _ensembles(models: Sequence[Path]) -> tuple[list[SolverEnsemble], list[str]]:
-    """The model of each body, one given twice read once, and what the body is called: its file's name, or a number where two have one."""
+    """The model of each body, and the body's name: that of the model's file, or a number where two files have one name."""
     from asterism.labelling import SolverEnsemble
 
     loaded = {path: SolverEnsemble.load(path) for path in dict.fromkeys(models)}

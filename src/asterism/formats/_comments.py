@@ -62,7 +62,7 @@ def comments_of(lines: Sequence[str]) -> Comments:
 def comment_lines(
     units: str, rate: float, vertical: Floats, frames: int, first_frame: int, subject: str = "", events: Sequence[Event] = ()
 ) -> list[str]:
-    """The lines that `comments_of` reads back."""
+    """The comment lines for these values, which `comments_of` reads."""
     lines = [
         f"# units={units}",
         f"# rate={rate!r}",

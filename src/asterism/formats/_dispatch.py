@@ -1,4 +1,4 @@
-"""One front door for all formats: a file's content and suffix choose who reads it, the suffix who writes it."""
+"""Files of all formats: content and suffix choose the reader, the suffix chooses the writer."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None
     """A recording from a file: C3D, TRC, CSV (wide, long, Motive's, Nexus'), QTM's TSV and MAT, MOT, STO or NPZ.
 
     markers   None: every physical point, under its label in the file; else a marker set (its name, a TOML file, a
-              list of names, a `MarkerSet`): exactly its columns in its order, NaN where the file lacks one
+              list of names, a `MarkerSet`): its columns in its order, NaN where the file lacks one
     vertical  None: what the file declares or its format defines, else what the data show; or "z", "-y", a vector
 
     Positions are metres. Raises AsterismError, naming the file, where it cannot be read, has no marker of the set, has one of
@@ -58,7 +58,9 @@ def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None
     if kind == "C3D":
         return read_c3d(path, markers, vertical)
     if kind == "2D CSV":
-        raise AsterismError(f"{path} holds 2D points of cameras, no markers in space; compose them with asterism reconstruct first.")
+        raise AsterismError(
+            f"{path} holds 2D points of cameras and no markers in space; reconstruct them with `asterism reconstruct` first."
+        )
     return recording_of(path, _READERS[kind](path), markers, vertical)
 
 
@@ -78,7 +80,7 @@ def write(path: str | Path, recording: Recording | Clouds) -> list[str]:
     A .csv has a row per frame, a .long.csv a row per sample (frame, time, marker, x, y, z).
 
     Returns what the format cannot carry, a phrase each; an empty list where it carries everything. A recording that was read
-    from C3D and is written as C3D keeps everything else as it was.
+    from C3D and is written as C3D keeps everything else unchanged.
 
     Raises AsterismError where the suffix is unknown or the file cannot be written.
     """
@@ -114,7 +116,7 @@ def is_recording_file(path: str | Path) -> bool:
 
 
 def check_suffix(path: str | Path) -> None:
-    """Raise AsterismError where no format that points can be written in has this suffix, before work is done for nothing."""
+    """Raise AsterismError where points cannot be written in a format with this suffix."""
     if not is_recording_file(path):
         raise AsterismError(f"{path}: no format has the suffix {Path(path).suffix or '(none)'}; write .c3d, {', '.join(_WRITERS)}.")
 
@@ -122,7 +124,8 @@ def check_suffix(path: str | Path) -> None:
 def write_points(path: str | Path, clouds: Clouds, evidence: Evidence, columns: Ints) -> list[str]:
     """Write reconstructed points in the format of the suffix: .npz and .csv as clouds, others as unlabelled columns *1, *2, ...
 
-    columns  (P,) int: the column of each point where the format has columns; no two of a frame in one
+    columns  (P,) int: the column of each point, for formats with columns; each column has at most one point of a frame
+
     NPZ keeps all of the evidence, C3D residuals up to 2.55 mm and the first seven cameras. Returns what the format cannot carry, a
     phrase each.
     Raises AsterismError where the suffix is unknown or the file cannot be written.
@@ -145,7 +148,10 @@ def write_points(path: str | Path, clouds: Clouds, evidence: Evidence, columns: 
     cameras[frames, columns] = evidence.cameras
     write_c3d_points(path, recording, residual, cameras)
     beyond = evidence.camera_names[7:]
-    return ["the points' covariances", *([f"which points {', '.join(beyond)} saw: C3D knows seven cameras"] if beyond else [])]
+    return [
+        "the points' covariances",
+        *([f"which points {', '.join(beyond)} saw, because C3D has room for seven cameras"] if beyond else []),
+    ]
 
 
 def _with_computed(recording: Recording) -> Recording:
@@ -198,7 +204,7 @@ def convert(source: str | Path, target: str | Path, vertical: ArrayLike | str | 
         if table is not None and not storage.holds_markers(table, strictly=_kind_of(source) == "storage"):
             if target.suffix.casefold() not in _TABLES:
                 raise AsterismError(
-                    f"{source} holds a table of values, no marker positions; write it as {', '.join(_TABLES)}, not as {target.name}."
+                    f"{source} holds a table of values and no marker positions; write it as {', '.join(_TABLES)}, not as {target.name}."
                 )
             return storage.write_table(target, table)
     if _kind_of(source) == "NPZ":
@@ -209,7 +215,7 @@ def convert(source: str | Path, target: str | Path, vertical: ArrayLike | str | 
 
 
 def _kind_of(path: Path) -> str:
-    """Which reader a file needs. Content decides where it is plain; a suffix that lies is looked through."""
+    """Which reader a file needs: by its content, or by its suffix where the content leaves it open."""
     suffix = path.suffix.casefold()
     try:
         with path.open("rb") as file:
@@ -236,12 +242,12 @@ def _kind_of(path: Path) -> str:
         return "C3D"
     by_suffix = {".trc": "TRC", ".csv": "CSV", ".txt": "CSV", ".tsv": "QTM TSV", ".mot": "storage", ".sto": "storage"}.get(suffix)
     if by_suffix is None:
-        raise AsterismError(f"{path}: this is no format that Asterism reads ({_KNOWN}); export it in one of them.")
+        raise AsterismError(f"{path}: Asterism does not read this format (it reads {_KNOWN}); export it in one of them.")
     return by_suffix
 
 
 def _text_kind(path: Path, head: bytes) -> str | None:
-    """What the first lines say, or None."""
+    """The format by the first lines of a file, or None."""
     lines = lines_of(decoded(path, head))
     first = lines[0].strip().strip('"').casefold()
     if first.startswith("format version"):

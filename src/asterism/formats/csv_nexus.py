@@ -36,7 +36,7 @@ def read_nexus(path: Path) -> Points:
         raise AsterismError(f"{path} has no section Trajectories; export it from Nexus again, with trajectories.")
     rate = number_of(bare[at + 1]) if at + 1 < len(bare) else None
     if rate is None or not 0 < rate < 1e6:
-        raise AsterismError(f"{path}, line {at + 2}: the frame rate of the trajectories should stand here; export the file again.")
+        raise AsterismError(f"{path}, line {at + 2}: the frame rate of the trajectories is missing here; export the file again.")
     if at + 4 >= len(lines):
         raise AsterismError(f"{path} ends within the header of its trajectories; export it again.")
     delimiter = delimiter_of(lines[at + 2]) or ","

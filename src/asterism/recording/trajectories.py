@@ -45,9 +45,9 @@ class Recording:
     events     instants that the file marks
     metadata   values worth showing: file, format, units, subject, ...; `first_time`, in seconds, where a file
                gives its first frame another time than (first_frame - 1) / rate; `findings`, what its reader found out about a file
-    source     the file's whole content as its format keeps it, or None (belongs to `formats`)
+    source     the whole content of the file, for its writer, or None (belongs to `formats`)
     origin     (T, M) int: the point column of `source` that each sample came from, -1 where it came from none
-    taken      the point columns of `source` that this recording stands for: a writer replaces those and keeps the others
+    taken      the point columns of `source` that this recording replaces when it is written; the others stay
     first_frame  the number that the file gives the first frame; 1 for a trial that is stored from its start
     log        what was done to the recording since it was captured, oldest step first
     """
@@ -84,8 +84,8 @@ class Recording:
     def from_clouds(cls, clouds: Clouds, labelling: Labelling | None = None) -> Recording:
         """Clouds as a recording that can be written to a file.
 
-        Without a labelling its columns are *1, *2, ...: the n-th point of each frame lies in column n. Its `clouds()` are the given ones,
-        point for point, so a labelling of them fits `with_labelling`. With a labelling of these clouds the markers come first, and the
+        Without a labelling its columns are *1, *2, ...: column n has the n-th point of each frame. Its `clouds()` are equal to the given
+        ones, so a labelling of them fits `with_labelling`. With a labelling of these clouds the markers come first, and the
         points that no marker took follow.
         """
         column = np.arange(len(clouds.xyz)) - np.repeat(clouds.offsets[:-1], clouds.counts)
@@ -267,14 +267,14 @@ def _events_at(events: Sequence[Event], times: Floats, later: Floats, rate: floa
 
 
 def keep_labels(labelling: Labelling, recording: Recording, clouds: Clouds, marker_set: MarkerSet) -> Labelling:
-    """The labelling with the labels that the recording has already: only points without a name take one from the model.
+    """The labelling with the labels that the recording already has: only points without a name get one from the model.
 
     clouds      the clouds that were labelled: `recording.clouds()`, whose `columns` say where each point came from
     marker_set  its names are the labelling's, in order; its aliases say which of the recording's labels mean a marker
 
     Where a column of the recording is a marker of the set, its samples are that marker, with confidence 1. A label of the model
     is removed where it gives such a sample another name, gives the marker another point, or is on a column that has a name.
-    Raises AsterismError where two columns of the recording claim one marker.
+    Raises AsterismError where two columns of the recording have one marker's label.
     """
     indices, confidence = labelling.indices.copy(), labelling.confidence.copy()
     marker_of_column = np.full(len(recording.labels), -1, dtype=np.int64)
