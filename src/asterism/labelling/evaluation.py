@@ -137,8 +137,6 @@ def leave_one_subject_out(
         own = [recordings[j] for j, name in enumerate(whose) if name == out]
         report_labelling = _sub_progress(report, 1, 2, "labelling")
         for condition, tally in _run_conditions(ensemble, own, occlusions, ghosts, seed, rules, report_labelling).items():
-            ensemble, own, occlusions, ghosts, seed, rules, _sub_progress(report, 1, 2, "labelling")
-        ).items():
             if condition not in total:
                 total[condition] = tally
                 continue
