@@ -354,10 +354,25 @@ def test_too_few_markers_are_refused(few):
         SolverEnsemble.fit([few[0].select(few[0].labels[:3])], **QUICKEST)
 
 
-def test_recordings_with_different_labels_are_refused(few):
-    strange = replace(few[1], labels=few[1].labels[::-1], metadata={"file": "strange.c3d"})
-    with pytest.raises(AsterismError, match=r"strange\.c3d has other markers"):
-        SolverEnsemble.fit([few[0], strange], **QUICKEST)
+def test_recordings_whose_markers_differ_teach_those_that_all_have(few):
+    """In the order of the first, whatever the columns of the others; what is left out is named."""
+    names = few[0].labels
+    differing = [few[0], few[1].select(names[::-1]), few[2].select(names[1:]), replace(few[3], labels=(*names[:-1], "*7"))]
+    model = SolverEnsemble.fit(differing, **QUICKEST)
+    assert model.marker_set.names == names[1:-1]
+    assert model.about["left_out_markers"] == sorted([names[0], names[-1]])
+    given = SolverEnsemble.fit(differing, marker_set=MarkerSet(names[1:-1]), **QUICKEST)
+    clouds = few[0].clouds()
+    np.testing.assert_array_equal(model.label(clouds).indices, given.label(clouds).indices)
+    np.testing.assert_array_equal(model.label(clouds).confidence, given.label(clouds).confidence)
+    assert SolverEnsemble.fit(few, **QUICKEST).about["left_out_markers"] == []
+
+
+def test_recordings_that_share_too_few_markers_are_refused(few):
+    names = few[0].labels
+    other = replace(few[1], labels=tuple(name if i < 3 else f"other {i}" for i, name in enumerate(names)))
+    with pytest.raises(AsterismError, match="share 3 labelled markers, fewer than 4; name the set"):
+        SolverEnsemble.fit([few[0], other], **QUICKEST)
 
 
 def test_subjects_are_one_per_recording(few):

@@ -115,17 +115,17 @@ def test_a_marker_that_only_the_new_person_wears_is_learned(walks):
     assert (learned.label(clouds).indices[:, -1] == truth[:, -1]).mean() > 0.9
 
 
-def test_solvers_of_the_thesis_stay_unless_mined_again(walks, tmp_path):
-    """With four markers, mining is quick."""
+def test_partial_solvers_stay_unless_searched_again(walks, tmp_path):
+    """With four markers, the search is quick."""
     rules = {"miner": "genetic", "training": replace(QUICK["training"], frames_per_person=20)}
     few = [walk.select(walk.labels[:4]) for walk in walks]
     model = SolverEnsemble.fit(few[:2], subjects=PEOPLE[:2], **rules)
     learned = model.learn([few[2]], subjects=["Cem"])
-    assert (learned.about["mined_from"], learned.about["recordings"]) == (2, 3)
+    assert (learned.about["partial_solvers_from"], learned.about["recordings"]) == (2, 3)
     clouds = few[3].clouds()
     np.testing.assert_array_equal(learned.label(clouds, rules="thesis").indices, model.label(clouds, rules="thesis").indices)
     again = model.learn([few[2]], subjects=["Cem"], search_again=True)
-    assert again.about["mined_from"] == 3
+    assert again.about["partial_solvers_from"] == 3
     assert content(again, tmp_path) == content(SolverEnsemble.fit(few[:3], subjects=PEOPLE[:3], **rules), tmp_path)
 
 

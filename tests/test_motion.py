@@ -154,7 +154,7 @@ def test_what_motion_rules_out_is_what_each_search_would_find(mined):
     clouds, _ = simulate_gaps_and_ghosts(WALKS[0].frames(slice(0, 60)), 2, 1, seed=3)
     points = motion_of_points(clouds)
     few = PartialSolvers(
-        mined.solvers, mined.hit_rates, mined.targets, mined.covered, np.ones_like(mined.trusted), mined.whole
+        mined.solvers, mined.hit_rates, mined.targets, mined.covered, np.ones_like(mined.trusted), mined.strong
     )  # every solver may propose
     votes = label_by_matrix(clouds, few, budget=10**7, complete=False).indices
     for t in range(0, 60, 12):

@@ -111,7 +111,7 @@ def find_tracklets(clouds: Clouds, rules: LinkRules | None = None) -> Tracklets:
     order = np.arange(len(clouds.xyz))
     sort_frames(clouds.xyz, clouds.offsets, order)
     xyz = np.ascontiguousarray(clouds.xyz[order])
-    frame = np.repeat(np.arange(len(clouds)), clouds.counts)
+    frame = clouds.frame_of
     forbidden = np.full(len(xyz), -1, dtype=np.int64)
     numbers = _usable_numbers(clouds, xyz, frame, order, rules)
     if numbers is None:

@@ -370,10 +370,11 @@ def _descend(problem: _Problem, state: _State) -> tuple[_State, float, int, bool
 def _step(problem: _Problem, best: _Trial, damping: float) -> _Trial | None:
     """One damped step of cameras and objects; None where the equations are singular or the step leads to impossible cameras."""
     normal = problem.normal(best.state, best.residuals, best.weights, damping)
-    move = np.zeros(0)
+    move: Floats = np.zeros(0)
     if problem.unknowns:
         try:
-            move = np.linalg.solve(normal.matrix, normal.gradient - (problem.stiffness * best.from_prior)[problem.wanted])
+            right = normal.gradient - (problem.stiffness * best.from_prior)[problem.wanted]
+            move = np.asarray(np.linalg.solve(normal.matrix, right), dtype=np.float64)
         except np.linalg.LinAlgError:
             return None
     step = np.zeros(problem.wanted.shape)

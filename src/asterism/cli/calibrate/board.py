@@ -135,8 +135,7 @@ def _board(options: BoardOptions) -> Board:
         return Board("charuco", columns, rows, options.square, options.dictionary, options.marker, options.inverted)
     if options.chessboard is not None:
         return Board("chessboard", columns, rows, options.square, inverted=options.inverted)
-    kind = "asymmetric circles" if options.asymmetric else "circles"
-    return Board(kind, columns, rows, options.square, inverted=options.inverted)
+    return Board("asymmetric circles" if options.asymmetric else "circles", columns, rows, options.square, inverted=options.inverted)
 
 
 def _print(made: BoardCalibration) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -107,25 +107,24 @@ class BodyLabeller:
         there (for a null: minus the nats that its best free point lacked); counters (T, 4), see `label_frame`; and (T,) whether points
         were left over. The result depends neither on the order of the points nor on `workers`.
         """
-        frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
+        frame_of = clouds.frame_of
         xyz = rotate_z_up(clouds.xyz, clouds.vertical)
         order = np.lexsort((xyz[:, 1], xyz[:, 0], -xyz[:, 2], frame_of))
         xyz = np.ascontiguousarray(xyz[order])
         place = order - clouds.offsets[frame_of]
-        report = progress and (lambda fraction: progress(fraction, "labelling"))
-        point_of, margins, counters = self.label_frames(xyz, clouds.offsets, workers, report)
+        point_of, margins, counters = self.label_frames(xyz, clouds.offsets, workers, progress)
         labelled = point_of >= 0
         points_left = labelled.sum(axis=1) < clouds.counts
         point_of[labelled] = place[(clouds.offsets[:-1, None] + point_of)[labelled]]
         return point_of, margins, counters, points_left
 
     def label_frames(
-        self, xyz: Floats, offsets: Ints, workers: int = 1, report: Callable[[float], None] | None = None, at_once: int = 500
+        self, xyz: Floats, offsets: Ints, workers: int = 1, progress: Progress | None = None, at_once: int = 500
     ) -> tuple[Ints, Floats, Ints]:
         """`label` for frames whose points are sorted already: point of each marker, margins (E, M), counters (E, 4).
 
-        xyz (Q, 3) m, z up, from the highest to the lowest point of each frame; offsets (E + 1,); report: called after each `at_once`
-        frames with the share that is done.
+        xyz (Q, 3) m, z up, from the highest to the lowest point of each frame; offsets (E + 1,); progress is called after each `at_once`
+        frames.
         """
         frames = len(offsets) - 1
         shape = (frames, self.body.mean.shape[1])
@@ -141,6 +140,6 @@ class BodyLabeller:
         spans = [(start, min(start + step, frames)) for start in range(0, frames, step)]
         with ThreadPoolExecutor(max(1, workers)) as pool:
             for done in pool.map(label_span, spans) if workers > 1 else map(label_span, spans):
-                if report:
-                    report(done / frames)
+                if progress:
+                    progress(done / frames, "labelling")
         return point_of, margins, counters

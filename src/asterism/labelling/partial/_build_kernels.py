@@ -64,7 +64,7 @@ def order_tests(table, reads, markers, start, order, rank, first_feature):
     O(D^2 F R). Twin: `order_tests` in tests/twins_partial.py
     """
     features, all_markers, words = table.shape
-    placed, assigned = np.zeros(features, dtype=np.bool_), np.zeros(all_markers, dtype=np.bool_)
+    placed = np.zeros(features, dtype=np.bool_)
     open_marker = np.zeros(all_markers, dtype=np.bool_)
     for m in markers:
         open_marker[m] = True
@@ -78,39 +78,53 @@ def order_tests(table, reads, markers, start, order, rank, first_feature):
         best, best_share = start, -1
         if depth > 0:
             for m in range(all_markers):
-                if not open_marker[m]:
-                    continue
-                share = 0
-                for w in range(words):
-                    any_bits = np.uint64(0)
-                    for f in range(features):
-                        if not placed[f] and missing[f] == 1 and reads[f, m]:
-                            any_bits |= table[f, m, w]
-                    share += popcount(any_bits)
-                if share > best_share:
-                    best, best_share = m, share
+                if open_marker[m]:
+                    share = _share_rejected(table, reads, placed, missing, m)
+                    if share > best_share:
+                        best, best_share = m, share
         order[depth] = best
-        assigned[best] = True
         open_marker[best] = False
         first_feature[depth] = count
         for f in range(features):
             missing[f] -= reads[f, best]
-        left[:] = ~np.uint64(0)
-        while True:
-            chosen, most = -1, -1
-            for f in range(features):
-                if placed[f] or missing[f] > 0 or not reads[f, best]:
-                    continue
-                gain = 0
-                for w in range(words):
-                    gain += popcount(table[f, best, w] & left[w])
-                if gain > most:
-                    chosen, most = f, gain
-            if chosen < 0:
-                break
-            placed[chosen] = True
-            rank[count] = chosen
-            count += 1
-            for w in range(words):
-                left[w] &= ~table[chosen, best, w]
+        count = _rank_tests(table, reads, placed, missing, best, left, rank, count)
     first_feature[len(markers)] = count
+
+
+@kernel
+def _share_rejected(table, reads, placed, missing, m):
+    """Wrong points of marker m that the classifiers reject which m alone is missing from: a count of bits. O(F R)."""
+    share = 0
+    for w in range(table.shape[2]):
+        any_bits = np.uint64(0)
+        for f in range(len(table)):
+            if not placed[f] and missing[f] == 1 and reads[f, m]:
+                any_bits |= table[f, m, w]
+        share += popcount(any_bits)
+    return share
+
+
+@kernel
+def _rank_tests(table, reads, placed, missing, marker, left, rank, count):
+    """Append the classifiers that a marker makes computable to `rank`, those that reject most of what is left first.
+
+    IN  left (R,) uint64 is memory. OUT placed (F,) bool; rank from `count` on. Returns the new count. O(F^2 R).
+    """
+    left[:] = ~np.uint64(0)
+    while True:
+        chosen, most = -1, -1
+        for f in range(len(table)):
+            if placed[f] or missing[f] > 0 or not reads[f, marker]:
+                continue
+            gain = 0
+            for w in range(len(left)):
+                gain += popcount(table[f, marker, w] & left[w])
+            if gain > most:
+                chosen, most = f, gain
+        if chosen < 0:
+            return count
+        placed[chosen] = True
+        rank[count] = chosen
+        count += 1
+        for w in range(len(left)):
+            left[w] &= ~table[chosen, marker, w]

@@ -161,54 +161,79 @@ def label_by_matrix(solvers, pairs, trusted, strong, rules, xyz, offsets, out):
     matrix = np.empty((markers, most), dtype=np.int64)
     single = np.empty(markers, dtype=np.int64)
     place, taken, levels = np.empty(markers, dtype=np.int64), np.empty(most, dtype=np.bool_), np.empty((markers, most), dtype=np.int64)
+    completing = len(strong.first) > 1
     for t in range(frames):
         n = offsets[t + 1] - offsets[t]
         load_frame(xyz[offsets[t] : offsets[t + 1]], n, pairs.kinds, workspace)
         matrix[:, :n] = 0
         evaluations[t] = 0
         for s in range(count):
-            first = solvers.first_depth[s]
-            depths = solvers.first_depth[s + 1] - first
-            solutions = search_by_pairs(solvers, pairs, s, n, t, rules.budget, workspace)
-            evaluations[t] += workspace.counters[0]
-            if solutions <= 0:
-                continue
-            agreed_points(workspace.found, solutions, depths, workspace.agreed)
-            for k in range(depths):
-                if workspace.agreed[k] >= 0 and trusted[first + k]:
-                    matrix[solvers.markers[first + k], workspace.agreed[k]] += 1
+            evaluations[t] += _add_proposals(solvers, pairs, s, trusted, (n, t, rules.budget), workspace, matrix)
         place[:] = -1
         taken[:n] = False
-        for m in range(markers):
-            votes[t, m], single[m] = 0.0, -1
-            best, rivals = -1, 0
-            for c in range(n):
-                rivals += matrix[m, c]
-                if matrix[m, c] > 0 and (best < 0 or matrix[m, c] > matrix[m, best]):
-                    best = c
-            if best < 0:
-                continue
-            most_votes = matrix[m, best]
-            votes[t, m] = most_votes / able[m]
-            for other in range(markers):
-                rivals += matrix[other, best]
-            rivals -= 2 * most_votes
-            if rivals == 0 and most_votes == 1 and able[m] > 1 and len(strong.first) > 1:
-                single[m] = best
-            elif rivals == 0 or (len(strong.first) > 1 and most_votes > rules.outvote * rivals):
-                place[m], taken[best] = best, True
-        if len(strong.first) > 1:
+        _choose_by_votes(matrix, n, able, (completing, rules.outvote), place, taken, single, votes[t])
+        if completing:
             evaluations[t] += complete_labels(strong, workspace.points, n, place, taken, levels, rules)
-            for m in range(markers):
-                if place[m] < 0 and single[m] >= 0 and not taken[single[m]]:
-                    place[m] = single[m]
-                    level, made = check_marker(strong, m, place, workspace.points, rules.slack, rules.min_tests)
-                    evaluations[t] += made
-                    taken[single[m]] = level == 2
-                    if level < 2:
-                        place[m] = -1
+            evaluations[t] += _accept_single(strong, workspace.points, rules, single, place, taken)
         for m in range(markers):
             indices[t, m] = workspace.order[place[m]] if place[m] >= 0 else -1
+
+
+@kernel
+def _add_proposals(solvers, pairs, s, trusted, search, workspace, matrix):
+    """Add one solver's proposals to the matrix; search: points, frame id and budget. Returns the evaluations made."""
+    n, frame_id, budget = search
+    first = solvers.first_depth[s]
+    depths = solvers.first_depth[s + 1] - first
+    solutions = search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace)
+    if solutions > 0:
+        agreed_points(workspace.found, solutions, depths, workspace.agreed)
+        for k in range(depths):
+            if workspace.agreed[k] >= 0 and trusted[first + k]:
+                matrix[solvers.markers[first + k], workspace.agreed[k]] += 1
+    return workspace.counters[0]
+
+
+@kernel
+def _choose_by_votes(matrix, n, able, how, place, taken, single, votes):
+    """Labels by the safe rules; how: whether labels will be completed, and `MatrixRules.outvote`.
+
+    OUT place (M,), taken (n,); single (M,) a candidate that one solver alone proposed, -1 for none; votes (M,)
+    """
+    completing, outvote = how
+    for m in range(len(place)):
+        votes[m], single[m] = 0.0, -1
+        best, rivals = -1, 0
+        for c in range(n):
+            rivals += matrix[m, c]
+            if matrix[m, c] > 0 and (best < 0 or matrix[m, c] > matrix[m, best]):
+                best = c
+        if best < 0:
+            continue
+        most_votes = matrix[m, best]
+        votes[m] = most_votes / able[m]
+        for other in range(len(place)):
+            rivals += matrix[other, best]
+        rivals -= 2 * most_votes
+        if rivals == 0 and most_votes == 1 and able[m] > 1 and completing:
+            single[m] = best
+        elif rivals == 0 or (completing and most_votes > outvote * rivals):
+            place[m], taken[best] = best, True
+
+
+@kernel
+def _accept_single(strong, points, rules, single, place, taken):
+    """Give markers without a point the one that a single solver proposed, where the strong classifier accepts. Returns the evaluations."""
+    evaluations = 0
+    for m in range(len(place)):
+        if place[m] < 0 and single[m] >= 0 and not taken[single[m]]:
+            place[m] = single[m]
+            level, made = check_marker(strong, m, place, points, rules.slack, rules.min_tests)
+            evaluations += made
+            taken[single[m]] = level == 2
+            if level < 2:
+                place[m] = -1
+    return evaluations
 
 
 @kernel

@@ -32,7 +32,7 @@ def motion_of_points(clouds: Clouds, tracks: Ints | None = None) -> Floats:
     out[:, :3] = clouds.xyz
     if clouds.rate >= SLOWEST:
         tracks = find_tracklets(clouds).of_point if tracks is None else tracks
-        frame = np.repeat(np.arange(len(clouds)), clouds.counts)
+        frame = clouds.frame_of
         order = np.lexsort((frame, tracks))
         away, reach = round(NEIGHBOUR * clouds.rate), max(2, round(REACH * clouds.rate))
         estimate_motion(clouds.xyz, frame, tracks, order, away, reach, clouds.rate, out)

@@ -112,7 +112,7 @@ class _State:
 def _votes_of_one(labeller: BodyLabeller, scene: Scene, rules: RecordingLabellingSettings, workers: int, report: Progress) -> Floats:
     """The votes of the sampled frames, labelled singly, for each tracklet: (J, M) nats."""
     point_of, margins, _ = labeller.label_frames(
-        scene.sampled_xyz, scene.sampled_offsets, workers, lambda done: report(0.7 * done, "labelling single frames"), at_once=50
+        scene.sampled_xyz, scene.sampled_offsets, workers, lambda done, _: report(0.7 * done, "labelling single frames"), at_once=50
     )
     votes = np.zeros((len(scene.first), point_of.shape[1]))
     frame, marker = np.nonzero(point_of != NULL)

@@ -54,7 +54,7 @@ def label_whole(
     unit = min(length_scale(labeller.model.mean[0], body_rules) for labeller in labellers)
     scene = prepare_scene(clouds, find_tracklets(clouds), rules, unit)
     found = label_scene(labellers, scene, rules, subject_rules, body_rules, workers, progress)
-    frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
+    frame_of = clouds.frame_of
     near_unlabelled = overlaps_unlabelled(found.label, scene.first, scene.last)
     offsets = marker_offsets(labellers)
     labellings = []
@@ -147,7 +147,7 @@ def run_trials(
             scene = prepare_scene(clouds, find_tracklets(clouds), rules, length_scale(labeller.model.mean[0], body_rules))
             found = label_scene([labeller], scene, rules, subject_rules, body_rules)
             label, near_unlabelled = found.label[scene.track], overlaps_unlabelled(found.label, scene.first, scene.last)
-            frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
+            frame_of = clouds.frame_of
             used = np.isin(frame_of, scene.sampled_frames) & (label != NULL)
             right = truth[frame_of[used], label[used]] == scene.place[used]
             track = scene.track[used]

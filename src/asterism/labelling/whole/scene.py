@@ -102,7 +102,7 @@ def prepare_scene(clouds: Clouds, tracklets: Tracklets, rules: RecordingLabellin
 
     The result does not depend on the order of the points. unit: `length_scale` of the smallest body in the recording.
     """
-    frame_of = np.repeat(np.arange(len(clouds)), clouds.counts)
+    frame_of = clouds.frame_of
     xyz = rotate_z_up(clouds.xyz, clouds.vertical)
     order = np.lexsort((xyz[:, 1], xyz[:, 0], -xyz[:, 2], frame_of))
     xyz = np.ascontiguousarray(xyz[order])
