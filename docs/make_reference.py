@@ -34,7 +34,8 @@ PACKAGE = Path(asterism.__file__).parent
 NOT_PYTHON = ("asterism.cli",)
 WIDTH = 110
 EVERYDAY = (
-    "event finding frame gap label labelling marker missed mount ray recording right room rules seed subject trial vertical vote world"
+    "event finding frame gap label labelling marker missed mount ray recording right "
+    "room rules seed settings subject trial vertical vote world"
 )
 """Glossary terms that are too frequent to be linked."""
 

@@ -88,12 +88,13 @@ def test_the_best_key_pose(seed):
 
 
 @given(seed=seeds)
-@races
+@settings(races, max_examples=60)
 def test_refinement(seed):
     rng = np.random.default_rng(seed)
     model = random_model(rng)
     points, rows, _ = random_frame(model, rng, least=2)
-    rows = spoilt(rows, len(points), rng)
+    for _ in range(3):
+        rows = spoilt(rows, len(points), rng)
     k = int(rng.integers(POSES))
     expected, refined = twins.refine(model, k, points, rows.tolist(), SETTINGS)
     score = refine(model.arrays(), k, points, rows, SETTINGS, ready(points, False))
@@ -151,7 +152,7 @@ def test_the_search_ends_with_its_budget():
 
 
 @given(seed=seeds)
-@races
+@settings(races, max_examples=60)
 def test_the_nearest_changes(seed):
     rng = np.random.default_rng(seed)
     model = random_model(rng)

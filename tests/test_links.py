@@ -21,6 +21,7 @@ from asterism.tracking._chain_kernels import combine_directions, number_chains, 
 from asterism.tracking._cut_kernels import count_strays, find_cuts, repair_links
 from asterism.tracking._link_kernels import link_frames
 from asterism.tracking._link_workspace_kernels import Links
+from asterism.tracking.columns import columns_of, pack_tracklets
 from asterism.tracking.linking import LinkRules, Tracklets, _along_numbers, find_tracklets
 
 MOVEMENT = (
@@ -327,6 +328,52 @@ def test_points_are_sorted_and_chains_numbered() -> None:
     assert count == (previous < 0).sum()
     for p, before in enumerate(previous):
         assert of_point[p] == (of_point[before] if before >= 0 else of_point[:p].max(initial=-1) + 1)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(st.integers(0, 2**31), st.integers(0, 12))
+def test_tracklets_are_packed_into_as_few_columns_as_possible(seed: int, rest: int) -> None:
+    rng = np.random.default_rng(seed)
+    first = rng.integers(0, 40, rng.integers(0, 12))
+    last = first + rng.integers(0, 15, len(first))
+    tracklet = np.repeat(np.arange(len(first)), last - first + 1)
+    column = pack_tracklets(Tracklets(tracklet, first, last), rest)
+    assert all(len(set(column[tracklet == j].tolist())) == 1 for j in range(len(first)))
+    of_tracklet = np.array([column[tracklet == j][0] for j in range(len(first))], dtype=np.int64)
+    for i in range(len(first)):
+        for j in range(i):
+            if of_tracklet[i] == of_tracklet[j]:
+                assert first[i] > last[j] + rest or first[j] > last[i] + rest
+    busy = [((first <= t) & (t <= last + rest)).sum() for t in range(80)]
+    assert len(set(of_tracklet.tolist())) == max(busy)
+
+
+@pytest.mark.parametrize(("rate", "noise"), [(50.0, 0.0015), (100.0, 0.0005), (240.0, 0.0015)])
+def test_a_reconstructed_walker_keeps_its_columns(rate: float, noise: float) -> None:
+    """Points with millimetres of noise, in any order, a hundredth of them missing, and a ghost in every other frame."""
+    rng = np.random.default_rng(1)
+    walk = walks(rate)[0].positions
+    noisy = walk + rng.normal(scale=noise, size=walk.shape)
+    noisy[rng.random(walk.shape[:2]) < 0.01] = np.nan
+    low, high = walk.min(axis=(0, 1)), walk.max(axis=(0, 1))
+    frames = [np.concatenate([frame[~np.isnan(frame[:, 0])], rng.uniform(low, high, (rng.integers(2), 3))]) for frame in noisy]
+    orders = [rng.permutation(len(frame)) for frame in frames]
+    clouds = Clouds.from_points([frame[order] for frame, order in zip(frames, orders, strict=True)], rate=rate)
+    column = np.full(walk.shape[:2], -1)
+    of_point = columns_of(clouds)
+    for t, order in enumerate(orders):
+        shown = np.nonzero(~np.isnan(noisy[t, :, 0]))[0]
+        column[t, shown] = of_point[clouds.offsets[t] : clouds.offsets[t + 1]][np.argsort(order)[: len(shown)]]
+    links = (column[1:] >= 0) & (column[:-1] >= 0)
+    broken = (links & (column[1:] != column[:-1])).sum()
+    assert broken <= 2, f"{broken} of {links.sum()} links change the column"
+    for t in range(1, len(column)):
+        here, before = (
+            dict(zip(row[row >= 0].tolist(), np.nonzero(row >= 0)[0].tolist(), strict=True)) for row in (column[t], column[t - 1])
+        )
+        assert all(before.get(one, marker) == marker for one, marker in here.items()), (
+            f"frame {t}: a column goes from one marker to another"
+        )
 
 
 def test_the_strays_equal_their_twin() -> None:

@@ -31,7 +31,8 @@ def reference(benchmark: BenchmarkRun) -> Iterator[Figure]:
 
 def exported() -> set[str]:
     """The dotted names that the package's public modules export."""
-    modules = ["asterism", *(module.name for module in walk_packages(asterism.__path__, "asterism.") if _is_public(module.name))]
+    found = (module.name for module in walk_packages(asterism.__path__, "asterism.") if module.ispkg or module.name.count(".") == 1)
+    modules = ["asterism", *(name for name in found if _is_public(name))]
     return {f"{module}.{name}" for module in modules for name in getattr(import_module(module), "__all__", ())}
 
 

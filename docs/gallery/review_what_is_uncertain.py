@@ -32,7 +32,7 @@ def main(picture: str = "review_what_is_uncertain.png", subjects: int = 3, frame
     ranks.barh(range(len(items)), [item.gain for item in items], color="#0f7b8a")
     ranks.set_yticks(range(len(items)), [f"{item.marker or 'no label'}, frame {item.frame}" for item in items], fontsize=6)
     ranks.invert_yaxis()
-    ranks.set(title="what to look at first", xlabel="samples that an answer is expected to correct")
+    ranks.set(title="what to check first", xlabel="samples that an answer is expected to correct")
     errors.step(range(len(remaining)), remaining, where="post", color="#d1495b")
     errors.set(title="what the answers correct", xlabel="answers", ylabel="samples wrong or missing", ylim=(0, None))
     errors.grid(alpha=0.3)

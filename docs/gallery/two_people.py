@@ -1,4 +1,4 @@
-"""Two people in one volume, told apart over time.
+"""Two people in one volume.
 
 Both wear the same fifteen markers. The recording holds the points of both without names, in random order. The same model, given twice,
 labels each of them; no point goes to both.

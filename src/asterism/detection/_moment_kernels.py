@@ -100,7 +100,7 @@ def measure(arrays, components, limits, out, flags):
 
 @kernel
 def _extent(components, runs, width):
-    """A component's number of pixels and its bounding box; width: of the image."""
+    """Returns a component's number of pixels and its Box; width: of the image. O(runs)."""
     area, left, right = 0, width, 0
     for run in runs:
         area += components.lasts[run] - components.firsts[run] + 1
@@ -113,7 +113,7 @@ def _measure_parts(arrays, components, runs, area, box, limits, out, flags):
     """The blobs that a component is made of, where it is more than one or all are grown from peaks.
 
     OUT out (blobs, COLUMNS), flags (blobs,)
-    Returns how many blobs there are.
+    Returns how many blobs there are. O(n log n) for n pixels, and the sweeps of `share_pixels`.
     """
     weight = _weights(arrays, components, runs, box)
     label = np.full(weight.shape, -1)
@@ -136,7 +136,7 @@ def _measure_parts(arrays, components, runs, area, box, limits, out, flags):
 
 @kernel
 def _measure_whole(arrays, components, runs, saturated, out, flag):
-    """One component as one blob: moments about its first pixel, moved to the centroid."""
+    """OUT out (COLUMNS,), flag (1,): one component as one blob, by moments about its first pixel, moved to the centroid. O(pixels)."""
     image, base, cut = arrays.image, arrays.base, arrays.cut
     rows, firsts, lasts = components.rows, components.firsts, components.lasts
     x0, y0 = firsts[runs[0]], rows[runs[0]]
@@ -169,7 +169,7 @@ def _measure_whole(arrays, components, runs, saturated, out, flag):
 
 @kernel
 def _weights(arrays, components, runs, box):
-    """A component's weights in its bounding box, with one pixel of 0 around it; pixels of other components are 0 too."""
+    """Returns a component's weights in its box, with one pixel of 0 around it; pixels of other components are 0 too. O(area of the box)."""
     image, base, rows = arrays.image, arrays.base, components.rows
     weight = np.zeros((box.lower - box.upper + 3, box.right - box.left + 3), np.int64)
     for run in runs:
@@ -218,7 +218,7 @@ def _sum_parts(arrays, pixels, box, saturated, out, flags):
 
 @kernel
 def _to_central_moments(blob):
-    """Sums of weighted coordinates and their products to mean and covariance, in place."""
+    """OUT blob (COLUMNS,): sums of weighted coordinates and their products become mean and covariance. O(1)."""
     for k in (X, Y, XX, YY, XY):
         blob[k] /= blob[WEIGHT]
     blob[XX] -= blob[X] * blob[X]

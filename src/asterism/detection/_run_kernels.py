@@ -38,7 +38,7 @@ class Components(NamedTuple):
 
 @kernel
 def find_root(parents, i):
-    """The first member of the group of i; halves the path to it."""
+    """Returns the first member of the group of i. OUT parents: the path to it is halved. O(log n), amortised."""
     while parents[i] != i:
         parents[i] = parents[parents[i]]
         i = parents[i]
@@ -47,8 +47,10 @@ def find_root(parents, i):
 
 @kernel
 def _is_dark(image, level, row, start):
-    """Whether none of the next STEP pixels is above its level: no branch and no index that could be negative, so that the processor
-    takes many at once."""
+    """Returns whether none of the next STEP pixels is above its level. O(STEP).
+
+    Without a branch or an index that could be negative, so that the processor takes many pixels at once.
+    """
     here, limit = image[row, start : start + STEP], level[row, start : start + STEP]
     above = False
     for k in range(STEP):

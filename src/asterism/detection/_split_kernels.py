@@ -63,7 +63,7 @@ def split_at_saddles(weight, share, ys, xs, label):
 
 @kernel
 def _heights(weight, ys, xs):
-    """The height of each pixel in the flood (h, w), and how many pixels there are. OUT ys, xs (n,): where they are."""
+    """Returns the height of each pixel in the flood (h, w), and how many there are. OUT ys, xs (n,): where they are. O(h w)."""
     tall, wide = weight.shape
     height = _distance_from_edge(weight)
     n = 0
@@ -149,7 +149,7 @@ def _is_ridge_between(weight, a, b, step):
 
 @kernel
 def _is_peak(height, y, x):
-    """Whether none of the eight pixels around is higher."""
+    """Returns whether none of the eight pixels around is higher. O(1)."""
     for dy in range(-1, 2):
         for dx in range(-1, 2):
             if height[y + dy, x + dx] > height[y, x]:
@@ -159,7 +159,7 @@ def _is_peak(height, y, x):
 
 @kernel
 def _number_groups(parents, ys, xs, label):
-    """Label pixels (n,) by their groups, counted from 0 in the order in which they are met; returns how many groups there are."""
+    """OUT label (h, w): the group of each pixel, counted from 0 in the order of ys, xs. Returns how many groups there are. O(n)."""
     number = np.full(len(parents), -1)
     groups = 0
     for i in range(len(ys)):
@@ -173,7 +173,7 @@ def _number_groups(parents, ys, xs, label):
 
 @kernel
 def _distance_from_edge(weight):
-    """Each pixel's distance from the nearest one without weight, in thirds of a pixel: the chamfer of 3 aside and 4 across."""
+    """Returns each pixel's distance from the nearest one without weight, in thirds of a pixel: the chamfer of 3 aside, 4 across. O(h w)."""
     tall, wide = weight.shape
     away = np.zeros((tall, wide), np.int64)
     for y in range(1, tall):

@@ -69,7 +69,7 @@ def smooth_path(measured, information, model, path, covariance):
 
 @kernel
 def _usual(information):
-    """m2, about what the measurements' variance is in the mean: where the search for the differences' begins."""
+    """Returns m2, the mean variance of the measurements, about: where the estimate of the differences' variance begins. O(n)."""
     total = 0.0
     for t in range(len(information)):
         total += 3.0 / (information[t, 0] + information[t, 3] + information[t, 5])
@@ -95,7 +95,7 @@ def _normal_equations(measured, information, variance, lower, right):
 
 @kernel
 def _factor(lower):
-    """Cholesky factor of a banded matrix, in place."""
+    """OUT lower (3 n, BAND): the Cholesky factor of the banded matrix that it held. O(n BAND^2)."""
     for i in range(len(lower)):
         reach = min(i, BAND - 1)
         for k in range(reach, -1, -1):
@@ -107,6 +107,7 @@ def _factor(lower):
 
 @kernel
 def _solve(lower, right):
+    """OUT right (3 n,): the solution, by a Cholesky factor. O(n BAND)."""
     for i in range(len(right)):
         value = right[i]
         for k in range(1, min(i, BAND - 1) + 1):

@@ -32,13 +32,13 @@ class FitWorkspace(NamedTuple):
 
 @kernel
 def fit_workspace():
-    """An empty workspace."""
+    """An empty workspace. Returns FitWorkspace. O(1)."""
     return FitWorkspace(np.empty(3), np.empty(6), np.empty(3))
 
 
 @kernel
 def set_zero(values):
-    """Set all of (n,) to 0."""
+    """OUT values (n,), all set to 0. O(n)."""
     for i in range(len(values)):
         values[i] = 0.0
 

@@ -46,7 +46,8 @@ def reconstruct_frames(rig, rays, begin, end, out, counts, notes):
     OUT out PointArrays, with room for at least half as many points as there are blobs; blobs are counted over all frames
         counts (T,) points of each frame
         notes (T, 2): pairs that passed the gate; components of conflicting hypotheses that were not solved to the end
-    Returns the number of points. Twins of its steps: tests/test_reconstruction.py, tests/twins_reconstruction.py
+    Returns the number of points. O(gated pairs * C) for each frame, and the search of `pack`. Twins of its steps:
+    tests/test_reconstruction.py, tests/twins_reconstruction.py
     """
     cameras = len(rig.cameras)
     total = 0
@@ -78,7 +79,7 @@ def _write_chosen(rig, frame, found, chosen, here, out, total):
 
     IN  chosen (n,) bool; here: the number of the frame's first blob
     OUT out PointArrays
-    Returns how many were written.
+    Returns how many were written. O(n log n + chosen * C).
     """
     work = fit_workspace()
     available = np.ones(len(frame.blobs), np.bool_)
@@ -107,6 +108,7 @@ def write_point(rig, frame, rays, here, work, out, at):
 
     IN  rays (C,) blobs of the frame or -1; here: added to their numbers; work: the point and its information
     OUT out PointArrays, row `at`; work.information is overwritten
+    O(C), no allocation.
     """
     _, i0, i1, i2, i3, i4, i5 = symmetric_inverse(work.information)
     many, pixels = 0, 0.0

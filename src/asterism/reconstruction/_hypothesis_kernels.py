@@ -26,13 +26,18 @@ class Hypotheses(NamedTuple):
 
 @kernel
 def empty_hypotheses(size, cameras):
-    """Lists with room for `size` hypotheses."""
+    """Returns Hypotheses with room for `size` of them. O(size * cameras)."""
     return Hypotheses(np.empty((size, cameras), np.int64), np.empty((size, 3)), np.empty(size), np.empty((size, cameras), np.int64))
 
 
 @kernel
 def append_hypothesis(found, count, rays, point, worth):
-    """Write a hypothesis behind the first `count`. Returns the lists, twice as long where they were full."""
+    """Write a hypothesis behind the first `count`.
+
+    IN  rays (C,), point (3,) m, worth nats
+    OUT found Hypotheses
+    Returns the lists, twice as long where they were full. O(C), amortised.
+    """
     if count == len(found.scores):
         found = _doubled(found)
     for c in range(len(rays)):
@@ -45,6 +50,7 @@ def append_hypothesis(found, count, rays, point, worth):
 
 @kernel
 def _doubled(found):
+    """Returns the same lists with room for twice as many. O(n C)."""
     size, cameras = found.rays.shape
     longer = empty_hypotheses(2 * size, cameras)
     for n in range(size):
@@ -58,7 +64,7 @@ def _doubled(found):
 
 @kernel
 def same_rays(found, n, rays):
-    """Whether hypothesis n has exactly these rays (C,)."""
+    """Returns whether hypothesis n has exactly these rays (C,). O(C)."""
     same = True
     for c in range(len(rays)):
         same = same and found.rays[n, c] == rays[c]

@@ -121,7 +121,7 @@ def frame_arrays(normalised, jacobian, first):
 
 @kernel
 def _filled_bins(blobs, grid, first, cells):
-    """FrameArrays.bins: the blobs of each cell in rising order. `cells`: how many cells all cameras have, with one end each."""
+    """Returns FrameArrays.bins: the blobs of each cell in rising order. `cells`: of all cameras, with one end each. O(B)."""
     bins = np.zeros(cells + len(blobs), np.int64)
     for c in range(len(grid)):
         base, side = int(grid[c, CELLS]), int(grid[c, SIDE])
@@ -139,6 +139,7 @@ def _filled_bins(blobs, grid, first, cells):
 
 @kernel(inline=True)
 def _cell(grid, c, x, y):
+    """Returns the cell of camera c in which a place on its normalised plane lies, or the nearest one. O(1)."""
     side = int(grid[c, SIDE])
     column = min(max(int((x - grid[c, LEFT]) * grid[c, PER_X]), 0), side - 1)
     row = min(max(int((y - grid[c, TOP]) * grid[c, PER_Y]), 0), side - 1)
@@ -147,7 +148,7 @@ def _cell(grid, c, x, y):
 
 @kernel(inline=True)
 def in_camera_axes(cameras, c, x, y, z):
-    """A world point (m) in the axes of camera c."""
+    """Returns a world point (m) in the axes of camera c. O(1)."""
     return (
         cameras[c, 0] * x + cameras[c, 1] * y + cameras[c, 2] * z + cameras[c, 9],
         cameras[c, 3] * x + cameras[c, 4] * y + cameras[c, 5] * z + cameras[c, 10],
@@ -157,6 +158,6 @@ def in_camera_axes(cameras, c, x, y, z):
 
 @kernel(inline=True)
 def inside_volume(rig, x):
-    """Whether a point (3,) m lies in the volume where points may be."""
+    """Returns whether a point (3,) m lies in the volume where points may be. O(1)."""
     limits = rig.limits
     return limits[3] <= x[0] <= limits[6] and limits[4] <= x[1] <= limits[7] and limits[5] <= x[2] <= limits[8]

@@ -51,7 +51,8 @@ def pack(rays, scores, count, blobs):
 
     A hypothesis that is worth no less than the best that its rivals can be worth together is taken at once. What is left falls into
     components without common blobs, each solved by branch and bound. Within MOST_WORK the choice is the best there is; beyond, it is the
-    best found, improved by exchanges of one for several. Twins: an integer program, all subsets (tests/test_reconstruction.py)
+    best found, improved by exchanges of one for several. O(n log n), and MOST_WORK for each component.
+    Twins: an integer program (tests/test_reconstruction.py), all sets (tests/test_reconstruction_twins.py)
     """
     order = ascending(-scores, count)
     starts, holders = holders_by_blob(rays, order, blobs)
@@ -83,6 +84,7 @@ def _take_dominant(problem, order, open_, chosen):
 
     IN  order (n,) by falling score
     OUT open_ (n,), False for hypotheses that are taken or lost; chosen (n,)
+    O(rounds * n * C * rivals of a blob).
     """
     counted = np.full(len(order), -1, np.int64)
     stamp = 0
@@ -113,7 +115,7 @@ def _take_dominant(problem, order, open_, chosen):
 
 @kernel
 def _remove_with_rivals(problem, open_, n):
-    """Take a hypothesis and all its rivals off the list."""
+    """OUT open_ (n,): False for a hypothesis and all its rivals. O(rivals)."""
     open_[n] = False
     for c in range(problem.rays.shape[1]):
         blob = problem.rays[n, c]
@@ -127,7 +129,7 @@ def _conflict_component(problem, open_, n, members, place):
     """All open hypotheses that are connected with hypothesis n by common blobs.
 
     OUT members, the first of which they are; place, not -1 for them
-    Returns how many. Allocates nothing: frames can have thousands of components.
+    Returns how many. O(members * rivals), no allocation: frames can have thousands of components.
     """
     place[n] = 0
     members[0] = n
@@ -151,7 +153,8 @@ def _search(problem, component, chosen):
     """Branch and bound over one component, which begins with the greedy choice.
 
     OUT chosen (n,), the best set added
-    Returns whether that set is proved to be the best. At most MOST_WORK looks at rivals.
+    Returns whether that set is proved to be the best. O(2^m), at most MOST_WORK looks at rivals.
+    Twin: all sets (tests/test_reconstruction_twins.py)
     """
     scores, members = problem.scores, component.members
     many = len(members)
@@ -205,7 +208,7 @@ def _bound(problem, component, at, value, blocked, covered, stamp):
     Each blob is used once but no more: a cover of the members by blobs, each blob at the worth of its best member.
 
     IN  blocked (m,) how many rivals are in the set; covered (m,), stamp: a workspace, and a number that is not yet in it
-    Returns the bound and how many times it looked at a rival.
+    Returns the bound and how many times it looked at a rival. O(m * C * rivals of a blob).
     """
     rays, starts, holders = problem.rays, problem.starts, problem.holders
     bound, looks = value, 0
@@ -234,7 +237,7 @@ def _bound(problem, component, at, value, blocked, covered, stamp):
 
 @kernel
 def _greedy(problem, component, best):
-    """Take the members of a component in their order where no rival was taken, into best (m,). Returns what they are worth."""
+    """Take the members of a component in their order where no rival was taken, into best (m,). Returns what they are worth. O(m)."""
     blocked = np.zeros(len(component.members), np.int64)
     value = 0.0
     for k in range(len(component.members)):
@@ -247,7 +250,7 @@ def _greedy(problem, component, best):
 
 @kernel
 def _count_conflicts(problem, component, k, blocked, by):
-    """Count one more (or less) rival in the set for each member that shares a blob with member k, for each such blob."""
+    """OUT blocked (m,): `by` more for each member that shares a blob with member k, for each such blob. O(rivals)."""
     n = component.members[k]
     for c in range(problem.rays.shape[1]):
         blob = problem.rays[n, c]
@@ -263,7 +266,7 @@ def _exchange(problem, component, best):
     """Improve a set while it is worth more to put one member in, its rivals out, and then in what became free.
 
     OUT best (m,) bool, changed in place
-    At most about MOST_WORK looks at rivals.
+    O(m * rivals^2) a round, about MOST_WORK looks at rivals at most. Twin: tests/twins_reconstruction.py
     """
     many = len(component.members)
     blocked = np.zeros(many, np.int64)
@@ -295,14 +298,14 @@ def _exchange(problem, component, best):
 
 @kernel
 def _set_member(problem, component, k, best, blocked, chosen):
-    """Put member k into a set or out of it."""
+    """OUT best (m,), blocked (m,): member k is put into a set or out of it. O(rivals)."""
     best[k] = chosen
     _count_conflicts(problem, component, k, blocked, 1 if chosen else -1)
 
 
 @kernel
 def _remove_rivals(problem, component, k, best, blocked, removed):
-    """Put all rivals of member k out of a set, into removed (m,). Returns how many, what they were worth, and the looks at rivals."""
+    """Put all rivals of member k out of a set, into removed (m,). Returns how many, their worth, and the looks. O(rivals^2)."""
     leaving, lost, looks = 0, 0.0, 0
     for c in range(problem.rays.shape[1]):
         blob = problem.rays[component.members[k], c]
@@ -322,7 +325,7 @@ def _remove_rivals(problem, component, k, best, blocked, removed):
 def _add_freed(problem, component, removed, worth, best, blocked, added):
     """Put in all members that share a blob with a removed one and have no rival in the set any more, into added (m,).
 
-    Returns how many, and `worth` with what they are worth added.
+    Returns how many, and `worth` with what they are worth added. O(removed * rivals^2).
     """
     coming = 0
     for r in removed:

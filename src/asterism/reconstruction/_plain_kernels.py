@@ -114,7 +114,7 @@ def merge_versions(rays, points, spreads, count, limit):
 
 @kernel
 def _are_compatible(rays, others):
-    """Whether no camera has different blobs in two rows of rays (C,)."""
+    """Returns whether no camera has different blobs in two rows of rays (C,). O(C)."""
     compatible = True
     for c in range(len(rays)):
         compatible = compatible and (rays[c] < 0 or others[c] < 0 or rays[c] == others[c])

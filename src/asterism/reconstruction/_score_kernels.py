@@ -99,7 +99,7 @@ def best_blob(rig, frame, c, work, available):
 
 @kernel
 def _has_blob_near(frame, c, x, y, wide_x, wide_y):
-    """Whether camera c has a blob in the box of half widths around a place on its normalised plane. O(blobs within the box)."""
+    """Returns whether camera c has a blob in the box of half widths around a place on its normalised plane. O(blobs within the box)."""
     grid = frame.grid
     side = int(grid[c, SIDE])
     if frame.grid[c, FIRST] == frame.grid[c, END]:
@@ -121,7 +121,7 @@ def _has_blob_near(frame, c, x, y, wide_x, wide_y):
 
 @kernel
 def in_view(rig, c, x):
-    """Whether a point x (3,) m lies inside the image of camera c, and where on its normalised plane. O(1), no allocation."""
+    """Returns whether a point x (3,) m lies inside the image of camera c, and where on its normalised plane. O(1), no allocation."""
     u, v, w = in_camera_axes(rig.cameras, c, x[0], x[1], x[2])
     if not w > 1e-9:
         return False, 0.0, 0.0

@@ -55,7 +55,7 @@ def add_without_shared(rig, frame, found, count):
 
 @kernel
 def _multi_camera(found, count):
-    """The hypotheses of MULTI_CAMERA cameras or more, in their order."""
+    """Returns the hypotheses of MULTI_CAMERA cameras or more, in their order. O(count * C)."""
     out = np.empty(count, np.int64)
     total = 0
     for n in range(count):
@@ -70,7 +70,7 @@ def _multi_camera(found, count):
 
 @kernel
 def _without_shared(found, n, rival, rays):
-    """The rays of hypothesis n without those that a rival has too, into rays (C,). Returns how many are left."""
+    """OUT rays (C,): those of hypothesis n without those that a rival has too. Returns how many are left. O(C)."""
     left = 0
     for c in range(len(rays)):
         shared = found.rays[n, c] >= 0 and found.rays[n, c] == found.rays[rival, c]
@@ -81,7 +81,7 @@ def _without_shared(found, n, rival, rays):
 
 @kernel
 def _is_among(found, begin, end, rays):
-    """Whether one of the hypotheses from `begin` to `end` has exactly these rays."""
+    """Returns whether one of the hypotheses from `begin` to `end` has exactly these rays. O((end - begin) * C)."""
     known = False
     for n in range(begin, end):
         known = known or same_rays(found, n, rays)

@@ -373,7 +373,8 @@ def _step(problem: _Problem, best: _Trial, damping: float) -> _Trial | None:
     move: Floats = np.zeros(0)
     if problem.unknowns:
         try:
-            move = np.linalg.solve(normal.matrix, normal.gradient - (problem.stiffness * best.from_prior)[problem.wanted])
+            right = normal.gradient - (problem.stiffness * best.from_prior)[problem.wanted]
+            move = np.asarray(np.linalg.solve(normal.matrix, right), dtype=np.float64)
         except np.linalg.LinAlgError:
             return None
     step = np.zeros(problem.wanted.shape)

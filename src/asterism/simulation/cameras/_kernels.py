@@ -10,8 +10,8 @@ from asterism._jit import kernel
 
 
 @kernel(inline=True)
-def _gap2(p, q, a, b):
-    """The squared distance between the segments p q and a b, m2; of a point where a segment has no length."""
+def _squared_distance(p, q, a, b):
+    """Returns the squared distance between the segments p q and a b, m2; of a point where a segment has no length. O(1)."""
     ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     vx, vy, vz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     wx, wy, wz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
@@ -31,7 +31,7 @@ def _gap2(p, q, a, b):
 
 @kernel
 def hidden(eye, points, starts, ends, radii, clearance, out):
-    """Which points capsules hide from an eye. A capsule never swallows a point: for it, the capsule is thin enough to leave it outside.
+    """Which points capsules hide from an eye. No point lies in a capsule: for each point, a capsule is thin enough to leave it outside.
 
     IN  eye (3,) m; points (T, M, 3) m; starts, ends (T, K, 3) m, NaN for a capsule that is not there; radii (K,) m; clearance m
     OUT out (T, M) bool
@@ -43,8 +43,8 @@ def hidden(eye, points, starts, ends, radii, clearance, out):
             out[t, m] = False
             for k in range(len(radii)):
                 start, end = starts[t, k], ends[t, k]
-                radius = min(radii[k], math.sqrt(_gap2(point, point, start, end)) - clearance)
-                if radius > 0.0 and _gap2(eye, point, start, end) < radius * radius:
+                radius = min(radii[k], math.sqrt(_squared_distance(point, point, start, end)) - clearance)
+                if radius > 0.0 and _squared_distance(eye, point, start, end) < radius * radius:
                     out[t, m] = True
                     break
 
@@ -54,7 +54,7 @@ def merge(offsets, xy, sizes, out):
     """Which blobs of a cell (one camera, one frame) run into each other: those nearer than the mean of their diameters, in chains.
 
     IN  offsets (cells + 1,); xy (P, 2) px; sizes (P,) px
-    OUT out (P,) int, the first blob of the heap that each blob belongs to; its own number where it stands alone
+    OUT out (P,) int, the first blob of the group that each blob belongs to; its number where it is alone
     O(sum of squares of the cells' blobs), no allocation.
     """
     for cell in range(len(offsets) - 1):
