@@ -40,7 +40,7 @@ def learn(
     batch = _console.Batch("read")
     recordings = read_labelled(files, before.marker_set, vertical, batch)
     if batch.failed:
-        raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; mend them or leave them out.")
+        raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; correct them or leave them out.")
     started = time.perf_counter()
     with _console.progress("learning") as progress:
         after = before.learn(

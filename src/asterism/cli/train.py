@@ -115,7 +115,7 @@ def _read(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | N
     else:
         recordings = read_labelled(files, marker_set, vertical, batch, complete=True)
     if batch.failed:
-        raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; mend them or leave them out.")
+        raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; correct them or leave them out.")
     return recordings
 
 
