@@ -15,6 +15,8 @@ from asterism.labelling.partial._matrix_kernels import (
     MatrixRules,
     StrongClassifierArrays,
     VoteArrays,
+    _accept_single,
+    _choose_by_votes,
     check_marker,
     complete_labels,
     count_confusions,
@@ -116,8 +118,9 @@ def test_check_marker_on_all_placements_of_four_markers(hostile):
         if len({*place} - {-1}) < (given >= 0).sum():
             continue
         for m in np.nonzero(given >= 0)[0]:
-            level = check_marker(strong, m, given, points, RULES.slack, RULES.min_tests)[0]
-            assert level == twins.check_marker(strong, m, place, points, RULES.slack, RULES.min_tests), f"marker {m} of {place}"
+            slack = (0.0, 0.1, 1.0, 8.0)[(place[0] + m) % 4]
+            level = check_marker(strong, m, given, points, slack, RULES.min_tests)[0]
+            assert level == twins.check_marker(strong, m, place, points, slack, RULES.min_tests), f"marker {m} of {place}"
             levels.add(level)
     assert levels == {0, 1, 2}, "all outcomes are met"
 
@@ -149,6 +152,39 @@ def test_complete_labels_gives_something():
         complete_labels(strong, points, 5, place, taken, np.empty((5, 5), dtype=np.int64), RULES)
         given += (place >= 0).sum() - 3
     assert given > 3
+
+
+@pytest.mark.parametrize("completing", [False, True])
+def test_choose_by_votes_on_all_small_matrices(completing):
+    """Two markers, two points, up to five votes each: ties, rivals in the row and the column, exactly as many votes as `outvote` asks."""
+    for votes in product(range(6), repeat=4):
+        cells = np.array(votes).reshape(2, 2)
+        for trusting in ((1, 1), (5, 1), (5, 5)):
+            place, taken = np.full(2, -1), np.zeros(2, dtype=np.bool_)
+            single, shares = np.empty(2, dtype=np.int64), np.empty(2)
+            _choose_by_votes(cells, 2, np.array(trusting), (completing, 2), place, taken, single, shares)
+            expected, alone = twins.choose_by_votes(cells, trusting, completing, 2)
+            assert (place.tolist(), single.tolist()) == (expected, [alone.get(m, -1) for m in range(2)])
+            assert sorted(np.nonzero(taken)[0]) == sorted(row for row in expected if row >= 0)
+            assert shares.tolist() == [cells[m].max() / trusting[m] for m in range(2)]
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_accept_single(seed):
+    rng = np.random.default_rng(seed)
+    strong, points = strong_classifier(seed, each=1), cloud(seed)
+    rules = RULES._replace(slack=3.0, min_tests=1)
+    place, taken = np.full(5, -1), np.zeros(len(points), dtype=np.bool_)
+    near = np.linalg.norm(points[None, :, :3] - body(seed)[0][:, None, :3], axis=2)
+    for m in rng.permutation(5)[:3]:
+        if not taken[np.argmin(near[m])]:
+            place[m] = np.argmin(near[m])
+            taken[place[m]] = True
+    single = np.where(rng.random(5) < 0.7, np.argsort(near, axis=1)[np.arange(5), rng.integers(0, 2, size=5)], -1)
+    expected = twins.accept_single(strong, points, rules, {m: c for m, c in enumerate(single.tolist()) if c >= 0}, place.tolist())
+    _accept_single(strong, points, rules, single, place, taken)
+    assert place.tolist() == expected
+    assert sorted(np.nonzero(taken)[0]) == sorted(row for row in expected if row >= 0)
 
 
 @pytest.mark.parametrize("seed", SEEDS)

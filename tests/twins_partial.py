@@ -152,6 +152,13 @@ def label_by_matrix(proposals, trusting, strong, points, rules):
     for proposal in proposals:
         for marker, candidate in proposal.items():
             cells[marker, candidate] += 1
+    place, single = choose_by_votes(cells, trusting, True, rules.outvote)
+    place = complete_labels(strong, points, place, rules)
+    return accept_single(strong, points, rules, single, place)
+
+
+def choose_by_votes(cells, trusting, completing, outvote):
+    """The candidate of each marker by the safe rules, and those that a single solver proposed, from votes (M, n)."""
     place, single = [-1] * len(trusting), {}
     for m in range(len(trusting)):
         if cells[m].sum() == 0:
@@ -159,11 +166,16 @@ def label_by_matrix(proposals, trusting, strong, points, rules):
         best = int(np.argmax(cells[m]))
         votes = cells[m, best]
         against = cells[m].sum() + cells[:, best].sum() - 2 * votes
-        if against == 0 and votes == 1 and trusting[m] > 1:
+        if against == 0 and votes == 1 and trusting[m] > 1 and completing:
             single[m] = best
-        elif against == 0 or votes > rules.outvote * against:
+        elif against == 0 or (completing and votes > outvote * against):
             place[m] = best
-    place = complete_labels(strong, points, place, rules)
+    return place, single
+
+
+def accept_single(strong, points, rules, single, place):
+    """The labels with those candidates of single solvers that are free and that the strong classifier accepts."""
+    place = list(place)
     for m, candidate in sorted(single.items()):
         if place[m] < 0 and candidate not in place:
             tried = [*place[:m], candidate, *place[m + 1 :]]

@@ -1,4 +1,4 @@
-"""`asterism evaluate`: labelled files in; how often a model is right, wrong or unsure on them out."""
+"""`asterism evaluate`: labelled files in; how often a model's labels are right, wrong or missing, out."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def _settings(options: EvaluateOptions) -> dict[str, Any]:
     if (options.model is None) == (not options.leave_one_subject_out):
         raise AsterismError("evaluate takes either --model FILE or --leave-one-subject-out; give one of them.")
     if options.model is not None and options.markers is not None:
-        raise AsterismError(f"{options.model} has its own marker set; leave --markers away.")
+        raise AsterismError(f"{options.model} has its own marker set; leave out --markers.")
     check_hit_rate(options.target_hit_rate)
     occlusions, ghosts = numbers(options.occlusions, "--occlusions"), numbers(options.ghosts, "--ghosts")
     _console.check_new(options.report, options.overwrite)

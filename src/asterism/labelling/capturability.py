@@ -28,18 +28,28 @@ from asterism.recording import NULL, Clouds, Floats, Ints, Recording
 
 Half = tuple[Floats, Ints]
 
-FRAMES, CHANGE_FRAMES = 3000, 800
-"""Frames that are looked at, evenly spread; and those on which a change of the marker set is tried."""
 
-MOST_HIDDEN = 5
-STEP = 0.03
-"""How far a marker is moved, and an added one stands off the skin between its neighbours, in metres."""
+@dataclass(frozen=True)
+class CapturabilityRules:
+    """How a marker set is examined. Chosen by hand, to keep the examination at a few minutes.
 
-COMPARED_HIDDEN = 4
-"""Two marker sets are compared on frames with 0 to so many markers hidden."""
+    frames           frames used, evenly spread, half of them for learning
+    change_frames    frames from which solvers learn where a change of the marker set is tried
+    max_hidden       by_occlusions goes up to so many hidden markers
+    compared_hidden  two marker sets are compared on frames with 0 to so many markers hidden
+    step             m that a marker is moved, and that an added one stands off the plane of its neighbours
+    hardest          markers that are moved and given a new neighbour
+    """
 
-WORST = 4
-"""How many markers, the hardest ones, are moved and given a new neighbour."""
+    frames: int = 3000
+    change_frames: int = 800
+    max_hidden: int = 5
+    compared_hidden: int = 4
+    step: float = 0.03
+    hardest: int = 4
+
+
+_RULES = CapturabilityRules()
 
 
 @dataclass(frozen=True)
@@ -95,48 +105,48 @@ class Capturability:
 def capturability(
     recordings: Sequence[Recording], *, subjects: Sequence[str] | None = None, seed: int = 0, progress: Progress | None = None
 ) -> Capturability:
-    """Tell whether the markers of labelled recordings can be told apart frame by frame, which are confused, and what would help.
+    """Examine whether the markers of labelled recordings can be told apart frame by frame, which are confused, and what would help.
 
-    With markers hidden, even blocks of ten frames teach and odd ones test (of the same people: the question is about the markers, not about
-    strangers).
+    With markers hidden, solvers learn from even blocks of ten frames and are tested on odd ones, of the same people: the question is
+    about the markers, not about new people.
     `subjects` names the person of each recording. Deterministic by seed. Raises AsterismError for fewer than four markers, for columns that
     differ, for a marker that is never there, or where no frame shows all markers.
     """
-    tell = progress or (lambda fraction, doing: None)
+    report = progress or (lambda fraction, doing: None)
     frames, groups = stack_frames(recordings, subjects)
     names, markers = recordings[0].labels, frames.shape[1]
     if markers < 4:
-        raise AsterismError(f"{markers} markers are too few to ask which of them can be told apart; give at least four.")
+        raise AsterismError(f"{markers} markers are too few to say which of them can be told apart; give at least four.")
     teach, test = _halves(frames, groups)
-    tell(0.0, "full solver")
+    report(0.0, "full solver")
     hit_rates = _whole_hit_rates(np.concatenate([teach[0], test[0]]), np.concatenate([teach[1], test[1]]), names, seed)
-    tell(0.1, "confusions")
+    report(0.1, "confusions")
     settings = SearchSettings(
         screening_frames=200, evaluation_frames=800, validation_frames=2000, beam_width=60, max_markers=min(8, markers), max_solvers=50
     )
     search = SolverSearch(*teach, settings=settings, seed=seed)
     confusion = _confusion(search, test[0], np.random.default_rng(seed))
     chosen = choose_ensemble(
-        search, bottom_up(search, lambda fraction, doing: tell(0.15 + 0.35 * fraction, doing)), lambda fraction, doing: None
+        search, bottom_up(search, lambda fraction, doing: report(0.15 + 0.35 * fraction, doing)), lambda fraction, doing: None
     )
-    tell(0.55, "hidden markers")
+    report(0.55, "hidden markers")
     by_occlusions = []
-    for hidden in range(min(MOST_HIDDEN, markers - 3) + 1):
+    for hidden in range(min(_RULES.max_hidden, markers - 3) + 1):
         clouds, truth = simulate_occlusions(Recording(test[0], names, 1.0), hidden, 0, seed)
         given = label_by_matrix(clouds, chosen).indices
         there = truth != NULL
         right = (given == truth) & there
         per_marker: Floats = right.sum(axis=0) / np.maximum(there.sum(axis=0), 1)
         by_occlusions.append((hidden, float(right.sum() / max(there.sum(), 1)), per_marker))
-    hardest = np.argsort(by_occlusions[-1][2] + np.diagonal(confusion), kind="stable")[:WORST]
-    changes = _changes(chosen, search, teach, test, names, hardest, seed, lambda fraction, doing: tell(0.6 + 0.4 * fraction, doing))
-    tell(1.0, "done")
+    hardest = np.argsort(by_occlusions[-1][2] + np.diagonal(confusion), kind="stable")[: _RULES.hardest]
+    changes = _changes(chosen, search, teach, test, names, hardest, seed, lambda fraction, doing: report(0.6 + 0.4 * fraction, doing))
+    report(1.0, "done")
     verdict = _verdict(names, hit_rates, confusion, by_occlusions, changes)
     return Capturability(names, hit_rates, confusion, by_occlusions, changes, verdict)
 
 
 def _halves(frames: Floats, groups: Ints) -> tuple[Half, Half]:
-    """Even and odd blocks of ten frames, at most `FRAMES` together."""
+    """Even and odd blocks of ten frames, at most `CapturabilityRules.frames` together."""
     odd = (np.arange(len(frames)) // 10) % 2 == 1
     if odd.all() or not odd.any():
         odd = np.arange(len(frames)) % 2 == 1
@@ -145,13 +155,13 @@ def _halves(frames: Floats, groups: Ints) -> tuple[Half, Half]:
     halves = []
     for half in (~odd, odd):
         rows = np.nonzero(half)[0]
-        rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), FRAMES // 2)).round().astype(np.int64)]
+        rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _RULES.frames // 2)).round().astype(np.int64)]
         halves.append((np.ascontiguousarray(frames[rows]), groups[rows]))
     return halves[0], halves[1]
 
 
 def _whole_hit_rates(frames: Floats, groups: Ints, names: Sequence[str], seed: int) -> Floats:
-    """Share of the frames that a full solver names uniquely; it knows them all, so that only ambiguity counts, not what is new to it."""
+    """Share of the frames that a full solver names uniquely; it has learned from all of them, so only ambiguity lowers the share."""
     complete = ~np.isnan(frames[:, :, 0]).any(axis=1)
     if not complete.any():
         raise AsterismError("no frame shows all markers, so they cannot be compared; give recordings with fewer gaps, or fewer markers.")
@@ -180,7 +190,7 @@ def _rebuilt(search: SolverSearch, subsets: Sequence[MarkerSubset]) -> PartialSo
     )
 
 
-def _found(ensemble: PartialSolvers, frames: Floats, hidden: NDArray[np.bool_], judged: NDArray[np.bool_]) -> float:
+def _hit_rate(ensemble: PartialSolvers, frames: Floats, hidden: NDArray[np.bool_], judged: NDArray[np.bool_]) -> float:
     """Share of the judged markers in sight that get their label; hidden (N, M) bool."""
     there = ~np.isnan(frames[:, :, 0]) & ~hidden
     truth = np.where(there, np.cumsum(there, axis=1) - 1, NULL)
@@ -201,18 +211,18 @@ def _changes(
 ) -> list[Change]:
     """Every marker dropped, the hardest ones moved and given a neighbour; each judged by the markers that the set had before."""
     n = len(names)
-    hidden = random_occlusions(len(test[0]), n, COMPARED_HIDDEN, np.random.default_rng(seed))
+    hidden = random_occlusions(len(test[0]), n, _RULES.compared_hidden, np.random.default_rng(seed))
     everyone = np.ones(n, dtype=np.bool_)
-    before = _found(chosen, test[0], hidden, everyone)
+    before = _hit_rate(chosen, test[0], hidden, everyone)
     changes = []
     for marker in range(n):
         progress(0.3 * marker / n, "markers dropped")
         gone, others = hidden.copy(), everyone.copy()
         gone[:, marker], others[marker] = True, False
-        alone = _found(chosen, test[0], hidden, others)
-        changes.append(Change("drop", names[marker], "without it", alone, _found(chosen, test[0], gone, others)))
+        alone = _hit_rate(chosen, test[0], hidden, others)
+        changes.append(Change("drop", names[marker], "without it", alone, _hit_rate(chosen, test[0], gone, others)))
 
-    few = slice(None, None, max(1, len(teach[0]) // CHANGE_FRAMES))
+    few = slice(None, None, max(1, len(teach[0]) // _RULES.change_frames))
     settings = SearchSettings(screening_frames=200, evaluation_frames=800, validation_frames=800, max_solvers=search.settings.max_solvers)
     subsets = [tuple(np.sort(own).tolist()) for own in np.split(chosen.solvers.markers, chosen.solvers.first_depth[1:-1])]
 
@@ -220,14 +230,14 @@ def _changes(
         changed, tested = alter(teach[0][few]), alter(test[0])
         extra = tested.shape[1] - n
         altered = _rebuilt(SolverSearch(changed, teach[1][few], settings=settings, seed=seed), [*subsets, *more])
-        return _found(altered, tested, np.pad(hidden, ((0, 0), (0, extra))), np.pad(everyone, (0, extra)))
+        return _hit_rate(altered, tested, np.pad(hidden, ((0, 0), (0, extra))), np.pad(everyone, (0, extra)))
 
     before = found(lambda frames: frames)
     near = _neighbours(search)
     for number, marker in enumerate(hardest.tolist()):
         progress(0.3 + 0.7 * number / len(hardest), "markers moved and added")
         one, two = int(near[marker, 0]), int(near[marker, 1])
-        text = f"{STEP * 100:.0f} cm away from its neighbour {names[one]}"
+        text = f"{_RULES.step * 100:.0f} cm away from its neighbour {names[one]}"
         changes.append(Change("move", names[marker], text, before, found(partial(_moved, marker=marker, other=one))))
         text = f"a new marker between {names[marker]}, {names[one]} and {names[two]}"
         joined = [tuple(sorted({*subset[1:], n})) for subset in subsets] + [(*subset, n) for subset in subsets if marker in subset]
@@ -238,7 +248,7 @@ def _changes(
 def _moved(frames: Floats, marker: int, other: int) -> Floats:
     moved = frames.copy()
     apart = frames[:, marker] - frames[:, other]
-    moved[:, marker] += STEP * apart / np.maximum(np.linalg.norm(apart, axis=1, keepdims=True), 1e-9)
+    moved[:, marker] += _RULES.step * apart / np.maximum(np.linalg.norm(apart, axis=1, keepdims=True), 1e-9)
     return moved
 
 
@@ -246,7 +256,7 @@ def _added(frames: Floats, triple: tuple[int, int, int]) -> Floats:
     a, b, c = (frames[:, marker] for marker in triple)
     side = np.cross(b - a, c - a)
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
-    return np.concatenate([frames, ((a + b + c) / 3 + STEP * side)[:, None]], axis=1)
+    return np.concatenate([frames, ((a + b + c) / 3 + _RULES.step * side)[:, None]], axis=1)
 
 
 def _neighbours(search: SolverSearch) -> NDArray[np.int64]:

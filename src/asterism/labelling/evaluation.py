@@ -17,7 +17,7 @@ from asterism.progress import Progress
 from asterism.recording import Clouds, Floats, Ints, Recording
 
 BINS = 20
-"""Bins of equal width in which confidence is compared with what was right."""
+"""Bins of equal width in which confidence is compared with the share that was right. Not tuned."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def evaluate(
     ghosts put within 0.15 m of a marker; which, `seed` decides. Raises AsterismError where a recording's columns are not the ensemble's
     markers, or more markers should be hidden than there are.
     """
-    tallies = _try(ensemble, recordings, occlusions, ghosts, seed, rules, progress)
+    tallies = _run_conditions(ensemble, recordings, occlusions, ghosts, seed, rules, progress)
     return _evaluation(tallies, ensemble.marker_set.names, _subjects(recordings, None), rules)
 
 
@@ -125,17 +125,18 @@ def leave_one_subject_out(
     total: dict[tuple[int, int], _Tally] = {}
     names: tuple[str, ...] = ()
     for i, out in enumerate(people):
-        report = _part(progress, i, len(people), f"without {out}")
+        report = _sub_progress(progress, i, len(people), f"without {out}")
         kept = [j for j, name in enumerate(whose) if name != out]
         ensemble = SolverEnsemble.fit(
             [recordings[j] for j in kept],
             subjects=[whose[j] for j in kept],
             seed=seed,
-            progress=_part(report, 0, 2, "training"),
+            progress=_sub_progress(report, 0, 2, "training"),
             **fit_options,
         )
         own = [recordings[j] for j, name in enumerate(whose) if name == out]
-        for condition, tally in _try(ensemble, own, occlusions, ghosts, seed, rules, _part(report, 1, 2, "labelling")).items():
+        report_labelling = _sub_progress(report, 1, 2, "labelling")
+        for condition, tally in _run_conditions(ensemble, own, occlusions, ghosts, seed, rules, report_labelling).items():
             if condition not in total:
                 total[condition] = tally
                 continue
@@ -156,9 +157,9 @@ def expected_calibration_error(confidence: Floats, right: Any) -> tuple[float, l
     for b in range(BINS):
         own = bin_of == b
         if own.any():
-            said, was = float(confidence[own].mean()), float(right[own].mean())
-            bins.append((said, was, int(own.sum())))
-            error += abs(said - was) * own.mean()
+            stated, measured = float(confidence[own].mean()), float(right[own].mean())
+            bins.append((stated, measured, int(own.sum())))
+            error += abs(stated - measured) * own.mean()
     return float(error), bins
 
 
@@ -172,7 +173,7 @@ def _check_occlusions(occlusions: Sequence[int], markers: int) -> None:
             raise AsterismError(f"cannot hide {k} of {markers} markers; ask for 0 to {markers} occlusions.")
 
 
-def _part(progress: Progress | None, index: int, count: int, what: str) -> Progress | None:
+def _sub_progress(progress: Progress | None, index: int, count: int, what: str) -> Progress | None:
     """A progress that fills one of `count` equal parts of another."""
     if progress is None:
         return None
@@ -180,7 +181,7 @@ def _part(progress: Progress | None, index: int, count: int, what: str) -> Progr
     return lambda fraction, _: outer((index + fraction) / count, what)
 
 
-def _try(
+def _run_conditions(
     ensemble: SolverEnsemble,
     recordings: Sequence[Recording],
     occlusions: Sequence[int],

@@ -158,3 +158,10 @@ def count_labelled(point_of):
     for m in range(len(point_of)):
         labelled += point_of[m] >= 0
     return labelled
+
+
+@kernel
+def copy_labels(source, target):
+    """IN source (M,). OUT target (M,). O(M). Quicker to compile than an assignment of slices, which also checks the shapes."""
+    for m in range(len(source)):
+        target[m] = source[m]

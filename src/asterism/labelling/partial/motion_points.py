@@ -10,13 +10,13 @@ from asterism.recording import Clouds, Floats, Ints, Recording
 from asterism.tracking.linking import find_tracklets
 
 NEIGHBOUR = 0.2
-"""Seconds from a frame to its neighbours before and after."""
+"""Seconds from a frame to its neighbours before and after. Chosen by hand."""
 
 REACH = 0.05
-"""Seconds on each side over which velocity and acceleration are fitted; two frames at least."""
+"""Seconds on each side over which velocity and acceleration are fitted; two frames at least. Not tuned."""
 
 SLOWEST = 20.0
-"""Frames per second below which frames lie too far apart to say how a point moves: then all motion is unknown."""
+"""Frames per second below which the frames are too far apart for a parabola: all motion is unknown. Not tuned."""
 
 
 def motion_of_points(clouds: Clouds, tracks: Ints | None = None) -> Floats:

@@ -11,7 +11,7 @@ from scipy.optimize import isotonic_regression
 from asterism.recording import Floats
 
 LARGEST = 60.0
-"""Margins beyond this (nats) are all the same: as sure as it gets."""
+"""Margins beyond this (nats) count as this. Not tuned."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Calibration:
             return cls(np.array([0.0]), np.array([0.5]))
         order = np.argsort(given, kind="stable")
         given, hit = given[order], hit[order]
-        # bins of equal numbers of wrong labels tell more where it matters than bins of equal numbers of labels
+        # bins of equal numbers of wrong labels resolve the low margins, where wrong labels are, better than bins of equal numbers of labels
         weight = np.cumsum(np.where(hit > 0, 1.0 / len(hit), 1.0 / max(1.0, float((hit == 0).sum()))))
         bin_of = np.minimum((weight / weight[-1] * bins).astype(int), bins - 1)
         _, bin_of = np.unique(bin_of, return_inverse=True)

@@ -29,10 +29,10 @@ Counts = NDArray[np.int32]
 GRID = 2.0**-15
 """What the sample's positions are rounded to, in metres: 0.03 mm, a tenth of what cameras resolve."""
 FARTHEST = 1e4
-"""Positions beyond this (m) are no recording of a body."""
+"""Positions beyond this (m) are refused: the unit of length is wrong."""
 CLIP_SECONDS = 0.5
 FEWEST_SHOWN = 3
-"""Markers that a frame must show to tell anything."""
+"""Markers that a frame must show to be used: three points place a body."""
 _MISSING = np.int32(-(2**31))
 
 
