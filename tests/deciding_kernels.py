@@ -33,7 +33,7 @@ CHECKED_BY: dict[str, str] = {
     f"{_POINTS}._plain_kernels.merge_versions": f"{_TWINS}::test_versions_are_merged_as_by_the_twin",
     f"{_POINTS}._score_kernels.score": f"{_TWINS}::test_the_score_is_that_of_the_twin",
     f"{_POINTS}._compose_kernels.compose": f"{_TWINS}::test_composition_finds_what_trying_all_pairs_of_blobs_finds",
-    "asterism.calibration.wand._kernels.locate_wand": "test_wand.py::test_what_cameras_agree_on_is_supported_as_the_plain_search_says",
+    "asterism.calibration.wand._kernels.locate_wand": "test_wand.py::test_what_cameras_agree_on_equals_the_plain_search_in_all_frames",
 }
 """Kernel -> "test_file.py::test_name" of the check; " via function" where the test calls the kernel through another function; empty where
 there is none yet."""
