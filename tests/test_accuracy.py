@@ -22,7 +22,7 @@ from asterism.cameras.accuracy import (
     volume_of,
     wand_accuracy,
 )
-from asterism.cameras.accuracy.sensitivity import _slopes
+from asterism.cameras.accuracy.sensitivity import _jacobians
 from asterism.errors import AsterismError
 from asterism.recording import Floats
 from asterism.simulation.cameras import random_rig, ring_rig, simulate_wand
@@ -30,13 +30,13 @@ from asterism.simulation.cameras import random_rig, ring_rig, simulate_wand
 
 @given(st.integers(0, 10_000))
 @settings(max_examples=20, deadline=None)
-def test_image_slopes_equal_finite_differences(seed: int) -> None:
+def test_pixel_jacobians_equal_finite_differences(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rig = random_rig(3, rng=rng)
     points = rng.uniform(-0.5, 0.5, (5, 3)) + np.array([0, 0, 0.9])
     step = 1e-6
     moved = np.stack([(rig.project(points + step * e) - rig.project(points - step * e)) / (2 * step) for e in np.eye(3)], axis=-1)
-    assert np.nanmax(np.abs(_slopes(rig, points) - moved) / (1 + np.abs(moved))) < 1e-6
+    assert np.nanmax(np.abs(_jacobians(rig, points) - moved) / (1 + np.abs(moved))) < 1e-6
 
 
 def test_one_at_a_time_equals_its_twin_by_least_squares() -> None:
@@ -76,13 +76,13 @@ def test_the_covariance_is_what_noise_does() -> None:
     place = np.array([0.3, -0.2, 1.1])
     told = covariance(rig, place[None], 0.5)[0]
     rng = np.random.default_rng(1)
-    slopes = _slopes(rig, place[None])[:, 0].reshape(-1, 3)
+    jacobians = _jacobians(rig, place[None])[:, 0].reshape(-1, 3)
     pixels = rig.project(place).ravel()
     points = []
     for _ in range(4000):
         aim, x = pixels + 0.5 * rng.normal(size=len(pixels)), place
         for _ in range(2):
-            x = x + np.linalg.lstsq(slopes, aim - rig.project(x).ravel(), rcond=None)[0]
+            x = x + np.linalg.lstsq(jacobians, aim - rig.project(x).ravel(), rcond=None)[0]
         points.append(x)
     seen = np.cov(np.array(points).T)
     assert np.abs(seen / np.trace(told) - told / np.trace(told)).max() < 0.03

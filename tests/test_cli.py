@@ -370,10 +370,11 @@ def test_more_cannot_be_hidden_than_there_is(folder: Path, model: Path, capsys: 
 
 def test_capturability(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = [folder / f"walk-{i}.c3d" for i in range(3)]
-    assert run("capturability", *files, "--markers", MARKERS, "--json", tmp_path / "c.json", "--report", tmp_path / "c.html") == 0
+    few = "RASI,LASI,SACR,RKNE,RANK,RTOE,LTOE"
+    assert run("capturability", *files, "--markers", few, "--json", tmp_path / "c.json", "--report", tmp_path / "c.html") == 0
     assert "RKNE" in capsys.readouterr().out
     told = json.loads((tmp_path / "c.json").read_text())["capturability"]
-    assert len(told["markers"]) == 15
+    assert len(told["markers"]) == 7
     assert "</html>" in (tmp_path / "c.html").read_text(encoding="utf-8")
 
 

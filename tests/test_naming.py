@@ -225,7 +225,7 @@ def test_numbers_then_names_then_a_model(
     ("text", "said"),
     [
         ("group,marker\nseven,LKNE\n", "line 2: 'seven,LKNE' is not group,marker"),
-        ("1,LKNE\n1,RKNE\n", "line 2: group 1 has a name already"),
+        ("1,LKNE\n1,RKNE\n", "line 2: group 1 already has a name"),
         ("0,LKNE\n", "line 1"),
         ("1,LKNE,left\n", "line 1"),
         ("group,marker\n1,\n", "gives no name"),

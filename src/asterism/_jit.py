@@ -7,8 +7,8 @@ Policy of flags, the same for all kernels:
   that can be zero. Numba's other model puts a branch that raises behind each division, which keeps loops from running in vector registers.
 - no fast-math: the order of additions is the order of the source, and NaN and infinity keep their meaning. So a result does not depend on
   which kernel was inlined into which.
-- `inline=True` copies a kernel into each of its callers. It is for small kernels in the innermost loops, and for kernels with one caller
-  (which then compile once instead of twice).
+- `inline=True` copies a kernel into each of its callers before these compile. It is for small kernels in the innermost loops, and for the
+  steps of `label_clouds`, which have one caller each: copied into it, the whole compiles in three quarters of the time. Linking does not.
 
 Everything that depends on private parts of Numba is in this file. Where a release of Numba has changed them, its own cache takes over.
 """

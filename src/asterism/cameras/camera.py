@@ -55,7 +55,7 @@ class Camera:
             raise AsterismError(f"camera {self.name}: its pose is not a 3 x 3 rotation and three metres, all finite.")
         if np.abs(rotation).max() > 1.1 or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-5 or np.linalg.det(rotation) < 0:
             raise AsterismError(
-                f"camera {self.name}: its rotation is none (not orthonormal, or mirrored); export it again, unscaled and right-handed."
+                f"camera {self.name}: its rotation is not orthonormal, or mirrored; export it again, unscaled and right-handed."
             )
         if not np.isfinite(lens).all() or min(self.focal) <= 0:
             raise AsterismError(f"camera {self.name}: its focal length must be positive and all its lens parameters finite.")

@@ -20,7 +20,7 @@ class Rig:
     """Cameras in one world frame.
 
     cameras   in order; names are unique
-    vertical  (3,) unit vector, up, or None where nobody said
+    vertical  (3,) unit vector, up, or None where it is not known
     metadata  plain values worth keeping: file, format, when and how it was calibrated, residuals, ...
     lacks     what the file that it came from does not say and somebody may miss, one phrase each ("image sizes", "units: metres assumed")
     """

@@ -35,10 +35,13 @@ def _first_compile(command: str, kept: bool) -> None:
 
 
 def _compile_ahead(steps: Sequence[str]) -> None:
-    """Start the second process. It only fills the compile cache: where it fails, or the run ends before it, nothing is lost."""
+    """Start the second process. It only fills the compile cache: where it fails, or the run ends before it, nothing is lost.
+
+    `-P` keeps modules of the user's folder from being imported in place of ours.
+    """
     try:
         process = subprocess.Popen(
-            [sys.executable, "-m", "asterism.labelling.compile_ahead", *steps],
+            [sys.executable, "-P", "-m", "asterism.labelling.compile_ahead", *steps],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

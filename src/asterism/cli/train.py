@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -130,7 +130,7 @@ def _without_damage(recordings: Sequence[Recording], marker_set: MarkerSet | Non
         errors = [error for error in audit(audited, seed=seed, progress=progress) if error.damage]
     numbered = [as_numbered(error, audited) for error in errors]
     for error in numbered:
-        _console.report(error.finding)
+        _console.report(replace(error.finding, mend="The model learns without these samples."))
     return remove_errors(audited, errors), numbered
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.cameras import Camera, Rig
-from asterism.cameras.accuracy._kernels import image_slopes
+from asterism.cameras.accuracy._kernels import pixel_jacobians
 from asterism.findings import Finding, Severity
 from asterism.reconstruction.problem import image_bounds
 from asterism.reconstruction.result import Reconstruction
@@ -185,7 +185,7 @@ def _systematic_residual(result: Reconstruction, camera: Camera, c: int) -> floa
     points = np.ascontiguousarray(result.clouds.xyz[points_of])
     residual = result.blobs.xy[result.rays[points_of, c]] - camera.project(points)
     jacobian = np.empty((len(points), 2, 3))
-    image_slopes(camera.lens, camera.rotation, camera.translation, points, jacobian)
+    pixel_jacobians(camera.lens, camera.rotation, camera.translation, points, jacobian)
     known = np.isfinite(residual).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
     residual, jacobian, points_of = residual[known], jacobian[known], points_of[known]
     normalised = (result.blobs.xy[result.rays[points_of, c]] - camera.centre) / camera.focal

@@ -125,13 +125,13 @@ def camera_facts(rig: Rig, result: RigMap) -> list[dict[str, Any]]:
 def pair_scalars(rig: Rig, result: RigMap) -> list[dict[str, Any]]:
     """The 12 scalars (m) of each pair of cameras in the middle of the volume, the best pair first (thesis 3.3)."""
     middle = 0.5 * (result.volume.low + result.volume.high)
-    told = sensitivity(rig, middle[None], result.noise, "one-at-a-time")
-    order = np.argsort(np.where(np.isfinite(told.effective[:, 0]), told.effective[:, 0], np.inf), kind="stable")
+    found = sensitivity(rig, middle[None], result.noise, "one-at-a-time")
+    order = np.argsort(np.where(np.isfinite(found.effective[:, 0]), found.effective[:, 0], np.inf), kind="stable")
     return [
         {
-            "pair": [rig.names[c] for c in told.pairs[q]],
-            "effective_m": float(told.effective[q, 0]),
-            "scalars_m": {axis: dict(zip(COORDINATES, told.scalars[q, 0, i].tolist(), strict=True)) for i, axis in enumerate("xyz")},
+            "pair": [rig.names[c] for c in found.pairs[q]],
+            "effective_m": float(found.effective[q, 0]),
+            "scalars_m": {axis: dict(zip(COORDINATES, found.scalars[q, 0, i].tolist(), strict=True)) for i, axis in enumerate("xyz")},
         }
         for q in order
     ]
@@ -201,8 +201,8 @@ def _still(still: Floats) -> Section:
 def _against_the_ring(plan: Plan, result: RigMap) -> Section:
     ring = map_rig(plan.ring, result.volume, noise=result.noise)
 
-    def row(name: str, told: Any) -> list[str | Cell]:
-        return [name, told(result, plan.worth, plan.glare), told(ring, plan.ring_worth, plan.ring_glare)]
+    def row(name: str, value_of: Any) -> list[str | Cell]:
+        return [name, value_of(result, plan.worth, plan.glare), value_of(ring, plan.ring_worth, plan.ring_glare)]
 
     rows = [row(f"seen by {n} cameras or more", lambda m, w, g, n=n: percent(m.coverage(n))) for n in (2, 3, 4)]
     rows += [

@@ -24,38 +24,38 @@ _FEWEST_TO_FIT = 200
 
 
 def lags(blobs: Blobs, rig: Rig | None = None, longest: int = _LONGEST) -> Floats:
-    """How many frames each camera is behind most others: (C,), whole numbers; NaN where nothing tells.
+    """How many frames each camera is behind most others: (C,), whole numbers; NaN where nothing is known.
 
     With a rig: at the right lag, blobs of one camera lie on the epipolar lines of the other's. Without: at the right lag, one fundamental
     matrix explains how the middle of all blobs moves in both; that takes some hundred frames of something that moves all over the images.
     Each pair of cameras tells its lag where one stands out from all others up to `longest` frames; the pairs that stand out most tie the
-    cameras together, and a camera that most of its pairs contradict is not told.
+    cameras together, and a camera that most of its pairs contradict has no lag.
     """
     longest = min(longest, len(blobs) // (8 if rig is None else 3))
     cameras = len(blobs.cameras)
-    told: list[tuple[float, int, int, int]] = []
+    pairs: list[tuple[float, int, int, int]] = []
     if longest >= 1 and rig is not None:
         flat = _flat(blobs, rig)
         for a, b in combinations(range(cameras), 2):
             above, best = _stands_out(_crossing(blobs, flat, (rig[a], rig[b]), (a, b), longest), *_CROSSING)
-            told += [(above, a, b, best - longest)] if above > 0 else []
+            pairs += [(above, a, b, best - longest)] if above > 0 else []
     elif longest >= 1:
         middles = [_middles(blobs, c) for c in range(cameras)]
         for a, b in combinations(range(cameras), 2):
             above, best = _stands_out(_fitting(middles[a], middles[b], longest), *_FITTING)
-            told += [(above, a, b, best - longest)] if above > 0 else []
+            pairs += [(above, a, b, best - longest)] if above > 0 else []
     behind = np.full(cameras, np.nan)
-    told.sort(reverse=True)
-    if told:
-        behind[told[0][1]] = 0.0
+    pairs.sort(reverse=True)
+    if pairs:
+        behind[pairs[0][1]] = 0.0
     for _ in range(cameras):
-        for _, a, b, lag in told:
+        for _, a, b, lag in pairs:
             if np.isnan(behind[a]) and np.isfinite(behind[b]):
                 behind[a] = behind[b] - lag
             elif np.isnan(behind[b]) and np.isfinite(behind[a]):
                 behind[b] = behind[a] + lag
     agree = np.zeros((2, cameras))
-    for _, a, b, lag in told:
+    for _, a, b, lag in pairs:
         agree[int(abs(behind[b] - behind[a] - lag) <= 1), [a, b]] += 1
     behind[agree[1] <= agree[0]] = np.nan
     known = behind[np.isfinite(behind)]
@@ -75,7 +75,7 @@ def out_of_step(name: str, behind: float) -> tuple[str, str]:
 
 
 def slips(blobs: Blobs, rig: Rig) -> Floats:
-    """How many frames farther behind most others each camera is in the last third than in the first: (C,); NaN where nothing tells.
+    """How many frames farther behind most others each camera is in the last third than in the first: (C,); NaN where nothing is known.
 
     A camera that loses an image in the middle, without a gap in its numbers, is ahead of the others from there on.
     """

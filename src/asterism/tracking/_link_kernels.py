@@ -18,7 +18,8 @@ from asterism.tracking._prediction_kernels import extend_tracks, predict_tracks,
 def _doubled(array, capacity):
     """A copy of an array with more capacity."""
     out = np.empty(capacity, dtype=array.dtype)
-    out[: len(array)] = array
+    for i in range(len(array)):
+        out[i] = array[i]
     return out
 
 

@@ -64,7 +64,7 @@ class Board:
     def from_toml(cls, path: str | Path) -> Board:
         """Caliscope's charuco.toml, or any board from a file with kind, columns, rows, square (m), and for ChArUco dictionary, marker (m).
 
-        Raises AsterismError where a value is missing or makes no sense.
+        Raises AsterismError where a value is missing or impossible.
         """
         from asterism.cameras.files._toml import read_toml
 

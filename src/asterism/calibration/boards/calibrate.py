@@ -227,7 +227,7 @@ def _covered(rig: Rig, sightings: Sightings) -> tuple[float, ...]:
 
 
 def _known_lenses(views: BoardViews, known: Rig | None) -> dict[int, Camera]:
-    """The cameras of a rig that are among the views, by place. Raises AsterismError where there is none, or image sizes differ."""
+    """The cameras of a rig that are among the views, by place. Raises AsterismError where there are none, or sizes differ."""
     lenses = {c: known[name] for c, name in enumerate(views.cameras) if known is not None and name in known.names}
     if known is not None and not lenses:
         raise AsterismError(

@@ -73,7 +73,7 @@ def world_from_l_frame(rig: Rig, still: Blobs, markers: ArrayLike, *, scaled: bo
     markers  (M, 3) m, three or more, in the wanted world: such as (0,0,0), (0.2,0,0), (0.6,0,0), (0,0.4,0)
     scaled   whether the rig has metres already; else the L-frame gives the scale, too
 
-    Markers are told apart by their distances. Raises AsterismError where they are not found, look alike from two sides, or lead to a
+    Markers are distinguished by their distances. Raises AsterismError where they are not found, look alike from two sides, or lead to a
     world that hangs upside down.
     """
     wanted = np.asarray(markers, dtype=np.float64).reshape(-1, 3)

@@ -29,7 +29,7 @@ def _seen(lens, rotation, translation, point, pixel, slope):
 
 
 @kernel
-def image_slopes(lens, rotation, translation, points, out):
+def pixel_jacobians(lens, rotation, translation, points, out):
     """How a camera's pixel moves with the point that it shows.
 
     IN  lens (LENS,); rotation (3, 3), translation (3,) m: camera from world; points (n, 3) m
@@ -54,11 +54,11 @@ def one_at_a_time(lens_a, rotation_a, translation_a, lens_b, rotation_b, transla
     OUT out (n, 3, 4) m: |f(+) - f(-)| per axis and coordinate (xa, ya, xb, yb); NaN where a camera cannot see the point or no place fits
     O(n * steps). Thesis 3.3, "Accuracy and sensitivity".
     """
-    truth, pixels, slopes = np.empty(4), np.empty(4), np.empty((4, 3))
+    truth, pixels, jacobians = np.empty(4), np.empty(4), np.empty((4, 3))
     for i in range(len(points)):
         out[i] = np.nan
-        seen = _seen(lens_a, rotation_a, translation_a, points[i], truth[:2], slopes[:2])
-        if not (seen and _seen(lens_b, rotation_b, translation_b, points[i], truth[2:], slopes[2:])):
+        seen = _seen(lens_a, rotation_a, translation_a, points[i], truth[:2], jacobians[:2])
+        if not (seen and _seen(lens_b, rotation_b, translation_b, points[i], truth[2:], jacobians[2:])):
             continue
         for moved in range(4):
             ends = np.empty((2, 3))
@@ -67,11 +67,11 @@ def one_at_a_time(lens_a, rotation_a, translation_a, lens_b, rotation_b, transla
                 aim[moved] += shift if side == 0 else -shift
                 place = points[i].copy()
                 for _ in range(STEPS):
-                    seen = _seen(lens_a, rotation_a, translation_a, place, pixels[:2], slopes[:2])
-                    if not (seen and _seen(lens_b, rotation_b, translation_b, place, pixels[2:], slopes[2:])):
+                    seen = _seen(lens_a, rotation_a, translation_a, place, pixels[:2], jacobians[:2])
+                    if not (seen and _seen(lens_b, rotation_b, translation_b, place, pixels[2:], jacobians[2:])):
                         place[:] = np.nan
                         break
-                    normal, right = slopes.T @ slopes, slopes.T @ (aim - pixels)
+                    normal, right = jacobians.T @ jacobians, jacobians.T @ (aim - pixels)
                     if abs(np.linalg.det(normal)) < 1e-12 * max(np.trace(normal), 1e-300) ** 3:
                         place[:] = np.nan
                         break

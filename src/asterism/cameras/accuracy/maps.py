@@ -52,7 +52,7 @@ class RigMap:
 
     @property
     def median_error(self) -> float:
-        """m, over the places that two cameras see; NaN where there is none."""
+        """m, over the places that two cameras see; NaN where there is no such place."""
         return float(np.nanmedian(self.error)) if np.isfinite(self.error).any() else float("nan")
 
     def grid(self, values: Floats | Ints) -> Floats:

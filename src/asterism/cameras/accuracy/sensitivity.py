@@ -39,7 +39,7 @@ def sees(rig: Rig, places: ArrayLike) -> NDArray[np.bool_]:
     for camera in rig:
         if camera.size is None:
             raise AsterismError(
-                f"camera {camera.name}: its image size is not known, so nobody can say what it sees; add it to the rig (--image-size)."
+                f"camera {camera.name}: its image size is not known, nor is what it sees; add it to the rig (--image-size)."
             )
     sizes = np.array([camera.size for camera in rig])[:, None]
     xy = rig.project(np.asarray(places, dtype=np.float64).reshape(-1, 3))
@@ -57,15 +57,17 @@ def sensitivity(rig: Rig, places: ArrayLike, shift: float = 0.1, method: str = "
     """
     points = np.ascontiguousarray(np.asarray(places, dtype=np.float64).reshape(-1, 3))
     if method not in METHODS or not shift > 0:
-        raise AsterismError(f"sensitivity by {method!r} with a shift of {shift} px makes no sense; methods: {', '.join(METHODS)}.")
+        raise AsterismError(
+            f"sensitivity by {method!r} with a shift of {shift} px is impossible; give a positive shift; methods: {', '.join(METHODS)}."
+        )
     if len(rig) < 2:
         raise AsterismError("one camera composes nothing: the rig needs at least two.")
     pairs = np.array(list(combinations(range(len(rig)), 2)), dtype=np.int64)
     out = np.empty((len(pairs), len(points), 3, 4))
-    slopes = _slopes(rig, points)
+    jacobians = _jacobians(rig, points)
     for q, (a, b) in enumerate(pairs):
         if method == "analytic":
-            both = np.concatenate([slopes[a], slopes[b]], axis=1)
+            both = np.concatenate([jacobians[a], jacobians[b]], axis=1)
             known = np.isfinite(both).all(axis=(1, 2))
             out[q] = np.nan
             # cameras that look along one line compose nothing there: no pseudo-inverse, but infinite sensitivity
@@ -78,9 +80,9 @@ def sensitivity(rig: Rig, places: ArrayLike, shift: float = 0.1, method: str = "
 
 def information(rig: Rig, places: ArrayLike) -> Floats:
     """(C, N, 3, 3) 1/m2: what one camera tells about a place where its pixels have 1 px noise; NaN where it is behind the camera."""
-    slopes = _slopes(rig, np.ascontiguousarray(np.asarray(places, dtype=np.float64).reshape(-1, 3)))
-    told: Floats = slopes.swapaxes(2, 3) @ slopes
-    return told
+    jacobians = _jacobians(rig, np.ascontiguousarray(np.asarray(places, dtype=np.float64).reshape(-1, 3)))
+    each: Floats = jacobians.swapaxes(2, 3) @ jacobians
+    return each
 
 
 def covariance(rig: Rig, places: ArrayLike, noise: float = 0.3, seen: ArrayLike | None = None) -> Floats:
@@ -92,10 +94,10 @@ def covariance(rig: Rig, places: ArrayLike, noise: float = 0.3, seen: ArrayLike 
     From the derivatives of all projections, (sum of J'J / noise^2)^-1; calibration is taken as exact. NaN where fewer than two cameras
     see the place, or two on one line with it. Raises AsterismError where `seen` is not given and an image size is not known.
     """
-    told = information(rig, places)
+    each = information(rig, places)
     used = sees(rig, places) if seen is None else np.asarray(seen, dtype=np.bool_)
-    used = used & np.isfinite(told[:, :, 0, 0])
-    total = np.where(used[:, :, None, None], told, 0.0).sum(axis=0)
+    used = used & np.isfinite(each[:, :, 0, 0])
+    total = np.where(used[:, :, None, None], each, 0.0).sum(axis=0)
     out = np.full(total.shape, np.nan)
     scale = np.trace(total, axis1=1, axis2=2)
     known = (used.sum(axis=0) >= 2) & (np.linalg.det(total) > 1e-12 * scale**3)
@@ -108,9 +110,9 @@ def _parameters(rig: Rig, camera: int) -> tuple[Floats, Floats, Floats]:
     return own.lens, own.rotation, own.translation
 
 
-def _slopes(rig: Rig, points: Floats) -> Floats:
+def _jacobians(rig: Rig, points: Floats) -> Floats:
     """(C, N, 2, 3) px/m."""
     out = np.empty((len(rig), len(points), 2, 3))
     for c in range(len(rig)):
-        _kernels.image_slopes(*_parameters(rig, c), points, out[c])
+        _kernels.pixel_jacobians(*_parameters(rig, c), points, out[c])
     return out

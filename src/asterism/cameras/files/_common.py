@@ -64,7 +64,9 @@ def rotation_of(where: str, values: Any) -> Floats:
     given = found.reshape(3, 3)
     nearest = nearest_orthogonal(given)
     if np.abs(nearest - given).max() > _ROUNDED:
-        raise AsterismError(f"{where}: its rotation is none: its rows are not of length 1 and at right angles; export it again.")
+        raise AsterismError(
+            f"{where}: its rotation matrix is not a rotation: its rows are not of length 1 and at right angles; export it again."
+        )
     if np.linalg.det(nearest) < 0:
         raise AsterismError(f"{where}: its rotation mirrors the room, its axes are left-handed; export it again with right-handed axes.")
     return nearest
@@ -134,7 +136,7 @@ def xml_root(path: Path, name: str) -> ET.Element:
     """The root of an XML file. Raises AsterismError where the file is no XML, breaks off, or its root is not called `name`."""
     try:
         root = ET.fromstring(read_bytes(path))
-    except (ET.ParseError, LookupError, ValueError) as problem:  # ill-formed, or of an encoding that is none
+    except (ET.ParseError, LookupError, ValueError) as problem:  # ill-formed, or of an unknown encoding
         raise AsterismError(f"{path} is damaged: it is no whole XML ({problem}); export it again.") from problem
     if root.tag != name:
         raise AsterismError(f"{path}: its root is <{root.tag}>, not <{name}>; this is no rig file that Asterism knows.")

@@ -17,7 +17,7 @@ _WIDTH = 120
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file. Raises AsterismError where it is none, or breaks off."""
+    """The tables of a TOML file. Raises AsterismError where it is not TOML, or breaks off."""
     try:
         return tomllib.loads(decoded(path, read_bytes(path)))
     except (tomllib.TOMLDecodeError, RecursionError) as problem:

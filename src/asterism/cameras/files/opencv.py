@@ -202,7 +202,7 @@ def _value(node: Any) -> Any:
 
 
 def _number(node: Any) -> float:
-    """A node's number, NaN where it is none (OpenCV gives its largest number then)."""
+    """A node's number, NaN where it has none (OpenCV gives its largest number then)."""
     return float(node.real()) if node.isInt() or node.isReal() else float("nan")
 
 

@@ -28,7 +28,7 @@ class Setup:
 
     indices    refractive indices of air, window, medium
     thickness  of the window, mm
-    depth      (z_min, z_max) mm of the measuring volume, None where nobody said
+    depth      (z_min, z_max) mm of the measuring volume, None where it is not known
     """
 
     size: tuple[int, int]
@@ -91,7 +91,7 @@ def _setup(path: Path) -> Setup:
     folders = [path.parent / "parameters", path.parent.parent / "parameters", path.parent]
     folder = next((folder for folder in folders if (folder / "ptv.par").is_file()), None)
     if folder is None:
-        raise AsterismError(f"{path} needs parameters/ptv.par beside it: without it nobody knows the image and pixel size; copy it there.")
+        raise AsterismError(f"{path} needs parameters/ptv.par beside it: without it the image and pixel size are not known; copy it there.")
     words = _words(folder / "ptv.par")
     count = int(words[0]) if words and words[0].isdigit() else 0
     tail = numbers(f"{folder / 'ptv.par'}", "numbers after the file names", words[1 + 2 * count :])

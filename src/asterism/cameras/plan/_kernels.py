@@ -28,19 +28,26 @@ def _quality(a, b, c, d, e, f):
 
 
 @kernel(inline=True)
-def _side(count, told, more):
-    """What a place seen by so many cameras from one side is worth, 0 to 2: that two see it, and how exactly; told + more (6,) 1/m2."""
+def _side(count, information, more):
+    """The worth, 0 to 2, of a place that so many cameras see from one side with information + more (6,) 1/m2."""
     if count < 2:
         return 0.5 * count
-    return 1.0 + _quality(told[0] + more[0], told[1] + more[1], told[2] + more[2], told[3] + more[3], told[4] + more[4], told[5] + more[5])
+    return 1.0 + _quality(
+        information[0] + more[0],
+        information[1] + more[1],
+        information[2] + more[2],
+        information[3] + more[3],
+        information[4] + more[4],
+        information[5] + more[5],
+    )
 
 
 @kernel
-def worth_with(count, facing_count, facing_told, sees, told, faces, mount, out):
+def worth_with(count, facing_count, facing_information, sees, information, faces, mount, out):
     """The worth of a rig to which each candidate is added, see `Plan`.
 
-    IN  the rig so far: count (P,) cameras that see each place; facing_count (P, D) those on the side of each facing; facing_told
-        (P, D, 6) their information on the place, 1/m2, as xx, xy, xz, yy, yz, zz. Candidates: sees (K, P) bool; told (K, P, 6) 1/m2;
+    IN  the rig so far: count (P,) cameras that see each place; facing_count (P, D) those on the side of each facing; facing_information
+        (P, D, 6) their information on the place, 1/m2, as xx, xy, xz, yy, yz, zz. Candidates: sees (K, P) bool; information (K, P, 6) 1/m2;
         faces (M, P, D) bool, whether a mount is on the side of a facing; mount (K,) of each candidate
     OUT out (K,) 0 to 1
     O(P D) and, for every candidate, O(what it sees and faces).
@@ -50,7 +57,7 @@ def worth_with(count, facing_count, facing_told, sees, told, faces, mount, out):
     for p in range(places):
         covered_so_far += COVERED[min(count[p], 3)]
         for d in range(facings):
-            so_far[p, d] = _side(facing_count[p, d], facing_told[p, d], _NOTHING)
+            so_far[p, d] = _side(facing_count[p, d], facing_information[p, d], _NOTHING)
             worth_so_far += so_far[p, d]
     for k in range(len(out)):
         covered, sided = covered_so_far, worth_so_far
@@ -59,5 +66,5 @@ def worth_with(count, facing_count, facing_told, sees, told, faces, mount, out):
                 covered += COVERED[min(count[p] + 1, 3)] - COVERED[min(count[p], 3)]
                 for d in range(facings):
                     if faces[mount[k], p, d]:
-                        sided += _side(facing_count[p, d] + 1, facing_told[p, d], told[k, p]) - so_far[p, d]
+                        sided += _side(facing_count[p, d] + 1, facing_information[p, d], information[k, p]) - so_far[p, d]
         out[k] = 0.5 * covered / places + 0.25 * sided / (places * facings)

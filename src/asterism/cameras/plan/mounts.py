@@ -13,9 +13,9 @@ from asterism.errors import AsterismError
 from asterism.recording import Floats
 
 MARGIN = 1.5
-"""m between the volume and the walls, where nobody says."""
+"""m between the volume and the walls, where none are given."""
 LOWEST, HIGHEST = 2.2, 2.6
-"""m, where cameras hang, where nobody says (thesis 3.2.1); at least at the height of the volume (3.2.2)."""
+"""m, where cameras hang, where no heights are given (thesis 3.2.1); at least at the height of the volume (3.2.2)."""
 
 
 @dataclass(frozen=True)
@@ -112,13 +112,15 @@ class Mounts:
 def focal_length(width: int, *, fov: float | None = None, focal_mm: float | None = None, pixel_um: float | None = None) -> float:
     """The focal length in pixels of images `width` px wide, from the horizontal angle of view (degrees), or focal length and pixel pitch.
 
-    Raises AsterismError where neither or both are given, or a number makes no sense.
+    Raises AsterismError where neither or both are given, or a number is impossible.
     """
     if (fov is None) == (focal_mm is None) or (focal_mm is None) != (pixel_um is None):
         raise AsterismError("a lens is its angle of view (--fov), or its focal length and the pixels' pitch (--focal-mm and --pixel-um).")
     if fov is not None:
         if not 0 < fov < 170:
-            raise AsterismError(f"an angle of view of {fov} degrees is none of a lens without strong distortion; give 1 to 169.")
+            raise AsterismError(
+                f"an angle of view of {fov} degrees needs a lens with strong distortion, which a plan does not model; give 1 to 169."
+            )
         return float(0.5 * width / np.tan(np.radians(0.5 * fov)))
     if focal_mm is None or pixel_um is None or not (focal_mm > 0 and pixel_um > 0):
         raise AsterismError("focal length (mm) and pixel pitch (µm) must be positive.")

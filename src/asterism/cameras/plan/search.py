@@ -127,9 +127,9 @@ class _Hall:
         """What each pose sees (K, P), tells (K, P, 6) 1/m2 and is faced by (K, P, D)."""
         rig = self.rig(poses)
         seen = sees(rig, self.places)
-        told = information(rig, self.places)[..., PAIRS[:, 0], PAIRS[:, 1]] / self.noise**2
-        told[~seen] = 0.0
-        return seen, told, self._faces(np.stack([camera.position for camera in rig]))
+        information_of = information(rig, self.places)[..., PAIRS[:, 0], PAIRS[:, 1]] / self.noise**2
+        information_of[~seen] = 0.0
+        return seen, information_of, self._faces(np.stack([camera.position for camera in rig]))
 
     def _faces(self, eyes: Floats) -> NDArray[np.bool_]:
         toward = eyes[:, None] - self.places[None]
@@ -150,12 +150,12 @@ class _Hall:
         only = np.zeros(1, dtype=np.int64)
 
         def worth(pose: Floats) -> float:
-            seen, told, faces = self.views(pose[None])
+            seen, information_of, faces = self.views(pose[None])
             one = self.rig(pose[None])
             glaring = glare + int(sees(one, eyes).sum()) + int(sees(rig, one[0].position).sum())
             covered, sided = base[0] + seen[0] >= 3, base[1] + (seen[0, :, None] & faces[0]) >= 2
             missing = max(0.0, least[0] - float(covered.mean())) + max(0.0, least[1] - float(sided.mean()))
-            return float(self._worth_with(base, seen, told, faces, only)[0]) - GLARE * glaring / pairs - 10.0 * missing
+            return float(self._worth_with(base, seen, information_of, faces, only)[0]) - GLARE * glaring / pairs - 10.0 * missing
 
         return worth
 
@@ -168,20 +168,20 @@ class _Hall:
         rig = self.rig(poses)
         return int(sees(rig, np.stack([camera.position for camera in rig])).sum())
 
-    def _base(self, seen: NDArray[np.bool_], told: Floats, faces: NDArray[np.bool_]) -> tuple[Ints, Ints, Floats]:
+    def _base(self, seen: NDArray[np.bool_], information_of: Floats, faces: NDArray[np.bool_]) -> tuple[Ints, Ints, Floats]:
         sided = seen[:, :, None] & faces
-        return seen.sum(axis=0), sided.sum(axis=0), np.einsum("kpd,kpi->pdi", sided, told)
+        return seen.sum(axis=0), sided.sum(axis=0), np.einsum("kpd,kpi->pdi", sided, information_of)
 
     def _worth_with(
         self,
         base: tuple[Ints, Ints, Floats],
         seen: NDArray[np.bool_],
-        told: Floats,
+        information_of: Floats,
         faces: NDArray[np.bool_],
         mount: Ints,
     ) -> Floats:
         out = np.empty(len(seen))
-        _kernels.worth_with(*base, seen, told, faces, mount, out)
+        _kernels.worth_with(*base, seen, information_of, faces, mount, out)
         return out
 
     def searched(self, cameras: int, progress: Callable[[float], None]) -> Floats:
@@ -194,15 +194,17 @@ class _Hall:
         eyes = np.array([self.mounts.position(place) for place in places])
         mount = np.repeat(np.arange(len(places)), len(aims))
         poses = np.concatenate([places[mount], np.tile(aims, (len(places), 1))], axis=1)
-        seen, told, _ = (np.concatenate(part) for part in zip(*(self.views(block) for block in np.array_split(poses, 10)), strict=True))
+        seen, information_of, _ = (
+            np.concatenate(part) for part in zip(*(self.views(block) for block in np.array_split(poses, 10)), strict=True)
+        )
         faces = self._faces(eyes)
         lamps = np.concatenate([sees(self.rig(block), eyes) for block in np.array_split(poses, 10)])
         chosen: list[int] = []
 
         def best_beside(beside: list[int]) -> tuple[int, float]:
             others = np.array(beside, dtype=np.int64)
-            base = self._base(seen[others], told[others], faces[mount[others]])
-            worth = self._worth_with(base, seen, told, faces, mount)
+            base = self._base(seen[others], information_of[others], faces[mount[others]])
+            worth = self._worth_with(base, seen, information_of, faces, mount)
             glaring = lamps[:, mount[others]].sum(axis=1) + lamps[others][:, mount].sum(axis=0)
             worth -= GLARE * (glaring + lamps[np.ix_(others, mount[others])].sum()) / (cameras * (cameras - 1))
             worth[np.isin(mount, mount[others])] = -np.inf

@@ -80,7 +80,7 @@ class WandOptions:
 def wand(options: WandOptions) -> None:
     """Calibrate cameras by a waved wand, from nothing but image sizes and its lengths.
 
-    Wave a wand of three markers in a line through all of the volume for a minute, turning it. Strays are told from it, cameras that
+    Wave a wand of three markers in a line through all of the volume for a minute, turning it. Strays are left out, cameras that
     saw nothing are named, and a calibration that should not be used is said to be one and not written.
     """
     options.check()

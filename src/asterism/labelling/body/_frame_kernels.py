@@ -13,7 +13,14 @@ from asterism._jit import kernel
 from asterism.labelling.body._refine_kernels import refine
 from asterism.labelling.body._score_kernels import best_pose, evidence, rescore
 from asterism.labelling.body._search_kernels import MAX_LABELLINGS, find_labellings, make_candidates, make_search_workspace
-from asterism.labelling.body._workspace_kernels import FrameLabelling, FrameModel, FrameSettings, count_labelled, make_body_workspace
+from asterism.labelling.body._workspace_kernels import (
+    FrameLabelling,
+    FrameModel,
+    FrameSettings,
+    copy_labels,
+    count_labelled,
+    make_body_workspace,
+)
 
 
 @kernel(inline=True)
@@ -59,7 +66,7 @@ def nearest_changes(body, points, settings, workspace, labelling):
                         cost -= max(0.0, scores[o, point_of[m]])
                     # a point that a hidden marker may own has drawn the body towards its present owner, so the estimate is biased
                     if cost < settings.exact_margin or (point_of[m] < 0 and scores[m, c] > -4.0 * settings.exact_margin):
-                        trial[:] = point_of
+                        copy_labels(point_of, trial)
                         trial[m] = c
                         trial[o] = point_of[m] if swap else -1
                         was, owner_was = workspace.outlier[m], workspace.outlier[o]
@@ -68,7 +75,7 @@ def nearest_changes(body, points, settings, workspace, labelling):
                         workspace.outlier[m], workspace.outlier[o] = was, owner_was
                         labelling.counters[2] += 1
                         if cost < -1e-6:
-                            point_of[:] = trial
+                            copy_labels(trial, point_of)
                             better = True
                             break
                     margins[o] = min(margins[o], cost)
@@ -96,18 +103,21 @@ def retry_doubtful(body, points, top, settings, workspace, labelling):
     for m in range(len(point_of)):
         if point_of[m] < 0 or labelling.margins[m] >= settings.exact_margin:
             continue
-        trial[:] = point_of
+        copy_labels(point_of, trial)
         trial[m] = -1
         labelling.counters[2] += 1
         if refine(body, k, points, trial, settings, workspace) > top + 1e-6:
-            point_of[:] = trial
+            copy_labels(trial, point_of)
             return True
     return False
 
 
 @kernel(inline=True)
 def frame_settings(settings, points, markers):
-    """The settings for a frame of so many points: the more points than markers, the likelier a ghost lies near any place. O(1)."""
+    """The settings for a frame of so many points: the more points than markers, the likelier a ghost lies near any place.
+
+    Returns FrameSettings. O(1).
+    """
     log_surplus = math.log(1.0 + max(0, points - markers))
     return FrameSettings(
         reward=settings.reward - log_surplus,
@@ -147,7 +157,7 @@ def label_frame(model, points, workspace, labelling):
     count, best = find_labellings(FrameModel(model.solvers, model.anchors, body, settings), points, workspace, labelling.counters)
     if best < 0 or candidates.scores[best] == -np.inf:
         return
-    point_of[:] = candidates.labellings[best]
+    copy_labels(candidates.labellings[best], point_of)
     labelling.counters[3] = candidates.votes[best]
     top = -np.inf
     for attempt in range(4):

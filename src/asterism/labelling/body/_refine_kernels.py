@@ -7,7 +7,7 @@ import numpy as np
 from asterism._jit import kernel
 from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
 from asterism.labelling.body._score_kernels import best_pose, rescore
-from asterism.labelling.body._workspace_kernels import count_labelled
+from asterism.labelling.body._workspace_kernels import copy_labels, count_labelled
 
 MAX_ROUNDS = 8
 """Relabellings after which a labelling that still changes is taken as it is."""
@@ -19,13 +19,14 @@ def refine(body, k, points, point_of, settings, workspace):
 
     First only clear labels are taken (`assign_unambiguous`), which narrow down where the others must be; then all.
     IN k key pose to begin with; IN/OUT point_of (M,). Returns the score of the labelling, in nats.
+    O(M r^2 + r^3 + M n) per round, at most MAX_ROUNDS rounds.
     """
     score = -np.inf
     previous = np.empty_like(point_of)
     workspace.outlier[:] = False
     only_unambiguous = True
     for step in range(MAX_ROUNDS):
-        previous[:] = point_of
+        copy_labels(point_of, previous)
         if count_labelled(point_of) < 3:
             point_of[:] = -1
             return -np.inf
@@ -44,5 +45,5 @@ def refine(body, k, points, point_of, settings, workspace):
                 break
         if same:
             return score
-    point_of[:] = previous
+    copy_labels(previous, point_of)
     return score

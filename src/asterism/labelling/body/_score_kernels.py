@@ -81,7 +81,9 @@ def evidence(body, k, points, point_of, settings, workspace):
     for m in range(markers):
         counted += point_of[m] >= 0 and not workspace.outlier[m]
     if 2 * counted > markers:
-        workspace.information[:] = body.full[k]
+        for i in range(latents):
+            for j in range(latents):
+                workspace.information[i, j] = body.full[k, i, j]
     else:
         workspace.information[:] = 0.0
         for i in range(latents):
@@ -203,7 +205,8 @@ def leave_one_out_scores(body, k, point_of, settings, workspace):
             q = h
         else:
             base -= 0.5 * math.log(det)
-            shift[:] = centre
+            for a in range(3):
+                shift[a] = centre[a]
             q = inverse
         at_x = body.mean[k, m, 0] + body.spread[k, m, 0, 0] * shift[0]
         at_y = body.mean[k, m, 1] + body.spread[k, m, 1, 0] * shift[0] + body.spread[k, m, 1, 1] * shift[1]
@@ -233,7 +236,10 @@ def leave_one_out_scores(body, k, point_of, settings, workspace):
 
 @kernel
 def best_pose(body, points, point_of, settings, workspace):
-    """The key pose under which a labelling scores best, and that score: (k, nats)."""
+    """The key pose under which a labelling scores best, and that score.
+
+    IN as `evidence`. Returns (k, nats). O(K) calls of `evidence`.
+    """
     best, best_score = 0, -np.inf
     for k in range(len(body.log_weight)):
         score = evidence(body, k, points, point_of, settings, workspace)

@@ -13,7 +13,7 @@ from asterism._jit import kernel
 from asterism.labelling.body._anchor_kernels import anchor_key_pose, score_from_anchor
 from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
 from asterism.labelling.body._refine_kernels import refine
-from asterism.labelling.body._workspace_kernels import BodyWorkspace, count_labelled
+from asterism.labelling.body._workspace_kernels import BodyWorkspace, copy_labels, count_labelled
 from asterism.labelling.partial._search_kernels import search
 
 MAX_LABELLINGS = 24
@@ -72,7 +72,7 @@ class SearchWorkspace(NamedTuple):
 
 @kernel
 def make_candidates(labellings, markers):
-    """Memory for so many labellings of one frame. O(H M)."""
+    """Memory for so many labellings of one frame. Returns CandidateLabellings. O(H M) memory."""
     return CandidateLabellings(
         np.empty((labellings, markers), dtype=np.int64),
         np.empty(labellings, dtype=np.int64),
@@ -86,7 +86,10 @@ def make_candidates(labellings, markers):
 
 @kernel
 def make_search_workspace(body, candidates, proposals):
-    """Working arrays for frames of as many points as the BodyWorkspace `body` is made for; proposals of one anchor. O(n^2) memory."""
+    """Working arrays for frames of as many points as the BodyWorkspace `body` is made for; proposals of one anchor.
+
+    Returns SearchWorkspace. O(n^2) memory.
+    """
     n = len(body.aligned)
     triples = max(64, n * n)
     return SearchWorkspace(
@@ -206,7 +209,7 @@ def find_labellings(model, points, workspace, counters):
             if proposal >= 0:
                 final = candidates.labelling_of[proposal]
             elif final < 0:
-                candidates.proposals[n_proposals] = trial
+                copy_labels(trial, candidates.proposals[n_proposals])
                 assign_unambiguous(workspace.body.scores, settings.assign_margin, trial)
                 score = refine(body, k, points, trial, settings, workspace.body)
                 counters[2] += 1
@@ -214,7 +217,7 @@ def find_labellings(model, points, workspace, counters):
                 if final < 0:
                     final = n_labellings
                     labelled = count_labelled(trial)
-                    candidates.labellings[final] = trial
+                    copy_labels(trial, candidates.labellings[final])
                     candidates.scores[final] = score
                     usual = settings.usual_score * labelled - (settings.first_ghost_cost if labelled < n else 0.0)
                     candidates.votes_needed[final] = settings.max_votes_needed

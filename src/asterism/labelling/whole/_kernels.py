@@ -107,7 +107,8 @@ def overlaps(gain, first, last, order):
                 if gain[j, m] > 0.0 and gain[i, m] > 0.0:
                     if count == len(pairs):
                         grown = np.empty((2 * count, 2), dtype=np.int64)
-                        grown[:count] = pairs
+                        for p in range(count):
+                            grown[p, 0], grown[p, 1] = pairs[p, 0], pairs[p, 1]
                         pairs = grown
                     pairs[count, 0], pairs[count, 1] = i, j
                     count += 1
@@ -148,7 +149,8 @@ def branch_and_bound(gain, first, last, steps, label):
         if j == tracks:
             if value[j] > best:
                 best = value[j]
-                label[:] = now
+                for i in range(tracks):
+                    label[i] = now[i]
             j -= 1
             continue
         if tried[j] == options[j]:
