@@ -34,7 +34,9 @@ def _radial(lens, square):
 
 @kernel(inline=True)
 def distorted(lens, x, y):
-    """Where the lens puts a point of the normalized plane, and how that moves with it: u, v, du/dx, du/dy, dv/dx, dv/dy. O(coefficients).
+    """Where the lens puts a point of the normalized plane, and how that moves with it: u, v, du/dx, du/dy, dv/dx, dv/dy.
+
+    IN lens (LENS,); x, y on the normalized plane. O(coefficients).
 
     Thesis eqs 3.3 and 3.4, with the tangential coefficients in OpenCV's order and sign.
     """

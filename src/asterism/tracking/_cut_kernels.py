@@ -42,7 +42,7 @@ def prediction_error(xyz, a, b, links):
 
 @kernel
 def error_length(xyz, a, b, links):
-    """The length of `prediction_error`, in m. O(1)."""
+    """Returns the length of `prediction_error`, in m. O(1)."""
     return prediction_error(xyz, a, b, links)[0]
 
 
@@ -65,7 +65,10 @@ def rival_wins(xyz, rival, error, direction, from_, to, links, limits):
 
 @kernel
 def second_difference(xyz, p, links):
-    """The length of a track's second difference at a point, in m; 0 at its ends. O(1)."""
+    """The length of a track's second difference at a point.
+
+    IN xyz (P, 3) m; p point; links Links. Returns m, 0 at a track's ends. O(1).
+    """
     a, b = links.previous[p], links.following[p]
     if a < 0 or b < 0:
         return 0.0
@@ -77,7 +80,10 @@ def second_difference(xyz, p, links):
 
 @kernel
 def recent_jerk(xyz, a, b, links):
-    """The largest second difference, in m, within three frames before a and after b, of the tracks that end in a and begin in b. O(1)."""
+    """The largest second difference, in m, within three frames before a and after b, of the tracks that end in a and begin in b.
+
+    IN xyz (P, 3) m; a, b points; links Links. Returns m. O(1).
+    """
     most = 0.0
     p = a
     for _ in range(3):
@@ -96,7 +102,10 @@ def recent_jerk(xyz, a, b, links):
 
 @kernel
 def has_jumped(xyz, a, b, error, links, limits):
-    """Whether a track broke between a and b without any rival: it is offset, with the same velocity before and after. O(1)."""
+    """Whether a track broke between a and b without any rival: it is offset, with the same velocity before and after.
+
+    IN error m, of the link. Returns bool. O(1).
+    """
     c, d = links.previous[a], links.following[b]
     if c < 0 or d < 0 or error < limits.jump:
         return False

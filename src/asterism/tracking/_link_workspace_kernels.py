@@ -83,13 +83,13 @@ class LinkWorkspace(NamedTuple):
 
 @kernel
 def make_track_ends(n):
-    """The ends of n tracks, to be filled. O(n) memory."""
+    """The ends of n tracks, to be filled. Returns TrackEnds. O(n) memory."""
     return TrackEnds(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.ones(n, dtype=np.int64), np.zeros(n))
 
 
 @kernel
 def make_link_workspace(n):
-    """Working arrays for frames of up to n points. O(n) memory."""
+    """Working arrays for frames of up to n points. Returns LinkWorkspace. O(n) memory."""
     return LinkWorkspace(
         np.empty((n, 3)),
         np.empty(n),

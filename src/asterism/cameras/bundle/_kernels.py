@@ -268,7 +268,7 @@ def move_objects(turned, placed, factors, remaining, axes):
     """Solve each frame's object for its step and take it.
 
     IN  factors (T, D, D), remaining (T, D): F^-1 (g - W' times the cameras' step)
-    OUT turned (T, 3, 3) and placed (T, 3) m, in place. Returns the largest shift, m
+    OUT turned (T, 3, 3) and placed (T, 3) m, in place. Returns the largest shift, m. O(T D^2).
     """
     dof, largest = len(axes), 0.0
     step = np.zeros(6)

@@ -114,7 +114,10 @@ def retry_doubtful(body, points, top, settings, workspace, labelling):
 
 @kernel(inline=True)
 def frame_settings(settings, points, markers):
-    """The settings for a frame of so many points: the more points than markers, the likelier a ghost lies near any place. O(1)."""
+    """The settings for a frame of so many points: the more points than markers, the likelier a ghost lies near any place.
+
+    Returns FrameSettings. O(1).
+    """
     log_surplus = math.log(1.0 + max(0, points - markers))
     return FrameSettings(
         reward=settings.reward - log_surplus,

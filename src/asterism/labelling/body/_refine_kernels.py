@@ -19,6 +19,7 @@ def refine(body, k, points, point_of, settings, workspace):
 
     First only clear labels are taken (`assign_unambiguous`), which narrow down where the others must be; then all.
     IN k key pose to begin with; IN/OUT point_of (M,). Returns the score of the labelling, in nats.
+    O(M r^2 + r^3 + M n) per round, at most MAX_ROUNDS rounds.
     """
     score = -np.inf
     previous = np.empty_like(point_of)

@@ -236,7 +236,10 @@ def leave_one_out_scores(body, k, point_of, settings, workspace):
 
 @kernel
 def best_pose(body, points, point_of, settings, workspace):
-    """The key pose under which a labelling scores best, and that score: (k, nats)."""
+    """The key pose under which a labelling scores best, and that score.
+
+    IN as `evidence`. Returns (k, nats). O(K) calls of `evidence`.
+    """
     best, best_score = 0, -np.inf
     for k in range(len(body.log_weight)):
         score = evidence(body, k, points, point_of, settings, workspace)

@@ -72,7 +72,7 @@ class SearchWorkspace(NamedTuple):
 
 @kernel
 def make_candidates(labellings, markers):
-    """Memory for so many labellings of one frame. O(H M)."""
+    """Memory for so many labellings of one frame. Returns CandidateLabellings. O(H M) memory."""
     return CandidateLabellings(
         np.empty((labellings, markers), dtype=np.int64),
         np.empty(labellings, dtype=np.int64),
@@ -86,7 +86,10 @@ def make_candidates(labellings, markers):
 
 @kernel
 def make_search_workspace(body, candidates, proposals):
-    """Working arrays for frames of as many points as the BodyWorkspace `body` is made for; proposals of one anchor. O(n^2) memory."""
+    """Working arrays for frames of as many points as the BodyWorkspace `body` is made for; proposals of one anchor.
+
+    Returns SearchWorkspace. O(n^2) memory.
+    """
     n = len(body.aligned)
     triples = max(64, n * n)
     return SearchWorkspace(

@@ -135,7 +135,7 @@ class BodyWorkspace(NamedTuple):
 
 @kernel
 def make_body_workspace(n, markers, latents):
-    """Working arrays for frames of n points. O(M n + r^2) memory."""
+    """Working arrays for frames of n points. Returns BodyWorkspace. O(M n + r^2) memory."""
     return BodyWorkspace(
         np.empty((n, 3)),
         np.empty((markers, 3)),

@@ -72,7 +72,7 @@ def search_frame(solvers, s, points, n, budget, workspace):
 
     IN  solvers, s, points (>= n, 3), budget as in `search`; workspace TreeWorkspace with its distance, order and counters
     OUT workspace.found, workspace.counters
-    Returns and costs the same as `search`. Twin: `labellings` in tests/twins.py
+    Returns the same as `search`, O(n ** depth) at worst like it. Twin: `labellings` in tests/twins.py
     """
     distance, order, path, tried, used, found, counters = workspace
     first = solvers.first_depth[s]
