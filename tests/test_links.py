@@ -338,11 +338,13 @@ def test_ends_and_beginnings_are_joined_as_the_twin_joins_them() -> None:
         noise = rng.choice([0.0, 0.0005, 0.002])
         positions = np.repeat(walks()[seed % 3].positions[:12, :4], 2, axis=1)
         positions[:, ::2] += rng.choice([0.002, 0.005, 0.2])  # pairs of points that move alike
-        clouds = Clouds.from_points(positions + rng.normal(scale=noise, size=positions.shape), rate=100.0)
-        frame, columns = frame_of(clouds), np.tile(np.arange(8), 12)
+        positions += rng.normal(scale=noise, size=positions.shape)
+        positions[6:, 2] = np.nan  # two ends compete for one beginning: the third track ends where the fourth is broken
+        clouds = Recording(positions, tuple("abcdefgh"), 100.0).clouds()
+        frame, columns = frame_of(clouds), clouds.columns
         whole = _along_numbers(columns, frame)
         previous, following = whole.previous.copy(), whole.following.copy()
-        broken = np.nonzero((previous >= 0) & (rng.random(len(previous)) < 0.2))[0]
+        broken = np.nonzero((previous >= 0) & ((rng.random(len(previous)) < 0.2) | ((frame == 6) & (columns == 3))))[0]
         following[previous[broken]] = -1
         previous[broken] = -1
         forbidden = np.full(len(previous), -1)
