@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from twins_links import combine_directions as combine_plainly
-from twins_links import is_cut, link_forward, strays
+from twins_links import expected, is_cut, link_forward, strays
 from twins_links import repair_links as repair_plainly
 
 from asterism.formats import read
@@ -19,8 +19,9 @@ from asterism.recording import Clouds, Recording
 from asterism.simulation import simulate_walks
 from asterism.tracking._chain_kernels import combine_directions, number_chains, sort_frames
 from asterism.tracking._cut_kernels import count_strays, find_cuts, repair_links
-from asterism.tracking._link_kernels import link_frames
-from asterism.tracking._link_workspace_kernels import Links
+from asterism.tracking._link_kernels import link_frames, link_step
+from asterism.tracking._link_workspace_kernels import Links, make_link_workspace, make_track_ends
+from asterism.tracking._prediction_kernels import predict_tracks
 from asterism.tracking.columns import columns_of, pack_tracklets
 from asterism.tracking.linking import LinkRules, Tracklets, _along_numbers, find_tracklets
 
@@ -220,9 +221,14 @@ def test_the_kernel_equals_its_twin() -> None:
 def test_the_cuts_equal_their_twin() -> None:
     limits = LinkRules().limits(100.0)
     rng = np.random.default_rng(0)
-    for seed in range(4):
+    for seed in range(8):
         recording = swapped(swapped(walks()[seed % 3].frames(np.arange(40)), rng)[0], rng, 3)[0]
         positions = recording.positions + rng.normal(scale=0.004 * (seed % 2), size=recording.positions.shape)
+        for t in rng.integers(5, 35, 10):  # a point beside the path, in a column of its own that has nothing else there
+            column, other = rng.permutation(positions.shape[1])[:2]
+            positions[[t - 1, t + 1], other] = np.nan
+            positions[t, other] = positions[t, column] + rng.normal(scale=0.002, size=3)
+            positions[t, column] += rng.normal(scale=0.012, size=3)
         for _ in range(3):  # jumps without a rival
             positions[rng.integers(5, 35) :, rng.integers(positions.shape[1])] += rng.normal(scale=0.05, size=3)
         positions[rng.random(positions.shape[:2]) < 0.02] = np.nan
@@ -236,6 +242,40 @@ def test_the_cuts_equal_their_twin() -> None:
         ]
         np.testing.assert_array_equal(got, wanted)
         assert got.any()
+
+
+def test_tracks_are_expected_where_the_twin_expects_them() -> None:
+    """Six smooth tracks a metre apart, of which two begin late: prediction, gate and recent errors in every frame."""
+    limits = LinkRules().limits(100.0)
+    rng = np.random.default_rng(0)
+    start, velocity = np.arange(6)[:, None] * [1.0, 0.2, 0.1], rng.normal(scale=0.01, size=(6, 3))
+    ends, following, workspace = make_track_ends(6), make_track_ends(6), make_link_workspace(6)
+    paths: list[list[np.ndarray]] = []
+    errors: list[float] = []
+    predicted, gate = np.empty((6, 3)), np.empty(6)
+    for t in range(9):
+        count = len(paths)
+        predict_tracks(ends, count, limits, predicted, gate)
+        wanted = expected(paths, errors, limits)
+        for a, (place, reach) in enumerate(wanted):
+            np.testing.assert_allclose(predicted[a], place, atol=1e-12)
+            assert gate[a] == pytest.approx(min(reach, limits.noise + limits.max_change) if len(paths[a]) > 2 else reach)
+        points = (start + t * velocity + rng.normal(scale=0.001, size=(6, 3)))[: 4 if t < 4 else 6]
+        previous = np.empty(len(points), dtype=np.int64)
+        link_step(ends, count, points, limits, workspace, previous, following)
+        ends, following = following, ends
+        assert previous.tolist() == [a if a < count else -1 for a in range(len(points))]
+        for a, point in enumerate(points):
+            if a >= count:
+                paths.append([point])
+                errors.append(0.0)
+                continue
+            paths[a].append(point)
+            if len(paths[a]) == 3:
+                errors[a] = float(np.linalg.norm(paths[a][2] - 2 * paths[a][1] + paths[a][0]))
+            elif len(paths[a]) > 3:
+                errors[a] = max(0.8 * errors[a], float(np.linalg.norm(point - wanted[a][0])))
+        np.testing.assert_allclose(ends.recent_error[: len(paths)], errors, atol=1e-12)
 
 
 def test_ties_and_coincident_points_are_linked_as_the_twin_links_them() -> None:
@@ -273,15 +313,16 @@ def random_links(rng: np.random.Generator, counts: np.ndarray, share: float) -> 
     return previous, following
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=300, deadline=None, derandomize=True)
 @given(st.integers(0, 2**31))
 def test_both_directions_are_combined_as_the_twin_combines_them(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    counts = rng.integers(0, 4, 7)
-    forward, following = random_links(rng, counts, 0.7)
+    counts = rng.integers(0 if seed % 3 else 2, 4, 7)
+    forward, following = random_links(rng, counts, 0.9)
     _, backward = random_links(rng, counts, 0.7)
-    if rng.random() < 0.8:  # mostly the same links, some of them missing
-        backward = np.where(rng.random(len(following)) < 0.3, -1, following)
+    if rng.random() < 0.8:  # mostly the same links, some of them missing in one direction
+        backward = np.where(rng.random(len(following)) < 0.2, -1, following)
+        forward = np.where(rng.random(len(forward)) < 0.2, -1, forward)
     got = [np.empty(len(forward), dtype=np.int64) for _ in range(2)]
     combine_directions(forward, backward, *got)
     links = combine_plainly(forward, backward)
@@ -294,12 +335,16 @@ def test_ends_and_beginnings_are_joined_as_the_twin_joins_them() -> None:
     joined = refused = 0
     for seed in range(12):
         rng = np.random.default_rng(seed)
-        noise = rng.choice([0.0, 0.0005, 0.004])
-        clouds = Clouds.from_points(walks()[seed % 3].positions[:12, :8] + rng.normal(scale=noise, size=(12, 8, 3)), rate=100.0)
-        frame, columns = frame_of(clouds), np.tile(np.arange(8), 12)
+        noise = rng.choice([0.0, 0.0005, 0.002])
+        positions = np.repeat(walks()[seed % 3].positions[:12, :4], 2, axis=1)
+        positions[:, ::2] += rng.choice([0.002, 0.005, 0.2])  # pairs of points that move alike
+        positions += rng.normal(scale=noise, size=positions.shape)
+        positions[6:, 2] = np.nan  # two ends compete for one beginning: the third track ends where the fourth is broken
+        clouds = Recording(positions, tuple("abcdefgh"), 100.0).clouds()
+        frame, columns = frame_of(clouds), clouds.columns
         whole = _along_numbers(columns, frame)
         previous, following = whole.previous.copy(), whole.following.copy()
-        broken = np.nonzero((previous >= 0) & (rng.random(len(previous)) < 0.2))[0]
+        broken = np.nonzero((previous >= 0) & ((rng.random(len(previous)) < 0.2) | ((frame == 6) & (columns == 3))))[0]
         following[previous[broken]] = -1
         previous[broken] = -1
         forbidden = np.full(len(previous), -1)

@@ -59,7 +59,7 @@ def test_scores_of_frames(seed: int) -> None:
     offsets = np.concatenate([[0], np.cumsum([len(points) for points in frames])])
     xyz, track = np.concatenate(frames), np.concatenate(tracks)
     scores, totals, poses = np.empty((len(xyz), MARKERS)), np.empty(4), np.empty(4, dtype=np.int64)
-    kernels.score_frames(xyz, offsets, track, label, model.arrays(), SETTINGS, scores, totals, poses)
+    kernels.score_frames(xyz, offsets, track, label, model.arrays(), SETTINGS, kernels.FrameScores(scores, totals, poses))
     wanted, sums, chosen = twins.score_frames(model, frames, tracks, label, SETTINGS)
     np.testing.assert_allclose(scores, wanted, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(totals, sums, rtol=1e-6, atol=1e-6)

@@ -8,12 +8,12 @@ from asterism._jit import kernel
 
 
 @kernel
-def assign_greedily(scores, first_ghost, point_of):
+def assign_greedily(scores, first_ghost_cost, point_of):
     """Give points to markers, best score first; what scores below 0 stays null, unless that saves the only ghosts.
 
-    IN  scores (M, n) nats; first_ghost nats that may be paid to leave no point over
+    IN  scores (M, n) nats; first_ghost_cost nats that may be paid to leave no point over
     OUT point_of (M,), -1 for none
-    O(M n + labels * entries above -first_ghost).
+    O(M n + labels * entries above -first_ghost_cost).
     """
     markers, n = scores.shape
     point_of[:] = -1
@@ -22,15 +22,15 @@ def assign_greedily(scores, first_ghost, point_of):
     entries = 0
     for m in range(markers):
         for c in range(n):
-            if scores[m, c] > -first_ghost:
+            if scores[m, c] > -first_ghost_cost:
                 entry_marker[entries], entry_row[entries] = m, c
                 entries += 1
     taken = np.zeros(n, dtype=np.bool_)
-    given, sure = 0, -1
+    given, positive = 0, -1
     order = np.empty(min(markers, n), dtype=np.int64)
-    credit = first_ghost
+    credit = first_ghost_cost
     while True:
-        best, chosen, kept = -first_ghost, -1, 0
+        best, chosen, kept = -first_ghost_cost, -1, 0
         for e in range(entries):
             m, c = entry_marker[e], entry_row[e]
             if point_of[m] >= 0 or taken[c]:
@@ -40,8 +40,8 @@ def assign_greedily(scores, first_ghost, point_of):
                 best, chosen = scores[m, c], kept
             kept += 1
         entries = kept
-        if sure < 0 and (chosen < 0 or best <= 0.0):
-            sure = given
+        if positive < 0 and (chosen < 0 or best <= 0.0):
+            positive = given
         if chosen < 0:
             break
         if best <= 0.0:
@@ -54,7 +54,7 @@ def assign_greedily(scores, first_ghost, point_of):
         order[given] = m
         given += 1
     if given < n:
-        for g in range(sure, given):
+        for g in range(positive, given):
             point_of[order[g]] = -1
 
 

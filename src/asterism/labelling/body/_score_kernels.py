@@ -11,7 +11,7 @@ from asterism.geometry._kernels import align_about_z, cofactors
 from asterism.labelling.body._workspace_kernels import LOG_2PI
 
 MAX_DISTANCE = 0.6
-"""No point farther than this from where a marker is expected is looked at (m)."""
+"""m; a point farther than this from where a marker is predicted scores -inf as that marker."""
 
 
 @kernel

@@ -1,8 +1,8 @@
 """Anchors: partial solvers of three markers from which the whole body is predicted.
 
-A whole-body labelling needs a first guess of where the body stands. Each anchor is a partial solver (section 4.5.2) over three markers with
-wide intervals on their distances, height differences and signed triangle: it should never miss the right triple and may propose wrong ones,
-which the whole body then refutes. The anchors are put in an order in which, whatever is hidden, a few of the first still see their markers.
+A whole-body labelling needs a first guess of where the body is. Each anchor is a partial solver (section 4.5.2) over three markers with
+wide intervals on their distances, height differences and signed triangle: it should never miss the right triple, and may propose wrong
+ones, which the whole body then rejects. The anchors are ordered so that the markers of a few of the first are visible whatever is hidden.
 """
 
 from __future__ import annotations
@@ -28,19 +28,21 @@ class AnchorRules:
     """How anchors are chosen.
 
     count      anchors kept
-    considered triples that are tried out, about
-    widen      each end of an interval moves out by this many standard deviations of that end over the people
-    few        beyond that, by this share of what they limit, where one person was seen; falls with the square of the number of people
-    hidden     up to this share of the markers may be hidden in the patterns that the anchors must cover
-    again      a pattern that an earlier anchor sees already counts this much, for each of them
+    candidates about how many triples are compared
+    widen      standard deviations, over the people of the training, by which each end of an interval is moved outwards
+    one_person share of the end's value by which it is moved beyond that for one person; falls with the square of the number of people
+    max_hidden share of the markers that may be hidden in the occlusion patterns that the anchors must cover
+    repeat     weight of a pattern for each earlier anchor that covers it already
+
+    All were chosen on the gait subjects, each left out in turn (docs/labelling.md).
     """
 
     count: int = 40
-    considered: int = 1500
+    candidates: int = 1500
     widen: float = 0.3
-    few: float = 0.3
-    hidden: float = 0.4
-    again: float = 0.25
+    one_person: float = 0.3
+    max_hidden: float = 0.4
+    repeat: float = 0.25
 
 
 @dataclass(frozen=True)
@@ -68,22 +70,22 @@ class Anchors:
         )
 
     def arrays(self, body: BodyModel) -> AnchorArrays:
-        """What each anchor says of the whole body, for the kernels."""
+        """What follows for the whole body from each anchor, as the kernels read it."""
         poses, markers = body.mean.shape[:2]
         count = len(self.triples)
         rows = (3 * self.triples[:, :, None] + np.arange(3)).reshape(count, 9)
         parts = []
         for k in range(poses):
             full = body.covariance(k)
-            own = full[rows[:, :, None], rows[:, None, :]]
-            precision = np.linalg.inv(own)
+            of_anchor = full[rows[:, :, None], rows[:, None, :]]
+            precision = np.linalg.inv(of_anchor)
             cross = full[:, rows].transpose(1, 0, 2).reshape(count, markers, 3, 9)
             gain = cross @ precision[:, None]
             blocks = np.stack([full[3 * m : 3 * m + 3, 3 * m : 3 * m + 3] for m in range(markers)])
             spread = blocks - gain @ cross.transpose(0, 1, 3, 2)
             spread[np.arange(count)[:, None], self.triples] = 1e-4 * np.eye(3)
             lower = np.linalg.cholesky(spread)
-            log_peak = body.log_weight[k] - 0.5 * np.linalg.slogdet(own)[1] - 4.5 * LOG_2PI
+            log_peak = body.log_weight[k] - 0.5 * np.linalg.slogdet(of_anchor)[1] - 4.5 * LOG_2PI
             log_scale = -np.log(np.diagonal(lower, axis1=2, axis2=3)).sum(axis=2)
             widest = np.trace(spread, axis1=2, axis2=3)
             parts.append((precision, log_peak, gain, np.linalg.inv(lower), log_scale, widest))
@@ -93,15 +95,16 @@ class Anchors:
 def choose_anchors(frames: Floats, people: Ints, body: BodyModel, rules: AnchorRules, rng: np.random.Generator) -> Anchors:
     """Pick anchors from labelled frames: (N, M, 3) m, z up, NaN where missing; people (N,).
 
-    A triple is worth the occlusion patterns that it sees and earlier ones do not see often enough, per unit of time that it costs.
+    The value of a triple is the number of occlusion patterns in which its markers are visible, those weighted less that earlier anchors
+    cover already, per unit of time that it costs.
     """
     markers = frames.shape[1]
     triples = np.array(list(combinations(range(markers), 3)), dtype=np.int64)
-    if len(triples) <= rules.considered:
-        # few enough to try all that tell something of the whole body
+    if len(triples) <= rules.candidates:
+        # few enough to compare all from which the whole body can be predicted well
         ends = np.zeros((len(triples), len(CHECKS)))
-        told = Anchors(triples, ends, ends).arrays(body).log_scale.mean(axis=(0, 2))
-        triples = triples[np.argsort(-told, kind="stable")[: max(60, len(triples) // 2)]]
+        certainty = Anchors(triples, ends, ends).arrays(body).log_scale.mean(axis=(0, 2))
+        triples = triples[np.argsort(-certainty, kind="stable")[: max(60, len(triples) // 2)]]
     else:
         triples = _some_triples(frames, rules, rng)
     anchors = with_intervals(triples, frames, people, rules)
@@ -109,7 +112,7 @@ def choose_anchors(frames: Floats, people: Ints, body: BodyModel, rules: AnchorR
     patterns = 3000
     seen = np.ones((patterns, markers), dtype=bool)
     for p in range(patterns):
-        seen[p, rng.choice(markers, int(rng.uniform(0, rules.hidden) * markers), replace=False)] = False
+        seen[p, rng.choice(markers, int(rng.uniform(0, rules.max_hidden) * markers), replace=False)] = False
     covered: NDArray[np.bool_] = np.all(seen[:, triples], axis=2).T
     often_shown = (~np.isnan(frames[:, :, 0])).mean(axis=0)[triples].prod(axis=1)
     worth = often_shown / cost
@@ -117,7 +120,7 @@ def choose_anchors(frames: Floats, people: Ints, body: BodyModel, rules: AnchorR
     chosen: list[int] = []
     free: NDArray[np.bool_] = np.ones(len(triples), dtype=np.bool_)
     while len(chosen) < rules.count and free.any():
-        gain = np.where(free, (covered @ rules.again**times) * worth, -1.0)
+        gain = np.where(free, (covered @ rules.repeat**times) * worth, -1.0)
         best = int(np.argmax(gain))
         free[best] = False
         chosen.append(best)
@@ -129,7 +132,7 @@ def _some_triples(frames: Floats, rules: AnchorRules, rng: np.random.Generator) 
     """Triples of a large marker set that are worth trying: neighbours that keep their distances, and some at random."""
     markers = frames.shape[1]
     sample = frames[rng.choice(len(frames), min(200, len(frames)), replace=False)]
-    picked = {tuple(sorted(rng.choice(markers, 3, replace=False).tolist())) for _ in range(rules.considered // 3)}
+    picked = {tuple(sorted(rng.choice(markers, 3, replace=False).tolist())) for _ in range(rules.candidates // 3)}
     with np.errstate(invalid="ignore"):
         for m in range(markers):
             distance = np.linalg.norm(sample - sample[:, m : m + 1], axis=2)
@@ -156,9 +159,9 @@ def with_intervals(triples: Ints, frames: Floats, people: Ints, rules: AnchorRul
     low, high = np.where(shown, low[seen], np.nan), np.where(shown, high[seen], np.nan)
     least, most = np.nanmin(low, axis=1), np.nanmax(high, axis=1)
     slack = np.maximum(0.02 * (most - least), 1e-3)
-    strange = rules.few / count**2 * np.maximum(np.abs(least), np.abs(most))
-    all_low[seen] = least - np.maximum(rules.widen * np.nanstd(low, axis=1), slack) - strange
-    all_high[seen] = most + np.maximum(rules.widen * np.nanstd(high, axis=1), slack) + strange
+    unseen_people = rules.one_person / count**2 * np.maximum(np.abs(least), np.abs(most))
+    all_low[seen] = least - np.maximum(rules.widen * np.nanstd(low, axis=1), slack) - unseen_people
+    all_high[seen] = most + np.maximum(rules.widen * np.nanstd(high, axis=1), slack) + unseen_people
     return Anchors(triples, all_low.reshape(-1, len(CHECKS)), all_high.reshape(-1, len(CHECKS)))
 
 

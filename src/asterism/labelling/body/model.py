@@ -7,7 +7,7 @@ A frame's labelled points, once the body is turned about the vertical and shifte
 with latent directions u: the main directions in which the bodies of the training set differ there (pose and person together), a change of
 size, and small moves of the whole body (shift, turn) that the first rough placing leaves over. Given any labelled subset, every other
 marker's place follows in closed form with its covariance, and so does the density of a whole labelling. This is what single distances and
-heights lack: the whole pose (issue "Label a real recording end to end", "a last look at the whole body").
+heights lack: the whole pose.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class BodyRules:
     size_std        how much bodies differ in size beyond the people of the training set, as a share of the size
     placement_std   how far a marker sits from where the model expects it, beyond what was seen (m)
     few_std         the same beyond that, where one person was seen (m); falls with the number of people
-    person_extra    people's own mean bodies count (1 + person_extra / people) times: few people show too little variety
+    person_extra    the covariance of people's mean bodies counts (1 + person_extra / people) times: few people vary too little
     other_std       how far one person's frames move beyond what one other person's did (m); falls with the root of the number of people
     human           m, root mean square from the body's middle: smaller bodies, such as a mouse's, get that much smaller lengths above
     shift_std       first placing of the body, error of the position (m)
@@ -61,7 +61,7 @@ class BodyModel:
     load        (K, M, 3, r) m per latent
     noise       (K, M, 3, 3) m2
     log_weight  (K,) log share of the training frames
-    within      (K, 3M, 3M) m2, how a stranger's placed body moves within a key pose; None in models of format 1
+    within      (K, 3M, 3M) m2, covariance of the placed body of one unknown person within a key pose; None in models of format 1
     between     (K, 3M, 3M) m2, how people's mean bodies differ, placement of the markers included; None in models of format 1
     """
 
@@ -73,7 +73,7 @@ class BodyModel:
     between: Floats | None = None
 
     def to_arrays(self) -> dict[str, Floats]:
-        """The fields that are there, by name: `BodyModel(**arrays)` is the model again."""
+        """The fields that are not None, by name: `BodyModel(**arrays)` is the model again."""
         return {name: array for name, array in vars(self).items() if array is not None}
 
     def arrays(self) -> BodyArrays:
@@ -108,15 +108,15 @@ def fit_body(frames: Floats, people: Ints, rules: BodyRules, seed: int) -> BodyM
     pose_of = _key_poses(placed - placed.mean(axis=1, keepdims=True), people, rules, seed)
     poses = []
     for k in range(pose_of.max() + 1):
-        own = pose_of == k
-        centre = _mean_over_people(placed[own], people[own])
-        poses.append((*_pose(_fill(align_about_z(frames[own], centre), centre), people[own], rules), np.log(own.mean())))
+        in_pose = pose_of == k
+        centre = _mean_over_people(placed[in_pose], people[in_pose])
+        poses.append((*_pose(_fill(align_about_z(frames[in_pose], centre), centre), people[in_pose], rules), np.log(in_pose.mean())))
     means, loads, noises, within, between, weights = zip(*poses, strict=True)
     return BodyModel(np.stack(means), np.stack(loads), np.stack(noises), np.array(weights), np.stack(within), np.stack(between))
 
 
 def _mean_over_people(frames: Floats, people: Ints) -> Floats:
-    """The mean of the people's mean bodies: (M, 3), NaN for a marker that none shows."""
+    """The mean of the people's mean bodies: (M, 3), NaN for a marker that no frame shows."""
     sums, counts = np.zeros(frames.shape[1:]), np.zeros((frames.shape[1], 1))
     for person in np.unique(people):
         own = frames[people == person]
@@ -128,7 +128,7 @@ def _mean_over_people(frames: Floats, people: Ints) -> Floats:
 
 
 def _fill(placed: Floats, mean: Floats) -> Floats:
-    """Missing samples replaced by what the shown ones of the same frame let expect (conditional means, three rounds)."""
+    """Missing samples replaced by their conditional means, given the visible ones of the same frame (three rounds)."""
     missing = np.isnan(placed[:, :, 0])
     if not missing.any():
         return placed
@@ -164,11 +164,11 @@ def _pose(placed: Floats, people: Ints, rules: BodyRules) -> tuple[Floats, Float
     """Mean (M, 3), load (M, 3, r), noise (M, 3, 3), within and between (3M, 3M) of one key pose."""
     markers = placed.shape[1]
     groups = [placed[people == person].reshape(-1, 3 * markers) for person in np.unique(people)]
-    own = np.stack([group.mean(axis=0) for group in groups])
-    centre = own.mean(axis=0)
+    means = np.stack([group.mean(axis=0) for group in groups])
+    centre = means.mean(axis=0)
     within = sum(((group - centre).T @ (group - centre) / len(group) for group in groups), np.zeros((3 * markers, 3 * markers)))
-    within = within / len(groups) - (own - centre).T @ (own - centre) / len(groups)
-    between = (own - centre).T @ (own - centre) / len(groups) * (1.0 + rules.person_extra / len(groups))
+    within = within / len(groups) - (means - centre).T @ (means - centre) / len(groups)
+    between = (means - centre).T @ (means - centre) / len(groups) * (1.0 + rules.person_extra / len(groups))
     mean = centre.reshape(markers, 3)
     apart = mean - mean.mean(axis=0)
     scale = length_scale(mean, rules)
@@ -182,7 +182,7 @@ def _pose(placed: Floats, people: Ints, rules: BodyRules) -> tuple[Floats, Float
 
 
 def length_scale(mean: Floats, rules: BodyRules) -> float:
-    """What lengths chosen on people are to be multiplied with for a body (M, 3) m: 1, or less where it is smaller."""
+    """The factor for lengths that were chosen on people, for a body (M, 3) m: 1, or less for a smaller body."""
     apart = mean - mean.mean(axis=0)
     return min(1.0, float(np.sqrt((apart**2).sum(axis=1).mean())) / rules.human)
 
@@ -190,7 +190,7 @@ def length_scale(mean: Floats, rules: BodyRules) -> float:
 def factors(mean: Floats, covariance: Floats, rules: BodyRules, *, near: bool = False) -> tuple[Floats, Floats]:
     """Latent directions (M, 3, r) of a placed body's covariance (3M, 3M), small moves included, and what they leave over: (M, 3, 3).
 
-    near: the main directions as a few power steps find them, for those who cannot wait; what they miss is left over. O(M^2 r) then.
+    near: find the main directions by a few power steps in O(M^2 r), for live labelling; what these miss goes to the second part.
     """
     markers = len(mean)
     if near:

@@ -1,11 +1,11 @@
-"""The subject's own body: a body model learned from many people and labelled frames of one in; the model of this one out.
+"""The body of one person: a body model learned from many people and labelled frames of one person in; the model of this person out.
 
 A person's mean body in a key pose is a draw from how people differ, a frame a draw from how one person moves:
 
     mean body ~ N(mean_k, between_k),     placed frame ~ N(mean body, within_k)
 
 so labelled frames give the mean body's posterior in closed form (a Kalman update), and the person's frames follow N(posterior mean,
-within_k + posterior covariance). Frames of other key poses tell of it too, less surely: a marker's offset turns with its segment.
+within_k + posterior covariance). Frames of other key poses count, too, with more uncertainty: a marker's offset turns with its segment.
 """
 
 from __future__ import annotations
@@ -58,9 +58,9 @@ def adapt_body(body: BodyModel, frames: Floats, poses: Ints, weight: Floats, rul
 def adapt_in_steps(
     body: BodyModel, frames: Floats, poses: Ints, weight: Floats, rules: SubjectRules, body_rules: BodyRules, *, near: bool = True
 ) -> Generator[None, None, BodyModel]:
-    """`adapt_body` for those who cannot wait: each step is O(M^3), and the last one returns the body; `near`: see `factors`."""
+    """`adapt_body` in steps of O(M^3) each, for live labelling; the last step returns the body. near: see `factors`."""
     if body.within is None or body.between is None:
-        raise ValueError("the model does not say how people differ")
+        raise ValueError("the body model has no covariance between people; it was trained by an earlier Asterism")
     count = body.mean.shape[1]
     seen = []
     for k in range(len(body.mean)):
@@ -108,21 +108,21 @@ def _seen(
         if pattern.all():
             continue
         here = np.repeat(pattern, 3)
-        own = np.nonzero(which == p)[0]
-        deviation = (placed[own] - body.mean[k]).reshape(len(own), -1)[:, here]
+        frames_of = np.nonzero(which == p)[0]
+        deviation = (placed[frames_of] - body.mean[k]).reshape(len(frames_of), -1)[:, here]
         expected = deviation @ np.linalg.solve(covariance[np.ix_(here, here)], covariance[np.ix_(here, ~here)])
-        placed[np.ix_(own, np.nonzero(~pattern)[0])] = expected.reshape(len(own), -1, 3) + body.mean[k][~pattern]
+        placed[np.ix_(frames_of, np.nonzero(~pattern)[0])] = expected.reshape(len(frames_of), -1, 3) + body.mean[k][~pattern]
         yield
     placed = align_about_z(placed, body.mean[k])
-    heavy = weight[:, None] * shown
-    total = heavy.sum(axis=0)
+    weights = weight[:, None] * shown
+    total = weights.sum(axis=0)
     seen = total > 0
-    deviation = (heavy[:, :, None] * (placed - body.mean[k])).sum(axis=0) / np.maximum(total, 1e-12)[:, None]
-    share = (heavy.T @ shown) / np.maximum(np.outer(total, total), 1e-12)
-    # frames that differ among themselves less than the person's frames do repeat each other: standing tells no more in ten seconds
-    apart = (heavy[:, :, None] * (placed - body.mean[k] - deviation) ** 2).sum()
+    deviation = (weights[:, :, None] * (placed - body.mean[k])).sum(axis=0) / np.maximum(total, 1e-12)[:, None]
+    share = (weights.T @ shown) / np.maximum(np.outer(total, total), 1e-12)
+    # frames that differ less than a person's frames usually do repeat each other: ten seconds of standing say no more than one
+    spread = (weights[:, :, None] * (placed - body.mean[k] - deviation) ** 2).sum()
     usual = (total[:, None] * np.diagonal(within).reshape(-1, 3)).sum()
     fewest = 1.0 / max(1.0, float(weight.sum()))
-    repeated = max(0.0, 1.0 - apart / usual - fewest) / max(1.0 - fewest, 1e-12)
-    # a mix of two covariances is one; the larger of them element by element need not be
+    repeated = max(0.0, 1.0 - spread / usual - fewest) / max(1.0 - fewest, 1e-12)
+    # a weighted mean of two covariances is a covariance; their element-wise maximum need not be
     return deviation.ravel(), seen, (1.0 - repeated) * share + repeated

@@ -5,6 +5,8 @@ The plain twins are in `tests/twins_tracks.py`.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from asterism._jit import kernel
@@ -13,16 +15,29 @@ from asterism.labelling.body._score_kernels import best_pose, rescore
 from asterism.labelling.body._workspace_kernels import make_body_workspace
 
 
+class FrameScores(NamedTuple):
+    """What `score_frames` gives for P points and M markers in E frames.
+
+    scores  (P, M) nats by which "this point is this marker" beats "the marker is hidden and this a ghost", -inf where far
+    totals  (E,) nats, the score of each frame's labelling; NaN where fewer than three points are labelled (their scores are then 0)
+    poses   (E,) key pose of each frame
+    """
+
+    scores: np.ndarray
+    totals: np.ndarray
+    poses: np.ndarray
+
+
 @kernel
-def score_frames(xyz, offsets, track, label, body, settings, out, totals, poses):
+def score_frames(xyz, offsets, track, label, body, settings, out):
     """Score every point of every frame as every marker, given the labels of all other points of its frame.
 
-    IN  xyz (P, 3) m, z up; offsets (E + 1,); track (P,) tracklet of each point; label (J,) marker of each tracklet, -1 for none
-    OUT out (P, M) nats by which "this point is this marker" beats "the marker is hidden and this a ghost", -inf where far;
-        totals (E,) score of the frame's labelling, NaN where fewer than three points are labelled (then out is 0)
-        poses (E,) its key pose
+    IN  xyz (P, 3) m, z up; offsets (E + 1,); track (P,) tracklet of each point; label (J,) marker of each tracklet, -1 for none;
+        body BodyArrays; settings FrameSettings
+    OUT out FrameScores
     O(P M + E (K M r^2 + r^3)); memory for one frame.
     """
+    scores, totals, poses = out
     markers, latents = body.load.shape[1], body.load.shape[3]
     point_of = np.empty(markers, dtype=np.int64)
     workspace = make_body_workspace(0, markers, latents)
@@ -36,7 +51,7 @@ def score_frames(xyz, offsets, track, label, body, settings, out, totals, poses)
                 point_of[m] = c
                 labelled += 1
         if labelled < 3:
-            out[first : first + n] = 0.0
+            scores[first : first + n] = 0.0
             totals[t], poses[t] = np.nan, 0
             continue
         if n != len(workspace.aligned):
@@ -49,7 +64,7 @@ def score_frames(xyz, offsets, track, label, body, settings, out, totals, poses)
         totals[t] = rescore(body, k, points, point_of, own_settings, workspace)
         for c in range(n):
             for m in range(markers):
-                out[first + c, m] = workspace.scores[m, c]
+                scores[first + c, m] = workspace.scores[m, c]
 
 
 @kernel

@@ -5,10 +5,10 @@ The problem is an integer program: choose for every tracklet j at most one marke
     maximise  sum of gain[j, m] x[j, m]    over x[j, m] in {0, 1},
     sum over m of x[j, m] <= 1,            sum of x[j, m] over the tracklets that are there at time t <= 1  for every m and t.
 
-Where each tracklet's own best marker is free of conflicts, taking it is optimal. Else the tracklets in conflict are solved by themselves,
-exactly, as if all others kept their best markers and did not mind sharing them: no labelling gains more than that. Where the solution
-takes a marker that another tracklet has, too, that one joins, and it is solved again; where none does, it is the best labelling of all.
-Few tracklets are solved by branch and bound, many by HiGHS.
+Where the best markers of all tracklets do not conflict, they are the solution. Otherwise the tracklets in conflict are solved exactly by
+themselves, as if all others kept their best markers and could share them: this relaxation is an upper bound. If its solution takes a marker
+that another tracklet has at the same time, that one joins, and it is solved again; if not, it is the best labelling of all. Few tracklets
+are solved by branch and bound, many by HiGHS.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ def assign_tracklets(gain: Floats, first: Ints, last: Ints) -> Ints:
         links = coo_array((np.ones(len(inside)), (inside[:, 0], inside[:, 1])), shape=(len(gain), len(gain)))
         part = connected_components(links, directed=False)[1]
         for p in np.unique(part[free]):
-            own = np.nonzero((part == p) & free)[0]
-            if own.tobytes() not in solved:
-                solved[own.tobytes()] = _solve(gain[own], first[own], last[own])
-            label[own] = solved[own.tobytes()]
+            members = np.nonzero((part == p) & free)[0]
+            if members.tobytes() not in solved:
+                solved[members.tobytes()] = _solve(gain[members], first[members], last[members])
+            label[members] = solved[members.tobytes()]
 
 
 def _solve(gain: Floats, first: Ints, last: Ints) -> Ints:
@@ -69,14 +69,14 @@ def _solve_by_highs(gain: Floats, first: Ints, last: Ints) -> Ints:
     track, marker = np.nonzero(gain > 0)
     rows, columns, count = [], [], 0
     for j in np.unique(track):
-        own = np.nonzero(track == j)[0]
-        rows.append(np.full(len(own), count))
-        columns.append(own)
+        members = np.nonzero(track == j)[0]
+        rows.append(np.full(len(members), count))
+        columns.append(members)
         count += 1
     for m in np.unique(marker):
-        own = np.nonzero(marker == m)[0]
-        for time in np.unique(first[track[own]]):
-            there = own[(first[track[own]] <= time) & (last[track[own]] >= time)]
+        members = np.nonzero(marker == m)[0]
+        for time in np.unique(first[track[members]]):
+            there = members[(first[track[members]] <= time) & (last[track[members]] >= time)]
             if len(there) > 1:
                 rows.append(np.full(len(there), count))
                 columns.append(there)

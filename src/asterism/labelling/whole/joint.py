@@ -22,7 +22,7 @@ from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enough
-from asterism.labelling.whole._kernels import margins_of, score_frames, sum_scores
+from asterism.labelling.whole._kernels import FrameScores, margins_of, score_frames, sum_scores
 from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.bodies import find_bodies, follow_bodies, votes_of_bodies
 from asterism.labelling.whole.plausibility import ghost_penalty, off_training_distances
@@ -157,7 +157,15 @@ def _gains(
         scores, totals = np.empty((len(scene.sampled_xyz), markers)), np.empty(len(scene.sampled_frames))
         pose = np.empty(len(scene.sampled_frames), dtype=np.int64)
         of_body = labels_of_body(label, offsets, number)
-        score_frames(scene.sampled_xyz, scene.sampled_offsets, scene.sampled_track, of_body, body, labeller.settings, scores, totals, pose)
+        score_frames(
+            scene.sampled_xyz,
+            scene.sampled_offsets,
+            scene.sampled_track,
+            of_body,
+            body,
+            labeller.settings,
+            FrameScores(scores, totals, pose),
+        )
         sums, counts = np.zeros((len(scene.first), markers)), np.zeros(len(scene.first))
         sum_scores(scene.sampled_track, scores, rules.min_score, rules.max_score, sums, counts)
         gain[:, offsets[number] : offsets[number + 1]] = sums * (scene.independent / np.maximum(counts, 1.0))[:, None]

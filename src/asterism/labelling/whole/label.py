@@ -13,7 +13,7 @@ from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules, length_scale
 from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enough
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
-from asterism.labelling.whole._kernels import score_frames
+from asterism.labelling.whole._kernels import FrameScores, score_frames
 from asterism.labelling.whole.certainty import Certainty, TrialLabels, overlaps_unlabelled
 from asterism.labelling.whole.joint import SceneLabelling, label_scene
 from asterism.labelling.whole.scene import RecordingLabellingSettings, labels_of_body, marker_offsets, prepare_scene
@@ -120,7 +120,7 @@ def _scores_of_labels(
     offsets = np.concatenate([[0], np.cumsum(visible.sum(axis=1))]).astype(np.int64)
     xyz, marker = np.ascontiguousarray(frames[used][visible]), np.nonzero(visible)[1].astype(np.int64)
     scores, totals, poses = np.empty((len(xyz), visible.shape[1])), np.empty(len(used)), np.empty(len(used), dtype=np.int64)
-    score_frames(xyz, offsets, marker, np.arange(visible.shape[1]), body.arrays(), settings, scores, totals, poses)
+    score_frames(xyz, offsets, marker, np.arange(visible.shape[1]), body.arrays(), settings, FrameScores(scores, totals, poses))
     return used, scores[np.arange(len(xyz)), marker], totals, poses
 
 
