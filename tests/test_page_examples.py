@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 import typer.main
+from models import trained
 
 import asterism
 from asterism.cameras import Rig
@@ -69,7 +70,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def model(files: Path) -> SolverEnsemble:
     recordings = [asterism.read(files / f"{name}.c3d", markers="helen-hayes") for name in ("ann", "ben", "cem")]
-    return SolverEnsemble.fit(recordings, seed=0, miner=None, training=TrainingRules(folds=2, trial_frames=40))
+    return trained(recordings, seed=0, miner=None, training=TrainingRules(folds=2, trial_frames=40))
 
 
 @pytest.fixture
