@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.formats import convert, describe, read, read_table, write
 
 TABLES = ("conformance/motion/inverse_kin.mot", "conformance/motion/inverse_dyn.sto")
@@ -24,7 +25,7 @@ def test_every_trc_csv_and_mat_opens(data):
         recording = read(path)
         assert len(recording) > 0 and len(recording.labels) > 0, path
         assert np.nanmax(np.abs(recording.positions)) < 30.0, f"{path}: a marker is further than 30 m away"
-        json.dumps(describe(path))
+        json.dumps(describe(path), default=Finding.to_dict)
 
 
 def test_frames_rates_and_points_are_those_of_the_index(data):

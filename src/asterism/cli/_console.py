@@ -48,11 +48,6 @@ def report(finding: Finding) -> None:
     error(f"{sentence} [{finding.code}]")
 
 
-def as_json(finding: Finding) -> dict[str, str]:
-    """A finding as plain values."""
-    return finding.to_dict()
-
-
 def reason(problem: Exception) -> str:
     """What an exception means to a user: one line."""
     if isinstance(problem, OSError) and problem.filename:

@@ -63,7 +63,7 @@ def audit(options: AuditOptions) -> None:
             "files": batch.done,
             "failed": batch.failed,
             "errors": [{**asdict(error), "file": str(batch.done[error.recording]), "damage": error.damage} for error in errors],
-            "findings": [_console.as_json(error.finding) for error in errors],
+            "findings": [error.finding.to_dict() for error in errors],
         },
     )
     status = batch.close()

@@ -61,7 +61,7 @@ def convert(options: ConvertOptions) -> None:
             "file": source,
             "output": target,
             "not_carried": lost,
-            "findings": [_console.as_json(finding) for finding in findings],
+            "findings": [finding.to_dict() for finding in findings],
         },
     )
 

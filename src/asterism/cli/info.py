@@ -64,7 +64,7 @@ def _content(path: Path, batch: _console.Batch, *, show: bool) -> dict[str, Any]
         _console.table("cameras", _CAMERA_COLUMNS, [_camera_row(camera) for camera in content["cameras"]])
     for finding in findings:
         batch.found(finding)
-    return {**content, "findings": [_console.as_json(finding) for finding in findings]}
+    return {**content, "findings": [finding.to_dict() for finding in findings]}
 
 
 def _described_rig(path: Path) -> dict[str, Any]:

@@ -93,7 +93,7 @@ def label(options: LabelOptions) -> None:
             "keep_labels": options.keep_labels,
             "files": [result.row for result in results],
             "failed": batch.failed,
-            "findings": [_console.as_json(finding) for finding in batch.findings],
+            "findings": [finding.to_dict() for finding in batch.findings],
         },
     )
     raise typer.Exit(batch.close())

@@ -81,7 +81,7 @@ def name(options: NameOptions) -> None:
             "command": "name",
             "file": options.file,
             "output": options.output,
-            "findings": [_console.as_json(finding) for finding in findings],
+            "findings": [finding.to_dict() for finding in findings],
             "frames": len(clouds),
             "groups": [_as_json(g, place, groups, names) for g, place in enumerate(places)],
         },

@@ -104,7 +104,7 @@ def reconstruct(options: ReconstructOptions) -> None:
         _console.report(finding)
     if options.json != "-":
         _print(output, numbers)
-    told = {**numbers, "findings": [_console.as_json(finding) for finding in findings], "not_carried": lost}
+    told = {**numbers, "findings": [finding.to_dict() for finding in findings], "not_carried": lost}
     _console.write_json(options.json, {"command": "reconstruct", "blobs": options.blobs, "rig": options.rig, "output": output, **told})
     raise typer.Exit(exit_status(findings))
 

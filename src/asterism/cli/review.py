@@ -77,7 +77,7 @@ def review(options: ReviewOptions) -> None:
             "frame_wise": options.frame_wise,
             "files": batch.done,
             "failed": batch.failed,
-            "findings": [_console.as_json(finding) for finding in batch.findings],
+            "findings": [finding.to_dict() for finding in batch.findings],
             "pieces": found.pieces,
             "gain": found.gain,
             "items": [_as_json(line) for line in found.lines],

@@ -99,7 +99,7 @@ def train(options: TrainOptions) -> None:
             "files": options.files,
             **about,
             "left_out": [asdict(error) for error in errors],
-            "findings": [_console.as_json(finding) for finding in findings],
+            "findings": [finding.to_dict() for finding in findings],
             "seconds": seconds,
         },
     )

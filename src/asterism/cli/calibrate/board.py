@@ -92,7 +92,7 @@ def board(options: BoardOptions) -> None:
             "files": options.paths,
             "rig": options.output if written else None,
             **made.summary(),
-            "findings": [_console.as_json(finding) for finding in findings],
+            "findings": [finding.to_dict() for finding in findings],
         },
     )
     if options.json != "-":

@@ -71,7 +71,7 @@ def _as_json(made: Refinement, options: RefineOptions, frames: int) -> dict[str,
         "frames": frames,
         "frames_used": made.frames,
         "noise_px": made.noise,
-        "findings": [_console.as_json(finding) for finding in made.findings],
+        "findings": [finding.to_dict() for finding in made.findings],
         "cameras": [
             {
                 "name": check.name,

@@ -222,7 +222,7 @@ def _as_json(made: WandCalibration, blobs: Path, output: Path | None) -> dict[st
         "file": blobs,
         "rig": output,
         "usable": made.usable,
-        "findings": [_console.as_json(finding) for finding in made.findings],
+        "findings": [finding.to_dict() for finding in made.findings],
         "frames": made.frames,
         "frames_used": len(made.used),
         "wand_m": made.wand.lengths,

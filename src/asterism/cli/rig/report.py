@@ -141,7 +141,7 @@ def _as_json(rig: Rig, result: RigMap, findings: tuple[Finding, ...]) -> dict[st
         "cameras": camera_facts(rig, result),
         "pairs": pair_scalars(rig, result),
         "idle": [finding.where for finding in findings if finding.code == "rig-camera-idle"],
-        "findings": [_console.as_json(finding) for finding in findings],
+        "findings": [finding.to_dict() for finding in findings],
     }
 
 
