@@ -36,10 +36,10 @@ def install(benchmark: BenchmarkRun) -> Iterator[Figure]:
 
 
 def ci(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """`.ci/run` as it stands, twice: with empty caches, as on a new machine, and with what the first run kept. Stop everything else before."""
+    """`.ci/run` as it stands, twice: with empty caches, and with what the first run kept. Stop everything else before."""
     if benchmark.quick:
         return
-    with TemporaryDirectory() as kept:
+    with tempfile.TemporaryDirectory() as kept:
         environment = {**os.environ, "NUMBA_CACHE_DIR": f"{kept}/kernels", "ASTERISM_TEST_CACHE": f"{kept}/models"}
         for caches in ("empty caches", "caches kept"):
             seconds = _run([str(ROOT / ".ci" / "run")], ROOT, environment)
