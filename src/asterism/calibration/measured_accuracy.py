@@ -24,7 +24,7 @@ def measure_wand(rig: Rig, blobs: Blobs, lengths: Sequence[float]) -> Floats:
     """Where a rig measures the markers of a waved wand: (T, K, 3) m, each composed by itself, without its lengths; NaN where not seen.
 
     lengths  m, the places of its two or three markers along the wand, ascending, in the order in which positions come
-    Raises AsterismError where lengths make no sense, or fewer than two of the blobs' cameras are in the rig.
+    Raises AsterismError where lengths are not increasing positive numbers, or fewer than two of the blobs' cameras are in the rig.
     """
     wand = wand_of(lengths)
     cameras = _cameras(rig, blobs)

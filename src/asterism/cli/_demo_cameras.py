@@ -51,8 +51,8 @@ def demo_cameras(output: Path, seed: int, json: str | None) -> int:
     findings = [_missed(criterion) for criterion in criteria if not criterion.met]
     for finding in findings:
         _console.report(finding)
-    told = {**_facts(result), "findings": [finding.to_dict() for finding in findings]}
-    _console.write_json(json, {"command": "demo cameras", "seed": seed, "seconds": seconds, **told, **files})
+    content = {**_facts(result), "findings": [finding.to_dict() for finding in findings]}
+    _console.write_json(json, {"command": "demo cameras", "seed": seed, "seconds": seconds, **content, **files})
     return exit_status(findings)
 
 

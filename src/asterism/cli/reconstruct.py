@@ -104,8 +104,8 @@ def reconstruct(options: ReconstructOptions) -> None:
         _console.report(finding)
     if options.json != "-":
         _print(output, numbers)
-    told = {**numbers, "findings": [finding.to_dict() for finding in findings], "not_carried": lost}
-    _console.write_json(options.json, {"command": "reconstruct", "blobs": options.blobs, "rig": options.rig, "output": output, **told})
+    content = {**numbers, "findings": [finding.to_dict() for finding in findings], "not_carried": lost}
+    _console.write_json(options.json, {"command": "reconstruct", "blobs": options.blobs, "rig": options.rig, "output": output, **content})
     raise typer.Exit(exit_status(findings))
 
 

@@ -55,7 +55,7 @@ class Detection:
     blobs         in common frames
     cameras       what each camera's images were like
     findings      what is wrong with the images
-    rate_assumed  whether no clock and no video told the frame rate
+    rate_assumed  whether neither a clock nor a video gives the frame rate
     not_followed  share of blobs left out because they could not be followed to a common clock
     """
 

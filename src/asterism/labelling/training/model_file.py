@@ -41,8 +41,8 @@ def write_arrays(path: str | os.PathLike[str], head: Mapping[str, Any], arrays: 
 def reading(path: str | os.PathLike[str]) -> Iterator[Contents]:
     """The head and the arrays of a model file, for as long as something is made of them.
 
-    Raises AsterismError where the file is missing, no model, of a later version or damaged, also where what it holds makes no sense to the
-    caller: any error of that kind inside the `with` block means so.
+    Raises AsterismError where the file is missing, no model, of a later version or damaged. An error such as KeyError or ValueError inside
+    the `with` block counts as damage: the caller could not use what the file holds.
     """
     path = Path(path)
     if not path.is_file():
