@@ -31,7 +31,7 @@ def compile_whole() -> None:
     """Compile what decides on the labels of a recording as a whole, after its frames were labelled."""
     from asterism.labelling.body._workspace_kernels import BodyArrays, FrameSettings
     from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
-    from asterism.labelling.whole._kernels import branch_and_bound, margins_of, overlaps, score_frames, sum_scores
+    from asterism.labelling.whole._kernels import FrameScores, branch_and_bound, margins_of, overlaps, score_frames, sum_scores
 
     body = BodyArrays(
         mean=_floats(0, 0, 3),
@@ -44,7 +44,7 @@ def compile_whole() -> None:
         log_weight=_floats(0),
     )
     xyz, offsets, track, label, gain = _floats(0, 3), np.zeros(1, dtype=np.int64), _ints(0), _ints(0), _floats(0, 1)
-    score_frames(xyz, offsets, track, label, body, _zeros(FrameSettings), _floats(0, 0), _floats(0), _ints(0))
+    score_frames(xyz, offsets, track, label, body, _zeros(FrameSettings), FrameScores(_floats(0, 0), _floats(0), _ints(0)))
     points, limits = TrackedPoints(xyz, track, track, 0), _zeros(DistanceLimits)
     rigid_deviations(points, label, 0, limits, _floats(0))
     training_deviations(points, label, _floats(0, 0), _floats(0, 0), limits, _floats(0))
