@@ -34,7 +34,7 @@ class Figure:
 
     def __post_init__(self) -> None:
         if not (self.unit and self.n > 0 and math.isfinite(self.measured)):
-            raise ValueError(f"the figure {self.row!r} needs a unit, samples and a finite number: {self.measured!r} {self.unit!r}, n = {self.n}")
+            raise ValueError(f"a figure needs a unit, samples and a finite number: {self}")
 
 
 @dataclass(frozen=True)

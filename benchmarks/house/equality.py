@@ -48,7 +48,8 @@ def equality(benchmark: BenchmarkRun) -> Iterator[Figure]:
         yield Figure(f"before and after, numbers that differ: {kind}", "== 0", differing, "numbers", numbers)
     # Kernels add in the order of their source since fast-math is gone, so confidences differ in their last digits.
     largest = max(float(np.abs(before[name] - now[name]).max()) for name in confidences)
-    yield Figure("before and after, largest difference of a confidence", "none", largest, "fraction", sum(before[n].size for n in confidences))
+    compared = sum(before[name].size for name in confidences)
+    yield Figure("before and after, largest difference of a confidence", "none", largest, "fraction", compared)
 
 
 def outputs() -> dict[str, NDArray[Any]]:
