@@ -87,8 +87,13 @@ def test_a_run_replaces_what_it_measured_and_keeps_the_rest(tmp_path: Path) -> N
     assert (a.measured, a.n, a.command) == (0.6, 20, "run 2")
     assert (b.measured, b.command) == (2, "run 1")
     assert list(tmp_path.iterdir()) == [path]
-    with pytest.raises(ValueError, match="no number"):
-        figures.record("issue", [figures.Figure("a", "none", float("nan"), "s", 1)], "run 3", path)
+
+
+@pytest.mark.parametrize(("measured", "unit", "n"), [(float("nan"), "s", 1), (1.0, "", 1), (1.0, "s", 0)])
+def test_a_figure_without_number_unit_or_samples_is_refused(measured: float, unit: str, n: int) -> None:
+    with pytest.raises(ValueError, match="needs a unit"):
+        figures.Figure("a", "none", measured, unit, n)
+
     assert figures.load(path) == [a, b]
 
 
