@@ -80,7 +80,8 @@ class Scene:
     sampled_offsets (E + 1,) where each sampled frame's points begin
     sampled_track   (Q,) each sampled point's tracklet
     sampled_frame   (Q,) each sampled point's frame, 0..E-1
-    independent     (J,) how many independent frames the sampled frames of each tracklet amount to
+    samples         (J,) in how many sampled frames each tracklet is
+    independent     (J,) how many independent frames these amount to
     duplicate       (J,) bool, short tracklets that are duplicates of long ones
     """
 
@@ -96,6 +97,7 @@ class Scene:
     sampled_offsets: Ints
     sampled_track: Ints
     sampled_frame: Ints
+    samples: Ints
     independent: Floats
     duplicate: NDArray[np.bool_]
 
@@ -135,6 +137,7 @@ def prepare_scene(clouds: Clouds, tracklets: Tracklets, rules: RecordingLabellin
         np.concatenate([[0], np.cumsum(clouds.counts[frames])]).astype(np.int64),
         sampled_track,
         np.repeat(np.arange(len(frames)), clouds.counts[frames]),
+        samples,
         samples / (1.0 + rules.frame_correlation * (samples - 1.0)),
         _duplicates(xyz, clouds.offsets, track, (last - first + 1) / clouds.rate, rules, unit),
     )
