@@ -146,9 +146,10 @@ def rivals_weight(gain, pairs, first, last, samples, independent):
         best[j] = np.argmax(gain[j])
     for p in range(len(pairs)):
         i, j = pairs[p, 0], pairs[p, 1]
-        if last[i] - first[i] < last[j] - first[j]:
+        longer = (last[i] - first[i]) - (last[j] - first[j])
+        if longer < 0:
             i, j = j, i
-        if gain[j, best[i]] > 0.0:
+        if longer != 0 and gain[i, best[i]] > 0.0 and gain[j, best[i]] > 0.0:
             rivals[i] += independent[j]
     most = 0.0
     for j in range(tracks):
