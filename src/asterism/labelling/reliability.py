@@ -190,4 +190,4 @@ def _share_of_most_confident(bins: Floats, target: float) -> float:
 
 def _entropy(share: float) -> float:
     """The log score of the best constant confidence: nats per label."""
-    return -sum(part * float(np.log(part)) for part in (share, 1.0 - share) if part > 0.0)
+    return sum(-part * float(np.log(part)) for part in (share, 1.0 - share) if 0.0 < part < 1.0)
