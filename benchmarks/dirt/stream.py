@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from asterism.recording import Floats
 from asterism.simulation import Clutter
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.dirt.walks import Condition, ensemble_of, reporting, samples
@@ -32,7 +33,8 @@ def stream(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """The subjects reported on, 15 markers. Times need a quiet machine."""
     for hidden, conditions in CONDITIONS.items():
         for delay in DELAYS:
-            tallies, spent = defaultdict(Tally), defaultdict(list)
+            tallies: dict[str, Tally] = defaultdict(Tally)
+            spent: dict[str, list[Floats]] = defaultdict(list)
             for subject in reporting()[: 1 if benchmark.quick else None]:
                 ensemble = ensemble_of(benchmark, subject)
                 for name, condition in conditions.items():
