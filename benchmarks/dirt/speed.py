@@ -51,10 +51,10 @@ def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
             seconds = _seconds(ensemble, given)
             ratios.append(clean[condition.hidden] / seconds)
             row = f"speed in clutter, {name}, {numbers} numbers"
-            yield Figure(f"{row}: one core", "none", frames / seconds, "frames/s", frames)
-            yield Figure(f"{row}: of the speed without clutter", "none", ratios[-1], "fraction", frames)
-    yield Figure("speed in clutter, worst condition: of the speed without clutter", ">= 0.2", min(ratios), "fraction", len(ratios))
-    yield Figure("speed in clutter, median condition: of the speed without clutter", "none", median(ratios), "fraction", len(ratios))
+            yield Figure(f"{row}: speed on one core", "none", frames / seconds, "frames/s", frames)
+            yield Figure(f"{row}: of that without clutter", "none", ratios[-1], "fraction", frames)
+    yield Figure("worst speed in clutter, of that without clutter", ">= 0.2", min(ratios), "fraction", len(ratios))
+    yield Figure("median speed in clutter, of that without clutter", "none", median(ratios), "fraction", len(ratios))
 
 
 def _seconds(ensemble: asterism.SolverEnsemble, clouds: list[Clouds]) -> float:
@@ -80,7 +80,7 @@ def long_recording(benchmark: BenchmarkRun) -> Iterator[Figure]:
     one = sample(walk, Condition(0, clutter=Clutter(3.0, 1, "beside", 0.08)), 0)
     for numbers, clouds in (("with", one.clouds), ("without", unnumbered(one.clouds))):
         seconds = _seconds_apart(ensemble, clouds)
-        row = f"speed in clutter, {len(walk):,} frames, {len(walk.labels)} markers, 3 flickering, {numbers} numbers, one core"
+        row = f"time in clutter, {len(walk):,} frames, {len(walk.labels)} markers, 3 flickering, {numbers} numbers, one core"
         yield Figure(row, "< 4", seconds, "s", len(walk))
 
 
