@@ -12,11 +12,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from asterism.errors import AsterismError
-from benchmarks import cameras, docs, figures, house, labelling, recordings
+from benchmarks import cameras, dirt, docs, figures, house, labelling, recordings
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import folder
 
-CHAPTERS = {"labelling": labelling, "recordings": recordings, "cameras": cameras, "house": house}
+CHAPTERS = {"labelling": labelling, "recordings": recordings, "dirt": dirt, "cameras": cameras, "house": house}
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -20,6 +20,12 @@ _SIDES = "SHO ELB WRA WRB FIN THI KNE TIB ANK HEE TOE HFB TUB SHN CPG LCA STL NA
 GAIT_BODY = (*_MIDDLE.split(), *(side + name for side in "LR" for name in _SIDES.split()))
 """The physical markers that all gait subjects wear."""
 
+CHOOSING = ("HC002", "HC003", "HC030", "HC031", "HC033", "HC039")
+"""The gait subjects that constants are chosen on, from the issue about dirt on; the figures asked there are about the other five."""
+
+CHOOSING_SETS = ("running42", "vicon53", "clinical-lower", "cmu41", "pig39", "optitrack-lower", "optitrack-wheelchair")
+"""The sets of movement that constants are chosen on; those of sprintbasket, which is one of optitrack-wheelchair, are not."""
+
 
 @dataclass(frozen=True)
 class Test:

@@ -373,7 +373,9 @@ def test_capturability(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     few = "RASI,LASI,SACR,RKNE,RANK,RTOE,LTOE"
     assert run("capturability", *files, "--markers", few, "--json", tmp_path / "c.json", "--report", tmp_path / "c.html") == 0
     assert "RKNE" in capsys.readouterr().out
-    told = json.loads((tmp_path / "c.json").read_text())["capturability"]
+    content = json.loads((tmp_path / "c.json").read_text())
+    assert content["findings"] == []
+    told = content["capturability"]
     assert len(told["markers"]) == 7
     assert "</html>" in (tmp_path / "c.html").read_text(encoding="utf-8")
 

@@ -25,7 +25,7 @@ from models import trained
 import asterism
 from asterism.cameras import Rig
 from asterism.cameras.files import write_rig
-from asterism.cli import app
+from asterism.cli import command_line
 from asterism.formats import write_blobs
 from asterism.labelling import SolverEnsemble, TrainingRules
 from asterism.simulation import simulate_walks
@@ -120,7 +120,7 @@ def _parts(words: list[str]) -> Iterator[list[str]]:
 
 def unknown_words(words: list[str]) -> list[str]:
     """The verbs and options of a command line that `asterism` does not have."""
-    command: Any = typer.main.get_command(app)
+    command: Any = typer.main.get_command(command_line())
     while hasattr(command, "commands") and words and not words[0].startswith("-"):
         if words[0] not in command.commands:
             return [words[0]]

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from asterism import AsterismError
 from asterism.cameras import Rig
 from asterism.cameras.files import write_rig
-from asterism.cli import app
+from asterism.cli import command_line
 from asterism.formats import read_clouds, write_blobs
 from asterism.motion import smooth_paths
 from asterism.motion._kernels import THIRD, JerkModel, smooth_path
@@ -152,7 +152,7 @@ def test_reconstruct_smooths_when_asked(walk: Case, tmp_path: Path) -> None:
     write_blobs(result.blobs, tmp_path / "2d.csv")
     given = ["reconstruct", str(tmp_path / "2d.csv"), "--rig", str(tmp_path / "rig.toml"), "--noise", "0.3"]
     for name, more in (("raw.npz", []), ("smooth.npz", ["--smooth"])):
-        told = CliRunner().invoke(app, [*given, "-o", str(tmp_path / name), *more])
+        told = CliRunner().invoke(command_line(), [*given, "-o", str(tmp_path / name), *more])
         assert told.exit_code == 0, told.output
         assert ("paths, points moved by" in told.output) == bool(more)
     raw, smooth = read_clouds(tmp_path / "raw.npz"), read_clouds(tmp_path / "smooth.npz")

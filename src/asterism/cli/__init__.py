@@ -6,39 +6,19 @@ import glob
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
+from importlib import import_module
 from inspect import cleandoc
 from typing import Annotated
 
 import typer
 
 from asterism.cli import _console, _first_compile, calibrate, rig
-from asterism.cli.audit import audit
-from asterism.cli.capturability import capturability
-from asterism.cli.convert import convert
-from asterism.cli.demo import demo
-from asterism.cli.detect import detect
-from asterism.cli.evaluate import evaluate
-from asterism.cli.info import info
-from asterism.cli.label import label
-from asterism.cli.learn import learn
-from asterism.cli.name import name
-from asterism.cli.reconstruct import reconstruct
-from asterism.cli.review import review
-from asterism.cli.train import train
 from asterism.errors import AsterismError
 
 _RENAMED = {"--keep": "--keep-labels", "--anyway": "--force", "--weigh-from": "--weight-reference", "--mine-again": "--search-again"}
 """Renamed options: the old name, which is accepted and no longer shown, and the new one."""
 _LISTS = ("--occlusions", "--ghosts", "--wand")
-
-app = typer.Typer(
-    name="asterism",
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
 
 
 def _show_version(wanted: bool) -> None:
@@ -49,55 +29,73 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit(0)
 
 
-@app.callback(
-    help="Say which anonymous point of a motion capture is which marker. Start with `asterism demo`. From your own cameras' images: "
-    "detect, calibrate, reconstruct; then name the markers of one recording, train, and label the others.",
-    epilog="Status on leaving: 0 all done, 1 some files failed (named on standard error), 2 nothing could be done, 130 interrupted.",
-)
 def _asterism(
     _version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and stop.")] = False,
 ) -> None:
     pass
 
 
-_EXAMPLES: dict[Callable[..., None], str] = {
-    demo: "asterism demo",
-    name: "asterism name first.c3d --report numbers.html",
-    train: "asterism train labelled/*.c3d -o gait.model --markers helen-hayes",
-    label: "asterism label raw/*.c3d --model gait.model -o labelled",
-    review: "asterism review raw/*.c3d --model gait.model --report review.html",
-    learn: "asterism learn gait.model corrected/*.c3d -o better.model",
-    evaluate: "asterism evaluate --leave-one-subject-out labelled/*.c3d --markers helen-hayes --occlusions 0 2 4",
-    audit: "asterism audit labelled/*.c3d --markers helen-hayes",
-    capturability: "asterism capturability labelled/*.c3d --markers helen-hayes --report capturability.html",
-    info: "asterism info walk.c3d",
-    convert: "asterism convert walk.c3d walk.trc",
-    detect: "asterism detect cam1.mp4 cam2.mp4 cam3.mp4 -o 2d.csv --rig rig.toml --report blobs.html",
-    reconstruct: "asterism reconstruct 2d.csv --rig rig.toml -o clouds.npz",
+_EXAMPLES = {
+    "demo": "asterism demo",
+    "name": "asterism name first.c3d --report numbers.html",
+    "train": "asterism train labelled/*.c3d -o gait.model --markers helen-hayes",
+    "label": "asterism label raw/*.c3d --model gait.model -o labelled",
+    "review": "asterism review raw/*.c3d --model gait.model --report review.html",
+    "learn": "asterism learn gait.model corrected/*.c3d -o better.model",
+    "evaluate": "asterism evaluate --leave-one-subject-out labelled/*.c3d --markers helen-hayes --occlusions 0 2 4",
+    "audit": "asterism audit labelled/*.c3d --markers helen-hayes",
+    "capturability": "asterism capturability labelled/*.c3d --markers helen-hayes --report capturability.html",
+    "info": "asterism info walk.c3d",
+    "convert": "asterism convert walk.c3d walk.trc",
+    "detect": "asterism detect cam1.mp4 cam2.mp4 cam3.mp4 -o 2d.csv --rig rig.toml --report blobs.html",
+    "reconstruct": "asterism reconstruct 2d.csv --rig rig.toml -o clouds.npz",
 }
-
-
-_GROUPS: dict[str, tuple[str, dict[Callable[..., None], str]]] = {
-    "calibrate": ("Make the rig of a set of cameras, and correct it.", calibrate.VERBS),
-    "rig": ("Show how exactly a rig measures, and where to place cameras.", rig.VERBS),
+"""Each verb, which is a function in a module of its name, and its example."""
+_GROUPS: dict[str, tuple[str, Mapping[str, str]]] = {
+    "calibrate": ("Make the rig of a set of cameras, and correct it.", calibrate.EXAMPLES),
+    "rig": ("Show how exactly a rig measures, and where to place cameras.", rig.EXAMPLES),
 }
 """The first words of commands with two words: their help, and their commands."""
 
 
+def command_line(words: Sequence[str] = ()) -> typer.Typer:
+    """The commands as Typer knows them: the one that these words name, and all of them where they name none.
+
+    Only what is returned is imported, which is most of the time that a short command takes.
+    """
+    app = typer.Typer(
+        name="asterism",
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback(
+        help="Say which anonymous point of a motion capture is which marker. Start with `asterism demo`. From your own cameras' images: "
+        "detect, calibrate, reconstruct; then name the markers of one recording, train, and label the others.",
+        epilog="Status on leaving: 0 all done, 1 some files failed (named on standard error), 2 nothing could be done, 130 interrupted.",
+    )(_asterism)
+    first, second = [*words[:2], "", ""][:2]
+    named = first in _EXAMPLES or first in _GROUPS
+    if first not in _GROUPS:
+        _register(app, __name__, _EXAMPLES, first)
+    for name, (help_, examples) in _GROUPS.items():
+        if name == first or not named:
+            group = typer.Typer(name=name, help=help_, rich_markup_mode=None)
+            _register(group, f"{__name__}.{name}", examples, second)
+            app.add_typer(group)
+    return app
+
+
+def _register(group: typer.Typer, package: str, examples: Mapping[str, str], word: str) -> None:
+    """Add the verb of this name to a group of commands, or all verbs of a package where it has none of this name."""
+    for verb in [word] if word in examples else examples:
+        function = getattr(import_module(f"{package}.{verb}"), verb)
+        group.command(help=_paragraphs(function.__doc__ or ""), epilog=f"Example: {examples[verb]}")(function)
+
+
 def _paragraphs(text: str) -> str:
     return re.sub(r"(?<!\n)\n(?!\n)", " ", cleandoc(text))
-
-
-def _register(group: typer.Typer, verbs: dict[Callable[..., None], str]) -> None:
-    for verb, example in verbs.items():
-        group.command(help=_paragraphs(verb.__doc__ or ""), epilog=f"Example: {example}")(verb)
-
-
-_register(app, _EXAMPLES)
-for _name, (_help, _verbs) in _GROUPS.items():
-    _group = typer.Typer(name=_name, help=_help, rich_markup_mode=None)
-    _register(_group, _verbs)
-    app.add_typer(_group)
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -109,7 +107,7 @@ def main(args: Sequence[str] | None = None) -> int:
         words = _lists_joined(_globbed(_respelled(sys.argv[1:] if args is None else args)))
         if args is None:
             _first_compile.prepare(words)
-        status = app(args=words or ["--help"], prog_name="asterism", standalone_mode=False)
+        status = command_line(words)(args=words or ["--help"], prog_name="asterism", standalone_mode=False)
     except AsterismError as problem:
         _console.error(str(problem))
         return 2

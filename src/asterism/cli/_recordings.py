@@ -17,6 +17,8 @@ from asterism.recording import Clouds, Labelling, MarkerSet, Recording, keep_lab
 if TYPE_CHECKING:
     from asterism.cameras import Rig
 
+_KEEP_THE_SOURCE = "Keep the source file, or choose a format that carries it."
+
 
 def is_rig(path: Path) -> bool:
     """Whether a name is that of a rig file or of a folder of them; for a recording's name, the formats of rigs are not loaded."""
@@ -111,9 +113,8 @@ def report_warnings(recording: Recording, batch: _console.Batch) -> None:
             batch.found(finding)
 
 
-def not_carried(target: Path, lost: Sequence[str]) -> list[Finding]:
+def not_carried(target: Path, lost: Sequence[str], mend: str = _KEEP_THE_SOURCE) -> list[Finding]:
     """What a written file leaves out because its format cannot carry it, as findings."""
-    mend = "Keep the source file, or choose a format that carries it."
     return [Finding("format-not-carried", Severity.NOTE, str(target), f"{target} leaves out {what}.", mend) for what in lost]
 
 

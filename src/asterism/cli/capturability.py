@@ -44,7 +44,14 @@ def capturability(
         capturability_report(report, result, settings={"recordings": len(recordings), "seed": seed})
     _console.write_json(
         json,
-        {"command": "capturability", "files": batch.done, "failed": batch.failed, "seed": seed, "capturability": result.to_dict()},
+        {
+            "command": "capturability",
+            "files": batch.done,
+            "failed": batch.failed,
+            "seed": seed,
+            "capturability": result.to_dict(),
+            "findings": [finding.to_dict() for finding in batch.findings],
+        },
     )
     raise typer.Exit(batch.close())
 

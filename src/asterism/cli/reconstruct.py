@@ -15,7 +15,6 @@ from asterism.cli._options import Json, Overwrite
 
 if TYPE_CHECKING:
     from asterism.cameras import Rig
-    from asterism.findings import Finding
     from asterism.reconstruction import Reconstruction, ReconstructionSettings
 
 
@@ -83,6 +82,7 @@ def reconstruct(options: ReconstructOptions) -> None:
     """
     from asterism import reconstruction
     from asterism.cameras.files import read_rig
+    from asterism.cli._recordings import assumptions, not_carried
     from asterism.findings import exit_status
     from asterism.formats import check_suffix, read_blobs
 
@@ -99,7 +99,7 @@ def reconstruct(options: ReconstructOptions) -> None:
     if options.smooth:
         result, numbers["smoothed"] = _smoothed(result, rig)
     lost = result.write(output)
-    findings = (*_guesses(options.rig, rig), *findings, *(_not_written(output, what) for what in lost))
+    findings = (*assumptions(options.rig, rig), *findings, *not_carried(output, lost, "Write NPZ to keep everything."))
     for finding in findings:
         _console.report(finding)
     if options.json != "-":
@@ -107,29 +107,6 @@ def reconstruct(options: ReconstructOptions) -> None:
     content = {**numbers, "findings": [finding.to_dict() for finding in findings], "not_carried": lost}
     _console.write_json(options.json, {"command": "reconstruct", "blobs": options.blobs, "rig": options.rig, "output": output, **content})
     raise typer.Exit(exit_status(findings))
-
-
-def _guesses(path: Path, rig: Rig) -> list[Finding]:
-    """What the rig's file does not say and was assumed."""
-    from asterism.cameras.files import guesses
-    from asterism.findings import Finding, Severity
-
-    return [
-        Finding(
-            "reconstruct-rig-guess",
-            Severity.NOTE,
-            str(path),
-            f"{path} does not say {phrase}.",
-            "Where that is wrong, give the rig in metres.",
-        )
-        for phrase in guesses(rig)
-    ]
-
-
-def _not_written(path: Path, what: str) -> Finding:
-    from asterism.findings import Finding, Severity
-
-    return Finding("reconstruct-not-written", Severity.NOTE, str(path), f"{path} leaves out {what}.", "Write NPZ to keep everything.")
 
 
 def _smoothed(result: Reconstruction, rig: Rig) -> tuple[Reconstruction, dict[str, Any]]:

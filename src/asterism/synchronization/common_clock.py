@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,14 +11,28 @@ from asterism.recording.arrays import Floats, Ints
 from asterism.recording.blobs import Blobs
 from asterism.synchronization.known_paths import check_times
 
-_LONGEST_GAP = 2.5
-"""Frame periods between two frames of a camera across which blobs are still interpolated."""
-_SAME = 1e-3
-"""Frame periods: a frame taken so near an instant is taken at it."""
-_CLEAR = 0.5
-"""A blob's successor must be this much nearer than the next candidate."""
-_NEAR_PX = 4.0
-_SPREADS = 8.0
+
+@dataclass(frozen=True)
+class ClockRules:
+    """How blobs of one camera are linked and interpolated.
+
+    longest_gap  frame periods between two frames of a camera across which blobs are still interpolated; allows one lost image
+    same         frame periods: a frame taken so near an instant is taken at it
+    clear        a blob's successor must be nearer than this share of the next candidate's distance
+    near_px      px, and `spreads` times the median: how far a link may be from where the motion leads
+    spreads      see `near_px`
+
+    Checked on the simulated cameras that take turns of tests/test_clock.py.
+    """
+
+    longest_gap: float = 2.5
+    same: float = 1e-3
+    clear: float = 0.5
+    near_px: float = 4.0
+    spreads: float = 8.0
+
+
+RULES = ClockRules()
 
 
 def to_common_clock(blobs: Blobs) -> Blobs:
@@ -89,11 +103,11 @@ def _at(instants: Floats, when: Floats, order: Ints, xy: Floats, sizes: Floats, 
     when (F,) s: its frames' times; order (n,): which of these frames each blob belongs to, ascending.
     """
     starts = np.searchsorted(order, np.arange(len(when) + 1))
-    following = link(when, order, xy, _LONGEST_GAP * period)
-    left = np.searchsorted(when, instants - _SAME * period, side="right") - 1
+    following = link(when, order, xy, RULES.longest_gap * period)
+    left = np.searchsorted(when, instants - RULES.same * period, side="right") - 1
     nearest = np.clip(left + np.array([[0], [1]]), 0, len(when) - 1)
     nearest = np.where(np.abs(when[nearest[0]] - instants) <= np.abs(when[nearest[1]] - instants), nearest[0], nearest[1])
-    exact = np.abs(when[nearest] - instants) <= _SAME * period
+    exact = np.abs(when[nearest] - instants) <= RULES.same * period
 
     at = np.flatnonzero(exact)
     there, blobs = _pairs(at, starts[nearest[at]], starts[nearest[at] + 1])
@@ -170,13 +184,13 @@ def _nearest(when: Floats, order: Ints, xy: Floats, speed: Floats, longest: floa
         way = np.where(open_[:, None], toward * speed * np.where(open_, took, 0.0)[:, None], 0.0)
         distance, nearest = tree.query(np.column_stack([xy + way, far * (order + toward)]), k=2, distance_upper_bound=0.5 * far)
         found = open_ & np.isfinite(distance[:, 0])
-        distance[~found | ~(distance[:, 0] < _CLEAR * distance[:, 1]), 0] = np.inf
+        distance[~found | ~(distance[:, 0] < RULES.clear * distance[:, 1]), 0] = np.inf
         return np.where(found, nearest[:, 0], -1), distance[:, 0]
 
     (ahead, miss), (back, _) = look(1), look(-1)
     clear = (ahead >= 0) & np.isfinite(miss)
     clear[clear] = back[ahead[clear]] == np.flatnonzero(clear)
     if clear.any():
-        clear &= miss <= _NEAR_PX + _SPREADS * np.median(miss[clear])
+        clear &= miss <= RULES.near_px + RULES.spreads * np.median(miss[clear])
     following[clear] = ahead[clear]
     return following

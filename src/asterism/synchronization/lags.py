@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -12,18 +12,43 @@ from asterism.cameras import Camera, Rig
 from asterism.recording import Blobs, Floats
 from asterism.synchronization._sync_kernels import crossing
 
-_LONGEST = 250
-_FRAMES = 60
-_CROWD = 100
-_NEAR_PX = 2.0
-_FITTING, _CROSSING = (2.5, 0.5), (0.4, 0.1)
-"""How high the best lag's score must be, and how far above the next peak's."""
-_FEWEST = 30
-_FEWEST_TO_FIT = 200
-"""Frames that two cameras must share: for their blobs to be tried on known epipolar lines, for unknown ones to be fitted."""
+
+@dataclass(frozen=True)
+class LagSearchRules:
+    """How lags of whole frames are searched for.
+
+    longest          frames up to which lags are searched
+    frames           frames of the first camera that are tried on known epipolar lines
+    frames_to_fit    frames that unknown epipolar lines are fitted to
+    crowd            images with more blobs are not tried: every line meets one
+    near_px          px from its epipolar line within which a blob counts
+    crossing         share of blobs near their line that the best lag needs, and how far above the next peak that must be
+    fitting          the same with unknown lines, of the logarithm of spread over residual
+    fewest           frames that two cameras must share to be tried on known epipolar lines; frames of a third of the recording for `slips`
+    fewest_to_fit    frames that they must share for unknown ones
+    shortest_shares  a lag is at most the recording's length divided by this, with known lines and with unknown ones
+    kept             share of the frames that each of three fits of unknown lines keeps: the nearest
+
+    Checked on the simulated cameras out of step of tests/test_reconstruction.py and tests/test_wand.py.
+    """
+
+    longest: int = 250
+    frames: int = 60
+    frames_to_fit: int = 240
+    crowd: int = 100
+    near_px: float = 2.0
+    crossing: tuple[float, float] = (0.4, 0.1)
+    fitting: tuple[float, float] = (2.5, 0.5)
+    fewest: int = 30
+    fewest_to_fit: int = 200
+    shortest_shares: tuple[int, int] = (3, 8)
+    kept: float = 2 / 3
 
 
-def lags(blobs: Blobs, rig: Rig | None = None, longest: int = _LONGEST) -> Floats:
+RULES = LagSearchRules()
+
+
+def lags(blobs: Blobs, rig: Rig | None = None, longest: int = RULES.longest) -> Floats:
     """How many frames each camera is behind most others: (C,), whole numbers; NaN where nothing is known.
 
     With a rig: at the right lag, blobs of one camera lie on the epipolar lines of the other's. Without: at the right lag, one fundamental
@@ -31,18 +56,18 @@ def lags(blobs: Blobs, rig: Rig | None = None, longest: int = _LONGEST) -> Float
     Each pair of cameras tells its lag where one stands out from all others up to `longest` frames; the pairs that stand out most tie the
     cameras together, and a camera that most of its pairs contradict has no lag.
     """
-    longest = min(longest, len(blobs) // (8 if rig is None else 3))
+    longest = min(longest, len(blobs) // RULES.shortest_shares[rig is None])
     cameras = len(blobs.cameras)
     pairs: list[tuple[float, int, int, int]] = []
     if longest >= 1 and rig is not None:
         flat = _flat(blobs, rig)
         for a, b in combinations(range(cameras), 2):
-            above, best = _stands_out(_crossing(blobs, flat, (rig[a], rig[b]), (a, b), longest), *_CROSSING)
+            above, best = _stands_out(_crossing(blobs, flat, (rig[a], rig[b]), (a, b), longest), *RULES.crossing)
             pairs += [(above, a, b, best - longest)] if above > 0 else []
     elif longest >= 1:
         middles = [_middles(blobs, c) for c in range(cameras)]
         for a, b in combinations(range(cameras), 2):
-            above, best = _stands_out(_fitting(middles[a], middles[b], longest), *_FITTING)
+            above, best = _stands_out(_fitting(middles[a], middles[b], longest), *RULES.fitting)
             pairs += [(above, a, b, best - longest)] if above > 0 else []
     behind = np.full(cameras, np.nan)
     pairs.sort(reverse=True)
@@ -80,7 +105,7 @@ def slips(blobs: Blobs, rig: Rig) -> Floats:
     A camera that loses an image in the middle, without a gap in its numbers, is ahead of the others from there on.
     """
     third = len(blobs) // 3
-    if third < _FEWEST:
+    if third < RULES.fewest:
         return np.full(len(blobs.cameras), np.nan)
     first, last = _frames(blobs, 0, third), _frames(blobs, len(blobs) - third, len(blobs))
     return lags(last, rig) - lags(first, rig)
@@ -110,20 +135,20 @@ def _fitting(first: Floats, second: Floats, longest: int) -> Floats:
     """How well one fundamental matrix explains the middles of two cameras, at each lag of the second: minus the logarithm of the residual,
     as a share of the spread; NaN where they share few frames. The worst third of the frames is left out, twice."""
     scores = np.full(2 * longest + 1, np.nan)
-    fewest = max(_FEWEST_TO_FIT, 0.5 * float((np.isfinite(first[:, 0]) & np.isfinite(second[:, 0])).sum()))
+    fewest = max(RULES.fewest_to_fit, 0.5 * float((np.isfinite(first[:, 0]) & np.isfinite(second[:, 0])).sum()))
     a, b = _normalized(first), _normalized(second)
     for lag in range(-longest, longest + 1):
         x, y = a[max(0, -lag) : len(a) - max(0, lag)], b[max(0, lag) : len(b) - max(0, -lag)]
         both = np.flatnonzero(np.isfinite(x[:, 0]) & np.isfinite(y[:, 0]))
         if len(both) < fewest:
             continue
-        both = both[np.linspace(0, len(both) - 1, min(4 * _FRAMES, len(both))).astype(int)]
+        both = both[np.linspace(0, len(both) - 1, min(RULES.frames_to_fit, len(both))).astype(int)]
         products = (y[both, :, None] * x[both, None, :]).reshape(-1, 9)
         kept = products
         for _ in range(3):
             values, vectors = np.linalg.eigh(kept.T @ kept)
             miss = np.abs(products @ vectors[:, 0])
-            kept = products[miss <= np.quantile(miss, 2 / 3)]
+            kept = products[miss <= np.quantile(miss, RULES.kept)]
         scores[lag + longest] = -0.5 * np.log(max(float(values[0]) / (len(kept) - 8), 1e-18))
     return scores
 
@@ -156,12 +181,12 @@ def _crossing(blobs: Blobs, flat: Floats, cameras: tuple[Camera, Camera], places
     essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ turn
     scores = np.full(2 * longest + 1, np.nan)
     counts = blobs.counts[:, a]
-    frames = np.flatnonzero((counts > 0) & (counts <= _CROWD))
+    frames = np.flatnonzero((counts > 0) & (counts <= RULES.crowd))
     if not len(frames):
         return scores
-    frames = frames[np.linspace(0, len(frames) - 1, min(_FRAMES, len(frames))).astype(int)]
-    near, fewest = _NEAR_PX / two.focal[0], min(_FEWEST, len(blobs) // 3)
-    crossing(flat, blobs.offsets, len(blobs.cameras), a, b, frames, essential, near, longest, _CROWD, fewest, scores)
+    frames = frames[np.linspace(0, len(frames) - 1, min(RULES.frames, len(frames))).astype(int)]
+    near, fewest = RULES.near_px / two.focal[0], min(RULES.fewest, len(blobs) // 3)
+    crossing(flat, blobs.offsets, len(blobs.cameras), a, b, frames, essential, near, longest, RULES.crowd, fewest, scores)
     return scores
 
 

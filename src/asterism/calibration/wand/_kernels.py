@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,69 @@ MOST_BLOBS = 40
 """Images with more blobs than this are not searched for a wand."""
 PARALLEL = 1e-7
 """Of the normal equations' determinant per cubed number of rays: rays below it count as parallel."""
+NEARLY_ALL = 0.9
+"""Share of the blobs that may be on the wand: a proposal with a higher support is taken without a look at the others."""
+
+
+class WandImages(NamedTuple):
+    """P blobs of T frames and C cameras, and what single images took for the wand's K markers.
+
+    xy          (P, 2) px
+    rays        (P, 3) unit directions in the world, NaN where there is none
+    offsets     (T * C + 1,) where the blobs of each image begin
+    detections  (T, C, K) int: rows of xy, -1 for none
+    """
+
+    xy: np.ndarray
+    rays: np.ndarray
+    offsets: np.ndarray
+    detections: np.ndarray
+
+
+class WandCameras(NamedTuple):
+    """C cameras.
+
+    lens                   (C, LENS)
+    rotation, translation  (C, 3, 3), (C, 3) m: the world into each camera
+    origin                 (C, 3) m
+    posed                  (C,) bool; what is not posed yet does not count
+    gate                   (C,) px, how far a blob may be from the wand
+    """
+
+    lens: np.ndarray
+    rotation: np.ndarray
+    translation: np.ndarray
+    origin: np.ndarray
+    posed: np.ndarray
+    gate: np.ndarray
+
+
+class WandPlaces(NamedTuple):
+    """Where the wand lay in T frames.
+
+    start, direction  (T, 3) m: its first marker and its unit direction; NaN where no two cameras agree
+    observations      (T, C, K) int: the blobs on it, -1 for none
+    support           (T,) how well the images agree: 0 to 1 per marker and camera, added
+    """
+
+    start: np.ndarray
+    direction: np.ndarray
+    observations: np.ndarray
+    support: np.ndarray
+
+
+class WandWorkspace(NamedTuple):
+    """Working arrays: C rays, the normal equations of their crossing, the K markers of a proposal, and the proposal itself."""
+
+    origin: np.ndarray
+    ray: np.ndarray
+    normal: np.ndarray
+    right: np.ndarray
+    points: np.ndarray
+    there: np.ndarray
+    start: np.ndarray
+    direction: np.ndarray
+    observations: np.ndarray
 
 
 @kernel
@@ -116,106 +180,120 @@ def _fit_line(lengths, points, there, start, direction):
 
 
 @kernel(inline=True)
-def _support(frame, lengths, start, direction, lens, rotation, translation, posed, xy, offsets, gate, observations):
-    """How well the images agree with a wand lying there: 0 to 1 per marker and camera; writes the blobs (C, K) that do."""
-    total, cameras = 0.0, len(posed)
-    for c in range(cameras):
+def _nearest_blob(xy, first, last, u, v, gate, taken, markers):
+    """The blob nearest to a pixel, within the gate and none of the first markers' blobs: its row, -1 for none, and its squared distance."""
+    nearest, best = gate * gate, -1
+    for b in range(first, last):
+        square = (xy[b, 0] - u) ** 2 + (xy[b, 1] - v) ** 2
+        if square < nearest:
+            free = True
+            for other in range(markers):
+                free = free and taken[other] != b
+            if free:
+                nearest, best = square, b
+    return best, nearest
+
+
+@kernel
+def _support(t, images, cameras, lengths, work):
+    """How well the images agree with the wand in the workspace: 0 to 1 per marker and camera, added; writes the blobs (C, K) that do."""
+    start, direction, observations = work.start, work.direction, work.observations
+    total, many = 0.0, len(cameras.posed)
+    for c in range(many):
         for k in range(len(lengths)):
             observations[c, k] = -1
-        first, last = offsets[frame * cameras + c], offsets[frame * cameras + c + 1]
-        if not posed[c] or first == last:
+        first, last = images.offsets[t * many + c], images.offsets[t * many + c + 1]
+        if not cameras.posed[c] or first == last:
             continue
+        gate = cameras.gate[c]
         for k in range(len(lengths)):
             u, v = _pixel(
-                lens[c], rotation[c], translation[c],
+                cameras.lens[c], cameras.rotation[c], cameras.translation[c],
                 start[0] + lengths[k] * direction[0], start[1] + lengths[k] * direction[1], start[2] + lengths[k] * direction[2],
             )  # fmt: skip
             if not math.isfinite(u):
                 continue
-            nearest = gate[c] * gate[c]
-            for b in range(first, last):
-                square = (xy[b, 0] - u) ** 2 + (xy[b, 1] - v) ** 2
-                if square < nearest:
-                    taken = False
-                    for other in range(k):
-                        taken = taken or observations[c, other] == b
-                    if not taken:
-                        nearest = square
-                        observations[c, k] = b
+            observations[c, k], nearest = _nearest_blob(images.xy, first, last, u, v, gate, observations[c], k)
             if observations[c, k] >= 0:
-                total += 1.0 - nearest / (gate[c] * gate[c])
+                total += 1.0 - nearest / (gate * gate)
     return total
 
 
 @kernel
-def locate_wand(
-    xy, rays, offsets, detections, lengths, symmetric, lens, rotation, translation, origins, posed, gate,
-    starts, directions, observations, support,
-):  # fmt: skip
+def _improve(t, images, cameras, lengths, places, work):
+    """Lay the wand through the markers of the workspace, and keep it where more blobs lie on it than on the one so far."""
+    if not _fit_line(lengths, work.points, work.there, work.start, work.direction):
+        return False
+    score = _support(t, images, cameras, lengths, work)
+    if not score > places.support[t]:
+        return False
+    places.support[t] = score
+    places.start[t], places.direction[t] = work.start, work.direction
+    places.observations[t] = work.observations
+    return True
+
+
+@kernel
+def _propose(t, images, cameras, lengths, symmetric, places, work):
+    """The best of the wands that pairs of cameras propose."""
+    many, markers = len(cameras.posed), len(lengths)
+    possible = 0
+    for c in range(many):
+        if cameras.posed[c]:
+            possible += min(images.offsets[t * many + c + 1] - images.offsets[t * many + c], markers)
+    for a in range(many):
+        if not cameras.posed[a] or images.detections[t, a, 0] < 0:
+            continue
+        for b in range(a + 1, many):
+            if not cameras.posed[b] or images.detections[t, b, 0] < 0:
+                continue
+            for turned in range(2 if symmetric and markers > 1 else 1):
+                for k in range(markers):
+                    i, j = images.detections[t, a, k], images.detections[t, b, markers - 1 - k if turned else k]
+                    work.origin[0], work.origin[1] = cameras.origin[a], cameras.origin[b]
+                    work.ray[0], work.ray[1] = images.rays[i], images.rays[j]
+                    work.there[k] = math.isfinite(work.ray[0, 0] + work.ray[1, 0]) and nearest_to_rays(
+                        work.origin, work.ray, 0, 2, PARALLEL, work.normal, work.right, work.points[k]
+                    )
+                _improve(t, images, cameras, lengths, places, work)
+            if places.support[t] > NEARLY_ALL * possible:
+                return
+
+
+@kernel
+def _lay_again(t, images, cameras, lengths, places, work):
+    """Lay the wand through all blobs on it; whether more lie on it then."""
+    for k in range(len(lengths)):
+        n = 0
+        for c in range(len(cameras.posed)):
+            blob = places.observations[t, c, k]
+            if blob >= 0 and math.isfinite(images.rays[blob, 0]):
+                work.origin[n], work.ray[n] = cameras.origin[c], images.rays[blob]
+                n += 1
+        work.there[k] = n >= 2 and nearest_to_rays(work.origin, work.ray, 0, n, PARALLEL, work.normal, work.right, work.points[k])
+    return _improve(t, images, cameras, lengths, places, work)
+
+
+@kernel
+def locate_wand(images, cameras, lengths, symmetric, places):
     """Where the wand lay in each frame by what posed cameras agree on, whatever single images took for it.
 
     Every pair of cameras that found a wand proposes one; the one that most blobs of all posed cameras lie on is taken, laid again by all of
-    these, and the blobs on it are its sightings.
+    these, twice at most, and the blobs on it are its sightings.
 
-    IN  xy (P, 2) px and rays (P, 3), unit directions in the world, of all blobs; offsets (T * C + 1,); detections (T, C, K): blobs
-        by single images, -1 for none; lengths (K,) m from the wand's first marker; symmetric: whether images leave the order of the
-        markers open; lens (C, LENS), rotation (C, 3, 3), translation (C, 3), origins (C, 3) m of the cameras, posed (C,) bool;
-        gate (C,) px
-    OUT starts (T, 3) m, directions (T, 3): NaN where no two cameras agree; observations (T, C, K) int: blobs on the wand; support (T,)
+    IN  images, cameras; lengths (K,) m from the wand's first marker; symmetric: whether images leave the order of the markers open
+    OUT places
     O(T * C^2 * C * K). Twin: tests/twins_wand.py
     """
-    frames, cameras, markers = detections.shape
-    origin, ray, normal, right = np.empty((cameras, 3)), np.empty((cameras, 3)), np.empty((3, 3)), np.empty(3)
-    points, there = np.empty((markers, 3)), np.zeros(markers, np.bool_)
-    start, direction, tried = np.empty(3), np.empty(3), np.empty((cameras, markers), np.int64)
+    frames, many, markers = images.detections.shape
+    work = WandWorkspace(
+        np.empty((many, 3)), np.empty((many, 3)), np.empty((3, 3)), np.empty(3), np.empty((markers, 3)), np.zeros(markers, np.bool_),
+        np.empty(3), np.empty(3), np.empty((many, markers), np.int64),
+    )  # fmt: skip
     for t in range(frames):
-        starts[t], directions[t], support[t] = np.nan, np.nan, 0.0
-        observations[t] = -1
-        found, seen = 0, 0
-        for c in range(cameras):
-            if posed[c]:
-                found += 1 if detections[t, c, 0] >= 0 else 0
-                seen += min(offsets[t * cameras + c + 1] - offsets[t * cameras + c], markers)
-        if found < 2:
-            continue
-        done = False
-        for a in range(cameras):
-            if done or not posed[a] or detections[t, a, 0] < 0:
-                continue
-            for b in range(a + 1, cameras):
-                if done or not posed[b] or detections[t, b, 0] < 0:
-                    continue
-                for turned in range(2 if symmetric and markers > 1 else 1):
-                    for k in range(markers):
-                        i, j = detections[t, a, k], detections[t, b, markers - 1 - k if turned else k]
-                        origin[0], origin[1] = origins[a], origins[b]
-                        ray[0], ray[1] = rays[i], rays[j]
-                        there[k] = math.isfinite(ray[0, 0] + ray[1, 0]) and nearest_to_rays(
-                            origin, ray, 0, 2, PARALLEL, normal, right, points[k]
-                        )
-                    if not _fit_line(lengths, points, there, start, direction):
-                        continue
-                    score = _support(t, lengths, start, direction, lens, rotation, translation, posed, xy, offsets, gate, tried)
-                    if score > support[t]:
-                        support[t] = score
-                        starts[t], directions[t] = start, direction
-                        observations[t] = tried
-                        done = score > 0.9 * seen
+        places.start[t], places.direction[t], places.support[t] = np.nan, np.nan, 0.0
+        places.observations[t] = -1
+        _propose(t, images, cameras, lengths, symmetric, places, work)
         for _ in range(2):
-            if support[t] == 0.0:
+            if places.support[t] == 0.0 or not _lay_again(t, images, cameras, lengths, places, work):
                 break
-            for k in range(markers):
-                n = 0
-                for c in range(cameras):
-                    if observations[t, c, k] >= 0 and math.isfinite(rays[observations[t, c, k], 0]):
-                        origin[n], ray[n] = origins[c], rays[observations[t, c, k]]
-                        n += 1
-                there[k] = n >= 2 and nearest_to_rays(origin, ray, 0, n, PARALLEL, normal, right, points[k])
-            if not _fit_line(lengths, points, there, start, direction):
-                break
-            score = _support(t, lengths, start, direction, lens, rotation, translation, posed, xy, offsets, gate, tried)
-            if score <= support[t]:
-                break
-            support[t] = score
-            starts[t], directions[t] = start, direction
-            observations[t] = tried

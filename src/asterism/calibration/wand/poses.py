@@ -85,8 +85,8 @@ def locate_wand(blobs: Blobs, detections: Ints, wand: Wand, cameras: Sequence[Ca
     starts, directions = np.empty((frames, 3)), np.empty((frames, 3))
     gates = np.full(len(cameras), np.asarray(gate, dtype=np.float64))
     observations, support = np.empty((frames, len(cameras), markers), dtype=np.int64), np.empty(frames)
-    _kernels.locate_wand(
-        blobs.xy, rays, blobs.offsets, detections, wand.lengths, wand.symmetric, lens, rotation, translation, origins, posed, gates,
-        starts, directions, observations, support,
-    )  # fmt: skip
+    places = _kernels.WandPlaces(starts, directions, observations, support)
+    images = _kernels.WandImages(blobs.xy, rays, blobs.offsets, detections)
+    posed_cameras = _kernels.WandCameras(lens, rotation, translation, origins, posed, gates)
+    _kernels.locate_wand(images, posed_cameras, wand.lengths, wand.symmetric, places)
     return WandPoses(starts, directions, observations)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -17,14 +17,49 @@ from asterism.errors import AsterismError
 from asterism.geometry import fit_rigid
 from asterism.recording import Blobs, Floats
 
-_GATE = 0.004
-"""How far blobs may be from where a still marker should be, in widths of the image."""
-_AT_REST = 0.01
-"""m: a wand whose ends stay this near to where they were lies still."""
-_LONGEST_MISS = 0.02
-"""The share of its size by which a measured L-frame may differ from what was given."""
-_DEEPEST, _UPSIDE_DOWN = 0.1, 0.3
-"""m below the floor where no camera stands; the upward part of an image's down (share of one) that no camera has by hanging askew."""
+
+@dataclass(frozen=True)
+class WorldRules:
+    """What still markers and a wand on the floor must fulfil to give a world.
+
+    gate            widths of the image: how far blobs may be from where a still marker should be
+    steady          widths of the image, added to `steady_px` px: blobs within three times this of one another are of one still marker
+    steady_px       see `steady`
+    shown           share of the frames with blobs in which a camera must show a still marker
+    ray_miss        share of the distances to two cameras by which their rays of one marker may miss each other
+    at_rest         m: a wand whose ends stay this near to where they were lies still
+    shortest_rest   share of the longest rest: shorter ones are moments on the way
+    longest_miss    share of its size by which a measured L-frame may differ from what was given
+    alike           share of its size: a second way to lay the L-frame that misses by less than this, or by less than twice the best
+                    one's miss, looks alike
+    in_line         second singular value of the places where the wand lay, as a share of the first: below it, they lie in one line
+    off_plane       m, median, and `uneven`, third singular value as a share of the second: above one of them, the floor is no plane
+    uneven          see `off_plane`
+    deepest         m below the floor where no camera stands
+    upside_down     upward part of an image's down (share of one) that no camera has by hanging askew
+    level           length of the mean of the cameras' up directions: below it, the first camera's counts
+
+    Checked on the simulated L-frames and floors of tests/test_wand.py.
+    """
+
+    gate: float = 0.004
+    steady: float = 0.001
+    steady_px: float = 0.5
+    shown: float = 0.5
+    ray_miss: float = 0.02
+    at_rest: float = 0.01
+    shortest_rest: float = 0.1
+    longest_miss: float = 0.02
+    alike: float = 0.003
+    in_line: float = 0.1
+    off_plane: float = 0.01
+    uneven: float = 0.15
+    deepest: float = 0.1
+    upside_down: float = 0.3
+    level: float = 0.2
+
+
+RULES = WorldRules()
 _UP = np.array([0.0, 0.0, 1.0])
 
 Similarity = tuple[Floats, Floats, float]
@@ -39,7 +74,7 @@ def default_world(rig: Rig, positions: Floats) -> tuple[Floats, Floats]:
     cameras are hung level.
     """
     up = -np.sum([camera.rotation[1] for camera in rig], axis=0)
-    if np.linalg.norm(up) < 0.2 * len(rig):
+    if np.linalg.norm(up) < RULES.level * len(rig):
         up = -rig[0].rotation[1]
     z = up / np.linalg.norm(up)
     x = rig[0].rotation[0] - (rig[0].rotation[0] @ z) * z
@@ -93,7 +128,7 @@ def world_from_l_frame(rig: Rig, still: Blobs, markers: ArrayLike, *, scaled: bo
             f"those seen are {', '.join(f'{gap:.3f}' for gap in np.sort(seen[np.triu_indices(len(points), 1)])[:12])} m."
         )
     miss, chosen = ranked[0]
-    if len(ranked) > 1 and ranked[1][0] < max(2.0 * miss, 0.003 * gaps.max()):
+    if len(ranked) > 1 and ranked[1][0] < max(2.0 * miss, RULES.alike * gaps.max()):
         raise AsterismError("the L-frame looks alike from two sides; give it arms of different lengths.")
     found = points[list(chosen)]
     scale = 1.0 if scaled else float(gaps.sum() / seen[np.ix_(chosen, chosen)].sum())
@@ -113,7 +148,7 @@ def world_from_floor_wand(rig: Rig, lying: Blobs, lengths: ArrayLike) -> Similar
         raise AsterismError("one marker on the floor tells no direction; lay a wand of two or three markers there.")
     width = widest_image(rig)
     cameras = [rig[name] if name in rig.names else None for name in lying.cameras]
-    poses = locate_wand(lying, identify(lying, wand), wand, cameras, _GATE * width)
+    poses = locate_wand(lying, identify(lying, wand), wand, cameras, RULES.gate * width)
     there = np.isfinite(poses.starts[:, 0])
     if not there.any():
         raise AsterismError("no two cameras of the rig see the wand on the floor; lay it where they do.")
@@ -121,10 +156,10 @@ def world_from_floor_wand(rig: Rig, lying: Blobs, lengths: ArrayLike) -> Similar
     points = np.concatenate(rests).reshape(-1, 3)
     middle = np.median(points, axis=0)
     _, sizes, vt = np.linalg.svd(points - middle, full_matrices=False)
-    if sizes[1] < 0.1 * sizes[0]:
+    if sizes[1] < RULES.in_line * sizes[0]:
         raise AsterismError("the wand lay in one line only, which leaves open what is up; lay it down in two directions.")
     off = np.median(np.abs((points - middle) @ vt[2]))
-    if off > 0.01 or sizes[2] > 0.15 * sizes[1]:
+    if off > RULES.off_plane or sizes[2] > RULES.uneven * sizes[1]:
         raise AsterismError(f"the wand did not lie in one plane (off by {1000 * off:.0f} mm and more); lay it still, on a flat floor.")
     z = vt[2] if np.median([(camera.position - middle) @ vt[2] for camera in rig]) > 0.0 else -vt[2]
     _check_floor(rig, middle, z)
@@ -141,19 +176,19 @@ def _rests(starts: Floats, ends: Floats, symmetric: bool) -> list[Floats]:
     rests: list[list[Floats]] = []
     for now in np.stack([starts, ends], axis=1):
         for way in [now, now[::-1]] if symmetric else [now]:
-            if rests and np.linalg.norm(way - rests[-1][0], axis=1).max() < _AT_REST:
+            if rests and np.linalg.norm(way - rests[-1][0], axis=1).max() < RULES.at_rest:
                 rests[-1].append(way)
                 break
         else:
             rests.append([now])
     longest = max(len(rest) for rest in rests)
-    return [np.array(rest) for rest in rests if len(rest) > 0.1 * longest]
+    return [np.array(rest) for rest in rests if len(rest) > RULES.shortest_rest * longest]
 
 
 def still_points(rig: Rig, blobs: Blobs) -> Floats:
     """What stays at one place in a recording and is seen by two cameras or more: (n, 3) m, those that most cameras see first."""
     width = widest_image(rig)
-    places = {name: _still(blobs, c, 0.001 * width + 0.5) for c, name in enumerate(blobs.cameras) if name in rig.names}
+    places = {name: _still(blobs, c, RULES.steady * width + RULES.steady_px) for c, name in enumerate(blobs.cameras) if name in rig.names}
     rays = {name: rig[name].rays(xy) for name, xy in places.items() if len(xy)}
     proposals = []
     for a, b in combinations(rays, 2):
@@ -164,7 +199,7 @@ def still_points(rig: Rig, blobs: Blobs) -> Floats:
                 projected = rig[name].project(points)
                 off = np.linalg.norm(projected[:, None] - xy[None], axis=2)
                 near = np.where(np.isfinite(off), off, np.inf).min(axis=1)
-                good = near < _GATE * width
+                good = near < RULES.gate * width
                 votes += good
                 miss += np.where(good, near, 0.0)
         proposals += [(int(vote), float(sum_), point) for vote, sum_, point in zip(votes, miss, points, strict=True) if vote >= 2]
@@ -176,7 +211,7 @@ def still_points(rig: Rig, blobs: Blobs) -> Floats:
             if len(xy):
                 off = np.linalg.norm(xy - rig[name].project(point), axis=1)
                 at = int(np.argmin(np.where(np.isfinite(off), off, np.inf)))
-                if off[at] < _GATE * width and not taken[name][at]:
+                if off[at] < RULES.gate * width and not taken[name][at]:
                     own[name] = at
         if len(own) >= 2:
             for name, at in own.items():
@@ -203,7 +238,7 @@ def _still(blobs: Blobs, camera: int, radius: float) -> Floats:
         seed = xy[np.argmax(left)]
         heap = left & (np.linalg.norm(xy - seed, axis=1) < 3.0 * radius)
         left &= ~heap
-        if len(np.unique(frames[heap])) > 0.5 * shown:
+        if len(np.unique(frames[heap])) > RULES.shown * shown:
             places.append(np.median(xy[heap], axis=0))
     return np.array(places).reshape(-1, 2)
 
@@ -217,7 +252,7 @@ def _crossings(a: Floats, rays_a: Floats, b: Floats, rays_b: Floats) -> Floats:
     under = np.maximum(1.0 - across**2, 1e-9)
     s, t = (along_a - across * along_b) / under, (across * along_a - along_b) / under
     first, second = a + s[:, None] * one, b + t[:, None] * other
-    near = (np.linalg.norm(first - second, axis=1) < 0.02 * (s + t)) & (s > 0.0) & (t > 0.0) & np.isfinite(s)
+    near = (np.linalg.norm(first - second, axis=1) < RULES.ray_miss * (s + t)) & (s > 0.0) & (t > 0.0) & np.isfinite(s)
     return np.asarray(0.5 * (first + second)[near], dtype=np.float64)
 
 
@@ -232,7 +267,7 @@ def _matches(wanted: Floats, seen: Floats, scaled: bool) -> list[tuple[float, tu
             own, target = seen[np.ix_(chosen, chosen)], wanted[:k, :k]
             factor = 1.0 if scaled else target.sum() / max(own.sum(), 1e-12)
             miss = float(np.abs(factor * own - target).max())
-            if miss > _LONGEST_MISS * size:
+            if miss > RULES.longest_miss * size:
                 return
             if k == len(wanted):
                 found.append((miss, chosen))
@@ -252,11 +287,11 @@ def _check_floor(rig: Rig, middle: Floats, z: Floats) -> None:
     """
     heights = {camera.name: float((camera.position - middle) @ z) for camera in rig}
     lowest = min(heights, key=lambda name: heights[name])
-    if heights[lowest] < -_DEEPEST:
+    if heights[lowest] < -RULES.deepest:
         raise AsterismError(
             f"camera {lowest} would stand {-heights[lowest]:.2f} m below the floor; lay the wand flat on the floor, in both directions."
         )
-    if all(float(camera.rotation[1] @ z) > _UPSIDE_DOWN for camera in rig):
+    if all(float(camera.rotation[1] @ z) > RULES.upside_down for camera in rig):
         raise AsterismError(
             "all cameras would hang upside down above this floor: y is counted from the bottom in the images, which mirrors the world; "
             "if they do hang so, give an L-frame or three points."

@@ -17,17 +17,45 @@ from asterism.errors import AsterismError
 from asterism.progress import Progress
 from asterism.recording import Floats, Ints
 
-PLACES, FINE_PLACES = 400, 2000
-CANDIDATES = 2000
-SWEEPS = 4
-GLARE = 0.02
-"""What it costs when every camera has every other one's lamps in its image."""
-STRIDES = (0.6, 0.3, 0.15, 0.07, 0.03)
-"""m, of the polish."""
-APART = 0.3
-"""m, how near the polish may move one camera to another."""
-MOVES = [(which, sign) for which in (0, 1, 3, 4, 5) for sign in (1.0, -1.0)]
-PAIRS = np.array([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)])
+
+@dataclass(frozen=True)
+class PlanRules:
+    """How far a plan is searched, and what its cameras may not do.
+
+    places, fine_places  points of the volume at which the search over the grid, and the polish, ask what cameras see
+    candidates           poses at most on the grid; mounts farther apart are taken where there would be more
+    spacing              m between mounts of the grid at most, and `wider` times that where there are too many candidates
+    aims_aside, aims_up  shares of the volume's width and depth, and of its height, at which poses of the grid aim
+    sweeps               rounds at most in which each camera is exchanged for the best candidate
+    glare                what it costs when every camera has every other one's lamps in its image
+    strides              m, by which the polish moves a camera or its target
+    apart                m between two cameras at least, in the polish
+    nearest_target       m between a camera and its target at least
+    lack                 what it costs, per share of the volume, to see less than the ring does
+    least_gain           of the objective (0 to 1): smaller gains end a sweep or a step
+
+    Chosen on the volumes and cameras of tests/test_plan.py and of the row `cameras --rows plan`.
+    """
+
+    places: int = 400
+    fine_places: int = 2000
+    candidates: int = 2000
+    spacing: float = 0.5
+    wider: float = 1.2
+    aims_aside: tuple[float, ...] = (0.25, 0.5, 0.75)
+    aims_up: tuple[float, ...] = (0.3, 0.6)
+    sweeps: int = 4
+    glare: float = 0.02
+    strides: tuple[float, ...] = (0.6, 0.3, 0.15, 0.07, 0.03)
+    apart: float = 0.3
+    nearest_target: float = 0.5
+    lack: float = 10.0
+    least_gain: float = 1e-6
+
+
+RULES = PlanRules()
+_MOVES = [(which, sign) for which in (0, 1, 3, 4, 5) for sign in (1.0, -1.0)]
+_PAIRS = np.array([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)])
 
 
 @dataclass(frozen=True)
@@ -78,7 +106,7 @@ def plan_rig(
     if min(size) < 1 or not focal > 0 or not noise > 0:
         raise AsterismError("image size, focal length and noise must be positive.")
     given = Mounts.around(volume) if mounts is None else mounts
-    coarse, hall = (_Hall(volume, given, size, focal, noise, places) for places in (PLACES, FINE_PLACES))
+    coarse, hall = (_Hall(volume, given, size, focal, noise, places) for places in (RULES.places, RULES.fine_places))
 
     def say(fraction: float, doing: str) -> None:
         if progress is not None:
@@ -127,7 +155,7 @@ class _Hall:
         """What each pose sees (K, P), tells (K, P, 6) 1/m2 and is faced by (K, P, D)."""
         rig = self.rig(poses)
         seen = sees(rig, self.places)
-        information_of = information(rig, self.places)[..., PAIRS[:, 0], PAIRS[:, 1]] / self.noise**2
+        information_of = information(rig, self.places)[..., _PAIRS[:, 0], _PAIRS[:, 1]] / self.noise**2
         information_of[~seen] = 0.0
         return seen, information_of, self._faces(np.stack([camera.position for camera in rig]))
 
@@ -155,7 +183,8 @@ class _Hall:
             glaring = glare + int(sees(one, eyes).sum()) + int(sees(rig, one[0].position).sum())
             covered, sided = base[0] + seen[0] >= 3, base[1] + (seen[0, :, None] & faces[0]) >= 2
             missing = max(0.0, least[0] - float(covered.mean())) + max(0.0, least[1] - float(sided.mean()))
-            return float(self._worth_with(base, seen, information_of, faces, only)[0]) - GLARE * glaring / pairs - 10.0 * missing
+            alone = float(self._worth_with(base, seen, information_of, faces, only)[0])
+            return alone - RULES.glare * glaring / pairs - RULES.lack * missing
 
         return worth
 
@@ -187,9 +216,9 @@ class _Hall:
     def searched(self, cameras: int, progress: Callable[[float], None]) -> Floats:
         """Greedy and exchange over a grid."""
         aims = self._aims()
-        spacing = min(0.5, self.mounts.around_m / (2 * cameras))
-        while len(self.mounts.candidates(spacing)) * len(aims) > CANDIDATES:
-            spacing *= 1.2
+        spacing = min(RULES.spacing, self.mounts.around_m / (2 * cameras))
+        while len(self.mounts.candidates(spacing)) * len(aims) > RULES.candidates:
+            spacing *= RULES.wider
         places = self.mounts.candidates(spacing)
         eyes = np.array([self.mounts.position(place) for place in places])
         mount = np.repeat(np.arange(len(places)), len(aims))
@@ -206,47 +235,48 @@ class _Hall:
             base = self._base(seen[others], information_of[others], faces[mount[others]])
             worth = self._worth_with(base, seen, information_of, faces, mount)
             glaring = lamps[:, mount[others]].sum(axis=1) + lamps[others][:, mount].sum(axis=0)
-            worth -= GLARE * (glaring + lamps[np.ix_(others, mount[others])].sum()) / (cameras * (cameras - 1))
+            worth -= RULES.glare * (glaring + lamps[np.ix_(others, mount[others])].sum()) / (cameras * (cameras - 1))
             worth[np.isin(mount, mount[others])] = -np.inf
             return int(np.argmax(worth)), float(worth.max())
 
         for n in range(cameras):
             chosen.append(best_beside(chosen)[0])
-            progress((n + 1) / (cameras * (1 + SWEEPS)))
+            progress((n + 1) / (cameras * (1 + RULES.sweeps)))
         reached = -np.inf
-        for sweep in range(SWEEPS):
+        for sweep in range(RULES.sweeps):
             before = reached
             for i in range(cameras):
                 chosen[i], reached = best_beside(chosen[:i] + chosen[i + 1 :])
-                progress((cameras * (1 + sweep) + i + 1) / (cameras * (1 + SWEEPS)))
-            if reached <= before + 1e-6:
+                progress((cameras * (1 + sweep) + i + 1) / (cameras * (1 + RULES.sweeps)))
+            if reached <= before + RULES.least_gain:
                 break
         return poses[chosen]
 
     def _aims(self) -> Floats:
-        shares = np.array([(x, y, z) for x in (0.25, 0.5, 0.75) for y in (0.25, 0.5, 0.75) for z in (0.3, 0.6)])
+        shares = np.array([(x, y, z) for x in RULES.aims_aside for y in RULES.aims_aside for z in RULES.aims_up])
         aims: Floats = self.volume.low + shares * self.volume.size
         return aims
 
     def polished(self, poses: Floats, least: tuple[float, float], progress: Callable[[float], None]) -> Floats:
         """Each camera moved along its mounts and turned, in ever smaller steps, while that helps."""
         poses = poses.copy()
-        for s, stride in enumerate(STRIDES):
+        for s, stride in enumerate(RULES.strides):
             for i in range(len(poses)):
                 others = np.delete(poses, i, axis=0)
                 eyes = np.array([self.mounts.position(pose[:3]) for pose in others])
                 worth = self._beside(others, least)
                 reached = worth(poses[i])
-                for which, sign in MOVES:
+                for which, sign in _MOVES:
                     while True:
                         trial = poses[i].copy()
                         trial[which] += sign * stride
                         here = self.mounts.position(trial[:3])
-                        if np.linalg.norm(here - trial[3:]) < 0.5 or np.linalg.norm(eyes - here, axis=1).min() < APART:
+                        apart = np.linalg.norm(eyes - here, axis=1).min()
+                        if apart < RULES.apart or np.linalg.norm(here - trial[3:]) < RULES.nearest_target:
                             break
                         found = worth(trial)
-                        if found <= reached + 1e-6:
+                        if found <= reached + RULES.least_gain:
                             break
                         poses[i], reached = trial, found
-                progress((s * len(poses) + i + 1) / (len(STRIDES) * len(poses)))
+                progress((s * len(poses) + i + 1) / (len(RULES.strides) * len(poses)))
         return poses

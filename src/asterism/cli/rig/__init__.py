@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-from asterism.cli.rig.plan import plan
-from asterism.cli.rig.report import report
-
-VERBS: dict[Callable[..., None], str] = {
-    report: "asterism rig report rig.toml --volume 6x4x2.5 -o rig.html",
-    plan: "asterism rig plan --volume 6x4x2.5 --cameras 8 --image-size 1280x1024 --fov 56 -o rig.toml",
+EXAMPLES = {
+    "report": "asterism rig report rig.toml --volume 6x4x2.5 -o rig.html",
+    "plan": "asterism rig plan --volume 6x4x2.5 --cameras 8 --image-size 1280x1024 --fov 56 -o rig.toml",
 }
-"""Each verb with its example."""
+"""Each verb, which is a function in a module of its name, and its example."""
