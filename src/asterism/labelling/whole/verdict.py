@@ -1,7 +1,7 @@
 """Whether a recording shows what its model was trained on: labelled positions and the training's distances in; a verdict out.
 
-The distances between markers of one segment do not depend on the pose. People of one laboratory have nearly the same ones, up to the size of
-the body; another person's, another laboratory's or wrongly labelled markers' differ by many times as much.
+The distances between markers of one segment do not depend on the pose. People of one laboratory have nearly the same ones, up to the size
+of the body; those of other placements, and of wrongly labelled markers, differ by many times as much.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asterism.recording import Floats, Ints
+from asterism.labelling.whole.scene import Scene, labels_of_body
+from asterism.recording import NULL, Floats, Ints
 from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, Verdict
 
 MIN_FRAMES = 5
@@ -32,8 +33,11 @@ class VerdictRules:
     left_out_factor  the limit as a multiple of the largest scatter of a person of the training against all others, between these two
     body_scatter     scatter from which it is another body
     body_size        factor between the sizes from which it is another body
+    body_labelled    share of the markers, or of the points if fewer, below which what does not fit is another body
     body_lost        share of the training's near-rigid distances that are not rigid from which it is another body
     min_labelled     share of the markers, or of the points if fewer, below which it is another marker set
+    min_found        the same below which it is another body, where a usual frame shows `min_shown` of the markers' number of points
+    min_shown        see above
     min_surplus      points left over, as a share of the markers, from which what does not fit is another marker set
     """
 
@@ -46,8 +50,11 @@ class VerdictRules:
     left_out_factor: float = 1.3
     body_scatter: float = 0.3
     body_size: float = 1.7
+    body_labelled: float = 0.5
     body_lost: float = 0.7
     min_labelled: float = 0.6
+    min_found: float = 0.2
+    min_shown: float = 0.4
     min_surplus: float = 0.25
 
 
@@ -125,24 +132,47 @@ def judge(positions: Floats, counts: Ints, reference: RigidDistances, rules: Ver
     verdict = Verdict(FITS, scatter, reference.limit, size, share, surplus)
     if np.isnan(scatter):
         # a body whose markers move against each other, as far as they are the model's
-        kind = OTHER_BODY if comparable and labelled.any() else _kind_by_points(verdict, rules)
+        kind = OTHER_BODY if comparable and labelled.any() else _kind_by_points(verdict, counts, markers, rules)
     elif scatter > rules.body_scatter or abs(np.log(size)) > np.log(rules.body_size) or (reference.moving and lost > rules.body_lost):
+        kind = OTHER_BODY
+    elif scatter > reference.limit and share < rules.body_labelled:
         kind = OTHER_BODY
     elif scatter > reference.limit:
         kind = OTHER_MARKERS if surplus >= rules.min_surplus * markers else OTHER_PERSON
     else:
-        kind = _kind_by_points(verdict, rules)
+        kind = _kind_by_points(verdict, counts, markers, rules)
     return replace(verdict, kind=kind)
 
 
-def _kind_by_points(verdict: Verdict, rules: VerdictRules) -> str:
-    """The verdict where the distances say nothing, or that all is well."""
-    return FITS if verdict.labelled >= rules.min_labelled or verdict.labelled == 0.0 else OTHER_MARKERS
+def judge_scene(scene: Scene, label: Ints, offsets: Ints, number: int, reference: RigidDistances | None) -> Verdict | None:
+    """The verdict on a recording's labels for the body with this number; None for a model that keeps no sample of its training.
+
+    label (J,): labels of all bodies, -1 for none; offsets: where each body's markers begin among them.
+    """
+    if reference is None:
+        return None
+    own = labels_of_body(label, offsets, number)
+    frames = len(scene.sampled_frames)
+    positions = np.full((frames, int(offsets[number + 1] - offsets[number]), 3), np.nan)
+    points = np.nonzero(own[scene.sampled_track] != NULL)[0]
+    positions[scene.sampled_frame[points], own[scene.sampled_track[points]]] = scene.sampled_xyz[points]
+    free = (label == NULL) | (own != NULL)  # the points of other bodies are theirs
+    counts = np.bincount(scene.sampled_frame, weights=free[scene.sampled_track], minlength=frames).astype(np.int64)
+    return judge(positions, counts, reference, VerdictRules())
 
 
-def confidence_limit(verdict: Verdict) -> float:
-    """What no label of a recording may be more certain than: 1 where it fits, below 0.99 where it does not."""
-    if verdict.kind == FITS:
+def _kind_by_points(verdict: Verdict, counts: Ints, markers: int, rules: VerdictRules) -> str:
+    """The verdict where the distances say nothing, or that all is well. counts (E,) points of each frame."""
+    if verdict.labelled >= rules.min_labelled or not counts.any():
+        return FITS
+    if verdict.labelled >= rules.min_found:
+        return OTHER_MARKERS
+    return OTHER_BODY if np.minimum(counts, markers).mean() >= rules.min_shown * markers else FITS
+
+
+def confidence_limit(verdict: Verdict | None) -> float:
+    """What no label of a recording may be more certain than: 1 where it fits or was not judged, below 0.99 where it does not fit."""
+    if verdict is None or verdict.kind == FITS:
         return 1.0
     if verdict.kind == OTHER_BODY:
         return 0.5
