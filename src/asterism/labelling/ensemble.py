@@ -176,7 +176,8 @@ class SolverEnsemble:
     ) -> Labelling:
         """Label every frame: which candidate is which marker.
 
-        clouds: T frames. Gives indices (T, M), -1 where it does not know, and confidence (T, M). Without `time` each frame stands alone.
+        clouds: T frames. Gives indices (T, M), -1 where it does not know, and confidence (T, M): a probability by the rules "whole-body",
+        by others the share of votes, NaN for a label that no solver proposed. Without `time` each frame stands alone.
         With it the recording is labelled as a whole: its points are linked to tracklets (`clouds.tracks` help, and are cut where they
         swap), the tracklets are labelled together, and the most certain ones adapt the model to the subject's body (`labelling/whole`). The
         result does not depend on the order of the points, nor on `workers`. O(T); a frame of n points costs O(n M) beyond the search, which
@@ -212,8 +213,8 @@ class SolverEnsemble:
                 f"this model has no partial solvers, which the rules {rules!r} need; train it again with --miner bottom-up."
             )
         votes = label_by_matrix(clouds, partial, complete=rules == "partial-solvers")
-        # a solver is trusted where its hit rate reached the target: that is what its label promises
-        confidence = np.where(votes.indices >= 0, partial.targets, 0.5 * votes.votes)
+        # a label that completion gave without a proposal has no share of votes
+        confidence = np.where(votes.indices < 0, 0.5 * votes.votes, np.where(votes.votes > 0, votes.votes, np.nan))
         return Labelling(*self._in_marker_set(votes.indices, confidence), self.marker_set.names), votes.evaluations
 
     def _best_labels(self, clouds: Clouds, workers: int = 1, progress: Progress | None = None) -> tuple[Ints, Floats, Ints]:

@@ -153,7 +153,8 @@ class Labelling:
     """Which candidate of its frame's cloud each marker is (the thesis' L, section 4.1).
 
     indices     (T, M) int, the candidate's place in the frame, -1 for none ("I do not know" or occluded)
-    confidence  (T, M) in [0, 1]: the probability that this entry is right; for -1, that of the best candidate, which was not accepted
+    confidence  (T, M) in [0, 1]: the probability that this entry is right; for -1, that of the best candidate, which was not accepted;
+                NaN where nothing is known about it
     names       (M,) marker names
     candidates  (T, M) int, for -1 the place of the best candidate, which was not accepted, or -1; None where they were not kept
     """
@@ -166,7 +167,8 @@ class Labelling:
     def _facts(self) -> Rows:
         given = self.indices >= 0
         share = f"{100 * given.mean():.4g} % of {given.size}" if given.size else ""
-        lowest = f"{self.confidence[given].min():.3f}" if given.any() else ""
+        stated = self.confidence[given & ~np.isnan(self.confidence)]
+        lowest = f"{stated.min():.3f}" if stated.size else ""
         return (("frames", str(len(self.indices))), ("markers", listed(self.names)), ("labelled", share), ("lowest confidence", lowest))
 
     def __repr__(self) -> str:
