@@ -126,22 +126,30 @@ def judge(positions: Floats, counts: Ints, reference: RigidDistances, rules: Ver
     distance, std = median_and_std(some, reference.first, reference.second, min(MIN_FRAMES, len(some)))
     known = ~np.isnan(distance)
     rigid = known & (std < rules.max_rigid_std * reference.unit if len(some) >= MIN_FRAMES else reference.moving)
-    lost = 1.0 - rigid.sum() / max(1, known.sum())
+    lost = 1.0 - float(rigid.sum()) / max(1, int(known.sum()))
     scatter, size = reference.scatter(np.where(rigid, distance, np.nan), list(range(len(reference.median))), rules)
     comparable = len(reference.first) >= 2 * rules.min_pairs and len(some) >= MIN_FRAMES
     verdict = Verdict(FITS, scatter, reference.limit, size, share, surplus)
     if np.isnan(scatter):
         # a body whose markers move against each other, as far as they are the model's
         kind = OTHER_BODY if comparable and labelled.any() else _kind_by_points(verdict, counts, markers, rules)
-    elif scatter > rules.body_scatter or abs(np.log(size)) > np.log(rules.body_size) or (reference.moving and lost > rules.body_lost):
-        kind = OTHER_BODY
-    elif scatter > reference.limit and share < rules.body_labelled:
+    elif _is_other_body(verdict, lost if reference.moving else 0.0, rules):
         kind = OTHER_BODY
     elif scatter > reference.limit:
         kind = OTHER_MARKERS if surplus >= rules.min_surplus * markers else OTHER_PERSON
     else:
         kind = _kind_by_points(verdict, counts, markers, rules)
     return replace(verdict, kind=kind)
+
+
+def _is_other_body(verdict: Verdict, lost: float, rules: VerdictRules) -> bool:
+    """Whether the distances are no person's. lost: share of the training's near-rigid distances that are not rigid here."""
+    return (
+        verdict.scatter > rules.body_scatter
+        or abs(np.log(verdict.size)) > np.log(rules.body_size)
+        or lost > rules.body_lost
+        or (verdict.scatter > verdict.limit and verdict.labelled < rules.body_labelled)
+    )
 
 
 def judge_scene(scene: Scene, label: Ints, offsets: Ints, number: int, reference: RigidDistances | None) -> Verdict | None:
