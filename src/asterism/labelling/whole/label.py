@@ -19,6 +19,7 @@ from asterism.labelling.whole.certainty import Certainty, TrialLabels, overlaps_
 from asterism.labelling.whole.joint import SceneLabelling, label_scene
 from asterism.labelling.whole.scene import RecordingLabellingSettings, labels_of_body, marker_offsets, prepare_scene
 from asterism.labelling.whole.short import label_short_points, long_points, tracklets_of
+from asterism.labelling.whole.verdict import RigidDistances, confidence_limit, judge_scene
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
 from asterism.tracking.linking import find_tracklets
@@ -32,12 +33,14 @@ class BodyInRecording:
     names      all names of its marker set
     markers    (M,) those that the body model has learned
     certainty  how certain a tracklet's label is, and which labels are taken back
+    distances  near-rigid distances of the training, by which a recording is judged; None where the model keeps no sample of it
     """
 
     labeller: BodyLabeller
     names: tuple[str, ...]
     markers: Ints
     certainty: Certainty
+    distances: RigidDistances | None = None
 
 
 @dataclass(frozen=True)
@@ -111,7 +114,8 @@ def label_whole(
         label, rival = labels_of_body(labels.label, offsets, number), labels_of_body(labels.rival, offsets, number)
         blank = _empty_labelling(body, clouds)
         indices, confidence = blank.indices, blank.confidence
-        certainty = body.certainty.confidence(labels.margin, labels.near_unlabelled)
+        verdict = judge_scene(labels.found.scene, labels.found.label, offsets, number, body.distances)
+        certainty = np.minimum(body.certainty.confidence(labels.margin, labels.near_unlabelled), confidence_limit(verdict))
         # a marker without a point: the probability that its best candidate was it, above one half only where a label was taken back
         candidate = np.where(label != NULL, label, np.where(labels.label == NULL, rival, NULL))
         chance = np.where(label != NULL, certainty, 0.5 * np.exp(np.minimum(labels.margin, 0.0)))
@@ -124,7 +128,7 @@ def label_whole(
         at = frame_of[points], body.markers[label[points]]
         indices[at], confidence[at] = place[points], certainty[points]
         candidates[indices != NULL] = NULL
-        labellings.append(Labelling(indices, confidence, body.names, candidates))
+        labellings.append(Labelling(indices, confidence, body.names, candidates, verdict))
     return labellings, labels.found
 
 
