@@ -1,4 +1,4 @@
-"""Labels and the truth in; false assignments, false occlusions, missed markers and the confidence's error out (thesis 5.3)."""
+"""Labels and the truth in; false assignments, false occlusions, missed markers and the worth of the confidence out (thesis 5.3)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.labelling.reliability import ConfidenceTally
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 
 BINS = 20
@@ -23,6 +24,7 @@ class Tally:
     missed    visible markers that got no label
     perfect   frames in which every visible marker got its point, and nothing else was labelled
     bins      (BINS, 3) of the given labels, by confidence: how many, sum of confidence, how many right
+    by_confidence  the given labels for reliability, log score and Brier score: `by_confidence.score()`
     """
 
     frames: int = 0
@@ -33,9 +35,10 @@ class Tally:
     missed: int = 0
     perfect: int = 0
     bins: Floats = field(default_factory=lambda: np.zeros((BINS, 3)))
+    by_confidence: ConfidenceTally = field(default_factory=ConfidenceTally)
 
-    def add(self, labelling: Labelling, truth: Ints) -> None:
-        """Count one labelling, truth (T, M) as `simulate_occlusions` gives it."""
+    def add(self, labelling: Labelling, truth: Ints, person: str = "") -> None:
+        """Count one labelling, truth (T, M) as `simulate_occlusions` gives it; `person`: whose, for the intervals of the reliability."""
         given, there = labelling.indices != NULL, truth != NULL
         right = given & (labelling.indices == truth)
         self.frames += len(truth)
@@ -45,14 +48,16 @@ class Tally:
         self.right += int(right.sum())
         self.missed += int((there & ~given).sum())
         self.perfect += int((labelling.indices == truth).all(axis=1).sum())
-        confidence = labelling.confidence[given]
+        confidence = np.nan_to_num(labelling.confidence[given])
         which = np.clip((confidence * BINS).astype(np.int64), 0, BINS - 1)
         for column, weights in enumerate((np.ones(len(which)), confidence, right[given].astype(np.float64))):
             self.bins[:, column] += np.bincount(which, weights=weights, minlength=BINS)
+        self.by_confidence.add(labelling.confidence, given, right, person)
 
     def __iadd__(self, other: Tally) -> Tally:
         for name in ("frames", "visible", "hidden", "given", "right", "missed", "perfect", "bins"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
+        self.by_confidence += other.by_confidence
         return self
 
     @property

@@ -31,6 +31,7 @@ class Knower:
 
     def __init__(self, spoil=lambda indices, confidence, clouds: None):
         self.spoil = spoil
+        self.in_time = []
 
     def label_counted(self, clouds, *, rules="whole-body", workers=1, progress=None):
         indices = np.full((len(clouds), len(NAMES)), -1)
@@ -42,7 +43,8 @@ class Knower:
         self.spoil(indices, confidence, clouds)
         return Labelling(indices, confidence, NAMES), np.full(len(clouds), 7)
 
-    def label(self, clouds, *, rules="whole-body"):
+    def label(self, clouds, *, time=False, rules="whole-body"):
+        self.in_time.append(time)
         return self.label_counted(clouds, rules=rules)[0]
 
 
@@ -63,7 +65,7 @@ def ghosts_for_the_hidden(indices, confidence, clouds):
 
 def test_all_rates_as_counted_by_hand():
     """40 samples, one missing: 39 visible; 37 labels, 2 of them wrong; 3 nulls, 2 of them for visible markers."""
-    evaluation = evaluate(Knower(swap_and_forget), [line(missing=[(9, 0)])], occlusions=[0])
+    evaluation = evaluate(Knower(swap_and_forget), [line(missing=[(9, 0)])], occlusions=[0], time=False)
     (got,) = evaluation.conditions
     assert (got.frames, got.visible, got.given) == (10, 39, 37)
     assert got.fa == pytest.approx(2 / 37)
@@ -81,7 +83,7 @@ def test_all_rates_as_counted_by_hand():
 
 def test_a_label_for_a_hidden_marker_is_a_false_assignment():
     """One of the visible markers hidden and one ghost in each of ten frames; the ghost is given ten times."""
-    (got,) = evaluate(Knower(ghosts_for_the_hidden), [line(missing=[(9, 0)])], occlusions=[1], ghosts=[1]).conditions
+    (got,) = evaluate(Knower(ghosts_for_the_hidden), [line(missing=[(9, 0)])], occlusions=[1], ghosts=[1], time=False).conditions
     assert (got.visible, got.given) == (29, 39)
     assert got.fa == pytest.approx(10 / 39)
     assert (got.fo, got.missed, got.right, got.perfect) == (0.0, 0.0, 1.0, 0.0)
@@ -216,3 +218,59 @@ def test_full_confidence_has_a_bin():
     error, bins = expected_calibration_error(np.ones(4), np.array([True, True, True, False]))
     assert error == pytest.approx(0.25)
     assert bins == [(1.0, 0.75, 4)]
+
+
+def test_recordings_are_judged_as_a_whole_unless_frames_are_asked_for():
+    """As `asterism label` gives them: the default, without counted evaluations; the thesis' rules know single frames only."""
+    for time, rules, expected in (
+        (None, "whole-body", True),
+        (True, "whole-body", True),
+        (False, "whole-body", False),
+        (None, "thesis", False),
+    ):
+        knower = Knower()
+        evaluation = evaluate(knower, [line()], occlusions=[0], rules=rules, time=time)
+        assert evaluation.time is expected
+        assert knower.in_time == ([True] * 2 if expected else [])
+        assert np.isnan(evaluation.conditions[0].evaluations_per_frame) is np.bool_(expected)
+    with pytest.raises(AsterismError, match="leave out time or the rules"):
+        evaluate(Knower(), [line()], rules="thesis", time=True)
+    with pytest.raises(AsterismError, match="no rules 'guess'"):
+        evaluate(Knower(), [line()], rules="guess")
+
+
+def test_gaps_last_in_whole_recordings():
+    """One of four markers hidden at every moment: for single frames another one in every frame, in time for a tenth of a second or more."""
+    shown = []
+
+    def changes(time):
+        evaluate(Knower(lambda indices, confidence, clouds: shown.append(indices >= 0)), [line(200)], occlusions=[1], time=time)
+        assert ((~shown[-1]).sum(axis=1) == 1).all()
+        return (shown[-1][1:] != shown[-1][:-1]).any(axis=1).sum()
+
+    assert changes(True) <= 20 < 100 < changes(False)
+
+
+def test_wrong_labels_at_a_high_confidence_are_a_finding():
+    """Two of forty labels wrong at 0.95 lie within chance; half of them do not."""
+
+    def swap_all(indices, confidence, clouds):
+        indices[:, [0, 1]] = indices[:, [1, 0]]
+
+    few, many = (evaluate(Knower(spoil), [line(100)], occlusions=[0]) for spoil in (lambda *_: None, swap_all))
+    assert few.findings() == []
+    (finding,) = many.findings()
+    assert (finding.code, finding.where) == ("evaluate-overconfident", "confidence 0.95 to 0.99")
+    assert "95.00 %" in finding.sentence and "50.00 %" in finding.sentence
+    assert not many.confidence.beats_constant
+
+
+def test_a_label_without_a_confidence_is_not_judged_by_it():
+    """What the completion of the thesis' solvers gives: right or wrong it counts, its confidence does not."""
+
+    def forget(indices, confidence, clouds):
+        confidence[:, 0] = np.nan
+
+    (got,) = evaluate(Knower(forget), [line()], occlusions=[0], time=False).conditions
+    assert (got.given, got.confidence.labels) == (40, 30)
+    assert got.ece == pytest.approx(0.05)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from asterism.errors import AsterismError
+from asterism.labelling import ConfidenceScore, ConfidenceTally, Reliability
 from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.recording import Clouds, Ints, Labelling, Recording
 from asterism.report import LabelledRecording, capturability_report, evaluation_report, label_report
@@ -240,9 +241,11 @@ def evaluation() -> Any:
                 per_marker=markers,
                 frames_per_second=5432.0,
                 evaluations_per_frame=float("nan"),
+                confidence=ConfidenceScore(1990, 0.0123, 0.04, 0.005, 0.006, 0.9, [Reliability(0.9, 0.95, 50, 0.93, 0.9, 0.8, 0.96)]),
             )
         )
-    return SimpleNamespace(markers=("LKNE", "RKNE"), conditions=conditions, subjects=["Ann", "Bo"], rules="whole-body")
+    pooled = conditions[0].confidence
+    return SimpleNamespace(markers=("LKNE", "RKNE"), conditions=conditions, subjects=["Ann", "Bo"], rules="whole-body", confidence=pooled)
 
 
 def test_the_evaluation_page_holds_the_tables_of_the_thesis(tmp_path: Path) -> None:
@@ -257,7 +260,9 @@ def test_the_evaluation_page_holds_the_tables_of_the_thesis(tmp_path: Path) -> N
     assert fo["LKNE"] == ["–", "25.0 %", "25.0 %"] and fo["RKNE"] == ["–"] * 3
     assert missed["LKNE"] == ["0.00 %", "0.00 %", "2.00 %"]
     summary = next(rows for rows in page.tables if rows[0][0] == "hidden")
-    assert summary[1] == ["0", "0", "1,000", "99.340 %", "0.123 %", "50.0 %", "0.71 %", "98.00 %", "0.400 %", "5,432", "–"]
+    assert summary[1] == ["0", "0", "1,000", "99.340 %", "0.123 %", "50.0 %", "0.71 %", "98.00 %", "0.0123", "0.0400", "5,432", "–"]
+    levels = next(rows for rows in page.tables if rows[0][0] == "confidence" and "stated" in rows[0])
+    assert levels[1] == ["0.9 to 0.95", "50", "93.000 %", "90.000 %", "80.000 % to 96.000 %"]
     assert "Ann" in page.text and "whole-body" in page.text and "nan" not in page.text.casefold()
 
 
@@ -275,7 +280,7 @@ def test_the_reliability_curve_lies_on_the_line_where_confidence_is_honest(tmp_p
 
 
 def test_an_evaluation_without_conditions_or_subjects_has_a_page(tmp_path: Path) -> None:
-    empty = SimpleNamespace(markers=(), conditions=[], subjects=[], rules="thesis")
+    empty = SimpleNamespace(markers=(), conditions=[], subjects=[], rules="thesis", confidence=ConfidenceTally().score())
     evaluation_report(tmp_path / "e.html", empty)
     assert "0 markers of 0 subjects" in read(tmp_path / "e.html").text
 

@@ -85,7 +85,7 @@ def _figures(name: str, of_subject: Mapping[str, Tallies]) -> Iterator[Figure]:
         some = [tallies for subject, tallies in of_subject.items() if (subject in CHOOSING) == chosen]
         for (condition, method), tally in summed(some).items():
             asked = ASKED[condition] if method != FRAMEWISE and not chosen else ("none", "none")
-            yield from rates(f"clutter, {condition}, {method}{', chosen on' if chosen else ''}", tally, asked)
+            yield from rates(f"clutter, {'subjects chosen on, ' if chosen else ''}{condition}, {method}", tally, asked)
 
 
 def _left_out(benchmark: BenchmarkRun, item: tuple[str, str, Condition]) -> Tallies:

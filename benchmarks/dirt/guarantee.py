@@ -23,7 +23,7 @@ RATES = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0)
 LIVES = (1, 2, 3, 10, 50, None)
 PLACES = (("beside", 0.03), ("beside", 0.08), ("beside", 0.15), ("fixed", 0.0), ("crossing", 0.0))
 HIDDEN = (0, 1, 2, 3, 4, 5)
-_FOOT = {side + name for side in "LR" for name in ("HFB", "TUB", "SHN", "CPG", "LCA", "STL", "NAV", "P1M")}
+_FOOT = {side + name for side in "LR" for name in ("HFB", "TUB", "SHN", "CPG", "LCA", "STL", "NAV", "P1M", "P5M")}
 BODY_41 = tuple(name for name in GAIT_BODY if name not in _FOOT)
 """All but the inner markers of the Oxford foot: 41."""
 SETS: dict[int, Markers] = {15: "helen-hayes", 41: BODY_41, len(GAIT_BODY): GAIT_BODY}

@@ -33,10 +33,10 @@ def peers(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Right and wrong of each peer by condition; the thesis' rules on one subject, since a search of partial solvers takes minutes."""
     subjects = reporting()[: 1 if benchmark.quick else None]
     for (condition, method), tally in summed(list(benchmark.each(_left_out, subjects))).items():
-        yield from rates(f"clutter, {condition}, {method}", tally)
+        yield from rates(f"clutter, peers, {condition}, {method}", tally)
     if not benchmark.quick:
         for condition, tally in _by_thesis(benchmark, subjects[0]).items():
-            yield from rates(f"clutter, {condition}, {THESIS}", tally)
+            yield from rates(f"clutter, peers, {condition}, {THESIS}", tally)
 
 
 def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:

@@ -73,7 +73,7 @@ Features = Annotated[
     ),
 ]
 RulesOption = Annotated[Rules, typer.Option("--rules", help="How a frame is labelled: by the whole body, or by solvers' votes.")]
-FrameWise = Annotated[bool, typer.Option("--frame-wise", help="Each frame by itself, without time and tracks.")]
+FrameWise = Annotated[bool, typer.Option("--frame-wise", "--frames", help="Each frame by itself, without time and tracks.")]
 KeepLabels = Annotated[
     bool, typer.Option("--keep-labels", help="Labels that a file already has stay; only points without a name get a label.")
 ]

@@ -12,6 +12,7 @@ from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import (
     Files,
+    FrameWise,
     HitRate,
     Json,
     Markers,
@@ -29,6 +30,7 @@ from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
     from asterism.labelling import Evaluation
+    from asterism.labelling.reliability import ConfidenceScore
 
 
 @dataclass(frozen=True)
@@ -40,10 +42,11 @@ class EvaluateOptions:
     leave_one_subject_out: Annotated[
         bool, typer.Option("--leave-one-subject-out", help="Instead of a model: train on all subjects but one, test on that one, for each.")
     ] = False
-    occlusions: Annotated[str, typer.Option(metavar="N N ...", help="How many markers to hide in each frame.")] = "0 1 2 3 4 5"
-    ghosts: Annotated[str, typer.Option(metavar="N N ...", help="How many ghost points to add to each frame.")] = "0"
+    occlusions: Annotated[str, typer.Option(metavar="N N ...", help="How many markers are hidden at every moment.")] = "0 1 2 3 4 5"
+    ghosts: Annotated[str, typer.Option(metavar="N N ...", help="How many ghost points there are at every moment.")] = "0"
     markers: Markers = None
     rules: RulesOption = Rules.WHOLE_BODY
+    frame_wise: FrameWise = False
     target_hit_rate: HitRate = 0.999
     miner: MinerOption = None
     seed: Seed = 0
@@ -58,11 +61,12 @@ def evaluate(options: EvaluateOptions) -> None:
     """Measure how far labels can be trusted.
 
     The labels of the files are taken away, markers are hidden, ghost points are added, and the labels that the model gives are compared
-    with the truth.
+    with the truth. The rules whole-body label recordings as a whole, as asterism label does; --frame-wise turns that off.
 
     FA: share of wrong labels among those given. FO: share of visible markers among those left without a label.
     Missed: share of visible markers left without a label.
-    Perfect: share of frames without an error. ECE: expected calibration error, how far the confidence is off.
+    Perfect: share of frames without an error. Log score: how little the confidence said of what came, in
+    nats per label; in brackets that of the best constant confidence. Less is better.
 
     With --leave-one-subject-out the figures hold for people that
     the model has not seen; --markers, --target-hit-rate and --miner belong to it. Rules other than whole-body need a miner:
@@ -89,6 +93,8 @@ def evaluate(options: EvaluateOptions) -> None:
             )
     if options.json != "-":
         _print(evaluation)
+    for finding in evaluation.findings():
+        batch.found(finding)
     if options.report is not None:
         from asterism.report import evaluation_report
 
@@ -103,6 +109,7 @@ def evaluate(options: EvaluateOptions) -> None:
             "failed": batch.failed,
             **settings,
             "evaluation": evaluation.to_dict(),
+            "findings": [finding.to_dict() for finding in batch.findings],
         },
     )
     raise typer.Exit(batch.close())
@@ -118,14 +125,16 @@ def _settings(options: EvaluateOptions) -> dict[str, Any]:
     occlusions, ghosts = numbers(options.occlusions, "--occlusions"), numbers(options.ghosts, "--ghosts")
     _console.check_new(options.report, options.overwrite)
     _console.check_new(options.json, options.overwrite)
-    return {"occlusions": occlusions, "ghosts": ghosts, "seed": options.seed, "rules": options.rules.value}
+    in_time = options.rules is Rules.WHOLE_BODY and not options.frame_wise
+    return {"occlusions": occlusions, "ghosts": ghosts, "seed": options.seed, "rules": options.rules.value, "time": in_time}
 
 
 def _print(evaluation: Evaluation) -> None:
     percent, count = _console.percent, _console.count
+    counted = [] if evaluation.time else ["evaluations/frame"]
     _console.table(
-        "Hidden markers and ghosts per frame",
-        ["hidden", "ghosts", "frames", "right", "FA", "FO", "missed", "perfect", "ECE", "frames/s", "evaluations/frame"],
+        f"Hidden markers and ghosts at every moment, {'recordings as a whole' if evaluation.time else 'each frame by itself'}",
+        ["hidden", "ghosts", "frames", "right", "FA", "FO", "missed", "perfect", "log score", "frames/s", *counted],
         [
             [
                 str(c.occlusions),
@@ -136,14 +145,15 @@ def _print(evaluation: Evaluation) -> None:
                 percent(c.fo),
                 percent(c.missed),
                 percent(c.perfect),
-                percent(c.ece, 3),
+                _log_score(c.confidence),
                 count(c.frames_per_second),
-                count(c.evaluations_per_frame),
+                *([] if evaluation.time else [count(c.evaluations_per_frame)]),
             ]
             for c in evaluation.conditions
         ],
         left=0,
     )
+    _print_reliability(evaluation)
     names = [f"{c.occlusions}+{c.ghosts}" if c.ghosts else f"{c.occlusions}" for c in evaluation.conditions]
     for key, title, digits in (("fa", "FA, wrong among the labels given", 3), ("fo", "FO, visible among the labels not given", 1)):
         _console.table(
@@ -151,3 +161,29 @@ def _print(evaluation: Evaluation) -> None:
             ["marker", *names],
             [[marker, *(percent(c.per_marker[marker][key], digits) for c in evaluation.conditions)] for marker in evaluation.markers],
         )
+
+
+def _log_score(score: ConfidenceScore) -> str:
+    """The log score, and in brackets that of the best constant; a dash without labels."""
+    return f"{score.log_score:.4f} ({score.constant_log_score:.4f})" if score.labels else "–"
+
+
+def _print_reliability(evaluation: Evaluation) -> None:
+    """What the confidence stated and what came of it, over all conditions."""
+    percent, score = _console.percent, evaluation.confidence
+    if not score.levels:
+        return
+    _console.table(
+        f"Confidence of all labels given: {percent(score.share_at_999, 1)} of them can be given at 99.9 % right",
+        ["confidence", "labels", "stated", "right", "95 % interval"],
+        [
+            [
+                f"{level.least:g} to {level.below:g}",
+                _console.count(level.labels),
+                percent(level.confidence, 3),
+                percent(level.right, 3),
+                f"{percent(level.low, 3)} to {percent(level.high, 3)}",
+            ]
+            for level in score.levels
+        ],
+    )

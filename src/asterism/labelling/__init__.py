@@ -6,6 +6,7 @@ from asterism.labelling.ensemble import SolverEnsemble, TrainingRules, label_tog
 from asterism.labelling.evaluation import Condition, Evaluation, evaluate, leave_one_subject_out
 from asterism.labelling.naming import MarkerGroups, group_tracklets, name_groups
 from asterism.labelling.partial.solver import FullSolver, FullSolverRules
+from asterism.labelling.reliability import ConfidenceScore, ConfidenceTally, Reliability
 from asterism.labelling.review import ReviewItem, apply_answers, review
 from asterism.labelling.together import join_labellings
 from asterism.labelling.whole.bodies import SeveralBodies
@@ -15,11 +16,14 @@ __all__ = [
     "CapturabilityRules",
     "Change",
     "Condition",
+    "ConfidenceScore",
+    "ConfidenceTally",
     "Evaluation",
     "FullSolver",
     "FullSolverRules",
     "LabelError",
     "MarkerGroups",
+    "Reliability",
     "ReviewItem",
     "SeveralBodies",
     "SolverEnsemble",

@@ -1,20 +1,23 @@
-"""How well a model labels: recordings with known labels in; the thesis' rates, calibration and speed out (sections 5.2 and 5.3)."""
+"""How well a model labels: recordings with known labels in; the thesis' rates, the confidence's worth and speed out (sections 5.2, 5.3)."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.labelling.ensemble import SolverEnsemble
+from asterism.findings import Finding, Severity
+from asterism.labelling.ensemble import RULES, SolverEnsemble, label_together
 from asterism.labelling.partial.solver import subject_of
-from asterism.labelling.simulated_occlusions import simulate_occlusions
+from asterism.labelling.reliability import ConfidenceScore, ConfidenceTally
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts, simulate_occlusions
+from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.progress import Progress
-from asterism.recording import Clouds, Floats, Ints, Recording
+from asterism.recording import Clouds, Floats, Ints, Labelling, Recording
 
 BINS = 20
 """Bins of equal width in which confidence is compared with the share that was right. Not tuned."""
@@ -22,7 +25,7 @@ BINS = 20
 
 @dataclass(frozen=True)
 class Condition:
-    """What came of labelling with so many markers hidden and so many ghosts added per frame. Rates are shares, 0 to 1.
+    """What came of labelling with so many markers hidden and so many ghosts there at every moment. Rates are shares, 0 to 1.
 
     frames, visible, given  counts: frames, markers that could be seen, labels given
     right                   right labels among the visible markers
@@ -32,9 +35,10 @@ class Condition:
     perfect                 frames in which every visible marker is right and nothing else is given
     ece                     expected calibration error of the confidence of the labels given
     reliability             (mean confidence, share right, count) of each bin of confidence that has labels
+    confidence              reliability by level, log score and Brier score of the confidence of the labels given
     per_marker              name -> fa, fo, missed, assignments, nulls
     frames_per_second       one core, this machine
-    evaluations_per_frame   feature evaluations
+    evaluations_per_frame   feature evaluations; NaN for recordings labelled as a whole, where they are not counted
     """
 
     occlusions: int
@@ -49,6 +53,7 @@ class Condition:
     perfect: float
     ece: float
     reliability: list[tuple[float, float, int]]
+    confidence: ConfidenceScore
     per_marker: dict[str, dict[str, float]]
     frames_per_second: float
     evaluations_per_frame: float
@@ -56,12 +61,37 @@ class Condition:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Conditions tried on the same recordings; `subjects` says whose, `seen` whether the model had learned from them."""
+    """Conditions tried on the same recordings.
+
+    markers     names of the markers
+    conditions  what came of each number of hidden markers and ghosts
+    subjects    whose recordings these are
+    rules       how the points were labelled
+    time        whether recordings were labelled as a whole, else each frame by itself
+    confidence  the worth of the confidence in all conditions together
+    """
 
     markers: tuple[str, ...]
     conditions: list[Condition]
     subjects: list[str]
     rules: str
+    time: bool
+    confidence: ConfidenceScore
+
+    def findings(self) -> list[Finding]:
+        """What to know about the confidence: levels of which fewer labels are right than stated, beyond chance."""
+        return [
+            Finding(
+                "evaluate-overconfident",
+                Severity.NOTE,
+                f"confidence {level.least:g} to {level.below:g}",
+                f"labels with a mean confidence of {100 * level.confidence:.2f} % are right in {100 * level.right:.2f} % of cases "
+                f"(95 % interval {100 * level.low:.2f} to {100 * level.high:.2f} %).",
+                "Train on more people, and on movements such as these.",
+            )
+            for level in self.confidence.levels
+            if level.too_high
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -70,13 +100,22 @@ class Evaluation:
 
 @dataclass
 class _Tally:
-    """Labels beside the truth, collected over recordings: (T, M) each."""
+    """Labels beside the truth, collected over recordings: (T, M) each, and their subjects."""
 
-    truth: list[Ints]
-    given: list[Ints]
-    confidence: list[Floats]
+    truth: list[Ints] = field(default_factory=list)
+    given: list[Ints] = field(default_factory=list)
+    confidence: list[Floats] = field(default_factory=list)
+    subjects: list[str] = field(default_factory=list)
     seconds: float = 0.0
-    evaluations: int = 0
+    evaluations: float = 0.0
+
+    def by_confidence(self) -> ConfidenceTally:
+        """The labels counted by their confidence, grouped by subject; by recording where all are of one subject."""
+        tally, several = ConfidenceTally(), len(set(self.subjects)) > 1
+        groups = self.subjects if several else map(str, range(len(self.subjects)))
+        for truth, given, confidence, group in zip(self.truth, self.given, self.confidence, groups, strict=True):
+            tally.add(confidence, given >= 0, given == truth, group)
+        return tally
 
 
 def evaluate(
@@ -87,16 +126,21 @@ def evaluate(
     ghosts: Sequence[int] = (0,),
     seed: int = 0,
     rules: str = "whole-body",
+    time: bool | None = None,
     progress: Progress | None = None,
 ) -> Evaluation:
     """Hide labels, some markers and add ghosts; label; compare with the truth.
 
-    recordings: labelled, with the ensemble's markers as columns. In every frame exactly so many visible markers are hidden, and so many
-    ghosts put within 0.15 m of a marker; which, `seed` decides. Raises AsterismError where a recording's columns are not the ensemble's
-    markers, or more markers should be hidden than there are.
+    recordings: labelled, with the ensemble's markers as columns. `time` as for `SolverEnsemble.label`; by default recordings are labelled
+    as a whole, as `asterism label` does, and each frame by itself where the rules know no time. At every moment exactly so many visible
+    markers are hidden, and so many ghosts lie within 0.15 m of a marker; which, `seed` decides. For whole recordings gaps last 0.1 to 1 s
+    and ghosts 0.05 to 0.5 s; for single frames both are drawn anew in every frame.
+    Raises AsterismError where a recording's columns are not the ensemble's markers, more markers should be hidden than there are, or `time`
+    is asked of other rules than "whole-body".
     """
-    tallies = _run_conditions(ensemble, recordings, occlusions, ghosts, seed, rules, progress)
-    return _evaluation(tallies, ensemble.marker_set.names, _subjects(recordings, None), rules)
+    plan = _Plan(occlusions, ghosts, seed, rules, _in_time(time, rules))
+    tallies = _run_conditions(ensemble, recordings, _subjects(recordings, None), plan, progress)
+    return _evaluation(tallies, ensemble.marker_set.names, _subjects(recordings, None), plan)
 
 
 def leave_one_subject_out(
@@ -107,12 +151,14 @@ def leave_one_subject_out(
     ghosts: Sequence[int] = (0,),
     seed: int = 0,
     rules: str = "whole-body",
+    time: bool | None = None,
     progress: Progress | None = None,
     **fit_options: Any,
 ) -> Evaluation:
     """Train on all people but one, label that one, for each in turn: how well people are labelled whom nobody trained on.
 
-    `fit_options` go to `SolverEnsemble.fit`; `miner` is "bottom-up" where the rules need partial solvers and no miner is named.
+    The other arguments are those of `evaluate`. `fit_options` go to `SolverEnsemble.fit`;
+    `miner` is "bottom-up" where the rules need partial solvers and no miner is named.
     Raises AsterismError where there are fewer than two people, or more markers should be hidden than there are.
     """
     whose = _subjects(recordings, subjects)
@@ -120,6 +166,7 @@ def leave_one_subject_out(
     if len(people) < 2:
         raise AsterismError("leaving one subject out needs recordings of at least two; name them with `subjects`, or put each in a folder.")
     _check_occlusions(occlusions, len(recordings[0].labels))
+    plan = _Plan(occlusions, ghosts, seed, rules, _in_time(time, rules))
     if rules != "whole-body" and fit_options.get("miner") is None:
         fit_options["miner"] = "bottom-up"
     total: dict[tuple[int, int], _Tally] = {}
@@ -136,18 +183,16 @@ def leave_one_subject_out(
         )
         own = [recordings[j] for j, name in enumerate(whose) if name == out]
         report_labelling = _sub_progress(report, 1, 2, "labelling")
-        for condition, tally in _run_conditions(ensemble, own, occlusions, ghosts, seed, rules, report_labelling).items():
-            if condition not in total:
-                total[condition] = tally
-                continue
-            known = total[condition]
+        for condition, tally in _run_conditions(ensemble, own, [out] * len(own), plan, report_labelling).items():
+            known = total.setdefault(condition, _Tally())
             known.truth += tally.truth
             known.given += tally.given
             known.confidence += tally.confidence
+            known.subjects += tally.subjects
             known.seconds += tally.seconds
             known.evaluations += tally.evaluations
         names = ensemble.marker_set.names
-    return _evaluation(total, names, people, rules)
+    return _evaluation(total, names, people, plan)
 
 
 def expected_calibration_error(confidence: Floats, right: Any) -> tuple[float, list[tuple[float, float, int]]]:
@@ -181,14 +226,44 @@ def _sub_progress(progress: Progress | None, index: int, count: int, what: str) 
     return lambda fraction, _: outer((index + fraction) / count, what)
 
 
+@dataclass(frozen=True)
+class _Plan:
+    """What is tried: every number of occlusions with every number of ghosts; see `evaluate`."""
+
+    occlusions: Sequence[int]
+    ghosts: Sequence[int]
+    seed: int
+    rules: str
+    time: bool
+
+    def clouds(self, recording: Recording, number: int, hidden: int, ghosts: int) -> tuple[Clouds, Ints]:
+        """The recording without its labels, and the truth; number: its place among the recordings."""
+        rng = np.random.default_rng([self.seed, number, hidden, ghosts])
+        return (simulate_gaps_and_ghosts if self.time else simulate_occlusions)(recording, hidden, ghosts, rng)
+
+    def label(self, ensemble: SolverEnsemble, clouds: Clouds) -> tuple[Labelling, float]:
+        """What `asterism label` would give, and the feature evaluations, NaN for whole recordings."""
+        if not self.time:
+            labelling, evaluations = ensemble.label_counted(clouds, rules=self.rules)
+            return labelling, float(evaluations.sum())
+        try:
+            return ensemble.label(clouds, time=True), float("nan")
+        except SeveralBodies:
+            both = label_together([ensemble, ensemble], clouds)
+            return max(both, key=lambda labelling: int((labelling.indices >= 0).sum())), float("nan")
+
+
+def _in_time(time: bool | None, rules: str) -> bool:
+    """Whether recordings are labelled as a whole. Raises AsterismError for unknown rules, and where the rules know no time."""
+    if rules not in RULES:
+        raise AsterismError(f"there are no rules {rules!r}; choose from {', '.join(RULES)}.")
+    if time and rules != "whole-body":
+        raise AsterismError(f"whole recordings are labelled by the rules whole-body, not {rules}; leave out time or the rules.")
+    return rules == "whole-body" if time is None else time
+
+
 def _run_conditions(
-    ensemble: SolverEnsemble,
-    recordings: Sequence[Recording],
-    occlusions: Sequence[int],
-    ghosts: Sequence[int],
-    seed: int,
-    rules: str,
-    progress: Progress | None,
+    ensemble: SolverEnsemble, recordings: Sequence[Recording], subjects: Sequence[str], plan: _Plan, progress: Progress | None
 ) -> dict[tuple[int, int], _Tally]:
     names = ensemble.marker_set.names
     for recording in recordings:
@@ -197,44 +272,44 @@ def _run_conditions(
                 f"{recording.metadata.get('file', 'a recording')} has other columns than the model's {len(names)} markers; "
                 "read it with the model's marker set."
             )
-    _check_occlusions(occlusions, len(names))
-    _warm_up(ensemble, recordings, rules)
-    tallies = {(k, g): _Tally([], [], []) for g in ghosts for k in occlusions}
+    _check_occlusions(plan.occlusions, len(names))
+    if recordings and len(recordings[0]):  # two frames, so that compiling is not counted as labelling
+        plan.label(ensemble, recordings[0].frames(slice(0, 2)).clouds())
+    tallies = {(k, g): _Tally() for g in plan.ghosts for k in plan.occlusions}
     done = 0
     for (k, g), tally in tallies.items():
-        for r, recording in enumerate(recordings):
-            clouds, truth = simulate_occlusions(recording, k, g, np.random.default_rng([seed, r, k, g]))
-            start = time.perf_counter()
-            labelling, evaluations = ensemble.label_counted(clouds, rules=rules)
-            tally.seconds += time.perf_counter() - start
-            tally.evaluations += int(evaluations.sum())
+        for r, (recording, subject) in enumerate(zip(recordings, subjects, strict=True)):
+            clouds, truth = plan.clouds(recording, r, k, g)
+            start = perf_counter()
+            labelling, evaluations = plan.label(ensemble, clouds)
+            tally.seconds += perf_counter() - start
+            tally.evaluations += evaluations
             tally.truth.append(truth)
             tally.given.append(labelling.indices)
             tally.confidence.append(labelling.confidence)
+            tally.subjects.append(subject)
             done += 1
             if progress:
                 progress(done / (len(tallies) * len(recordings)), "labelling")
     return tallies
 
 
-def _warm_up(ensemble: SolverEnsemble, recordings: Sequence[Recording], rules: str) -> None:
-    """Label two frames, so that compiling is not counted as labelling."""
-    if recordings and len(recordings[0]):
-        clouds: Clouds = recordings[0].frames(slice(0, 2)).clouds()
-        ensemble.label(clouds, rules=rules)
+def _evaluation(tallies: dict[tuple[int, int], _Tally], names: tuple[str, ...], subjects: list[str], plan: _Plan) -> Evaluation:
+    conditions, pooled = [], ConfidenceTally()
+    for (k, g), tally in tallies.items():
+        by_confidence = tally.by_confidence()
+        pooled += by_confidence
+        conditions.append(_condition(k, g, tally, by_confidence.score(), names))
+    return Evaluation(names, conditions, list(dict.fromkeys(subjects)), plan.rules, plan.time, pooled.score())
 
 
-def _evaluation(tallies: dict[tuple[int, int], _Tally], names: tuple[str, ...], subjects: list[str], rules: str) -> Evaluation:
-    conditions = [_condition(k, g, tally, names) for (k, g), tally in tallies.items()]
-    return Evaluation(names, conditions, list(dict.fromkeys(subjects)), rules)
-
-
-def _condition(occlusions: int, ghosts: int, tally: _Tally, names: tuple[str, ...]) -> Condition:
+def _condition(occlusions: int, ghosts: int, tally: _Tally, score: ConfidenceScore, names: tuple[str, ...]) -> Condition:
     truth, given = np.concatenate(tally.truth), np.concatenate(tally.given)
     confidence = np.concatenate(tally.confidence)
     label, visible = given >= 0, truth >= 0
     right = label & (given == truth)
-    ece, reliability = expected_calibration_error(confidence[label], right[label])
+    stated = label & ~np.isnan(confidence)
+    ece, reliability = expected_calibration_error(confidence[stated], right[stated])
 
     def rates(which: Any) -> dict[str, float]:
         assignments, nulls, seen = label[:, which].sum(), (~label[:, which]).sum(), visible[:, which].sum()
@@ -261,6 +336,7 @@ def _condition(occlusions: int, ghosts: int, tally: _Tally, names: tuple[str, ..
         perfect=float((given == truth).all(axis=1).mean()) if len(truth) else 0.0,
         ece=ece,
         reliability=reliability,
+        confidence=score,
         per_marker={name: rates([m]) for m, name in enumerate(names)},
         frames_per_second=len(truth) / max(tally.seconds, 1e-9),
         evaluations_per_frame=tally.evaluations / max(1, len(truth)),

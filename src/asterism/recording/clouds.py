@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from asterism.errors import AsterismError
 from asterism.recording.arrays import Floats, Ints, as_vertical, checked_rate, frame_rows
 from asterism.recording.display import Rows, as_html, as_text, duration, listed
+from asterism.recording.verdict import Verdict
 
 NULL = -1
 """The null candidate: this marker has no point in this frame (the thesis' label 0)."""
@@ -153,20 +154,24 @@ class Labelling:
     """Which candidate of its frame's cloud each marker is (the thesis' L, section 4.1).
 
     indices     (T, M) int, the candidate's place in the frame, -1 for none ("I do not know" or occluded)
-    confidence  (T, M) in [0, 1]: the probability that this entry is right; for -1, that of the best candidate, which was not accepted
+    confidence  (T, M) in [0, 1]: the probability that this entry is right; for -1, that of the best candidate, which was not accepted;
+                NaN where nothing is known about it
     names       (M,) marker names
     candidates  (T, M) int, for -1 the place of the best candidate, which was not accepted, or -1; None where they were not kept
+    verdict     whether the recording shows what the model was trained on; None where it was not judged
     """
 
     indices: Ints
     confidence: Floats
     names: tuple[str, ...]
     candidates: Ints | None = None
+    verdict: Verdict | None = None
 
     def _facts(self) -> Rows:
         given = self.indices >= 0
         share = f"{100 * given.mean():.4g} % of {given.size}" if given.size else ""
-        lowest = f"{self.confidence[given].min():.3f}" if given.any() else ""
+        stated = self.confidence[given & ~np.isnan(self.confidence)]
+        lowest = f"{stated.min():.3f}" if stated.size else ""
         return (("frames", str(len(self.indices))), ("markers", listed(self.names)), ("labelled", share), ("lowest confidence", lowest))
 
     def __repr__(self) -> str:

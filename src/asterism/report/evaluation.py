@@ -13,6 +13,7 @@ from asterism.report.page import Cell, Page, Section, Table, count, percent, tin
 
 if TYPE_CHECKING:
     from asterism.labelling import Condition, Evaluation
+    from asterism.labelling.reliability import ConfidenceScore
 
 
 def evaluation_report(
@@ -28,9 +29,11 @@ def evaluation_report(
             "By number of hidden markers and ghosts",
             "FA: wrong labels among the labels given. FO: markers in view among the markers without a label. "
             "Missed: markers without a label among the markers in view. Perfect: frames in which every marker is right. "
-            "ECE: the mean difference between the confidence and the share of right labels.",
+            "Log score: how little the confidence said of what came, in nats per label; beside it that of the best constant confidence. "
+            "Less is better.",
             table=_summary(conditions),
         ),
+        *([_levels(evaluation.confidence)] if conditions and evaluation.confidence.levels else []),
         *(_curves(conditions) if conditions else []),
         *_marker_sections(evaluation, conditions),
     ]
@@ -101,7 +104,8 @@ def _ends(by_ghosts: Mapping[int, list[Condition]]) -> list[str]:
 
 
 def _summary(conditions: list[Condition]) -> Table:
-    head = ["hidden", "ghosts", "frames", "right", "FA", "FO", "missed", "perfect", "ECE", "frames/s", "evaluations per frame"]
+    head = ["hidden", "ghosts", "frames", "right", "FA", "FO", "missed", "perfect", "log score", "best constant", "frames/s"]
+    head += ["evaluations per frame"]
     return Table(
         head,
         [
@@ -114,7 +118,8 @@ def _summary(conditions: list[Condition]) -> Table:
                 percent(c.fo),
                 tinted(float(c.missed), 2, 0.2),
                 percent(c.perfect, 2),
-                percent(c.ece, 3),
+                _nats(c.confidence.log_score),
+                _nats(c.confidence.constant_log_score),
                 count(c.frames_per_second),
                 count(c.evaluations_per_frame),
             ]
@@ -132,6 +137,31 @@ def _by_marker(evaluation: Evaluation, conditions: list[Condition], names: list[
     means = [_mean([float(c.per_marker[m][key]) for m in evaluation.markers]) for c in conditions]
     rows.append(["mean of the markers", *(percent(mean, digits) for mean in means)])
     return Table(["marker", *names], rows)
+
+
+def _levels(score: ConfidenceScore) -> Section:
+    """What the confidence stated, and what came of it, over all conditions."""
+    rows = [
+        [
+            f"{level.least:g} to {level.below:g}",
+            count(level.labels),
+            percent(level.confidence, 3),
+            percent(level.right, 3),
+            f"{percent(level.low, 3)} to {percent(level.high, 3)}",
+        ]
+        for level in score.levels
+    ]
+    text = (
+        "All labels given, by their confidence: the mean confidence should lie in the 95 % interval of the share that was right. "
+        f"{percent(score.share_at_999, 1)} of the labels, the most confident ones, can be given at 99.9 % right. "
+        f"Log score {_nats(score.log_score)}, of the best constant {_nats(score.constant_log_score)}; "
+        f"Brier score {score.brier:.5f}, of the best constant {score.constant_brier:.5f}."
+    )
+    return Section("Reliability", text, table=Table(["confidence", "labels", "stated", "right", "95 % interval"], rows))
+
+
+def _nats(value: float) -> str:
+    return "–" if np.isnan(value) else f"{value:.4f}"
 
 
 def _mean(values: list[float]) -> float:

@@ -108,7 +108,7 @@ def _pictures(shown: LabelledRecording, name: str) -> list[Section]:
         text = "Each row is a marker. The darker the colour, the higher the confidence. Amber: unsure. Grey: hidden."
         text += f" Each column stands for {block} frames." if block > 1 else ""
         text += " Red crosses: wrong labels." if wrong is not None and wrong.any() else ""
-        picture = figures.timeline(labelling.names, labelling.confidence, shown.given, shown.unsure, wrong, clouds.rate)
+        picture = figures.timeline(labelling.names, np.nan_to_num(labelling.confidence), shown.given, shown.unsure, wrong, clouds.rate)
         sections.append(Section(f"{name} over time", text, figure=picture))
     return sections
 
