@@ -11,7 +11,7 @@ from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
 from asterism.labelling.body._workspace_kernels import FrameSettings
 from asterism.labelling.body.labeller import BodyLabeller
-from asterism.labelling.body.model import BodyModel, BodyRules, length_scale
+from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enough
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.labelling.whole._kernels import FrameScores, score_frames
@@ -79,9 +79,8 @@ def label_points(
     whole: the only body; where the recording does not fit it, the tracklets are labelled again (`foreign.py`).
     """
     tracklets = find_tracklets(clouds)
-    unit = min(length_scale(labeller.model.mean[0], body_rules) for labeller in labellers)
     kept = long_points(clouds, tracklets, min(labeller.body.mean.shape[1] for labeller in labellers), rules.short)
-    scene = prepare_scene(clouds.select(kept), tracklets_of(tracklets, kept), rules, unit)
+    scene = prepare_scene(clouds.select(kept), tracklets_of(tracklets, kept), rules)
     found = label_scene(labellers, scene, rules, subject_rules, body_rules, workers, progress)
     limit = np.ones(len(scene.first))
     if whole is not None:
