@@ -14,11 +14,10 @@ import asterism
 from asterism import formats
 from asterism.cli import main
 from asterism.findings import Severity
-from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.labelling.whole.verdict import RigidDistances, VerdictRules, judge
 from asterism.recording import Recording
 from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, Verdict
-from asterism.simulation import simulate_standing, simulate_walks
+from asterism.simulation import simulate_gaps_and_ghosts, simulate_standing, simulate_walks
 
 
 @pytest.fixture(scope="module")

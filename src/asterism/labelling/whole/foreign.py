@@ -17,7 +17,8 @@ from scipy.special import gammaln
 
 from asterism.labelling.body.model import BodyModel
 from asterism.labelling.whole.joint import SceneLabelling
-from asterism.labelling.whole.scene import Scene
+from asterism.labelling.whole.plausibility import own_deviations
+from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene
 from asterism.labelling.whole.verdict import RigidDistances, median_and_std
 from asterism.recording import NULL, Floats, Ints
 
@@ -35,7 +36,10 @@ class ForeignRules:
     max_starts       labellings that are refined, the ones whose distances fit best
     same             share of common labels from which two labellings are the same one
     body_weight      weight of the body model's gain
-    distance_weight  weight of the distances
+    distance_weight  weight of the distances; and where the recording is crowded and no labelling has a scatter up to `close`: among many
+                     points some always fit
+    close            see above
+    prior            nats for the labels so far against others; and in a crowded recording
     forward          nats for a body that travels forward
     min_speed        m/s from which a body travels
     backward         `forward_share` up to which a body seems to walk backwards
@@ -46,9 +50,13 @@ class ForeignRules:
     loose            nats for a distance that is rigid in a training with movement, but not here
     partners         distances of a marker that count as independent, at most
     scale            nats of evidence between two whole labellings that make the odds e to 1
-    log_odds         log odds that a label of a foreign recording is right, without a margin; a logistic regression on such labels, and so
-    by_margin        the log odds for each nat of the label's margin, counted within `margins`
-    by_distance      the log odds for each nat by which its distances beat the best exchange, counted within `distances`
+    crowded          points left over, as a share of the markers, from which a recording is crowded
+    log_odds         log odds that a label of a foreign recording is right, without a margin, and in a crowded one: a logistic regression
+    by_margin        what each nat of the label's margin adds, counted within `margins`
+    by_distance      what each nat adds by which its distances beat the best exchange, counted within `distances`; and in a crowded one
+    by_deviation     what each standard deviation takes away by which the distances of a tracklet differ from its marker's elsewhere in the
+                     recording, beyond `max_deviation`
+    max_deviation    see above
     margins          see above
     distances        see above
     """
@@ -60,7 +68,9 @@ class ForeignRules:
     max_starts: int = 3
     same: float = 0.7
     body_weight: float = 0.3
-    distance_weight: float = 1.5
+    distance_weight: tuple[float, float] = (1.5, 0.5)
+    close: float = 0.035
+    prior: tuple[float, float] = (5.0, 0.0)
     forward: float = 12.0
     min_speed: float = 0.4
     backward: float = -0.6
@@ -70,10 +80,13 @@ class ForeignRules:
     background: float = 0.4
     loose: float = -2.0
     partners: int = 3
-    scale: float = 4.0
-    log_odds: float = 1.9
+    scale: float = 5.0
+    crowded: float = 0.25
+    log_odds: tuple[float, float] = (3.0, 0.3)
     by_margin: float = 0.1
-    by_distance: float = 0.45
+    by_distance: tuple[float, float] = (0.2, 0.4)
+    by_deviation: float = 2.0
+    max_deviation: float = 1.5
     margins: tuple[float, float] = (-15.0, 30.0)
     distances: tuple[float, float] = (-6.0, 12.0)
 
@@ -100,16 +113,22 @@ def label_foreign(
     tracks = tracks_of(found.scene)
     markers = body.mean.shape[1]
     starts = [start for start in _starts(body.mean, tracks, rules) if _differ(start, found.label, rules.same)]
-    ranked = sorted(starts, key=lambda start: -_distance_score(_positions(tracks, start, markers), reference, rules))
+    ranked = sorted(starts, key=lambda start: -_distance_score(_positions(tracks, start, markers), reference, rules)[0])
     chosen: list[Ints] = []
     for start in ranked:
         if len(chosen) < rules.max_starts and all(_differ(start, other, rules.same) for other in chosen):
             chosen.append(start)
     labelled = [found, *(relabel(start) for start in chosen)]
     sides = _side_pairs(names)
-    scores = np.array([_score(one, tracks, markers, reference, sides, rules) for one in labelled])
+    positions = [_positions(tracks, one.label, markers) for one in labelled]
+    distances = np.array([_distance_score(some, reference, rules) for some in positions])
+    forward = np.array([forward_share(some, _seconds(found.scene), sides, rules.min_speed) for some in positions])
+    crowded = _crowded(found, markers, rules)
+    weight = rules.distance_weight[crowded and not (distances[:, 1] <= rules.close).any()]
+    scores = rules.body_weight * np.array([one.total for one in labelled]) + weight * distances[:, 0] + rules.forward * forward
+    scores[0] += rules.prior[crowded]
     best = int(np.argmax(scores))
-    limit = _limit_by_distances(labelled[best], tracks, markers, reference, rules)
+    limit = _limit_by_distances(labelled[best], tracks, markers, reference, crowded, rules)
     for one, score in zip(labelled, scores, strict=True):
         differs = one.label != labelled[best].label
         if differs.mean() > 1.0 - rules.same:
@@ -208,18 +227,6 @@ def _about_z(turn: float) -> Floats:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _score(
-    found: SceneLabelling, tracks: Floats, markers: int, reference: RigidDistances, sides: Sequence[tuple[int, int]], rules: ForeignRules
-) -> float:
-    """Nats for a whole labelling."""
-    positions = _positions(tracks, found.label, markers)
-    return (
-        rules.body_weight * found.total
-        + rules.distance_weight * _distance_score(positions, reference, rules)
-        + rules.forward * forward_share(positions, _seconds(found.scene), sides, rules.min_speed)
-    )
-
-
 def forward_travel(found: SceneLabelling, names: Sequence[str], rules: ForeignRules) -> float:
     """`forward_share` of a recording with one body; names: of its markers."""
     positions = _positions(tracks_of(found.scene), found.label, len(names))
@@ -231,19 +238,19 @@ def _seconds(scene: Scene) -> Floats:
     return scene.sampled_frames / scene.rate
 
 
-def _distance_score(positions: Floats, reference: RigidDistances, rules: ForeignRules) -> float:
-    """Nats by which near-rigid distances of marker positions (E, M, 3) m fit the training's better than any distances do."""
+def _distance_score(positions: Floats, reference: RigidDistances, rules: ForeignRules) -> tuple[float, float]:
+    """Nats by which near-rigid distances of marker positions (E, M, 3) m fit the training's better than any do; and their scatter."""
     median, std = median_and_std(positions, reference.first, reference.second, 3)
     known = ~np.isnan(median)
     if not known.any():
-        return 0.0
+        return 0.0, float("nan")
     rigid = known & (std < reference.max_rigid_std)
-    _, size, logs = reference.nearest(np.where(rigid, median, np.nan))
+    scatter, size, logs = reference.nearest(np.where(rigid, median, np.nan))
     gain = _log_ratio(np.log(median) - size - logs, np.exp(logs), rules.share_std, rules)
     gain = np.where(rigid & ~np.isnan(gain), gain, rules.loose if reference.moving else 0.0) * known
     count = sum(np.bincount(side[known], minlength=positions.shape[1]) for side in (reference.first, reference.second))
     part = np.minimum(1.0, rules.partners / np.maximum(count, 1))
-    return float((gain * 0.5 * (part[reference.first] + part[reference.second])).sum())
+    return float((gain * 0.5 * (part[reference.first] + part[reference.second])).sum()), scatter
 
 
 def _log_ratio(deviation: Floats, distance: Floats, share_std: float, rules: ForeignRules) -> Floats:
@@ -283,12 +290,24 @@ def forward_share(positions: Floats, seconds: Floats, sides: Sequence[tuple[int,
     return float(((forward[:-step] * velocity).sum(axis=1) / np.maximum(speed, 1e-9)).mean())
 
 
-def _limit_by_distances(found: SceneLabelling, tracks: Floats, markers: int, reference: RigidDistances, rules: ForeignRules) -> Floats:
+def _crowded(found: SceneLabelling, markers: int, rules: ForeignRules) -> bool:
+    """Whether a usual frame has many points without a label."""
+    scene = found.scene
+    left_over = np.bincount(scene.sampled_frame, found.label[scene.sampled_track] == NULL, len(scene.sampled_frames))
+    return bool(np.median(left_over) >= rules.crowded * markers)
+
+
+def _limit_by_distances(
+    found: SceneLabelling, tracks: Floats, markers: int, reference: RigidDistances, crowded: bool, rules: ForeignRules
+) -> Floats:
     """What the labels of tracklets (J,) may be as certain as, by their margins and their distances against those of another marker."""
     gain = distance_gains(found.label, tracks, markers, reference, rules)
     lead = distance_margins(gain, found.label, found.scene.first, found.scene.last)
     by_margin = rules.by_margin * np.clip(found.margin, *rules.margins)
-    return _odds(rules.log_odds + by_margin + rules.by_distance * np.clip(lead, *rules.distances), 1.0)
+    by_distance = rules.by_distance[crowded] * np.clip(lead, *rules.distances)
+    deviation = own_deviations(found.scene, found.label, np.array([0, markers]), RecordingLabellingSettings())
+    by_deviation = rules.by_deviation * np.clip(deviation - rules.max_deviation, 0.0, None)
+    return _odds(rules.log_odds[crowded] + by_margin + by_distance - by_deviation, 1.0)
 
 
 def distance_gains(label: Ints, tracks: Floats, markers: int, reference: RigidDistances, rules: ForeignRules) -> Floats:

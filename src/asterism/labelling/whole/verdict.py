@@ -32,9 +32,12 @@ class VerdictRules:
     max_limit        least scatter that never fits
     min_people       people of the training from which their differences widen the limit
     left_out_factor  the limit as a multiple of the largest scatter of a person of the training against all others, between these two
+    crowded_limit    largest scatter that fits where fewer people taught the model and many points are left over: among many points some
+                     always fit
     body_scatter     scatter from which it is another body
     body_size        factor between the sizes from which it is another body
     body_labelled    share of the markers, or of the points if fewer, below which what does not fit is another body
+    moving_lost      the same from which a movement is foreign to a training of standing trials
     body_lost        share of the training's near-rigid distances that are not rigid from which it is another body
     min_labelled     share of the markers, or of the points if fewer, below which it is another marker set
     min_found        the same below which it is another body, where a usual frame shows `min_shown` of the markers' number of points
@@ -50,9 +53,11 @@ class VerdictRules:
     max_limit: float = 0.08
     min_people: int = 5
     left_out_factor: float = 1.3
+    crowded_limit: float = 0.035
     body_scatter: float = 0.3
     body_size: float = 1.7
     body_labelled: float = 0.5
+    moving_lost: float = 0.25
     body_lost: float = 0.7
     min_labelled: float = 0.6
     min_found: float = 0.2
@@ -140,14 +145,17 @@ def judge(positions: Floats, counts: Ints, reference: RigidDistances) -> Verdict
     scatter, log_size, _ = reference.nearest(np.where(rigid, distance, np.nan))
     size = float("nan") if np.isnan(scatter) else float(np.exp(log_size))
     comparable = len(reference.first) >= 2 * rules.min_pairs and len(some) >= MIN_FRAMES
-    verdict = Verdict(FITS, scatter, reference.limit, size, share, surplus)
+    crowded = len(reference.median) < rules.min_people and surplus >= rules.min_surplus * markers
+    verdict = Verdict(FITS, scatter, min(reference.limit, rules.crowded_limit) if crowded else reference.limit, size, share, surplus)
     if np.isnan(scatter):
         # a body whose markers move against each other, as far as they are the model's
         kind = OTHER_BODY if comparable and labelled.any() else _kind_by_points(verdict, counts, markers, rules)
     elif _is_other_body(verdict, lost if reference.moving else 0.0, rules):
         kind = OTHER_BODY
-    elif scatter > reference.limit:
+    elif scatter > verdict.limit:
         kind = OTHER_MARKERS if surplus >= rules.min_surplus * markers else OTHER_PERSON
+    elif not reference.moving and lost > rules.moving_lost:
+        kind = OTHER_PERSON
     else:
         kind = _kind_by_points(verdict, counts, markers, rules)
     return replace(verdict, kind=kind)
