@@ -9,6 +9,7 @@ from benchmarks.dirt.accuracy import flicker, riding, volume
 from benchmarks.dirt.guarantee import guarantee
 from benchmarks.dirt.peers import peers
 from benchmarks.dirt.speed import long_recording, speed
+from benchmarks.dirt.strangers import strangers
 from benchmarks.dirt.stream import stream
 from benchmarks.figures import Figure
 
@@ -23,4 +24,5 @@ ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
     "guarantee": guarantee,
     "stream-clutter": stream,
     "peers-clutter": peers,
+    "strangers": strangers,
 }
