@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import twins_tracks as twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -164,7 +163,9 @@ def test_points_of_short_tracklets(seed: int) -> None:
     offsets, label = np.arange(5) * (MARKERS + 4), np.concatenate(labels)
     place = np.stack([points[:MARKERS] for points in frames]) + rng.normal(0.0, 0.02, (4, MARKERS, 3))
     spread = np.where(rng.random((4, MARKERS)) < 0.5, rng.uniform(0.005, 0.1, (4, MARKERS)), np.inf)
-    out = ShortLabels(label.copy(), np.zeros(len(label)), np.zeros(len(label), bool), np.zeros(4, bool), np.zeros(4, dtype=np.int64))
+    out = ShortLabels(
+        label.copy(), np.zeros(len(label)), np.zeros(len(label), bool), np.zeros(4, bool), np.zeros((MARKERS, 4), dtype=np.int64)
+    )
     label_short(np.concatenate(frames), offsets, np.concatenate(candidates), model.arrays(), SETTINGS, limits, Expected(place, spread), out)
     given, alone, counts = twins.label_short(model, frames, candidates, labels, place, spread, SETTINGS, limits)
     np.testing.assert_array_equal(out.alone, alone)
@@ -204,12 +205,28 @@ def test_a_marker_is_expected_on_the_line_across_its_gap(seed: int, gap: int) ->
     assert np.isinf(found.spread[[0, -1], 1]).all() and np.isinf(found.spread[:, 0]).all()
 
 
-@pytest.mark.parametrize(
-    ("counts", "markers"),
-    [((300, 9, 900, 27), False), ((300, 60, 900, 27), True), ((300, 0, 900, 0), False), ((60, 1, 240, 0), True)],
-)
-def test_hits_that_ghosts_explain_are_no_markers(counts: tuple[int, ...], markers: bool) -> None:
-    assert (log_odds_of_markers(np.array(counts)) > 0) == markers
+def test_hits_that_ghosts_explain_are_no_markers() -> None:
+    """As often as while another point is the marker; far oftener; never; and as often as the others, for markers that were always free."""
+    counts = np.array([(300, 9, 900, 27), (300, 60, 900, 27), (300, 0, 900, 27), (100, 3, 0, 0), (100, 40, 0, 0)])
+    odds = log_odds_of_markers(counts, ShortTrackletRules())
+    np.testing.assert_array_equal(odds > 0, [False, True, False, False, True])
+    assert np.isneginf(odds[[0, 2, 3]]).all()
+
+
+def test_one_hit_counts_where_no_ghost_was_ever_seen() -> None:
+    assert log_odds_of_markers(np.array([(5, 1, 240, 0)]), ShortTrackletRules())[0] > 0
+
+
+@given(seeds, st.integers(0, 12))
+@races
+def test_where_a_tracklet_goes_over_to_another_marker(seed: int, samples: int) -> None:
+    rng = np.random.default_rng(seed)
+    scores = rng.normal(-1.0, 4.0, (samples, 3))
+    gain, at = kernels.best_split(scores)
+    assert np.isclose(gain, twins.best_split(scores))
+    if gain > 0:
+        both = max(0.0, *scores[:at].sum(axis=0)) + max(0.0, *scores[at:].sum(axis=0))
+        assert np.isclose(both - max(0.0, *scores.sum(axis=0)), gain)
 
 
 @given(seeds)

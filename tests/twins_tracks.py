@@ -201,7 +201,7 @@ def best_pairs(scores):
 def label_short(model, frames, candidates, labels, place, spread, settings, limits):
     """Marker and margin (by frame and point) of candidates; frames left alone; and the counts of hits."""
     markers = len(model.mean[0])
-    given, alone, counts = [], [], np.zeros(4, dtype=int)
+    given, alone, counts = [], [], np.zeros((markers, 4), dtype=int)
     for t, (points, candidate, label) in enumerate(zip(frames, candidates, labels, strict=True)):
         free = [m for m in range(markers) if m not in label]
         given.append({})
@@ -212,8 +212,8 @@ def label_short(model, frames, candidates, labels, place, spread, settings, limi
         for m in range(markers):
             if m in free and spread[t, m] <= limits.usual_spread:
                 continue
-            counts[(0 if m in free else 2)] += 1
-            counts[(1 if m in free else 3)] += bool((body[m, candidate] > 0).any())
+            counts[m, 0 if m in free else 2] += 1
+            counts[m, 1 if m in free else 3] += bool((body[m, candidate] > 0).any())
         scores = np.full(body.shape, -np.inf)
         for m in free:
             for c in np.nonzero(candidate)[0]:
@@ -223,3 +223,9 @@ def label_short(model, frames, candidates, labels, place, spread, settings, limi
                     scores[m, c] = min(body[m, c], limits.max_score) + close - 0.5 * (far / spread[t, m]) ** 2
         given[-1] = best_pairs(scores)
     return given, alone, counts
+
+
+def best_split(scores):
+    """By how much the best split of a tracklet's samples beats the best single marker."""
+    options = [max(0.0, *scores[:s].sum(axis=0)) + max(0.0, *scores[s:].sum(axis=0)) for s in range(1, len(scores))]
+    return max([0.0, *(option - max(0.0, *scores.sum(axis=0)) for option in options)])

@@ -49,7 +49,7 @@ class ShortLabels(NamedTuple):
     margin     (P,) nats, of the candidates that were labelled
     by_motion  (P,) bool, candidates that were labelled where motion expects the marker closely
     alone      (T,) bool, frames that show too few labelled markers; nothing is labelled there
-    counts     (4,) see `count_hits`
+    counts     (M, 4) see `count_hits`
     """
 
     label: np.ndarray
@@ -103,12 +103,13 @@ def take_best_pairs(scores, label, margin):
 
 @kernel
 def count_hits(scores, point_of, spread, candidate, least, usual_spread, counts):
-    """How often a candidate scores as a marker: as one that may be there, and as one that is at another point already.
+    """How often a candidate scores as each marker: in frames in which it may be there, and in those in which another point is it already.
 
     A candidate that scores as a marker whose point is known is a ghost. So the second share tells how often ghosts score by chance. Markers
     whose place motion knows well are not counted.
     IN     scores (M, n) nats; point_of (M,); spread (M,) m; candidate (n,) bool; least (nats): what scores more is a hit
-    IN/OUT counts (4,): free markers, those with a hit, markers at another point, those with a hit. O(M n).
+    IN/OUT counts (M, 4): frames in which the marker is free, those with a hit; frames in which another point is it, those with a hit
+    O(M n).
     """
     for m in range(len(point_of)):
         if point_of[m] < 0 and spread[m] <= usual_spread:
@@ -117,8 +118,8 @@ def count_hits(scores, point_of, spread, candidate, least, usual_spread, counts)
         for c in range(len(candidate)):
             hit = hit or (candidate[c] and scores[m, c] > least)
         side = 0 if point_of[m] < 0 else 2
-        counts[side] += 1
-        counts[side + 1] += hit
+        counts[m, side] += 1
+        counts[m, side + 1] += hit
 
 
 @kernel
