@@ -30,9 +30,11 @@ class ShortTrackletRules:
     min_score       nats, the most that the body can say against a label (negative)
     max_score       nats, the most that it can say for a label
     usual_spread    m, standard deviation of a place that the body predicts
+    motion_spread   m; where motion predicts a place at least so closely, it decides more than the body
     acceleration    m/s2, standard deviation of a marker's acceleration
     noise           m, standard deviation of a point
     max_spread      m; a place that motion predicts less closely is not used
+    min_marker_share share of the candidates that score as a marker that must be the marker, to label any of them
     prior_frames    frames that the average over all markers counts for, of how often ghosts score as one
     """
 
@@ -43,10 +45,12 @@ class ShortTrackletRules:
     min_score: float = -4.0
     max_score: float = 15.0
     usual_spread: float = 0.03
+    motion_spread: float = 0.01
     acceleration: float = 25.0
     noise: float = 0.002
     max_spread: float = 0.15
-    prior_frames: float = 30.0
+    min_marker_share: float = 0.9
+    prior_frames: float = 100.0
 
 
 def long_points(clouds: Clouds, tracklets: Tracklets, rules: ShortTrackletRules) -> NDArray[np.bool_]:
@@ -88,29 +92,32 @@ def label_short_points(
         np.zeros(points, dtype=np.bool_),
         np.zeros(frames, dtype=np.bool_),
         np.zeros((markers, 4), dtype=np.int64),
+        np.zeros((markers, 4), dtype=np.int64),
     )
-    limits = ShortLimits(max(3, round(rules.min_labelled * markers)), rules.min_score, rules.max_score, rules.usual_spread)
+    least = max(3, round(rules.min_labelled * markers))
+    limits = ShortLimits(least, rules.min_score, rules.max_score, rules.usual_spread, rules.motion_spread)
     expected = expect_by_motion(xyz, clouds.frame_of, label, (frames, markers), clouds.rate, rules)
     label_short(xyz, clouds.offsets, candidate, body, labeller.settings, limits, expected, out)
-    odds = np.minimum(log_odds_of_markers(out.counts, rules), 0.0)
-    margin = np.where(out.by_motion | (out.label == NULL), out.margin, out.margin + odds[out.label])
+    by_body, by_motion = (marker_shares(counts, rules) for counts in (out.body_hits, out.near_hits))
+    share = np.where(out.by_motion, by_motion[out.label], by_body[out.label])
+    margin = out.margin
+    out.label[candidate & (share < rules.min_marker_share)] = NULL
     if out.alone.any():
         _label_alone(labeller, clouds, out.alone, candidate, out.label, margin)
     return np.where(candidate, out.label, NULL), margin
 
 
-def log_odds_of_markers(counts: Ints, rules: ShortTrackletRules) -> Floats:
-    """Nats by which candidates that score as a marker are more often the marker than ghosts: (M,), -inf where ghosts explain all of them.
+def marker_shares(counts: Ints, rules: ShortTrackletRules) -> Floats:
+    """Which share of the candidates that score as a marker is the marker, not a ghost: (M,), 0 to 1.
 
-    counts (M, 4): see `count_hits`. Ghosts score as a marker that is free as often as they do while another point is it; where that was
-    seen in few frames, as often as for the markers on average. Two standard deviations of their number may be chance.
+    counts (M, 4): see `count_body_hits`. Ghosts score as a free marker as often as they do while another point is it; where that was seen
+    in few frames, at least as often as for the markers on average. One hit more than seen is assumed.
     """
     free, hits, held, held_hits = counts.astype(np.float64).T
     usual = (held_hits.sum() + 0.5) / (held.sum() + 1.0)
-    by_chance = free * (held_hits + rules.prior_frames * usual) / (held + rules.prior_frames)
-    markers = hits - by_chance - 2.0 * np.sqrt(by_chance)
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.log(np.maximum(markers, 0.0)) - np.log(np.maximum(by_chance, 1e-3)))
+    shrunk = (held_hits + 1.0 + rules.prior_frames * usual) / (held + rules.prior_frames)
+    share_hit = np.maximum(shrunk, held_hits / np.maximum(held, 1.0))
+    return np.asarray(np.clip(1.0 - free * share_hit / np.maximum(hits, 1e-12), 0.0, 1.0))
 
 
 def _label_alone(
