@@ -212,7 +212,8 @@ def label_short(model, frames, candidates, labels, place, spread, settings, limi
         for m in range(markers):
             by_motion, side = spread[t, m] <= limits.motion_spread, 0 if m in free else 2
             if m not in free or not by_motion:
-                hits[m, side : side + 2] += [1, bool((body[m, candidate] > 0).any())]
+                best_free = np.maximum(body[free].max(axis=0), 0.0)[candidate]
+                hits[m, side : side + 2] += [1, bool((body[m, candidate] > (0 if m in free else best_free)).any())]
             if m not in free or by_motion:
                 centre = place[t, m] if m in free else points[list(label).index(m)]
                 reach = 2.5 * (spread[t, m] if m in free else limits.motion_spread)

@@ -113,18 +113,23 @@ NEAR = 2.5
 def count_body_hits(scores, point_of, spread, candidate, motion_spread, counts):
     """How often a candidate scores as each marker: in frames in which it may be there, and in those in which another point is it already.
 
-    A candidate that scores as a marker whose point is known is a ghost. So the second share tells how often ghosts score by chance. Markers
-    whose place motion knows well are not counted.
+    A candidate that scores as a marker whose point is known, and higher than as any free marker, is a ghost. So the second share tells how
+    often ghosts score by chance. Free markers whose place motion knows well are not counted.
     IN     scores (M, n) nats, above 0 for a hit; point_of (M,); spread (M,) m; candidate (n,) bool; motion_spread m
     IN/OUT counts (M, 4): frames in which the marker is free, those with a hit; frames in which another point is it, those with a hit
     O(M n).
     """
+    best_free = np.zeros(len(candidate))
+    for m in range(len(point_of)):
+        if point_of[m] < 0:
+            for c in range(len(candidate)):
+                best_free[c] = max(best_free[c], scores[m, c])
     for m in range(len(point_of)):
         if point_of[m] < 0 and spread[m] <= motion_spread:
             continue
         hit = False
         for c in range(len(candidate)):
-            hit = hit or (candidate[c] and scores[m, c] > 0.0)
+            hit = hit or (candidate[c] and scores[m, c] > (0.0 if point_of[m] < 0 else best_free[c]))
         side = 0 if point_of[m] < 0 else 2
         counts[m, side] += 1
         counts[m, side + 1] += hit
