@@ -8,6 +8,7 @@ those that have no check.
 from __future__ import annotations
 
 _BODY = "asterism.labelling.body"
+_WHOLE = "asterism.labelling.whole"
 _PARTIAL = "asterism.labelling.partial"
 _POINTS = "asterism.reconstruction"
 _TWINS = "test_reconstruction_twins.py"
@@ -21,6 +22,9 @@ CHECKED_BY: dict[str, str] = {
     f"{_BODY}._frame_kernels.retry_doubtful": "test_body_search.py::test_doubtful_labels_are_tried_again",
     f"{_BODY}._score_kernels.rescore": "test_body_search.py::test_rescoring_finds_the_outliers",
     f"{_BODY}._frame_kernels.label_frame": "test_body_search.py::test_a_whole_frame",
+    f"{_WHOLE}._kernels.settle_dominant": "test_track_kernels.py::test_what_dominates_is_in_the_best_of_all_labellings",
+    f"{_WHOLE}._short_kernels.label_short": "test_track_kernels.py::test_points_of_short_tracklets",
+    f"{_WHOLE}._short_kernels.take_best_pairs": "test_track_kernels.py::test_the_best_pairs_of_a_frame",
     f"{_PARTIAL}._matrix_kernels.check_marker": "test_partial_twins.py::test_check_marker_on_all_placements_of_four_markers",
     f"{_PARTIAL}._matrix_kernels.complete_labels": "test_partial_twins.py::test_complete_labels",
     f"{_PARTIAL}._matrix_kernels.count_confusions": "test_partial_twins.py::test_count_confusions",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import twins_tracks as twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,7 +13,9 @@ from asterism.labelling.body.model import BodyModel
 from asterism.labelling.whole import _kernels as kernels
 from asterism.labelling.whole import assignment
 from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
+from asterism.labelling.whole._short_kernels import Expected, ShortLabels, ShortLimits, label_short, take_best_pairs
 from asterism.labelling.whole.assignment import assign_tracklets
+from asterism.labelling.whole.short import ShortTrackletRules, expect_by_motion, log_odds_of_markers
 
 SETTINGS = FrameLabellingSettings().with_usual_score(1.0)
 MARKERS, LATENTS, POSES = 6, 4, 2
@@ -118,6 +121,95 @@ def test_the_best_assignment(seed: int) -> None:
         assert len(np.unique(there)) == len(there)
     total, wanted = (gain[found >= 0, found[found >= 0]].sum() for found in (label, by_highs))
     assert np.isclose(total, wanted)
+
+
+@given(seeds)
+@settings(races, max_examples=40)
+def test_what_dominates_is_in_the_best_of_all_labellings(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    tracklets, markers = int(rng.integers(1, 6)), int(rng.integers(1, 4))
+    first = rng.integers(0, 6, tracklets)
+    last = first + rng.integers(0, 6, tracklets)
+    gain = np.round(rng.normal(1.0, 3.0, (tracklets, markers)) * rng.choice([1.0, 10.0], tracklets)[:, None])
+    left = gain.copy()
+    kernels.settle_dominant(left, kernels.overlaps(gain, first, last, np.argsort(first, kind="stable")), 20)
+    assert twins.best_total(left, first, last) == twins.best_total(gain, first, last)
+    assert ((left == gain) | ((left == 0) & (gain > 0))).all()
+
+
+@given(seeds, st.integers(0, 12))
+@races
+def test_how_much_shorter_rivals_amount_to(seed: int, tracklets: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, last, _ = random_tracklets(rng, tracklets)
+    gain, samples, independent = rng.normal(0.0, 1.0, (tracklets, 3)), rng.integers(0, 9, tracklets), rng.uniform(0.5, 3.0, tracklets)
+    pairs = kernels.overlaps(gain, first, last, np.argsort(first, kind="stable"))
+    found = kernels.rivals_weight(gain, pairs, first, last, samples, independent)
+    assert np.isclose(found, twins.rivals_weight(gain, first, last, samples, independent))
+
+
+@given(seeds)
+@races
+def test_points_of_short_tracklets(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    model, limits = random_body(rng), ShortLimits(3, -4.0, 15.0, 0.03)
+    frames, labels, candidates = [], [], []
+    for _ in range(4):
+        body = rng.multivariate_normal(model.mean[0].reshape(-1), model.covariance(0)).reshape(-1, 3)
+        label = np.where(rng.random(MARKERS) < 0.7, np.arange(MARKERS), -1)
+        extra = body[rng.integers(0, MARKERS, 4)] + rng.normal(0.0, 0.1, (4, 3))
+        frames.append(np.concatenate([body, extra]))
+        labels.append(np.concatenate([label, np.full(4, -1)]))
+        candidates.append((labels[-1] < 0) & (rng.random(MARKERS + 4) < 0.8))
+    offsets, label = np.arange(5) * (MARKERS + 4), np.concatenate(labels)
+    place = np.stack([points[:MARKERS] for points in frames]) + rng.normal(0.0, 0.02, (4, MARKERS, 3))
+    spread = np.where(rng.random((4, MARKERS)) < 0.5, rng.uniform(0.005, 0.1, (4, MARKERS)), np.inf)
+    out = ShortLabels(label.copy(), np.zeros(len(label)), np.zeros(len(label), bool), np.zeros(4, bool), np.zeros(4, dtype=np.int64))
+    label_short(np.concatenate(frames), offsets, np.concatenate(candidates), model.arrays(), SETTINGS, limits, Expected(place, spread), out)
+    given, alone, counts = twins.label_short(model, frames, candidates, labels, place, spread, SETTINGS, limits)
+    np.testing.assert_array_equal(out.alone, alone)
+    np.testing.assert_array_equal(out.counts, counts)
+    for t, pairs in enumerate(given):
+        new = {c: out.label[offsets[t] + c] for c in range(MARKERS + 4) if out.label[offsets[t] + c] != labels[t][c]}
+        assert new == {c: m for c, (m, _) in pairs.items()}
+        for c, (m, margin) in pairs.items():
+            assert np.isclose(out.margin[offsets[t] + c], margin, rtol=1e-6, atol=1e-6)
+            assert out.by_motion[offsets[t] + c] == (spread[t, m] <= limits.usual_spread)
+
+
+@given(seeds)
+@races
+def test_the_best_pairs_of_a_frame(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scores = np.where(rng.random((5, 7)) < 0.3, -np.inf, rng.normal(0.0, 3.0, (5, 7)))
+    label, margin = np.full(7, -1), np.zeros(7)
+    take_best_pairs(scores, label, margin)
+    wanted = twins.best_pairs(scores)
+    assert {c: m for c, m in enumerate(label.tolist()) if m >= 0} == {c: m for c, (m, _) in wanted.items()}
+    assert np.allclose([margin[c] for c in wanted], [its for _, its in wanted.values()])
+
+
+@given(seeds, st.integers(2, 12))
+@races
+def test_a_marker_is_expected_on_the_line_across_its_gap(seed: int, gap: int) -> None:
+    rng = np.random.default_rng(seed)
+    path = rng.normal(size=3) + np.arange(gap + 1)[:, None] * 0.01 * rng.normal(size=3)
+    frame_of = np.array([0, gap, 0])
+    rules = ShortTrackletRules()
+    found = expect_by_motion(np.array([path[0], path[-1], path[0]]), frame_of, np.array([1, 1, 0]), (gap + 1, 2), 100.0, rules)
+    inside = np.arange(1, gap)
+    np.testing.assert_allclose(found.place[inside, 1], path[inside])
+    std = np.hypot(rules.noise, 0.5 * rules.acceleration * inside * (gap - inside) / 100.0**2)
+    np.testing.assert_allclose(found.spread[inside, 1], np.where(std <= rules.max_spread, std, np.inf))
+    assert np.isinf(found.spread[[0, -1], 1]).all() and np.isinf(found.spread[:, 0]).all()
+
+
+@pytest.mark.parametrize(
+    ("counts", "markers"),
+    [((300, 9, 900, 27), False), ((300, 60, 900, 27), True), ((300, 0, 900, 0), False), ((60, 1, 240, 0), True)],
+)
+def test_hits_that_ghosts_explain_are_no_markers(counts: tuple[int, ...], markers: bool) -> None:
+    assert (log_odds_of_markers(np.array(counts)) > 0) == markers
 
 
 @given(seeds)

@@ -167,3 +167,59 @@ def best_total(gain, first, last):
         return sum(gain[j, m] for j, m in enumerate(labels) if m >= 0)
 
     return max(total(labels) for labels in product(range(-1, markers), repeat=tracklets))
+
+
+def rivals_weight(gain, first, last, samples, independent):
+    """The largest share of a tracklet's frames that the shorter rivals for its best marker amount to."""
+    most = 0.0
+    for i in range(len(gain)):
+        best = int(np.argmax(gain[i]))
+        if gain[i, best] <= 0 or not samples[i]:
+            continue
+        rivals = [
+            independent[j]
+            for j in range(len(gain))
+            if together(first, last, i, j) and gain[j, best] > 0 and last[j] - first[j] < last[i] - first[i]
+        ]
+        most = max(most, sum(rivals) / samples[i])
+    return most
+
+
+def best_pairs(scores):
+    """Marker and margin by point: the best free pair again and again."""
+    found, taken = {}, set()
+    while True:
+        free = [(m, c) for m, c in np.ndindex(*scores.shape) if m not in taken and c not in found and scores[m, c] > 0]
+        if not free:
+            return found
+        m, c = max(free, key=lambda pair: scores[pair])
+        others = [scores[o, p] for o, p in np.ndindex(*scores.shape) if (o == m) != (p == c) and o not in taken and p not in found]
+        found[c] = (m, scores[m, c] - max([0.0, *others]))
+        taken.add(m)
+
+
+def label_short(model, frames, candidates, labels, place, spread, settings, limits):
+    """Marker and margin (by frame and point) of candidates; frames left alone; and the counts of hits."""
+    markers = len(model.mean[0])
+    given, alone, counts = [], [], np.zeros(4, dtype=int)
+    for t, (points, candidate, label) in enumerate(zip(frames, candidates, labels, strict=True)):
+        free = [m for m in range(markers) if m not in label]
+        given.append({})
+        alone.append(bool(candidate.any() and free and markers - len(free) < limits.min_labelled))
+        if not candidate.any() or not free or alone[-1]:
+            continue
+        body = score_frames(model, [points], [np.arange(len(points))], label, settings)[0].T
+        for m in range(markers):
+            if m in free and spread[t, m] <= limits.usual_spread:
+                continue
+            counts[(0 if m in free else 2)] += 1
+            counts[(1 if m in free else 3)] += bool((body[m, candidate] > 0).any())
+        scores = np.full(body.shape, -np.inf)
+        for m in free:
+            for c in np.nonzero(candidate)[0]:
+                if body[m, c] >= limits.min_score:
+                    far = np.linalg.norm(points[c] - place[t, m])
+                    close = max(0.0, 3 * np.log(limits.usual_spread / spread[t, m])) if np.isfinite(spread[t, m]) else 0.0
+                    scores[m, c] = min(body[m, c], limits.max_score) + close - 0.5 * (far / spread[t, m]) ** 2
+        given[-1] = best_pairs(scores)
+    return given, alone, counts

@@ -134,6 +134,76 @@ def overlaps(gain, first, last, order):
 
 
 @kernel
+def rivals_weight(gain, pairs, first, last, samples, independent):
+    """How many independent frames the shorter rivals for a tracklet's best marker amount to, for each of its frames: the largest share.
+
+    IN  gain (J, L); pairs (n, 2), see `overlaps`; first, last (J,) frames; samples (J,); independent (J,). Returns frames. O(n + J L).
+    """
+    tracks = len(gain)
+    rivals = np.zeros(tracks)
+    best = np.empty(tracks, dtype=np.int64)
+    for j in range(tracks):
+        best[j] = np.argmax(gain[j])
+    for p in range(len(pairs)):
+        i, j = pairs[p, 0], pairs[p, 1]
+        longer = (last[i] - first[i]) - (last[j] - first[j])
+        if longer < 0:
+            i, j = j, i
+        if longer != 0 and gain[i, best[i]] > 0.0 and gain[j, best[i]] > 0.0:
+            rivals[i] += independent[j]
+    most = 0.0
+    for j in range(tracks):
+        if samples[j] > 0:
+            most = max(most, rivals[j] / samples[j])
+    return most
+
+
+@kernel
+def settle_dominant(gain, pairs, rounds):
+    """Give every tracklet its best marker where that is worth more than all other uses of it; what conflicts with that loses its gain.
+
+    If a tracklet gains by its best marker, beyond its second best, more than all tracklets that overlap it could gain by that marker
+    together, it has that marker in every best labelling.
+    IN     pairs (n, 2), see `overlaps`; rounds: how often to look at most
+    IN/OUT gain (J, L): gains that no best labelling uses become 0. O(rounds (n + J) L).
+    """
+    tracks, markers = gain.shape
+    claimed = np.empty((tracks, markers))
+    settled = np.full(tracks, -1, dtype=np.int64)
+    for _ in range(rounds):
+        claimed[:] = 0.0
+        for p in range(len(pairs)):
+            i, j = pairs[p, 0], pairs[p, 1]
+            for m in range(markers):
+                if gain[i, m] > 0.0 and gain[j, m] > 0.0:
+                    claimed[i, m] += gain[j, m]
+                    claimed[j, m] += gain[i, m]
+        changed = False
+        for j in range(tracks):
+            if settled[j] >= 0:
+                continue
+            best = np.argmax(gain[j])
+            second = 0.0
+            for m in range(markers):
+                if m != best:
+                    second = max(second, gain[j, m])
+            if gain[j, best] - second > claimed[j, best]:
+                settled[j] = best
+                for m in range(markers):
+                    if m != best:
+                        gain[j, m] = min(gain[j, m], 0.0)
+                changed = True
+        if not changed:
+            return
+        for p in range(len(pairs)):
+            i, j = pairs[p, 0], pairs[p, 1]
+            if settled[i] >= 0 and settled[j] != settled[i]:
+                gain[j, settled[i]] = min(gain[j, settled[i]], 0.0)
+            if settled[j] >= 0 and settled[i] != settled[j]:
+                gain[i, settled[j]] = min(gain[i, settled[j]], 0.0)
+
+
+@kernel
 def branch_and_bound(gain, first, last, steps, label):
     """The labels of the greatest total gain, each marker once at a time; depth first, a tracklet's markers from the best to none.
 

@@ -18,11 +18,15 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from asterism.labelling.whole._kernels import branch_and_bound, overlaps
+from asterism.labelling.whole._kernels import branch_and_bound, overlaps, settle_dominant
 from asterism.recording import NULL, Floats, Ints
 
 BRANCHES = 20_000
 """Steps of the branch and bound, some milliseconds, after which HiGHS takes over."""
+
+
+DOMINANT_ROUNDS = 20
+"""How often tracklets whose best marker no other use can outweigh are looked for; what is left is solved exactly."""
 
 
 def assign_tracklets(gain: Floats, first: Ints, last: Ints) -> Ints:
@@ -31,10 +35,12 @@ def assign_tracklets(gain: Floats, first: Ints, last: Ints) -> Ints:
     gain (J, L) for each of L markers (of all bodies), only what is above 0 is ever taken; first, last (J,) frames of the tracklets.
     O(J L) where nothing conflicts.
     """
-    best = np.argmax(gain, axis=1) if gain.shape[1] else np.zeros(len(gain), dtype=np.int64)
-    label = np.where(gain[np.arange(len(gain)), best] > 0, best, NULL).astype(np.int64) if gain.shape[1] else np.full(len(gain), NULL)
+    gain = gain.copy()
     order = np.argsort(first, kind="stable")
     pairs = overlaps(gain, first, last, order)
+    settle_dominant(gain, pairs, DOMINANT_ROUNDS)
+    best = np.argmax(gain, axis=1) if gain.shape[1] else np.zeros(len(gain), dtype=np.int64)
+    label = np.where(gain[np.arange(len(gain)), best] > 0, best, NULL).astype(np.int64) if gain.shape[1] else np.full(len(gain), NULL)
     free = np.zeros(len(gain), dtype=np.bool_)
     solved: dict[bytes, Ints] = {}
     while True:

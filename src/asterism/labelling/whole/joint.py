@@ -22,7 +22,7 @@ from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enough
-from asterism.labelling.whole._kernels import FrameScores, margins_of, score_frames, sum_scores
+from asterism.labelling.whole._kernels import FrameScores, margins_of, overlaps, rivals_weight, score_frames, sum_scores
 from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.bodies import find_bodies, follow_bodies, votes_of_bodies
 from asterism.labelling.whole.plausibility import ghost_penalty, off_training_distances
@@ -186,7 +186,7 @@ def _with_ghost_credit(
     best = -np.inf
     for allowed, costly in ((0, np.ones(len(long), dtype=np.bool_)), (1, long), (2, np.zeros(len(long), dtype=np.bool_))):
         credited = gain + (full * costly)[:, None]
-        label = assign_tracklets(np.where(scene.duplicate[:, None], 0.0, credited), scene.first, scene.last)
+        label = assign_tracklets(_by_length(np.where(scene.duplicate[:, None], 0.0, credited), scene), scene.first, scene.last)
         taken = label != NULL
         total = credited[taken, label[taken]].sum() - (full * costly).sum() - rules.ghosts_cost * allowed
         if total > best:
@@ -194,6 +194,17 @@ def _with_ghost_credit(
         if not ((label == NULL) & costly).any():
             break
     return chosen, found, best
+
+
+def _by_length(gain: Floats, scene: Scene) -> Floats:
+    """The gains (J, L), those of long tracklets raised as far as needed: not even all shorter rivals together have more frames than one.
+
+    A tracklet's frames resemble each other, so that many count like few. The frames of many short ghosts do not, and together they would
+    outweigh the marker that they are beside, one after the other.
+    """
+    pairs = overlaps(gain, scene.first, scene.last, np.argsort(scene.first, kind="stable"))
+    weight = rivals_weight(gain, pairs, scene.first, scene.last, scene.samples, scene.independent)
+    return gain * np.maximum(1.0, weight * scene.samples / np.maximum(scene.independent, 1e-12))[:, None]
 
 
 def _adapted_body(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.geometry import rotate_z_up
 from asterism.labelling.body._workspace_kernels import FrameSettings
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules, length_scale
@@ -17,6 +18,7 @@ from asterism.labelling.whole._kernels import FrameScores, score_frames
 from asterism.labelling.whole.certainty import Certainty, TrialLabels, overlaps_unlabelled
 from asterism.labelling.whole.joint import SceneLabelling, label_scene
 from asterism.labelling.whole.scene import RecordingLabellingSettings, labels_of_body, marker_offsets, prepare_scene
+from asterism.labelling.whole.short import label_short_points, long_points, tracklets_of
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
 from asterism.tracking.linking import find_tracklets
@@ -38,6 +40,56 @@ class BodyInRecording:
     certainty: Certainty
 
 
+@dataclass(frozen=True)
+class PointLabels:
+    """Labels of the P points of clouds, in their order.
+
+    label            (P,) column among the markers of all bodies, one body after the other, -1 for none
+    margin           (P,) nats; of a point without a label: 0 or below, by how much it misses its best column
+    rival            (P,) that column, where there is one; -1 otherwise
+    near_unlabelled  (P,) 1 where a point without a label was there at some time of the point's tracklet, else 0
+    found            the labels of the long tracklets
+    """
+
+    label: Ints
+    margin: Floats
+    rival: Ints
+    near_unlabelled: Ints
+    found: SceneLabelling
+
+
+def label_points(
+    labellers: Sequence[BodyLabeller],
+    clouds: Clouds,
+    rules: RecordingLabellingSettings,
+    subject_rules: SubjectRules,
+    body_rules: BodyRules,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> PointLabels:
+    """Label the long tracklets of a recording together, then the points of the short ones; clouds have at least one point."""
+    tracklets = find_tracklets(clouds)
+    unit = min(length_scale(labeller.model.mean[0], body_rules) for labeller in labellers)
+    kept = long_points(clouds, tracklets, min(labeller.body.mean.shape[1] for labeller in labellers), rules.short)
+    scene = prepare_scene(clouds.select(kept), tracklets_of(tracklets, kept), rules, unit)
+    found = label_scene(labellers, scene, rules, subject_rules, body_rules, workers, progress)
+    points = len(clouds.xyz)
+    label, margin, rival = np.full(points, NULL, dtype=np.int64), np.zeros(points), np.full(points, NULL, dtype=np.int64)
+    near_unlabelled = np.ones(points, dtype=np.int64)
+    long = np.nonzero(kept)[0][scene.order]
+    label[long], margin[long], rival[long] = found.label[scene.track], found.margin[scene.track], found.rival[scene.track]
+    near_unlabelled[long] = overlaps_unlabelled(found.label, scene.first, scene.last)[scene.track]
+    if not kept.all():
+        offsets, xyz = marker_offsets(labellers), rotate_z_up(clouds.xyz, clouds.vertical)
+        for number, (labeller, body) in enumerate(zip(labellers, found.bodies, strict=True)):
+            arrays = labeller.body if body is labeller.model else body.arrays()
+            of_body = labels_of_body(label, offsets, number)
+            marker, its_margin = label_short_points(labeller, arrays, clouds, xyz, ~kept & (label == NULL), of_body, rules.short)
+            taken = marker != NULL
+            label[taken], margin[taken] = marker[taken] + offsets[number], its_margin[taken]
+    return PointLabels(label, margin, rival, near_unlabelled, found)
+
+
 def label_whole(
     bodies: Sequence[BodyInRecording],
     clouds: Clouds,
@@ -47,39 +99,34 @@ def label_whole(
     workers: int = 1,
     progress: Progress | None = None,
 ) -> tuple[list[Labelling], SceneLabelling | None]:
-    """One labelling for each body, each point given to one of them at most; and the labels of the tracklets, None without any point."""
+    """One labelling for each body, each point given to one of them at most; and those of the long tracklets, None without a point."""
     if not len(clouds.xyz):
         return [_empty_labelling(body, clouds) for body in bodies], None
     labellers = [body.labeller for body in bodies]
-    unit = min(length_scale(labeller.model.mean[0], body_rules) for labeller in labellers)
-    scene = prepare_scene(clouds, find_tracklets(clouds), rules, unit)
-    found = label_scene(labellers, scene, rules, subject_rules, body_rules, workers, progress)
+    labels = label_points(labellers, clouds, rules, subject_rules, body_rules, workers, progress)
     frame_of = clouds.frame_of
-    near_unlabelled = overlaps_unlabelled(found.label, scene.first, scene.last)
+    place = np.arange(len(frame_of)) - clouds.offsets[frame_of]
     offsets = marker_offsets(labellers)
     labellings = []
     for number, body in enumerate(bodies):
-        label, rival = labels_of_body(found.label, offsets, number), labels_of_body(found.rival, offsets, number)
+        label, rival = labels_of_body(labels.label, offsets, number), labels_of_body(labels.rival, offsets, number)
         blank = _empty_labelling(body, clouds)
         indices, confidence = blank.indices, blank.confidence
-        certainty = body.certainty.confidence(found.margin, near_unlabelled)
-        kept = (label != NULL) & (certainty >= body.certainty.least_confidence)
+        certainty = body.certainty.confidence(labels.margin, labels.near_unlabelled)
         # a marker without a point: the probability that its best candidate was it, above one half only where a label was taken back
-        candidate = np.where(label != NULL, label, np.where(found.label == NULL, rival, NULL))
-        chance = np.where(label != NULL, certainty, 0.5 * np.exp(np.minimum(found.margin, 0.0)))
-        points = np.nonzero(candidate[scene.track] != NULL)[0]
-        points = points[np.argsort(chance[scene.track[points]], kind="stable")]
-        track = scene.track[points]
-        at = frame_of[points], body.markers[candidate[track]]
+        candidate = np.where(label != NULL, label, np.where(labels.label == NULL, rival, NULL))
+        chance = np.where(label != NULL, certainty, 0.5 * np.exp(np.minimum(labels.margin, 0.0)))
+        points = np.nonzero(candidate != NULL)[0]
+        points = points[np.lexsort((*clouds.xyz[points].T, chance[points]))]  # the order of the points does not matter
+        at = frame_of[points], body.markers[candidate[points]]
         candidates = np.full(indices.shape, NULL, dtype=np.int64)
-        confidence[at], candidates[at] = chance[track], scene.place[points]
-        points = np.nonzero(kept[scene.track])[0]
-        track = scene.track[points]
-        at = frame_of[points], body.markers[label[track]]
-        indices[at], confidence[at] = scene.place[points], certainty[track]
+        confidence[at], candidates[at] = chance[points], place[points]
+        points = np.nonzero((label != NULL) & (certainty >= body.certainty.least_confidence))[0]
+        at = frame_of[points], body.markers[label[points]]
+        indices[at], confidence[at] = place[points], certainty[points]
         candidates[indices != NULL] = NULL
         labellings.append(Labelling(indices, confidence, body.names, candidates))
-    return labellings, found
+    return labellings, labels.found
 
 
 def subject_body(
@@ -144,14 +191,11 @@ def run_trials(
             clouds, truth = simulate_gaps_and_ghosts(stretch, round(share * len(stretch.labels)), ghosts, rng)
             if not len(clouds.xyz):
                 continue
-            scene = prepare_scene(clouds, find_tracklets(clouds), rules, length_scale(labeller.model.mean[0], body_rules))
-            found = label_scene([labeller], scene, rules, subject_rules, body_rules)
-            label, near_unlabelled = found.label[scene.track], overlaps_unlabelled(found.label, scene.first, scene.last)
+            found = label_points([labeller], clouds, rules, subject_rules, body_rules)
             frame_of = clouds.frame_of
-            used = np.isin(frame_of, scene.sampled_frames) & (label != NULL)
-            right = truth[frame_of[used], label[used]] == scene.place[used]
-            track = scene.track[used]
-            parts.append(TrialLabels(found.margin[track], right.astype(np.float64), near_unlabelled[track]))
+            used = np.nonzero(np.isin(frame_of, found.found.scene.sampled_frames) & (found.label != NULL))[0]
+            right = truth[frame_of[used], found.label[used]] == used - clouds.offsets[frame_of[used]]
+            parts.append(TrialLabels(found.margin[used], right.astype(np.float64), found.near_unlabelled[used]))
     return TrialLabels.together(parts)
 
 

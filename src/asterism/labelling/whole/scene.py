@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from asterism.geometry import rotate_z_up
 from asterism.labelling.body.labeller import BodyLabeller
+from asterism.labelling.whole.short import ShortTrackletRules
 from asterism.recording import NULL, Clouds, Floats, Ints
 from asterism.tracking.linking import Tracklets
 
@@ -38,6 +39,7 @@ class RecordingLabellingSettings:
     max_deviation_familiar standard deviations by which a tracklet's near-rigid distances may differ from the training's
     max_deviation_unfamiliar the same where most frames of the tracklet fit worse than those of people left out did
     adapt_rounds      how often the model is adapted to the subject's own body; 0 for never
+    short             which tracklets are short, and how their points are labelled
     """
 
     frame_interval: float = 0.1
@@ -60,6 +62,7 @@ class RecordingLabellingSettings:
     max_deviation_familiar: float = 5.0
     max_deviation_unfamiliar: float = 2.5
     adapt_rounds: int = 2
+    short: ShortTrackletRules = field(default_factory=ShortTrackletRules)
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,7 @@ class Scene:
 
     xyz             (P, 3) m, z up, sorted within each frame
     offsets         (T + 1,) where each frame's points begin
-    place           (P,) each point's place in its frame of the clouds
+    order           (P,) each point's number in the clouds
     track           (P,) each point's tracklet
     first, last     (J,) first and last frame of each tracklet
     rate            frames per second
@@ -77,13 +80,14 @@ class Scene:
     sampled_offsets (E + 1,) where each sampled frame's points begin
     sampled_track   (Q,) each sampled point's tracklet
     sampled_frame   (Q,) each sampled point's frame, 0..E-1
-    independent     (J,) how many independent frames the sampled frames of each tracklet amount to
+    samples         (J,) in how many sampled frames each tracklet is
+    independent     (J,) how many independent frames these amount to
     duplicate       (J,) bool, short tracklets that are duplicates of long ones
     """
 
     xyz: Floats
     offsets: Ints
-    place: Ints
+    order: Ints
     track: Ints
     first: Ints
     last: Ints
@@ -93,6 +97,7 @@ class Scene:
     sampled_offsets: Ints
     sampled_track: Ints
     sampled_frame: Ints
+    samples: Ints
     independent: Floats
     duplicate: NDArray[np.bool_]
 
@@ -122,7 +127,7 @@ def prepare_scene(clouds: Clouds, tracklets: Tracklets, rules: RecordingLabellin
     return Scene(
         xyz,
         clouds.offsets,
-        order - clouds.offsets[frame_of],
+        order,
         track,
         first,
         last,
@@ -132,6 +137,7 @@ def prepare_scene(clouds: Clouds, tracklets: Tracklets, rules: RecordingLabellin
         np.concatenate([[0], np.cumsum(clouds.counts[frames])]).astype(np.int64),
         sampled_track,
         np.repeat(np.arange(len(frames)), clouds.counts[frames]),
+        samples,
         samples / (1.0 + rules.frame_correlation * (samples - 1.0)),
         _duplicates(xyz, clouds.offsets, track, (last - first + 1) / clouds.rate, rules, unit),
     )

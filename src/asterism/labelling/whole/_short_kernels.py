@@ -1,0 +1,173 @@
+"""Short-tracklet kernels: a recording whose long tracklets are labelled in; labels of the points of short ones out.
+
+The plain twins are in `tests/twins_tracks.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from asterism._jit import kernel
+from asterism.labelling.body._frame_kernels import frame_settings
+from asterism.labelling.body._score_kernels import best_pose, rescore
+from asterism.labelling.body._workspace_kernels import make_body_workspace
+
+
+class ShortLimits(NamedTuple):
+    """How the points of short tracklets are scored.
+
+    min_labelled   labelled markers that a frame must show
+    min_score      nats, the most that the body can say against a label (negative)
+    max_score      nats, the most that it can say for a label
+    usual_spread   m, standard deviation of a place that the body predicts; a place that motion predicts more closely counts for more
+    """
+
+    min_labelled: int
+    min_score: float
+    max_score: float
+    usual_spread: float
+
+
+class Expected(NamedTuple):
+    """Where motion expects each marker in each of T frames.
+
+    place   (T, M, 3) m
+    spread  (T, M) m, its standard deviation, infinite where nothing is known
+    """
+
+    place: np.ndarray
+    spread: np.ndarray
+
+
+class ShortLabels(NamedTuple):
+    """What `label_short` gives for P points in T frames.
+
+    label      (P,) marker of each point, -1 for none
+    margin     (P,) nats, of the candidates that were labelled
+    by_motion  (P,) bool, candidates that were labelled where motion expects the marker closely
+    alone      (T,) bool, frames that show too few labelled markers; nothing is labelled there
+    counts     (4,) see `count_hits`
+    """
+
+    label: np.ndarray
+    margin: np.ndarray
+    by_motion: np.ndarray
+    alone: np.ndarray
+    counts: np.ndarray
+
+
+@kernel
+def score_by_motion(points, c, place, spread, usual_spread):
+    """What motion says for point c of a frame as a marker, in nats: above 0 where it comes close to a place that is known well.
+
+    IN points (n, 3) m; place (3,) m; spread, usual_spread m. O(1).
+    """
+    if spread == np.inf:
+        return 0.0
+    far2 = (points[c, 0] - place[0]) ** 2 + (points[c, 1] - place[1]) ** 2 + (points[c, 2] - place[2]) ** 2
+    return max(0.0, 3.0 * math.log(usual_spread / spread)) - 0.5 * far2 / (spread * spread)
+
+
+@kernel
+def take_best_pairs(scores, label, margin):
+    """Give markers to points, the pair with the highest score first, while a score is above 0; each marker and each point once.
+
+    A margin is what a pair's score is above 0, above the scores of the point as other free markers, and of the marker at other free points.
+    IN  scores (M, n) nats, -inf for pairs that are not offered
+    OUT label (n,) marker of each point, margin (n,) nats; both are written only where a pair is taken. O(M n pairs taken).
+    """
+    markers, n = scores.shape
+    free_marker, free_point = np.ones(markers, dtype=np.bool_), np.ones(n, dtype=np.bool_)
+    while True:
+        best, best_m, best_c = 0.0, -1, -1
+        for m in range(markers):
+            if free_marker[m]:
+                for c in range(n):
+                    if free_point[c] and scores[m, c] > best:
+                        best, best_m, best_c = scores[m, c], m, c
+        if best_m < 0:
+            return
+        rival = 0.0
+        for c in range(n):
+            if free_point[c] and c != best_c:
+                rival = max(rival, scores[best_m, c])
+        for m in range(markers):
+            if free_marker[m] and m != best_m:
+                rival = max(rival, scores[m, best_c])
+        label[best_c], margin[best_c] = best_m, best - rival
+        free_marker[best_m], free_point[best_c] = False, False
+
+
+@kernel
+def count_hits(scores, point_of, spread, candidate, least, usual_spread, counts):
+    """How often a candidate scores as a marker: as one that may be there, and as one that is at another point already.
+
+    A candidate that scores as a marker whose point is known is a ghost. So the second share tells how often ghosts score by chance. Markers
+    whose place motion knows well are not counted.
+    IN     scores (M, n) nats; point_of (M,); spread (M,) m; candidate (n,) bool; least (nats): what scores more is a hit
+    IN/OUT counts (4,): free markers, those with a hit, markers at another point, those with a hit. O(M n).
+    """
+    for m in range(len(point_of)):
+        if point_of[m] < 0 and spread[m] <= usual_spread:
+            continue
+        hit = False
+        for c in range(len(candidate)):
+            hit = hit or (candidate[c] and scores[m, c] > least)
+        side = 0 if point_of[m] < 0 else 2
+        counts[side] += 1
+        counts[side + 1] += hit
+
+
+@kernel
+def label_short(xyz, offsets, candidate, body, settings, limits, expected, out):
+    """Label the points of short tracklets as markers that no long tracklet holds in their frames.
+
+    A candidate's score as a marker is what the body says, given the frame's labelled points, and what motion says.
+    IN     xyz (P, 3) m, z up; offsets (T + 1,); candidate (P,) bool, points to label; body BodyArrays; settings FrameSettings;
+           limits ShortLimits; expected Expected
+    IN/OUT out ShortLabels
+    O(T (K M r^2 + M n)) for frames with a candidate and a free marker; memory for one frame.
+    """
+    markers, latents = body.load.shape[1], body.load.shape[3]
+    point_of = np.empty(markers, dtype=np.int64)
+    workspace = make_body_workspace(0, markers, latents)
+    for t in range(len(offsets) - 1):
+        first, n = offsets[t], offsets[t + 1] - offsets[t]
+        out.alone[t] = False
+        point_of[:] = -1
+        labelled, candidates = 0, 0
+        for c in range(n):
+            if out.label[first + c] >= 0:
+                point_of[out.label[first + c]] = c
+                labelled += 1
+            elif candidate[first + c]:
+                candidates += 1
+        if candidates == 0 or labelled == markers:
+            continue
+        if labelled < limits.min_labelled:
+            out.alone[t] = True
+            continue
+        if n != len(workspace.aligned):
+            workspace = make_body_workspace(n, markers, latents)
+        points, spread = xyz[first : first + n], expected.spread[t]
+        own_settings = frame_settings(settings, n, markers)
+        workspace.outlier[:] = False
+        k, _ = best_pose(body, points, point_of, own_settings, workspace)
+        rescore(body, k, points, point_of, own_settings, workspace)
+        scores = workspace.scores
+        count_hits(scores, point_of, spread, candidate[first : first + n], 0.0, limits.usual_spread, out.counts)
+        for m in range(markers):
+            for c in range(n):
+                score = scores[m, c]
+                scores[m, c] = -np.inf
+                if point_of[m] >= 0 or not candidate[first + c] or score < limits.min_score:
+                    continue
+                moved = score_by_motion(points, c, expected.place[t, m], spread[m], limits.usual_spread)
+                scores[m, c] = min(score, limits.max_score) + moved
+        take_best_pairs(scores, out.label[first : first + n], out.margin[first : first + n])
+        for c in range(n):
+            if candidate[first + c] and out.label[first + c] >= 0:
+                out.by_motion[first + c] = spread[out.label[first + c]] <= limits.usual_spread

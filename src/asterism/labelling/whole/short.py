@@ -1,0 +1,144 @@
+"""Short tracklets: a recording in; its long tracklets, which are labelled together, and then the labels of the other points, out.
+
+Most ghosts are there for a frame or two, and each such point begins a tracklet. What a single frame says of one of them cannot be weighed
+against what a long tracklet shows: enough ghosts beside a marker would take its label, one frame at a time. So the long tracklets are
+labelled without them. Then each point of a short tracklet is a candidate for the markers that no long one holds in its frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.labelling.body._workspace_kernels import BodyArrays
+from asterism.labelling.body.labeller import BodyLabeller
+from asterism.labelling.whole._short_kernels import Expected, ShortLabels, ShortLimits, label_short
+from asterism.recording import NULL, Clouds, Floats, Ints
+from asterism.tracking.linking import Tracklets
+
+
+@dataclass(frozen=True)
+class ShortTrackletRules:
+    """Which tracklets are short, and how their points are labelled. Chosen on six gait subjects in clutter (docs/recordings.md).
+
+    frames          tracklets of so many frames are short
+    seconds         those that last no longer, too
+    min_long_frames share of the frames that must show enough long tracklets; else all tracklets are labelled together
+    min_labelled    share of the markers that a frame must show labelled, to label its other points
+    min_score       nats, the most that the body can say against a label (negative)
+    max_score       nats, the most that it can say for a label
+    usual_spread    m, standard deviation of a place that the body predicts
+    acceleration    m/s2, standard deviation of a marker's acceleration
+    noise           m, standard deviation of a point
+    max_spread      m; a place that motion predicts less closely is not used
+    """
+
+    frames: int = 3
+    seconds: float = 0.05
+    min_long_frames: float = 0.5
+    min_labelled: float = 0.3
+    min_score: float = -4.0
+    max_score: float = 15.0
+    usual_spread: float = 0.03
+    acceleration: float = 25.0
+    noise: float = 0.002
+    max_spread: float = 0.15
+
+
+def long_points(clouds: Clouds, tracklets: Tracklets, markers: int, rules: ShortTrackletRules) -> NDArray[np.bool_]:
+    """The points (P,) of long tracklets; all points where too few frames show enough of them. markers: of the smallest body."""
+    duration = tracklets.last - tracklets.first + 1
+    long = (duration > max(rules.frames, rules.seconds * clouds.rate))[tracklets.of_point]
+    if long.all():
+        return long
+    shown = np.bincount(clouds.frame_of[long], minlength=len(clouds))
+    enough = shown >= max(3.0, rules.min_labelled * markers)
+    return long if enough.sum() >= rules.min_long_frames * (clouds.counts > 0).sum() else np.ones(len(long), dtype=np.bool_)
+
+
+def tracklets_of(tracklets: Tracklets, kept: NDArray[np.bool_]) -> Tracklets:
+    """The tracklets all of whose points (P,) are kept, numbered anew."""
+    numbers, of_point = np.unique(tracklets.of_point[kept], return_inverse=True)
+    return Tracklets(of_point.astype(np.int64), tracklets.first[numbers], tracklets.last[numbers])
+
+
+def label_short_points(
+    labeller: BodyLabeller,
+    body: BodyArrays,
+    clouds: Clouds,
+    xyz: Floats,
+    candidate: NDArray[np.bool_],
+    label: Ints,
+    rules: ShortTrackletRules,
+) -> tuple[Ints, Floats]:
+    """Markers of the candidates (P,), -1 for none, and their margins (P,) in nats.
+
+    body: adapted to the subject; xyz (P, 3) m, z up; label (P,): what the long tracklets are of this body, -1 for none. A frame that shows
+    too few of them is labelled by itself. O(frames with a candidate), as `label_short`.
+    """
+    frames, markers, points = len(clouds), body.mean.shape[1], len(label)
+    out = ShortLabels(
+        label.copy(), np.zeros(points), np.zeros(points, dtype=np.bool_), np.zeros(frames, dtype=np.bool_), np.zeros(4, dtype=np.int64)
+    )
+    limits = ShortLimits(max(3, round(rules.min_labelled * markers)), rules.min_score, rules.max_score, rules.usual_spread)
+    expected = expect_by_motion(xyz, clouds.frame_of, label, (frames, markers), clouds.rate, rules)
+    label_short(xyz, clouds.offsets, candidate, body, labeller.settings, limits, expected, out)
+    margin = np.where(out.by_motion, out.margin, out.margin + min(0.0, log_odds_of_markers(out.counts)))
+    if out.alone.any():
+        _label_alone(labeller, clouds, out.alone, candidate, out.label, margin)
+    return np.where(candidate, out.label, NULL), margin
+
+
+def log_odds_of_markers(counts: Ints) -> float:
+    """Nats by which candidates that score as a free marker are more often markers than ghosts; -inf where ghosts explain all of them.
+
+    counts (4,): see `count_hits`. Ghosts score as free markers as often as they do as markers that are at other points; two standard
+    deviations of that number may be chance.
+    """
+    free, hits, held, held_hits = counts.tolist()
+    by_chance = free * (held_hits + 0.5) / (held + 1.0)
+    markers = hits - by_chance - 2.0 * np.sqrt(by_chance)
+    return float(np.log(markers / max(by_chance, 1e-3))) if markers > 0 else float("-inf")
+
+
+def _label_alone(
+    labeller: BodyLabeller, clouds: Clouds, alone: NDArray[np.bool_], candidate: NDArray[np.bool_], found: Ints, margin: Floats
+) -> None:
+    """Label frames by themselves, and take from that what is a candidate for a marker that is not there yet."""
+    numbers = np.nonzero(alone)[0]
+    point_of, margins, _, _ = labeller.label(clouds.frames(numbers))
+    row, marker = np.nonzero(point_of != NULL)
+    frame = numbers[row]
+    point = clouds.offsets[frame] + point_of[row, marker]
+    held = np.zeros((len(clouds), point_of.shape[1]), dtype=np.bool_)
+    labelled = np.nonzero(found != NULL)[0]
+    held[clouds.frame_of[labelled], found[labelled]] = True
+    taken = candidate[point] & ~held[frame, marker]
+    found[point[taken]], margin[point[taken]] = marker[taken], margins[row[taken], marker[taken]]
+
+
+def expect_by_motion(xyz: Floats, frame_of: Ints, label: Ints, shape: tuple[int, int], rate: float, rules: ShortTrackletRules) -> Expected:
+    """Where each marker should be where it has no point: on the line between its last point before and its next one after.
+
+    xyz (P, 3) m; frame_of, label (P,); shape (T, M). A marker that accelerates by a leaves that line by a (t - t0) (t1 - t) / 2. O(T M).
+    """
+    frames, markers = shape
+    place, spread = np.zeros((frames, markers, 3)), np.full((frames, markers), np.inf)
+    position = np.full((frames, markers, 3), np.nan)
+    labelled = np.nonzero(label != NULL)[0]
+    position[frame_of[labelled], label[labelled]] = xyz[labelled]
+    shown = ~np.isnan(position[:, :, 0])
+    row = np.arange(frames)[:, None]
+    before = np.maximum.accumulate(np.where(shown, row, -1), axis=0)
+    after = np.minimum.accumulate(np.where(shown, row, frames)[::-1], axis=0)[::-1]
+    frame, marker = np.nonzero(~shown & (before >= 0) & (after < frames))
+    since, until = frame - before[frame, marker], after[frame, marker] - frame
+    std = np.hypot(rules.noise, 0.5 * rules.acceleration * since * until / rate**2)
+    near = std <= rules.max_spread
+    frame, marker, since, until = frame[near], marker[near], since[near, None], until[near, None]
+    start, end = position[before[frame, marker], marker], position[after[frame, marker], marker]
+    place[frame, marker] = (start * until + end * since) / (since + until)
+    spread[frame, marker] = std[near]
+    return Expected(place, spread)
