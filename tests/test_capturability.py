@@ -9,19 +9,25 @@ import numpy as np
 import pytest
 
 from asterism import AsterismError
-from asterism.labelling.capturability import capturability
+from asterism.labelling import CapturabilityRules, capturability
+from asterism.labelling.partial.solver_search import SearchSettings
 from asterism.simulation import simulate_walks
 
 WALKS = simulate_walks(subjects=2, frames=100, seed=3)
 
 
+QUICK = CapturabilityRules(
+    search=SearchSettings(screening_frames=100, evaluation_frames=300, validation_frames=400, beam_width=20, max_markers=6, max_solvers=25),
+    change_frames=100,
+    hardest=1,
+)
 FEW = ("RASI", "LASI", "SACR", "RKNE", "RANK", "RHEE", "RTOE", "LTOE")
 
 
 @pytest.fixture(scope="module")
 def good():
     told = []
-    return capturability(WALKS, seed=0, progress=lambda fraction, doing: told.append(fraction)), told
+    return capturability(WALKS, seed=0, rules=QUICK, progress=lambda fraction, doing: told.append(fraction)), told
 
 
 def test_a_good_set(good):
@@ -70,7 +76,7 @@ def test_two_markers_that_cannot_be_told_apart_are_found():
         flip = rng.random(len(walk)) < 0.5
         positions[flip, a], positions[flip, b] = walk.positions[flip, b], walk.positions[flip, a]
         mixed.append(replace(walk, positions=positions))
-    result = capturability(mixed, seed=0)
+    result = capturability(mixed, seed=0, rules=QUICK)
     assert result.hit_rates[a] < 0.5
     assert result.confusion[a, b] > 0.2
     assert b in result.confusion[a].argsort()[-2:]

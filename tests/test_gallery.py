@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib.util
 from collections.abc import Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
@@ -13,7 +14,9 @@ from typing import Any
 import pytest
 from models import trained
 
-from asterism.labelling import SolverEnsemble, TrainingRules
+from asterism import labelling
+from asterism.labelling import CapturabilityRules, SolverEnsemble, TrainingRules
+from asterism.labelling.partial.solver_search import SearchSettings
 from asterism.recording import Recording
 
 matplotlib = pytest.importorskip("matplotlib")
@@ -41,6 +44,14 @@ def trained_once(monkeypatch: pytest.MonkeyPatch) -> None:
             return trained(recordings, miner=None, training=TrainingRules(folds=2, trial_frames=40), **settings)
 
     monkeypatch.setattr(SolverEnsemble, "fit", fit)
+
+
+@pytest.fixture(autouse=True)
+def examined_briefly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A marker set is examined with few partial solvers, and few changes of it are tried."""
+    search = SearchSettings(screening_frames=60, evaluation_frames=200, validation_frames=200, beam_width=15, max_markers=5, max_solvers=15)
+    rules = CapturabilityRules(search=search, change_frames=60, hardest=1)
+    monkeypatch.setattr(labelling, "capturability", partial(labelling.capturability, rules=rules))
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import asterism
@@ -13,6 +14,7 @@ PACKAGE = Path(asterism.__file__).parent
 ROOT = Path(__file__).parents[1]
 
 
+@cache
 def trees() -> dict[str, ast.Module]:
     """All modules of the package, parsed, by their names within it."""
     found = {}
@@ -21,6 +23,7 @@ def trees() -> dict[str, ast.Module]:
     return found
 
 
+@cache
 def kernels() -> dict[str, tuple[ast.FunctionDef, ast.expr]]:
     """All functions decorated with `kernel`, by module.name, with their decorator."""
     found = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import permutations
 
 import numpy as np
@@ -33,6 +34,7 @@ ALL = tuple(feature.name for feature in REGISTRY)
 MARKERS = np.array([1, 2, 4, 5])
 
 
+@cache
 def solver_and_rules(width, seed=0):
     """A solver of four of seven markers, with intervals so wide (by `width` of their range) that some wrong labellings pass.
 

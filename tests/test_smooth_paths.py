@@ -93,7 +93,7 @@ def test_a_path_is_that_of_the_dense_twin() -> None:
                 variance[t] = (trust * floor + sum(w * square[i] for w, i in near)) / (trust + 3 * sum(w for w, _ in near))
     path, known = np.empty((frames, 3)), np.empty((frames, 3, 3))
     rows, columns = np.triu_indices(3)
-    smooth_path(measured, information[:, rows, columns], JerkModel(floor, trust, weights, rounds), path, known)
+    smooth_path(measured, np.ascontiguousarray(information[:, rows, columns]), JerkModel(floor, trust, weights, rounds), path, known)
     np.testing.assert_allclose(path, mean.reshape(-1, 3), atol=1e-9)
     expected = [inverse[3 * t : 3 * t + 3, 3 * t : 3 * t + 3] for t in range(frames)]
     np.testing.assert_allclose(known, expected, rtol=1e-6, atol=1e-12)

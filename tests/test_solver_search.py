@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -34,9 +35,14 @@ def prepared():
     return SolverSearch(FRAMES, GROUPS, settings=QUICK, seed=0)
 
 
+@cache
+def mined(miner):
+    return search_partial_solvers(FRAMES, GROUPS, targets=0.99, miner=miner, settings=QUICK, seed=0)
+
+
 @pytest.fixture(scope="module", params=MINERS)
 def found(request):
-    return request.param, search_partial_solvers(FRAMES, GROUPS, targets=0.99, miner=request.param, settings=QUICK, seed=0)
+    return request.param, mined(request.param)
 
 
 def test_first_property_no_hit_rate_outside(prepared):
@@ -97,7 +103,7 @@ def test_ensemble_found_labels_through_occlusions(found):
 
 
 def test_completion_adds_labels():
-    ensemble = search_partial_solvers(FRAMES, GROUPS, targets=0.99, settings=QUICK, seed=0)
+    ensemble = mined("bottom-up")
     clouds, truth = simulate_occlusions(WALKS[1], 3, 0, seed=1)
     plain, completed = label_by_matrix(clouds, ensemble, complete=False).indices, label_by_matrix(clouds, ensemble).indices
     assert (completed[plain >= 0] == plain[plain >= 0]).mean() > 0.9

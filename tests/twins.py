@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from functools import cache
 from itertools import permutations
 
 import numpy as np
@@ -89,12 +90,18 @@ def rejects(weak, row, points_of_slots):
 def labellings(weak, markers, points):
     """All assignments of points to markers that no classifier rejects, by trying every one: a set of tuples of rows, in order of `markers`.
 
-    weak.slots are places in `markers`.
+    weak.slots are places in `markers`. What a classifier says about the same points is asked once.
     """
+    slots = [tuple(own[: FEATURES[kind].points].tolist()) for own, kind in zip(weak.slots, weak.kinds, strict=True)]
+
+    @cache
+    def rejected(f, rows):
+        return rejects(weak, f, [points[row] for row in rows])
+
     return {
         rows
         for rows in permutations(range(len(points)), len(markers))
-        if not any(rejects(weak, f, [points[rows[slot]] for slot in weak.slots[f]]) for f in range(len(weak)))
+        if not any(rejected(f, tuple(rows[slot] for slot in slots[f])) for f in range(len(weak)))
     }
 
 

@@ -195,6 +195,8 @@ def _labelled(labeller: _Labeller, batch: _console.Batch, path: Path, target: Pa
                 "Give --model once for each of them.",
             )
         )
+    for finding in () if labelling.verdict is None else labelling.verdict.findings(str(path)):
+        batch.found(finding)
     if options.keep_labels:
         labelling = labels_kept(path, labelling, recording, clouds, marker_set)
     by = f"asterism {__version__}, {', '.join(model.name for model in options.model)}"
@@ -210,6 +212,7 @@ def _labelled(labeller: _Labeller, batch: _console.Batch, path: Path, target: Pa
         "labelled": shares.labelled,
         "unsure": shares.unsure,
         "hidden": shares.hidden,
+        "verdict": None if labelling.verdict is None else labelling.verdict.kind,
         "frames_per_second": len(clouds) / seconds if seconds else float("nan"),
         "not_carried": lost,
     }

@@ -1,7 +1,7 @@
 """The heart: clouds in, labels with a calibrated confidence out."""
 
 from asterism.labelling.audit import LabelError, audit, remove_errors
-from asterism.labelling.capturability import Capturability, Change, capturability
+from asterism.labelling.capturability import Capturability, CapturabilityRules, Change, capturability
 from asterism.labelling.ensemble import SolverEnsemble, TrainingRules, label_together
 from asterism.labelling.evaluation import Condition, Evaluation, evaluate, leave_one_subject_out
 from asterism.labelling.naming import MarkerGroups, group_tracklets, name_groups
@@ -13,6 +13,7 @@ from asterism.labelling.whole.bodies import SeveralBodies
 
 __all__ = [
     "Capturability",
+    "CapturabilityRules",
     "Change",
     "Condition",
     "ConfidenceScore",

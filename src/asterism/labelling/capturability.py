@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -29,12 +29,16 @@ from asterism.recording import NULL, Clouds, Floats, Ints, Recording
 Half = tuple[Floats, Ints]
 
 
+_SEARCH = SearchSettings(screening_frames=200, evaluation_frames=800, validation_frames=2000, beam_width=60, max_markers=8, max_solvers=50)
+
+
 @dataclass(frozen=True)
 class CapturabilityRules:
     """How a marker set is examined. Chosen by hand, to keep the examination at a few minutes.
 
     frames           frames used, evenly spread, half of them for learning
-    change_frames    frames from which solvers learn where a change of the marker set is tried
+    search           how partial solvers are searched; no solver has more markers than the set
+    change_frames    frames from which solvers learn where a change of the marker set is tried, and by which they are validated
     max_hidden       by_occlusions goes up to so many hidden markers
     compared_hidden  two marker sets are compared on frames with 0 to so many markers hidden
     step             m that a marker is moved, and that an added one stands off the plane of its neighbours
@@ -42,14 +46,12 @@ class CapturabilityRules:
     """
 
     frames: int = 3000
+    search: SearchSettings = _SEARCH
     change_frames: int = 800
     max_hidden: int = 5
     compared_hidden: int = 4
     step: float = 0.03
     hardest: int = 4
-
-
-_RULES = CapturabilityRules()
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,12 @@ class Capturability:
 
 
 def capturability(
-    recordings: Sequence[Recording], *, subjects: Sequence[str] | None = None, seed: int = 0, progress: Progress | None = None
+    recordings: Sequence[Recording],
+    *,
+    subjects: Sequence[str] | None = None,
+    seed: int = 0,
+    rules: CapturabilityRules | None = None,
+    progress: Progress | None = None,
 ) -> Capturability:
     """Examine whether the markers of labelled recordings can be told apart frame by frame, which are confused, and what would help.
 
@@ -112,18 +119,17 @@ def capturability(
     `subjects` names the person of each recording. Deterministic by seed. Raises AsterismError for fewer than four markers, for columns that
     differ, for a marker that is never there, or where no frame shows all markers.
     """
+    rules = rules or CapturabilityRules()
     report = progress or (lambda fraction, doing: None)
     frames, groups = stack_frames(recordings, subjects)
     names, markers = recordings[0].labels, frames.shape[1]
     if markers < 4:
         raise AsterismError(f"{markers} markers are too few to say which of them can be told apart; give at least four.")
-    teach, test = _halves(frames, groups)
+    teach, test = _halves(frames, groups, rules.frames)
     report(0.0, "full solver")
     hit_rates = _whole_hit_rates(np.concatenate([teach[0], test[0]]), np.concatenate([teach[1], test[1]]), names, seed)
     report(0.1, "confusions")
-    settings = SearchSettings(
-        screening_frames=200, evaluation_frames=800, validation_frames=2000, beam_width=60, max_markers=min(8, markers), max_solvers=50
-    )
+    settings = replace(rules.search, max_markers=min(rules.search.max_markers, markers))
     search = SolverSearch(*teach, settings=settings, seed=seed)
     confusion = _confusion(search, test[0], np.random.default_rng(seed))
     chosen = choose_ensemble(
@@ -131,22 +137,22 @@ def capturability(
     )
     report(0.55, "hidden markers")
     by_occlusions = []
-    for hidden in range(min(_RULES.max_hidden, markers - 3) + 1):
+    for hidden in range(min(rules.max_hidden, markers - 3) + 1):
         clouds, truth = simulate_occlusions(Recording(test[0], names, 1.0), hidden, 0, seed)
         given = label_by_matrix(clouds, chosen).indices
         there = truth != NULL
         right = (given == truth) & there
         per_marker: Floats = right.sum(axis=0) / np.maximum(there.sum(axis=0), 1)
         by_occlusions.append((hidden, float(right.sum() / max(there.sum(), 1)), per_marker))
-    hardest = np.argsort(by_occlusions[-1][2] + np.diagonal(confusion), kind="stable")[: _RULES.hardest]
-    changes = _changes(chosen, search, teach, test, names, hardest, seed, lambda fraction, doing: report(0.6 + 0.4 * fraction, doing))
+    hardest = np.argsort(by_occlusions[-1][2] + np.diagonal(confusion), kind="stable")[: rules.hardest]
+    changes = _changes(chosen, search, (teach, test), names, hardest, seed, rules, lambda share, doing: report(0.6 + 0.4 * share, doing))
     report(1.0, "done")
     verdict = _verdict(names, hit_rates, confusion, by_occlusions, changes)
     return Capturability(names, hit_rates, confusion, by_occlusions, changes, verdict)
 
 
-def _halves(frames: Floats, groups: Ints) -> tuple[Half, Half]:
-    """Even and odd blocks of ten frames, at most `CapturabilityRules.frames` together."""
+def _halves(frames: Floats, groups: Ints, most: int) -> tuple[Half, Half]:
+    """Even and odd blocks of ten frames, `most` of them together."""
     odd = (np.arange(len(frames)) // 10) % 2 == 1
     if odd.all() or not odd.any():
         odd = np.arange(len(frames)) % 2 == 1
@@ -155,7 +161,7 @@ def _halves(frames: Floats, groups: Ints) -> tuple[Half, Half]:
     halves = []
     for half in (~odd, odd):
         rows = np.nonzero(half)[0]
-        rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _RULES.frames // 2)).round().astype(np.int64)]
+        rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), most // 2)).round().astype(np.int64)]
         halves.append((np.ascontiguousarray(frames[rows]), groups[rows]))
     return halves[0], halves[1]
 
@@ -202,16 +208,16 @@ def _hit_rate(ensemble: PartialSolvers, frames: Floats, hidden: NDArray[np.bool_
 def _changes(
     chosen: PartialSolvers,
     search: SolverSearch,
-    teach: Half,
-    test: Half,
+    halves: tuple[Half, Half],
     names: Sequence[str],
     hardest: Ints,
     seed: int,
+    rules: CapturabilityRules,
     progress: Progress,
 ) -> list[Change]:
     """Every marker dropped, the hardest ones moved and given a neighbour; each judged by the markers that the set had before."""
-    n = len(names)
-    hidden = random_occlusions(len(test[0]), n, _RULES.compared_hidden, np.random.default_rng(seed))
+    n, (teach, test) = len(names), halves
+    hidden = random_occlusions(len(test[0]), n, rules.compared_hidden, np.random.default_rng(seed))
     everyone = np.ones(n, dtype=np.bool_)
     before = _hit_rate(chosen, test[0], hidden, everyone)
     changes = []
@@ -222,8 +228,8 @@ def _changes(
         alone = _hit_rate(chosen, test[0], hidden, others)
         changes.append(Change("drop", names[marker], "without it", alone, _hit_rate(chosen, test[0], gone, others)))
 
-    few = slice(None, None, max(1, len(teach[0]) // _RULES.change_frames))
-    settings = SearchSettings(screening_frames=200, evaluation_frames=800, validation_frames=800, max_solvers=search.settings.max_solvers)
+    few = slice(None, None, max(1, len(teach[0]) // rules.change_frames))
+    settings = replace(rules.search, validation_frames=rules.change_frames)
     subsets = [tuple(np.sort(own).tolist()) for own in np.split(chosen.solvers.markers, chosen.solvers.first_depth[1:-1])]
 
     def found(alter: Callable[[Floats], Floats], more: Sequence[MarkerSubset] = ()) -> float:
@@ -237,26 +243,27 @@ def _changes(
     for number, marker in enumerate(hardest.tolist()):
         progress(0.3 + 0.7 * number / len(hardest), "markers moved and added")
         one, two = int(near[marker, 0]), int(near[marker, 1])
-        text = f"{_RULES.step * 100:.0f} cm away from its neighbour {names[one]}"
-        changes.append(Change("move", names[marker], text, before, found(partial(_moved, marker=marker, other=one))))
+        text = f"{rules.step * 100:.0f} cm away from its neighbour {names[one]}"
+        changes.append(Change("move", names[marker], text, before, found(partial(_moved, marker=marker, other=one, step=rules.step))))
         text = f"a new marker between {names[marker]}, {names[one]} and {names[two]}"
         joined = [tuple(sorted({*subset[1:], n})) for subset in subsets] + [(*subset, n) for subset in subsets if marker in subset]
-        changes.append(Change("add", names[marker], text, before, found(partial(_added, triple=(marker, one, two)), joined)))
+        added = partial(_added, triple=(marker, one, two), step=rules.step)
+        changes.append(Change("add", names[marker], text, before, found(added, joined)))
     return sorted(changes, key=lambda change: change.hit_rate_before - change.hit_rate_after)
 
 
-def _moved(frames: Floats, marker: int, other: int) -> Floats:
+def _moved(frames: Floats, marker: int, other: int, step: float) -> Floats:
     moved = frames.copy()
     apart = frames[:, marker] - frames[:, other]
-    moved[:, marker] += _RULES.step * apart / np.maximum(np.linalg.norm(apart, axis=1, keepdims=True), 1e-9)
+    moved[:, marker] += step * apart / np.maximum(np.linalg.norm(apart, axis=1, keepdims=True), 1e-9)
     return moved
 
 
-def _added(frames: Floats, triple: tuple[int, int, int]) -> Floats:
+def _added(frames: Floats, triple: tuple[int, int, int], step: float) -> Floats:
     a, b, c = (frames[:, marker] for marker in triple)
     side = np.cross(b - a, c - a)
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
-    return np.concatenate([frames, ((a + b + c) / 3 + _RULES.step * side)[:, None]], axis=1)
+    return np.concatenate([frames, ((a + b + c) / 3 + step * side)[:, None]], axis=1)
 
 
 def _neighbours(search: SolverSearch) -> NDArray[np.int64]:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
 from asterism.labelling.body.labeller import BodyLabeller, usual_fits
-from asterism.labelling.body.model import BodyRules
+from asterism.labelling.body.model import BodyRules, length_scale
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.partial.matrix import label_by_matrix
 from asterism.labelling.partial.solver import subject_of
@@ -25,6 +25,7 @@ from asterism.labelling.training.train import train_ensemble
 from asterism.labelling.whole.bodies import check_single_body
 from asterism.labelling.whole.label import BodyInRecording, label_whole, subject_body, subject_body_gain
 from asterism.labelling.whole.scene import RecordingLabellingSettings
+from asterism.labelling.whole.verdict import RigidDistances, VerdictRules, confidence_limit, judge
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording
 
@@ -69,6 +70,16 @@ class SolverEnsemble:
         """The model in the form that the kernels of single frames read."""
         state = self.state
         return BodyLabeller.from_model(state.body, state.anchors, state.frame_settings.with_usual_score(state.usual_score))
+
+    @cached_property
+    def rigid_distances(self) -> RigidDistances | None:
+        """The near-rigid distances of the training, by which a recording is judged; None in a model that keeps no sample of it."""
+        training, state = self.state.training, self.state
+        if training is None or not training.sample.clips:
+            return None
+        frames, people = training.sample.frames()
+        unit = length_scale(state.body.mean[0], state.body_rules)
+        return RigidDistances.of_training(frames[:, state.markers], people, unit, VerdictRules())
 
     @classmethod
     def fit(
@@ -202,8 +213,13 @@ class SolverEnsemble:
         if rules != "whole-body":
             return self._label_by_votes(clouds, rules)
         rows, confidence, counters = self._best_labels(clouds, workers, progress)
+        verdict = None
+        if self.rigid_distances is not None:
+            best = Labelling(rows, confidence, self.marker_set.names)
+            verdict = judge(best.positions(clouds)[:, self.state.markers], clouds.counts, self.rigid_distances, VerdictRules())
+        confidence = np.minimum(confidence, confidence_limit(verdict))
         indices = np.where(confidence >= self.least_confidence, rows, NULL)
-        return Labelling(indices, confidence, self.marker_set.names), counters[:, 0]
+        return Labelling(indices, confidence, self.marker_set.names, verdict=verdict), counters[:, 0]
 
     def _label_by_votes(self, clouds: Clouds, rules: str) -> tuple[Labelling, Ints]:
         """Label by the partial solvers' proposals: the matrix of section 4.5.4 ("thesis"), or completed by the strong classifier."""
@@ -255,7 +271,7 @@ class SolverEnsemble:
 
     def in_recording(self) -> BodyInRecording:
         """This model as one of the bodies that `label_whole` looks for."""
-        return BodyInRecording(self.body_labeller, self.marker_set.names, self.state.markers, self.state.certainty)
+        return BodyInRecording(self.body_labeller, self.marker_set.names, self.state.markers, self.state.certainty, self.rigid_distances)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model: one NPZ file of plain arrays and a JSON text, no pickle. Written under a temporary name, then renamed.

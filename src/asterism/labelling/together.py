@@ -17,7 +17,8 @@ def join_labellings(
     """One labelling of all bodies of a recording, and the marker set of its names.
 
     labellings (T, M) each, as `label_together` gives them; marker_sets: theirs; subjects: what each body is called, by default 1, 2, ...
-    A body that shares a marker's name with another one has its subject before all its names, as in "1:LASI". O(T M).
+    A body that shares a marker's name with another one has its subject before all its names, as in "1:LASI". The verdict is that of the
+    first body that does not fit its model, where there is one. O(T M).
     Raises AsterismError where two names still are one, or the labellings are of different numbers of frames.
     """
     subjects = [str(i + 1) for i in range(len(labellings))] if subjects is None else list(subjects)
@@ -43,7 +44,9 @@ def join_labellings(
     confidence = np.concatenate([labelling.confidence for labelling in labellings], axis=1)
     known = [labelling.candidates for labelling in labellings if labelling.candidates is not None]
     candidates = np.concatenate(known, axis=1) if len(known) == len(labellings) else None
-    return Labelling(indices, confidence, everyone.names, candidates), everyone
+    verdicts = [labelling.verdict for labelling in labellings if labelling.verdict is not None]
+    verdict = next((verdict for verdict in verdicts if not verdict.fits), verdicts[0] if verdicts else None)
+    return Labelling(indices, confidence, everyone.names, candidates, verdict), everyone
 
 
 def _spellings(marker_set: MarkerSet) -> set[str]:

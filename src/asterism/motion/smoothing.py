@@ -76,7 +76,7 @@ def smooth_paths(clouds: Clouds, covariance: ArrayLike, rules: SmoothingRules = 
     order = np.argsort(tracklets.of_point, kind="stable")
     ends = np.cumsum(tracklets.last - tracklets.first + 1)
     rows, columns = np.triu_indices(3)
-    information = np.linalg.inv(given)[:, rows, columns]
+    information = np.ascontiguousarray(np.linalg.inv(given)[:, rows, columns])
     near = np.arange(-3 * int(rules.width), 3 * int(rules.width) + 1)
     weights = np.exp(-0.5 * (near / rules.width) ** 2)
     # Third differences of a motion whose jerk is white noise of power q have a variance of 11/20 q dt^5.

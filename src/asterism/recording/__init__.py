@@ -6,6 +6,7 @@ from asterism.recording.clouds import NULL, Clouds, Evidence, Labelling
 from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, without_subject
 from asterism.recording.processing import ProcessingStep, log_as_text, log_from_text
 from asterism.recording.trajectories import Event, Recording, keep_labels
+from asterism.recording.verdict import Verdict
 
 __all__ = [
     "NULL",
@@ -19,6 +20,7 @@ __all__ = [
     "MarkerSet",
     "ProcessingStep",
     "Recording",
+    "Verdict",
     "as_vertical",
     "canonical",
     "is_unnamed",

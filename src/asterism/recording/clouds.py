@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from asterism.errors import AsterismError
 from asterism.recording.arrays import Floats, Ints, as_vertical, checked_rate, frame_rows
 from asterism.recording.display import Rows, as_html, as_text, duration, listed
+from asterism.recording.verdict import Verdict
 
 NULL = -1
 """The null candidate: this marker has no point in this frame (the thesis' label 0)."""
@@ -157,12 +158,14 @@ class Labelling:
                 NaN where nothing is known about it
     names       (M,) marker names
     candidates  (T, M) int, for -1 the place of the best candidate, which was not accepted, or -1; None where they were not kept
+    verdict     whether the recording shows what the model was trained on; None where it was not judged
     """
 
     indices: Ints
     confidence: Floats
     names: tuple[str, ...]
     candidates: Ints | None = None
+    verdict: Verdict | None = None
 
     def _facts(self) -> Rows:
         given = self.indices >= 0

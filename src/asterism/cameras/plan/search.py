@@ -155,7 +155,7 @@ class _Hall:
         """What each pose sees (K, P), tells (K, P, 6) 1/m2 and is faced by (K, P, D)."""
         rig = self.rig(poses)
         seen = sees(rig, self.places)
-        information_of = information(rig, self.places)[..., _PAIRS[:, 0], _PAIRS[:, 1]] / self.noise**2
+        information_of = np.ascontiguousarray(information(rig, self.places)[..., _PAIRS[:, 0], _PAIRS[:, 1]]) / self.noise**2
         information_of[~seen] = 0.0
         return seen, information_of, self._faces(np.stack([camera.position for camera in rig]))
 
@@ -199,7 +199,8 @@ class _Hall:
 
     def _base(self, seen: NDArray[np.bool_], information_of: Floats, faces: NDArray[np.bool_]) -> tuple[Ints, Ints, Floats]:
         sided = seen[:, :, None] & faces
-        return seen.sum(axis=0), sided.sum(axis=0), np.einsum("kpd,kpi->pdi", sided, information_of)
+        of_facings = np.einsum("kpd,kpi->pdi", sided, information_of)
+        return seen.sum(axis=0), sided.sum(axis=0), np.ascontiguousarray(of_facings)
 
     def _worth_with(
         self,

@@ -13,7 +13,7 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
@@ -46,6 +46,7 @@ class StreamRules:
     ghost_margin_loss  nats that a margin loses where points are left over, as a ghost that moves with the body fits frame after frame
     log_odds_scale     nats of what then remains that make one unit of log odds
     takeover_margin    nats by which a labelling from a search must lead, summed over independent frames, to take over
+    lasting_frames     frames after which a track is no flickering point: shorter ones say nothing against the label of a longer one
     """
 
     evidence_memory: float = 0.5
@@ -59,6 +60,7 @@ class StreamRules:
     ghost_margin_loss: float = 3.0
     log_odds_scale: float = 3.3
     takeover_margin: float = 5.0
+    lasting_frames: float = 1.5
 
 
 @dataclass(frozen=True)
@@ -279,7 +281,7 @@ class Stream:
         """Give a frame to the live body model, if enough of its labels have large margins."""
         scores = self._tracks.totals(self._tracks.current)
         point_of = _assign(scores)
-        margins = _margins(scores, self._tracks.totals(self._tracks.current, self._rules.max_ghost_evidence), point_of)
+        margins = self._margins(self._tracks.current, scores, point_of)
         certain = (point_of >= 0) & (margins >= live.rules.min_margin)
         if certain.sum() < live.rules.min_share * len(point_of):
             return
@@ -314,9 +316,13 @@ class Stream:
         waiting, model = self._waiting.popleft(), self._model
         scores = self._tracks.totals(waiting.rows)
         point_of = _assign(scores)
-        margins = _margins(scores, self._tracks.totals(waiting.rows, self._rules.max_ghost_evidence), point_of)
+        margins = self._margins(waiting.rows, scores, point_of)
         given = point_of >= 0
-        chance = np.where(given, self._confidence(margins, given.sum() < len(waiting.rows)), 0.5 * np.exp(np.minimum(margins, 0.0)))
+        left = np.ones(len(waiting.rows), dtype=np.bool_)
+        left[point_of[given]] = False
+        lasting = self._lasting(waiting.rows)
+        near_ghost = (left & lasting[:-1]).any() | (left.any() & ~lasting[point_of])
+        chance = np.where(given, self._confidence(margins, near_ghost), 0.5 * np.exp(np.minimum(margins, 0.0)))
         kept = given & (chance >= model.least_confidence)
         indices, confidence = np.full(model.names, NULL, dtype=np.int64), np.zeros(model.names)
         indices[model.markers[kept]] = waiting.place[point_of[kept]]
@@ -325,12 +331,28 @@ class Stream:
         self._tracks.release(ended, (frame.rows for frame in self._waiting))
         return FrameLabels(waiting.frame, indices, confidence)
 
-    def _confidence(self, margins: Floats, points_left: bool) -> Floats:
-        """The probability that labels with such margins are right; points_left: whether their frame has points without a label."""
-        single = self._model.calibrations[int(points_left)].confidence(margins)
-        if not points_left:
-            return single
-        return np.minimum(single, 1.0 / (1.0 + np.exp((self._rules.ghost_margin_loss - margins) / self._rules.log_odds_scale)))
+    def _margins(self, rows: Ints, scores: Floats, point_of: Ints) -> Floats:
+        """`_margins` of a labelling of the tracks in these rows; a track that lasts has no rivals among those that flicker."""
+        limited = self._tracks.totals(rows, self._rules.max_ghost_evidence)
+        lasting = self._lasting(rows)
+        margins = _margins(scores, limited, point_of)
+        if lasting.all():
+            return margins
+        of_lasting = np.where(lasting[point_of], point_of, NULL)
+        kept = lasting[:-1] | np.isin(np.arange(len(rows)), point_of)
+        number = np.cumsum(kept) - 1
+        among_lasting = _margins(scores[kept], limited[kept], np.where(of_lasting >= 0, number[of_lasting], NULL))
+        return np.where(of_lasting >= 0, among_lasting, margins)
+
+    def _lasting(self, rows: Ints) -> NDArray[np.bool_]:
+        """Which tracks are no flickering points, (n + 1,); at the end, where -1 finds it, no track at all counts as one that lasts."""
+        return np.append(self._tracks.frames(rows) > self._rules.lasting_frames, True)
+
+    def _confidence(self, margins: Floats, near_ghost: NDArray[np.bool_]) -> Floats:
+        """The probability that labels with these margins are right; near_ghost: where a point without a label may be the marker as well."""
+        alone, crowded = (calibration.confidence(margins) for calibration in self._model.calibrations)
+        bound = 1.0 / (1.0 + np.exp((self._rules.ghost_margin_loss - margins) / self._rules.log_odds_scale))
+        return np.where(near_ghost, np.minimum(crowded, bound), alone)
 
 
 def _marker_of(point_of: Ints, points: int) -> Ints:

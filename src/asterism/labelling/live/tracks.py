@@ -86,6 +86,10 @@ class TrackEvidence:
         self._evidence[self.current] += scores
         self._frames[self.current] += 1.0
 
+    def frames(self, rows: Ints) -> Floats:
+        """How many frames the evidence of each track rests on, those long ago counted less: (n,)."""
+        return self._frames[rows]
+
     def clear(self, rows: Ints | list[int]) -> None:
         """Forget the evidence of some tracks."""
         self._evidence[rows], self._frames[rows] = 0.0, 0.0

@@ -14,6 +14,10 @@ from asterism.labelling.partial._motion_kernels import motion_feature
 
 # Order of `features.FEATURES`: the registry and `feature_value` agree, and a test holds them to it.
 G1, G2, G3, G4, G5, G6, G7, G8, G9 = range(9)
+LANES = 64
+"""Frames whose features are calculated side by side: as many as a word has bits."""
+_ROUNDING = 1e-9
+"""Nearer to a limit than this, a cosine does not tell the side of the limit on which its angle lies."""
 
 
 @kernel(inline=True)
@@ -25,9 +29,16 @@ def _length(points, a, b):
 @kernel(inline=True)
 def _cosine(ux, uy, uz, vx, vy, vz):
     norm = math.sqrt((ux * ux + uy * uy + uz * uz) * (vx * vx + vy * vy + vz * vz))
-    if norm == 0.0:
-        return 1.0
-    return (ux * vx + uy * vy + uz * vz) / norm
+    return (ux * vx + uy * vy + uz * vz) / norm if norm != 0.0 else 1.0
+
+
+@kernel(inline=True)
+def _angle(cosine):
+    if cosine >= 1.0:
+        return 0.0
+    if cosine <= -1.0:
+        return math.pi
+    return math.acos(cosine)
 
 
 @kernel
@@ -42,13 +53,7 @@ def feature_value(kind, points, a, b, c, d):
     if kind > G9:
         return motion_feature(kind, points, a, b, c)
     value = feature_or_cosine(kind, points, a, b, c, d)
-    if kind in (G1, G6, G7):
-        if value >= 1.0:
-            return 0.0
-        if value <= -1.0:
-            return math.pi
-        return math.acos(value)
-    return value
+    return _angle(value) if kind in (G1, G6, G7) else value
 
 
 @kernel
@@ -103,6 +108,42 @@ def feature_ranges(frames, groups, n_groups, kinds, slots, low, high):
 
 
 @kernel
+def _lane_values(kind, x, y, z, a, b, c, d, out):
+    """`feature_or_cosine` of one kind up to G9 in each of LANES frames, whose points are x, y, z (M, LANES) m.
+
+    The loops hold no call and no branch, so they run in vector registers; the operations and their order are those of `feature_or_cosine`.
+    """
+    ax, ay, az, bx, by, bz = x[a], y[a], z[a], x[b], y[b], z[b]
+    cx, cy, cz, dx, dy, dz = x[c], y[c], z[c], x[d], y[d], z[d]
+    for n in range(LANES):
+        ux, uy, uz = bx[n] - ax[n], by[n] - ay[n], bz[n] - az[n]
+        if kind == G2:
+            out[n] = math.sqrt(ux * ux + uy * uy + uz * uz)
+        elif kind == G4:
+            out[n] = az[n] - bz[n]
+        elif kind == G7:
+            out[n] = _cosine(ux, uy, uz, 0.0, 0.0, 1.0)
+        elif kind == G3:
+            vx, vy, vz = dx[n] - cx[n], dy[n] - cy[n], dz[n] - cz[n]
+            first, second = math.sqrt(ux * ux + uy * uy + uz * uz), math.sqrt(vx * vx + vy * vy + vz * vz)
+            out[n] = 2.0 * (first - second) / (first + second) if first + second != 0.0 else 0.0
+        elif kind == G6:
+            out[n] = _cosine(ux, uy, uz, dx[n] - cx[n], dy[n] - cy[n], dz[n] - cz[n])
+        else:
+            vx, vy, vz = cx[n] - ax[n], cy[n] - ay[n], cz[n] - az[n]
+            if kind == G9:
+                out[n] = ux * vy - uy * vx
+            elif kind == G1:
+                out[n] = _cosine(ux, uy, uz, vx, vy, vz)
+            elif kind == G5:
+                other = math.sqrt(vx * vx + vy * vy + vz * vz)
+                out[n] = math.sqrt(ux * ux + uy * uy + uz * uz) / other if other != 0.0 else 0.0
+            else:
+                wx, wy, wz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+                out[n] = 0.5 * math.sqrt(wx * wx + wy * wy + wz * wz)
+
+
+@kernel
 def mark_rejections(frames, labels, kinds, slots, low, high, out):
     """Which weak classifiers reject which labellings, as bits.
 
@@ -110,14 +151,40 @@ def mark_rejections(frames, labels, kinds, slots, low, high, out):
     OUT out (F, ceil(N / 64)) uint64, bit n set where classifier f rejects labelling n
     O(F N). Eq. 4.4. Twin: `rejects` in tests/twins.py
     """
-    out[:] = 0
-    for f in range(len(kinds)):
-        for n in range(len(frames)):
-            value = feature_value(
-                kinds[f], frames[n], labels[n, slots[f, 0]], labels[n, slots[f, 1]], labels[n, slots[f, 2]], labels[n, slots[f, 3]]
-            )
-            if value < low[f] or value > high[f]:
-                out[f, n >> 6] |= np.uint64(1) << np.uint64(n & 63)
+    markers = labels.shape[1]
+    x, y, z, values = np.empty((markers, LANES)), np.empty((markers, LANES)), np.empty((markers, LANES)), np.empty(LANES)
+    for word in range(out.shape[1]):
+        first = LANES * word
+        here = min(LANES, len(frames) - first)
+        for n in range(LANES):
+            frame = first + min(n, here - 1)
+            for m in range(markers):
+                point = labels[frame, m]
+                x[m, n], y[m, n], z[m, n] = frames[frame, point, 0], frames[frame, point, 1], frames[frame, point, 2]
+        for f in range(len(kinds)):
+            kind, a, b, c, d = kinds[f], slots[f, 0], slots[f, 1], slots[f, 2], slots[f, 3]
+            if kind > G9:
+                for n in range(here):
+                    points, row = frames[first + n], labels[first + n]
+                    values[n] = motion_feature(kind, points, row[a], row[b], row[c])
+            else:
+                _lane_values(kind, x, y, z, a, b, c, d, values)
+            bits = np.uint64(0)
+            near, far = low[f], high[f]
+            if kind in (G1, G6, G7):
+                # No angle is below 0 or above pi.
+                near = math.cos(min(max(high[f], 0.0), math.pi)) if high[f] < math.pi else -np.inf
+                far = math.cos(min(max(low[f], 0.0), math.pi)) if low[f] > 0.0 else np.inf
+                for n in range(here):
+                    rejected = values[n] < near - _ROUNDING or values[n] > far + _ROUNDING
+                    if not rejected and not near + _ROUNDING < values[n] < far - _ROUNDING:
+                        angle = _angle(values[n])
+                        rejected = angle < low[f] or angle > high[f]
+                    bits |= np.uint64(rejected) << np.uint64(n)
+            else:
+                for n in range(here):
+                    bits |= np.uint64(values[n] < near or values[n] > far) << np.uint64(n)
+            out[f, word] = bits
 
 
 @kernel

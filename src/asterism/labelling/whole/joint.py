@@ -186,7 +186,7 @@ def _with_ghost_credit(
     best = -np.inf
     for allowed, costly in ((0, np.ones(len(long), dtype=np.bool_)), (1, long), (2, np.zeros(len(long), dtype=np.bool_))):
         credited = gain + (full * costly)[:, None]
-        label = assign_tracklets(_by_length(np.where(scene.duplicate[:, None], 0.0, credited), scene), scene.first, scene.last)
+        label = assign_tracklets(_by_length(credited, scene), scene.first, scene.last)
         taken = label != NULL
         total = credited[taken, label[taken]].sum() - (full * costly).sum() - rules.ghosts_cost * allowed
         if total > best:

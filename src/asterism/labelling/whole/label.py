@@ -11,7 +11,7 @@ from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
 from asterism.labelling.body._workspace_kernels import FrameSettings
 from asterism.labelling.body.labeller import BodyLabeller
-from asterism.labelling.body.model import BodyModel, BodyRules, length_scale
+from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enough
 from asterism.labelling.training.calibration import LabelTrials
 from asterism.labelling.training.trials import Trial
@@ -21,6 +21,7 @@ from asterism.labelling.whole.fits import point_fits
 from asterism.labelling.whole.joint import SceneLabelling, label_scene
 from asterism.labelling.whole.scene import RecordingLabellingSettings, labels_of_body, marker_offsets, prepare_scene
 from asterism.labelling.whole.short import label_short_points, long_points, tracklets_of
+from asterism.labelling.whole.verdict import RigidDistances, confidence_limit, judge_scene
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
 from asterism.tracking.linking import find_tracklets
@@ -34,12 +35,14 @@ class BodyInRecording:
     names      all names of its marker set
     markers    (M,) those that the body model has learned
     certainty  how certain a tracklet's label is, and which labels are taken back
+    distances  near-rigid distances of the training, by which a recording is judged; None where the model keeps no sample of it
     """
 
     labeller: BodyLabeller
     names: tuple[str, ...]
     markers: Ints
     certainty: Certainty
+    distances: RigidDistances | None = None
 
 
 @dataclass(frozen=True)
@@ -73,9 +76,8 @@ def label_points(
 ) -> PointLabels:
     """Label the long tracklets of a recording together, then the points of the short ones; clouds have at least one point."""
     tracklets = find_tracklets(clouds)
-    unit = min(length_scale(labeller.model.mean[0], body_rules) for labeller in labellers)
     kept = long_points(clouds, tracklets, min(labeller.body.mean.shape[1] for labeller in labellers), rules.short)
-    scene = prepare_scene(clouds.select(kept), tracklets_of(tracklets, kept), rules, unit)
+    scene = prepare_scene(clouds.select(kept), tracklets_of(tracklets, kept), rules)
     found = label_scene(labellers, scene, rules, subject_rules, body_rules, workers, progress)
     points = len(clouds.xyz)
     label, margin, rival = np.full(points, NULL, dtype=np.int64), np.zeros(points), np.full(points, NULL, dtype=np.int64)
@@ -123,7 +125,9 @@ def label_whole(
         label, rival = labels_of_body(labels.label, offsets, number), labels_of_body(labels.rival, offsets, number)
         blank = _empty_labelling(body, clouds)
         indices, confidence = blank.indices, blank.confidence
+        verdict = judge_scene(labels.found.scene, labels.found.label, offsets, number, body.distances)
         certainty = body.certainty.confidence(labels.margin, labels.near_unlabelled, labels.fit)
+        certainty = np.minimum(certainty, confidence_limit(verdict))
         # a marker without a point: the probability that its best candidate was it, above one half only where a label was taken back
         candidate = np.where(label != NULL, label, np.where(labels.label == NULL, rival, NULL))
         chance = np.where(label != NULL, certainty, 0.5 * np.exp(np.minimum(labels.margin, 0.0)))
@@ -136,7 +140,7 @@ def label_whole(
         at = frame_of[points], body.markers[label[points]]
         indices[at], confidence[at] = place[points], certainty[points]
         candidates[indices != NULL] = NULL
-        labellings.append(Labelling(indices, confidence, body.names, candidates))
+        labellings.append(Labelling(indices, confidence, body.names, candidates, verdict))
     return labellings, labels.found
 
 

@@ -25,8 +25,6 @@ class RecordingLabellingSettings:
     max_score         nats, the most that one frame can say for a label
     frame_correlation correlation of two frames of one tracklet: many frames are worth 1 / frame_correlation independent ones at most
     long_track        s; a longer tracklet is no ghost, unless the recording shows long ghosts
-    short_track       s; a tracklet up to this long is a duplicate if all its points lie beside a long one
-    duplicate_distance m; a point nearer than this to another may be a marker that the cameras composed twice
     ghosts_cost       nats for the explanation that a recording shows ghosts, and as many again for long ghosts
     max_vote          nats, the most that the labelling of a single frame can vote for a label
     adapt_margin      nats; the model is adapted to the subject by tracklets whose labels have at least this margin
@@ -48,8 +46,6 @@ class RecordingLabellingSettings:
     max_score: float = 15.0
     frame_correlation: float = 0.3
     long_track: float = 0.9
-    short_track: float = 0.05
-    duplicate_distance: float = 0.03
     ghosts_cost: float = 30.0
     max_vote: float = 10.0
     adapt_margin: float = 6.0
@@ -82,7 +78,6 @@ class Scene:
     sampled_frame   (Q,) each sampled point's frame, 0..E-1
     samples         (J,) in how many sampled frames each tracklet is
     independent     (J,) how many independent frames these amount to
-    duplicate       (J,) bool, short tracklets that are duplicates of long ones
     """
 
     xyz: Floats
@@ -99,13 +94,12 @@ class Scene:
     sampled_frame: Ints
     samples: Ints
     independent: Floats
-    duplicate: NDArray[np.bool_]
 
 
-def prepare_scene(clouds: Clouds, tracklets: Tracklets, rules: RecordingLabellingSettings, unit: float) -> Scene:
+def prepare_scene(clouds: Clouds, tracklets: Tracklets, rules: RecordingLabellingSettings) -> Scene:
     """Sort the points of every frame, number the tracklets by their first points, and choose the frames to sample.
 
-    The result does not depend on the order of the points. unit: `length_scale` of the smallest body in the recording.
+    The result does not depend on the order of the points.
     """
     frame_of = clouds.frame_of
     xyz = rotate_z_up(clouds.xyz, clouds.vertical)
@@ -139,7 +133,6 @@ def prepare_scene(clouds: Clouds, tracklets: Tracklets, rules: RecordingLabellin
         np.repeat(np.arange(len(frames)), clouds.counts[frames]),
         samples,
         samples / (1.0 + rules.frame_correlation * (samples - 1.0)),
-        _duplicates(xyz, clouds.offsets, track, (last - first + 1) / clouds.rate, rules, unit),
     )
 
 
@@ -155,21 +148,6 @@ def _sampled_frames(frames: int, step: int, first: Ints, last: Ints) -> NDArray[
         if not sampled[first[j] : last[j] + 1].any():
             sampled[(first[j] + last[j]) // 2] = True
     return sampled
-
-
-def _duplicates(
-    xyz: Floats, offsets: Ints, track: Ints, duration: Floats, rules: RecordingLabellingSettings, unit: float
-) -> NDArray[np.bool_]:
-    """Short tracklets (J,) all of whose points lie beside one of a long tracklet. O(their points * points of a frame)."""
-    duplicate = duration <= rules.short_track
-    long = duration >= rules.long_track
-    points = np.nonzero(duplicate[track])[0]
-    for point, frame in zip(points, np.searchsorted(offsets, points, side="right") - 1, strict=True):
-        others = np.arange(offsets[frame], offsets[frame + 1])
-        others = others[long[track[others]]]
-        if not (np.linalg.norm(xyz[others] - xyz[point], axis=1) < rules.duplicate_distance * unit).any():
-            duplicate[track[point]] = False
-    return duplicate
 
 
 def marker_offsets(labellers: Sequence[BodyLabeller]) -> Ints:

@@ -1,0 +1,212 @@
+"""Whether a recording shows what its model was trained on: labelled positions and the training's distances in; a verdict out.
+
+The distances between markers of one segment do not depend on the pose. People of one laboratory have nearly the same ones, up to the size
+of the body; those of other placements, and of wrongly labelled markers, differ by many times as much.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asterism.labelling.whole.scene import Scene, labels_of_body
+from asterism.recording import NULL, Floats, Ints
+from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, Verdict
+
+MIN_FRAMES = 5
+"""Frames in which a distance must be known. In a recording of fewer frames the training's near-rigid distances are taken as such."""
+
+
+@dataclass(frozen=True)
+class VerdictRules:
+    """When a recording counts as foreign. Chosen on simulation and on the sets for choosing (docs/recordings.md).
+
+    frames           frames that are compared, at most
+    max_rigid_std    m; two markers are near-rigid where their distance varies by less (robust standard deviation)
+    noise            m, standard deviation of a distance beyond the share of it that `min_limit` allows
+    min_pairs        near-rigid distances that a comparison needs
+    min_limit        largest scatter that fits, whatever the training showed
+    max_limit        least scatter that never fits
+    left_out_factor  the limit as a multiple of the largest scatter of a person of the training against all others, between these two
+    body_scatter     scatter from which it is another body
+    body_size        factor between the sizes from which it is another body
+    body_labelled    share of the markers, or of the points if fewer, below which what does not fit is another body
+    body_lost        share of the training's near-rigid distances that are not rigid from which it is another body
+    min_labelled     share of the markers, or of the points if fewer, below which it is another marker set
+    min_found        the same below which it is another body, where a usual frame shows `min_shown` of the markers' number of points
+    min_shown        see above
+    min_surplus      points left over, as a share of the markers, from which what does not fit is another marker set
+    """
+
+    frames: int = 60
+    max_rigid_std: float = 0.02
+    noise: float = 0.01
+    min_pairs: int = 6
+    min_limit: float = 0.06
+    max_limit: float = 0.08
+    left_out_factor: float = 1.3
+    body_scatter: float = 0.3
+    body_size: float = 1.7
+    body_labelled: float = 0.5
+    body_lost: float = 0.7
+    min_labelled: float = 0.6
+    min_found: float = 0.2
+    min_shown: float = 0.4
+    min_surplus: float = 0.25
+
+
+@dataclass(frozen=True)
+class RigidDistances:
+    """The near-rigid distances of the training: N pairs of markers, P people.
+
+    first, second  (N,) markers of each pair
+    median         (P, N) m, the median distance of each person, NaN where it was not seen
+    moving         whether the training shows that other distances are not rigid; a standing trial alone does not
+    limit          the largest scatter that fits
+    unit           `length_scale` of the body
+    """
+
+    first: Ints
+    second: Ints
+    median: Floats
+    moving: bool
+    limit: float
+    unit: float
+
+    @classmethod
+    def of_training(cls, frames: Floats, people: Ints, unit: float, rules: VerdictRules) -> RigidDistances:
+        """frames (N, M, 3) m, NaN where missing; people (N,) whose each is; unit: `length_scale` of the body. O(P frames M^2)."""
+        first, second = np.triu_indices(frames.shape[1], 1)
+        medians, stds = [], []
+        for person in np.unique(people):
+            median, std = median_and_std(_some(frames[people == person], rules.frames), first, second)
+            medians.append(median)
+            stds.append(std)
+        std = _quietly(np.nanmax, np.stack(stds), axis=0)
+        rigid = std < rules.max_rigid_std * unit
+        moving = bool((std > 1.5 * rules.max_rigid_std * unit).mean() > 0.2)
+        found = cls(first[rigid], second[rigid], np.stack(medians)[:, rigid], moving, rules.min_limit, unit)
+        left_out = [found.scatter(found.median[p], [q for q in range(len(medians)) if q != p], rules)[0] for p in range(len(medians))]
+        most = max((scatter for scatter in left_out if not np.isnan(scatter)), default=0.0)
+        limit = float(np.clip(rules.left_out_factor * most, rules.min_limit, rules.max_limit))
+        return cls(found.first, found.second, found.median, moving, limit, unit)
+
+    def scatter(self, distance: Floats, people: list[int], rules: VerdictRules) -> tuple[float, float]:
+        """Scatter about these people's distances and size of a body; about their mean, or the one whose are the nearest; NaN if unknown.
+
+        distance (N,) m, NaN where not known or not rigid.
+        """
+        if not people:
+            return float("nan"), float("nan")
+        logs = np.log(self.median[people])
+        best = float("nan"), float("nan")
+        for reference in [_quietly(np.nanmean, logs, axis=0), *(logs if len(people) > 1 else ())]:
+            ratio = np.log(distance) - reference
+            known = ~np.isnan(ratio)
+            if known.sum() < rules.min_pairs:
+                continue
+            size = np.median(ratio[known])
+            # a distance of 10 cm may be off by a centimetre as a long one may be by some per cent
+            weight = 1.0 / np.sqrt(1.0 + (rules.noise * self.unit / (rules.min_limit * distance[known])) ** 2)
+            scatter = 1.4826 * float(np.median(np.abs(ratio[known] - size) * weight))
+            if not scatter >= best[0]:
+                best = scatter, float(np.exp(size))
+        return best
+
+
+def judge(positions: Floats, counts: Ints, reference: RigidDistances, rules: VerdictRules) -> Verdict:
+    """The verdict on labelled frames: positions (E, M, 3) m of the markers, NaN where none; counts (E,) points of each frame. O(E N)."""
+    markers, labelled = positions.shape[1], (~np.isnan(positions[:, :, 0])).sum(axis=1)
+    share = float(labelled.sum() / max(1, np.minimum(counts, markers).sum()))
+    surplus = float(np.median(counts - labelled)) if len(counts) else 0.0
+    some = _some(positions, rules.frames)
+    distance, std = median_and_std(some, reference.first, reference.second, min(MIN_FRAMES, len(some)))
+    known = ~np.isnan(distance)
+    rigid = known & (std < rules.max_rigid_std * reference.unit if len(some) >= MIN_FRAMES else reference.moving)
+    lost = 1.0 - float(rigid.sum()) / max(1, int(known.sum()))
+    scatter, size = reference.scatter(np.where(rigid, distance, np.nan), list(range(len(reference.median))), rules)
+    comparable = len(reference.first) >= 2 * rules.min_pairs and len(some) >= MIN_FRAMES
+    verdict = Verdict(FITS, scatter, reference.limit, size, share, surplus)
+    if np.isnan(scatter):
+        # a body whose markers move against each other, as far as they are the model's
+        kind = OTHER_BODY if comparable and labelled.any() else _kind_by_points(verdict, counts, markers, rules)
+    elif _is_other_body(verdict, lost if reference.moving else 0.0, rules):
+        kind = OTHER_BODY
+    elif scatter > reference.limit:
+        kind = OTHER_MARKERS if surplus >= rules.min_surplus * markers else OTHER_PERSON
+    else:
+        kind = _kind_by_points(verdict, counts, markers, rules)
+    return replace(verdict, kind=kind)
+
+
+def _is_other_body(verdict: Verdict, lost: float, rules: VerdictRules) -> bool:
+    """Whether the distances are no person's. lost: share of the training's near-rigid distances that are not rigid here."""
+    return (
+        verdict.scatter > rules.body_scatter
+        or abs(np.log(verdict.size)) > np.log(rules.body_size)
+        or lost > rules.body_lost
+        or (verdict.scatter > verdict.limit and verdict.labelled < rules.body_labelled)
+    )
+
+
+def judge_scene(scene: Scene, label: Ints, offsets: Ints, number: int, reference: RigidDistances | None) -> Verdict | None:
+    """The verdict on a recording's labels for the body with this number; None for a model that keeps no sample of its training.
+
+    label (J,): labels of all bodies, -1 for none; offsets: where each body's markers begin among them.
+    """
+    if reference is None:
+        return None
+    own = labels_of_body(label, offsets, number)
+    frames = len(scene.sampled_frames)
+    positions = np.full((frames, int(offsets[number + 1] - offsets[number]), 3), np.nan)
+    points = np.nonzero(own[scene.sampled_track] != NULL)[0]
+    positions[scene.sampled_frame[points], own[scene.sampled_track[points]]] = scene.sampled_xyz[points]
+    free = (label == NULL) | (own != NULL)  # the points of other bodies are theirs
+    counts = np.bincount(scene.sampled_frame, weights=free[scene.sampled_track], minlength=frames).astype(np.int64)
+    return judge(positions, counts, reference, VerdictRules())
+
+
+def _kind_by_points(verdict: Verdict, counts: Ints, markers: int, rules: VerdictRules) -> str:
+    """The verdict where the distances say nothing, or that all is well. counts (E,) points of each frame."""
+    if verdict.labelled >= rules.min_labelled or not counts.any():
+        return FITS
+    if verdict.labelled >= rules.min_found:
+        return OTHER_MARKERS
+    return OTHER_BODY if np.minimum(counts, markers).mean() >= rules.min_shown * markers else FITS
+
+
+def confidence_limit(verdict: Verdict | None) -> float:
+    """What no label of a recording may be more certain than: 1 where it fits or was not judged, below 0.99 where it does not fit."""
+    if verdict is None or verdict.kind == FITS:
+        return 1.0
+    if verdict.kind == OTHER_BODY:
+        return 0.5
+    return 0.98
+
+
+def median_and_std(frames: Floats, first: Ints, second: Ints, least: int = MIN_FRAMES) -> tuple[Floats, Floats]:
+    """Median and robust standard deviation (N,) m of distances in frames (E, M, 3); NaN where known in fewer than `least` frames."""
+    distance = np.linalg.norm(frames[:, first] - frames[:, second], axis=2)
+    missing = np.isnan(distance)
+    middle = np.nanmedian if missing.any() else np.median  # the first takes five times as long
+    median = _quietly(middle, distance, axis=0)
+    std = 1.4826 * _quietly(middle, np.abs(distance - median), axis=0)
+    unknown = (~missing).sum(axis=0) < max(1, least)
+    return np.where(unknown, np.nan, median), np.where(unknown, np.nan, std)
+
+
+def _some(frames: Floats, most: int) -> Floats:
+    """At most so many frames, evenly spread."""
+    return frames if len(frames) <= most else frames[np.linspace(0, len(frames) - 1, most).round().astype(np.int64)]
+
+
+def _quietly(function: Callable[..., Floats], values: Floats, axis: int) -> Floats:
+    """A statistic that leaves NaN out, without the warning that all are missing."""
+    if not len(values):
+        return np.full(values.shape[1:], np.nan)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return function(values, axis=axis)

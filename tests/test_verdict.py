@@ -1,0 +1,156 @@
+"""The verdict on a recording: ordinary people fit, others are said, and their labels are less certain."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from models import trained
+
+import asterism
+from asterism import formats
+from asterism.cli import main
+from asterism.findings import Severity
+from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
+from asterism.labelling.whole.verdict import RigidDistances, VerdictRules, judge
+from asterism.recording import Recording
+from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, Verdict
+from asterism.simulation import simulate_standing, simulate_walks
+
+
+@pytest.fixture(scope="module")
+def walks() -> list[Recording]:
+    return simulate_walks(subjects=5, frames=120, seed=4)
+
+
+@pytest.fixture(scope="module")
+def ensemble(walks: list[Recording]) -> asterism.SolverEnsemble:
+    return trained(walks[:4], miner=None)
+
+
+def placed_elsewhere(recording: Recording) -> Recording:
+    """Every marker some centimetres from where this person wore it."""
+    aside = np.random.default_rng(0).normal(0.0, 0.04, (1, len(recording.labels), 3))
+    return replace(recording, positions=recording.positions + aside)
+
+
+def loose_points(recording: Recording) -> Recording:
+    """As many points, each on its own way: no body."""
+    rng, shape = np.random.default_rng(0), recording.positions.shape
+    places = rng.normal(0.0, 0.3, (1, *shape[1:])) + np.array([0.0, 0.0, 1.0])
+    return replace(recording, positions=places + rng.normal(0.0, 0.005, shape).cumsum(axis=0))
+
+
+@pytest.mark.parametrize("hidden", [0, 3])
+def test_a_person_not_seen_in_training_fits(ensemble: asterism.SolverEnsemble, walks: list[Recording], hidden: int) -> None:
+    clouds, _ = simulate_gaps_and_ghosts(walks[4], hidden, 0, seed=1)
+    verdict = ensemble.label(clouds, time=True).verdict
+    assert verdict is not None and verdict.fits
+    assert 0.0 < verdict.scatter <= verdict.limit
+    assert verdict.findings("walk.c3d") == []
+
+
+def test_standing_fits_a_model_of_walks(ensemble: asterism.SolverEnsemble) -> None:
+    labelling = ensemble.label(simulate_standing(subjects=5, seed=4)[4].clouds(), time=True)
+    assert labelling.verdict is not None and labelling.verdict.fits
+    assert (labelling.indices == np.arange(15)).mean() > 0.95
+
+
+def test_markers_placed_elsewhere_are_said_and_no_label_is_certain(ensemble: asterism.SolverEnsemble, walks: list[Recording]) -> None:
+    labelling = ensemble.label(placed_elsewhere(walks[4]).clouds(), time=True)
+    assert labelling.verdict is not None
+    assert labelling.verdict.kind == OTHER_PERSON
+    assert labelling.confidence.max() < 0.99
+    [finding] = labelling.verdict.findings("walk.c3d")
+    assert (finding.code, finding.severity, finding.where) == ("label-foreign-recording", Severity.WARNING, "walk.c3d")
+    assert "walk.c3d" in finding.sentence
+
+
+@pytest.mark.parametrize("time", [True, False], ids=["whole", "frame by frame"])
+def test_what_is_no_body_gets_no_label(ensemble: asterism.SolverEnsemble, walks: list[Recording], time: bool) -> None:
+    labelling = ensemble.label(loose_points(walks[4]).clouds(), time=time)
+    assert labelling.verdict is not None
+    assert labelling.verdict.kind == OTHER_BODY
+    assert (labelling.indices < 0).all()
+    assert labelling.verdict.findings()[0].severity == Severity.ERROR
+
+
+def test_many_markers_not_worn_are_another_marker_set() -> None:
+    """Eight of twenty markers fit, and twelve points are something else."""
+    positions = np.tile(BODY, (20, 1, 1))
+    positions[:, 8:] = np.nan
+    verdict = judge(positions, np.full(20, 20), rigid_body(), VerdictRules())
+    assert verdict.kind == OTHER_MARKERS
+    assert verdict.labelled == pytest.approx(8 / 20)
+    assert verdict.surplus == 12
+
+
+BODY = np.random.default_rng(3).normal(0.0, 0.2, (20, 3))
+
+
+def rigid_body() -> RigidDistances:
+    """The training distances of one rigid body of 20 markers."""
+    return RigidDistances.of_training(np.tile(BODY, (20, 1, 1)), np.zeros(20, dtype=np.int64), 1.0, VerdictRules())
+
+
+def test_the_scatter_leaves_out_the_size_of_the_body() -> None:
+    verdict = judge(np.tile(1.3 * BODY, (20, 1, 1)), np.full(20, 20), rigid_body(), VerdictRules())
+    assert verdict.kind == FITS
+    assert verdict.scatter == pytest.approx(0.0, abs=1e-9)
+    assert verdict.size == pytest.approx(1.3)
+
+
+def test_the_scatter_does_not_depend_on_where_the_body_is_or_how_it_lies() -> None:
+    turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    aside = BODY + np.random.default_rng(6).normal(0.0, 0.02, BODY.shape)
+    there, moved = (
+        judge(np.tile(body, (20, 1, 1)), np.full(20, 20), rigid_body(), VerdictRules()) for body in (aside, aside @ turn.T + np.ones(3))
+    )
+    assert moved.scatter == pytest.approx(there.scatter)
+    assert there.scatter > 0.01
+
+
+def test_a_body_that_moves_against_the_training_is_another() -> None:
+    loose = BODY + np.random.default_rng(7).normal(0.0, 0.1, (60, 20, 3))
+    assert judge(loose, np.full(60, 20), rigid_body(), VerdictRules()).kind == OTHER_BODY
+
+
+def test_one_person_gives_the_smallest_limit_and_other_people_widen_it() -> None:
+    rng, rules = np.random.default_rng(8), VerdictRules()
+    bodies = BODY + rng.normal(0.0, 0.03, (3, 20, 3))
+    frames, people = np.repeat(bodies, 10, axis=0), np.repeat(np.arange(3), 10)
+    assert rigid_body().limit == rules.min_limit
+    assert rules.min_limit < RigidDistances.of_training(frames, people, 1.0, rules).limit <= rules.max_limit
+
+
+def test_no_points_are_nothing_to_judge() -> None:
+    verdict = judge(np.full((10, 20, 3), np.nan), np.zeros(10, dtype=np.int64), rigid_body(), VerdictRules())
+    assert verdict.kind == FITS
+    assert np.isnan(verdict.scatter)
+
+
+def test_exchangeable_markers_are_said_once() -> None:
+    verdict = Verdict(FITS, 0.01, 0.06, 1.0, 1.0, 0.0, (("LTHI1", "LTHI3"), ("A", "B", "C")))
+    first, second = verdict.findings("run.c3d")
+    assert first.code == second.code == "label-exchangeable"
+    assert first.sentence == "run.c3d: LTHI1 and LTHI3 may be exchanged throughout."
+    assert "A, B and C" in second.sentence
+
+
+def test_the_command_line_says_it_and_ends_with_1(
+    ensemble: asterism.SolverEnsemble, walks: list[Recording], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = tmp_path / "walks.model"
+    ensemble.save(model)
+    statuses = {}
+    for name, recording in (("own", walks[4]), ("other", placed_elsewhere(walks[4]))):
+        formats.write(tmp_path / f"{name}.c3d", recording)
+        words = ["label", str(tmp_path / f"{name}.c3d"), "--model", str(model), "-o", str(tmp_path / "out"), "--json", "-"]
+        status = main(words)
+        told = json.loads(capsys.readouterr().out)
+        statuses[name] = (status, [finding["code"] for finding in told["findings"]], told["files"][0]["verdict"])
+    assert statuses["own"] == (0, [], FITS)
+    assert statuses["other"] == (1, ["label-foreign-recording"], OTHER_PERSON)
