@@ -59,6 +59,9 @@ class Calibration:
         return cls(np.bincount(bin_of, weights=given) / count, np.minimum(curve, 1.0 - 0.5 / (len(hit) + 1.0)))
 
 
+MAX_SLOPE = 5.0
+"""Log odds per nat of margin that a label is right, at most: without a margin a label is a coin toss, whatever the trials showed."""
+
 PIECES = len(MARGIN_KNOTS) + len(FIT_KNOTS) - 2
 
 CELL = 0.25
@@ -141,7 +144,7 @@ class LabelCalibration:
     The margin says how much better the label is than the nearest other one, the fit how well its point lies where all other labels predict
     the marker: a ghost beside a hidden marker has no rival, but fits poorly. The log odds are a sum of straight pieces that never fall.
     Trials on people left out are few, and smaller models were tried than the final one. So the confidence is a mean of what the trials say
-    and of what models of as many people gave elsewhere.
+    and of what models of as many people gave elsewhere. No trial can make a label without a margin more than a coin toss.
 
     own    (2, 9) weights from the trials, without and with points left over: log odds of a label of the largest margin and fit; then for
            each piece what 4 nats of it are worth
@@ -158,7 +161,8 @@ class LabelCalibration:
         pieces, side = _pieces(margin, fit), np.asarray(left_over, dtype=np.int64)
         parts = (expit(weights[side, 0] + (pieces * weights[side, 1:]).sum(axis=-1)) for weights in (self.own, self.prior))
         one, other = parts
-        return np.asarray(self.share * one + (1.0 - self.share) * other)
+        coin_toss = expit(MAX_SLOPE * np.clip(np.asarray(margin, dtype=np.float64), -100.0, 100.0))
+        return np.minimum(self.share * one + (1.0 - self.share) * other, coin_toss)
 
     @classmethod
     def fitted(cls, trials: LabelTrials, people: int, prior: LabelPrior) -> LabelCalibration:

@@ -12,11 +12,11 @@ from asterism.labelling.body.anchors import Anchors
 from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.partial.matrix import PartialSolvers
-from asterism.labelling.training.calibration import PIECES, Calibration, LabelCalibration
+from asterism.labelling.training.calibration import MAX_SLOPE, PIECES, Calibration, LabelCalibration
 from asterism.labelling.training.learning import TrainingConfig, TrainingState
 from asterism.labelling.training.model_file import reading, write_arrays
 from asterism.labelling.training.sample import Sample
-from asterism.labelling.whole.certainty import MAX_SLOPE, Certainty
+from asterism.labelling.whole.certainty import Certainty
 from asterism.recording import Floats, Ints, MarkerSet
 
 

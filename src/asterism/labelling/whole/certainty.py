@@ -6,14 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asterism.labelling.training.calibration import Calibration, LabelCalibration
+from asterism.labelling.training.calibration import MAX_SLOPE, Calibration, LabelCalibration
 from asterism.recording import NULL, Floats, Ints
 
 MIN_TRUST = 0.1
 """Confidence of a model of an earlier Asterism is never less than this share of what the margin alone says."""
-
-MAX_SLOPE = 5.0
-"""Log odds per nat of margin that a label is right, at most, in such a model."""
 
 
 @dataclass(frozen=True)
