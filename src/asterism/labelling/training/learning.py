@@ -73,7 +73,7 @@ class TrainingRules:
     sample_frames: int = 40_000
     frames_per_person: int = 1500
     folds: int = 5
-    trial_frames: int = 200
+    trial_frames: int = 140
     usual_hidden_share: float = 0.25
     usual_quantile: float = 0.05
     solver_widen: float = 1.5
@@ -83,7 +83,7 @@ class TrainingRules:
         *(Trial(0.2, clutter=3.0, spread=spread) for spread in (0.08, 0.03)),
     )
     ghost_trial_weight: float = 0.2
-    time_trials: tuple[Trial, ...] = (Trial(0.2), Trial(0.34), Trial(0.2, 3), Trial(0.34, 6), Trial(0.2, clutter=3.0, spread=0.03))
+    time_trials: tuple[Trial, ...] = (Trial(0.27), Trial(0.2, 3), Trial(0.34, 6), Trial(0.2, clutter=3.0, spread=0.03))
     stretch_frames: int = 300
     stretches: int = 2
     body: BodyRules = field(default_factory=BodyRules)
