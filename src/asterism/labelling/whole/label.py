@@ -20,7 +20,8 @@ from asterism.labelling.whole.certainty import Certainty, overlaps_unlabelled
 from asterism.labelling.whole.fits import point_fits
 from asterism.labelling.whole.joint import SceneLabelling, label_scene
 from asterism.labelling.whole.scene import RecordingLabellingSettings, labels_of_body, marker_offsets, prepare_scene
-from asterism.labelling.whole.short import label_short_points, long_points, tracklets_of
+from asterism.labelling.whole.short import frames_with_bodies, label_short_points, long_points, tracklets_of
+from asterism.labelling.whole.splits import split_tracklets
 from asterism.labelling.whole.verdict import RigidDistances, confidence_limit, judge_scene
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
@@ -76,13 +77,21 @@ def label_points(
 ) -> PointLabels:
     """Label the long tracklets of a recording together, then the points of the short ones; clouds have at least one point."""
     tracklets = find_tracklets(clouds)
-    kept = long_points(clouds, tracklets, min(labeller.body.mean.shape[1] for labeller in labellers), rules.short)
-    scene = prepare_scene(clouds.select(kept), tracklets_of(tracklets, kept), rules)
-    found = label_scene(labellers, scene, rules, subject_rules, body_rules, workers, progress)
+    kept = long_points(clouds, tracklets, rules.short)
+    if len(labellers) > 1:  # single frames do not tell which body is whose: without long tracklets, the short ones must
+        markers = int(marker_offsets(labellers)[-1])
+        kept |= frames_with_bodies(clouds, kept, markers, rules.short) < rules.short.min_long_frames
+    for turn in range(rules.max_splits + 1):
+        scene = prepare_scene(clouds.select(kept), tracklets_of(tracklets, kept), rules)
+        found = label_scene(labellers, scene, rules, subject_rules, body_rules, workers, progress)
+        long = np.nonzero(kept)[0][scene.order]
+        split = split_tracklets(tracklets, long, labellers, scene, found.label, rules) if turn < rules.max_splits else None
+        if split is None:
+            break
+        tracklets = split
     points = len(clouds.xyz)
     label, margin, rival = np.full(points, NULL, dtype=np.int64), np.zeros(points), np.full(points, NULL, dtype=np.int64)
     near_unlabelled = np.ones(points, dtype=np.int64)
-    long = np.nonzero(kept)[0][scene.order]
     label[long], margin[long], rival[long] = found.label[scene.track], found.margin[scene.track], found.rival[scene.track]
     near_unlabelled[long] = overlaps_unlabelled(found.label, scene.first, scene.last)[scene.track]
     offsets, xyz = marker_offsets(labellers), rotate_z_up(clouds.xyz, clouds.vertical)
