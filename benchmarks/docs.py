@@ -59,7 +59,7 @@ with plots. To measure again: `python -m benchmarks` (all), `python -m benchmark
   for one frame; how many begin in a frame is Poisson distributed. *80 mm*, *30 mm*: standard deviation along each axis of their offset
   from a random marker in view. *In the volume*: uniform in the box that the markers pass. *Riding*: ghosts as above. *Displaced*: one
   marker of each person is worn 2 to 10 cm aside along its segment, all trial long. *Wrong*: of the labels given. *Without numbers*: the
-  whole recording without track numbers. The thesis' rules label one child's walks.
+  whole recording without track numbers. Peers get one set of clutter for each walk, the thesis' rules a third of the usual search.
 - Rows "guarantee": cells of a grid (0 to 30 points per frame; there for 1, 2, 3, 10, 50 or all frames; beside markers, at rest, crossing;
   0 to 5 hidden; with and without track numbers; 15, 41 and 59 markers), drawn as a Latin hypercube with a fixed seed, each of one of the
   five children.
@@ -143,6 +143,7 @@ _METHOD = "(?P<column>(?:whole recording|frame by frame|tracking|key poses): \\w
 _CLUTTER = "(?P<line>.*), (?P<column>(?:whole recording|without numbers|frame by frame|tracking|key poses|thesis): \\w+)"
 
 SECTIONS = (
+    ("Lead in clutter", "clutter, lead", None),
     ("Clutter, subjects chosen on", "clutter, subjects chosen on, ", f"clutter, subjects chosen on, {_CLUTTER}"),
     ("Clutter, peers", "clutter, peers, ", f"clutter, peers, {_CLUTTER}"),
     ("Clutter", "clutter, ", f"clutter, {_CLUTTER}"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 from asterism.simulation import Clutter
 from benchmarks.benchmark_run import BenchmarkRun
@@ -72,6 +73,7 @@ def rates(row: str, tally: Tally, asked: tuple[str, str] = ("none", "none")) -> 
 def _measured(benchmark: BenchmarkRun, conditions: Mapping[str, Condition]) -> Iterator[Figure]:
     subjects = reporting()[:1] if benchmark.quick else list(gait())
     items = [(subject, condition, conditions[condition]) for condition in conditions for subject in subjects]
+    benchmark = replace(benchmark, jobs=1) if benchmark.quick else benchmark  # one subject: its model is learned once
     done: dict[str, dict[str, Tallies]] = defaultdict(dict)
     for (subject, name, _), tallies in zip(items, benchmark.each(_left_out, items), strict=True):
         done[name][subject] = tallies
