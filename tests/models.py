@@ -20,6 +20,12 @@ import numpy as np
 import scipy
 
 import asterism
+from asterism.labelling import TrainingRules
+
+BRIEF = TrainingRules(
+    trial_frames=8, folds=2, trials=((0.0, 0), (0.2, 0), (0.2, 3)), time_trials=((0.2, 3),), stretches=1, stretch_frames=60
+)
+"""Training that tries its model on little: for tests that do not depend on how exact the confidence is."""
 
 _WAIT = 300.0
 """Seconds after which another process's lock is taken for one that was left behind."""
