@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from learner_exam import Learner, check_learner
-from models import BRIEF
 
 from asterism import Recording, SolverEnsemble
-from asterism.labelling import FullSolver, FullSolverRules
+from asterism.labelling import FullSolver, FullSolverRules, TrainingRules
 from asterism.labelling.body.model import BodyRules, fit_body
 from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
 from asterism.labelling.partial.solver import stack_frames
@@ -20,7 +19,7 @@ from asterism.simulation import simulate_walks
 
 FEW = ("LASI", "RASI", "SACR", "LKNE", "RKNE")
 WALKS = [walk.select(FEW) for walk in simulate_walks(subjects=5, frames=40, seed=3)]
-
+QUICK = TrainingRules(folds=2, trial_frames=8)
 SEARCH = SearchSettings(20, 40, 60, 60, 2, 8, 4, 6)
 
 
@@ -58,7 +57,7 @@ LEARNERS = [
     Learner(
         "SolverEnsemble",
         SolverEnsemble,
-        partial(SolverEnsemble.fit, training=BRIEF),
+        partial(SolverEnsemble.fit, training=QUICK),
         labels,
         save=SolverEnsemble.save,
         load=SolverEnsemble.load,
@@ -66,7 +65,7 @@ LEARNERS = [
     Learner(
         "SolverEnsemble in time",
         SolverEnsemble,
-        partial(SolverEnsemble.fit, training=BRIEF),
+        partial(SolverEnsemble.fit, training=QUICK),
         partial(labels, time=True),
         frames=False,
         save=SolverEnsemble.save,
