@@ -445,6 +445,19 @@ def test_columns_that_only_count_the_points_of_a_frame_are_not_followed(ghosts: 
     assert missing < 0.01 * there
 
 
+def test_numbers_that_change_too_often_give_way_to_motion() -> None:
+    """Each point takes a new number with a chance of one half: true tracks, but of two frames."""
+    clouds, truth = simulate_gaps_and_ghosts(walks()[1], 3, 0, 0)
+    assert clouds.tracks is not None
+    new = np.random.default_rng(0).random(len(clouds.xyz)) < 0.5
+    by_track = np.lexsort((clouds.frame_of, clouds.tracks))
+    numbers = np.empty_like(clouds.tracks)
+    numbers[by_track] = clouds.tracks[by_track] * len(clouds.xyz) + np.cumsum(new[by_track])
+    wrong, missing, there = score(find_tracklets(replace(clouds, tracks=numbers)), clouds, truth)
+    assert wrong == 0
+    assert missing < 0.01 * there
+
+
 @pytest.mark.parametrize("tracks", [False, True])
 @pytest.mark.parametrize("counts", [[], [0], [0, 0, 0], [1], [1, 1], [0, 3, 0], [2, 0, 2, 5, 0]])
 def test_small_and_empty_clouds(counts: list[int], tracks: bool) -> None:

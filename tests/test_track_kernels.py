@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import twins_tracks as twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,7 +14,7 @@ from asterism.labelling.whole import assignment
 from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
 from asterism.labelling.whole._short_kernels import Expected, ShortLabels, ShortLimits, label_short, take_best_pairs
 from asterism.labelling.whole.assignment import assign_tracklets
-from asterism.labelling.whole.short import ShortTrackletRules, expect_by_motion, log_odds_of_markers
+from asterism.labelling.whole.short import ShortTrackletRules, expect_by_motion, marker_shares
 
 SETTINGS = FrameLabellingSettings().with_usual_score(1.0)
 MARKERS, LATENTS, POSES = 6, 4, 2
@@ -152,7 +151,7 @@ def test_how_much_shorter_rivals_amount_to(seed: int, tracklets: int) -> None:
 @races
 def test_points_of_short_tracklets(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    model, limits = random_body(rng), ShortLimits(3, -4.0, 15.0, 0.03)
+    model, limits = random_body(rng), ShortLimits(3, -4.0, 15.0, 0.03, 0.01)
     frames, labels, candidates = [], [], []
     for _ in range(4):
         body = rng.multivariate_normal(model.mean[0].reshape(-1), model.covariance(0)).reshape(-1, 3)
@@ -164,17 +163,19 @@ def test_points_of_short_tracklets(seed: int) -> None:
     offsets, label = np.arange(5) * (MARKERS + 4), np.concatenate(labels)
     place = np.stack([points[:MARKERS] for points in frames]) + rng.normal(0.0, 0.02, (4, MARKERS, 3))
     spread = np.where(rng.random((4, MARKERS)) < 0.5, rng.uniform(0.005, 0.1, (4, MARKERS)), np.inf)
-    out = ShortLabels(label.copy(), np.zeros(len(label)), np.zeros(len(label), bool), np.zeros(4, bool), np.zeros(4, dtype=np.int64))
+    hits, near = np.zeros((2, MARKERS, 4), dtype=np.int64)
+    out = ShortLabels(label.copy(), np.zeros(len(label)), np.zeros(len(label), bool), np.zeros(4, bool), hits, near)
     label_short(np.concatenate(frames), offsets, np.concatenate(candidates), model.arrays(), SETTINGS, limits, Expected(place, spread), out)
-    given, alone, counts = twins.label_short(model, frames, candidates, labels, place, spread, SETTINGS, limits)
+    given, alone, wanted_hits, wanted_near = twins.label_short(model, frames, candidates, labels, place, spread, SETTINGS, limits)
     np.testing.assert_array_equal(out.alone, alone)
-    np.testing.assert_array_equal(out.counts, counts)
+    np.testing.assert_array_equal(hits, wanted_hits)
+    np.testing.assert_array_equal(near, wanted_near)
     for t, pairs in enumerate(given):
         new = {c: out.label[offsets[t] + c] for c in range(MARKERS + 4) if out.label[offsets[t] + c] != labels[t][c]}
         assert new == {c: m for c, (m, _) in pairs.items()}
         for c, (m, margin) in pairs.items():
             assert np.isclose(out.margin[offsets[t] + c], margin, rtol=1e-6, atol=1e-6)
-            assert out.by_motion[offsets[t] + c] == (spread[t, m] <= limits.usual_spread)
+            assert out.by_motion[offsets[t] + c] == (spread[t, m] <= limits.motion_spread)
 
 
 @given(seeds)
@@ -204,12 +205,28 @@ def test_a_marker_is_expected_on_the_line_across_its_gap(seed: int, gap: int) ->
     assert np.isinf(found.spread[[0, -1], 1]).all() and np.isinf(found.spread[:, 0]).all()
 
 
-@pytest.mark.parametrize(
-    ("counts", "markers"),
-    [((300, 9, 900, 27), False), ((300, 60, 900, 27), True), ((300, 0, 900, 0), False), ((60, 1, 240, 0), True)],
-)
-def test_hits_that_ghosts_explain_are_no_markers(counts: tuple[int, ...], markers: bool) -> None:
-    assert (log_odds_of_markers(np.array(counts)) > 0) == markers
+def test_hits_that_ghosts_explain_are_no_markers() -> None:
+    """As often as while another point is the marker; far oftener; never; and as often as the others, for markers that were always free."""
+    counts = np.array([(300, 9, 900, 27), (300, 60, 900, 27), (300, 0, 900, 27), (100, 3, 0, 0), (100, 40, 0, 0)])
+    share = marker_shares(counts, ShortTrackletRules())
+    np.testing.assert_array_equal(share > 0.5, [False, True, False, False, True])
+    assert (share[[0, 2, 3]] < 0.1).all()
+
+
+def test_one_hit_counts_where_no_ghost_was_ever_seen() -> None:
+    assert marker_shares(np.array([(5, 1, 240, 0)]), ShortTrackletRules())[0] > 0.9
+
+
+@given(seeds, st.integers(0, 12))
+@races
+def test_where_a_tracklet_goes_over_to_another_marker(seed: int, samples: int) -> None:
+    rng = np.random.default_rng(seed)
+    scores = rng.normal(-1.0, 4.0, (samples, 3))
+    gain, at = kernels.best_split(scores)
+    assert np.isclose(gain, twins.best_split(scores))
+    if gain > 0:
+        both = max(0.0, *scores[:at].sum(axis=0)) + max(0.0, *scores[at:].sum(axis=0))
+        assert np.isclose(both - max(0.0, *scores.sum(axis=0)), gain)
 
 
 @given(seeds)

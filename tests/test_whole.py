@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds
 from asterism.simulation import simulate_walks
+from asterism.tracking.linking import find_tracklets
 
 
 @pytest.fixture(scope="module")
@@ -155,3 +157,24 @@ def test_a_ghost_in_a_hidden_markers_stead_is_not_given(ensemble: asterism.Solve
     labelling = ensemble.label(Clouds.from_points(frames, walk.rate), time=True)
     assert (labelling.indices[40:70, marker] == -1).all()
     assert (labelling.indices[:40, marker] >= 0).mean() > 0.9
+
+
+def test_a_tracklet_that_goes_over_to_another_marker_is_cut_there(
+    ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two knees that exchange their tracklets half-way, as wrong links would have it: no motion shows that to the labelling."""
+    names = list(walks[4].labels)
+    one, other = names.index("LKNE"), names.index("RKNE")
+    clouds = walks[4].clouds()
+    tracklets = find_tracklets(clouds)
+    of_point = clouds.columns.copy()
+    late = clouds.frame_of >= 60
+    of_point[late & (clouds.columns == one)], of_point[late & (clouds.columns == other)] = other, one
+    frames = np.arange(len(names))
+    wrong = replace(tracklets, of_point=of_point, first=0 * frames, last=0 * frames + len(clouds) - 1)
+    monkeypatch.setattr("asterism.labelling.whole.label.find_tracklets", lambda _: wrong)
+    labelling = ensemble.label(clouds, time=True)
+    truth = np.stack([np.arange(len(names))[[names.index(name) for name in ensemble.marker_set.names]]] * len(clouds))
+    assert (labelling.indices == truth).mean() > 0.98
+    given = labelling.indices >= 0
+    assert (labelling.indices == truth)[given].mean() > 0.99

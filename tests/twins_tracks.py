@@ -199,9 +199,9 @@ def best_pairs(scores):
 
 
 def label_short(model, frames, candidates, labels, place, spread, settings, limits):
-    """Marker and margin (by frame and point) of candidates; frames left alone; and the counts of hits."""
+    """Marker and margin (by frame and point) of candidates; frames left alone; and the counts of hits by the body and by motion."""
     markers = len(model.mean[0])
-    given, alone, counts = [], [], np.zeros(4, dtype=int)
+    given, alone, hits, near = [], [], np.zeros((markers, 4), dtype=int), np.zeros((markers, 4), dtype=int)
     for t, (points, candidate, label) in enumerate(zip(frames, candidates, labels, strict=True)):
         free = [m for m in range(markers) if m not in label]
         given.append({})
@@ -210,10 +210,14 @@ def label_short(model, frames, candidates, labels, place, spread, settings, limi
             continue
         body = score_frames(model, [points], [np.arange(len(points))], label, settings)[0].T
         for m in range(markers):
-            if m in free and spread[t, m] <= limits.usual_spread:
-                continue
-            counts[(0 if m in free else 2)] += 1
-            counts[(1 if m in free else 3)] += bool((body[m, candidate] > 0).any())
+            by_motion, side = spread[t, m] <= limits.motion_spread, 0 if m in free else 2
+            if m not in free or not by_motion:
+                best_free = np.maximum(body[free].max(axis=0), 0.0)[candidate]
+                hits[m, side : side + 2] += [1, bool((body[m, candidate] > (0 if m in free else best_free)).any())]
+            if m not in free or by_motion:
+                centre = place[t, m] if m in free else points[list(label).index(m)]
+                reach = 2.5 * (spread[t, m] if m in free else limits.motion_spread)
+                near[m, side : side + 2] += [1, bool((np.linalg.norm(points[candidate] - centre, axis=1) <= reach).any())]
         scores = np.full(body.shape, -np.inf)
         for m in free:
             for c in np.nonzero(candidate)[0]:
@@ -222,4 +226,10 @@ def label_short(model, frames, candidates, labels, place, spread, settings, limi
                     close = max(0.0, 3 * np.log(limits.usual_spread / spread[t, m])) if np.isfinite(spread[t, m]) else 0.0
                     scores[m, c] = min(body[m, c], limits.max_score) + close - 0.5 * (far / spread[t, m]) ** 2
         given[-1] = best_pairs(scores)
-    return given, alone, counts
+    return given, alone, hits, near
+
+
+def best_split(scores):
+    """By how much the best split of a tracklet's samples beats the best single marker."""
+    options = [max(0.0, *scores[:s].sum(axis=0)) + max(0.0, *scores[s:].sum(axis=0)) for s in range(1, len(scores))]
+    return max([0.0, *(option - max(0.0, *scores.sum(axis=0)) for option in options)])

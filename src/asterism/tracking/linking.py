@@ -38,6 +38,8 @@ class LinkRules:
     jump                    m; a link along track numbers with a larger one may be cut without a rival
     stray_ratio             a link along track numbers is a stray if it passes by a point this many times nearer
     max_stray_share         share of strays above which the numbers are ignored: they are no tracks, but, say, places in a list
+    min_linked_share        share of the points that the numbers must link, for motion not to be asked
+    motion_gain             the numbers are ignored where motion links so many times more points: they change too often
     """
 
     noise: float = 0.002
@@ -54,6 +56,8 @@ class LinkRules:
     jump: float = 0.03
     stray_ratio: float = 3.0
     max_stray_share: float = 0.1
+    min_linked_share: float = 0.8
+    motion_gain: float = 1.1
 
     def limits(self, rate: float) -> LinkLimits:
         """The rules at one frame rate, in metres per frame, as the kernels read them."""
@@ -97,7 +101,8 @@ def find_tracklets(clouds: Clouds, rules: LinkRules | None = None) -> Tracklets:
 
     Points that carry a track number are linked along it, from each frame to the next. Such a link is cut where another point continues the
     track much better, where another track continues in the point much better, or where the track jumped. Track numbers that change with
-    every frame, such as places in a list, are recognised by their links and ignored.
+    every frame, such as places in a list, are recognised by their links and ignored; so are numbers that change so often that motion
+    links more points.
 
     Points without a number are linked by motion, forwards and backwards. A track continues in the point nearest to its prediction if the
     track is the nearest to that point, too, and no rival comes near. A link counts if both directions find it, or if one finds it and the
@@ -114,20 +119,12 @@ def find_tracklets(clouds: Clouds, rules: LinkRules | None = None) -> Tracklets:
     frame = clouds.frame_of
     forbidden = np.full(len(xyz), -1, dtype=np.int64)
     numbers = _usable_numbers(clouds, xyz, frame, order, rules)
-    if numbers is None:
-        links = _by_motion(xyz, clouds.offsets, limits)
-    else:
-        links = _along_numbers(numbers, frame)
-        cut = np.zeros(len(xyz), dtype=np.bool_)
-        find_cuts(xyz, clouds.offsets, links, limits, cut)
-        forbidden[cut] = links.previous[cut]
-        links.following[links.previous[cut]] = -1
-        links.previous[cut] = -1
-        free = np.nonzero(numbers < 0)[0]
-        offsets = np.concatenate([[0], np.cumsum(np.bincount(frame[free], minlength=len(clouds)))]).astype(np.int64)
-        between_free = _by_motion(np.ascontiguousarray(xyz[free]), offsets, limits)
-        for ends, found in zip(links, between_free, strict=True):
-            ends[free] = np.where(found >= 0, free[found], -1)
+    links = None if numbers is None else _by_numbers(xyz, clouds.offsets, frame, numbers, limits, forbidden)
+    if links is None or _linked_share(links) < rules.min_linked_share:
+        by_motion = _by_motion(xyz, clouds.offsets, limits)
+        if links is None or _linked_share(by_motion) > rules.motion_gain * _linked_share(links):
+            links = by_motion
+            forbidden[:] = -1
     repair_links(xyz, clouds.offsets, links, forbidden, limits)
 
     sorted_numbers = np.empty(len(xyz), dtype=np.int64)
@@ -147,6 +144,30 @@ def _usable_numbers(clouds: Clouds, xyz: Floats, frame: Ints, order: Ints, rules
     numbers = clouds.tracks[order]
     links, strays = count_strays(xyz, clouds.offsets, _along_numbers(numbers, frame).following, rules.stray_ratio, rules.jump)
     return None if strays > rules.max_stray_share * links else numbers
+
+
+def _by_numbers(xyz: Floats, offsets: Ints, frame: Ints, numbers: Ints, limits: LinkLimits, forbidden: Ints) -> Links:
+    """Links along track numbers (P,), cut where they are wrong, and links by motion between points without a number.
+
+    forbidden (P,): the previous point that each point was cut from is written.
+    """
+    links = _along_numbers(numbers, frame)
+    cut = np.zeros(len(xyz), dtype=np.bool_)
+    find_cuts(xyz, offsets, links, limits, cut)
+    forbidden[cut] = links.previous[cut]
+    links.following[links.previous[cut]] = -1
+    links.previous[cut] = -1
+    free = np.nonzero(numbers < 0)[0]
+    free_offsets = np.concatenate([[0], np.cumsum(np.bincount(frame[free], minlength=len(offsets) - 1))]).astype(np.int64)
+    between_free = _by_motion(np.ascontiguousarray(xyz[free]), free_offsets, limits)
+    for ends, found in zip(links, between_free, strict=True):
+        ends[free] = np.where(found >= 0, free[found], -1)
+    return links
+
+
+def _linked_share(links: Links) -> float:
+    """Share of the points that continue one of the frame before."""
+    return float((links.previous >= 0).sum() / max(1, len(links.previous)))
 
 
 def _along_numbers(numbers: Ints, frame: Ints) -> Links:

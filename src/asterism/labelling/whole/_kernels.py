@@ -82,6 +82,30 @@ def sum_scores(track, scores, least, most, sums, counts):
 
 
 @kernel
+def best_split(scores):
+    """By how much two markers, one before a sample and one from it on, explain a tracklet better than one: (nats, that sample).
+
+    IN  scores (n, L) nats of a tracklet's samples, in the order of their frames. No marker at all scores 0. O(n L).
+    """
+    samples, markers = scores.shape
+    total, before = np.zeros(markers), np.zeros(markers)
+    one = 0.0
+    for m in range(markers):
+        for s in range(samples):
+            total[m] += scores[s, m]
+        one = max(one, total[m])
+    gain, at = 0.0, 0
+    for s in range(1, samples):
+        head, tail = 0.0, 0.0
+        for m in range(markers):
+            before[m] += scores[s - 1, m]
+            head, tail = max(head, before[m]), max(tail, total[m] - before[m])
+        if head + tail - one > gain:
+            gain, at = head + tail - one, s
+    return gain, at
+
+
+@kernel
 def keep_lasting(there, count, last, frame):
     """Keep those of the first `count` tracklets in `there` that last until `frame`, in their order.
 

@@ -23,12 +23,14 @@ class ShortLimits(NamedTuple):
     min_score      nats, the most that the body can say against a label (negative)
     max_score      nats, the most that it can say for a label
     usual_spread   m, standard deviation of a place that the body predicts; a place that motion predicts more closely counts for more
+    motion_spread  m; where motion predicts a place at least so closely, it decides more than the body
     """
 
     min_labelled: int
     min_score: float
     max_score: float
     usual_spread: float
+    motion_spread: float
 
 
 class Expected(NamedTuple):
@@ -49,14 +51,16 @@ class ShortLabels(NamedTuple):
     margin     (P,) nats, of the candidates that were labelled
     by_motion  (P,) bool, candidates that were labelled where motion expects the marker closely
     alone      (T,) bool, frames that show too few labelled markers; nothing is labelled there
-    counts     (4,) see `count_hits`
+    body_hits  (M, 4) see `count_body_hits`
+    near_hits  (M, 4) see `count_near_hits`
     """
 
     label: np.ndarray
     margin: np.ndarray
     by_motion: np.ndarray
     alone: np.ndarray
-    counts: np.ndarray
+    body_hits: np.ndarray
+    near_hits: np.ndarray
 
 
 @kernel
@@ -101,24 +105,56 @@ def take_best_pairs(scores, label, margin):
         free_marker[best_m], free_point[best_c] = False, False
 
 
-@kernel
-def count_hits(scores, point_of, spread, candidate, least, usual_spread, counts):
-    """How often a candidate scores as a marker: as one that may be there, and as one that is at another point already.
+NEAR = 2.5
+"""Standard deviations: a point that lies nearer to where motion expects a marker is a hit of `count_near_hits`. Not tuned."""
 
-    A candidate that scores as a marker whose point is known is a ghost. So the second share tells how often ghosts score by chance. Markers
-    whose place motion knows well are not counted.
-    IN     scores (M, n) nats; point_of (M,); spread (M,) m; candidate (n,) bool; least (nats): what scores more is a hit
-    IN/OUT counts (4,): free markers, those with a hit, markers at another point, those with a hit. O(M n).
+
+@kernel
+def count_body_hits(scores, point_of, spread, candidate, motion_spread, counts):
+    """How often a candidate scores as each marker: in frames in which it may be there, and in those in which another point is it already.
+
+    A candidate that scores as a marker whose point is known, and higher than as any free marker, is a ghost. So the second share tells how
+    often ghosts score by chance. Free markers whose place motion knows well are not counted.
+    IN     scores (M, n) nats, above 0 for a hit; point_of (M,); spread (M,) m; candidate (n,) bool; motion_spread m
+    IN/OUT counts (M, 4): frames in which the marker is free, those with a hit; frames in which another point is it, those with a hit
+    O(M n).
     """
+    best_free = np.zeros(len(candidate))
     for m in range(len(point_of)):
-        if point_of[m] < 0 and spread[m] <= usual_spread:
+        if point_of[m] < 0:
+            for c in range(len(candidate)):
+                best_free[c] = max(best_free[c], scores[m, c])
+    for m in range(len(point_of)):
+        if point_of[m] < 0 and spread[m] <= motion_spread:
             continue
         hit = False
         for c in range(len(candidate)):
-            hit = hit or (candidate[c] and scores[m, c] > least)
+            hit = hit or (candidate[c] and scores[m, c] > (0.0 if point_of[m] < 0 else best_free[c]))
         side = 0 if point_of[m] < 0 else 2
-        counts[side] += 1
-        counts[side + 1] += hit
+        counts[m, side] += 1
+        counts[m, side + 1] += hit
+
+
+@kernel
+def count_near_hits(points, point_of, expected, t, candidate, motion_spread, counts):
+    """`count_body_hits` for markers whose place motion knows well: how often a candidate is near it, and near the point of a known marker.
+
+    IN     points (n, 3) m; point_of (M,); expected Expected; t frame; candidate (n,) bool; motion_spread m
+    IN/OUT counts (M, 4). O(M n).
+    """
+    for m in range(len(point_of)):
+        free = point_of[m] < 0
+        if free and expected.spread[t, m] > motion_spread:
+            continue
+        place = expected.place[t, m] if free else points[point_of[m]]
+        reach = NEAR * (expected.spread[t, m] if free else motion_spread)
+        hit = False
+        for c in range(len(candidate)):
+            far2 = (points[c, 0] - place[0]) ** 2 + (points[c, 1] - place[1]) ** 2 + (points[c, 2] - place[2]) ** 2
+            hit = hit or (candidate[c] and far2 <= reach * reach)
+        side = 0 if free else 2
+        counts[m, side] += 1
+        counts[m, side + 1] += hit
 
 
 @kernel
@@ -158,7 +194,9 @@ def label_short(xyz, offsets, candidate, body, settings, limits, expected, out):
         k, _ = best_pose(body, points, point_of, own_settings, workspace)
         rescore(body, k, points, point_of, own_settings, workspace)
         scores = workspace.scores
-        count_hits(scores, point_of, spread, candidate[first : first + n], 0.0, limits.usual_spread, out.counts)
+        of_frame = candidate[first : first + n]
+        count_body_hits(scores, point_of, spread, of_frame, limits.motion_spread, out.body_hits)
+        count_near_hits(points, point_of, expected, t, of_frame, limits.motion_spread, out.near_hits)
         for m in range(markers):
             for c in range(n):
                 score = scores[m, c]
@@ -170,4 +208,4 @@ def label_short(xyz, offsets, candidate, body, settings, limits, expected, out):
         take_best_pairs(scores, out.label[first : first + n], out.margin[first : first + n])
         for c in range(n):
             if candidate[first + c] and out.label[first + c] >= 0:
-                out.by_motion[first + c] = spread[out.label[first + c]] <= limits.usual_spread
+                out.by_motion[first + c] = spread[out.label[first + c]] <= limits.motion_spread

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,12 +13,16 @@ from asterism.labelling.body._workspace_kernels import FrameSettings
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enough
-from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
+from asterism.labelling.training.calibration import LabelTrials
+from asterism.labelling.training.trials import Trial
 from asterism.labelling.whole._kernels import FrameScores, score_frames
-from asterism.labelling.whole.certainty import Certainty, TrialLabels, overlaps_unlabelled
+from asterism.labelling.whole.certainty import Certainty, overlaps_unlabelled
+from asterism.labelling.whole.fits import point_fits
+from asterism.labelling.whole.foreign import ForeignRules, forward_travel, label_foreign
 from asterism.labelling.whole.joint import SceneLabelling, label_scene
 from asterism.labelling.whole.scene import RecordingLabellingSettings, labels_of_body, marker_offsets, prepare_scene
-from asterism.labelling.whole.short import label_short_points, long_points, tracklets_of
+from asterism.labelling.whole.short import frames_with_bodies, label_short_points, long_points, tracklets_of
+from asterism.labelling.whole.splits import split_tracklets
 from asterism.labelling.whole.verdict import RigidDistances, confidence_limit, judge_scene
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
@@ -51,6 +55,8 @@ class PointLabels:
     margin           (P,) nats; of a point without a label: 0 or below, by how much it misses its best column
     rival            (P,) that column, where there is one; -1 otherwise
     near_unlabelled  (P,) 1 where a point without a label was there at some time of the point's tracklet, else 0
+    fit              (P,) nats, how well the tracklets of labelled points lie where the others predict them, see `point_fits`
+    limit            (P,) what no label of a point may be more certain than
     found            the labels of the long tracklets
     """
 
@@ -58,6 +64,8 @@ class PointLabels:
     margin: Floats
     rival: Ints
     near_unlabelled: Ints
+    fit: Floats
+    limit: Floats
     found: SceneLabelling
 
 
@@ -69,27 +77,76 @@ def label_points(
     body_rules: BodyRules,
     workers: int = 1,
     progress: Progress | None = None,
+    whole: BodyInRecording | None = None,
 ) -> PointLabels:
-    """Label the long tracklets of a recording together, then the points of the short ones; clouds have at least one point."""
+    """Label the long tracklets of a recording together, then the points of the short ones; clouds have at least one point.
+
+    whole: the only body; where the recording does not fit it, the tracklets are labelled again (`foreign.py`).
+    """
     tracklets = find_tracklets(clouds)
-    kept = long_points(clouds, tracklets, min(labeller.body.mean.shape[1] for labeller in labellers), rules.short)
-    scene = prepare_scene(clouds.select(kept), tracklets_of(tracklets, kept), rules)
-    found = label_scene(labellers, scene, rules, subject_rules, body_rules, workers, progress)
+    kept = long_points(clouds, tracklets, rules.short)
+    if len(labellers) > 1:  # single frames do not tell which body is whose: without long tracklets, the short ones must
+        markers = int(marker_offsets(labellers)[-1])
+        kept |= frames_with_bodies(clouds, kept, markers, rules.short) < rules.short.min_long_frames
+    for turn in range(rules.max_splits + 1):
+        scene = prepare_scene(clouds.select(kept), tracklets_of(tracklets, kept), rules)
+        found = label_scene(labellers, scene, rules, subject_rules, body_rules, workers, progress)
+        long = np.nonzero(kept)[0][scene.order]
+        split = split_tracklets(tracklets, long, labellers, scene, found.label, rules) if turn < rules.max_splits else None
+        if split is None:
+            break
+        tracklets = split
+    limit = np.ones(len(scene.first))
+    if whole is not None:
+
+        def relabel(start: Ints) -> SceneLabelling:
+            return label_scene(labellers, scene, rules, subject_rules, body_rules, workers, start=start)
+
+        found, limit = label_if_foreign(whole, found, relabel)
     points = len(clouds.xyz)
     label, margin, rival = np.full(points, NULL, dtype=np.int64), np.zeros(points), np.full(points, NULL, dtype=np.int64)
     near_unlabelled = np.ones(points, dtype=np.int64)
-    long = np.nonzero(kept)[0][scene.order]
+    limits = np.ones(points)
+    limits[long] = limit[scene.track]
     label[long], margin[long], rival[long] = found.label[scene.track], found.margin[scene.track], found.rival[scene.track]
     near_unlabelled[long] = overlaps_unlabelled(found.label, scene.first, scene.last)[scene.track]
+    offsets, xyz = marker_offsets(labellers), rotate_z_up(clouds.xyz, clouds.vertical)
     if not kept.all():
-        offsets, xyz = marker_offsets(labellers), rotate_z_up(clouds.xyz, clouds.vertical)
         for number, (labeller, body) in enumerate(zip(labellers, found.bodies, strict=True)):
             arrays = labeller.body if body is labeller.model else body.arrays()
             of_body = labels_of_body(label, offsets, number)
             marker, its_margin = label_short_points(labeller, arrays, clouds, xyz, ~kept & (label == NULL), of_body, rules.short)
             taken = marker != NULL
             label[taken], margin[taken] = marker[taken] + offsets[number], its_margin[taken]
-    return PointLabels(label, margin, rival, near_unlabelled, found)
+    fit = np.zeros(points)
+    scored = np.isin(np.arange(len(clouds)), scene.sampled_frames)
+    scored[clouds.frame_of[~kept & (label != NULL)]] = True
+    for number, labeller in enumerate(labellers):  # by the body of people at large: that is what trials on other people were judged by
+        of_body = labels_of_body(label, offsets, number)
+        own = point_fits(clouds, xyz, of_body, labeller.body, labeller.settings, scored, tracklets.of_point)
+        fit = np.where(of_body != NULL, own, fit)
+    return PointLabels(label, margin, rival, near_unlabelled, fit, limits, found)
+
+
+def label_if_foreign(
+    body: BodyInRecording, found: SceneLabelling, relabel: Callable[[Ints], SceneLabelling]
+) -> tuple[SceneLabelling, Floats]:
+    """A recording's labels, and what each of them may be as certain as (J,).
+
+    It is labelled again where it does not fit the body, where the body seems to walk backwards, and where few people taught the model and
+    many points are left over. relabel: labels the recording from given labels (J,) on.
+    """
+    reference = body.distances
+    verdict = judge_scene(found.scene, found.label, marker_offsets([body.labeller]), 0, reference)
+    if verdict is None or reference is None:
+        return found, np.ones(len(found.label))
+    names, rules = [body.names[marker] for marker in body.markers], ForeignRules()
+    few = len(reference.median) < reference.rules.min_people
+    crowded = few and verdict.surplus >= reference.rules.min_surplus * len(names)
+    if verdict.fits and not crowded and forward_travel(found, names, rules) > rules.backward:
+        return found, np.ones(len(found.label))
+    again = label_foreign(body.labeller.model, found, reference, names, relabel, rules)
+    return again.found, again.limit
 
 
 def label_whole(
@@ -105,7 +162,8 @@ def label_whole(
     if not len(clouds.xyz):
         return [_empty_labelling(body, clouds) for body in bodies], None
     labellers = [body.labeller for body in bodies]
-    labels = label_points(labellers, clouds, rules, subject_rules, body_rules, workers, progress)
+    whole = bodies[0] if len(bodies) == 1 else None
+    labels = label_points(labellers, clouds, rules, subject_rules, body_rules, workers, progress, whole)
     frame_of = clouds.frame_of
     place = np.arange(len(frame_of)) - clouds.offsets[frame_of]
     offsets = marker_offsets(labellers)
@@ -115,7 +173,8 @@ def label_whole(
         blank = _empty_labelling(body, clouds)
         indices, confidence = blank.indices, blank.confidence
         verdict = judge_scene(labels.found.scene, labels.found.label, offsets, number, body.distances)
-        certainty = np.minimum(body.certainty.confidence(labels.margin, labels.near_unlabelled), confidence_limit(verdict))
+        certainty = body.certainty.confidence(labels.margin, labels.near_unlabelled, labels.fit)
+        certainty = np.minimum(certainty, np.minimum(labels.limit, confidence_limit(verdict)))
         # a marker without a point: the probability that its best candidate was it, above one half only where a label was taken back
         candidate = np.where(label != NULL, label, np.where(labels.label == NULL, rival, NULL))
         chance = np.where(label != NULL, certainty, 0.5 * np.exp(np.minimum(labels.margin, 0.0)))
@@ -177,29 +236,31 @@ def _scores_of_labels(
 def run_trials(
     labeller: BodyLabeller,
     stretches: Sequence[Recording],
-    trials: Sequence[tuple[float, int]],
+    trials: Sequence[Trial],
     rules: RecordingLabellingSettings,
     subject_rules: SubjectRules,
     body_rules: BodyRules,
     seed: int,
-) -> TrialLabels:
-    """Label stretches of recordings whose truth is known, with markers hidden in gaps and ghosts added.
+) -> LabelTrials:
+    """Label stretches of recordings whose truth is known, with markers hidden in gaps, and ghosts or clutter added.
 
-    trials: (share of the markers hidden at every moment, ghosts). One entry for each label in each sampled frame.
+    One entry for each label in each sampled frame.
     """
     rng = np.random.default_rng(seed)
     parts = []
     for stretch in stretches:
-        for share, ghosts in trials:
-            clouds, truth = simulate_gaps_and_ghosts(stretch, round(share * len(stretch.labels)), ghosts, rng)
+        for trial in trials:
+            clouds, truth = trial.in_time(stretch, rng)
             if not len(clouds.xyz):
                 continue
             found = label_points([labeller], clouds, rules, subject_rules, body_rules)
             frame_of = clouds.frame_of
             used = np.nonzero(np.isin(frame_of, found.found.scene.sampled_frames) & (found.label != NULL))[0]
             right = truth[frame_of[used], found.label[used]] == used - clouds.offsets[frame_of[used]]
-            parts.append(TrialLabels(found.margin[used], right.astype(np.float64), found.near_unlabelled[used]))
-    return TrialLabels.together(parts)
+            parts.append(
+                LabelTrials(found.margin[used], found.fit[used], found.near_unlabelled[used], right.astype(np.float64), np.ones(len(used)))
+            )
+    return LabelTrials.together(parts)
 
 
 def _empty_labelling(body: BodyInRecording, clouds: Clouds) -> Labelling:

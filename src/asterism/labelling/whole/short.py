@@ -25,14 +25,17 @@ class ShortTrackletRules:
 
     frames          tracklets of so many frames are short
     seconds         those that last no longer, too
-    min_long_frames share of the frames that must show enough long tracklets; else all tracklets are labelled together
+    min_long_frames share of the frames that must show enough long tracklets; else those of several bodies are labelled with the short ones
     min_labelled    share of the markers that a frame must show labelled, to label its other points
     min_score       nats, the most that the body can say against a label (negative)
     max_score       nats, the most that it can say for a label
     usual_spread    m, standard deviation of a place that the body predicts
+    motion_spread   m; where motion predicts a place at least so closely, it decides more than the body
     acceleration    m/s2, standard deviation of a marker's acceleration
     noise           m, standard deviation of a point
     max_spread      m; a place that motion predicts less closely is not used
+    min_marker_share share of the candidates that score as a marker that must be the marker, to label any of them
+    prior_frames    frames that the average over all markers counts for, of how often ghosts score as one
     """
 
     frames: int = 3
@@ -42,20 +45,24 @@ class ShortTrackletRules:
     min_score: float = -4.0
     max_score: float = 15.0
     usual_spread: float = 0.03
+    motion_spread: float = 0.01
     acceleration: float = 25.0
     noise: float = 0.002
     max_spread: float = 0.15
+    min_marker_share: float = 0.9
+    prior_frames: float = 100.0
 
 
-def long_points(clouds: Clouds, tracklets: Tracklets, markers: int, rules: ShortTrackletRules) -> NDArray[np.bool_]:
-    """The points (P,) of long tracklets; all points where too few frames show enough of them. markers: of the smallest body."""
+def long_points(clouds: Clouds, tracklets: Tracklets, rules: ShortTrackletRules) -> NDArray[np.bool_]:
+    """The points (P,) of long tracklets."""
     duration = tracklets.last - tracklets.first + 1
-    long = (duration > max(rules.frames, rules.seconds * clouds.rate))[tracklets.of_point]
-    if long.all():
-        return long
+    return (duration > max(rules.frames, rules.seconds * clouds.rate))[tracklets.of_point]
+
+
+def frames_with_bodies(clouds: Clouds, long: NDArray[np.bool_], markers: int, rules: ShortTrackletRules) -> float:
+    """Share of the frames in which long tracklets show enough of bodies with so many markers: 0 to 1."""
     shown = np.bincount(clouds.frame_of[long], minlength=len(clouds))
-    enough = shown >= max(3.0, rules.min_labelled * markers)
-    return long if enough.sum() >= rules.min_long_frames * (clouds.counts > 0).sum() else np.ones(len(long), dtype=np.bool_)
+    return float((shown >= max(3.0, rules.min_labelled * markers)).sum() / max(1, (clouds.counts > 0).sum()))
 
 
 def tracklets_of(tracklets: Tracklets, kept: NDArray[np.bool_]) -> Tracklets:
@@ -80,27 +87,37 @@ def label_short_points(
     """
     frames, markers, points = len(clouds), body.mean.shape[1], len(label)
     out = ShortLabels(
-        label.copy(), np.zeros(points), np.zeros(points, dtype=np.bool_), np.zeros(frames, dtype=np.bool_), np.zeros(4, dtype=np.int64)
+        label.copy(),
+        np.zeros(points),
+        np.zeros(points, dtype=np.bool_),
+        np.zeros(frames, dtype=np.bool_),
+        np.zeros((markers, 4), dtype=np.int64),
+        np.zeros((markers, 4), dtype=np.int64),
     )
-    limits = ShortLimits(max(3, round(rules.min_labelled * markers)), rules.min_score, rules.max_score, rules.usual_spread)
+    least = max(3, round(rules.min_labelled * markers))
+    limits = ShortLimits(least, rules.min_score, rules.max_score, rules.usual_spread, rules.motion_spread)
     expected = expect_by_motion(xyz, clouds.frame_of, label, (frames, markers), clouds.rate, rules)
     label_short(xyz, clouds.offsets, candidate, body, labeller.settings, limits, expected, out)
-    margin = np.where(out.by_motion, out.margin, out.margin + min(0.0, log_odds_of_markers(out.counts)))
+    by_body, by_motion = (marker_shares(counts, rules) for counts in (out.body_hits, out.near_hits))
+    share = np.where(out.by_motion, by_motion[out.label], by_body[out.label])
+    margin = out.margin
+    out.label[candidate & (share < rules.min_marker_share)] = NULL
     if out.alone.any():
         _label_alone(labeller, clouds, out.alone, candidate, out.label, margin)
     return np.where(candidate, out.label, NULL), margin
 
 
-def log_odds_of_markers(counts: Ints) -> float:
-    """Nats by which candidates that score as a free marker are more often markers than ghosts; -inf where ghosts explain all of them.
+def marker_shares(counts: Ints, rules: ShortTrackletRules) -> Floats:
+    """Which share of the candidates that score as a marker is the marker, not a ghost: (M,), 0 to 1.
 
-    counts (4,): see `count_hits`. Ghosts score as free markers as often as they do as markers that are at other points; two standard
-    deviations of that number may be chance.
+    counts (M, 4): see `count_body_hits`. Ghosts score as a free marker as often as they do while another point is it; where that was seen
+    in few frames, at least as often as for the markers on average. One hit more than seen is assumed.
     """
-    free, hits, held, held_hits = counts.tolist()
-    by_chance = free * (held_hits + 0.5) / (held + 1.0)
-    markers = hits - by_chance - 2.0 * np.sqrt(by_chance)
-    return float(np.log(markers / max(by_chance, 1e-3))) if markers > 0 else float("-inf")
+    free, hits, held, held_hits = counts.astype(np.float64).T
+    usual = (held_hits.sum() + 0.5) / (held.sum() + 1.0)
+    shrunk = (held_hits + 1.0 + rules.prior_frames * usual) / (held + rules.prior_frames)
+    share_hit = np.maximum(shrunk, held_hits / np.maximum(held, 1.0))
+    return np.asarray(np.clip(1.0 - free * share_hit / np.maximum(hits, 1e-12), 0.0, 1.0))
 
 
 def _label_alone(
@@ -108,7 +125,8 @@ def _label_alone(
 ) -> None:
     """Label frames by themselves, and take from that what is a candidate for a marker that is not there yet."""
     numbers = np.nonzero(alone)[0]
-    point_of, margins, _, _ = labeller.label(clouds.frames(numbers))
+    alone_labels = labeller.label(clouds.frames(numbers))
+    point_of, margins = alone_labels.point_of, alone_labels.margins
     row, marker = np.nonzero(point_of != NULL)
     frame = numbers[row]
     point = clouds.offsets[frame] + point_of[row, marker]

@@ -1,0 +1,80 @@
+"""Wrong links found by the body: labelled tracklets in; those that go over from one marker to another, and where, out.
+
+Linking looks at motion alone. At low frame rates, or where the numbers of a camera system change over, a tracklet can begin as one marker
+and go on as another. Then the frames before and after fit different markers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from asterism.labelling.body.labeller import BodyLabeller
+from asterism.labelling.whole._kernels import FrameScores, best_split, score_frames
+from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets
+from asterism.recording import Floats, Ints
+from asterism.tracking.linking import Tracklets
+
+
+def sample_scores(labellers: Sequence[BodyLabeller], scene: Scene, label: Ints, rules: RecordingLabellingSettings) -> Floats:
+    """Nats of each sampled point as each column of all bodies, (Q, L), given the labels (J,) of all tracklets."""
+    offsets = marker_offsets(labellers)
+    scores, totals, poses = np.empty((len(scene.sampled_xyz), offsets[-1])), *_frame_arrays(scene)
+    for number, labeller in enumerate(labellers):
+        of_body = np.empty((len(scores), offsets[number + 1] - offsets[number]))
+        score_frames(
+            scene.sampled_xyz,
+            scene.sampled_offsets,
+            scene.sampled_track,
+            labels_of_body(label, offsets, number),
+            labeller.body,
+            labeller.settings,
+            FrameScores(of_body, totals, poses),
+        )
+        scores[:, offsets[number] : offsets[number + 1]] = of_body
+    return np.clip(scores, rules.min_score, rules.max_score)
+
+
+def _frame_arrays(scene: Scene) -> tuple[Floats, Ints]:
+    frames = len(scene.sampled_frames)
+    return np.empty(frames), np.empty(frames, dtype=np.int64)
+
+
+def split_tracklets(
+    tracklets: Tracklets, points: Ints, labellers: Sequence[BodyLabeller], scene: Scene, label: Ints, rules: RecordingLabellingSettings
+) -> Tracklets | None:
+    """The tracklets of clouds, those cut in two whose beginning and end fit different markers; None where there is no such one.
+
+    points (P,): the point of the clouds that each point of the scene is; label (J,): the labels of the scene's tracklets.
+    O(Q L) beyond the scores.
+    """
+    scores = sample_scores(labellers, scene, label, rules)
+    order = np.argsort(scene.sampled_track, kind="stable")
+    begins = np.searchsorted(scene.sampled_track[order], np.arange(len(label) + 1))
+    of_point, first, last = tracklets.of_point.copy(), tracklets.first.tolist(), tracklets.last.tolist()
+    frame_of = np.repeat(np.arange(len(scene.offsets) - 1), np.diff(scene.offsets))
+    by_track = np.argsort(scene.track, kind="stable")
+    track_begins = np.searchsorted(scene.track[by_track], np.arange(len(label) + 1))
+    for j in range(len(label)):
+        samples = order[begins[j] : begins[j + 1]]
+        gain, at = best_split(scores[samples])
+        if gain < rules.split_gain:
+            continue
+        own = by_track[track_begins[j] : track_begins[j + 1]]
+        frames = scene.sampled_frames[scene.sampled_frame[samples[at - 1 : at + 1]]]
+        cut = _sharpest_link(scene.xyz[own], *(frames - scene.first[j]))
+        number = int(of_point[points[own[0]]])
+        of_point[points[own[cut:]]] = len(first)
+        first.append(int(frame_of[own[cut]]))
+        last.append(last[number])
+        last[number] = int(frame_of[own[cut - 1]])
+    return None if len(first) == len(tracklets) else Tracklets(of_point, np.array(first), np.array(last))
+
+
+def _sharpest_link(path: Floats, start: int, end: int) -> int:
+    """The point of a path (n, 3), after `start` and up to `end`, to which the velocity differs most from those before and after."""
+    step = np.diff(path, axis=0)
+    around = 0.5 * (np.concatenate([step[:1], step[:-1]]) + np.concatenate([step[1:], step[-1:]]))
+    bend = np.linalg.norm(step - around, axis=1)
+    return start + 1 + int(np.argmax(bend[start:end]))
