@@ -42,7 +42,7 @@ def workspace_for(points: np.ndarray):
 
 
 def empty_labelling() -> FrameLabelling:
-    return FrameLabelling(np.full(MARKERS, -1), np.zeros(MARKERS), np.zeros(4, dtype=np.int64))
+    return FrameLabelling(np.full(MARKERS, -1), np.zeros(MARKERS), np.zeros(4, dtype=np.int64), np.zeros(MARKERS))
 
 
 def spoilt(rows: np.ndarray, points: int, rng: np.random.Generator) -> np.ndarray:
@@ -176,7 +176,7 @@ def test_doubtful_labels_are_tried_again(seed):
     margins = rng.uniform(0.0, 2.0 * SETTINGS.exact_margin, MARKERS)
     none = np.zeros(MARKERS, dtype=bool)
     top = twins.evidence(model, twins.best_pose(model, points, rows, none, SETTINGS), points, rows, none, SETTINGS)
-    labelling = FrameLabelling(rows.copy(), margins, np.zeros(4, dtype=np.int64))
+    labelling = FrameLabelling(rows.copy(), margins, np.zeros(4, dtype=np.int64), np.zeros(MARKERS))
     better = retry_doubtful(model.arrays(), points, top, SETTINGS, ready(points, False), labelling)
     expected = twins.retry_doubtful(model, points, top, rows.tolist(), margins, SETTINGS)
     assert better == (expected is not None)
@@ -272,7 +272,7 @@ def test_clouds_are_labelled_as_their_frames_are():
     arrays = frame_model(model, anchors_for(model, rng))
     frames = [random_frame(model, rng)[0] for _ in range(6)] + [np.empty((0, 3))]
     offsets = np.concatenate([[0], np.cumsum([len(frame) for frame in frames])])
-    together = FrameLabelling(np.full((7, MARKERS), -1), np.zeros((7, MARKERS)), np.zeros((7, 4), dtype=np.int64))
+    together = FrameLabelling(np.full((7, MARKERS), -1), np.zeros((7, MARKERS)), np.zeros((7, 4), dtype=np.int64), np.zeros((7, MARKERS)))
     label_clouds(arrays, np.concatenate(frames), offsets, 0, 7, together)
     for t, points in enumerate(frames):
         one = empty_labelling()

@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from models import trained
 
+from asterism.labelling import SolverEnsemble, TrainingRules
 from asterism.labelling.evaluation import expected_calibration_error
-from asterism.labelling.training.calibration import LARGEST, Calibration
+from asterism.labelling.reliability import ConfidenceTally
+from asterism.labelling.simulated_occlusions import simulate_occlusions
+from asterism.labelling.training.calibration import IN_FRAMES, IN_TIME, LARGEST, Calibration, LabelCalibration, LabelTrials
+from asterism.simulation import simulate_walks
 
 
 def chance(margin):
@@ -83,3 +88,83 @@ def test_all_wrong_is_no_confidence():
 
 def test_nothing_to_learn_from_gives_one_half():
     assert Calibration.fit([], []).confidence([-5.0, 0.0, 50.0]).tolist() == [0.5, 0.5, 0.5]
+
+
+# From margin and fit
+
+
+def true_chance(margin, fit, left_over):
+    """Where points are left over a poor fit betrays a ghost; elsewhere only the margin counts."""
+    return 1.0 / (1.0 + np.exp(-(0.4 * np.clip(margin, -5, 10) + left_over * 0.5 * np.clip(fit, -8, 0))))
+
+
+def drawn_labels(count, seed):
+    rng = np.random.default_rng(seed)
+    margin, fit, left_over = rng.gamma(2.0, 4.0, count), rng.normal(1.0, 3.0, count), rng.integers(0, 2, count)
+    return LabelTrials(margin, fit, left_over, (rng.random(count) < true_chance(margin, fit, left_over)).astype(float), np.ones(count))
+
+
+def test_margin_and_fit_say_what_share_is_right():
+    """20,000 trials of 200 people: the confidence of 20,000 other labels, by level, and against the best constant."""
+    curve, other = LabelCalibration.fitted(drawn_labels(20_000, 1), 200, IN_FRAMES), drawn_labels(20_000, 2)
+    stated = curve.confidence(other.margin, other.fit, other.left_over)
+    far = np.abs(stated - true_chance(other.margin, other.fit, other.left_over)).mean()
+    assert far < 0.02, f"mean distance from the true chance {far:.4f}, allowed 0.02"
+    tally = ConfidenceTally()
+    tally.add(stated[:, None], np.ones((20_000, 1), dtype=bool), other.right[:, None] > 0)
+    score = tally.score()
+    assert score.beats_constant and score.log_score < 0.8 * score.constant_log_score
+    assert all(abs(level.confidence - level.right) < 0.02 for level in score.levels)
+
+
+def test_the_fit_is_used_where_points_are_left_over():
+    curve = LabelCalibration.fitted(drawn_labels(20_000, 3), 200, IN_FRAMES)
+    poor, good = (curve.confidence(10.0, fit, 1) for fit in (-8.0, 0.0))
+    assert poor < 0.7 < 0.95 < good
+    assert curve.confidence(10.0, -8.0, 0) > 0.95
+
+
+@given(seed=st.integers(0, 10_000), count=st.integers(0, 300), people=st.integers(1, 20), share=st.floats(0.0, 1.0))
+@settings(max_examples=40, deadline=None)
+def test_confidence_never_falls_with_margin_or_fit(seed, count, people, share):
+    rng = np.random.default_rng(seed)
+    trials = LabelTrials(
+        rng.normal(0, 20, count),
+        rng.normal(0, 6, count),
+        rng.integers(0, 2, count),
+        (rng.random(count) < share).astype(float),
+        np.ones(count),
+    )
+    curve = LabelCalibration.fitted(trials, people, IN_TIME)
+    ramp = np.linspace(-100.0, 100.0, 401)
+    for side in (0, 1):
+        for said in (
+            curve.confidence(ramp, np.full(401, 1.0), np.full(401, side)),
+            curve.confidence(np.full(401, 8.0), ramp, np.full(401, side)),
+        ):
+            assert (np.diff(said) >= -1e-12).all() and (said >= 0).all() and (said <= 1).all()
+
+
+def test_trials_of_more_people_count_more():
+    trials = drawn_labels(200, 4)
+    shares = [LabelCalibration.fitted(trials, people, IN_FRAMES).share for people in (1, 2, 5, 10)]
+    assert shares == sorted(shares) and shares[0] < 0.5 < shares[-1] < 1.0
+    nothing = LabelCalibration.fitted(LabelTrials.together([]), 3, IN_FRAMES)
+    assert nothing.confidence(-10.0, 0.0, 0) < 0.5 and nothing.confidence(30.0, 2.0, 0) > 0.99
+
+
+def test_a_wrong_label_of_a_simulated_walk_is_said(tmp_path):
+    """Walkers whom the model does not know, ghosts beside hidden markers: the confidence knows more of wrong labels than any constant."""
+    walks = simulate_walks(subjects=4, frames=60, markers="helen-hayes", seed=5)
+    model = trained(walks[:3], seed=0, subjects=["a", "b", "c"], training=TrainingRules(trial_frames=30, folds=3))
+    tally = ConfidenceTally()
+    for seed in range(3):
+        clouds, truth = simulate_occlusions(walks[3], 3, 3, seed)
+        labelling = model.label(clouds)
+        tally.add(labelling.confidence, labelling.indices >= 0, labelling.indices == truth)
+    score = tally.score()
+    assert score.constant_log_score > 0, "no label is wrong: nothing to say"
+    assert score.beats_constant
+    model.save(tmp_path / "a.model")
+    again = SolverEnsemble.load(tmp_path / "a.model").label(clouds)
+    np.testing.assert_array_equal(again.confidence, labelling.confidence)

@@ -17,7 +17,7 @@ from asterism.cli import main
 from asterism.errors import AsterismError
 from asterism.labelling import ReviewItem, apply_answers, review
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
-from asterism.labelling.whole.certainty import Certainty, TrialLabels
+from asterism.labelling.training.calibration import IN_TIME, LabelCalibration, LabelTrials
 from asterism.recording import Clouds, Ints, Labelling, Recording
 from asterism.report import ReviewEntry, review_report
 from asterism.simulation import simulate_walks
@@ -173,25 +173,27 @@ def test_items_are_disjoint_ranked_and_never_promise_more_than_they_hold(seed: i
     assert review(labelling, clouds, top=2, least_gain=0.0) == items[:2]
 
 
+def with_trials(right: float, people: int) -> LabelCalibration:
+    """Calibrated on 200 labels in time of growing margin and usual fit."""
+    none = np.zeros(200)
+    trials = LabelTrials(np.linspace(0.0, 30.0, 200), none, none.astype(np.int64), np.full(200, right), np.ones(200))
+    return LabelCalibration.fitted(trials, people, IN_TIME)
+
+
 def test_where_all_trials_failed_a_tracklet_is_still_offered() -> None:
     """Two people, one stands and one walks: tried on each other every label is wrong, which proves little about the third."""
-    failed = TrialLabels(np.linspace(0.0, 30.0, 200), np.zeros(200), np.zeros(200, dtype=np.int64))
-    margin = np.array([-20.0, 0.0, 20.0])
-    sure = Certainty.fit(failed, 0.999, 5).confidence(margin, np.zeros(3, dtype=np.int64))
-    assert sure[2] == pytest.approx(0.1, abs=0.01) and sure[0] < 1e-6 and (np.diff(sure) > 0).all()
+    confidence = with_trials(0.0, 2).confidence(np.array([-20.0, 0.0, 20.0]), np.zeros(3), np.zeros(3, dtype=np.int64))
+    assert 0.1 < confidence[2] < 0.9 and confidence[0] < 0.05 and (np.diff(confidence) > 0).all()
     points = np.zeros((50, 1, 3))
     clouds = Clouds.from_points(list(points), 100.0)
-    [item] = review(Labelling(np.full((50, 1), -1), np.full((50, 1), sure[2]), ("A",)), clouds)
-    assert item.gain == pytest.approx(50 * sure[2]) and item.alternatives[0][0] == "A"
+    [item] = review(Labelling(np.full((50, 1), -1), np.full((50, 1), confidence[2]), ("A",)), clouds)
+    assert item.gain == pytest.approx(50 * confidence[2]) and item.alternatives[0][0] == "A"
 
 
 def test_few_people_are_believed_less() -> None:
-    """All trials went well: with one person that proves less of a small margin than with five."""
-    well = TrialLabels(np.linspace(0.0, 30.0, 200), np.ones(200), np.zeros(200, dtype=np.int64))
-    one, two, five, ten = (
-        Certainty.fit(well, 0.999, people).confidence(np.array([1.0]), np.zeros(1, dtype=np.int64))[0] for people in (1, 2, 5, 10)
-    )
-    assert one < two < five == ten
+    """All trials went well: with one person that proves less of a poor fit than with ten."""
+    one, ten = (with_trials(1.0, people).confidence(10.0, -4.0, 0) for people in (1, 10))
+    assert one < ten
 
 
 def test_bad_input_is_named(walks: list[Recording]) -> None:

@@ -8,6 +8,7 @@ from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.dirt.accuracy import flicker, riding, volume
 from benchmarks.dirt.guarantee import guarantee
 from benchmarks.dirt.peers import peers
+from benchmarks.dirt.reliability import reliability
 from benchmarks.dirt.speed import long_recording, speed
 from benchmarks.dirt.stream import stream
 from benchmarks.figures import Figure
@@ -23,4 +24,5 @@ ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
     "guarantee": guarantee,
     "stream-clutter": stream,
     "peers-clutter": peers,
+    "reliability": reliability,
 }

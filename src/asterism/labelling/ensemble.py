@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
-from asterism.labelling.body.labeller import BodyLabeller
+from asterism.labelling.body.labeller import BodyLabeller, usual_fits
 from asterism.labelling.body.model import BodyRules, length_scale
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.partial.matrix import label_by_matrix
@@ -235,9 +235,15 @@ class SolverEnsemble:
 
     def _best_labels(self, clouds: Clouds, workers: int = 1, progress: Progress | None = None) -> tuple[Ints, Floats, Ints]:
         """The best labelling of each frame before doubtful labels are taken back: indices, confidence (T, M), counters (T, 4)."""
-        rows, margins, counters, left_over = self.body_labeller.label(clouds, workers, progress)
-        without, with_left_over = self.state.calibrations
-        confidence = np.where(left_over[:, None], with_left_over.confidence(margins), without.confidence(margins))
+        found = self.body_labeller.label(clouds, workers, progress)
+        rows, margins, counters, left_over = found.point_of, found.margins, found.counters, found.points_left
+        state = self.state
+        if state.frame_calibration is not None:
+            fits = usual_fits(found, clouds, state.usual_score)
+            confidence = state.frame_calibration.confidence(margins, fits, np.broadcast_to(left_over[:, None], margins.shape))
+        else:
+            without, with_left_over = state.calibrations
+            confidence = np.where(left_over[:, None], with_left_over.confidence(margins), without.confidence(margins))
         # a null has no margin of its own: the best free point's chance of being the marker, never above one half
         confidence = np.where(rows >= 0, confidence, 0.5 * np.exp(np.minimum(margins, 0.0)))
         return *self._in_marker_set(rows, confidence), counters

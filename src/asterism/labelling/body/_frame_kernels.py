@@ -31,7 +31,7 @@ def nearest_changes(body, points, settings, workspace, labelling):
     estimated from the leave-one-out scores, and computed exactly if the estimate is less than `settings.exact_margin`.
     IN     body BodyArrays; points (n, 3) m; settings FrameSettings; workspace BodyWorkspace
     IN/OUT labelling.point_of; labelling.counters, the third of which is added to
-    OUT    labelling.margins
+    OUT    labelling.margins, labelling.fits
     Returns the labelling's score in nats. O(M (r^2 + n)), and O(M r^2 + r^3) for each change computed exactly.
     """
     point_of, margins = labelling.point_of, labelling.margins
@@ -46,9 +46,10 @@ def nearest_changes(body, points, settings, workspace, labelling):
         owner[:] = -1
         no_ghost = count_labelled(point_of) == n
         for m in range(markers):
-            margins[m] = -np.inf
+            margins[m], labelling.fits[m] = -np.inf, 0.0
             if point_of[m] >= 0:
                 owner[point_of[m]] = m
+                labelling.fits[m] = scores[m, point_of[m]]
                 margins[m] = scores[m, point_of[m]] + (settings.first_ghost_cost if no_ghost else 0.0)
         better = False
         for m in range(markers):
@@ -150,6 +151,7 @@ def label_frame(model, points, workspace, labelling):
     point_of, margins, candidates = labelling.point_of, labelling.margins, workspace.candidates
     point_of[:] = -1
     margins[:] = -np.inf
+    labelling.fits[:] = 0.0
     labelling.counters[:] = 0
     if len(points) < 3:
         return
@@ -189,4 +191,5 @@ def label_clouds(model, xyz, offsets, first, last, labelling):
         points = xyz[offsets[t] : offsets[t + 1]]
         if len(points) != len(workspace.order):
             workspace = make_search_workspace(make_body_workspace(len(points), markers, latents), candidates, proposals)
-        label_frame(model, points, workspace, FrameLabelling(labelling.point_of[t], labelling.margins[t], labelling.counters[t]))
+        row = FrameLabelling(labelling.point_of[t], labelling.margins[t], labelling.counters[t], labelling.fits[t])
+        label_frame(model, points, workspace, row)

@@ -97,11 +97,13 @@ class FrameLabelling(NamedTuple):
     point_of  (M,) each marker's point, -1 for none
     margins   (M,) nats over the nearest labelling that differs there; for a null, minus the nats that its best free point lacks
     counters  (4,) feature evaluations, anchors run, labellings scored, votes of the best labelling
+    fits      (M,) nats, how well each marker's point lies where all other labels predict it; 0 for a null
     """
 
     point_of: np.ndarray
     margins: np.ndarray
     counters: np.ndarray
+    fits: np.ndarray
 
 
 class BodyWorkspace(NamedTuple):

@@ -80,6 +80,24 @@ class FrameLabellingSettings:
 
 
 @dataclass(frozen=True)
+class LabelledFrames:
+    """The best labelling of each of T frames alone, for M markers.
+
+    point_of     (T, M) each marker's point in its frame, -1 for none
+    margins      (T, M) nats over the nearest labelling that differs there; for a null, minus the nats that its best free point lacks
+    counters     (T, 4), see `label_frame`
+    fits         (T, M) nats, how well each marker's point lies where all other labels predict it; 0 for a null
+    points_left  (T,) whether points were left over
+    """
+
+    point_of: Ints
+    margins: Floats
+    counters: Ints
+    fits: Floats
+    points_left: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
 class BodyLabeller:
     """Labels single frames by a body model of M markers.
 
@@ -100,23 +118,18 @@ class BodyLabeller:
         """Bring a body model and its anchors into the arrays that the kernels read."""
         return cls(model, anchors.solvers(), anchors.arrays(model), model.arrays(), settings)
 
-    def label(self, clouds: Clouds, workers: int = 1, progress: Progress | None = None) -> tuple[Ints, Floats, Ints, NDArray[np.bool_]]:
-        """The best labelling of each frame alone.
-
-        Gives the point of each marker in its frame (T, M), -1 for none; margins (T, M) in nats over the nearest labelling that differs
-        there (for a null: minus the nats that its best free point lacked); counters (T, 4), see `label_frame`; and (T,) whether points
-        were left over. The result depends neither on the order of the points nor on `workers`.
-        """
+    def label(self, clouds: Clouds, workers: int = 1, progress: Progress | None = None) -> LabelledFrames:
+        """The best labelling of each frame alone. The result depends neither on the order of the points nor on `workers`."""
         frame_of = clouds.frame_of
         xyz = rotate_z_up(clouds.xyz, clouds.vertical)
         order = np.lexsort((xyz[:, 1], xyz[:, 0], -xyz[:, 2], frame_of))
         xyz = np.ascontiguousarray(xyz[order])
         place = order - clouds.offsets[frame_of]
-        point_of, margins, counters = self.label_frames(xyz, clouds.offsets, workers, progress)
-        labelled = point_of >= 0
+        found = self._label_sorted(xyz, clouds.offsets, workers, progress)
+        labelled = found.point_of >= 0
         points_left = labelled.sum(axis=1) < clouds.counts
-        point_of[labelled] = place[(clouds.offsets[:-1, None] + point_of)[labelled]]
-        return point_of, margins, counters, points_left
+        found.point_of[labelled] = place[(clouds.offsets[:-1, None] + found.point_of)[labelled]]
+        return LabelledFrames(found.point_of, found.margins, found.counters, found.fits, points_left)
 
     def label_frames(
         self, xyz: Floats, offsets: Ints, workers: int = 1, progress: Progress | None = None, at_once: int = 500
@@ -126,14 +139,18 @@ class BodyLabeller:
         xyz (Q, 3) m, z up, from the highest to the lowest point of each frame; offsets (E + 1,); progress is called after each `at_once`
         frames.
         """
+        found = self._label_sorted(xyz, offsets, workers, progress, at_once)
+        return found.point_of, found.margins, found.counters
+
+    def _label_sorted(self, xyz: Floats, offsets: Ints, workers: int, progress: Progress | None, at_once: int = 500) -> FrameLabelling:
+        """`label_frames`, with all that the kernel gives."""
         frames = len(offsets) - 1
         shape = (frames, self.body.mean.shape[1])
-        point_of, margins = np.full(shape, NULL, dtype=np.int64), np.zeros(shape)
-        counters = np.zeros((frames, 4), dtype=np.int64)
+        out = FrameLabelling(np.full(shape, NULL, dtype=np.int64), np.zeros(shape), np.zeros((frames, 4), dtype=np.int64), np.zeros(shape))
         model = FrameModel(self.solvers, self.anchors, self.body, self.settings)
 
         def label_span(span: tuple[int, int]) -> int:
-            label_clouds(model, xyz, offsets, *span, FrameLabelling(point_of, margins, counters))
+            label_clouds(model, xyz, offsets, *span, out)
             return span[1]
 
         step = max(1, min(at_once, -(-frames // max(1, workers))))
@@ -142,4 +159,10 @@ class BodyLabeller:
             for done in pool.map(label_span, spans) if workers > 1 else map(label_span, spans):
                 if progress:
                     progress(done / frames, "labelling")
-        return point_of, margins, counters
+        return out
+
+
+def usual_fits(found: LabelledFrames, clouds: Clouds, usual_score: float) -> Floats:
+    """Fits (T, M) less what the labels of right frames usually score; 0 is usual, also where ghosts make every label less probable."""
+    surplus = np.log1p(np.maximum(clouds.counts - found.fits.shape[1], 0))
+    return found.fits - (usual_score - surplus)[:, None]

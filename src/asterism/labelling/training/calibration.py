@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import isotonic_regression
+from scipy.optimize import isotonic_regression, minimize
+from scipy.special import expit
 
-from asterism.recording import Floats
+from asterism.recording import Floats, Ints
+
+MARGIN_KNOTS = (-30.0, 2.0, 5.0, 10.0, 20.0, 40.0)
+"""Nats between which the log odds rise straight with the margin: steeply where labels are doubtful, hardly where they are certain."""
+
+FIT_KNOTS = (-8.0, -2.0, 0.0, 2.0)
+"""Nats between which the log odds rise straight with the fit; 0 is what rightly labelled frames usually score. Of five sets of knots these
+gave the best log score on the models for choosing."""
 
 LARGEST = 60.0
 """Margins beyond this (nats) count as this. Not tuned."""
@@ -47,3 +57,142 @@ class Calibration:
         share = (np.bincount(bin_of, weights=hit) + 1.0 * hit.mean()) / (count + 1.0)
         curve = isotonic_regression(share, weights=count).x
         return cls(np.bincount(bin_of, weights=given) / count, np.minimum(curve, 1.0 - 0.5 / (len(hit) + 1.0)))
+
+
+MAX_SLOPE = 5.0
+"""Log odds per nat of margin that a label is right, at most: without a margin a label is a coin toss, whatever the trials showed."""
+
+PIECES = len(MARGIN_KNOTS) + len(FIT_KNOTS) - 2
+
+CELL = 0.25
+"""Nats: trials whose margin and fit are this near count as equal, which keeps the regression small. Not tuned."""
+
+
+@dataclass(frozen=True)
+class LabelTrials:
+    """n labels with known truth.
+
+    margin     (n,) nats
+    fit        (n,) nats, how well the label's point lies where the others predict it, less what rightly labelled frames usually score
+    left_over  (n,) 1 where points without a label were there at the same time, else 0
+    right      (n,) 0 or 1
+    weight     (n,) how much each label counts
+    """
+
+    margin: Floats
+    fit: Floats
+    left_over: Ints
+    right: Floats
+    weight: Floats
+
+    @classmethod
+    def together(cls, parts: Sequence[LabelTrials]) -> LabelTrials:
+        """All trials as one."""
+        if not parts:
+            return cls(np.empty(0), np.empty(0), np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
+        names = ("margin", "fit", "left_over", "right", "weight")
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def in_cells(self, left_over: int) -> tuple[Floats, Floats, Floats, Floats]:
+        """Margin, fit and right of the labels that differ, without or with points left over, and the weight of each kind: (m,) each."""
+        own = self.left_over == left_over
+        margin = np.round(np.clip(self.margin[own], MARGIN_KNOTS[0], MARGIN_KNOTS[-1]) / CELL)
+        fit = np.round(np.clip(self.fit[own], FIT_KNOTS[0], FIT_KNOTS[-1]) / CELL)
+        cells, kind = np.unique(np.stack([margin, fit, self.right[own]], axis=1), axis=0, return_inverse=True)
+        weight = np.bincount(kind.ravel(), weights=self.weight[own], minlength=len(cells))
+        return cells[:, 0] * CELL, cells[:, 1] * CELL, cells[:, 2], weight
+
+
+USUAL_WEIGHTS = (7.0, 0.3, 3.0, 2.0, 0.5, 0.1, 0.7, 0.7, 0.7)
+"""Weights of `LabelCalibration` that single frames of ten people have, roughly."""
+
+Weights = tuple[tuple[float, ...], tuple[float, ...]]
+
+
+@dataclass(frozen=True)
+class LabelPrior:
+    """What is known of confidence before any trial: weights, see `LabelCalibration`, without and with points left over.
+
+    of_one      of models of one person, on other people
+    of_several  of models of several people, on other people
+    people      people of the training for whom the trials count as much as this does
+    """
+
+    of_one: Weights
+    of_several: Weights
+    people: float = 2.0
+
+
+IN_FRAMES = LabelPrior(
+    ((7.01, 3.99, 0.32, 0.44, 0.00, 0.05, 0.65, 2.68, 6.57), (7.18, 3.53, 0.82, 2.17, 0.04, 0.00, 0.00, 3.14, 4.29)),
+    ((7.50, 5.61, 2.51, 0.58, 0.74, 0.00, 1.20, 1.30, 3.41), (7.72, 1.91, 1.88, 2.37, 0.69, 0.03, 0.00, 0.00, 4.40)),
+)
+"""For single frames. Fitted to what models of one to ten gait subjects, and of three movement sets, gave others of those for choosing
+(docs/confidence.md); frames with ghosts or clutter count a fifth."""
+
+IN_TIME = LabelPrior(
+    ((9.36, 0.14, 2.75, 1.03, 0.26, 0.00, 4.95, 0.60, 2.32), (8.34, 0.67, 0.03, 0.00, 1.19, 0.00, 1.62, 0.00, 2.91)),
+    ((9.32, 0.04, 4.68, 1.36, 0.83, 0.00, 0.60, 0.79, 0.65), (8.63, 0.41, 0.60, 0.85, 1.15, 0.28, 0.00, 0.42, 3.54)),
+)
+"""For whole recordings. Fitted likewise; all count alike."""
+
+
+@dataclass(frozen=True)
+class LabelCalibration:
+    """The probability that a label is right, from its margin and its fit, and whether points were left over.
+
+    The margin says how much better the label is than the nearest other one, the fit how well its point lies where all other labels predict
+    the marker: a ghost beside a hidden marker has no rival, but fits poorly. The log odds are a sum of straight pieces that never fall.
+    Trials on people left out are few, and smaller models were tried than the final one. So the confidence is a mean of what the trials say
+    and of what models of as many people gave elsewhere. No trial can make a label without a margin more than a coin toss.
+
+    own    (2, 9) weights from the trials, without and with points left over: log odds of a label of the largest margin and fit; then for
+           each piece what 4 nats of it are worth
+    prior  (2, 9) those from elsewhere
+    share  of `own` in the mean
+    """
+
+    own: Floats
+    prior: Floats
+    share: float
+
+    def confidence(self, margin: ArrayLike, fit: ArrayLike, left_over: ArrayLike) -> Floats:
+        """The probability that labels are right, in [0, 1]: margin and fit in nats, fit less the usual score, left_over 0 or 1."""
+        pieces, side = _pieces(margin, fit), np.asarray(left_over, dtype=np.int64)
+        parts = (expit(weights[side, 0] + (pieces * weights[side, 1:]).sum(axis=-1)) for weights in (self.own, self.prior))
+        one, other = parts
+        coin_toss = expit(MAX_SLOPE * np.clip(np.asarray(margin, dtype=np.float64), -100.0, 100.0))
+        return np.minimum(self.share * one + (1.0 - self.share) * other, coin_toss)
+
+    @classmethod
+    def fitted(cls, trials: LabelTrials, people: int, prior: LabelPrior) -> LabelCalibration:
+        """The weights that explain trials of a model of so many people best, beside those of the prior."""
+        known = np.array(prior.of_one if people < 2 else prior.of_several)
+        own = np.stack([_regression(*trials.in_cells(side)) for side in (0, 1)])
+        return cls(own, known, people / (people + prior.people))
+
+
+def _regression(margin: Floats, fit: Floats, right: Floats, weight: Floats) -> Floats:
+    """The weights (9,) of a logistic regression on labels of m kinds, `weight` of each, whose pieces have no negative weight.
+
+    A precision of 1 of each weight around `USUAL_WEIGHTS` stands for what few trials leave open.
+    """
+    columns, usual = np.column_stack([np.ones(len(margin)), _pieces(margin, fit)]), np.array(USUAL_WEIGHTS)
+    sign = np.where(right > 0, 1.0, -1.0)
+
+    def loss(weights: Floats) -> tuple[float, Floats]:
+        signed, away = sign * (columns @ weights), weights - usual
+        value = (weight * np.logaddexp(0.0, -signed)).sum() + 0.5 * (away**2).sum()
+        return float(value), away - columns.T @ (weight * sign * expit(-signed))
+
+    bounds = [(None, None)] + [(0.0, None)] * (columns.shape[1] - 1)
+    return np.asarray(minimize(loss, usual, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 300, "ftol": 1e-10}).x)
+
+
+def _pieces(margin: ArrayLike, fit: ArrayLike) -> Floats:
+    """How far margins and fits stay below the upper end of each piece of their range: (..., 8), 0 or less, in units of 4 nats."""
+    parts = []
+    for values, knots in ((margin, MARGIN_KNOTS), (fit, FIT_KNOTS)):
+        given = np.asarray(values, dtype=np.float64)
+        parts += [(np.clip(given, low, high) - high) / 4.0 for low, high in pairwise(knots)]
+    return np.stack(parts, axis=-1)

@@ -12,11 +12,11 @@ from asterism.labelling.body.anchors import Anchors
 from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.partial.matrix import PartialSolvers
-from asterism.labelling.training.calibration import Calibration
+from asterism.labelling.training.calibration import MAX_SLOPE, PIECES, Calibration, LabelCalibration
 from asterism.labelling.training.learning import TrainingConfig, TrainingState
 from asterism.labelling.training.model_file import reading, write_arrays
 from asterism.labelling.training.sample import Sample
-from asterism.labelling.whole.certainty import MAX_SLOPE, Certainty
+from asterism.labelling.whole.certainty import Certainty
 from asterism.recording import Floats, Ints, MarkerSet
 
 
@@ -28,7 +28,8 @@ class EnsembleState:
     markers           (M,) those of them that the training showed, by place in the set
     body, anchors     model of the whole body, and the solvers of three markers that find it in a frame
     usual_score       nats per label that nearly every rightly labelled frame scores
-    calibrations      from margins to confidence, for frames without and with points left over
+    calibrations      from margins to confidence, for frames without and with points left over; what a stream uses
+    frame_calibration from margins and fits to the confidence of labels in single frames; None in models of an earlier Asterism
     least_confidence  labels of single frames below this are taken back
     frame_settings    how single frames are labelled
     certainty         from margins to confidence, and the least confidence, for whole recordings
@@ -51,6 +52,7 @@ class EnsembleState:
     partial: PartialSolvers | None = None
     training: TrainingState | None = None
     general_body: BodyModel | None = None
+    frame_calibration: LabelCalibration | None = None
 
     @property
     def body_rules(self) -> BodyRules:
@@ -93,8 +95,13 @@ class EnsembleState:
             arrays |= {f"partial_{name}": array for name, array in self.partial.to_arrays().items()}
         for i, calibration in enumerate(self.calibrations):
             arrays[f"calibration_{i}"] = np.stack([calibration.margin, calibration.right])
-        for i, calibration in enumerate(self.certainty.calibrations):
-            arrays[f"time_calibration_{i}"] = np.stack([calibration.margin, calibration.right])
+        if self.frame_calibration is not None:
+            arrays |= _calibration_arrays("frame", self.frame_calibration)
+        if isinstance(self.certainty.calibration, LabelCalibration):
+            arrays |= _calibration_arrays("time", self.certainty.calibration)
+        else:
+            for i, calibration in enumerate(self.certainty.calibration):
+                arrays[f"time_calibration_{i}"] = np.stack([calibration.margin, calibration.right])
         if self.general_body is not None:
             arrays |= {f"general_{name}": array for name, array in self.general_body.to_arrays().items()}
         if self.training is not None:
@@ -128,6 +135,7 @@ class EnsembleState:
                 partial=PartialSolvers.from_arrays(partial) if partial else None,
                 training=training,
                 general_body=_body(arrays, "general_") if "general_mean" in arrays else None,
+                frame_calibration=_label_calibration(arrays, "frame"),
             )
 
 
@@ -143,10 +151,27 @@ def _marker_set(plain: dict[str, Any]) -> MarkerSet:
 
 def _certainty(head: dict[str, Any], arrays: dict[str, Any]) -> Certainty | None:
     """The certainty of whole recordings; None in models of an earlier Asterism."""
-    if "time_calibration_0" not in arrays:
+    fitted = _label_calibration(arrays, "time")
+    if fitted is None and "time_calibration_0" not in arrays:
         return None
     least, steep = float(head["least_confidence_in_time"]), float(head.get("steep_in_time", MAX_SLOPE))
+    if fitted is not None:
+        return Certainty(fitted, least)
     return Certainty(_two_curves(arrays, "time_calibration"), least, steep)
+
+
+def _calibration_arrays(name: str, calibration: LabelCalibration) -> dict[str, Any]:
+    return {f"{name}_weights": np.stack([calibration.own, calibration.prior]), f"{name}_own_share": np.array(calibration.share)}
+
+
+def _label_calibration(arrays: dict[str, Any], name: str) -> LabelCalibration | None:
+    """The inverse of `_calibration_arrays`; None where there is none."""
+    if f"{name}_weights" not in arrays:
+        return None
+    weights, share = _finite(arrays[f"{name}_weights"]), float(arrays[f"{name}_own_share"])
+    if weights.shape != (2, 2, 1 + PIECES) or not 0.0 <= share <= 1.0:
+        raise ValueError("shapes disagree")
+    return LabelCalibration(weights[0], weights[1], share)
 
 
 def _with_prefix(arrays: dict[str, Any], prefix: str) -> dict[str, Any]:

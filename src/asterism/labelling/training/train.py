@@ -61,6 +61,7 @@ def train_ensemble(
         about=about,
         partial=partial,
         training=training,
+        frame_calibration=learned.frame_calibration,
     )
 
 

@@ -13,9 +13,11 @@ from asterism.labelling.body._workspace_kernels import FrameSettings
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enough
-from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
+from asterism.labelling.training.calibration import LabelTrials
+from asterism.labelling.training.trials import Trial
 from asterism.labelling.whole._kernels import FrameScores, score_frames
-from asterism.labelling.whole.certainty import Certainty, TrialLabels, overlaps_unlabelled
+from asterism.labelling.whole.certainty import Certainty, overlaps_unlabelled
+from asterism.labelling.whole.fits import point_fits
 from asterism.labelling.whole.joint import SceneLabelling, label_scene
 from asterism.labelling.whole.scene import RecordingLabellingSettings, labels_of_body, marker_offsets, prepare_scene
 from asterism.labelling.whole.short import frames_with_bodies, label_short_points, long_points, tracklets_of
@@ -52,6 +54,7 @@ class PointLabels:
     margin           (P,) nats; of a point without a label: 0 or below, by how much it misses its best column
     rival            (P,) that column, where there is one; -1 otherwise
     near_unlabelled  (P,) 1 where a point without a label was there at some time of the point's tracklet, else 0
+    fit              (P,) nats, how well the tracklets of labelled points lie where the others predict them, see `point_fits`
     found            the labels of the long tracklets
     """
 
@@ -59,6 +62,7 @@ class PointLabels:
     margin: Floats
     rival: Ints
     near_unlabelled: Ints
+    fit: Floats
     found: SceneLabelling
 
 
@@ -90,15 +94,22 @@ def label_points(
     near_unlabelled = np.ones(points, dtype=np.int64)
     label[long], margin[long], rival[long] = found.label[scene.track], found.margin[scene.track], found.rival[scene.track]
     near_unlabelled[long] = overlaps_unlabelled(found.label, scene.first, scene.last)[scene.track]
+    offsets, xyz = marker_offsets(labellers), rotate_z_up(clouds.xyz, clouds.vertical)
     if not kept.all():
-        offsets, xyz = marker_offsets(labellers), rotate_z_up(clouds.xyz, clouds.vertical)
         for number, (labeller, body) in enumerate(zip(labellers, found.bodies, strict=True)):
             arrays = labeller.body if body is labeller.model else body.arrays()
             of_body = labels_of_body(label, offsets, number)
             marker, its_margin = label_short_points(labeller, arrays, clouds, xyz, ~kept & (label == NULL), of_body, rules.short)
             taken = marker != NULL
             label[taken], margin[taken] = marker[taken] + offsets[number], its_margin[taken]
-    return PointLabels(label, margin, rival, near_unlabelled, found)
+    fit = np.zeros(points)
+    scored = np.isin(np.arange(len(clouds)), scene.sampled_frames)
+    scored[clouds.frame_of[~kept & (label != NULL)]] = True
+    for number, labeller in enumerate(labellers):  # by the body of people at large: that is what trials on other people were judged by
+        of_body = labels_of_body(label, offsets, number)
+        own = point_fits(clouds, xyz, of_body, labeller.body, labeller.settings, scored, tracklets.of_point)
+        fit = np.where(of_body != NULL, own, fit)
+    return PointLabels(label, margin, rival, near_unlabelled, fit, found)
 
 
 def label_whole(
@@ -124,7 +135,8 @@ def label_whole(
         blank = _empty_labelling(body, clouds)
         indices, confidence = blank.indices, blank.confidence
         verdict = judge_scene(labels.found.scene, labels.found.label, offsets, number, body.distances)
-        certainty = np.minimum(body.certainty.confidence(labels.margin, labels.near_unlabelled), confidence_limit(verdict))
+        certainty = body.certainty.confidence(labels.margin, labels.near_unlabelled, labels.fit)
+        certainty = np.minimum(certainty, confidence_limit(verdict))
         # a marker without a point: the probability that its best candidate was it, above one half only where a label was taken back
         candidate = np.where(label != NULL, label, np.where(labels.label == NULL, rival, NULL))
         chance = np.where(label != NULL, certainty, 0.5 * np.exp(np.minimum(labels.margin, 0.0)))
@@ -186,29 +198,31 @@ def _scores_of_labels(
 def run_trials(
     labeller: BodyLabeller,
     stretches: Sequence[Recording],
-    trials: Sequence[tuple[float, int]],
+    trials: Sequence[Trial],
     rules: RecordingLabellingSettings,
     subject_rules: SubjectRules,
     body_rules: BodyRules,
     seed: int,
-) -> TrialLabels:
-    """Label stretches of recordings whose truth is known, with markers hidden in gaps and ghosts added.
+) -> LabelTrials:
+    """Label stretches of recordings whose truth is known, with markers hidden in gaps, and ghosts or clutter added.
 
-    trials: (share of the markers hidden at every moment, ghosts). One entry for each label in each sampled frame.
+    One entry for each label in each sampled frame.
     """
     rng = np.random.default_rng(seed)
     parts = []
     for stretch in stretches:
-        for share, ghosts in trials:
-            clouds, truth = simulate_gaps_and_ghosts(stretch, round(share * len(stretch.labels)), ghosts, rng)
+        for trial in trials:
+            clouds, truth = trial.in_time(stretch, rng)
             if not len(clouds.xyz):
                 continue
             found = label_points([labeller], clouds, rules, subject_rules, body_rules)
             frame_of = clouds.frame_of
             used = np.nonzero(np.isin(frame_of, found.found.scene.sampled_frames) & (found.label != NULL))[0]
             right = truth[frame_of[used], found.label[used]] == used - clouds.offsets[frame_of[used]]
-            parts.append(TrialLabels(found.margin[used], right.astype(np.float64), found.near_unlabelled[used]))
-    return TrialLabels.together(parts)
+            parts.append(
+                LabelTrials(found.margin[used], found.fit[used], found.near_unlabelled[used], right.astype(np.float64), np.ones(len(used)))
+            )
+    return LabelTrials.together(parts)
 
 
 def _empty_labelling(body: BodyInRecording, clouds: Clouds) -> Labelling:

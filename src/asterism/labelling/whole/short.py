@@ -125,7 +125,8 @@ def _label_alone(
 ) -> None:
     """Label frames by themselves, and take from that what is a candidate for a marker that is not there yet."""
     numbers = np.nonzero(alone)[0]
-    point_of, margins, _, _ = labeller.label(clouds.frames(numbers))
+    alone_labels = labeller.label(clouds.frames(numbers))
+    point_of, margins = alone_labels.point_of, alone_labels.margins
     row, marker = np.nonzero(point_of != NULL)
     frame = numbers[row]
     point = clouds.offsets[frame] + point_of[row, marker]

@@ -1,0 +1,39 @@
+"""How well the points of a recording lie where the others predict them: labels of all points in; nats of each labelled point out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.labelling.body._workspace_kernels import BodyArrays, FrameSettings
+from asterism.labelling.whole._kernels import FrameScores, score_frames
+from asterism.recording import NULL, Clouds, Floats, Ints
+
+MIN_FIT, MAX_FIT = -12.0, 15.0
+"""Nats that one frame says of a point at least and at most, before the mean over a tracklet. Not tuned."""
+
+
+def point_fits(
+    clouds: Clouds, xyz: Floats, label: Ints, body: BodyArrays, settings: FrameSettings, frames: NDArray[np.bool_], group: Ints
+) -> Floats:
+    """The mean fit of each group of points, given to all points of the group: (P,) nats, less what rightly labelled frames usually score.
+
+    The fit of a point is its score as its marker, given all other labels of its frame ("leave one out").
+    clouds of P points; xyz (P, 3) m, z up; label (P,): marker of each point, -1 for none; frames (T,): the frames that are scored; group
+    (P,): tracklet of each point. A group without a labelled point in these frames has 0. O(scored frames), as `score_frames`.
+    """
+    frame_of = clouds.frame_of
+    points = np.nonzero(frames[frame_of])[0]
+    points = points[np.lexsort((*xyz[points].T, frame_of[points]))]  # the order of the points does not matter
+    counts = clouds.counts[frames]
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    out = FrameScores(np.empty((len(points), body.mean.shape[1])), np.empty(len(counts)), np.empty(len(counts), dtype=np.int64))
+    own = np.ascontiguousarray(xyz[points])
+    score_frames(own, offsets, np.arange(len(points)), label[points], body, settings, out)
+    labelled = np.nonzero(label[points] != NULL)[0]
+    surplus = np.log1p(np.maximum(clouds.counts - body.mean.shape[1], 0))[frame_of[points[labelled]]]
+    fit = np.clip(out.scores[labelled, label[points[labelled]]] - settings.usual_score + surplus, MIN_FIT, MAX_FIT)
+    size = int(group.max(initial=-1)) + 1
+    whose = group[points[labelled]]
+    count = np.bincount(whose, minlength=size)
+    return (np.bincount(whose, weights=fit, minlength=size) / np.maximum(count, 1))[group]
