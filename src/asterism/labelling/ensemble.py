@@ -22,7 +22,6 @@ from asterism.labelling.training.ensemble_state import EnsembleState
 from asterism.labelling.training.learning import TrainingConfig, TrainingRules, TrainingState, common_marker_set
 from asterism.labelling.training.sample import Sample
 from asterism.labelling.training.train import train_ensemble
-from asterism.labelling.whole.bodies import check_single_body
 from asterism.labelling.whole.label import BodyInRecording, label_whole, subject_body, subject_body_gain
 from asterism.labelling.whole.scene import RecordingLabellingSettings
 from asterism.labelling.whole.verdict import RigidDistances, VerdictRules, confidence_limit, judge
@@ -200,8 +199,7 @@ class SolverEnsemble:
         if time:
             if rules != "whole-body":
                 raise AsterismError(f"whole recordings are labelled by the rules whole-body, not {rules}; leave out time or the rules.")
-            check_single_body(self.body_labeller, clouds)
-            return label_together([self], clouds, workers=workers, progress=progress)[0]
+            return _label_bodies([self], clouds, workers, progress, one_person=True)[0]
         return self.label_counted(clouds, rules=rules, workers=workers, progress=progress)[0]
 
     def label_counted(
@@ -294,6 +292,13 @@ def label_together(
     clouds: T frames. An ensemble may be given twice, for two people who wear the same markers. Whole recordings only: see
     `SolverEnsemble.label` with `time`.
     """
+    return _label_bodies(ensembles, clouds, workers, progress)
+
+
+def _label_bodies(
+    ensembles: Sequence[SolverEnsemble], clouds: Clouds, workers: int, progress: Progress | None, *, one_person: bool = False
+) -> list[Labelling]:
     bodies = [ensemble.in_recording() for ensemble in ensembles]
     body_rules = next((e.state.body_rules for e in ensembles if e.state.training is not None), BodyRules())
-    return label_whole(bodies, clouds, RecordingLabellingSettings(), SubjectRules(), body_rules, workers, progress)[0]
+    settings = RecordingLabellingSettings()
+    return label_whole(bodies, clouds, settings, SubjectRules(), body_rules, workers, progress, one_person)[0]
