@@ -216,7 +216,7 @@ class SolverEnsemble:
         verdict = None
         if self.rigid_distances is not None:
             best = Labelling(rows, confidence, self.marker_set.names)
-            verdict = judge(best.positions(clouds)[:, self.state.markers], clouds.counts, self.rigid_distances, VerdictRules())
+            verdict = judge(best.positions(clouds)[:, self.state.markers], clouds.counts, self.rigid_distances)
         confidence = np.minimum(confidence, confidence_limit(verdict))
         indices = np.where(confidence >= self.least_confidence, rows, NULL)
         return Labelling(indices, confidence, self.marker_set.names, verdict=verdict), counters[:, 0]
