@@ -14,11 +14,10 @@ import asterism
 from asterism import formats
 from asterism.cli import main
 from asterism.findings import Severity
-from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
-from asterism.labelling.whole.verdict import RigidDistances, VerdictRules, judge
+from asterism.labelling.whole.verdict import RigidDistances, VerdictRules, exchangeable, judge
 from asterism.recording import Recording
 from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, Verdict
-from asterism.simulation import simulate_standing, simulate_walks
+from asterism.simulation import simulate_gaps_and_ghosts, simulate_standing, simulate_walks
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +81,7 @@ def test_many_markers_not_worn_are_another_marker_set() -> None:
     """Eight of twenty markers fit, and twelve points are something else."""
     positions = np.tile(BODY, (20, 1, 1))
     positions[:, 8:] = np.nan
-    verdict = judge(positions, np.full(20, 20), rigid_body(), VerdictRules())
+    verdict = judge(positions, np.full(20, 20), rigid_body())
     assert verdict.kind == OTHER_MARKERS
     assert verdict.labelled == pytest.approx(8 / 20)
     assert verdict.surplus == 12
@@ -97,7 +96,7 @@ def rigid_body() -> RigidDistances:
 
 
 def test_the_scatter_leaves_out_the_size_of_the_body() -> None:
-    verdict = judge(np.tile(1.3 * BODY, (20, 1, 1)), np.full(20, 20), rigid_body(), VerdictRules())
+    verdict = judge(np.tile(1.3 * BODY, (20, 1, 1)), np.full(20, 20), rigid_body())
     assert verdict.kind == FITS
     assert verdict.scatter == pytest.approx(0.0, abs=1e-9)
     assert verdict.size == pytest.approx(1.3)
@@ -106,28 +105,26 @@ def test_the_scatter_leaves_out_the_size_of_the_body() -> None:
 def test_the_scatter_does_not_depend_on_where_the_body_is_or_how_it_lies() -> None:
     turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
     aside = BODY + np.random.default_rng(6).normal(0.0, 0.02, BODY.shape)
-    there, moved = (
-        judge(np.tile(body, (20, 1, 1)), np.full(20, 20), rigid_body(), VerdictRules()) for body in (aside, aside @ turn.T + np.ones(3))
-    )
+    there, moved = (judge(np.tile(body, (20, 1, 1)), np.full(20, 20), rigid_body()) for body in (aside, aside @ turn.T + np.ones(3)))
     assert moved.scatter == pytest.approx(there.scatter)
     assert there.scatter > 0.01
 
 
 def test_a_body_that_moves_against_the_training_is_another() -> None:
     loose = BODY + np.random.default_rng(7).normal(0.0, 0.1, (60, 20, 3))
-    assert judge(loose, np.full(60, 20), rigid_body(), VerdictRules()).kind == OTHER_BODY
+    assert judge(loose, np.full(60, 20), rigid_body()).kind == OTHER_BODY
 
 
 def test_one_person_gives_the_smallest_limit_and_other_people_widen_it() -> None:
     rng, rules = np.random.default_rng(8), VerdictRules()
-    bodies = BODY + rng.normal(0.0, 0.03, (3, 20, 3))
-    frames, people = np.repeat(bodies, 10, axis=0), np.repeat(np.arange(3), 10)
+    bodies = BODY + rng.normal(0.0, 0.03, (5, 20, 3))
+    frames, people = np.repeat(bodies, 10, axis=0), np.repeat(np.arange(5), 10)
     assert rigid_body().limit == rules.min_limit
     assert rules.min_limit < RigidDistances.of_training(frames, people, 1.0, rules).limit <= rules.max_limit
 
 
 def test_no_points_are_nothing_to_judge() -> None:
-    verdict = judge(np.full((10, 20, 3), np.nan), np.zeros(10, dtype=np.int64), rigid_body(), VerdictRules())
+    verdict = judge(np.full((10, 20, 3), np.nan), np.zeros(10, dtype=np.int64), rigid_body())
     assert verdict.kind == FITS
     assert np.isnan(verdict.scatter)
 
@@ -138,6 +135,15 @@ def test_exchangeable_markers_are_said_once() -> None:
     assert first.code == second.code == "label-exchangeable"
     assert first.sentence == "run.c3d: LTHI1 and LTHI3 may be exchanged throughout."
     assert "A, B and C" in second.sentence
+
+
+def test_two_markers_that_are_each_others_rivals_throughout_are_exchangeable() -> None:
+    """Markers 0 and 1 are doubtful in all 20 frames and each other's rivals; 2 is doubtful, too, but its rival is sure."""
+    label, rival = np.tile([0, 1, 2, 3], 20), np.tile([1, 0, 3, -1], 20)
+    doubtful = np.tile([0.5, 0.6, 0.5, 0.99], 20)
+    assert exchangeable(label, rival, doubtful, 20, VerdictRules()) == ((0, 1),)
+    assert exchangeable(label, rival, np.where(np.arange(80) < 60, 0.99, doubtful), 20, VerdictRules()) == ()
+    assert exchangeable(label, rival, doubtful, 100, VerdictRules()) == ()
 
 
 def test_the_command_line_says_it_and_ends_with_1(

@@ -10,6 +10,7 @@ from benchmarks.dirt.guarantee import guarantee
 from benchmarks.dirt.peers import peers
 from benchmarks.dirt.reliability import reliability
 from benchmarks.dirt.speed import long_recording, speed
+from benchmarks.dirt.strangers import strangers
 from benchmarks.dirt.stream import stream
 from benchmarks.figures import Figure
 
@@ -25,4 +26,5 @@ ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
     "stream-clutter": stream,
     "peers-clutter": peers,
     "reliability": reliability,
+    "strangers": strangers,
 }

@@ -199,7 +199,7 @@ class SolverEnsemble:
         if time:
             if rules != "whole-body":
                 raise AsterismError(f"whole recordings are labelled by the rules whole-body, not {rules}; leave out time or the rules.")
-            return _label_bodies([self], clouds, workers, progress, one_person=True)[0]
+            return label_together([self], clouds, workers=workers, progress=progress)[0]
         return self.label_counted(clouds, rules=rules, workers=workers, progress=progress)[0]
 
     def label_counted(
@@ -214,7 +214,7 @@ class SolverEnsemble:
         verdict = None
         if self.rigid_distances is not None:
             best = Labelling(rows, confidence, self.marker_set.names)
-            verdict = judge(best.positions(clouds)[:, self.state.markers], clouds.counts, self.rigid_distances, VerdictRules())
+            verdict = judge(best.positions(clouds)[:, self.state.markers], clouds.counts, self.rigid_distances)
         confidence = np.minimum(confidence, confidence_limit(verdict))
         indices = np.where(confidence >= self.least_confidence, rows, NULL)
         return Labelling(indices, confidence, self.marker_set.names, verdict=verdict), counters[:, 0]
@@ -290,15 +290,8 @@ def label_together(
     """Label a recording with several bodies in it: one labelling per ensemble, each point given to one of them at most.
 
     clouds: T frames. An ensemble may be given twice, for two people who wear the same markers. Whole recordings only: see
-    `SolverEnsemble.label` with `time`.
+    `SolverEnsemble.label` with `time`. Raises SeveralBodies where one ensemble is given, and the recording certainly shows two such bodies.
     """
-    return _label_bodies(ensembles, clouds, workers, progress)
-
-
-def _label_bodies(
-    ensembles: Sequence[SolverEnsemble], clouds: Clouds, workers: int, progress: Progress | None, *, one_person: bool = False
-) -> list[Labelling]:
     bodies = [ensemble.in_recording() for ensemble in ensembles]
     body_rules = next((e.state.body_rules for e in ensembles if e.state.training is not None), BodyRules())
-    settings = RecordingLabellingSettings()
-    return label_whole(bodies, clouds, settings, SubjectRules(), body_rules, workers, progress, one_person)[0]
+    return label_whole(bodies, clouds, RecordingLabellingSettings(), SubjectRules(), body_rules, workers, progress)[0]

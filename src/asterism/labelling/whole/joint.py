@@ -44,6 +44,7 @@ class SceneLabelling:
     margin  (J,) nats
     rival   (J,) the second best column
     bodies  the models as adapted to the subjects
+    total   nats, the total gain of the labels
     stages  labels (J,) after each stage, by name
     """
 
@@ -52,6 +53,7 @@ class SceneLabelling:
     margin: Floats
     rival: Ints
     bodies: list[BodyModel]
+    total: float
     stages: dict[str, Ints] = field(default_factory=dict)
 
 
@@ -63,15 +65,20 @@ def label_scene(
     body_rules: BodyRules,
     workers: int = 1,
     progress: Progress | None = None,
+    start: Ints | None = None,
 ) -> SceneLabelling:
-    """Label all tracklets of a recording together; see the module's head."""
+    """Label all tracklets of a recording together; see the module's head.
+
+    start: labels (J,) to begin with, -1 for none, instead of what the sampled frames vote for.
+    """
     report = progress or (lambda fraction, what: None)
     offsets, bodies = marker_offsets(labellers), [labeller.model for labeller in labellers]
-    if len(labellers) == 1:
-        votes = _votes_of_one(labellers[0], scene, rules, workers, report)
+    if start is not None:
+        label = start
+    elif len(labellers) == 1:
+        label = assign_tracklets(_votes_of_one(labellers[0], scene, rules, workers, report), scene.first, scene.last)
     else:
-        votes = _votes_of_several(labellers, scene, rules, workers, report)
-    label = assign_tracklets(votes, scene.first, scene.last)
+        label = assign_tracklets(_votes_of_several(labellers, scene, rules, workers, report), scene.first, scene.last)
     state = _coordinate_ascent(labellers, bodies, scene, label, rules)
     stages = {"votes": label, "tracks": state.label}
     for turn in range(rules.adapt_rounds):
@@ -92,7 +99,7 @@ def label_scene(
     for number, (labeller, body) in enumerate(zip(labellers, bodies, strict=True)):
         doubtful = off_training_distances(labeller, body, scene, labels_of_body(state.label, offsets, number), rules, body_rules)
         margin[doubtful] = np.minimum(margin[doubtful], -rules.no_adapt_margin)
-    return SceneLabelling(scene, state.label, margin, state.rival, bodies, stages)
+    return SceneLabelling(scene, state.label, margin, state.rival, bodies, state.total, stages)
 
 
 @dataclass(frozen=True)

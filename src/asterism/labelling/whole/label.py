@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,11 +19,12 @@ from asterism.labelling.whole._kernels import FrameScores, score_frames
 from asterism.labelling.whole.bodies import check_single_body
 from asterism.labelling.whole.certainty import Certainty, overlaps_unlabelled
 from asterism.labelling.whole.fits import point_fits
+from asterism.labelling.whole.foreign import ForeignRules, forward_travel, label_foreign
 from asterism.labelling.whole.joint import SceneLabelling, label_scene
 from asterism.labelling.whole.scene import RecordingLabellingSettings, labels_of_body, marker_offsets, prepare_scene
 from asterism.labelling.whole.short import frames_with_bodies, label_short_points, long_points, tracklets_of
 from asterism.labelling.whole.splits import split_tracklets
-from asterism.labelling.whole.verdict import RigidDistances, confidence_limit, judge_scene
+from asterism.labelling.whole.verdict import RigidDistances, VerdictRules, confidence_limit, exchangeable, judge_scene
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
 from asterism.tracking.linking import find_tracklets
@@ -56,6 +57,7 @@ class PointLabels:
     rival            (P,) that column, where there is one; -1 otherwise
     near_unlabelled  (P,) 1 where a point without a label was there at some time of the point's tracklet, else 0
     fit              (P,) nats, how well the tracklets of labelled points lie where the others predict them, see `point_fits`
+    limit            (P,) what no label of a point may be more certain than
     found            the labels of the long tracklets
     """
 
@@ -64,6 +66,7 @@ class PointLabels:
     rival: Ints
     near_unlabelled: Ints
     fit: Floats
+    limit: Floats
     found: SceneLabelling
 
 
@@ -75,18 +78,19 @@ def label_points(
     body_rules: BodyRules,
     workers: int = 1,
     progress: Progress | None = None,
-    one_person: bool = False,
+    whole: BodyInRecording | None = None,
 ) -> PointLabels:
     """Label the long tracklets of a recording together, then the points of the short ones; clouds have at least one point.
 
-    one_person: raise SeveralBodies where the long tracklets certainly show two bodies of the only model.
+    whole: the only body; where the recording does not fit it, the tracklets are labelled again (`foreign.py`). Raises SeveralBodies where
+    the long tracklets certainly show two such bodies.
     """
     tracklets = find_tracklets(clouds)
     kept = long_points(clouds, tracklets, rules.short)
     if len(labellers) > 1:  # single frames do not tell which body is whose: without long tracklets, the short ones must
         markers = int(marker_offsets(labellers)[-1])
         kept |= frames_with_bodies(clouds, kept, markers, rules.short) < rules.short.min_long_frames
-    elif one_person:
+    elif whole is not None:
         check_single_body(labellers[0], clouds.select(kept))
     for turn in range(rules.max_splits + 1):
         scene = prepare_scene(clouds.select(kept), tracklets_of(tracklets, kept), rules)
@@ -96,9 +100,18 @@ def label_points(
         if split is None:
             break
         tracklets = split
+    limit = np.ones(len(scene.first))
+    if whole is not None:
+
+        def relabel(start: Ints) -> SceneLabelling:
+            return label_scene(labellers, scene, rules, subject_rules, body_rules, workers, start=start)
+
+        found, limit = label_if_foreign(whole, found, relabel)
     points = len(clouds.xyz)
     label, margin, rival = np.full(points, NULL, dtype=np.int64), np.zeros(points), np.full(points, NULL, dtype=np.int64)
     near_unlabelled = np.ones(points, dtype=np.int64)
+    limits = np.ones(points)
+    limits[long] = limit[scene.track]
     label[long], margin[long], rival[long] = found.label[scene.track], found.margin[scene.track], found.rival[scene.track]
     near_unlabelled[long] = overlaps_unlabelled(found.label, scene.first, scene.last)[scene.track]
     offsets, xyz = marker_offsets(labellers), rotate_z_up(clouds.xyz, clouds.vertical)
@@ -116,7 +129,28 @@ def label_points(
         of_body = labels_of_body(label, offsets, number)
         own = point_fits(clouds, xyz, of_body, labeller.body, labeller.settings, scored, tracklets.of_point)
         fit = np.where(of_body != NULL, own, fit)
-    return PointLabels(label, margin, rival, near_unlabelled, fit, found)
+    return PointLabels(label, margin, rival, near_unlabelled, fit, limits, found)
+
+
+def label_if_foreign(
+    body: BodyInRecording, found: SceneLabelling, relabel: Callable[[Ints], SceneLabelling]
+) -> tuple[SceneLabelling, Floats]:
+    """A recording's labels, and what each of them may be as certain as (J,).
+
+    It is labelled again where it does not fit the body, where the body seems to walk backwards, and where few people taught the model and
+    many points are left over. relabel: labels the recording from given labels (J,) on.
+    """
+    reference = body.distances
+    verdict = judge_scene(found.scene, found.label, marker_offsets([body.labeller]), 0, reference)
+    if verdict is None or reference is None:
+        return found, np.ones(len(found.label))
+    names, rules = [body.names[marker] for marker in body.markers], ForeignRules()
+    few = len(reference.median) < reference.rules.min_people
+    crowded = few and verdict.surplus >= reference.rules.min_surplus * len(names)
+    if verdict.fits and not crowded and forward_travel(found, names, rules) > rules.backward:
+        return found, np.ones(len(found.label))
+    again = label_foreign(body.labeller.model, found, reference, names, relabel, rules)
+    return again.found, again.limit
 
 
 def label_whole(
@@ -127,16 +161,16 @@ def label_whole(
     body_rules: BodyRules,
     workers: int = 1,
     progress: Progress | None = None,
-    one_person: bool = False,
 ) -> tuple[list[Labelling], SceneLabelling | None]:
     """One labelling for each body, each point given to one of them at most; and those of the long tracklets, None without a point.
 
-    one_person: see `label_points`.
+    Raises SeveralBodies where one body is given, and the recording certainly shows two of it.
     """
     if not len(clouds.xyz):
         return [_empty_labelling(body, clouds) for body in bodies], None
     labellers = [body.labeller for body in bodies]
-    labels = label_points(labellers, clouds, rules, subject_rules, body_rules, workers, progress, one_person)
+    whole = bodies[0] if len(bodies) == 1 else None
+    labels = label_points(labellers, clouds, rules, subject_rules, body_rules, workers, progress, whole)
     frame_of = clouds.frame_of
     place = np.arange(len(frame_of)) - clouds.offsets[frame_of]
     offsets = marker_offsets(labellers)
@@ -147,7 +181,11 @@ def label_whole(
         indices, confidence = blank.indices, blank.confidence
         verdict = judge_scene(labels.found.scene, labels.found.label, offsets, number, body.distances)
         certainty = body.certainty.confidence(labels.margin, labels.near_unlabelled, labels.fit)
-        certainty = np.minimum(certainty, confidence_limit(verdict))
+        certainty = np.minimum(certainty, np.minimum(labels.limit, confidence_limit(verdict)))
+        if verdict is not None:
+            pairs = exchangeable(label, rival, certainty, len(clouds), VerdictRules())
+            named = tuple(tuple(body.names[body.markers[marker]] for marker in pair) for pair in pairs)
+            verdict = replace(verdict, exchangeable=named)
         # a marker without a point: the probability that its best candidate was it, above one half only where a label was taken back
         candidate = np.where(label != NULL, label, np.where(labels.label == NULL, rival, NULL))
         chance = np.where(label != NULL, certainty, 0.5 * np.exp(np.minimum(labels.margin, 0.0)))

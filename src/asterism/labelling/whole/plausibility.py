@@ -23,17 +23,23 @@ def ghost_penalty(scene: Scene, label: Ints, offsets: Ints, rules: RecordingLabe
     A ghost that moves with the body where a marker is hidden can fit the pose, but hardly the distances of this very body. Only tracklets
     during which some point has no label are checked: elsewhere there is no sign of ghosts.
     """
-    worst, of_body = np.zeros(len(label)), np.zeros(len(label))
     near_unlabelled = overlaps_unlabelled(label, scene.first, scene.last)
     if not near_unlabelled.any():
-        return worst
+        return np.zeros(len(label))
+    excess = np.maximum(own_deviations(scene, label, offsets, rules) - rules.max_rigid_deviation, 0.0)
+    return rules.deviation_cost * excess**2 * (near_unlabelled > 0)
+
+
+def own_deviations(scene: Scene, label: Ints, offsets: Ints, rules: RecordingLabellingSettings) -> Floats:
+    """Standard deviations (J,) by which tracklets' near-rigid distances differ from those of their markers elsewhere in the recording."""
+    worst, of_body = np.zeros(len(label)), np.zeros(len(label))
     points = TrackedPoints(scene.sampled_xyz, scene.sampled_frame, scene.sampled_track, len(scene.sampled_frames))
     limits = DistanceLimits(rules.min_rigid_std, 0.0, rules.max_rigid_std, MIN_FRAMES, MAX_PARTNERS, MAX_DEVIATION)
     for number in range(len(offsets) - 1):
         own = labels_of_body(label, offsets, number)
         rigid_deviations(points, own, int(offsets[number + 1] - offsets[number]), limits, of_body)
         worst = np.maximum(worst, of_body)
-    return rules.deviation_cost * np.maximum(worst - rules.max_rigid_deviation, 0.0) ** 2 * (near_unlabelled > 0)
+    return worst
 
 
 def off_training_distances(

@@ -30,14 +30,19 @@ class VerdictRules:
     min_pairs        near-rigid distances that a comparison needs
     min_limit        largest scatter that fits, whatever the training showed
     max_limit        least scatter that never fits
+    min_people       people of the training from which their differences widen the limit
     left_out_factor  the limit as a multiple of the largest scatter of a person of the training against all others, between these two
+    crowded_limit    largest scatter that fits where fewer people taught the model and many points are left over: among many points some
+                     always fit
     body_scatter     scatter from which it is another body
     body_size        factor between the sizes from which it is another body
     body_labelled    share of the markers, or of the points if fewer, below which what does not fit is another body
+    moving_lost      the same from which a movement is foreign to a training of standing trials
     body_lost        share of the training's near-rigid distances that are not rigid from which it is another body
     min_labelled     share of the markers, or of the points if fewer, below which it is another marker set
     min_found        the same below which it is another body, where a usual frame shows `min_shown` of the markers' number of points
     min_shown        see above
+    either_way       confidence below which a label counts as one that could be exchanged
     min_surplus      points left over, as a share of the markers, from which what does not fit is another marker set
     """
 
@@ -47,14 +52,18 @@ class VerdictRules:
     min_pairs: int = 6
     min_limit: float = 0.06
     max_limit: float = 0.08
+    min_people: int = 5
     left_out_factor: float = 1.3
+    crowded_limit: float = 0.035
     body_scatter: float = 0.3
     body_size: float = 1.7
     body_labelled: float = 0.5
+    moving_lost: float = 0.25
     body_lost: float = 0.7
     min_labelled: float = 0.6
     min_found: float = 0.2
     min_shown: float = 0.4
+    either_way: float = 0.75
     min_surplus: float = 0.25
 
 
@@ -67,6 +76,7 @@ class RigidDistances:
     moving         whether the training shows that other distances are not rigid; a standing trial alone does not
     limit          the largest scatter that fits
     unit           `length_scale` of the body
+    rules          by which they were chosen
     """
 
     first: Ints
@@ -75,6 +85,7 @@ class RigidDistances:
     moving: bool
     limit: float
     unit: float
+    rules: VerdictRules
 
     @classmethod
     def of_training(cls, frames: Floats, people: Ints, unit: float, rules: VerdictRules) -> RigidDistances:
@@ -88,55 +99,65 @@ class RigidDistances:
         std = _quietly(np.nanmax, np.stack(stds), axis=0)
         rigid = std < rules.max_rigid_std * unit
         moving = bool((std > 1.5 * rules.max_rigid_std * unit).mean() > 0.2)
-        found = cls(first[rigid], second[rigid], np.stack(medians)[:, rigid], moving, rules.min_limit, unit)
-        left_out = [found.scatter(found.median[p], [q for q in range(len(medians)) if q != p], rules)[0] for p in range(len(medians))]
-        most = max((scatter for scatter in left_out if not np.isnan(scatter)), default=0.0)
-        limit = float(np.clip(rules.left_out_factor * most, rules.min_limit, rules.max_limit))
-        return cls(found.first, found.second, found.median, moving, limit, unit)
+        found = cls(first[rigid], second[rigid], np.stack(medians)[:, rigid], moving, rules.min_limit, unit, rules)
+        if len(medians) < rules.min_people:
+            return found
+        rest = [replace(found, median=np.delete(found.median, p, axis=0)).nearest(found.median[p])[0] for p in range(len(medians))]
+        most = max((scatter for scatter in rest if not np.isnan(scatter)), default=0.0)
+        return replace(found, limit=float(np.clip(rules.left_out_factor * most, rules.min_limit, rules.max_limit)))
 
-    def scatter(self, distance: Floats, people: list[int], rules: VerdictRules) -> tuple[float, float]:
-        """Scatter about these people's distances and size of a body; about their mean, or the one whose are the nearest; NaN if unknown.
+    @property
+    def max_rigid_std(self) -> float:
+        """Standard deviation (m) up to which a distance is near-rigid."""
+        return self.rules.max_rigid_std * self.unit
 
-        distance (N,) m, NaN where not known or not rigid.
+    def nearest(self, distance: Floats) -> tuple[float, float, Floats]:
+        """The people's mean, or the one of them, whose distances are the nearest to those of a body.
+
+        distance (N,) m, NaN where not known or not rigid. Gives the scatter about the nearest, the log of the size, and the logs of the
+        distances (N,); scatter and size are NaN and 0 where too few are known.
         """
-        if not people:
-            return float("nan"), float("nan")
-        logs = np.log(self.median[people])
-        best = float("nan"), float("nan")
-        for reference in [_quietly(np.nanmean, logs, axis=0), *(logs if len(people) > 1 else ())]:
+        logs, rules = np.log(self.median), self.rules
+        mean = _quietly(np.nanmean, logs, axis=0)
+        best, size, nearest = float("nan"), 0.0, mean
+        for reference in [mean, *(logs if len(logs) > 1 else ())]:
             ratio = np.log(distance) - reference
             known = ~np.isnan(ratio)
             if known.sum() < rules.min_pairs:
                 continue
-            size = np.median(ratio[known])
+            middle = float(np.median(ratio[known]))
             # a distance of 10 cm may be off by a centimetre as a long one may be by some per cent
             weight = 1.0 / np.sqrt(1.0 + (rules.noise * self.unit / (rules.min_limit * distance[known])) ** 2)
-            scatter = 1.4826 * float(np.median(np.abs(ratio[known] - size) * weight))
-            if not scatter >= best[0]:
-                best = scatter, float(np.exp(size))
-        return best
+            scatter = 1.4826 * float(np.median(np.abs(ratio[known] - middle) * weight))
+            if not scatter >= best:
+                best, size, nearest = scatter, middle, reference
+        return best, size, np.where(np.isnan(nearest), mean, nearest)
 
 
-def judge(positions: Floats, counts: Ints, reference: RigidDistances, rules: VerdictRules) -> Verdict:
+def judge(positions: Floats, counts: Ints, reference: RigidDistances) -> Verdict:
     """The verdict on labelled frames: positions (E, M, 3) m of the markers, NaN where none; counts (E,) points of each frame. O(E N)."""
-    markers, labelled = positions.shape[1], (~np.isnan(positions[:, :, 0])).sum(axis=1)
+    rules, markers, labelled = reference.rules, positions.shape[1], (~np.isnan(positions[:, :, 0])).sum(axis=1)
     share = float(labelled.sum() / max(1, np.minimum(counts, markers).sum()))
     surplus = float(np.median(counts - labelled)) if len(counts) else 0.0
     some = _some(positions, rules.frames)
     distance, std = median_and_std(some, reference.first, reference.second, min(MIN_FRAMES, len(some)))
     known = ~np.isnan(distance)
-    rigid = known & (std < rules.max_rigid_std * reference.unit if len(some) >= MIN_FRAMES else reference.moving)
+    rigid = known & (std < reference.max_rigid_std if len(some) >= MIN_FRAMES else reference.moving)
     lost = 1.0 - float(rigid.sum()) / max(1, int(known.sum()))
-    scatter, size = reference.scatter(np.where(rigid, distance, np.nan), list(range(len(reference.median))), rules)
+    scatter, log_size, _ = reference.nearest(np.where(rigid, distance, np.nan))
+    size = float("nan") if np.isnan(scatter) else float(np.exp(log_size))
     comparable = len(reference.first) >= 2 * rules.min_pairs and len(some) >= MIN_FRAMES
-    verdict = Verdict(FITS, scatter, reference.limit, size, share, surplus)
+    crowded = len(reference.median) < rules.min_people and surplus >= rules.min_surplus * markers
+    verdict = Verdict(FITS, scatter, min(reference.limit, rules.crowded_limit) if crowded else reference.limit, size, share, surplus)
     if np.isnan(scatter):
         # a body whose markers move against each other, as far as they are the model's
         kind = OTHER_BODY if comparable and labelled.any() else _kind_by_points(verdict, counts, markers, rules)
     elif _is_other_body(verdict, lost if reference.moving else 0.0, rules):
         kind = OTHER_BODY
-    elif scatter > reference.limit:
+    elif scatter > verdict.limit:
         kind = OTHER_MARKERS if surplus >= rules.min_surplus * markers else OTHER_PERSON
+    elif not reference.moving and lost > rules.moving_lost:
+        kind = OTHER_PERSON
     else:
         kind = _kind_by_points(verdict, counts, markers, rules)
     return replace(verdict, kind=kind)
@@ -166,7 +187,7 @@ def judge_scene(scene: Scene, label: Ints, offsets: Ints, number: int, reference
     positions[scene.sampled_frame[points], own[scene.sampled_track[points]]] = scene.sampled_xyz[points]
     free = (label == NULL) | (own != NULL)  # the points of other bodies are theirs
     counts = np.bincount(scene.sampled_frame, weights=free[scene.sampled_track], minlength=frames).astype(np.int64)
-    return judge(positions, counts, reference, VerdictRules())
+    return judge(positions, counts, reference)
 
 
 def _kind_by_points(verdict: Verdict, counts: Ints, markers: int, rules: VerdictRules) -> str:
@@ -176,6 +197,21 @@ def _kind_by_points(verdict: Verdict, counts: Ints, markers: int, rules: Verdict
     if verdict.labelled >= rules.min_found:
         return OTHER_MARKERS
     return OTHER_BODY if np.minimum(counts, markers).mean() >= rules.min_shown * markers else FITS
+
+
+def exchangeable(label: Ints, rival: Ints, certainty: Floats, frames: int, rules: VerdictRules) -> tuple[tuple[int, ...], ...]:
+    """Groups of markers that may carry each other's labels in most frames of a recording.
+
+    label, rival, certainty (P,): marker of each point, -1 for none; the best other marker; how certain the label is. Two markers belong
+    together where each is labelled in half of the frames or more, doubtful in most of them, and the other one's usual rival. O(P).
+    """
+    rivals: dict[int, int] = {}
+    for marker in np.unique(label[label != NULL]).tolist():
+        own = label == marker
+        doubtful = own & (certainty < rules.either_way) & (rival != NULL)
+        if 2 * own.sum() >= frames and 2 * doubtful.sum() > own.sum():
+            rivals[marker] = int(np.bincount(rival[doubtful]).argmax())
+    return tuple((marker, other) for marker, other in rivals.items() if marker < other and rivals.get(other) == marker)
 
 
 def confidence_limit(verdict: Verdict | None) -> float:

@@ -1,0 +1,345 @@
+"""A recording that does not fit its model, labelled again: labels in; the best of several whole labellings, and limits of confidence, out.
+
+The frames of a foreign recording can agree on a wrong labelling, such as the body turned round. So the mean bodies are laid into one
+frame at several headings and sizes, each is labelled from there, and the labellings are compared by three kinds of evidence: the body
+model's gain, the near-rigid distances against those of the training, and whether the body travels forward. Where the next labelling is
+as good, or where another point or marker would fit the distances as well, a label is doubtful.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.special import gammaln
+
+from asterism.labelling.body.model import BodyModel
+from asterism.labelling.whole.joint import SceneLabelling
+from asterism.labelling.whole.plausibility import own_deviations
+from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene
+from asterism.labelling.whole.verdict import RigidDistances, median_and_std
+from asterism.recording import NULL, Floats, Ints
+
+Relabel = Callable[[Ints], SceneLabelling]
+
+
+@dataclass(frozen=True)
+class ForeignRules:
+    """How a foreign recording is labelled again. Chosen on the sets for choosing (docs/recordings.md).
+
+    headings         turns of the mean body about the vertical that are tried
+    sizes            its sizes that are tried
+    rounds           alternating steps of matching and placing, at most
+    reach            how far a point may be from its marker, as a share of the body's root mean square radius: first, and in the last rounds
+    max_starts       labellings that are refined, the ones whose distances fit best
+    same             share of common labels from which two labellings are the same one
+    body_weight      weight of the body model's gain
+    distance_weight  weight of the distances; and where the recording is crowded and no labelling has a scatter up to `close`: among many
+                     points some always fit
+    close            see above
+    prior            nats for the labels so far against others; and in a crowded recording
+    forward          nats for a body that travels forward
+    min_speed        m/s from which a body travels
+    backward         `forward_share` up to which a body seems to walk backwards
+    share_std        standard deviation of a near-rigid distance between people, as a share of it, at least
+    noise            m, the same beyond that share
+    freedom          degrees of freedom of the heavy-tailed distribution about it
+    background       density of the log of a distance that is not the marker's
+    loose            nats for a distance that is rigid in a training with movement, but not here
+    partners         distances of a marker that count as independent, at most
+    scale            nats of evidence between two whole labellings that make the odds e to 1
+    crowded          points left over, as a share of the markers, from which a recording is crowded
+    log_odds         log odds that a label of a foreign recording is right, without a margin, and in a crowded one: a logistic regression
+    by_margin        what each nat of the label's margin adds, counted within `margins`
+    by_distance      what each nat adds by which its distances beat the best exchange, counted within `distances`; and in a crowded one
+    by_deviation     what each standard deviation takes away by which the distances of a tracklet differ from its marker's elsewhere in the
+                     recording, beyond `max_deviation`
+    max_deviation    see above
+    margins          see above
+    distances        see above
+    """
+
+    headings: int = 8
+    sizes: tuple[float, ...] = (0.85, 1.0, 1.18)
+    rounds: int = 10
+    reach: tuple[float, float] = (0.8, 0.5)
+    max_starts: int = 3
+    same: float = 0.7
+    body_weight: float = 0.3
+    distance_weight: tuple[float, float] = (1.5, 0.5)
+    close: float = 0.035
+    prior: tuple[float, float] = (5.0, 0.0)
+    forward: float = 12.0
+    min_speed: float = 0.4
+    backward: float = -0.6
+    share_std: float = 0.06
+    noise: float = 0.012
+    freedom: float = 3.0
+    background: float = 0.4
+    loose: float = -2.0
+    partners: int = 3
+    scale: float = 5.0
+    crowded: float = 0.25
+    log_odds: tuple[float, float] = (3.0, 0.3)
+    by_margin: float = 0.1
+    by_distance: tuple[float, float] = (0.2, 0.4)
+    by_deviation: float = 2.0
+    max_deviation: float = 1.5
+    margins: tuple[float, float] = (-15.0, 30.0)
+    distances: tuple[float, float] = (-6.0, 12.0)
+
+
+@dataclass(frozen=True)
+class ForeignLabels:
+    """A foreign recording labelled again.
+
+    found  the labels of the tracklets
+    limit  (J,) what no label of a tracklet may be more certain than
+    """
+
+    found: SceneLabelling
+    limit: Floats
+
+
+def label_foreign(
+    body: BodyModel, found: SceneLabelling, reference: RigidDistances, names: Sequence[str], relabel: Relabel, rules: ForeignRules
+) -> ForeignLabels:
+    """The best whole labelling of a recording with one body, and how certain its labels may be.
+
+    found: the labels so far; names: of the body's markers; relabel: labels the recording from given labels (J,) on.
+    """
+    tracks = tracks_of(found.scene)
+    markers = body.mean.shape[1]
+    starts = [start for start in _starts(body.mean, tracks, rules) if _differ(start, found.label, rules.same)]
+    ranked = sorted(starts, key=lambda start: -_distance_score(_positions(tracks, start, markers), reference, rules)[0])
+    chosen: list[Ints] = []
+    for start in ranked:
+        if len(chosen) < rules.max_starts and all(_differ(start, other, rules.same) for other in chosen):
+            chosen.append(start)
+    labelled = [found, *(relabel(start) for start in chosen)]
+    sides = _side_pairs(names)
+    positions = [_positions(tracks, one.label, markers) for one in labelled]
+    distances = np.array([_distance_score(some, reference, rules) for some in positions])
+    forward = np.array([forward_share(some, _seconds(found.scene), sides, rules.min_speed) for some in positions])
+    crowded = _crowded(found, markers, rules)
+    weight = rules.distance_weight[crowded and not (distances[:, 1] <= rules.close).any()]
+    scores = rules.body_weight * np.array([one.total for one in labelled]) + weight * distances[:, 0] + rules.forward * forward
+    scores[0] += rules.prior[crowded]
+    best = int(np.argmax(scores))
+    limit = _limit_by_distances(labelled[best], tracks, markers, reference, crowded, rules)
+    for one, score in zip(labelled, scores, strict=True):
+        differs = one.label != labelled[best].label
+        if differs.mean() > 1.0 - rules.same:
+            limit[differs] = np.minimum(limit[differs], _odds(scores[best] - score, rules.scale))
+    return ForeignLabels(labelled[best], limit)
+
+
+def _odds(nats: float | Floats, scale: float) -> Floats:
+    """The probability that one of two explanations is right that is so many nats ahead; see `ForeignRules.scale`."""
+    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(nats / scale, -60.0, 60.0))))
+
+
+def tracks_of(scene: Scene) -> Floats:
+    """The positions of each tracklet in the sampled frames: (E, J, 3) m, NaN where it is not there."""
+    tracks = np.full((len(scene.sampled_frames), len(scene.first), 3), np.nan)
+    tracks[scene.sampled_frame, scene.sampled_track] = scene.sampled_xyz
+    return tracks
+
+
+def _positions(tracks: Floats, label: Ints, markers: int) -> Floats:
+    """Positions of the markers (E, M, 3) m under labels (J,)."""
+    out = np.full((len(tracks), markers, 3), np.nan)
+    for j in np.nonzero(label != NULL)[0]:
+        there = ~np.isnan(tracks[:, j, 0])
+        out[there, label[j]] = tracks[there, j]
+    return out
+
+
+def _differ(one: Ints, other: Ints, same: float) -> bool:
+    """Whether two labellings (J,) share less than this part of the labels of the first."""
+    given = one != NULL
+    return bool((one == other)[given].mean() < same)
+
+
+def _starts(mean: Floats, tracks: Floats, rules: ForeignRules) -> list[Ints]:
+    """Labels of the tracklets (J,) that a mean body (K, M, 3) m, laid into the frame with most points, gives; each once."""
+    shown = ~np.isnan(tracks[:, :, 0])
+    frame = int(np.argmax(shown.sum(axis=1)))
+    there = np.nonzero(shown[frame])[0]
+    points, found = tracks[frame, there], {}
+    for body in mean:
+        centred = body - body.mean(axis=0)
+        radius = float(np.sqrt((centred**2).sum(axis=1).mean()))
+        for size in rules.sizes:
+            for turn in 2.0 * np.pi * np.arange(rules.headings) / rules.headings:
+                for top in (False, True):
+                    placed = _laid(centred @ _about_z(turn).T * size, points, top)
+                    pairs = _matched(placed, centred, points, radius, rules)
+                    if len(pairs[0]) >= max(4, 0.5 * min(len(centred), len(points))):
+                        label = np.full(tracks.shape[1], NULL, dtype=np.int64)
+                        label[there[pairs[1]]] = pairs[0]
+                        found[label.tobytes()] = label
+    return list(found.values())
+
+
+def _laid(body: Floats, points: Floats, top: bool) -> Floats:
+    """A body (M, 3) moved onto points (n, 3): its lowest or highest marker on theirs, its middle on that of the points at its height."""
+    side = np.max if top else np.min
+    body = body + np.array([0.0, 0.0, side(points[:, 2]) - side(body[:, 2])])
+    level = (points[:, 2] < body[:, 2].max() + 0.1) & (points[:, 2] > body[:, 2].min() - 0.1)
+    middle = np.median(points[level if level.any() else slice(None), :2], axis=0)
+    body[:, :2] += middle - body[:, :2].mean(axis=0)
+    return body
+
+
+def _matched(placed: Floats, body: Floats, points: Floats, radius: float, rules: ForeignRules) -> tuple[Ints, Ints]:
+    """Markers and points that match when a placed body (M, 3) is matched and placed again in turn."""
+    last: tuple[bytes, bytes] | None = None
+    marker = point = np.empty(0, dtype=np.int64)
+    for turn in range(rules.rounds):
+        apart = np.linalg.norm(placed[:, None] - points[None], axis=2)
+        reach = radius * rules.reach[turn >= 3]
+        marker, point = linear_sum_assignment(np.minimum(apart, reach) ** 2)
+        near = apart[marker, point] < reach
+        marker, point = marker[near], point[near]
+        if len(marker) < 4 or last == (marker.tobytes(), point.tobytes()):
+            break
+        last = marker.tobytes(), point.tobytes()
+        placed = _placed_on(body, body[marker], points[point])
+    return marker, point
+
+
+def _placed_on(body: Floats, markers: Floats, points: Floats) -> Floats:
+    """A body (M, 3) turned about the vertical, scaled and moved so that some of its markers (n, 3) come next to their points (n, 3)."""
+    centre, target = markers.mean(axis=0), points.mean(axis=0)
+    a, b = points - target, markers - centre
+    turn = np.arctan2((b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0]).sum(), (a[:, :2] * b[:, :2]).sum())
+    rotation = _about_z(float(turn))
+    turned = b @ rotation.T
+    scale = float(np.clip((a * turned).sum() / max(1e-12, (turned**2).sum()), 0.7, 1.4))
+    return (body - centre) @ rotation.T * scale + target
+
+
+def _about_z(turn: float) -> Floats:
+    c, s = np.cos(turn), np.sin(turn)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def forward_travel(found: SceneLabelling, names: Sequence[str], rules: ForeignRules) -> float:
+    """`forward_share` of a recording with one body; names: of its markers."""
+    positions = _positions(tracks_of(found.scene), found.label, len(names))
+    return forward_share(positions, _seconds(found.scene), _side_pairs(names), rules.min_speed)
+
+
+def _seconds(scene: Scene) -> Floats:
+    """When each sampled frame is (E,)."""
+    return scene.sampled_frames / scene.rate
+
+
+def _distance_score(positions: Floats, reference: RigidDistances, rules: ForeignRules) -> tuple[float, float]:
+    """Nats by which near-rigid distances of marker positions (E, M, 3) m fit the training's better than any do; and their scatter."""
+    median, std = median_and_std(positions, reference.first, reference.second, 3)
+    known = ~np.isnan(median)
+    if not known.any():
+        return 0.0, float("nan")
+    rigid = known & (std < reference.max_rigid_std)
+    scatter, size, logs = reference.nearest(np.where(rigid, median, np.nan))
+    gain = _log_ratio(np.log(median) - size - logs, np.exp(logs), rules.share_std, rules)
+    gain = np.where(rigid & ~np.isnan(gain), gain, rules.loose if reference.moving else 0.0) * known
+    count = sum(np.bincount(side[known], minlength=positions.shape[1]) for side in (reference.first, reference.second))
+    part = np.minimum(1.0, rules.partners / np.maximum(count, 1))
+    return float((gain * 0.5 * (part[reference.first] + part[reference.second])).sum()), scatter
+
+
+def _log_ratio(deviation: Floats, distance: Floats, share_std: float, rules: ForeignRules) -> Floats:
+    """Nats for deviations of the log of distances (m) that are the markers', against any others."""
+    std, nu = np.sqrt(share_std**2 + (rules.noise / distance) ** 2), rules.freedom
+    peak = gammaln(0.5 * (nu + 1.0)) - gammaln(0.5 * nu) - 0.5 * np.log(nu * np.pi)
+    return np.asarray(peak - np.log(std * rules.background) - 0.5 * (nu + 1.0) * np.log1p((deviation / std) ** 2 / nu))
+
+
+def _side_pairs(names: Sequence[str]) -> list[tuple[int, int]]:
+    """Places of the left and the right marker of each pair that the names show: LKNE and RKNE."""
+    place = {name.upper(): i for i, name in enumerate(names)}
+    return [(i, place["R" + name[1:]]) for name, i in place.items() if name.startswith("L") and "R" + name[1:] in place]
+
+
+def forward_share(positions: Floats, seconds: Floats, sides: Sequence[tuple[int, int]], min_speed: float) -> float:
+    """Mean cosine, from -1 to 1, of the direction of travel with the body's forward axis; 0 for a body that does not travel.
+
+    positions (E, M, 3) m, z up, right-handed; seconds (E,); sides: markers of the left and the right side. Forward is left times up.
+    """
+    if not sides or len(positions) < 6:
+        return 0.0
+    left = np.array([positions[:, one, :2] - positions[:, other, :2] for one, other in sides])
+    centre = np.array([positions[:, marker, :2] for pair in sides for marker in pair])
+    shown = ~np.isnan(left[:, :, 0])
+    left = np.where(shown[:, :, None], left, 0.0).sum(axis=0) / np.maximum(shown.sum(axis=0), 1)[:, None]
+    forward = np.stack([left[:, 1], -left[:, 0]], axis=1)
+    forward /= np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-9)
+    step = max(1, len(positions) // 10)
+    moved = centre[:, step:] - centre[:, :-step]
+    known = ~np.isnan(moved[:, :, 0])
+    moved = np.where(known[:, :, None], moved, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)[:, None]
+    velocity = moved / np.maximum(seconds[step:] - seconds[:-step], 1e-9)[:, None]
+    speed = np.linalg.norm(velocity, axis=1)
+    if np.median(speed) < min_speed:
+        return 0.0
+    return float(((forward[:-step] * velocity).sum(axis=1) / np.maximum(speed, 1e-9)).mean())
+
+
+def _crowded(found: SceneLabelling, markers: int, rules: ForeignRules) -> bool:
+    """Whether a usual frame has many points without a label."""
+    scene = found.scene
+    left_over = np.bincount(scene.sampled_frame, found.label[scene.sampled_track] == NULL, len(scene.sampled_frames))
+    return bool(np.median(left_over) >= rules.crowded * markers)
+
+
+def _limit_by_distances(
+    found: SceneLabelling, tracks: Floats, markers: int, reference: RigidDistances, crowded: bool, rules: ForeignRules
+) -> Floats:
+    """What the labels of tracklets (J,) may be as certain as, by their margins and their distances against those of another marker."""
+    gain = distance_gains(found.label, tracks, markers, reference, rules)
+    lead = distance_margins(gain, found.label, found.scene.first, found.scene.last)
+    by_margin = rules.by_margin * np.clip(found.margin, *rules.margins)
+    by_distance = rules.by_distance[crowded] * np.clip(lead, *rules.distances)
+    deviation = own_deviations(found.scene, found.label, np.array([0, markers]), RecordingLabellingSettings())
+    by_deviation = rules.by_deviation * np.clip(deviation - rules.max_deviation, 0.0, None)
+    return _odds(rules.log_odds[crowded] + by_margin + by_distance - by_deviation, 1.0)
+
+
+def distance_gains(label: Ints, tracks: Floats, markers: int, reference: RigidDistances, rules: ForeignRules) -> Floats:
+    """Nats (J, M) for each tracklet as each marker, by its distances to the markers that the labels (J,) give."""
+    positions = _positions(tracks, label, markers)
+    median, std = median_and_std(positions, reference.first, reference.second, 3)
+    rigid = ~np.isnan(median) & (std < reference.max_rigid_std)
+    _, size, logs = reference.nearest(np.where(rigid, median, np.nan))
+    deviation = np.abs(np.log(median) - size - logs)[rigid]
+    scatter = 1.4826 * float(np.nanmedian(deviation)) if np.isfinite(deviation).any() else rules.share_std
+    of_pair = np.full((markers, markers), np.nan)
+    of_pair[reference.first, reference.second] = of_pair[reference.second, reference.first] = logs
+    gain = np.zeros((len(label), markers))
+    for j in range(len(label)):
+        own = np.concatenate([positions, tracks[:, j : j + 1]], axis=1)
+        apart, spread = median_and_std(own, np.full(markers, markers), np.arange(markers), 3)
+        apart[apart < 1e-6] = np.nan  # the marker's own points
+        score = _log_ratio(np.log(apart)[None] - size - of_pair, np.exp(of_pair), max(rules.share_std, scatter), rules)
+        score = np.where(spread[None] < reference.max_rigid_std, score, rules.loose if reference.moving else np.nan)
+        used = ~np.isnan(score) & ~np.isnan(of_pair) & ~np.isnan(apart)[None]
+        count = used.sum(axis=1)
+        gain[j] = np.where(used, score, 0.0).sum(axis=1) * np.minimum(1.0, rules.partners / np.maximum(count, 1))
+    return gain
+
+
+def distance_margins(gain: Floats, label: Ints, first: Ints, last: Ints) -> Floats:
+    """By how many nats (J,) the distances of each label beat the best exchange with a tracklet of the same time; 0 without a label."""
+    margin = np.zeros(len(label))
+    rows = np.arange(len(label))
+    for j in np.nonzero(label != NULL)[0]:
+        other = (first <= last[j]) & (last >= first[j]) & (rows != j) & (label != label[j])
+        theirs = np.where(label != NULL, gain[rows, label] - gain[j, label], 0.0)
+        lead = gain[j, label[j]] - gain[:, label[j]] + theirs
+        margin[j] = lead[other].min(initial=60.0)
+    return margin

@@ -1,0 +1,92 @@
+"""Foreign recordings: the body is not turned round, doubtful labels are less certain, and the evidence is what it claims to be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from models import trained
+
+import asterism
+from asterism.labelling.whole.foreign import ForeignRules, distance_gains, distance_margins, forward_share
+from asterism.labelling.whole.verdict import RigidDistances, VerdictRules
+from asterism.recording import Recording
+from asterism.simulation import simulate_walks
+
+RULES = ForeignRules()
+SIDES = [(0, 1)]
+
+
+@pytest.fixture(scope="module")
+def walks() -> list[Recording]:
+    return simulate_walks(subjects=3, frames=120, seed=4)
+
+
+@pytest.fixture(scope="module")
+def one(walks: list[Recording]) -> asterism.SolverEnsemble:
+    """A model of one person."""
+    return trained(walks[:1], miner=None)
+
+
+def hips(direction: tuple[float, float]) -> np.ndarray:
+    """A left and a right hip that face along y and travel 1 m in a second: (11, 2, 3)."""
+    way = np.linspace(0.0, 1.0, 11)[:, None] * np.array([*direction, 0.0])
+    return way[:, None] + np.array([[-0.1, 0.0, 1.0], [0.1, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("direction", "share"),
+    [((0.0, 1.0), 1.0), ((0.0, -1.0), -1.0), ((1.0, 0.0), 0.0), ((0.0, 0.1), 0.0)],
+    ids=["forward", "back", "aside", "slow"],
+)
+def test_a_body_travels_forward(direction: tuple[float, float], share: float) -> None:
+    assert forward_share(hips(direction), np.linspace(0.0, 1.0, 11), SIDES, RULES.min_speed) == pytest.approx(share, abs=1e-9)
+
+
+def test_exchanged_sides_travel_backwards() -> None:
+    assert forward_share(hips((0.0, 1.0))[:, ::-1], np.linspace(0.0, 1.0, 11), SIDES, RULES.min_speed) == pytest.approx(-1.0)
+
+
+BODY = np.random.default_rng(3).normal(0.0, 0.2, (12, 3))
+
+
+def test_distances_favour_the_right_labels() -> None:
+    """Twelve rigid points: the right label of each leads, and two exchanged ones do not."""
+    reference = RigidDistances.of_training(np.tile(BODY, (20, 1, 1)), np.zeros(20, dtype=np.int64), 1.0, VerdictRules())
+    tracks, first, last = np.tile(1.1 * BODY, (20, 1, 1)), np.zeros(12, dtype=np.int64), np.full(12, 19)
+    right = np.arange(12)
+    gain = distance_gains(right, tracks, 12, reference, RULES)
+    assert (gain.argmax(axis=1) == right).all()
+    assert distance_margins(gain, right, first, last).min() > 0.0
+    exchanged = right.copy()
+    exchanged[[2, 7]] = 7, 2
+    lead = distance_margins(distance_gains(exchanged, tracks, 12, reference, RULES), exchanged, first, last)
+    assert lead[2] < 0.0 and lead[7] < 0.0
+
+
+def test_tracklets_of_other_times_are_no_rivals() -> None:
+    gain = np.array([[1.0, 0.0], [5.0, 0.0]])
+    label, first = np.array([0, -1]), np.array([0, 10])
+    assert distance_margins(gain, label, first, np.array([9, 19]))[0] == 60.0
+    assert distance_margins(gain, label, first, np.array([10, 19]))[0] == -4.0
+
+
+def test_a_person_worn_otherwise_is_labelled_right_and_not_certain(one: asterism.SolverEnsemble, walks: list[Recording]) -> None:
+    aside = np.random.default_rng(1).normal(0.0, 0.025, (1, 15, 3))
+    clouds = replace(walks[2], positions=walks[2].positions + aside).clouds()
+    labelling = one.label(clouds, time=True)
+    assert labelling.verdict is not None and not labelling.verdict.fits
+    given = labelling.indices >= 0
+    assert (labelling.indices == np.arange(15))[given].mean() > 0.995
+    assert given.mean() > 0.5
+    assert labelling.confidence.max() < 0.99
+
+
+def test_the_order_of_the_points_plays_no_part(one: asterism.SolverEnsemble, walks: list[Recording]) -> None:
+    aside = np.random.default_rng(1).normal(0.0, 0.025, (1, 15, 3))
+    recording = replace(walks[2], positions=walks[2].positions + aside)
+    turned = recording.select(recording.labels[::-1])
+    there, back = one.label(recording.clouds(), time=True), one.label(turned.clouds(), time=True)
+    np.testing.assert_array_equal(np.where(back.indices >= 0, 14 - back.indices, -1), there.indices)
+    np.testing.assert_allclose(back.confidence, there.confidence)
