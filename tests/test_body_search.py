@@ -211,6 +211,9 @@ def test_a_whole_frame(seed):
     rows, margins = twins.label_frame(model, anchors, points, SETTINGS)
     np.testing.assert_array_equal(labelling.point_of, rows)
     np.testing.assert_allclose(labelling.margins, margins, rtol=1e-6, atol=1e-4)
+    if max(rows) >= 0:
+        fits = twins.fits(model, points, rows, twins.crowded(SETTINGS, len(points), MARKERS))
+        np.testing.assert_allclose(labelling.fits, fits, rtol=1e-6, atol=1e-4)
 
 
 def all_labellings(points: int):
