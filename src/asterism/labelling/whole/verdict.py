@@ -150,8 +150,8 @@ def judge(positions: Floats, counts: Ints, reference: RigidDistances) -> Verdict
     crowded = len(reference.median) < rules.min_people and surplus >= rules.min_surplus * markers
     verdict = Verdict(FITS, scatter, min(reference.limit, rules.crowded_limit) if crowded else reference.limit, size, share, surplus)
     if np.isnan(scatter):
-        # a body whose markers move against each other, as far as they are the model's
-        kind = OTHER_BODY if comparable and labelled.any() else _kind_by_points(verdict, counts, markers, rules)
+        # a body whose markers move against each other, where enough of their distances are seen
+        kind = OTHER_BODY if comparable and known.sum() >= 2 * rules.min_pairs else _kind_by_points(verdict, counts, markers, rules)
     elif _is_other_body(verdict, lost if reference.moving else 0.0, rules):
         kind = OTHER_BODY
     elif scatter > verdict.limit:
