@@ -51,9 +51,9 @@ class VerdictRules:
     noise: float = 0.01
     min_pairs: int = 6
     min_limit: float = 0.06
-    max_limit: float = 0.08
+    max_limit: float = 0.09
     min_people: int = 5
-    left_out_factor: float = 1.3
+    left_out_factor: float = 1.5
     crowded_limit: float = 0.035
     body_scatter: float = 0.3
     body_size: float = 1.7
