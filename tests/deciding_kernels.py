@@ -21,7 +21,7 @@ CHECKED_BY: dict[str, str] = {
     f"{_BODY}._frame_kernels.nearest_changes": "test_body_search.py::test_the_nearest_changes",
     f"{_BODY}._frame_kernels.retry_doubtful": "test_body_search.py::test_doubtful_labels_are_tried_again",
     f"{_BODY}._score_kernels.rescore": "test_body_search.py::test_rescoring_finds_the_outliers",
-    f"{_BODY}._frame_kernels.label_frame": "test_body_search.py::test_a_whole_frame",
+    f"{_BODY}._frame_kernels.label_frame": "test_body_search.py::test_a_whole_frame via label_clouds",
     f"{_WHOLE}._kernels.settle_dominant": "test_track_kernels.py::test_what_dominates_is_in_the_best_of_all_labellings",
     f"{_WHOLE}._kernels.best_split": "test_track_kernels.py::test_where_a_tracklet_goes_over_to_another_marker",
     f"{_WHOLE}._short_kernels.label_short": "test_track_kernels.py::test_points_of_short_tracklets",

@@ -20,6 +20,12 @@ import numpy as np
 import scipy
 
 import asterism
+from asterism.labelling import TrainingRules
+
+BRIEF = TrainingRules(
+    trial_frames=8, folds=2, trials=((0.0, 0), (0.2, 0), (0.2, 3)), time_trials=((0.2, 3),), stretches=1, stretch_frames=60
+)
+"""Training that tries its model on little, so that its confidence is low: for tests of what is learned, not of what is labelled."""
 
 _WAIT = 300.0
 """Seconds after which another process's lock is taken for one that was left behind."""

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_body import LATENTS, MARKERS, POSES, SETTINGS, random_frame, random_model, ready
 
-from asterism.labelling.body._frame_kernels import label_clouds, label_frame, nearest_changes, retry_doubtful
+from asterism.labelling.body._frame_kernels import label_clouds, nearest_changes, retry_doubtful
 from asterism.labelling.body._refine_kernels import refine
 from asterism.labelling.body._score_kernels import best_pose, rescore
 from asterism.labelling.body._search_kernels import MAX_LABELLINGS, find_labellings, make_candidates, make_search_workspace, propose
@@ -43,6 +43,23 @@ def workspace_for(points: np.ndarray):
 
 def empty_labelling() -> FrameLabelling:
     return FrameLabelling(np.full(MARKERS, -1), np.zeros(MARKERS), np.zeros(4, dtype=np.int64), np.zeros(MARKERS))
+
+
+def label_alone(arrays: FrameModel, points: np.ndarray) -> FrameLabelling:
+    """`label_frame` of one frame, called by `label_clouds`, which is compiled anyway. Compiled alone, it would take as long again."""
+    labelling = empty_labelling()
+    label_clouds(arrays, points, np.array([0, len(points)]), 0, 1, FrameLabelling(*(part[None] for part in labelling)))
+    return labelling
+
+
+def interpreted(step):
+    """A step of `label_clouds` as Python, as `step.py_func` is: it compiles within `label_clouds`, which `test_a_whole_frame` checks."""
+
+    def run(*arguments):
+        with np.errstate(all="ignore"):
+            return getattr(step, "py_func", step)(*arguments)
+
+    return run
 
 
 def spoilt(rows: np.ndarray, points: int, rng: np.random.Generator) -> np.ndarray:
@@ -117,7 +134,7 @@ def test_proposals_of_an_anchor(seed):
         triples = twins.anchor_triples(anchors, a, points)
         assert {tuple(rows) for rows in workspace.triples[:solutions].tolist()} == set(triples)
         expected = twins.propose(model, triple, points, triples, SETTINGS)
-        chosen = propose(arrays, a, points, solutions, workspace)
+        chosen = interpreted(propose)(arrays, a, points, solutions, workspace)
         got = [(workspace.triple_pose[s], tuple(workspace.triples[s].tolist())) for s in workspace.best_triple[:chosen]]
         assert got == [(k, rows) for _, k, rows in expected]
         np.testing.assert_allclose(workspace.best_score[:chosen], [score for score, _, _ in expected], rtol=1e-6, atol=1e-4)
@@ -160,7 +177,7 @@ def test_the_nearest_changes(seed):
     labelling = empty_labelling()
     labelling.point_of[:] = spoilt(rows, len(points), rng)
     expected, better, margins = twins.nearest_changes(model, points, labelling.point_of.tolist(), SETTINGS)
-    top = nearest_changes(model.arrays(), points, SETTINGS, ready(points, False), labelling)
+    top = interpreted(nearest_changes)(model.arrays(), points, SETTINGS, ready(points, False), labelling)
     np.testing.assert_array_equal(labelling.point_of, better)
     np.testing.assert_allclose(labelling.margins, margins, rtol=1e-6, atol=1e-4)
     assert top == pytest.approx(expected, rel=1e-7, abs=1e-5)
@@ -177,7 +194,7 @@ def test_doubtful_labels_are_tried_again(seed):
     none = np.zeros(MARKERS, dtype=bool)
     top = twins.evidence(model, twins.best_pose(model, points, rows, none, SETTINGS), points, rows, none, SETTINGS)
     labelling = FrameLabelling(rows.copy(), margins, np.zeros(4, dtype=np.int64), np.zeros(MARKERS))
-    better = retry_doubtful(model.arrays(), points, top, SETTINGS, ready(points, False), labelling)
+    better = interpreted(retry_doubtful)(model.arrays(), points, top, SETTINGS, ready(points, False), labelling)
     expected = twins.retry_doubtful(model, points, top, rows.tolist(), margins, SETTINGS)
     assert better == (expected is not None)
     np.testing.assert_array_equal(labelling.point_of, expected if better else rows)
@@ -190,11 +207,13 @@ def test_a_whole_frame(seed):
     model = random_model(rng)
     anchors = anchors_for(model, rng)
     points, _, _ = random_frame(model, rng)
-    labelling = empty_labelling()
-    label_frame(frame_model(model, anchors), points, workspace_for(points), labelling)
+    labelling = label_alone(frame_model(model, anchors), points)
     rows, margins = twins.label_frame(model, anchors, points, SETTINGS)
     np.testing.assert_array_equal(labelling.point_of, rows)
     np.testing.assert_allclose(labelling.margins, margins, rtol=1e-6, atol=1e-4)
+    if max(rows) >= 0:
+        fits = twins.fits(model, points, rows, twins.crowded(SETTINGS, len(points), MARKERS))
+        np.testing.assert_allclose(labelling.fits, fits, rtol=1e-6, atol=1e-4)
 
 
 def all_labellings(points: int):
@@ -219,8 +238,8 @@ def test_hardly_any_labelling_of_a_small_frame_is_better():
         anchors = anchors_for(model, rng, 20)
         body = rng.multivariate_normal(model.mean[0].reshape(-1), model.covariance(0)).reshape(-1, 3)
         points = np.ascontiguousarray(body[rng.permutation(MARKERS)[:5]])
-        labelling, arrays = empty_labelling(), frame_model(model, anchors)
-        label_frame(arrays, points, workspace_for(points), labelling)
+        arrays = frame_model(model, anchors)
+        labelling = label_alone(arrays, points)
         workspace = ready(points, False)
         best = max(best_pose(arrays.body, points, rows, SETTINGS, workspace)[1] for rows in all_labellings(5))
         found = best_pose(arrays.body, points, labelling.point_of, SETTINGS, workspace)[1]
@@ -235,8 +254,7 @@ def test_hardly_any_labelling_of_a_small_frame_is_better():
 def test_fewer_than_three_points_are_nobody(points: int):
     rng = np.random.default_rng(0)
     model = random_model(rng)
-    labelling, xyz = empty_labelling(), model.mean[0, :points].copy()
-    label_frame(frame_model(model, anchors_for(model, rng)), xyz, workspace_for(xyz), labelling)
+    labelling = label_alone(frame_model(model, anchors_for(model, rng)), model.mean[0, :points].copy())
     assert (labelling.point_of == -1).all() and (labelling.margins == -np.inf).all()
 
 
@@ -256,8 +274,7 @@ def test_hostile_frames(case: str):
                 points = np.concatenate([points, points[:1]])
             case "far":
                 points[0] += 1e6
-        labelling = empty_labelling()
-        label_frame(frame_model(model, anchors_for(model, rng)), points, workspace_for(points), labelling)
+        labelling = label_alone(frame_model(model, anchors_for(model, rng)), points)
         given_points = labelling.point_of[labelling.point_of >= 0]
         assert len(set(given_points.tolist())) == len(given_points)
         assert np.isfinite(points[given_points]).all()
@@ -275,7 +292,5 @@ def test_clouds_are_labelled_as_their_frames_are():
     together = FrameLabelling(np.full((7, MARKERS), -1), np.zeros((7, MARKERS)), np.zeros((7, 4), dtype=np.int64), np.zeros((7, MARKERS)))
     label_clouds(arrays, np.concatenate(frames), offsets, 0, 7, together)
     for t, points in enumerate(frames):
-        one = empty_labelling()
-        label_frame(arrays, points, workspace_for(points), one)
-        for part, whole in zip(one, together, strict=True):
+        for part, whole in zip(label_alone(arrays, points), together, strict=True):
             np.testing.assert_array_equal(part, whole[t])

@@ -45,8 +45,23 @@ def test_labelling_a_recording_as_a_whole_needs_nothing_more() -> None:
     assert compiled() == ahead
 
 
+SMALL_STEP = """
+import sys
+import numpy as np
+from asterism.labelling import compile_ahead
+from asterism.tracking._chain_kernels import number_chains
+
+none = np.zeros(0, dtype=np.int64)
+compile_ahead.STEPS["small"] = lambda: number_chains(none, none)
+compile_ahead.main(sys.argv[1:])
+"""
+
+
 def test_a_process_that_compiles_ahead_fills_the_cache(tmp_path: Path) -> None:
+    """With one small kernel: a whole step takes half a minute to compile."""
     source = str(Path(asterism.__file__).parents[1])
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": source}
-    subprocess.run([sys.executable, "-m", "asterism.labelling.compile_ahead", "tracking"], env=environment, check=True)
-    assert any("link_frames" in path.name for path in tmp_path.glob("asterism.tracking._link_kernels-*/*.nbc"))
+    subprocess.run([sys.executable, "-m", "asterism.labelling.compile_ahead"], env=environment, check=True)
+    assert not list(tmp_path.iterdir()), "without a step, nothing is compiled"
+    subprocess.run([sys.executable, "-c", SMALL_STEP, "small"], env=environment, check=True)
+    assert any("number_chains" in path.name for path in tmp_path.glob("asterism.tracking._chain_kernels-*/*.nbc"))

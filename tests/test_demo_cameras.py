@@ -13,7 +13,7 @@ import pytest
 import asterism
 from asterism.cameras import Rig
 from asterism.cameras.files import read_rig
-from asterism.cli import main
+from asterism.cli import _demo_cameras, main
 from asterism.errors import AsterismError
 from asterism.formats import read_blobs
 from asterism.geometry import rotation_from_vector
@@ -103,6 +103,8 @@ def test_the_demo_keeps_its_promises_and_says_when_it_does_not(
     assert compare_rigs(read_rig(folder / "my-rig.toml"), read_rig(folder / "rig.toml")).world[0] < 1e-6
     capsys.readouterr()
 
+    model = asterism.SolverEnsemble.load(folder / "walkers.model")
+    monkeypatch.setattr(_demo_cameras, "_trained", lambda walks, seed: model)
     damaged = replace(outcomes[0], wrong=500)
     monkeypatch.setattr(pipeline, "run_pipeline", lambda *given: damaged)
     assert main(["demo", "cameras", "-o", str(folder), "--json", "-"]) == 1

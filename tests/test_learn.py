@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from models import trained
+from models import BRIEF, trained
 
 from asterism import AsterismError, MarkerSet, Recording, SolverEnsemble, formats
 from asterism.cli import main
-from asterism.labelling.ensemble import TrainingRules
 from asterism.labelling.training.sample import GRID, Clip, Sample
 from asterism.simulation import simulate_occlusions, simulate_walks
 
-QUICK = {"miner": None, "training": TrainingRules(trial_frames=8, folds=2)}
+QUICK = {"miner": None, "training": BRIEF}
 PEOPLE = ("Ann", "Ben", "Cem", "Dee", "Eva", "Fay")
 
 

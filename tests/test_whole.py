@@ -12,6 +12,7 @@ from models import trained
 import asterism
 from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
+from asterism.labelling.whole.fits import point_fits
 from asterism.recording import Clouds
 from asterism.simulation import simulate_walks
 from asterism.tracking.linking import find_tracklets
@@ -178,3 +179,23 @@ def test_a_tracklet_that_goes_over_to_another_marker_is_cut_there(
     assert (labelling.indices == truth).mean() > 0.98
     given = labelling.indices >= 0
     assert (labelling.indices == truth)[given].mean() > 0.99
+
+
+def test_a_ghost_fits_worse_than_the_markers(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+    """LKNE is hidden, and a point rides 12 cm beside it: labelled as LKNE it fits worse than nearly all others. Any order, same fits."""
+    names, labeller = ensemble.marker_set.names, ensemble.body_labeller
+    walk = walks[4]
+    positions = walk.positions[:, [walk.labels.index(name) for name in names]].copy()
+    positions[:, names.index("LKNE")] += np.array([0.08, 0.09, 0.0])
+    clouds = replace(walk, positions=positions, labels=names).clouds()
+    label = np.tile(np.arange(len(names)), len(clouds))
+    every = np.ones(len(clouds), dtype=bool)
+
+    def fits(order: np.ndarray) -> np.ndarray:
+        return point_fits(clouds, clouds.xyz[order], label[order], labeller.body, labeller.settings, every, label[order])
+
+    own = fits(np.arange(len(label)))[: len(names)]
+    assert own.argmin() == names.index("LKNE")
+    assert own[names.index("LKNE")] < np.median(own) - 4.0
+    order = np.concatenate([np.arange(len(names))[::-1] + t * len(names) for t in range(len(clouds))])
+    np.testing.assert_array_equal(fits(order), fits(np.arange(len(label)))[order])

@@ -328,12 +328,23 @@ def retry_doubtful(model, points, top, rows, margins, settings):
     return None
 
 
+def fits(model, points, rows, settings):
+    """How well each marker's point lies where all other labels predict it (M,), 0 for a null; settings for this number of points."""
+    none = np.zeros(len(rows), dtype=bool)
+    _, scores, _ = rescore(model, best_pose(model, points, rows, none, settings), points, rows, none, settings)
+    return [scores[m, row] if row >= 0 else 0.0 for m, row in enumerate(rows)]
+
+
+def crowded(settings, points, markers):
+    """The settings for a frame of so many points."""
+    crowd = np.log(1 + max(0, points - markers))
+    return settings._replace(**{name: getattr(settings, name) - crowd for name in ("reward", "outlier_score", "usual_score")})
+
+
 def label_frame(model, anchors, points, settings):
     """Rows and margins (M,) of the best labelling of a frame."""
     markers = len(model.mean[0])
-    crowd = np.log(1 + max(0, len(points) - markers))
-    names = ("reward", "outlier_score", "usual_score")
-    settings = settings._replace(**{name: getattr(settings, name) - crowd for name in names})
+    settings = crowded(settings, len(points), markers)
     found, best = find_labellings(model, anchors, points, settings) if len(points) >= 3 else ({}, None)
     if best is None or found[best][0] == -np.inf:
         return [-1] * markers, [-np.inf] * markers

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from asterism.labelling.body._workspace_kernels import LOG_2PI, AnchorArrays
 from asterism.labelling.body.model import BodyModel
 from asterism.labelling.partial._feature_kernels import G2, G4, G9, feature_ranges
-from asterism.labelling.partial._search_kernels import SolverArrays, search
+from asterism.labelling.partial._search_kernels import SolverArrays, count_search
 from asterism.recording import Floats, Ints
 
 CHECKS = ((G4, (0, 1), 1), (G2, (0, 1), 1), (G4, (0, 2), 2), (G2, (0, 2), 2), (G2, (1, 2), 2), (G9, (0, 1, 2), 2))
@@ -113,7 +113,7 @@ def choose_anchors(frames: Floats, people: Ints, body: BodyModel, rules: AnchorR
     seen = np.ones((patterns, markers), dtype=bool)
     for p in range(patterns):
         seen[p, rng.choice(markers, int(rng.uniform(0, rules.max_hidden) * markers), replace=False)] = False
-    covered: NDArray[np.bool_] = np.all(seen[:, triples], axis=2).T
+    covered: Floats = np.all(seen[:, triples], axis=2).T.astype(np.float64)
     often_shown = (~np.isnan(frames[:, :, 0])).mean(axis=0)[triples].prod(axis=1)
     worth = often_shown / cost
     times = np.zeros(patterns)
@@ -168,12 +168,11 @@ def with_intervals(triples: Ints, frames: Floats, people: Ints, rules: AnchorRul
 def _cost(anchors: Anchors, frames: Floats, rng: np.random.Generator) -> Floats:
     """Mean cost of each anchor in a frame, in microseconds of a usual machine: evaluations, and labellings to follow up."""
     shown = [frame[~np.isnan(frame[:, 0])] for frame in frames[rng.choice(len(frames), min(20, len(frames)), replace=False)]]
-    solvers, markers = anchors.solvers(), frames.shape[1]
-    cost = np.zeros(len(anchors.triples))
-    found = np.empty((64, 3), dtype=np.int64)
-    for a in range(len(cost)):
-        for points in shown:
-            counters = np.zeros(2, dtype=np.int64)
-            solutions = search(solvers, a, np.ascontiguousarray(points), np.arange(len(points)), 10**7, found, counters)
-            cost[a] += 0.006 * counters[0] + 0.0035 * markers**2 * (solutions if solutions >= 0 else 2 * len(found)) + 1.0
-    return cost / len(shown)
+    offsets = np.cumsum([0, *map(len, shown)])
+    evaluations, labellings = np.empty((2, len(anchors.triples), len(shown)), dtype=np.int64)
+    room = np.empty((64, 3), dtype=np.int64)
+    count_search(anchors.solvers(), np.concatenate(shown), offsets, 10**7, room, evaluations, labellings)
+    followed = np.where(labellings >= 0, labellings, 2 * len(room))
+    cost = 0.006 * evaluations + 0.0035 * frames.shape[1] ** 2 * followed + 1.0
+    # One after the other: NumPy's sum takes another order.
+    return np.add.accumulate(cost, axis=1)[:, -1] / len(shown)

@@ -67,6 +67,25 @@ def search(solvers, s, points, order, budget, found, counters):
 
 
 @kernel
+def count_search(solvers, xyz, offsets, budget, found, evaluations, labellings):
+    """What the search of each solver takes in each of some frames, and how many labellings it finds.
+
+    IN   solvers SolverArrays; xyz (P, 3) m, z up; offsets (T + 1,) where the points of each frame begin; budget as in `search`; found as
+         in `search`, overwritten
+    OUT  evaluations (solvers, T) int; labellings (solvers, T) int, -1 where budget or room did not suffice
+    O(solvers T) searches. Twin: tests/test_body.py
+    """
+    counters = np.zeros(2, dtype=np.int64)
+    for t in range(len(offsets) - 1):
+        points = xyz[offsets[t] : offsets[t + 1]]
+        order = np.arange(len(points))
+        for s in range(len(evaluations)):
+            counters[:] = 0
+            labellings[s, t] = search(solvers, s, points, order, budget, found, counters)
+            evaluations[s, t] = counters[0]
+
+
+@kernel
 def search_frame(solvers, s, points, n, budget, workspace):
     """`search` over the first n points, in the caller's memory.
 

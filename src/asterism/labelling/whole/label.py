@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from asterism.labelling.whole.joint import SceneLabelling, label_scene
 from asterism.labelling.whole.scene import RecordingLabellingSettings, labels_of_body, marker_offsets, prepare_scene
 from asterism.labelling.whole.short import frames_with_bodies, label_short_points, long_points, tracklets_of
 from asterism.labelling.whole.splits import split_tracklets
-from asterism.labelling.whole.verdict import RigidDistances, confidence_limit, judge_scene
+from asterism.labelling.whole.verdict import RigidDistances, VerdictRules, confidence_limit, exchangeable, judge_scene
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
 from asterism.tracking.linking import find_tracklets
@@ -175,6 +175,10 @@ def label_whole(
         verdict = judge_scene(labels.found.scene, labels.found.label, offsets, number, body.distances)
         certainty = body.certainty.confidence(labels.margin, labels.near_unlabelled, labels.fit)
         certainty = np.minimum(certainty, np.minimum(labels.limit, confidence_limit(verdict)))
+        if verdict is not None:
+            pairs = exchangeable(label, rival, certainty, len(clouds), VerdictRules())
+            named = tuple(tuple(body.names[body.markers[marker]] for marker in pair) for pair in pairs)
+            verdict = replace(verdict, exchangeable=named)
         # a marker without a point: the probability that its best candidate was it, above one half only where a label was taken back
         candidate = np.where(label != NULL, label, np.where(labels.label == NULL, rival, NULL))
         chance = np.where(label != NULL, certainty, 0.5 * np.exp(np.minimum(labels.margin, 0.0)))

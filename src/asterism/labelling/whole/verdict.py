@@ -42,6 +42,7 @@ class VerdictRules:
     min_labelled     share of the markers, or of the points if fewer, below which it is another marker set
     min_found        the same below which it is another body, where a usual frame shows `min_shown` of the markers' number of points
     min_shown        see above
+    either_way       confidence below which a label counts as one that could be exchanged
     min_surplus      points left over, as a share of the markers, from which what does not fit is another marker set
     """
 
@@ -62,6 +63,7 @@ class VerdictRules:
     min_labelled: float = 0.6
     min_found: float = 0.2
     min_shown: float = 0.4
+    either_way: float = 0.75
     min_surplus: float = 0.25
 
 
@@ -148,8 +150,8 @@ def judge(positions: Floats, counts: Ints, reference: RigidDistances) -> Verdict
     crowded = len(reference.median) < rules.min_people and surplus >= rules.min_surplus * markers
     verdict = Verdict(FITS, scatter, min(reference.limit, rules.crowded_limit) if crowded else reference.limit, size, share, surplus)
     if np.isnan(scatter):
-        # a body whose markers move against each other, as far as they are the model's
-        kind = OTHER_BODY if comparable and labelled.any() else _kind_by_points(verdict, counts, markers, rules)
+        # a body whose markers move against each other, where enough of their distances are seen
+        kind = OTHER_BODY if comparable and known.sum() >= 2 * rules.min_pairs else _kind_by_points(verdict, counts, markers, rules)
     elif _is_other_body(verdict, lost if reference.moving else 0.0, rules):
         kind = OTHER_BODY
     elif scatter > verdict.limit:
@@ -195,6 +197,21 @@ def _kind_by_points(verdict: Verdict, counts: Ints, markers: int, rules: Verdict
     if verdict.labelled >= rules.min_found:
         return OTHER_MARKERS
     return OTHER_BODY if np.minimum(counts, markers).mean() >= rules.min_shown * markers else FITS
+
+
+def exchangeable(label: Ints, rival: Ints, certainty: Floats, frames: int, rules: VerdictRules) -> tuple[tuple[int, ...], ...]:
+    """Groups of markers that may carry each other's labels in most frames of a recording.
+
+    label, rival, certainty (P,): marker of each point, -1 for none; the best other marker; how certain the label is. Two markers belong
+    together where each is labelled in half of the frames or more, doubtful in most of them, and the other one's usual rival. O(P).
+    """
+    rivals: dict[int, int] = {}
+    for marker in np.unique(label[label != NULL]).tolist():
+        own = label == marker
+        doubtful = own & (certainty < rules.either_way) & (rival != NULL)
+        if 2 * own.sum() >= frames and 2 * doubtful.sum() > own.sum():
+            rivals[marker] = int(np.bincount(rival[doubtful]).argmax())
+    return tuple((marker, other) for marker, other in rivals.items() if marker < other and rivals.get(other) == marker)
 
 
 def confidence_limit(verdict: Verdict | None) -> float:
