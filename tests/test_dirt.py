@@ -176,15 +176,3 @@ def test_a_loop_of_a_recording_never_jumps() -> None:
     assert len(looped) == 100
     step = np.linalg.norm(np.diff(looped.positions, axis=0), axis=2)
     assert step.max() <= np.linalg.norm(np.diff(walk.positions, axis=0), axis=2).max() + 1e-12 and (step.max(axis=1) > 0).all()
-
-
-def test_a_marker_that_is_seen_in_few_poses_is_not_taken_for_a_ghost(ensemble: asterism.SolverEnsemble, walks: list[Recording]) -> None:
-    """LTIB twice for a third of a second, its distances steadier each time than over a step; a reflection makes ghosts possible."""
-    walk = walks[4]
-    marker = walk.labels.index("LTIB")
-    positions = walk.positions.copy()
-    positions[np.r_[0:5, 38:78], marker] = np.nan
-    clouds, truth = in_clutter(replace(walk, positions=positions), Clutter(1.0, None, "fixed"), 0, 3)
-    labelling = ensemble.label(clouds, time=True)
-    column = labelling.names.index("LTIB")
-    assert (labelling.indices[:, column] == truth[:, marker]).mean() > 0.99
