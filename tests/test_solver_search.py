@@ -28,6 +28,7 @@ from asterism.simulation import simulate_walks
 WALKS = simulate_walks(subjects=3, frames=120, seed=2)
 FRAMES, GROUPS = stack_frames(WALKS)
 QUICK = SearchSettings(screening_frames=100, evaluation_frames=400, validation_frames=600, beam_width=40, max_markers=6, max_solvers=40)
+QUICKEST = SearchSettings(screening_frames=60, evaluation_frames=200, validation_frames=200, beam_width=10, max_markers=5, max_solvers=15)
 
 
 @pytest.fixture(scope="module")
@@ -113,17 +114,14 @@ def test_completion_adds_labels():
 
 
 def test_same_seed_same_solvers_and_another_seed_others():
-    settings = SearchSettings(
-        screening_frames=60, evaluation_frames=200, validation_frames=200, beam_width=15, max_markers=5, max_solvers=15
-    )
-    one, two, three = (search_partial_solvers(FRAMES, GROUPS, targets=0.98, settings=settings, seed=seed) for seed in (5, 5, 6))
+    one, two, three = (search_partial_solvers(FRAMES, GROUPS, targets=0.98, settings=QUICKEST, seed=seed) for seed in (5, 5, 6))
     assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(one.to_arrays().values(), two.to_arrays().values(), strict=True))
     assert len(one.solvers.low) != len(three.solvers.low) or not np.array_equal(one.solvers.low, three.solvers.low)
 
 
 def test_bottom_up_does_not_grow_what_has_reached_its_target():
-    easy = SolverSearch(FRAMES, GROUPS, targets=0.5, settings=QUICK, seed=0)
-    hard = SolverSearch(FRAMES, GROUPS, targets=0.9999, settings=QUICK, seed=0)
+    easy = SolverSearch(FRAMES, GROUPS, targets=0.5, settings=QUICKEST, seed=0)
+    hard = SolverSearch(FRAMES, GROUPS, targets=0.9999, settings=QUICKEST, seed=0)
     sizes = [np.mean([len(a.solver.markers) for a in bottom_up(prepared, lambda fraction, doing: None)]) for prepared in (easy, hard)]
     assert sizes[0] < sizes[1]
 

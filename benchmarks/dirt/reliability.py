@@ -46,9 +46,9 @@ def reliability(benchmark: BenchmarkRun) -> Iterator[Figure]:
         yield from _figures(f"reliability, gait, {count} taught", _summed([tallies for _, tallies in group]), asked=True)
     folds = _folds(benchmark.quick)
     outcomes = zip(folds, benchmark.each(_moved, range(len(folds))), strict=True)
-    for label, group in groupby(outcomes, key=lambda outcome: outcome[0].label):
+    for label, own in groupby(outcomes, key=lambda outcome: outcome[0].label):
         row, chosen = f"reliability, {label}, people not seen", label.startswith(CHOOSING_SETS)
-        total = _summed([tallies for _, tallies in group])
+        total = _summed([tallies for _, tallies in own])
         yield from _figures(f"{row}{', chosen on' if chosen else ''}", total, asked=not chosen)
 
 

@@ -99,8 +99,8 @@ class LabelTrials:
         margin = np.round(np.clip(self.margin[own], MARGIN_KNOTS[0], MARGIN_KNOTS[-1]) / CELL)
         fit = np.round(np.clip(self.fit[own], FIT_KNOTS[0], FIT_KNOTS[-1]) / CELL)
         cells, kind = np.unique(np.stack([margin, fit, self.right[own]], axis=1), axis=0, return_inverse=True)
-        weight = np.bincount(kind.ravel(), weights=self.weight[own], minlength=len(cells))
-        return cells[:, 0] * CELL, cells[:, 1] * CELL, cells[:, 2], weight
+        weight = np.bincount(kind.ravel(), weights=self.weight[own], minlength=len(cells)).astype(np.float64)
+        return cells[:, 0] * CELL, cells[:, 1] * CELL, cells[:, 2].astype(np.float64), weight
 
 
 USUAL_WEIGHTS = (7.0, 0.3, 3.0, 2.0, 0.5, 0.1, 0.7, 0.7, 0.7)

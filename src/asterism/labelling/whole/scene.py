@@ -20,6 +20,7 @@ class RecordingLabellingSettings:
     """How a recording is labelled as a whole. All were chosen on the gait subjects, each left out in turn (docs/recordings.md).
 
     frame_interval    s between the frames that are sampled: labelled singly, and scored
+    crowded           points of long tracklets for each marker, on average, above which single frames are searched briefly
     max_rounds        relabellings after which the labels are taken as they are
     min_score         nats, the most that one frame can say against a label (negative)
     max_score         nats, the most that one frame can say for a label
@@ -44,6 +45,7 @@ class RecordingLabellingSettings:
     """
 
     frame_interval: float = 0.1
+    crowded: float = 1.5
     max_rounds: int = 4
     min_score: float = -4.0
     max_score: float = 15.0
