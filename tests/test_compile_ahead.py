@@ -23,7 +23,16 @@ ENTRIES: dict[str, Any] = {
         _link_kernels: ["link_frames"],
         _chain_kernels: ["combine_directions", "sort_frames", "number_chains"],
         _cut_kernels: ["repair_links", "count_strays"],
-        _kernels: ["score_frames", "sum_scores", "overlaps", "margins_of", "branch_and_bound"],
+        _kernels: [
+            "score_frames",
+            "sum_scores",
+            "overlaps",
+            "rivals_weight",
+            "settle_dominant",
+            "best_split",
+            "margins_of",
+            "branch_and_bound",
+        ],
         _distance_kernels: ["rigid_deviations", "training_deviations"],
     }.items()
     for name in names

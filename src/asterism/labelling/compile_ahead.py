@@ -31,7 +31,17 @@ def compile_whole() -> None:
     """Compile what decides on the labels of a recording as a whole, after its frames were labelled."""
     from asterism.labelling.body._workspace_kernels import BodyArrays, FrameSettings
     from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
-    from asterism.labelling.whole._kernels import FrameScores, branch_and_bound, margins_of, overlaps, score_frames, sum_scores
+    from asterism.labelling.whole._kernels import (
+        FrameScores,
+        best_split,
+        branch_and_bound,
+        margins_of,
+        overlaps,
+        rivals_weight,
+        score_frames,
+        settle_dominant,
+        sum_scores,
+    )
 
     body = BodyArrays(
         mean=_floats(0, 0, 3),
@@ -46,10 +56,13 @@ def compile_whole() -> None:
     xyz, offsets, track, label, gain = _floats(0, 3), np.zeros(1, dtype=np.int64), _ints(0), _ints(0), _floats(0, 1)
     score_frames(xyz, offsets, track, label, body, _zeros(FrameSettings), FrameScores(_floats(0, 0), _floats(0), _ints(0)))
     points, limits = TrackedPoints(xyz, track, track, 0), _zeros(DistanceLimits)
-    rigid_deviations(points, label, 0, limits, _floats(0))
+    rigid_deviations(points, label, _floats(0, 0), limits, _floats(0))
     training_deviations(points, label, _floats(0, 0), _floats(0, 0), limits, _floats(0))
     sum_scores(track, _floats(0, 0), 0.0, 0.0, _floats(0, 0), _floats(0))
-    overlaps(gain, track, track, track)
+    pairs = overlaps(gain, track, track, track)
+    rivals_weight(gain, pairs, track, track, track, _floats(0))
+    settle_dominant(gain, pairs, 1)
+    best_split(gain)
     margins_of(gain, label, track, track, track)
     branch_and_bound(gain, track, track, 1, label)
 

@@ -22,7 +22,6 @@ from asterism.labelling.training.ensemble_state import EnsembleState
 from asterism.labelling.training.learning import TrainingConfig, TrainingRules, TrainingState, common_marker_set
 from asterism.labelling.training.sample import Sample
 from asterism.labelling.training.train import train_ensemble
-from asterism.labelling.whole.bodies import check_single_body
 from asterism.labelling.whole.label import BodyInRecording, label_whole, subject_body, subject_body_gain
 from asterism.labelling.whole.scene import RecordingLabellingSettings
 from asterism.labelling.whole.verdict import RigidDistances, VerdictRules, confidence_limit, judge
@@ -200,7 +199,6 @@ class SolverEnsemble:
         if time:
             if rules != "whole-body":
                 raise AsterismError(f"whole recordings are labelled by the rules whole-body, not {rules}; leave out time or the rules.")
-            check_single_body(self.body_labeller, clouds)
             return label_together([self], clouds, workers=workers, progress=progress)[0]
         return self.label_counted(clouds, rules=rules, workers=workers, progress=progress)[0]
 
@@ -292,7 +290,7 @@ def label_together(
     """Label a recording with several bodies in it: one labelling per ensemble, each point given to one of them at most.
 
     clouds: T frames. An ensemble may be given twice, for two people who wear the same markers. Whole recordings only: see
-    `SolverEnsemble.label` with `time`.
+    `SolverEnsemble.label` with `time`. Raises SeveralBodies where one ensemble is given, and the recording certainly shows two such bodies.
     """
     bodies = [ensemble.in_recording() for ensemble in ensembles]
     body_rules = next((e.state.body_rules for e in ensembles if e.state.training is not None), BodyRules())

@@ -46,7 +46,8 @@ class StreamRules:
     ghost_margin_loss  nats that a margin loses where points are left over, as a ghost that moves with the body fits frame after frame
     log_odds_scale     nats of what then remains that make one unit of log odds
     takeover_margin    nats by which a labelling from a search must lead, summed over independent frames, to take over
-    lasting_frames     frames after which a track is no flickering point: shorter ones say nothing against the label of a longer one
+    marker_frames      frames after which a track is held for no flickering point where it has a label
+    ghost_frames       frames after which an unlabelled one is; shorter ones say nothing against the label of a track that lasts
     """
 
     evidence_memory: float = 0.5
@@ -60,7 +61,8 @@ class StreamRules:
     ghost_margin_loss: float = 3.0
     log_odds_scale: float = 3.3
     takeover_margin: float = 5.0
-    lasting_frames: float = 1.5
+    marker_frames: float = 1.5
+    ghost_frames: float = 2.5
 
 
 @dataclass(frozen=True)
@@ -214,7 +216,9 @@ class Stream:
         if len(xyz) < 3:
             return
         markers, latents = self._body.load.shape[1], self._body.load.shape[3]
-        settings = frame_settings(self._model.labeller.settings, len(xyz), markers)
+        # a flickering point is hardly mistaken for a marker that has a track
+        lasting = int(self._lasting(self._tracks.current)[1].sum())
+        settings = frame_settings(self._model.labeller.settings, lasting or len(xyz), markers)
         frame = _Frame(xyz, settings, make_body_workspace(len(xyz), markers, latents))
         carried = self._refined(frame, _assign(self._tracks.totals(self._tracks.current)))
         self._age += 1
@@ -320,8 +324,8 @@ class Stream:
         given = point_of >= 0
         left = np.ones(len(waiting.rows), dtype=np.bool_)
         left[point_of[given]] = False
-        lasting = self._lasting(waiting.rows)
-        near_ghost = (left & lasting[:-1]).any() | (left.any() & ~lasting[point_of])
+        lasts, may_be_marker = self._lasting(waiting.rows)
+        near_ghost = (left & may_be_marker).any() | (left.any() & ~lasts[point_of])
         chance = np.where(given, self._confidence(margins, near_ghost), 0.5 * np.exp(np.minimum(margins, 0.0)))
         kept = given & (chance >= model.least_confidence)
         indices, confidence = np.full(model.names, NULL, dtype=np.int64), np.zeros(model.names)
@@ -334,19 +338,20 @@ class Stream:
     def _margins(self, rows: Ints, scores: Floats, point_of: Ints) -> Floats:
         """`_margins` of a labelling of the tracks in these rows; a track that lasts has no rivals among those that flicker."""
         limited = self._tracks.totals(rows, self._rules.max_ghost_evidence)
-        lasting = self._lasting(rows)
+        lasts, may_be_marker = self._lasting(rows)
         margins = _margins(scores, limited, point_of)
-        if lasting.all():
+        if may_be_marker.all():
             return margins
-        of_lasting = np.where(lasting[point_of], point_of, NULL)
-        kept = lasting[:-1] | np.isin(np.arange(len(rows)), point_of)
+        kept = may_be_marker | np.isin(np.arange(len(rows)), point_of)
         number = np.cumsum(kept) - 1
-        among_lasting = _margins(scores[kept], limited[kept], np.where(of_lasting >= 0, number[of_lasting], NULL))
-        return np.where(of_lasting >= 0, among_lasting, margins)
+        of_lasting = lasts[point_of] & (point_of >= 0)
+        among_lasting = _margins(scores[kept], limited[kept], np.where(of_lasting, number[point_of], NULL))
+        return np.where(of_lasting, among_lasting, margins)
 
-    def _lasting(self, rows: Ints) -> NDArray[np.bool_]:
-        """Which tracks are no flickering points, (n + 1,); at the end, where -1 finds it, no track at all counts as one that lasts."""
-        return np.append(self._tracks.frames(rows) > self._rules.lasting_frames, True)
+    def _lasting(self, rows: Ints) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which labelled tracks are held for no flickering points, (n + 1,), True at the end, for -1; and which others, (n,)."""
+        frames = self._tracks.frames(rows)
+        return np.append(frames > self._rules.marker_frames, True), frames > self._rules.ghost_frames
 
     def _confidence(self, margins: Floats, near_ghost: NDArray[np.bool_]) -> Floats:
         """The probability that labels with these margins are right; near_ghost: where a point without a label may be the marker as well."""

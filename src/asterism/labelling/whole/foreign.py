@@ -70,7 +70,7 @@ class ForeignRules:
     body_weight: float = 0.3
     distance_weight: tuple[float, float] = (1.5, 0.5)
     close: float = 0.035
-    prior: tuple[float, float] = (5.0, 0.0)
+    prior: tuple[float, float] = (7.0, 0.0)
     forward: float = 12.0
     min_speed: float = 0.4
     backward: float = -0.6

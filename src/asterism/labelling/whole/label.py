@@ -16,6 +16,7 @@ from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enou
 from asterism.labelling.training.calibration import LabelTrials
 from asterism.labelling.training.trials import Trial
 from asterism.labelling.whole._kernels import FrameScores, score_frames
+from asterism.labelling.whole.bodies import check_single_body
 from asterism.labelling.whole.certainty import Certainty, overlaps_unlabelled
 from asterism.labelling.whole.fits import point_fits
 from asterism.labelling.whole.foreign import ForeignRules, forward_travel, label_foreign
@@ -81,13 +82,16 @@ def label_points(
 ) -> PointLabels:
     """Label the long tracklets of a recording together, then the points of the short ones; clouds have at least one point.
 
-    whole: the only body; where the recording does not fit it, the tracklets are labelled again (`foreign.py`).
+    whole: the only body; where the recording does not fit it, the tracklets are labelled again (`foreign.py`). Raises SeveralBodies where
+    the long tracklets certainly show two such bodies.
     """
     tracklets = find_tracklets(clouds)
     kept = long_points(clouds, tracklets, rules.short)
     if len(labellers) > 1:  # single frames do not tell which body is whose: without long tracklets, the short ones must
         markers = int(marker_offsets(labellers)[-1])
         kept |= frames_with_bodies(clouds, kept, markers, rules.short) < rules.short.min_long_frames
+    elif whole is not None:
+        check_single_body(labellers[0], clouds.select(kept))
     for turn in range(rules.max_splits + 1):
         scene = prepare_scene(clouds.select(kept), tracklets_of(tracklets, kept), rules)
         found = label_scene(labellers, scene, rules, subject_rules, body_rules, workers, progress)
@@ -158,7 +162,10 @@ def label_whole(
     workers: int = 1,
     progress: Progress | None = None,
 ) -> tuple[list[Labelling], SceneLabelling | None]:
-    """One labelling for each body, each point given to one of them at most; and those of the long tracklets, None without a point."""
+    """One labelling for each body, each point given to one of them at most; and those of the long tracklets, None without a point.
+
+    Raises SeveralBodies where one body is given, and the recording certainly shows two of it.
+    """
     if not len(clouds.xyz):
         return [_empty_labelling(body, clouds) for body in bodies], None
     labellers = [body.labeller for body in bodies]
