@@ -21,9 +21,10 @@ import scipy
 
 import asterism
 from asterism.labelling import TrainingRules
+from asterism.labelling.training.trials import Trial
 
 BRIEF = TrainingRules(
-    trial_frames=8, folds=2, trials=((0.0, 0), (0.2, 0), (0.2, 3)), time_trials=((0.2, 3),), stretches=1, stretch_frames=60
+    trial_frames=8, folds=2, trials=(Trial(), Trial(0.2), Trial(0.2, 3)), time_trials=(Trial(0.2, 3),), stretches=1, stretch_frames=60
 )
 """Training that tries its model on little, so that its confidence is low: for tests of what is learned, not of what is labelled."""
 

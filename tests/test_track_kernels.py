@@ -276,8 +276,22 @@ def _tracklets_of_one_body(seed):
 def test_misfits_of_near_rigid_distances(seed: int) -> None:
     _, *scene, label = _tracklets_of_one_body(seed)
     out = np.empty(len(label))
-    rigid_deviations(TrackedPoints(*scene, 24), label, MARKERS, DistanceLimits(0.006, 0.0, 0.02, 5, 3, 8.0), out)
-    np.testing.assert_allclose(out, twins.rigid_deviations(*scene, label, MARKERS, 0.006, 0.02, 5, 3, 8.0))
+    least_std = np.random.default_rng(seed).choice([0.0, 0.002, 0.01], (MARKERS, MARKERS))
+    rigid_deviations(TrackedPoints(*scene, 24), label, least_std, DistanceLimits(0.006, 0.0, 0.02, 5, 3, 8.0), out)
+    np.testing.assert_allclose(out, twins.rigid_deviations(*scene, label, least_std, 0.006, 0.02, 5, 3, 8.0))
+
+
+def test_a_distance_seen_in_one_pose_is_no_steadier_than_the_key_poses_say() -> None:
+    """A marker seen twice, 20 mm nearer to its three partners the second time: a ghost if these are rigid, another pose if they are not."""
+    partners = np.array([[0.3, 0.0, 0.0], [0.0, 0.3, 0.0], [0.0, 0.0, 0.3]])
+    xyz = np.concatenate([np.concatenate([[np.full(3, 0.0 if t < 20 else 0.012)], partners]) for t in range(30)])
+    frame, track = np.repeat(np.arange(30), 4), np.tile(np.arange(4), 30)
+    track[frame >= 20] += (track[frame >= 20] == 0) * 4
+    label, out = np.array([0, 1, 2, 3, 0]), np.empty(5)
+    for least_std, ghost in ((0.0, True), (0.02, False)):
+        limits = DistanceLimits(0.004, 0.0, 0.02, 5, 3, 8.0)
+        rigid_deviations(TrackedPoints(xyz, frame, track, 30), label, np.full((4, 4), least_std), limits, out)
+        assert (out[4] > 1.2) == ghost, f"{out[4]:.2f} standard deviations"
 
 
 @given(seeds, st.floats(0.8, 1.2))

@@ -87,9 +87,9 @@ def margins(gain, label, first, last):
     return margin, rival
 
 
-def rigid_deviations(xyz, frame, track, label, markers, noise, rigid, least, partners, most):
+def rigid_deviations(xyz, frame, track, label, least_std, noise, rigid, least, partners, most):
     """Mean deviation (J,) of each labelled tracklet's near-rigid distances from those of the other tracklets of its marker."""
-    frames = int(frame.max()) + 1
+    frames, markers = int(frame.max()) + 1, len(least_std)
     at = {(t, label[j]): (place, j) for place, t, j in zip(xyz, frame, track, strict=True) if label[j] >= 0}
     out = np.zeros(len(label))
     for j, m in enumerate(label):
@@ -106,7 +106,7 @@ def rigid_deviations(xyz, frame, track, label, markers, noise, rigid, least, par
             middle = np.median(apart[1])
             std = 1.4826 * np.median(np.abs(apart[1] - middle))
             if std < rigid:
-                spread = np.sqrt(std**2 + noise**2)
+                spread = np.hypot(max(std, least_std[m, o]), noise)
                 known_distances.append((spread, o, min(most, abs(np.median(apart[0]) - middle) / spread)))
         if len(known_distances) >= 2:
             out[j] = np.mean([deviation for _, _, deviation in sorted(known_distances)[:partners]])

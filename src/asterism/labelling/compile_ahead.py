@@ -56,7 +56,7 @@ def compile_whole() -> None:
     xyz, offsets, track, label, gain = _floats(0, 3), np.zeros(1, dtype=np.int64), _ints(0), _ints(0), _floats(0, 1)
     score_frames(xyz, offsets, track, label, body, _zeros(FrameSettings), FrameScores(_floats(0, 0), _floats(0), _ints(0)))
     points, limits = TrackedPoints(xyz, track, track, 0), _zeros(DistanceLimits)
-    rigid_deviations(points, label, 0, limits, _floats(0))
+    rigid_deviations(points, label, _floats(0, 0), limits, _floats(0))
     training_deviations(points, label, _floats(0, 0), _floats(0, 0), limits, _floats(0))
     sum_scores(track, _floats(0, 0), 0.0, 0.0, _floats(0, 0), _floats(0))
     pairs = overlaps(gain, track, track, track)

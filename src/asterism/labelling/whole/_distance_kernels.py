@@ -47,15 +47,16 @@ class DistanceLimits(NamedTuple):
 
 
 @kernel
-def rigid_deviations(points, label, markers, limits, out):
+def rigid_deviations(points, label, least_std, limits, out):
     """Compare each tracklet's distances to other markers with those that the other tracklets of its marker have to them.
 
     All statistics are medians, so that one wrong tracklet does not spoil them. A tracklet is compared only where the others of its marker
-    have at least as many points as itself.
-    IN  points TrackedPoints; label (J,) marker of each tracklet, -1 for none; markers M; limits DistanceLimits (size_std is not used)
+    have at least as many points as itself. A distance that was seen in few poses looks steadier than it is: hence `least_std`.
+    IN  points TrackedPoints; label (J,) marker of each tracklet, -1 for none; least_std (M, M) m, what the standard deviation of a distance
+        is at least; limits DistanceLimits (size_std is not used)
     OUT out (J,) mean deviation in standard deviations, 0 where it cannot be told. O(J M E log E); memory O(E M).
     """
-    xyz, track, frames = points.xyz, points.track, points.frames
+    xyz, track, frames, markers = points.xyz, points.track, points.frames, len(least_std)
     point_of = _points_of_markers(points, label, markers)
     inside, outside = np.empty(frames), np.empty(frames)
     spread, deviation = np.empty(markers), np.empty(markers)
@@ -93,6 +94,7 @@ def rigid_deviations(points, label, markers, limits, out):
                 continue
             median, std = _median_and_std(outside, n_outside)
             if std < limits.max_std:
+                std = max(std, least_std[m, o])
                 spread[found] = np.sqrt(std * std + limits.noise * limits.noise)
                 deviation[found] = min(limits.max_deviation, abs(np.median(inside[:n_inside]) - median) / spread[found])
                 found += 1

@@ -95,7 +95,7 @@ def label_scene(
         state, bodies = trial, adapted
         stages[f"adapted {turn + 1}"] = state.label
     report(1.0, "labelled")
-    margin = state.margin - ghost_penalty(scene, state.label, offsets, rules)
+    margin = state.margin - ghost_penalty(labellers, scene, state.label, rules)
     for number, (labeller, body) in enumerate(zip(labellers, bodies, strict=True)):
         doubtful = off_training_distances(labeller, body, scene, labels_of_body(state.label, offsets, number), rules, body_rules)
         margin[doubtful] = np.minimum(margin[doubtful], -rules.no_adapt_margin)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,14 +12,14 @@ from asterism.labelling.body.model import BodyModel, BodyRules, length_scale
 from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
 from asterism.labelling.whole._kernels import FrameScores, score_frames
 from asterism.labelling.whole.certainty import overlaps_unlabelled
-from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body
+from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets
 from asterism.recording import NULL, Floats, Ints
 
 MIN_FRAMES, MAX_PARTNERS, MAX_DEVIATION = 5, 6, 8.0
 """Frames that a distance must be known from; how many of the steadiest distances count; standard deviations that one counts at most."""
 
 
-def ghost_penalty(scene: Scene, label: Ints, offsets: Ints, rules: RecordingLabellingSettings) -> Floats:
+def ghost_penalty(labellers: Sequence[BodyLabeller], scene: Scene, label: Ints, rules: RecordingLabellingSettings) -> Floats:
     """Nats of margin (J,) that tracklets lose whose near-rigid distances are not those that their markers have elsewhere in the recording.
 
     A ghost that moves with the body where a marker is hidden can fit the pose, but hardly the distances of this very body. Only tracklets
@@ -26,18 +28,26 @@ def ghost_penalty(scene: Scene, label: Ints, offsets: Ints, rules: RecordingLabe
     near_unlabelled = overlaps_unlabelled(label, scene.first, scene.last)
     if not near_unlabelled.any():
         return np.zeros(len(label))
-    excess = np.maximum(own_deviations(scene, label, offsets, rules) - rules.max_rigid_deviation, 0.0)
+    excess = np.maximum(own_deviations(scene, label, marker_offsets(labellers), rules, labellers) - rules.max_rigid_deviation, 0.0)
     return rules.deviation_cost * excess**2 * (near_unlabelled > 0)
 
 
-def own_deviations(scene: Scene, label: Ints, offsets: Ints, rules: RecordingLabellingSettings) -> Floats:
-    """Standard deviations (J,) by which tracklets' near-rigid distances differ from those of their markers elsewhere in the recording."""
+def own_deviations(
+    scene: Scene, label: Ints, offsets: Ints, rules: RecordingLabellingSettings, labellers: Sequence[BodyLabeller] = ()
+) -> Floats:
+    """Standard deviations (J,) by which tracklets' near-rigid distances differ from those of their markers elsewhere in the recording.
+
+    labellers: by their key poses, distances are taken to vary as much as they do from pose to pose, however few the recording shows.
+    """
     worst, of_body = np.zeros(len(label)), np.zeros(len(label))
     points = TrackedPoints(scene.sampled_xyz, scene.sampled_frame, scene.sampled_track, len(scene.sampled_frames))
     limits = DistanceLimits(rules.min_rigid_std, 0.0, rules.max_rigid_std, MIN_FRAMES, MAX_PARTNERS, MAX_DEVIATION)
-    for number in range(len(offsets) - 1):
-        own = labels_of_body(label, offsets, number)
-        rigid_deviations(points, own, int(offsets[number + 1] - offsets[number]), limits, of_body)
+    for number, markers in enumerate(np.diff(offsets)):
+        least_std = np.zeros((markers, markers))
+        if labellers:
+            mean = labellers[number].model.mean
+            least_std = rules.pose_spread * np.ptp(np.linalg.norm(mean[:, :, None] - mean[:, None], axis=3), axis=0)
+        rigid_deviations(points, labels_of_body(label, offsets, number), least_std, limits, of_body)
         worst = np.maximum(worst, of_body)
     return worst
 

@@ -32,6 +32,7 @@ class RecordingLabellingSettings:
     no_adapt_margin   nats; where all labels have more, the model is not adapted, as nothing could change
     max_rigid_std     m; two markers are near-rigid where their distance varies by less in this recording
     min_rigid_std     m; the standard deviation of such a distance is taken as at least this
+    pose_spread       and as at least this share of its range over the key poses of the training. Chosen on six gait subjects in clutter
     max_rigid_deviation standard deviations by which a tracklet's near-rigid distances may differ without a loss of margin
     deviation_cost    nats of margin lost for each square of what exceeds that
     training_noise    m, standard deviation of a near-rigid distance between bodies of one size, beyond the range of the training
@@ -56,6 +57,7 @@ class RecordingLabellingSettings:
     no_adapt_margin: float = 15.0
     max_rigid_std: float = 0.02
     min_rigid_std: float = 0.004
+    pose_spread: float = 0.3
     max_rigid_deviation: float = 1.2
     deviation_cost: float = 12.0
     training_noise: float = 0.01
