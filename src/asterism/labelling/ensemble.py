@@ -24,7 +24,7 @@ from asterism.labelling.training.sample import Sample
 from asterism.labelling.training.train import train_ensemble
 from asterism.labelling.whole.label import BodyInRecording, label_whole, subject_body, subject_body_gain
 from asterism.labelling.whole.scene import RecordingLabellingSettings
-from asterism.labelling.whole.verdict import RigidDistances, VerdictRules, confidence_limit, judge
+from asterism.labelling.whole.verdict import RigidDistances, VerdictRules, judge
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording
 
@@ -212,10 +212,9 @@ class SolverEnsemble:
             return self._label_by_votes(clouds, rules)
         rows, confidence, counters = self._best_labels(clouds, workers, progress)
         verdict = None
-        if self.rigid_distances is not None:
+        if self.rigid_distances is not None:  # each frame stands alone: what all of them say changes no label
             best = Labelling(rows, confidence, self.marker_set.names)
             verdict = judge(best.positions(clouds)[:, self.state.markers], clouds.counts, self.rigid_distances)
-        confidence = np.minimum(confidence, confidence_limit(verdict))
         indices = np.where(confidence >= self.least_confidence, rows, NULL)
         return Labelling(indices, confidence, self.marker_set.names, verdict=verdict), counters[:, 0]
 
