@@ -118,8 +118,10 @@ def test_every_command_of_the_page_works_and_labels_are_right(
             continue
         given = [f"{SIZE[0]}x{SIZE[1]}" if word == "1280x1024" else word for word in words]
         expanded = [path for word in given for path in (sorted(map(str, Path().glob(word))) if "*" in word else [word])]
-        status = main(expanded)
-        assert status == 0 or words[0] == "audit", f"{shlex.join(words)}: {capsys.readouterr().err}"
+        status, said = main(expanded), capsys.readouterr().err
+        # a model of one person says so where it labels another one
+        foreign = verb == "label" and "ben-walk1.c3d" in said and "label-foreign-recording" in said
+        assert status == 0 or verb == "audit" or (status == 1 and foreign), f"{shlex.join(words)}: {said}"
         done += 1
     assert done == 23
     errors = compare_rigs(read_rig("rig.toml"), Rig(tuple(replace(camera, name=f"cam{c + 1}") for c, camera in enumerate(rig))))
