@@ -22,11 +22,11 @@ from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enough
-from asterism.labelling.whole._kernels import FrameScores, margins_of, overlaps, rivals_weight, score_frames, sum_scores
+from asterism.labelling.whole._kernels import margins_of, overlaps, rivals_weight, sum_scores
 from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.bodies import find_bodies, follow_bodies, votes_of_bodies
 from asterism.labelling.whole.plausibility import ghost_penalty, off_training_distances
-from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets
+from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, score_scene
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints
 
@@ -168,22 +168,11 @@ def _gains(
     gain, poses = np.zeros((len(scene.first), offsets[-1])), []
     for number, (labeller, body) in enumerate(zip(labellers, arrays, strict=True)):
         markers = body.mean.shape[1]
-        scores, totals = np.empty((len(scene.sampled_xyz), markers)), np.empty(len(scene.sampled_frames))
-        pose = np.empty(len(scene.sampled_frames), dtype=np.int64)
-        of_body = labels_of_body(label, offsets, number)
-        score_frames(
-            scene.sampled_xyz,
-            scene.sampled_offsets,
-            scene.sampled_track,
-            of_body,
-            body,
-            labeller.settings,
-            FrameScores(scores, totals, pose),
-        )
+        scored = score_scene(scene, labels_of_body(label, offsets, number), body, labeller.settings)
         sums, counts = np.zeros((len(scene.first), markers)), np.zeros(len(scene.first))
-        sum_scores(scene.sampled_track, scores, rules.min_score, rules.max_score, sums, counts)
+        sum_scores(scene.sampled_track, scored.scores, rules.min_score, rules.max_score, sums, counts)
         gain[:, offsets[number] : offsets[number + 1]] = sums * (scene.independent / np.maximum(counts, 1.0))[:, None]
-        poses.append(pose)
+        poses.append(scored.poses)
     return gain, poses
 
 

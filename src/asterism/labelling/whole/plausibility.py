@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules, length_scale
 from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
-from asterism.labelling.whole._kernels import FrameScores, score_frames
 from asterism.labelling.whole.certainty import overlaps_unlabelled
-from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets
+from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, score_scene
 from asterism.recording import NULL, Floats, Ints
 
 MIN_FRAMES, MAX_PARTNERS, MAX_DEVIATION = 5, 6, 8.0
@@ -78,12 +77,8 @@ def off_training_distances(
 def _in_unfamiliar_movement(labeller: BodyLabeller, body: BodyModel, scene: Scene, label: Ints) -> NDArray[np.bool_]:
     """Tracklets (J,) most of whose sampled frames fit the body worse than nearly every frame of people left out did."""
     markers, frames = labeller.body.mean.shape[1], len(scene.sampled_frames)
-    scores, totals = np.empty((len(scene.sampled_xyz), markers)), np.empty(frames)
     arrays = labeller.body if body is labeller.model else body.arrays()
-    poses = np.empty(frames, dtype=np.int64)
-    score_frames(
-        scene.sampled_xyz, scene.sampled_offsets, scene.sampled_track, label, arrays, labeller.settings, FrameScores(scores, totals, poses)
-    )
+    scores = score_scene(scene, label, arrays, labeller.settings).scores
     points = np.nonzero(label[scene.sampled_track] != NULL)[0]
     frame, track = scene.sampled_frame[points], scene.sampled_track[points]
     # the more points there are, the less one more that lies well means; see `frame_settings`

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.geometry import rotate_z_up
+from asterism.labelling.body._workspace_kernels import BodyArrays, FrameSettings
 from asterism.labelling.body.labeller import BodyLabeller
+from asterism.labelling.whole._kernels import FrameScores, score_frames
 from asterism.labelling.whole.short import ShortTrackletRules
 from asterism.recording import NULL, Clouds, Floats, Ints
 from asterism.tracking.linking import Tracklets
@@ -156,6 +158,14 @@ def _sampled_frames(frames: int, step: int, first: Ints, last: Ints) -> NDArray[
         if not sampled[first[j] : last[j] + 1].any():
             sampled[(first[j] + last[j]) // 2] = True
     return sampled
+
+
+def score_scene(scene: Scene, label: Ints, body: BodyArrays, settings: FrameSettings) -> FrameScores:
+    """Score every sampled point as every marker of a body, given the labels (J,) of all tracklets as its markers. See `score_frames`."""
+    frames = len(scene.sampled_frames)
+    out = FrameScores(np.empty((len(scene.sampled_xyz), body.mean.shape[1])), np.empty(frames), np.empty(frames, dtype=np.int64))
+    score_frames(scene.sampled_xyz, scene.sampled_offsets, scene.sampled_track, label, body, settings, out)
+    return out
 
 
 def marker_offsets(labellers: Sequence[BodyLabeller]) -> Ints:

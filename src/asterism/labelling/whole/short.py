@@ -100,11 +100,10 @@ def label_short_points(
     label_short(xyz, clouds.offsets, candidate, body, labeller.settings, limits, expected, out)
     by_body, by_motion = (marker_shares(counts, rules) for counts in (out.body_hits, out.near_hits))
     share = np.where(out.by_motion, by_motion[out.label], by_body[out.label])
-    margin = out.margin
     out.label[candidate & (share < rules.min_marker_share)] = NULL
     if out.alone.any():
-        _label_alone(labeller, clouds, out.alone, candidate, out.label, margin)
-    return np.where(candidate, out.label, NULL), margin
+        _label_alone(labeller, clouds, out.alone, candidate, out.label, out.margin)
+    return np.where(candidate, out.label, NULL), out.margin
 
 
 def marker_shares(counts: Ints, rules: ShortTrackletRules) -> Floats:

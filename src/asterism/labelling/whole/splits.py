@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from asterism.labelling.body.labeller import BodyLabeller
-from asterism.labelling.whole._kernels import FrameScores, best_split, score_frames
-from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets
+from asterism.labelling.whole._kernels import best_split
+from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, score_scene
 from asterism.recording import Floats, Ints
 from asterism.tracking.linking import Tracklets
 
@@ -20,25 +20,11 @@ from asterism.tracking.linking import Tracklets
 def sample_scores(labellers: Sequence[BodyLabeller], scene: Scene, label: Ints, rules: RecordingLabellingSettings) -> Floats:
     """Nats of each sampled point as each column of all bodies, (Q, L), given the labels (J,) of all tracklets."""
     offsets = marker_offsets(labellers)
-    scores, totals, poses = np.empty((len(scene.sampled_xyz), offsets[-1])), *_frame_arrays(scene)
+    scores = np.empty((len(scene.sampled_xyz), offsets[-1]))
     for number, labeller in enumerate(labellers):
-        of_body = np.empty((len(scores), offsets[number + 1] - offsets[number]))
-        score_frames(
-            scene.sampled_xyz,
-            scene.sampled_offsets,
-            scene.sampled_track,
-            labels_of_body(label, offsets, number),
-            labeller.body,
-            labeller.settings,
-            FrameScores(of_body, totals, poses),
-        )
-        scores[:, offsets[number] : offsets[number + 1]] = of_body
+        of_body = labels_of_body(label, offsets, number)
+        scores[:, offsets[number] : offsets[number + 1]] = score_scene(scene, of_body, labeller.body, labeller.settings).scores
     return np.clip(scores, rules.min_score, rules.max_score)
-
-
-def _frame_arrays(scene: Scene) -> tuple[Floats, Ints]:
-    frames = len(scene.sampled_frames)
-    return np.empty(frames), np.empty(frames, dtype=np.int64)
 
 
 def split_tracklets(
