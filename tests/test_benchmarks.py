@@ -20,10 +20,10 @@ from asterism.tracking import LinkRules
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
-benchmark_data, docs, figures, peer, score, tracking, equality, structure, sensitivity, ablation, dirt, loop_picture, main = (
+benchmark_data, docs, figures, peer, runs, score, tracking, equality, structure, sensitivity, ablation, dirt, loop_picture, main = (
     import_module(f"benchmarks.{name}")
     for name in (
-        *("data", "docs", "figures", "peer", "score", "tracking"),
+        *("data", "docs", "figures", "peer", "runs", "score", "tracking"),
         *(
             "house.equality",
             "house.structure",
@@ -40,7 +40,7 @@ benchmark_data, docs, figures, peer, score, tracking, equality, structure, sensi
 def test_kept_figures_have_the_agreed_form() -> None:
     entries = json.loads((ROOT / "benchmarks" / "figures.json").read_text(encoding="utf-8"))
     for entry in entries:
-        assert list(entry) == ["issue", "row", "asked", "measured", "unit", "n", "command", "date"]
+        assert list(entry) == ["issue", "row", "asked", "measured", "unit", "n", "command", "date", "draws", "ours", "commit", "sources"]
         assert entry["asked"] == "none" or re.fullmatch(r"(<=|>=|<|>|==) [-+.e\d]+", entry["asked"]), entry
         assert isinstance(entry["measured"], int | float) and np.isfinite(entry["measured"])
         assert entry["n"] > 0 and entry["unit"] and entry["command"].startswith("python -m benchmarks")
@@ -49,12 +49,15 @@ def test_kept_figures_have_the_agreed_form() -> None:
 
 
 def test_pages_with_tables_are_up_to_date() -> None:
-    for page, made in (("figures-all.md", docs.text(figures.load())), ("figures.md", docs.key_text(figures.load()))):
-        assert (ROOT / "docs" / page).read_text(encoding="utf-8") == made, "run `python -m benchmarks docs`"
-    written = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert written == docs.with_results(written, figures.load()), "run `python -m benchmarks docs`"
-    written = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")
-    assert written == docs.with_ablation(written, figures.load()), "run `python -m benchmarks docs`"
+    entries = figures.load()
+    page, key_page, recordings, readme = (
+        (ROOT / name).read_text(encoding="utf-8") for name in ("docs/figures-all.md", "docs/figures.md", "docs/recordings.md", "README.md")
+    )
+    stale = docs.stale_in(page)  # those that were when the page was written: it need not be written again after each change of the code
+    assert page == docs.text(entries, stale, list(runs.load().values())), "run `python -m benchmarks docs`"
+    assert key_page == docs.key_text(entries, stale), "run `python -m benchmarks docs`"
+    assert readme == docs.with_results(readme, entries, stale), "run `python -m benchmarks docs`"
+    assert recordings == docs.with_ablation(recordings, entries, stale), "run `python -m benchmarks docs`"
 
 
 def test_every_row_of_the_page_of_key_figures_has_been_measured() -> None:
