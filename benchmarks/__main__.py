@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import tempfile
 import time
 from datetime import UTC, datetime
 from pathlib import Path
@@ -57,7 +58,10 @@ def _parser() -> tuple[argparse.ArgumentParser, str]:
     parser.add_argument("--again", action="store_true", help="all rows, also those that this code has measured already")
     parser.add_argument("--minutes", type=float, help="start no row that took longer, the last time, than what is left of these")
     parser.add_argument(
-        "--models", type=Path, help="keep trained ensembles in this folder, and take them from there while the code is the same"
+        "--models",
+        type=Path,
+        default=Path(tempfile.gettempdir()) / "asterism-benchmark-models",
+        help="keep trained ensembles in this folder, and take them from there while the code is the same",
     )
     parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="processes that share the folds of a row")
     return parser, known
@@ -82,7 +86,7 @@ def _measure_all(rows: list[stale.Row], benchmark: BenchmarkRun, sources: Source
 
 
 def _measure(chapter: str, row: str, benchmark: BenchmarkRun, origin: figures.Origin) -> bool:
-    started, command, measured = time.perf_counter(), stale.command_of(chapter, row), []
+    started, cpu_before, command, measured = time.perf_counter(), runs.cpu_seconds(), stale.command_of(chapter, row), []
     print(f"{row} ...", file=sys.stderr, flush=True)
     try:
         for figure in CHAPTERS[chapter].ROWS[row](benchmark):
@@ -98,8 +102,8 @@ def _measure(chapter: str, row: str, benchmark: BenchmarkRun, origin: figures.Or
     print(f"{row}: {seconds:.0f} s", file=sys.stderr, flush=True)
     if not benchmark.quick:
         figures.forget_others(command, measured)
-        today = datetime.now(UTC).date().isoformat()
-        runs.record(runs.Run(chapter, row, round(seconds, 1), benchmark.jobs, origin.commit, origin.sources, today))
+        spent, today = round(runs.cpu_seconds() - cpu_before, 1), datetime.now(UTC).date().isoformat()
+        runs.record(runs.Run(chapter, row, round(seconds, 1), spent, benchmark.jobs, origin.commit, origin.sources, today))
     return True
 
 

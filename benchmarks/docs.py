@@ -10,6 +10,7 @@ from pathlib import Path
 from benchmarks import runs
 from benchmarks.data import CHOOSING, CHOOSING_SETS
 from benchmarks.figures import UNLABELLED_MOST, UNLABELLED_SHOWN, Entry, Judged, judged, load
+from benchmarks.peer import LIMIT
 from benchmarks.stale import StaleRow, command_of
 
 PAGE = Path(__file__).parents[1] / "docs" / "figures-all.md"
@@ -53,8 +54,8 @@ were measured. The environment variable `ASTERISM_DATA` names the folder of the 
 - *Frame by frame* labels the same clouds without the neighbouring frames. *Backwards in time* are the same clouds in reverse order.
 - *Tracking*: `benchmarks/tracking.py` knows the true places of all markers in the first frame and the given tracks; it continues tracks
   by constant velocity and optimal assignment.
-- *Peer*, *key poses*: `benchmarks/peer.py` uses sixteen key poses from eight headings, ICP, optimal assignment and a limit of 200 mm,
-  on some frames of the same clouds.
+- *Peer*, *key poses*: `benchmarks/peer.py` uses sixteen key poses from eight headings, ICP, optimal assignment and a limit of
+  {1000 * LIMIT:.0f} mm, the best on the children chosen on, on some frames of the same clouds.
 - *From one trial to all subjects*: `benchmarks/recordings/loop.py`. One walk of one subject is labelled, or its tracks are named once.
   Then, repeatedly: label all trials; accept those in which `review` finds nothing, or settle what it finds in the trials that need the
   least; learn. *Touched*: samples whose label an answer changed. *Looked at*: samples of the pieces found, right or wrong. *Given by
@@ -196,16 +197,21 @@ SECTIONS = (
         r"movement, (?P<line>.*?(?: not seen|own other \w+)), "
         r"(?P<column>(?:.* as recorded|\d occlusions|\d hidden(?:, frame by frame)?): \w+)",
     ),
-    ("Table 5.4: FA by occlusions and target hit rate", "table 5.4", r"table 5.4, subjects seen, (?P<line>.*), (?P<column>target .*): FA"),
-    ("Table 5.5: FO by occlusions and target hit rate", "table 5.5", r"table 5.5, subjects seen, (?P<line>.*), (?P<column>target .*): FO"),
-    ("Table 5.3: marker by marker, 4 occlusions, target 99.99 %", "table 5.3", r"table 5.3, .* %, (?P<line>.*): (?P<column>.*)"),
+    ("Table 5.4: FA by occlusions and target hit rate", "table 5.4", r"table 5.4, (?P<line>.*), (?P<column>target .*): FA"),
+    ("Table 5.5: FO by occlusions and target hit rate", "table 5.5", r"table 5.5, (?P<line>.*), (?P<column>target .*): FO"),
+    (
+        "Table 5.3: marker by marker, 4 occlusions, target 99.99 %",
+        "table 5.3",
+        r"table 5.3, (?:(?P<rules>[\w-]+ rules), )?.* %, (?P<line>.*): (?P<column>.*)",
+    ),
     ("Each subject when left out", "subject ", r"subject (?P<line>\w+) not seen, (?P<column>.*)"),
 )
 """Title, how its rows begin, and for a table in two directions what names the line and what the column."""
 
 ABLATIONS = {
-    "ablation, ": "Walks of people not seen, each line with all that the lines above it have. *right*: markers in view with their own "
-    "point; *FA*: wrong labels among those given.\n",
+    "ablation, ": "Walks of people not seen. Partial solvers label frame by frame, without features of motion and with them; their three "
+    "people are fewer than those of the other lines. From *frame only* on each line has all that the lines above it have. *right*: markers "
+    "in view with their own point; *FA*: wrong labels among those given.\n",
     "features, ": "Features over neighbouring frames, velocities and accelerations, added to the pool of the thesis' rules, which label "
     "frame by frame:\n",
     "feature pool": "The solvers that were mined from these pools:\n",
@@ -279,9 +285,11 @@ def _durations(durations: Sequence[runs.Run]) -> str:
     if not durations:
         return ""
     shown = sorted(durations, key=lambda run: -run.seconds)
-    lines = [f"| {run.chapter} {run.row} | {run.seconds:,.0f} s | {run.jobs} | {run.date} |" for run in shown]
-    total = f"All rows that have a time took {sum(run.seconds for run in durations) / 3600:.1f} hours, one after the other.\n"
-    return "\n".join(("## How long the rows take\n", total, "| row | time | processes | measured on |", "|---|---|---|---|", *lines)) + "\n"
+    lines = [f"| {run.chapter} {run.row} | {run.seconds:,.0f} s | {run.cpu_seconds:,.0f} s | {run.jobs} | {run.date} |" for run in shown]
+    wall, processor = (sum(getattr(run, name) for run in durations) / 3600 for name in ("seconds", "cpu_seconds"))
+    total = f"{len(shown)} rows: {wall:.1f} hours one after the other, {processor:.1f} hours of processor time on all cores together.\n"
+    head = ("## How long the rows take\n", total, "| row | time | processor | processes | measured on |", "|---|---|---|---|---|")
+    return "\n".join((*head, *lines)) + "\n"
 
 
 def with_ablation(page: str, entries: list[Entry], stale: Stale = ()) -> str:
@@ -365,7 +373,8 @@ def _crossed(some: Sequence[Judged], pattern: str) -> str:
         notes += [*((f"{one.unlabelled:.3g} % without a label",) if one.unlabelled is not None else ()), *(("stale",) if one.stale else ())]
         shown = _number(entry) + (f" ({', '.join(notes)})" if notes else "")
         missed = one.reached is False and not one.stale
-        cells.setdefault(names["line"], {})[names["column"]] = f"**{shown}**" if missed else shown
+        column = ": ".join(filter(None, (names.groupdict().get("rules"), names["column"])))
+        cells.setdefault(names["line"], {})[column] = f"**{shown}**" if missed else shown
     columns = list(dict.fromkeys(column for line in cells.values() for column in line))
     lines = [f"| | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
     lines += [f"| {line} | {' | '.join(found.get(column, '') for column in columns)} |" for line, found in cells.items()]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -15,13 +14,15 @@ RUNS = Path(__file__).with_name("runs.json")
 class Run:
     """The last time that a row was measured whole.
 
-    seconds  wall time, on so many cores (`jobs`)
-    sources  hash of all that it measures, see `sources.hash_of`
+    seconds      wall time, with so many processes (`jobs`)
+    cpu_seconds  of all processes: what it costs, however busy the machine was
+    sources      hash of all that it measures, see `sources.hash_of`
     """
 
     chapter: str
     row: str
     seconds: float
+    cpu_seconds: float
     jobs: int
     commit: str
     sources: str
@@ -47,6 +48,7 @@ def record(run: Run, path: Path | None = None) -> None:
     os.replace(temporary, path)
 
 
-def total_seconds(runs: Mapping[tuple[str, str], Run]) -> float:
-    """How long all rows take, one after the other."""
-    return sum(run.seconds for run in runs.values())
+def cpu_seconds() -> float:
+    """Processor time of this process and of its children that have ended."""
+    spent = os.times()
+    return spent.user + spent.system + spent.children_user + spent.children_system

@@ -110,6 +110,10 @@ class Sources:
                 found[path] = _hash(content) if path.endswith(".py") else _digest(content.decode("latin-1"))
         return found
 
+    def hash_of_module(self, module: str) -> str:
+        """One hash of a module of the package and of all that it imports."""
+        return _digest("".join(f"{name}={_hash(self.files[self.paths[name]])}\n" for name in sorted(self._imported_by(module))))
+
     def recordings_of(self, chapter: str, row: str) -> set[str]:
         """The folders of recordings that a row's functions name; "" stands for all."""
         _, symbols = self._followed(self.rows()[chapter, row])

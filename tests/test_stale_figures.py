@@ -122,7 +122,7 @@ def test_stale_are_rows_of_other_sources_rows_never_measured_and_figures_of_no_r
     entries[1] = _entry("b", commands[0], "other")
     found = stale.stale_rows(entries, of, tmp_path, explain=False)
     assert [(row.row, row.figures) for row in found] == [("walks", 2), ("pages", 0), ("gone", 1)]
-    told = stale.report(found, {WALKS: runs.Run(*WALKS, 90.0, 2, "", "other", "2026-01-01")})
+    told = stale.report(found, {WALKS: runs.Run(*WALKS, 90.0, 150.0, 2, "", "other", "2026-01-01")})
     assert "python -m benchmarks chapter --rows walks    (90 s with 2 jobs)" in told
     assert "chapter pages: never measured" in told and "3 figures of 2 rows are stale, 1 rows were never measured; 2 min" in told
     assert stale.report([], {}) == "No figure is stale."
@@ -252,7 +252,7 @@ def test_a_row_that_does_not_measure_a_figure_any_more_forgets_it(chapter: dict[
 
 
 def test_no_row_is_begun_that_took_longer_than_is_left(chapter: dict[str, list[str]]) -> None:
-    runs.record(runs.Run("labelling", "one", 120.0, 2, "", "before", "2026-01-01"))
+    runs.record(runs.Run("labelling", "one", 120.0, 200.0, 2, "", "before", "2026-01-01"))
     assert main.main(["labelling", "--minutes", "1"]) == 1
     assert chapter["measured"] == ["two"]
 
@@ -261,8 +261,8 @@ def test_every_row_of_the_benchmark_can_be_followed_to_what_it_measures(data: Pa
     of = sources.Sources.working()
     assert set(of.rows()) == {(name, row) for name, chapter in main.CHAPTERS.items() for row in chapter.ROWS}
     tables, stereo = of.measured_by("labelling", "tables"), of.measured_by("cameras", "stereo")
-    assert {"asterism.labelling.partial.matrix", "asterism.labelling._kernels", "src/asterism/marker_sets/helen-hayes.toml"} & set(tables)
+    assert {"asterism.labelling.partial.matrix", "src/asterism/marker_sets/helen-hayes.toml"} <= set(tables)
     assert not any(name.startswith("asterism.labelling") for name in stereo)
     assert of.recordings_of("cameras", "stereo") == {"cameras/chessboard-stereo"} and of.recordings_of("labelling", "tables") == {"gait"}
     for row in of.rows():
-        assert all((data / folder).is_dir() for folder in of.recordings_of(*row)), row
+        assert all((data / folder).exists() for folder in of.recordings_of(*row)), row
