@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.geometry._kernels import align_about_z, cofactors
+from asterism.geometry._kernels import align_about_z, cofactors, symmetric_inverse
 from asterism.labelling.body._workspace_kernels import LOG_2PI
 
 MAX_DISTANCE = 0.6
@@ -232,6 +232,138 @@ def leave_one_out_scores(body, k, point_of, settings, workspace):
             if score < settings.outlier_score and near2 < settings.outlier_radius * settings.outlier_radius:
                 score = settings.outlier_score
             workspace.scores[m, c] = score
+
+
+@kernel(inline=True)
+def _slope(body, k, m, workspace):
+    """A marker's load times the covariance, after `posterior`. OUT workspace.slope (3, r). O(r^2)."""
+    latents = len(workspace.latent)
+    for a in range(3):
+        workspace.slope[a] = 0.0
+        for j in range(latents):
+            weight = body.load[k, m, a, j]
+            for i in range(latents):
+                workspace.slope[a, i] += weight * workspace.covariance[j, i]
+
+
+@kernel(inline=True)
+def _slope_times(slope, load, out):
+    """OUT out (3, 3): slope (3, r) times a marker's load (3, r) turned over. Nine sums side by side, as none waits for another. O(r)."""
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(slope.shape[1]):
+        load_x, load_y, load_z = load[0, i], load[1, i], load[2, i]
+        xx += slope[0, i] * load_x
+        xy += slope[0, i] * load_y
+        xz += slope[0, i] * load_z
+        yx += slope[1, i] * load_x
+        yy += slope[1, i] * load_y
+        yz += slope[1, i] * load_z
+        zx += slope[2, i] * load_x
+        zy += slope[2, i] * load_y
+        zz += slope[2, i] * load_z
+    out[0, 0], out[0, 1], out[0, 2] = xx, xy, xz
+    out[1, 0], out[1, 1], out[1, 2] = yx, yy, yz
+    out[2, 0], out[2, 1], out[2, 2] = zx, zy, zz
+
+
+@kernel
+def _predicted(body, k, m, workspace, centre):
+    """Where the latents put a marker. OUT centre (3,), whitened. O(r)."""
+    x, y, z = 0.0, 0.0, 0.0
+    for i in range(len(workspace.latent)):
+        x += body.load[k, m, 0, i] * workspace.latent[i]
+        y += body.load[k, m, 1, i] * workspace.latent[i]
+        z += body.load[k, m, 2, i] * workspace.latent[i]
+    centre[0], centre[1], centre[2] = x, y, z
+
+
+@kernel
+def _without_marker(body, k, m, workspace, inverse, shift):
+    """What changes for all predictions if a labelled marker says nothing of the body, after `posterior`.
+
+    OUT inverse (6,): (I - H)^-1, H = load covariance load', xx, xy, xz, yy, yz, zz; shift (3,): that times the marker's residual from its
+    prediction; workspace.slope. O(r^2).
+    """
+    h, error = np.empty((3, 3)), np.empty(3)
+    _slope(body, k, m, workspace)
+    _slope_times(workspace.slope, body.load[k, m], h)
+    _predicted(body, k, m, workspace, error)
+    for a in range(3):
+        error[a] = workspace.residual[m, a] - error[a]
+    left = (1.0 - h[0, 0], -h[0, 1], -h[0, 2], 1.0 - h[1, 1], -h[1, 2], 1.0 - h[2, 2])
+    _, xx, xy, xz, yy, yz, zz = symmetric_inverse(left)
+    inverse[0], inverse[1], inverse[2], inverse[3], inverse[4], inverse[5] = xx, xy, xz, yy, yz, zz
+    shift[0] = xx * error[0] + xy * error[1] + xz * error[2]
+    shift[1] = xy * error[0] + yy * error[1] + yz * error[2]
+    shift[2] = xz * error[0] + yz * error[1] + zz * error[2]
+
+
+@kernel
+def _score_at(body, k, m, point, centre, covariance, settings):
+    """The score of a placed point as a marker that is predicted at `centre` (3,) with this covariance (6,), both whitened. Returns nats."""
+    w, s, mean = body.whiten[k, m], body.spread[k, m], body.mean[k, m]
+    dx, dy, dz = point[0] - mean[0], point[1] - mean[1], point[2] - mean[2]
+    away_x = dx - s[0, 0] * centre[0]
+    away_y = dy - s[1, 0] * centre[0] - s[1, 1] * centre[1]
+    away_z = dz - s[2, 0] * centre[0] - s[2, 1] * centre[1] - s[2, 2] * centre[2]
+    near2 = away_x * away_x + away_y * away_y + away_z * away_z
+    if near2 > MAX_DISTANCE * MAX_DISTANCE:
+        return -np.inf
+    x = w[0, 0] * dx + w[0, 1] * dy + w[0, 2] * dz - centre[0]
+    y = w[1, 0] * dx + w[1, 1] * dy + w[1, 2] * dz - centre[1]
+    z = w[2, 0] * dx + w[2, 1] * dy + w[2, 2] * dz - centre[2]
+    det, xx, xy, xz, yy, yz, zz = symmetric_inverse(covariance)
+    square = x * (xx * x + 2.0 * (xy * y + xz * z)) + y * (yy * y + 2.0 * yz * z) + z * zz * z
+    score = body.log_scale[k, m] - 1.5 * LOG_2PI + settings.reward - 0.5 * (math.log(max(det, 1e-9)) + square)
+    if score < settings.outlier_score and near2 < settings.outlier_radius * settings.outlier_radius:
+        return settings.outlier_score
+    return score
+
+
+@kernel
+def score_held_points(body, k, point_of, least, settings, workspace, scores):
+    """Score the points that labelled markers hold as every hidden marker, given all other labelled points, after `rescore`.
+
+    `leave_one_out_scores` predicts a hidden marker from all labelled points. A point that is scored as this marker must not be one of them:
+    under its present label it has drawn the body towards itself.
+    IN     as `leave_one_out_scores`; only what scores above `least` nats is scored anew; outliers have drawn nothing
+    IN/OUT scores (M, n) nats
+    O(M r^2 + hidden (r^2 + n r)).
+    """
+    markers, hidden = body.load.shape[1], 0
+    for m in range(markers):
+        hidden += point_of[m] < 0
+    if hidden == 0:
+        return
+    inverses, shifts = np.empty((markers, 6)), np.empty((markers, 3))
+    own, cross, part = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    centre, at, spread = np.empty(3), np.empty(3), np.empty(6)
+    for o in range(markers):
+        if point_of[o] >= 0 and not workspace.outlier[o]:
+            _without_marker(body, k, o, workspace, inverses[o], shifts[o])
+    for m in range(markers):
+        if point_of[m] >= 0:
+            continue
+        _slope(body, k, m, workspace)
+        _slope_times(workspace.slope, body.load[k, m], own)
+        _predicted(body, k, m, workspace, centre)
+        for o in range(markers):
+            c = point_of[o]
+            if c < 0 or workspace.outlier[o] or scores[m, c] <= least:
+                continue
+            _slope_times(workspace.slope, body.load[k, o], cross)
+            v, entry = inverses[o], 0
+            for a in range(3):
+                part[a, 0] = cross[a, 0] * v[0] + cross[a, 1] * v[1] + cross[a, 2] * v[2]
+                part[a, 1] = cross[a, 0] * v[1] + cross[a, 1] * v[3] + cross[a, 2] * v[4]
+                part[a, 2] = cross[a, 0] * v[2] + cross[a, 1] * v[4] + cross[a, 2] * v[5]
+                at[a] = centre[a] - cross[a, 0] * shifts[o, 0] - cross[a, 1] * shifts[o, 1] - cross[a, 2] * shifts[o, 2]
+            for a in range(3):
+                for b in range(a, 3):
+                    spread[entry] = (1.0 if a == b else 0.0) + own[a, b]
+                    spread[entry] += part[a, 0] * cross[b, 0] + part[a, 1] * cross[b, 1] + part[a, 2] * cross[b, 2]
+                    entry += 1
+            scores[m, c] = _score_at(body, k, m, workspace.aligned[c], at, spread, settings)
 
 
 @kernel
