@@ -27,6 +27,7 @@ from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.bodies import find_bodies, follow_bodies, votes_of_bodies
 from asterism.labelling.whole.plausibility import ghost_penalty, off_training_distances
 from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, score_scene
+from asterism.labelling.whole.upright import turned, upright_turns
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints
 
@@ -46,6 +47,7 @@ class SceneLabelling:
     bodies  the models as adapted to the subjects
     total   nats, the total gain of the labels
     stages  labels (J,) after each stage, by name
+    turns   (E, 3, 3) rotations that set the body upright in each sampled frame, see `upright.py`; None where none is turned
     """
 
     scene: Scene
@@ -55,6 +57,7 @@ class SceneLabelling:
     bodies: list[BodyModel]
     total: float
     stages: dict[str, Ints] = field(default_factory=dict)
+    turns: Floats | None = None
 
 
 def label_scene(
@@ -81,6 +84,11 @@ def label_scene(
         label = assign_tracklets(_votes_of_several(labellers, scene, rules, workers, report), scene.first, scene.last)
     state = _coordinate_ascent(labellers, bodies, scene, label, rules)
     stages = {"votes": label, "tracks": state.label}
+    whole, turns = scene, upright_turns(labellers[0], scene, state.label, rules) if len(labellers) == 1 else None
+    if turns is not None:
+        scene = replace(whole, sampled_xyz=turned(whole.sampled_xyz, whole.sampled_frame, turns))
+        state = _coordinate_ascent(labellers, bodies, scene, state.label, rules)
+        stages["upright"] = state.label
     for turn in range(rules.adapt_rounds):
         if ((state.label != NULL) & (state.margin > rules.no_adapt_margin)).all():
             break
@@ -99,7 +107,7 @@ def label_scene(
     for number, (labeller, body) in enumerate(zip(labellers, bodies, strict=True)):
         doubtful = off_training_distances(labeller, body, scene, labels_of_body(state.label, offsets, number), rules, body_rules)
         margin[doubtful] = np.minimum(margin[doubtful], -rules.no_adapt_margin)
-    return SceneLabelling(scene, state.label, margin, state.rival, bodies, state.total, stages)
+    return SceneLabelling(whole, state.label, margin, state.rival, bodies, state.total, stages, turns)
 
 
 @dataclass(frozen=True)
