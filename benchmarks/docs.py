@@ -220,9 +220,9 @@ RELIABILITY = {
 """The columns of the table in `docs/confidence.md`: how a figure's row ends, and the column's name."""
 
 ABLATIONS = {
-    "ablation, ": "Walks of people not seen. Partial solvers label frame by frame, without features of motion and with them; their three "
-    "people are fewer than those of the other lines. From *frame only* on each line has all that the lines above it have. *right*: markers "
-    "in view with their own point; *FA*: wrong labels among those given.\n",
+    "ablation, ": "Walks of people not seen. Partial solvers label frame by frame, without features of motion and with them; three people "
+    "are left out there, nine in the other lines, each of which has all that those above it have. *right*: markers in view with their own "
+    "point; *FA*: wrong labels among those given.\n",
     "features, ": "Features over neighbouring frames, velocities and accelerations, added to the pool of the thesis' rules, which label "
     "frame by frame:\n",
     "feature pool": "The solvers that were mined from these pools:\n",
@@ -249,7 +249,8 @@ def key_text(entries: list[Entry], stale: Stale = ()) -> str:
     for title, plot, rows in KEY_SECTIONS:
         some = [by_row[row] for row in rows if row in by_row]
         if some:
-            parts += [f"## {title}\n", f"{plot}\n", _table(some)]
+            note = "The plot shows stale figures.\n" if any(one.stale for one in some) else ""
+            parts += [f"## {title}\n", f"{plot}\n", *((note,) if note else ()), _table(some)]
     house = [one for one in judged(entries, stale) if one.entry.issue.startswith(HOUSE)]
     if house:
         parts += ["## The code\n", _table(house)]
