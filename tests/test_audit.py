@@ -10,11 +10,12 @@ import pytest
 import twins_audit as twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from models import BRIEF
 
 import asterism
 from asterism import AsterismError, Recording, SolverEnsemble, formats
 from asterism.cli import main
-from asterism.labelling import TrainingRules, audit, remove_errors
+from asterism.labelling import audit, remove_errors
 from asterism.labelling.audit import _kernels as kernels
 from asterism.labelling.body._score_kernels import best_pose, evidence
 from asterism.labelling.body._workspace_kernels import make_body_workspace
@@ -329,9 +330,8 @@ def test_the_command_leaves_with_0_where_nothing_is_wrong(folder, capsys):
 
 def test_training_can_leave_the_damage_out(folder, tmp_path, capsys, monkeypatch):
     """Trained on damaged files with their damage left out: the model that learns what `remove_errors` leaves."""
-    quick = TrainingRules(trial_frames=20, folds=2)
     plain = SolverEnsemble.fit
-    monkeypatch.setattr(SolverEnsemble, "fit", lambda recordings, **given: plain(recordings, **{**given, "miner": None, "training": quick}))
+    monkeypatch.setattr(SolverEnsemble, "fit", lambda recordings, **given: plain(recordings, **{**given, "miner": None, "training": BRIEF}))
     words = ["--markers", "helen-hayes", "-o", str(tmp_path / "a.model"), "--leave-out-damaged", "--json", str(tmp_path / "a.json")]
     assert main(["train", *files(folder, True), *words]) == 0
     shown = capsys.readouterr()
@@ -340,7 +340,7 @@ def test_training_can_leave_the_damage_out(folder, tmp_path, capsys, monkeypatch
     recordings = [asterism.read(file, markers="helen-hayes") for file in files(folder, True)]
     kept = remove_errors(recordings, audit(recordings))
     marker_set = asterism.MarkerSet.load("helen-hayes")
-    plain(kept, miner=None, training=quick, marker_set=marker_set).save(tmp_path / "b.model")
+    plain(kept, miner=None, training=BRIEF, marker_set=marker_set).save(tmp_path / "b.model")
     assert (tmp_path / "a.model").read_bytes()[-500:] == (tmp_path / "b.model").read_bytes()[-500:]
 
 
