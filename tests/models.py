@@ -17,6 +17,7 @@ from typing import Any
 
 import numba
 import numpy as np
+import pytest
 import scipy
 
 import asterism
@@ -57,6 +58,15 @@ def trained(recordings: Sequence[asterism.Recording], **settings: Any) -> asteri
             if not path.exists():
                 _save(asterism.SolverEnsemble.fit(list(recordings), **settings), path)
     return asterism.SolverEnsemble.load(path)
+
+
+@contextmanager
+def training_with(rules: TrainingRules) -> Iterator[None]:
+    """Whoever calls `SolverEnsemble.fit` here, a command for example, trains with these rules."""
+    plain = asterism.SolverEnsemble.fit
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(asterism.SolverEnsemble, "fit", lambda recordings, **given: plain(recordings, **{**given, "training": rules}))
+        yield
 
 
 def folder() -> Path:
