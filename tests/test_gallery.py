@@ -15,7 +15,7 @@ import pytest
 from models import trained
 
 from asterism import labelling
-from asterism.labelling import CapturabilityRules, SolverEnsemble
+from asterism.labelling import CapturabilityRules, SolverEnsemble, TrainingRules
 from asterism.labelling.partial.solver_search import SearchSettings
 from asterism.recording import Recording
 
@@ -41,7 +41,7 @@ def trained_once(monkeypatch: pytest.MonkeyPatch) -> None:
     def fit(recordings: Sequence[Recording], **settings: Any) -> SolverEnsemble:
         with monkeypatch.context() as patched:
             patched.setattr(SolverEnsemble, "fit", original)
-            return trained(recordings, miner=None, **settings)
+            return trained(recordings, miner=None, training=TrainingRules(folds=2, trial_frames=40), **settings)
 
     monkeypatch.setattr(SolverEnsemble, "fit", fit)
 

@@ -27,7 +27,7 @@ from asterism.cameras import Rig
 from asterism.cameras.files import write_rig
 from asterism.cli import command_line
 from asterism.formats import write_blobs
-from asterism.labelling import SolverEnsemble
+from asterism.labelling import SolverEnsemble, TrainingRules
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import ImagingSettings, render_images, ring_rig, simulate_blobs, simulate_wand, walker_capsules
 
@@ -70,7 +70,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def model(files: Path) -> SolverEnsemble:
     recordings = [asterism.read(files / f"{name}.c3d", markers="helen-hayes") for name in ("ann", "ben", "cem")]
-    return trained(recordings, seed=0, miner=None)
+    return trained(recordings, seed=0, miner=None, training=TrainingRules(folds=2, trial_frames=40))
 
 
 @pytest.fixture
