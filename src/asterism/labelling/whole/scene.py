@@ -36,7 +36,7 @@ class RecordingLabellingSettings:
     max_rigid_std     m; two markers are near-rigid where their distance varies by less in this recording
     min_rigid_std     m; the standard deviation of such a distance is taken as at least this
     pose_spread       and as at least this share of its range over the key poses of the training. Chosen on six gait subjects in clutter
-    max_rigid_deviation standard deviations by which a tracklet's near-rigid distances may differ without a loss of margin
+    max_rigid_deviation standard deviations by which a tracklet's near-rigid distances and place may differ without a loss of margin
     deviation_cost    nats of margin lost for each square of what exceeds that
     training_noise    m, standard deviation of a near-rigid distance between bodies of one size, beyond the range of the training
     max_deviation_familiar standard deviations by which a tracklet's near-rigid distances may differ from the training's
