@@ -20,10 +20,10 @@ from asterism.tracking import LinkRules
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
-benchmark_data, docs, figures, peer, score, tracking, equality, structure, sensitivity, ablation, dirt, loop_picture, main = (
+benchmark_data, docs, figures, peer, runs, score, tracking, equality, structure, sensitivity, ablation, dirt, loop_picture, main = (
     import_module(f"benchmarks.{name}")
     for name in (
-        *("data", "docs", "figures", "peer", "score", "tracking"),
+        *("data", "docs", "figures", "peer", "runs", "score", "tracking"),
         *(
             "house.equality",
             "house.structure",
@@ -40,7 +40,7 @@ benchmark_data, docs, figures, peer, score, tracking, equality, structure, sensi
 def test_kept_figures_have_the_agreed_form() -> None:
     entries = json.loads((ROOT / "benchmarks" / "figures.json").read_text(encoding="utf-8"))
     for entry in entries:
-        assert list(entry) == ["issue", "row", "asked", "measured", "unit", "n", "command", "date"]
+        assert list(entry) == ["issue", "row", "asked", "measured", "unit", "n", "command", "date", "draws", "ours", "commit", "sources"]
         assert entry["asked"] == "none" or re.fullmatch(r"(<=|>=|<|>|==) [-+.e\d]+", entry["asked"]), entry
         assert isinstance(entry["measured"], int | float) and np.isfinite(entry["measured"])
         assert entry["n"] > 0 and entry["unit"] and entry["command"].startswith("python -m benchmarks")
@@ -49,12 +49,28 @@ def test_kept_figures_have_the_agreed_form() -> None:
 
 
 def test_pages_with_tables_are_up_to_date() -> None:
-    for page, made in (("figures-all.md", docs.text(figures.load())), ("figures.md", docs.key_text(figures.load()))):
-        assert (ROOT / "docs" / page).read_text(encoding="utf-8") == made, "run `python -m benchmarks docs`"
-    written = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert written == docs.with_results(written, figures.load()), "run `python -m benchmarks docs`"
-    written = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")
-    assert written == docs.with_ablation(written, figures.load()), "run `python -m benchmarks docs`"
+    entries = figures.load()
+    page, key_page, recordings, readme = (
+        (ROOT / name).read_text(encoding="utf-8") for name in ("docs/figures-all.md", "docs/figures.md", "docs/recordings.md", "README.md")
+    )
+    never, stale = (
+        docs.never_in(page),
+        docs.stale_in(page),
+    )  # those that were when the page was written: it need not be written again after each change of the code
+    assert page == docs.text(entries, stale, list(runs.load().values()), never), "run `python -m benchmarks docs`"
+    assert key_page == docs.key_text(entries, stale), "run `python -m benchmarks docs`"
+    for name, made in (("confidence", docs.with_reliability), ("cameras", docs.with_numbers)):
+        written = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+        assert written == made(written, entries, stale), "run `python -m benchmarks docs`"
+    assert readme == docs.with_results(readme, entries, stale), "run `python -m benchmarks docs`"
+    assert recordings == docs.with_ablation(recordings, entries, stale), "run `python -m benchmarks docs`"
+
+
+def test_every_row_of_the_benchmark_has_figures_or_is_named_as_one_without_and_every_figure_has_a_row() -> None:
+    rows = {f"python -m benchmarks {name} --rows {row}" for name, chapter in main.CHAPTERS.items() for row in chapter.ROWS}
+    measured = {entry.command for entry in figures.load()}
+    assert measured <= rows
+    assert set(docs.never_in((ROOT / "docs" / "figures-all.md").read_text(encoding="utf-8"))) == rows - measured
 
 
 def test_every_row_of_the_page_of_key_figures_has_been_measured() -> None:
@@ -63,6 +79,28 @@ def test_every_row_of_the_page_of_key_figures_has_been_measured() -> None:
     assert len(rows) == len(set(rows)) == 25
     assert [row for row in rows if row not in measured] == []
     assert all((ROOT / "docs" / re.search(r"\((.*)\)", plot)[1]).exists() for _, plot, _ in docs.KEY_SECTIONS)
+
+
+def test_numbers_in_sentences_are_those_of_their_rows() -> None:
+    entry = figures.Entry("issue", "a, b: right", "none", 0.5, "fraction", 100, "run", "2026-01-01")
+    page = "Of all <!-- row: a, b: right -->?<!-- end --> are right, and <!-- row: a, b: right -->3 %<!-- end --> again."
+    marked = "<!-- row: a, b: right -->50 %{}<!-- end -->"
+    for stale, note in (([], ""), (["run"], " (stale)")):
+        shown = marked.format(note)
+        assert docs.with_numbers(page, [entry], stale) == f"Of all {shown} are right, and {shown} again."
+    with pytest.raises(ValueError, match="a, b: right"):
+        docs.with_numbers(page, [])
+
+
+def test_the_table_of_reliability_has_a_line_for_each_model_and_way() -> None:
+    def entry(row: str, measured: float) -> figures.Entry:
+        return figures.Entry("issue", f"reliability, {row}", "none", measured, "fraction", 100, "run", "2026-01-01")
+
+    empty = docs.with_reliability(docs._RELIABILITY_BEGIN + docs._RELIABILITY_END, [])
+    assert "has not been run" in empty
+    rows = ("gait, ten taught, frame by frame: right at 0.99 to 0.999", "gait, ten taught, frame by frame: stated at 0.99 to 0.999")
+    full = docs.with_reliability(empty, [entry(row, measured) for row, measured in zip(rows, (0.5, 0.75), strict=True)])
+    assert "| gait, ten taught, frame by frame | 75 % | 50 % |  |  |  |" in full
 
 
 def test_the_ablation_stands_in_the_page_about_recordings_once_it_is_measured() -> None:
@@ -278,8 +316,8 @@ def test_page_shows_cells_where_they_belong_and_what_was_missed() -> None:
 
     page = docs.text(
         [
-            entry("table 5.4, subjects seen, 1 occlusion, target 99 %: FA", "< 0.08", 0.01),
-            entry("table 5.4, subjects seen, 1 occlusion, target 99.9 %: FA", "< 0.01", 0.02),
+            entry("table 5.4, thesis rules, subjects seen, 1 occlusion, target 99 %: FA", "< 0.08", 0.01),
+            entry("table 5.4, thesis rules, subjects seen, 1 occlusion, target 99.9 %: FA", "< 0.01", 0.02),
             entry("movement, cmu41, 85 not seen, 3 occlusions: FA", "<= 0.005", 0.001),
             entry("movement, pig39, test not seen, test_movement as recorded: missed", "none", 0.5),
             entry("gaps, 3 hidden, backwards in time, whole recording: right", "none", 0.99),
@@ -289,7 +327,7 @@ def test_page_shows_cells_where_they_belong_and_what_was_missed() -> None:
             entry("movement, cmu41, 02 not seen, 3 hidden, frame by frame: FA", "none", 0.03),
         ]
     )
-    assert "| 1 occlusion | 1 % (asked < 8 %) | **2 % (asked < 1 %)** |" in page
+    assert "| thesis rules, subjects seen, 1 occlusion | 1 % (asked < 8 %) | **2 % (asked < 1 %)** |" in page
     assert "| cmu41, 85 not seen | 0.1 % (asked <= 0.5 %) |  |" in page
     assert "| 3 hidden, backwards in time | 99 % |" in page and "| 3 hidden + 3 ghosts |  | 25 % |" in page
     assert "| 3 hidden, backwards in time | -0.02 % (asked <= 0.1 %) |" in page
@@ -339,3 +377,22 @@ def test_the_picture_of_the_loop_shows_every_round() -> None:
     words = [text.text or "" for text in drawn.iter(f"{space}text")]
     assert {"from Ann", "from Ben, named"} <= set(words) and any("11 people" in word for word in words)
     picture([line("nobody", False, [(0.0, 0.0)])], 1)
+
+
+def test_frames_hidden_anew_are_different_frames_once() -> None:
+    truth = np.array([[0, 1], [0, 1], [0, 1]])
+    labelling = Labelling(truth, np.ones((3, 2)), ("a", "b"))
+    tally, other = score.Tally(), score.Tally()
+    for _ in range(3):
+        tally.add(labelling, truth, recording="walk")
+    tally.add(Labelling(truth[:2], np.ones((2, 2)), ("a", "b")), truth[:2])
+    assert (tally.frames, tally.distinct) == (11, 5)
+    other.add(labelling, truth, recording="walk")
+    other.add(labelling, truth, recording="turn")
+    tally += other
+    assert (tally.frames, tally.distinct) == (17, 8)
+    figure = tally.figure("a", "none", tally.right_share)
+    assert (figure.n, figure.draws, figure.measured, figure.unit) == (8, 17, 1.0, "fraction")
+    once = score.Tally()
+    once.add(labelling, truth)
+    assert once.figure("a", "none", 1.0).draws == 0

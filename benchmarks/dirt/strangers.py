@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, islice
+from functools import cache
+from itertools import combinations
 
 import numpy as np
 
@@ -46,21 +47,29 @@ class Outcome:
     foreign: int = 0
     sure_and_wrong: int = 0
 
-    def add(self, labelling: Labelling, truth: Ints) -> None:
-        """Count one recording's labels (T, M)."""
-        self.tally.add(labelling, truth)
+    def add(self, labelling: Labelling, truth: Ints, recording: str = "") -> None:
+        """Count one recording's labels (T, M); its name where several models label the same one."""
+        self.tally.add(labelling, truth, recording=recording)
         self.recordings += 1
         self.foreign += labelling.verdict is not None and labelling.verdict.kind != FITS
         sure = (labelling.indices >= 0) & (labelling.confidence >= SURE)
         self.sure_and_wrong += int((sure & (labelling.indices != truth)).sum())
+
+    def join(self, other: Outcome) -> None:
+        """Count what another one has counted."""
+        self.tally += other.tally
+        self.recordings += other.recordings
+        self.foreign += other.foreign
+        self.sure_and_wrong += other.sure_and_wrong
 
 
 def strangers(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Every pair of the sets, walks against standing trials, ordinary recordings of gait, a mouse, two people as one body."""
     for name in SETS[:1] if benchmark.quick else SETS:
         outcomes: dict[str, Outcome] = {}
-        for pair in islice(_pairs(name), 2 if benchmark.quick else None):
-            _measure(benchmark, pair, outcomes)
+        for found in benchmark.each(_measured, [(name, number) for number in range(1 if benchmark.quick else len(_by_training(name)))]):
+            for condition, outcome in found.items():
+                outcomes.setdefault(condition, Outcome(Tally())).join(outcome)
         chosen = " (chosen on)" if name in CHOOSING_SETS else ""
         for condition, outcome in outcomes.items():
             yield from _figures(f"strangers, {name}{chosen}, {condition}", outcome, asked="as recorded" not in condition)
@@ -71,9 +80,9 @@ def strangers(benchmark: BenchmarkRun) -> Iterator[Figure]:
 
 def _figures(row: str, outcome: Outcome, *, asked: bool) -> Iterator[Figure]:
     tally = outcome.tally
-    yield Figure(f"{row}: right", ">= 0.9" if asked else "none", tally.right_share, "fraction", tally.frames)
-    yield Figure(f"{row}: wrong", "<= 0.005" if asked else "none", tally.false_assignments, "fraction", tally.frames)
-    yield Figure(f"{row}: labels sure and wrong", "none", outcome.sure_and_wrong, "labels", tally.frames)
+    yield tally.figure(f"{row}: right", ">= 0.9" if asked else "none", tally.right_share)
+    yield tally.figure(f"{row}: wrong", "<= 0.005" if asked else "none", tally.false_assignments)
+    yield Figure(f"{row}: labels sure and wrong", "none", outcome.sure_and_wrong, "labels", tally.distinct)
     yield Figure(f"{row}: said not to fit", "none", outcome.foreign / outcome.recordings, "fraction", outcome.recordings)
 
 
@@ -93,6 +102,24 @@ def _pairs(name: str) -> Iterator[Pair]:
         for other in files:
             if one != other and (pair := _pair([(name, one)], other)) is not None:
                 yield pair
+
+
+@cache
+def _by_training(name: str) -> list[list[Pair]]:
+    """The pairs of a set, those together that one model serves."""
+    found: dict[tuple[str, tuple[str, ...]], list[Pair]] = {}
+    for pair in _pairs(name):
+        found.setdefault((pair.name.partition(": ")[0], pair.test.labels), []).append(pair)
+    return list(found.values())
+
+
+def _measured(benchmark: BenchmarkRun, item: tuple[str, int]) -> dict[str, Outcome]:
+    """What one model makes of all recordings of other people that have its markers."""
+    name, number = item
+    outcomes: dict[str, Outcome] = {}
+    for pair in _by_training(name)[number]:
+        _measure(benchmark, pair, outcomes)
+    return outcomes
 
 
 def _pair(train: list[tuple[str, str]], test: str) -> Pair | None:
@@ -140,9 +167,9 @@ def _measure(benchmark: BenchmarkRun, pair: Pair, outcomes: dict[str, Outcome]) 
     for condition, (clouds, truth) in conditions.items():
         outcome = outcomes.setdefault(condition, Outcome(Tally()))
         try:
-            outcome.add(ensemble.label(clouds, time=True), truth)
+            outcome.add(ensemble.label(clouds, time=True), truth, _file(pair.test))
         except AsterismError:
-            outcome.add(silence(truth, test.labels), truth)
+            outcome.add(silence(truth, test.labels), truth, _file(pair.test))
     benchmark.report(f"{pair.name}: {', '.join(f'{c} {o.tally.false_assignments:.4f}' for c, o in outcomes.items())} wrong so far")
 
 
