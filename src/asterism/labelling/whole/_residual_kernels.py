@@ -32,36 +32,23 @@ def predicted_place(body, k, m, counts, workspace, place):
     """Where all other labelled points predict marker m, after `rescore` of a frame.
 
     IN  body BodyArrays; k key pose; counts: whether m's own point is among those that the workspace has counted; workspace BodyWorkspace
-    OUT place (3,) m, on the placed body. O(r^2).
+    OUT place (3,) m, on the placed body. O(1).
     """
-    latents = body.load.shape[3]
-    h, inverse = np.zeros((3, 3)), np.empty((3, 3))
-    shift, error = np.zeros(3), np.empty(3)
-    for a in range(3):
-        for i in range(latents):
-            shift[a] += body.load[k, m, a, i] * workspace.latent[i]
-            slope = 0.0
-            for j in range(latents):
-                slope += body.load[k, m, a, j] * workspace.covariance[j, i]
-            for b in range(3):
-                h[a, b] += slope * body.load[k, m, b, i]
-    if counts:  # e - (I - h)^-1 (e - shift) takes the point's own residual e out of the prediction
-        for a in range(3):
-            for b in range(3):
-                h[a, b] = (1.0 if a == b else 0.0) - h[a, b]
-            error[a] = workspace.residual[m, a] - shift[a]
-        det, c00, c01, c02, c11, c12, c22 = cofactors(h[0, 0], h[0, 1], h[0, 2], h[1, 0], h[1, 1], h[1, 2], h[2, 0], h[2, 1], h[2, 2])
-        inverse[0, 0], inverse[0, 1], inverse[0, 2] = c00, c01, c02
-        inverse[1, 0], inverse[1, 1], inverse[1, 2] = c01, c11, c12
-        inverse[2, 0], inverse[2, 1], inverse[2, 2] = c02, c12, c22
-        for a in range(3):
-            shift[a] = workspace.residual[m, a]
-            for b in range(3):
-                shift[a] -= inverse[a, b] / max(det, 1e-9) * error[b]
-    for a in range(3):
-        place[a] = body.mean[k, m, a]
-        for b in range(a + 1):
-            place[a] += body.spread[k, m, a, b] * shift[b]
+    markers, own = len(workspace.residual), workspace.residual[m]
+    x, y, z = workspace.centre[m], workspace.centre[markers + m], workspace.centre[2 * markers + m]
+    if counts:  # e - (I - h)^-1 (e - centre) takes the point's own residual e out of the prediction
+        h = workspace.variance[:, m]
+        xy, xz, yz = -h[1], -h[2], -h[4]
+        det, c00, c01, c02, c11, c12, c22 = cofactors(1.0 - h[0], xy, xz, xy, 1.0 - h[3], yz, xz, yz, 1.0 - h[5])
+        det = max(det, 1e-9)
+        dx, dy, dz = own[0] - x, own[1] - y, own[2] - z
+        x = own[0] - (c00 * dx + c01 * dy + c02 * dz) / det
+        y = own[1] - (c01 * dx + c11 * dy + c12 * dz) / det
+        z = own[2] - (c02 * dx + c12 * dy + c22 * dz) / det
+    spread, mean = body.spread[k, m], body.mean[k, m]
+    place[0] = mean[0] + spread[0, 0] * x
+    place[1] = mean[1] + spread[1, 0] * x + spread[1, 1] * y
+    place[2] = mean[2] + spread[2, 0] * x + spread[2, 1] * y + spread[2, 2] * z
 
 
 @kernel
