@@ -287,6 +287,8 @@ def _labelling_of(body: BodyInRecording, number: int, clouds: Clouds, labels: Po
     certainty, least = labels.confidence(body.certainty, body.frame_certainty)
     verdict = _verdict_of(body, number, clouds, labels, offsets)
     certainty = np.minimum(certainty, confidence_limit(verdict))
+    if body.distances is not None:
+        certainty = np.minimum(certainty, body.distances.margin_limits(labels.margin))
     if verdict is not None:
         pairs = exchangeable(label, rival, certainty, len(clouds), VerdictRules())
         named = tuple(tuple(body.names[body.markers[marker]] for marker in pair) for pair in pairs)
