@@ -16,6 +16,8 @@ from benchmarks.stale import StaleRow, command_of
 PAGE = Path(__file__).parents[1] / "docs" / "figures-all.md"
 KEY_PAGE = PAGE.with_name("figures.md")
 RECORDINGS = PAGE.with_name("recordings.md")
+CONFIDENCE = PAGE.with_name("confidence.md")
+CAMERAS = PAGE.with_name("cameras.md")
 README = PAGE.parent.with_name("README.md")
 
 DEFINITIONS = """- **right**: visible markers with their own point. **missed**: visible markers without a label. **FA**, false assignments:
@@ -60,6 +62,11 @@ were measured. The environment variable `ASTERISM_DATA` names the folder of the 
   Then, repeatedly: label all trials; accept those in which `review` finds nothing, or settle what it finds in the trials that need the
   least; learn. *Touched*: samples whose label an answer changed. *Looked at*: samples of the pieces found, right or wrong. *Given by
   name*: samples of the tracks that were named.
+- *Sampled*, so that all rows can be measured in hours: key poses label 8 frames of each cloud (24 in "subjects not seen"); models of all 59
+  markers leave out four of the eleven subjects, features of motion three, two people every third pair; the loop starts from all eleven
+  with ghosts where the trial is labelled, else from two; of a movement recording 400 frames are labelled one by one, 2,000 at most as a
+  whole, 500 by strangers. What that costs: where none of n independent frames is wrong, up to 3 / n may be (95 %), but people count more
+  than frames. Of four people without a fault, up to 53 % of all may have one, of eleven 24 %.
 - *As recorded*: with all points that nobody labelled. Some of them may be the marker that is missing, so FA is an upper bound there.
 - Gaps and ghosts are simulated. Real gaps are only in vicon53, clouthier62, optitrack-wheelchair and mouse-qtm; real ghosts only in
   rows "as recorded". Rows "dirt" hide nothing: labels made by hand are found again, from one half of a trial to the other.
@@ -208,10 +215,19 @@ SECTIONS = (
 )
 """Title, how its rows begin, and for a table in two directions what names the line and what the column."""
 
+RELIABILITY = {
+    "stated at 0.99 to 0.999": "0.99: stated",
+    "right at 0.99 to 0.999": "right",
+    "log score": "log score",
+    "log score less that of the best constant": "less that of the best constant",
+    "labels that can be given at 99.9 % right": "share at 99.9 %",
+}
+"""The columns of the table in `docs/confidence.md`: how a figure's row ends, and the column's name."""
+
 ABLATIONS = {
-    "ablation, ": "Walks of people not seen. Partial solvers label frame by frame, without features of motion and with them; their three "
-    "people are fewer than those of the other lines. From *frame only* on each line has all that the lines above it have. *right*: markers "
-    "in view with their own point; *FA*: wrong labels among those given.\n",
+    "ablation, ": "Walks of people not seen. Partial solvers label frame by frame, without features of motion and with them; three people "
+    "are left out there, nine in the other lines, each of which has all that those above it have. *right*: markers in view with their own "
+    "point; *FA*: wrong labels among those given.\n",
     "features, ": "Features over neighbouring frames, velocities and accelerations, added to the pool of the thesis' rules, which label "
     "frame by frame:\n",
     "feature pool": "The solvers that were mined from these pools:\n",
@@ -219,6 +235,11 @@ ABLATIONS = {
 """The sections that stand in `docs/recordings.md`, too: how their rows begin, and what is said before them."""
 
 _RESULTS_BEGIN, _RESULTS_END = "<!-- results: written by `python -m benchmarks docs`, do not edit -->", "<!-- end of results -->"
+_RELIABILITY_BEGIN, _RELIABILITY_END = (
+    "<!-- reliability: written by `python -m benchmarks docs`, do not edit -->",
+    "<!-- end of reliability -->",
+)
+_NUMBER_MARK = re.compile(r"<!-- row: (?P<row>.+?) -->.*?<!-- end -->")
 _BEGINS, _ENDS = "<!-- ablation: written by `python -m benchmarks docs`, do not edit -->", "<!-- end of ablation -->"
 
 
@@ -233,20 +254,21 @@ def key_text(entries: list[Entry], stale: Stale = ()) -> str:
     for title, plot, rows in KEY_SECTIONS:
         some = [by_row[row] for row in rows if row in by_row]
         if some:
-            parts += [f"## {title}\n", f"{plot}\n", _table(some)]
+            note = "The plot shows stale figures.\n" if any(one.stale for one in some) else ""
+            parts += [f"## {title}\n", f"{plot}\n", *((note,) if note else ()), _table(some)]
     house = [one for one in judged(entries, stale) if one.entry.issue.startswith(HOUSE)]
     if house:
         parts += ["## The code\n", _table(house)]
     return "\n".join(parts)
 
 
-def text(entries: list[Entry], stale: Stale = (), durations: Sequence[runs.Run] = ()) -> str:
-    """The page of all figures."""
+def text(entries: list[Entry], stale: Stale = (), durations: Sequence[runs.Run] = (), never: Sequence[str] = ()) -> str:
+    """The page of all figures; `never`: the commands of rows that have none."""
     parts = [INTRODUCTION_OF_ALL]
     everything = judged(entries, stale)
     verdicts = [one.reached for one in everything if not one.stale]
     parts.append(f"{verdicts.count(True)} of {verdicts.count(True) + verdicts.count(False)} figures asked for are reached.\n")
-    parts += [_named_stale(everything), _durations(durations)]
+    parts += [_named_stale(everything), _named_never(never), _durations(durations)]
     for issue in dict.fromkeys(entry.issue for entry in entries):
         of_issue = [one for one in everything if one.entry.issue == issue]
         parts.append(f"## {issue}\n")
@@ -266,6 +288,15 @@ def text(entries: list[Entry], stale: Stale = (), durations: Sequence[runs.Run] 
 def stale_in(page: str) -> list[str]:
     """The commands that a page of all figures names as stale."""
     return re.findall(r"^- `(python -m benchmarks [^`]*)`, \d+ figures$", page, re.MULTILINE)
+
+
+def never_in(page: str) -> list[str]:
+    """The commands that a page of all figures names as those of rows without any figure."""
+    return re.findall(r"^- `(python -m benchmarks [^`]*)`$", page, re.MULTILINE)
+
+
+def _named_never(never: Sequence[str]) -> str:
+    return "\n".join(("Never measured:\n", *(f"- `{command}`" for command in never))) + "\n" if never else ""
 
 
 def _named_stale(everything: Sequence[Judged]) -> str:
@@ -305,6 +336,37 @@ def with_ablation(page: str, entries: list[Entry], stale: Stale = ()) -> str:
     return before + _BEGINS + "\n" + "".join(f"{part}\n" for part in tables) + _ENDS + after
 
 
+def with_reliability(page: str, entries: list[Entry], stale: Stale = ()) -> str:
+    """The page about confidence with its table as measured: a line for each model and way to label."""
+    lines: dict[str, dict[str, str]] = {}
+    for one in judged(entries, stale):
+        model, _, what = one.entry.row.removeprefix("reliability, ").rpartition(": ")
+        if one.entry.row.startswith("reliability, ") and what in RELIABILITY:
+            lines.setdefault(model, {})[what] = _number(one.entry) + " (stale)" * one.stale
+    head = [f"| people, how labelled | {' | '.join(RELIABILITY.values())} |", "|---" * (len(RELIABILITY) + 1) + "|"]
+    rows = [f"| {model} | {' | '.join(found.get(what, '') for what in RELIABILITY)} |" for model, found in lines.items()]
+    shown = "\n".join((*head, *rows)) if rows else "(`python -m benchmarks dirt --rows reliability` has not been run to its end yet.)"
+    before, rest = page.split(_RELIABILITY_BEGIN)
+    _, after = rest.split(_RELIABILITY_END)
+    return f"{before}{_RELIABILITY_BEGIN}\n{shown}\n{_RELIABILITY_END}{after}"
+
+
+def with_numbers(page: str, entries: list[Entry], stale: Stale = ()) -> str:
+    """A page with the numbers in its sentences as measured: each stands between marks that name its row.
+
+    Raises ValueError where a mark names no kept row.
+    """
+    values = {one.entry.row: one for one in judged(entries, stale)}
+
+    def number(match: re.Match[str]) -> str:
+        one = values.get(match["row"])
+        if one is None:
+            raise ValueError(f"no figure is kept of the row {match['row']!r}, which a page names")
+        return f"<!-- row: {match['row']} -->{_number(one.entry)}{' (stale)' * one.stale}<!-- end -->"
+
+    return _NUMBER_MARK.sub(number, page)
+
+
 def with_results(page: str, entries: list[Entry], stale: Stale = ()) -> str:
     """The README with its table of results as measured."""
     values = {one.entry.row: one for one in judged(entries, stale)}
@@ -328,12 +390,15 @@ def write(stale: Sequence[StaleRow]) -> None:
     from benchmarks import plots
 
     entries, commands = load(), {command_of(row.chapter, row.row) for row in stale}
+    never = [command_of(row.chapter, row.row) for row in stale if not row.figures]
     plots.write(entries)
     pages = {
-        PAGE: text(entries, commands, list(runs.load().values())),
+        PAGE: text(entries, commands, list(runs.load().values()), never),
         KEY_PAGE: key_text(entries, commands),
         RECORDINGS: with_ablation(RECORDINGS.read_text(encoding="utf-8"), entries, commands),
         README: with_results(README.read_text(encoding="utf-8"), entries, commands),
+        CONFIDENCE: with_reliability(CONFIDENCE.read_text(encoding="utf-8"), entries, commands),
+        CAMERAS: with_numbers(CAMERAS.read_text(encoding="utf-8"), entries, commands),
     }
     for page, content in pages.items():
         temporary = page.with_name(page.name + ".part")

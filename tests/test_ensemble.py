@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from models import trained
+from models import BRIEF, trained
 
 from asterism import AsterismError, Clouds, MarkerSet, Recording, SolverEnsemble
-from asterism.labelling.ensemble import TrainingRules
+from asterism.labelling import TrainingRules
 from asterism.simulation import simulate_occlusions, simulate_walks
 
 QUICK = {"miner": None, "training": TrainingRules(trial_frames=40, folds=5)}
-QUICKEST = {"miner": None, "training": TrainingRules(trial_frames=8, folds=2)}
+QUICKEST = {"miner": None, "training": BRIEF}
 rooms = settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 

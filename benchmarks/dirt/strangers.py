@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, islice
+from functools import cache
+from itertools import combinations
 
 import numpy as np
 
@@ -54,13 +55,21 @@ class Outcome:
         sure = (labelling.indices >= 0) & (labelling.confidence >= SURE)
         self.sure_and_wrong += int((sure & (labelling.indices != truth)).sum())
 
+    def join(self, other: Outcome) -> None:
+        """Count what another one has counted."""
+        self.tally += other.tally
+        self.recordings += other.recordings
+        self.foreign += other.foreign
+        self.sure_and_wrong += other.sure_and_wrong
+
 
 def strangers(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Every pair of the sets, walks against standing trials, ordinary recordings of gait, a mouse, two people as one body."""
     for name in SETS[:1] if benchmark.quick else SETS:
         outcomes: dict[str, Outcome] = {}
-        for pair in islice(_pairs(name), 2 if benchmark.quick else None):
-            _measure(benchmark, pair, outcomes)
+        for found in benchmark.each(_measured, [(name, number) for number in range(1 if benchmark.quick else len(_by_training(name)))]):
+            for condition, outcome in found.items():
+                outcomes.setdefault(condition, Outcome(Tally())).join(outcome)
         chosen = " (chosen on)" if name in CHOOSING_SETS else ""
         for condition, outcome in outcomes.items():
             yield from _figures(f"strangers, {name}{chosen}, {condition}", outcome, asked="as recorded" not in condition)
@@ -93,6 +102,24 @@ def _pairs(name: str) -> Iterator[Pair]:
         for other in files:
             if one != other and (pair := _pair([(name, one)], other)) is not None:
                 yield pair
+
+
+@cache
+def _by_training(name: str) -> list[list[Pair]]:
+    """The pairs of a set, those together that one model serves."""
+    found: dict[tuple[str, tuple[str, ...]], list[Pair]] = {}
+    for pair in _pairs(name):
+        found.setdefault((pair.name.partition(": ")[0], pair.test.labels), []).append(pair)
+    return list(found.values())
+
+
+def _measured(benchmark: BenchmarkRun, item: tuple[str, int]) -> dict[str, Outcome]:
+    """What one model makes of all recordings of other people that have its markers."""
+    name, number = item
+    outcomes: dict[str, Outcome] = {}
+    for pair in _by_training(name)[number]:
+        _measure(benchmark, pair, outcomes)
+    return outcomes
 
 
 def _pair(train: list[tuple[str, str]], test: str) -> Pair | None:
@@ -170,30 +197,43 @@ def _is_standing(trial: Recording) -> bool:
 
 def _standing_and_walking(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Ten children's walks, the eleventh's standing trial; and the reverse."""
-    subjects = gait()
+    subjects = list(gait())[: 1 if benchmark.quick else None]
     for standing in (True, False):
-        outcome = Outcome(Tally())
-        for subject, trials in list(subjects.items())[: 1 if benchmark.quick else None]:
-            train = [(who, t) for who, own in subjects.items() if who != subject for t in own if _is_standing(t) != standing]
-            train = train[: 3 if benchmark.quick else None]
-            ensemble = benchmark.fit(_some(benchmark, [trial for _, trial in train]), [who for who, _ in train])
-            for trial in (trial for trial in trials if _is_standing(trial) == standing):
-                clouds, truth = simulate_gaps_and_ghosts(trial, HIDDEN, 0, seed=0)
-                outcome.add(ensemble.label(clouds, time=True), truth)
+        total = Outcome(Tally())
+        for outcome in benchmark.each(_other_trials, [(subject, standing) for subject in subjects]):
+            total.join(outcome)
         what = "walks learned, standing labelled" if standing else "standing learned, walks labelled"
-        yield from _figures(f"strangers, gait, {what}, {HIDDEN} hidden", outcome, asked=True)
+        yield from _figures(f"strangers, gait, {what}, {HIDDEN} hidden", total, asked=True)
+
+
+def _other_trials(benchmark: BenchmarkRun, item: tuple[str, bool]) -> Outcome:
+    """One child's standing trials, or walks, by a model of the other children's other trials."""
+    left_out, standing = item
+    train = [(who, t) for who, own in gait().items() if who != left_out for t in own if _is_standing(t) != standing]
+    train = train[: 3 if benchmark.quick else None]
+    ensemble, outcome = benchmark.fit(_some(benchmark, [trial for _, trial in train]), [who for who, _ in train]), Outcome(Tally())
+    for trial in (trial for trial in gait()[left_out] if _is_standing(trial) == standing):
+        clouds, truth = simulate_gaps_and_ghosts(trial, HIDDEN, 0, seed=0)
+        outcome.add(ensemble.label(clouds, time=True), truth)
+    return outcome
 
 
 def _ordinary(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Every gait recording, its subject left out: none may be said not to fit."""
-    outcome = Outcome(Tally())
-    for subject, trials in list(gait().items())[: 1 if benchmark.quick else None]:
-        ensemble = ensemble_of(benchmark, subject)
-        for number, trial in enumerate(trials):
-            for hidden in (0, HIDDEN):
-                clouds, truth = simulate_gaps_and_ghosts(trial, hidden, 0, seed=number)
-                outcome.add(ensemble.label(clouds, time=True), truth)
-    yield Figure("strangers, gait, all trials left out: said not to fit", "== 0", outcome.foreign, "recordings", outcome.recordings)
+    total = Outcome(Tally())
+    for outcome in benchmark.each(_own_kind, list(gait())[: 1 if benchmark.quick else None]):
+        total.join(outcome)
+    yield Figure("strangers, gait, all trials left out: said not to fit", "== 0", total.foreign, "recordings", total.recordings)
+
+
+def _own_kind(benchmark: BenchmarkRun, left_out: str) -> Outcome:
+    """One child's trials by a model of all others."""
+    ensemble, outcome = ensemble_of(benchmark, left_out), Outcome(Tally())
+    for number, trial in enumerate(gait()[left_out]):
+        for hidden in (0, HIDDEN):
+            clouds, truth = simulate_gaps_and_ghosts(trial, hidden, 0, seed=number)
+            outcome.add(ensemble.label(clouds, time=True), truth)
+    return outcome
 
 
 def _other_bodies(benchmark: BenchmarkRun) -> Iterator[Figure]:

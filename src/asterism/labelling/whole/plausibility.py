@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules, length_scale
 from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
+from asterism.labelling.whole._residual_kernels import ResidualLimits, prediction_residuals, residual_deviations
 from asterism.labelling.whole.certainty import overlaps_unlabelled
 from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, score_scene
 from asterism.recording import NULL, Floats, Ints
@@ -18,17 +20,43 @@ MIN_FRAMES, MAX_PARTNERS, MAX_DEVIATION = 5, 6, 8.0
 """Frames that a distance must be known from; how many of the steadiest distances count; standard deviations that one counts at most."""
 
 
-def ghost_penalty(labellers: Sequence[BodyLabeller], scene: Scene, label: Ints, rules: RecordingLabellingSettings) -> Floats:
-    """Nats of margin (J,) that tracklets lose whose near-rigid distances are not those that their markers have elsewhere in the recording.
+def ghost_penalty(
+    labellers: Sequence[BodyLabeller], bodies: Sequence[BodyModel], scene: Scene, label: Ints, rules: RecordingLabellingSettings
+) -> Floats:
+    """Nats of margin (J,) that tracklets lose that do not lie, in this body, where their markers lie elsewhere in the recording.
 
-    A ghost that moves with the body where a marker is hidden can fit the pose, but hardly the distances of this very body. Only tracklets
-    during which some point has no label are checked: elsewhere there is no sign of ghosts.
+    A ghost that moves with the body where a marker is hidden can fit the pose, but hardly the places and distances of this very body. Only
+    tracklets during which some point has no label are checked: elsewhere there is no sign of ghosts.
+    bodies: the models as adapted to the subjects.
     """
     near_unlabelled = overlaps_unlabelled(label, scene.first, scene.last)
     if not near_unlabelled.any():
         return np.zeros(len(label))
-    excess = np.maximum(own_deviations(scene, label, marker_offsets(labellers), rules, labellers) - rules.max_rigid_deviation, 0.0)
-    return rules.deviation_cost * excess**2 * (near_unlabelled > 0)
+    offsets = marker_offsets(labellers)
+    by_distance = own_deviations(scene, label, offsets, rules, labellers)
+    by_place = place_deviations(labellers, bodies, scene, label, rules)
+    deviation = np.where(np.isnan(by_place), by_distance, np.sqrt(0.5 * (np.nan_to_num(by_place) ** 2 + by_distance**2)))
+    return rules.deviation_cost * np.maximum(deviation - rules.max_rigid_deviation, 0.0) ** 2 * (near_unlabelled > 0)
+
+
+def place_deviations(
+    labellers: Sequence[BodyLabeller], bodies: Sequence[BodyModel], scene: Scene, label: Ints, rules: RecordingLabellingSettings
+) -> Floats:
+    """Standard deviations (J,) by which tracklets lie elsewhere, in the body, than their markers do in the rest of the recording.
+
+    A marker's place in a frame is taken from where all other labelled points predict it. NaN where it cannot be told.
+    bodies: the models as adapted to the subjects.
+    """
+    offsets, out = marker_offsets(labellers), np.full(len(label), np.nan)
+    residuals, of_body = np.empty_like(scene.sampled_xyz), np.empty(len(label))
+    limits = ResidualLimits(rules.min_rigid_std, MIN_FRAMES)
+    for number, (labeller, body) in enumerate(zip(labellers, bodies, strict=True)):
+        own = labels_of_body(label, offsets, number)
+        arrays = labeller.body if body is labeller.model else body.arrays()
+        prediction_residuals(scene.sampled_xyz, scene.sampled_offsets, scene.sampled_track, own, arrays, labeller.settings, residuals)
+        residual_deviations(residuals, scene.sampled_track, own, limits, of_body)
+        out = np.where(own != NULL, of_body, out)
+    return out
 
 
 def own_deviations(
@@ -51,13 +79,34 @@ def own_deviations(
     return worst
 
 
-def off_training_distances(
-    labeller: BodyLabeller, body: BodyModel, scene: Scene, label: Ints, rules: RecordingLabellingSettings, body_rules: BodyRules
-) -> NDArray[np.bool_]:
-    """Labelled tracklets (J,) whose distances to near-rigid neighbours are not those that their marker had in the training.
+@dataclass(frozen=True)
+class TrainingDeviations:
+    """How far the near-rigid distances of labelled tracklets (J,) are off those that their markers had in the training.
 
-    Where most frames of a tracklet fit their labels worse than nearly every frame of people left out did, the movement is one that the
-    model does not know: there the distances must fit more closely, and a label that has no distances to compare is doubtful, too.
+    deviation   (J,) standard deviations, NaN where a tracklet has no label or no distances to compare
+    usual       their median over all near-rigid distances: how much this body differs from those of the training as a whole
+    unfamiliar  (J,) whether most frames of the tracklet fit their labels worse than nearly every frame of people left out did
+    """
+
+    deviation: Floats
+    usual: float
+    unfamiliar: NDArray[np.bool_]
+
+    def are_off(self, rules: RecordingLabellingSettings) -> NDArray[np.bool_]:
+        """Tracklets (J,) whose labels are doubtful for it.
+
+        In a movement that the model does not know the distances must fit more closely, and a label that has none to compare is doubtful,
+        too. A body that differs all over, as another person does from the only one of the training, says little against single labels.
+        """
+        limit = np.where(self.unfamiliar, rules.max_deviation_unfamiliar, rules.max_deviation_familiar * max(1.0, self.usual))
+        return np.where(np.isnan(self.deviation), self.unfamiliar, self.deviation > limit)
+
+
+def compare_with_training(
+    labeller: BodyLabeller, body: BodyModel, scene: Scene, label: Ints, rules: RecordingLabellingSettings, body_rules: BodyRules
+) -> TrainingDeviations:
+    """Compare the distances of labelled tracklets with those of the training.
+
     label (J,): labels as markers of this body, -1 for none; body: the model as adapted to the subject.
     """
     between = np.linalg.norm(labeller.model.mean[:, :, None] - labeller.model.mean[:, None], axis=3)
@@ -68,10 +117,7 @@ def off_training_distances(
         rules.training_noise * unit, body_rules.size_std, rules.max_rigid_std * unit, MIN_FRAMES, MAX_PARTNERS, MAX_DEVIATION
     )
     usual = training_deviations(points, label, between.min(axis=0), between.max(axis=0), limits, deviation)
-    unfamiliar = _in_unfamiliar_movement(labeller, body, scene, label)
-    # a body that differs all over, as another person does from the only one of the training, says little against single labels
-    limit = np.where(unfamiliar, rules.max_deviation_unfamiliar, rules.max_deviation_familiar * max(1.0, usual))
-    return (label != NULL) & np.where(np.isnan(deviation), unfamiliar, deviation > limit)
+    return TrainingDeviations(deviation, float(usual), _in_unfamiliar_movement(labeller, body, scene, label))
 
 
 def _in_unfamiliar_movement(labeller: BodyLabeller, body: BodyModel, scene: Scene, label: Ints) -> NDArray[np.bool_]:
