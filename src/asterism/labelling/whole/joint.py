@@ -99,7 +99,7 @@ def label_scene(
         state, bodies = trial, adapted
         stages[f"adapted {turn + 1}"] = state.label
     report(1.0, "labelled")
-    by_body = state.margin - ghost_penalty(labellers, scene, state.label, rules)
+    by_body = state.margin - ghost_penalty(labellers, bodies, scene, state.label, rules)
     margin, off = by_body.copy(), []
     for number, (labeller, body) in enumerate(zip(labellers, bodies, strict=True)):
         own = labels_of_body(state.label, offsets, number)
@@ -132,14 +132,38 @@ def _votes_of_one(labeller: BodyLabeller, scene: Scene, rules: RecordingLabellin
     crowd = np.diff(scene.sampled_offsets).mean() / labeller.body.mean.shape[1] if len(scene.sampled_frames) else 0.0
     if crowd > rules.crowded:
         labeller = replace(labeller, settings=labeller.settings._replace(**CROWDED_SEARCH))
+    frames = _voting_frames(scene, rules.max_voting)
+    points = np.nonzero(np.isin(scene.sampled_frame, frames))[0]
+    offsets = np.concatenate([[0], np.cumsum(np.diff(scene.sampled_offsets)[frames])]).astype(np.int64)
     point_of, margins, _ = labeller.label_frames(
-        scene.sampled_xyz, scene.sampled_offsets, workers, lambda done, _: report(0.7 * done, "labelling single frames"), at_once=50
+        np.ascontiguousarray(scene.sampled_xyz[points]),
+        offsets,
+        workers,
+        lambda done, _: report(0.7 * done, "labelling single frames"),
+        at_once=50,
     )
     votes = np.zeros((len(scene.first), point_of.shape[1]))
     frame, marker = np.nonzero(point_of != NULL)
-    track = scene.sampled_track[scene.sampled_offsets[frame] + point_of[frame, marker]]
+    track = scene.sampled_track[points[offsets[frame] + point_of[frame, marker]]]
     np.add.at(votes, (track, marker), np.clip(margins[frame, marker], 0.1, rules.max_vote))
     return votes
+
+
+def _voting_frames(scene: Scene, most: int) -> Ints:
+    """Which sampled frames vote: so many, evenly spread, and one of each tracklet that none of these shows."""
+    frames = len(scene.sampled_frames)
+    if frames <= most:
+        return np.arange(frames)
+    votes = np.zeros(frames, dtype=np.bool_)
+    votes[np.linspace(0, frames - 1, most).round().astype(np.int64)] = True
+    shown = np.zeros(len(scene.first), dtype=np.bool_)
+    shown[scene.sampled_track[votes[scene.sampled_frame]]] = True
+    for e in range(frames):
+        tracks = scene.sampled_track[scene.sampled_offsets[e] : scene.sampled_offsets[e + 1]]
+        if not shown[tracks].all():
+            votes[e] = True
+            shown[tracks] = True
+    return np.nonzero(votes)[0]
 
 
 def _votes_of_several(
