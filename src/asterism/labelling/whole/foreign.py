@@ -63,7 +63,7 @@ class ForeignRules:
     fits             see above
     by_certainty     what each 2 log odds add that the label has where recordings fit
     by_surplus       what e^2 points take away that are left over in a usual frame
-    least_confidence labels of a foreign recording below this are taken back; and where points are left over
+    least_confidence labels that this evidence makes less certain are taken back; and where points are left over
     """
 
     frames: int = 60
@@ -115,16 +115,19 @@ class ForeignConfidence:
     crowded: bool
     rules: ForeignRules
 
-    def confidence(self, certainty: Floats, fit: Floats) -> Floats:
-        """The probability that labels are right (n,): certainty that they would have where recordings fit; fit in nats."""
+    def by_evidence(self, certainty: Floats, fit: Floats) -> Floats:
+        """The probability that labels are right (n,), if no other labelling of the whole recording is.
+
+        certainty: what it would be where recordings fit; fit in nats.
+        """
         rules = self.rules
         by_fit = rules.by_fit * np.clip(fit, *rules.fits) / 2.0
         by_certainty = rules.by_certainty * logit(np.clip(certainty, 0.001, 0.999)) / 2.0
-        return np.minimum(self.limit, expit(self.log_odds + by_fit + by_certainty))
+        return np.asarray(expit(self.log_odds + by_fit + by_certainty))
 
     @property
     def least_confidence(self) -> float:
-        """Labels below this are taken back."""
+        """Labels that the evidence makes less certain than this are taken back."""
         return self.rules.least_confidence[self.crowded]
 
     def of_points(self, points: int, long: Ints, track: Ints) -> ForeignConfidence:

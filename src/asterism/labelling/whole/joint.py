@@ -25,7 +25,7 @@ from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enou
 from asterism.labelling.whole._kernels import margins_of, overlaps, rivals_weight, sum_scores
 from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.bodies import find_bodies, follow_bodies, votes_of_bodies
-from asterism.labelling.whole.plausibility import TrainingDeviations, compare_with_training, ghost_penalty
+from asterism.labelling.whole.plausibility import compare_with_training, ghost_penalty
 from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, score_scene
 from asterism.labelling.whole.upright import turned, upright_turns
 from asterism.progress import Progress
@@ -46,7 +46,6 @@ class SceneLabelling:
     rival   (J,) the second best column
     bodies  the models as adapted to the subjects
     total   nats, the total gain of the labels
-    off     by body, how far the labels' distances are off the training's
     by_body (J,) nats, the margin before labels whose distances are off lost theirs
     stages  labels (J,) after each stage, by name
     turns   (E, 3, 3) rotations that set the body upright in each sampled frame, see `upright.py`; None where none is turned
@@ -58,7 +57,6 @@ class SceneLabelling:
     rival: Ints
     bodies: list[BodyModel]
     total: float
-    off: list[TrainingDeviations]
     by_body: Floats
     stages: dict[str, Ints] = field(default_factory=dict)
     turns: Floats | None = None
@@ -108,13 +106,12 @@ def label_scene(
         stages[f"adapted {turn + 1}"] = state.label
     report(1.0, "labelled")
     by_body = state.margin - ghost_penalty(labellers, bodies, scene, state.label, rules)
-    margin, off = by_body.copy(), []
+    margin = by_body.copy()
     for number, (labeller, body) in enumerate(zip(labellers, bodies, strict=True)):
         own = labels_of_body(state.label, offsets, number)
-        off.append(compare_with_training(labeller, body, scene, own, rules, body_rules))
-        doubtful = (own != NULL) & off[-1].are_off(rules)
+        doubtful = (own != NULL) & compare_with_training(labeller, body, scene, own, rules, body_rules).are_off(rules)
         margin[doubtful] = np.minimum(margin[doubtful], -rules.no_adapt_margin)
-    return SceneLabelling(whole, state.label, margin, state.rival, bodies, state.total, off, by_body, stages, turns)
+    return SceneLabelling(whole, state.label, margin, state.rival, bodies, state.total, by_body, stages, turns)
 
 
 @dataclass(frozen=True)

@@ -83,8 +83,9 @@ class PointLabels:
         in_frame = frame_certainty.confidence(self.margin, self.left_over, self.fit)
         least = np.where(self.alone, frame_certainty.least_confidence, certainty.least_confidence)
         if self.foreign is not None:
-            in_time = self.foreign.confidence(in_time, self.fit)
-            least = np.maximum(least, self.foreign.least_confidence)
+            by_evidence = self.foreign.by_evidence(in_time, self.fit)
+            in_time = np.minimum(by_evidence, self.foreign.limit)
+            least = np.where(by_evidence < self.foreign.least_confidence, np.inf, least)
         return np.where(self.alone, in_frame, in_time), least
 
 
