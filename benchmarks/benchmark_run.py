@@ -54,7 +54,7 @@ class BenchmarkRun:
             self.trained[key] = asterism.SolverEnsemble.load(kept)
         if key not in self.trained:
             started = time.perf_counter()
-            self.trained[key] = asterism.SolverEnsemble.fit(list(recordings), seed=0, subjects=list(people), miner=None, **options)
+            self.trained[key] = asterism.SolverEnsemble.fit(list(recordings), seed=0, subjects=list(people), **options)
             self.report(
                 f"trained on {len(recordings)} recordings, {len(recordings[0].labels)} markers: {time.perf_counter() - started:.1f} s"
             )
