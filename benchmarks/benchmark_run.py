@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from multiprocessing import get_context
 from pathlib import Path
 from statistics import median
@@ -16,6 +16,7 @@ from typing import TypeVar
 
 import asterism
 from asterism.recording import Recording
+from benchmarks.sources import Sources
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -54,7 +55,7 @@ class BenchmarkRun:
             self.trained[key] = asterism.SolverEnsemble.load(kept)
         if key not in self.trained:
             started = time.perf_counter()
-            self.trained[key] = asterism.SolverEnsemble.fit(list(recordings), seed=0, subjects=list(people), **options)
+            self.trained[key] = asterism.SolverEnsemble.fit(list(recordings), seed=0, subjects=list(people), miner=None, **options)
             self.report(
                 f"trained on {len(recordings)} recordings, {len(recordings[0].labels)} markers: {time.perf_counter() - started:.1f} s"
             )
@@ -75,10 +76,14 @@ def frames_per_second(run: Callable[[], object], frames: int, repeats: int = 5) 
     return frames / median(times)
 
 
+@cache
+def _training_code() -> str:
+    """A hash of all modules that training imports."""
+    return Sources.working().hash_of_module("asterism.labelling.ensemble")
+
+
 def _key(recordings: Sequence[Recording], people: Sequence[str], options: dict[str, object]) -> str:
-    digest = hashlib.sha256(repr((list(people), sorted(options.items()), recordings[0].labels)).encode())
-    for source in sorted(Path(asterism.__file__).parent.joinpath("labelling").rglob("*.py")):
-        digest.update(source.read_bytes())
+    digest = hashlib.sha256(repr((list(people), sorted(options.items()), recordings[0].labels, _training_code())).encode())
     for recording in recordings:
         digest.update(recording.positions.tobytes())
     return digest.hexdigest()[:24]

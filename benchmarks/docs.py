@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
+from benchmarks import runs
 from benchmarks.data import CHOOSING, CHOOSING_SETS
-from benchmarks.figures import Entry, load, reached
+from benchmarks.figures import UNLABELLED_MOST, UNLABELLED_SHOWN, Entry, Judged, judged, load
+from benchmarks.peer import LIMIT
+from benchmarks.stale import StaleRow, command_of
 
 PAGE = Path(__file__).parents[1] / "docs" / "figures-all.md"
 KEY_PAGE = PAGE.with_name("figures.md")
@@ -28,22 +32,30 @@ INTRODUCTION = f"""# Figures
 
 The figures that matter most. [All figures](figures-all.md) has the rest, with how each is measured. Both pages are written by
 `python -m benchmarks docs` from `benchmarks/figures.json`, which `python -m benchmarks` measures; do not edit them. **no** marks a figure
-that misses what was asked.
+that misses what was asked. *Stale* ones were measured by other code than that of today, and count as neither.
 
 {DEFINITIONS}"""
 
 INTRODUCTION_OF_ALL = f"""# All figures
 
 Written by `python -m benchmarks docs` from `benchmarks/figures.json`; do not edit. [The most important ones](figures.md) have a page
-with plots. To measure again: `python -m benchmarks` (all), `python -m benchmarks recordings` (one chapter), `--rows gaps` (some rows),
-`--quick` (a short run that keeps nothing). The environment variable `ASTERISM_DATA` names the folder of the recordings.
+with plots. To measure: `python -m benchmarks` (all that this code has not measured yet), `python -m benchmarks recordings` (one chapter),
+`--rows gaps` (some rows), `--quick` (a short run that keeps nothing). `python -m benchmarks stale` lists what has changed since the figures
+were measured. The environment variable `ASTERISM_DATA` names the folder of the recordings.
 
-{DEFINITIONS}- A ghost lies within 150 mm of a marker.
+{DEFINITIONS}- *Stale*: since it was measured, the modules that the row imports, its own functions, or the names and sizes of its
+  recordings have changed.
+- *n*: different samples (frames, points, files), with the number of random draws behind it where each was hidden several times. Frames of
+  one walk resemble each other, and so do draws: an interval over people is wider than n suggests.
+- *(ours)*: a bound that we set ourselves; all others are asked for in an issue, or printed by the thesis or a peer.
+- Beside a share of wrong labels stands which share of the markers in view got no label at all, from {UNLABELLED_SHOWN:.0%} on. From
+  {UNLABELLED_MOST:.0%} on, no bound on wrong labels counts as reached.
+- A ghost lies within 150 mm of a marker.
 - *Frame by frame* labels the same clouds without the neighbouring frames. *Backwards in time* are the same clouds in reverse order.
 - *Tracking*: `benchmarks/tracking.py` knows the true places of all markers in the first frame and the given tracks; it continues tracks
   by constant velocity and optimal assignment.
-- *Peer*, *key poses*: `benchmarks/peer.py` uses sixteen key poses from eight headings, ICP, optimal assignment and a limit of 200 mm,
-  on some frames of the same clouds.
+- *Peer*, *key poses*: `benchmarks/peer.py` uses sixteen key poses from eight headings, ICP, optimal assignment and a limit of
+  {1000 * LIMIT:.0f} mm, the best on the children chosen on, on some frames of the same clouds.
 - *From one trial to all subjects*: `benchmarks/recordings/loop.py`. One walk of one subject is labelled, or its tracks are named once.
   Then, repeatedly: label all trials; accept those in which `review` finds nothing, or settle what it finds in the trials that need the
   least; learn. *Touched*: samples whose label an answer changed. *Looked at*: samples of the pieces found, right or wrong. *Given by
@@ -185,16 +197,21 @@ SECTIONS = (
         r"movement, (?P<line>.*?(?: not seen|own other \w+)), "
         r"(?P<column>(?:.* as recorded|\d occlusions|\d hidden(?:, frame by frame)?): \w+)",
     ),
-    ("Table 5.4: FA by occlusions and target hit rate", "table 5.4", r"table 5.4, subjects seen, (?P<line>.*), (?P<column>target .*): FA"),
-    ("Table 5.5: FO by occlusions and target hit rate", "table 5.5", r"table 5.5, subjects seen, (?P<line>.*), (?P<column>target .*): FO"),
-    ("Table 5.3: marker by marker, 4 occlusions, target 99.99 %", "table 5.3", r"table 5.3, .* %, (?P<line>.*): (?P<column>.*)"),
+    ("Table 5.4: FA by occlusions and target hit rate", "table 5.4", r"table 5.4, (?P<line>.*), (?P<column>target .*): FA"),
+    ("Table 5.5: FO by occlusions and target hit rate", "table 5.5", r"table 5.5, (?P<line>.*), (?P<column>target .*): FO"),
+    (
+        "Table 5.3: marker by marker, 4 occlusions, target 99.99 %",
+        "table 5.3",
+        r"table 5.3, (?:(?P<rules>[\w-]+ rules), )?.* %, (?P<line>.*): (?P<column>.*)",
+    ),
     ("Each subject when left out", "subject ", r"subject (?P<line>\w+) not seen, (?P<column>.*)"),
 )
 """Title, how its rows begin, and for a table in two directions what names the line and what the column."""
 
 ABLATIONS = {
-    "ablation, ": "Walks of people not seen, each line with all that the lines above it have. *right*: markers in view with their own "
-    "point; *FA*: wrong labels among those given.\n",
+    "ablation, ": "Walks of people not seen. Partial solvers label frame by frame, without features of motion and with them; their three "
+    "people are fewer than those of the other lines. From *frame only* on each line has all that the lines above it have. *right*: markers "
+    "in view with their own point; *FA*: wrong labels among those given.\n",
     "features, ": "Features over neighbouring frames, velocities and accelerations, added to the pool of the thesis' rules, which label "
     "frame by frame:\n",
     "feature pool": "The solvers that were mined from these pools:\n",
@@ -205,46 +222,81 @@ _RESULTS_BEGIN, _RESULTS_END = "<!-- results: written by `python -m benchmarks d
 _BEGINS, _ENDS = "<!-- ablation: written by `python -m benchmarks docs`, do not edit -->", "<!-- end of ablation -->"
 
 
-def key_text(entries: list[Entry]) -> str:
+Stale = Collection[str]
+"""Commands whose figures are not of the code as it is."""
+
+
+def key_text(entries: list[Entry], stale: Stale = ()) -> str:
     """The page of the figures that matter most."""
-    by_row = {entry.row: entry for entry in entries}
+    by_row = {entry.row: one for entry, one in zip(entries, judged(entries, stale), strict=True)}
     parts = [INTRODUCTION]
     for title, plot, rows in KEY_SECTIONS:
         some = [by_row[row] for row in rows if row in by_row]
         if some:
             parts += [f"## {title}\n", f"{plot}\n", _table(some)]
-    house = [entry for entry in entries if entry.issue.startswith(HOUSE)]
+    house = [one for one in judged(entries, stale) if one.entry.issue.startswith(HOUSE)]
     if house:
         parts += ["## The code\n", _table(house)]
     return "\n".join(parts)
 
 
-def text(entries: list[Entry]) -> str:
+def text(entries: list[Entry], stale: Stale = (), durations: Sequence[runs.Run] = ()) -> str:
     """The page of all figures."""
     parts = [INTRODUCTION_OF_ALL]
-    asked = [reached(entry.asked, entry.measured) for entry in entries]
-    parts.append(f"{asked.count(True)} of {asked.count(True) + asked.count(False)} figures asked for are reached.\n")
+    everything = judged(entries, stale)
+    verdicts = [one.reached for one in everything if not one.stale]
+    parts.append(f"{verdicts.count(True)} of {verdicts.count(True) + verdicts.count(False)} figures asked for are reached.\n")
+    parts += [_named_stale(everything), _durations(durations)]
     for issue in dict.fromkeys(entry.issue for entry in entries):
-        of_issue = [entry for entry in entries if entry.issue == issue]
+        of_issue = [one for one in everything if one.entry.issue == issue]
         parts.append(f"## {issue}\n")
-        missed = [entry for entry in of_issue if reached(entry.asked, entry.measured) is False]
+        missed = [one for one in of_issue if one.reached is False and not one.stale]
         if missed:
             parts += ["### Not reached\n", _table(missed)]
         for title, starts, pattern in SECTIONS:
-            some = [entry for entry in of_issue if entry.row.startswith(starts)]
+            some = [one for one in of_issue if one.entry.row.startswith(starts)]
             if some:
                 parts += [f"### {title}\n", _crossed(some, pattern) if pattern else _table(some)]
-            of_issue = [entry for entry in of_issue if entry not in some]
+            of_issue = [one for one in of_issue if one not in some]
         if of_issue:
             parts += ["### Others\n", _table(of_issue)]
-    return "\n".join(parts)
+    return "\n".join(part for part in parts if part)
 
 
-def with_ablation(page: str, entries: list[Entry]) -> str:
+def stale_in(page: str) -> list[str]:
+    """The commands that a page of all figures names as stale."""
+    return re.findall(r"^- `(python -m benchmarks [^`]*)`, \d+ figures$", page, re.MULTILINE)
+
+
+def _named_stale(everything: Sequence[Judged]) -> str:
+    counts = {command: sum(one.entry.command == command for one in everything) for command in _commands(everything)}
+    if not counts:
+        return ""
+    lines = [f"- `{command}`, {count} figures" for command, count in counts.items()]
+    return "\n".join(("Stale, to be measured again:\n", *lines)) + "\n"
+
+
+def _commands(everything: Sequence[Judged]) -> list[str]:
+    return list(dict.fromkeys(one.entry.command for one in everything if one.stale))
+
+
+def _durations(durations: Sequence[runs.Run]) -> str:
+    """How long the rows took, the longest first."""
+    if not durations:
+        return ""
+    shown = sorted(durations, key=lambda run: -run.seconds)
+    lines = [f"| {run.chapter} {run.row} | {run.seconds:,.0f} s | {run.cpu_seconds:,.0f} s | {run.jobs} | {run.date} |" for run in shown]
+    wall, processor = (sum(getattr(run, name) for run in durations) / 3600 for name in ("seconds", "cpu_seconds"))
+    total = f"{len(shown)} rows: {wall:.1f} hours one after the other, {processor:.1f} hours of processor time on all cores together.\n"
+    head = ("## How long the rows take\n", total, "| row | time | processor | processes | measured on |", "|---|---|---|---|---|")
+    return "\n".join((*head, *lines)) + "\n"
+
+
+def with_ablation(page: str, entries: list[Entry], stale: Stale = ()) -> str:
     """The page about whole recordings with its tables as measured; nothing stands there as long as nothing was measured."""
     tables = []
     for starts, words in ABLATIONS.items():
-        some = [entry for entry in entries if entry.row.startswith(starts)]
+        some = [one for one in judged(entries, stale) if one.entry.row.startswith(starts)]
         if some:
             pattern = next(pattern for _, start, pattern in SECTIONS if start == starts)
             tables += [words, _crossed(some, pattern)] if pattern else [words, _table(some)]
@@ -253,31 +305,35 @@ def with_ablation(page: str, entries: list[Entry]) -> str:
     return before + _BEGINS + "\n" + "".join(f"{part}\n" for part in tables) + _ENDS + after
 
 
-def with_results(page: str, entries: list[Entry]) -> str:
+def with_results(page: str, entries: list[Entry], stale: Stale = ()) -> str:
     """The README with its table of results as measured."""
-    values = {entry.row: entry for entry in entries}
+    values = {one.entry.row: one for one in judged(entries, stale)}
     lines = ["| hidden, of 15 markers | right | wrong | a peer: right | wrong |", "|---|---|---|---|---|"]
+    used = []
     for condition in ("1 hidden", "3 hidden", "5 hidden", "3 hidden + 3 ghosts"):
         rows = [f"gaps, {condition}, {method}: {what}" for method in ("whole recording", "key poses") for what in ("right", "FA")]
         if all(row in values for row in rows):
-            cells = [f"{100 * values[row].measured:.2f} %" for row in rows]
+            used += [values[row] for row in rows]
+            cells = [f"{100 * values[row].entry.measured:.2f} %{' (stale)' * values[row].stale}" for row in rows]
             lines.append(f"| {condition.replace(' hidden', '')} | {' | '.join(cells)} |")
+    if any(one.stale for one in used):
+        lines += ["", "*Stale*: measured before the code changed last."]
     before, rest = page.split(_RESULTS_BEGIN)
     _, after = rest.split(_RESULTS_END)
     return before + _RESULTS_BEGIN + "\n" + "\n".join(lines) + "\n" + _RESULTS_END + after
 
 
-def write() -> None:
+def write(stale: Sequence[StaleRow]) -> None:
     """Write the pages and their plots from the kept figures; each page under a temporary name first."""
     from benchmarks import plots
 
-    entries = load()
+    entries, commands = load(), {command_of(row.chapter, row.row) for row in stale}
     plots.write(entries)
     pages = {
-        PAGE: text(entries),
-        KEY_PAGE: key_text(entries),
-        RECORDINGS: with_ablation(RECORDINGS.read_text(encoding="utf-8"), entries),
-        README: with_results(README.read_text(encoding="utf-8"), entries),
+        PAGE: text(entries, commands, list(runs.load().values())),
+        KEY_PAGE: key_text(entries, commands),
+        RECORDINGS: with_ablation(RECORDINGS.read_text(encoding="utf-8"), entries, commands),
+        README: with_results(README.read_text(encoding="utf-8"), entries, commands),
     }
     for page, content in pages.items():
         temporary = page.with_name(page.name + ".part")
@@ -285,35 +341,53 @@ def write() -> None:
         os.replace(temporary, page)
 
 
-def _table(entries: list[Entry]) -> str:
+def _table(some: Sequence[Judged]) -> str:
     lines = ["| row | asked | measured | reached | n | measured on |", "|---|---|---|---|---|---|"]
-    for entry in entries:
-        verdict = {True: "yes", False: "**no**", None: ""}[reached(entry.asked, entry.measured)]
+    for one in some:
+        entry = one.entry
         asked = "" if entry.asked == "none" else _asked(entry)
-        lines.append(f"| {entry.row} | {asked} | {_number(entry)} | {verdict} | {entry.n:,} | {entry.date} |")
+        lines.append(f"| {entry.row} | {asked} | {_number(entry)} | {_verdict(one)} | {_samples(entry)} | {entry.date} |")
     return "\n".join(lines) + "\n"
 
 
-def _crossed(entries: list[Entry], pattern: str) -> str:
+def _verdict(one: Judged) -> str:
+    beside = f", {one.unlabelled:.3g} % without a label" if one.unlabelled is not None else ""
+    if one.stale:
+        return f"stale{beside}"
+    return {True: "yes", False: "**no**", None: ""}[one.reached] + (beside if one.reached is not None else beside.removeprefix(", "))
+
+
+def _samples(entry: Entry) -> str:
+    return f"{entry.n:,}, {entry.draws:,} draws" if entry.draws else f"{entry.n:,}"
+
+
+def _crossed(some: Sequence[Judged], pattern: str) -> str:
     """Lines and columns by the two names in each row; a cell shows what was measured and, where something was asked, that."""
     cells: dict[str, dict[str, str]] = {}
-    for entry in entries:
+    for one in some:
+        entry = one.entry
         names = re.fullmatch(pattern, entry.row)
         if not names:
             raise ValueError(f"the row {entry.row!r} does not fit into its table in two directions")
-        shown = _number(entry) if entry.asked == "none" else f"{_number(entry)} (asked {_asked(entry)})"
-        missed = reached(entry.asked, entry.measured) is False
-        cells.setdefault(names["line"], {})[names["column"]] = f"**{shown}**" if missed else shown
+        notes = [*((f"asked {_asked(entry)}",) if entry.asked != "none" else ())]
+        notes += [*((f"{one.unlabelled:.3g} % without a label",) if one.unlabelled is not None else ()), *(("stale",) if one.stale else ())]
+        shown = _number(entry) + (f" ({', '.join(notes)})" if notes else "")
+        missed = one.reached is False and not one.stale
+        column = ": ".join(filter(None, (names.groupdict().get("rules"), names["column"])))
+        cells.setdefault(names["line"], {})[column] = f"**{shown}**" if missed else shown
     columns = list(dict.fromkeys(column for line in cells.values() for column in line))
     lines = [f"| | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
     lines += [f"| {line} | {' | '.join(found.get(column, '') for column in columns)} |" for line, found in cells.items()]
-    smallest, largest = min(entry.n for entry in entries), max(entry.n for entry in entries)
-    return "\n".join(lines) + f"\n\nFrames per cell: {smallest:,} to {largest:,}. Bold: not reached.\n"
+    smallest, largest = (which(one.entry.n for one in some) for which in (min, max))
+    draws = max(one.entry.draws for one in some)
+    drawn = f", each hidden at random in up to {draws:,} draws in all" if draws else ""
+    return "\n".join(lines) + f"\n\nFrames per cell: {smallest:,} to {largest:,}{drawn}. Bold: not reached.\n"
 
 
 def _asked(entry: Entry) -> str:
     sign, bound = entry.asked.split()
-    return f"{sign} {float(bound) * 100:.6g} %" if entry.unit == "fraction" else entry.asked
+    shown = f"{sign} {float(bound) * 100:.6g} %" if entry.unit == "fraction" else entry.asked
+    return f"{shown} (ours)" if entry.ours else shown
 
 
 def _number(entry: Entry) -> str:

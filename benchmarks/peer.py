@@ -15,8 +15,9 @@ from scipy.optimize import linear_sum_assignment
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
 
 POSES, HEADINGS, STEPS = 16, 8, 12
-LIMIT = 0.2
-"""A point farther than this from a marker of the aligned pose is not that marker, in metres."""
+LIMIT = 0.12
+"""A point farther than this from a marker of the aligned pose is not that marker, in metres: the best of 60 to 200 mm on the children
+chosen on, with 3 hidden and 3 ghosts (95.8 % right, 8.7 % wrong; 200 mm: 93.3 and 16.6 %)."""
 
 
 @dataclass(frozen=True)

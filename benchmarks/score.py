@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from asterism.labelling.reliability import ConfidenceTally
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
+from benchmarks.figures import Figure
 
 BINS = 20
 """Bins of equal width between confidence 0 and 1."""
@@ -18,6 +19,8 @@ BINS = 20
 class Tally:
     """Counts that add up over recordings; the rates are fractions of them.
 
+    frames    all that were labelled, as often as they were
+    counted_once, recordings  different frames: those of nothing that was hidden anew, and those of each recording that was
     visible   markers whose point is in the cloud
     given     labels that were given
     right     labels that were given rightly
@@ -28,6 +31,8 @@ class Tally:
     """
 
     frames: int = 0
+    counted_once: int = 0
+    recordings: dict[str, int] = field(default_factory=dict)
     visible: int = 0
     hidden: int = 0
     given: int = 0
@@ -37,11 +42,19 @@ class Tally:
     bins: Floats = field(default_factory=lambda: np.zeros((BINS, 3)))
     by_confidence: ConfidenceTally = field(default_factory=ConfidenceTally)
 
-    def add(self, labelling: Labelling, truth: Ints, person: str = "") -> None:
-        """Count one labelling, truth (T, M) as `simulate_occlusions` gives it; `person`: whose, for the intervals of the reliability."""
+    def add(self, labelling: Labelling, truth: Ints, person: str = "", recording: str = "") -> None:
+        """Count one labelling, truth (T, M) as `simulate_occlusions` gives it.
+
+        person     whose it is, for the intervals of the reliability
+        recording  which one it is, where the same one is hidden anew and counted several times
+        """
         given, there = labelling.indices != NULL, truth != NULL
         right = given & (labelling.indices == truth)
         self.frames += len(truth)
+        if recording:
+            self.recordings[recording] = max(len(truth), self.recordings.get(recording, 0))
+        else:
+            self.counted_once += len(truth)
         self.visible += int(there.sum())
         self.hidden += int((~there).sum())
         self.given += int(given.sum())
@@ -55,10 +68,21 @@ class Tally:
         self.by_confidence.add(labelling.confidence, given, right, person)
 
     def __iadd__(self, other: Tally) -> Tally:
-        for name in ("frames", "visible", "hidden", "given", "right", "missed", "perfect", "bins"):
+        for recording, frames in other.recordings.items():
+            self.recordings[recording] = max(frames, self.recordings.get(recording, 0))
+        for name in ("frames", "counted_once", "visible", "hidden", "given", "right", "missed", "perfect", "bins"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.by_confidence += other.by_confidence
         return self
+
+    @property
+    def distinct(self) -> int:
+        """Different frames, however often each was hidden anew."""
+        return self.counted_once + sum(self.recordings.values())
+
+    def figure(self, row: str, asked: str, share: float, ours: bool = False) -> Figure:
+        """A share of this tally as a figure, with the different frames behind it and the draws where there were more."""
+        return Figure(row, asked, share, "fraction", self.distinct, self.frames if self.frames > self.distinct else 0, ours)
 
     @property
     def false_assignments(self) -> float:

@@ -168,7 +168,9 @@ def interval_widths(arrays):
     """The width of the interval of each distance and height difference, by feature and markers."""
     found = {}
     for solver in unpack_solvers(arrays):
-        for kind, slots, low, high in zip(solver.weak.kinds, solver.markers[solver.weak.slots], solver.weak.low, solver.weak.high, strict=True):
+        for kind, slots, low, high in zip(
+            solver.weak.kinds, solver.markers[solver.weak.slots], solver.weak.low, solver.weak.high, strict=True
+        ):
             if kind in (G2, G4):
                 found[int(kind), *slots[:2].tolist()] = high - low
     return found

@@ -67,7 +67,9 @@ def test_twin_of_the_matrix_follows_the_safe_rules():
     assert twins.matrix([{0: {5}, 1: {6}}, {0: {5}}], 3) == [5, 6, -1]
     assert twins.matrix([{0: {5}}, {0: {6}}], 1) == [-1]
     assert twins.matrix([{0: {5}, 1: {6}}, {2: {5}}], 3) == [-1, 6, -1]
-    assert twins.matrix([{0: {5, 6}}, {0: {5}}, {1: {6}}], 2) == [-1, -1], "a solver of two minds nulls its marker, and who claims its points"
+    assert twins.matrix([{0: {5, 6}}, {0: {5}}, {1: {6}}], 2) == [-1, -1], (
+        "a solver of two minds nulls its marker, and who claims its points"
+    )
 
 
 def test_printed_and_agreed_differ_only_where_a_solver_finds_several_labellings(ensemble):

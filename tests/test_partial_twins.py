@@ -10,7 +10,13 @@ import twins_partial as twins
 from test_search import MARKERS, solver_and_rules
 
 from asterism.labelling.partial._build_kernels import choose_covering, order_tests
-from asterism.labelling.partial._evaluation_kernels import EvaluationLimits, ProposalCounts, ValidationFrames, evaluate_solver, handed_in_points
+from asterism.labelling.partial._evaluation_kernels import (
+    EvaluationLimits,
+    ProposalCounts,
+    ValidationFrames,
+    evaluate_solver,
+    handed_in_points,
+)
 from asterism.labelling.partial._matrix_kernels import (
     MatrixRules,
     StrongClassifierArrays,

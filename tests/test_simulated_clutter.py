@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ground_truth import owners
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -32,18 +33,6 @@ def recording_of(frames: int, markers: int, seed: int = 0, missing: float = 0.0)
 def cluttered(recording: Recording, clutter: Clutter, seed: int = 0, hidden: int = 0, number_tracks: bool = True) -> tuple[Clouds, Ints]:
     clouds, truth = simulate_gaps_and_ghosts(recording, hidden, 0, seed=seed, number_tracks=number_tracks)
     return add_clutter(recording, clouds, truth, clutter, seed=seed + 1)
-
-
-def owners(recording: Recording, clouds: Clouds, truth: Ints) -> Ints:
-    """(P,) the marker of each point by the truth, -1 for clutter; asserts on the way that the truth is true."""
-    owner = np.full(len(clouds.xyz), -1)
-    frames, markers = np.nonzero(truth != NULL)
-    points = clouds.offsets[frames] + truth[frames, markers]
-    assert (truth[frames, markers] < clouds.counts[frames]).all()
-    np.testing.assert_array_equal(clouds.xyz[points], recording.positions[frames, markers])
-    owner[points] = markers
-    assert (owner >= 0).sum() == len(points), "two markers claim one point"
-    return owner
 
 
 kinds = st.builds(

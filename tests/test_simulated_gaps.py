@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ground_truth import owners
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import asterism
 from asterism.errors import AsterismError
 from asterism.labelling.simulated_occlusions import GHOST_RADIUS, simulate_gaps, simulate_gaps_and_ghosts
-from asterism.recording import NULL, Clouds, Ints, Recording
+from asterism.recording import NULL, Recording
 
 RATE = 100.0
 
@@ -25,18 +26,6 @@ def recording_of(frames: int, markers: int, seed: int = 0, missing: float = 0.0)
     away = rng.random((frames // 25 + 1, markers)) < missing
     positions[np.repeat(away, 25, axis=0)[:frames]] = np.nan
     return Recording(positions, tuple(f"m{i}" for i in range(markers)), RATE)
-
-
-def owners(recording: Recording, clouds: Clouds, truth: Ints) -> Ints:
-    """(P,) the marker of each point by the truth, -1 for ghosts; asserts on the way that the truth is true."""
-    owner = np.full(len(clouds.xyz), -1)
-    frames, markers = np.nonzero(truth != NULL)
-    points = clouds.offsets[frames] + truth[frames, markers]
-    assert (truth[frames, markers] < clouds.counts[frames]).all()
-    np.testing.assert_array_equal(clouds.xyz[points], recording.positions[frames, markers])
-    owner[points] = markers
-    assert (owner >= 0).sum() == len(points), "two markers claim one point"
-    return owner
 
 
 def stretches(mask: np.ndarray) -> list[tuple[int, int]]:

@@ -80,6 +80,20 @@ def test_the_order_of_the_points_plays_no_part(ensemble: asterism.SolverEnsemble
     assert np.array_equal(one.confidence, other.confidence)
 
 
+@pytest.mark.parametrize("frames", [1, 2, 4])
+def test_a_recording_of_few_frames_is_labelled_as_its_frames_are(
+    ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording], frames: int
+) -> None:
+    """No tracklet is long: labels and confidence are those of single frames, and the verdict is said."""
+    clouds, _ = simulate_gaps_and_ghosts(walks[4].frames(slice(40, 40 + frames)), 3, 1, seed=3)
+    whole, single = ensemble.label(clouds, time=True), ensemble.label(clouds)
+    assert whole.verdict is not None and whole.verdict.fits and whole.verdict.scatter > 0.0
+    assert (whole.indices >= 0).sum() > 8 * frames
+    np.testing.assert_array_equal(whole.indices, single.indices)
+    given = whole.indices >= 0
+    np.testing.assert_allclose(whole.confidence[given], single.confidence[given], atol=1e-6)
+
+
 def test_empty_frames_are_fine(ensemble: asterism.SolverEnsemble) -> None:
     labelling = ensemble.label(Clouds.from_points([np.empty((0, 3))] * 4, 100.0), time=True)
     assert (labelling.indices == -1).all()

@@ -13,7 +13,7 @@ from benchmarks.cameras.matches import matches
 from benchmarks.cameras.reconstruction import ghosts, speed
 from benchmarks.cameras.refine import refine
 from benchmarks.cameras.walk import walk
-from benchmarks.cameras.wand import wand, wand_rigs
+from benchmarks.cameras.wand import real_wand, wand, wand_rigs
 from benchmarks.cameras.wand_peer import wand_peer
 from benchmarks.figures import Figure
 
@@ -33,6 +33,7 @@ ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
     "matches": matches,
     "vicon-rig-walk": walk,
     "demo": demo,
+    "real-wand": real_wand,
     "wand": wand,
     "wand-peer": wand_peer,
     "refine": refine,

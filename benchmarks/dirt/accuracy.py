@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from asterism.simulation import Clutter
 from benchmarks.benchmark_run import BenchmarkRun
-from benchmarks.data import CHOOSING, gait
+from benchmarks.data import CHOOSING, file_of, gait
 from benchmarks.dirt.walks import SEEDS, Condition, ensemble_of, label_whole, reporting, samples, unnumbered
 from benchmarks.figures import Figure
 from benchmarks.recordings.gaps import FRAMEWISE, WHOLE, Tallies, summed
@@ -66,8 +66,8 @@ def riding(benchmark: BenchmarkRun) -> Iterator[Figure]:
 
 def rates(row: str, tally: Tally, asked: tuple[str, str] = ("none", "none")) -> Iterator[Figure]:
     """The share of the markers in view with their own point, and the share of the labels given that is wrong."""
-    yield Figure(f"{row}: right", asked[0], tally.right_share, "fraction", tally.frames)
-    yield Figure(f"{row}: wrong", asked[1], tally.false_assignments, "fraction", tally.frames)
+    yield tally.figure(f"{row}: right", asked[0], tally.right_share)
+    yield tally.figure(f"{row}: wrong", asked[1], tally.false_assignments)
 
 
 def _measured(benchmark: BenchmarkRun, conditions: Mapping[str, Condition]) -> Iterator[Figure]:
@@ -95,9 +95,10 @@ def _left_out(benchmark: BenchmarkRun, item: tuple[str, str, Condition]) -> Tall
     tallies: Tallies = defaultdict(Tally)
     ensemble = ensemble_of(benchmark, subject)
     for one in samples(subject, condition, 1 if benchmark.quick else SEEDS):
-        tallies[name, WHOLE].add(label_whole(ensemble, one.clouds, one.truth), one.truth)
-        tallies[name, BARE].add(label_whole(ensemble, unnumbered(one.clouds), one.truth), one.truth)
-        tallies[name, FRAMEWISE].add(ensemble.label(one.clouds), one.truth)
+        walk = str(file_of(one.walk))
+        tallies[name, WHOLE].add(label_whole(ensemble, one.clouds, one.truth), one.truth, recording=walk)
+        tallies[name, BARE].add(label_whole(ensemble, unnumbered(one.clouds), one.truth), one.truth, recording=walk)
+        tallies[name, FRAMEWISE].add(ensemble.label(one.clouds), one.truth, recording=walk)
     told = (f"{method} {tally.right_share:.5f}, wrong {tally.false_assignments:.5f}" for (_, method), tally in tallies.items())
     benchmark.report(f"{subject} left out, {name}: {'; '.join(told)}")
     return dict(tallies)

@@ -14,7 +14,7 @@ import numpy as np
 
 from asterism.simulation import Clutter
 from benchmarks.benchmark_run import BenchmarkRun
-from benchmarks.data import GAIT_BODY
+from benchmarks.data import GAIT_BODY, file_of
 from benchmarks.dirt.walks import Condition, cut, ensemble_of, label_whole, reporting, sample, unnumbered
 from benchmarks.figures import Figure
 from benchmarks.recordings.walks import Markers, walks
@@ -79,19 +79,21 @@ def guarantee(benchmark: BenchmarkRun) -> Iterator[Figure]:
     for cell, (whole, framewise) in zip(grid, found, strict=True):
         told = f"right {whole.right_share:.5f} of {framewise.right_share:.5f}"
         benchmark.report(f"{cell}: {told}, wrong {whole.false_assignments:.5f} of {framewise.false_assignments:.5f}")
-    frames = sum(whole.frames for whole, _ in found)
+    every = Tally()
+    for whole, _ in found:
+        every += whole
     lost = [framewise.right_share - whole.right_share for whole, framewise in found]
     gained = [whole.false_assignments - framewise.false_assignments for whole, framewise in found]
     worst = np.maximum(lost, gained)
     row = f"guarantee, {len(grid)} cells of the grid, whole recording against its frames"
-    yield Figure(f"{row}: right lost, worst cell", f"<= {ALLOWED}", max(lost), "fraction", frames)
-    yield Figure(f"{row}: wrong gained, worst cell", f"<= {ALLOWED}", max(gained), "fraction", frames)
+    yield Figure(f"{row}: right lost, worst cell", f"<= {ALLOWED}", max(lost), "fraction", every.distinct, every.frames)
+    yield Figure(f"{row}: wrong gained, worst cell", f"<= {ALLOWED}", max(gained), "fraction", every.distinct, every.frames)
     yield Figure(f"{row}: cells that hold", "== 1", float((worst <= ALLOWED).mean()), "fraction", len(grid))
-    for method, tallies in (("whole recording", [whole for whole, _ in found]), ("frame by frame", [own for _, own in found])):
-        yield Figure(f"guarantee, all cells, {method}: right", "none", float(np.mean([t.right_share for t in tallies])), "fraction", frames)
-        yield Figure(
-            f"guarantee, all cells, {method}: wrong", "none", float(np.mean([t.false_assignments for t in tallies])), "fraction", frames
-        )
+    for place, method in enumerate(("whole recording", "frame by frame")):
+        tallies = [both[place] for both in found]
+        row = f"guarantee, all cells, {method}"
+        yield every.figure(f"{row}: right", "none", float(np.mean([tally.right_share for tally in tallies])))
+        yield every.figure(f"{row}: wrong", "none", float(np.mean([tally.false_assignments for tally in tallies])))
 
 
 def _cell(benchmark: BenchmarkRun, item: tuple[int, Cell]) -> tuple[Tally, Tally]:
@@ -103,6 +105,6 @@ def _cell(benchmark: BenchmarkRun, item: tuple[int, Cell]) -> tuple[Tally, Tally
     for seed, walk in enumerate(walks(subject, markers)):
         one = sample(cut(walk, LONGEST), Condition(cell.hidden, clutter=cell.clutter), 2 * number + seed)
         clouds = one.clouds if cell.numbered else unnumbered(one.clouds)
-        whole.add(label_whole(ensemble, clouds, one.truth), one.truth)
-        framewise.add(ensemble.label(clouds), one.truth)
+        whole.add(label_whole(ensemble, clouds, one.truth), one.truth, recording=str(file_of(walk)))
+        framewise.add(ensemble.label(clouds), one.truth, recording=str(file_of(walk)))
     return whole, framewise

@@ -46,9 +46,9 @@ class Outcome:
     foreign: int = 0
     sure_and_wrong: int = 0
 
-    def add(self, labelling: Labelling, truth: Ints) -> None:
-        """Count one recording's labels (T, M)."""
-        self.tally.add(labelling, truth)
+    def add(self, labelling: Labelling, truth: Ints, recording: str = "") -> None:
+        """Count one recording's labels (T, M); its name where several models label the same one."""
+        self.tally.add(labelling, truth, recording=recording)
         self.recordings += 1
         self.foreign += labelling.verdict is not None and labelling.verdict.kind != FITS
         sure = (labelling.indices >= 0) & (labelling.confidence >= SURE)
@@ -71,9 +71,9 @@ def strangers(benchmark: BenchmarkRun) -> Iterator[Figure]:
 
 def _figures(row: str, outcome: Outcome, *, asked: bool) -> Iterator[Figure]:
     tally = outcome.tally
-    yield Figure(f"{row}: right", ">= 0.9" if asked else "none", tally.right_share, "fraction", tally.frames)
-    yield Figure(f"{row}: wrong", "<= 0.005" if asked else "none", tally.false_assignments, "fraction", tally.frames)
-    yield Figure(f"{row}: labels sure and wrong", "none", outcome.sure_and_wrong, "labels", tally.frames)
+    yield tally.figure(f"{row}: right", ">= 0.9" if asked else "none", tally.right_share)
+    yield tally.figure(f"{row}: wrong", "<= 0.005" if asked else "none", tally.false_assignments)
+    yield Figure(f"{row}: labels sure and wrong", "none", outcome.sure_and_wrong, "labels", tally.distinct)
     yield Figure(f"{row}: said not to fit", "none", outcome.foreign / outcome.recordings, "fraction", outcome.recordings)
 
 
@@ -140,9 +140,9 @@ def _measure(benchmark: BenchmarkRun, pair: Pair, outcomes: dict[str, Outcome]) 
     for condition, (clouds, truth) in conditions.items():
         outcome = outcomes.setdefault(condition, Outcome(Tally()))
         try:
-            outcome.add(ensemble.label(clouds, time=True), truth)
+            outcome.add(ensemble.label(clouds, time=True), truth, _file(pair.test))
         except AsterismError:
-            outcome.add(silence(truth, test.labels), truth)
+            outcome.add(silence(truth, test.labels), truth, _file(pair.test))
     benchmark.report(f"{pair.name}: {', '.join(f'{c} {o.tally.false_assignments:.4f}' for c, o in outcomes.items())} wrong so far")
 
 

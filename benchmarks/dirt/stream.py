@@ -44,10 +44,10 @@ def stream(benchmark: BenchmarkRun) -> Iterator[Figure]:
                         spent[name].append(times)
             for name, tally in tallies.items():
                 row = f"stream in clutter, {hidden}, delay {delay}, {name}"
-                yield Figure(f"{row}: right", "none", tally.right_share, "fraction", tally.frames)
-                yield Figure(f"{row}: wrong", "none", tally.false_assignments, "fraction", tally.frames)
+                yield tally.figure(f"{row}: right", "none", tally.right_share)
+                yield tally.figure(f"{row}: wrong", "none", tally.false_assignments)
                 if name != CLEAN:
                     lost = tallies[CLEAN].right_share - tally.right_share
-                    yield Figure(f"{row}: right lost against clean", "<= 0.005", lost, "fraction", tally.frames)
+                    yield tally.figure(f"{row}: right lost against clean", "<= 0.005", lost)
                 slowest = float(np.quantile(np.concatenate(spent[name]), 0.999))
                 yield Figure(f"{row}: p99.9 of a push", "< 10", slowest, "ms", tally.frames)

@@ -38,8 +38,8 @@ def movement(benchmark: BenchmarkRun) -> Iterator[Figure]:
         for condition, tally in tallies.items():
             row = f"movement, {label}, {person}{' not seen' if unseen else ''}, {condition}"
             limited = unseen and "as recorded" not in condition
-            yield Figure(f"{row}: FA", "<= 0.005" if limited else "none", tally.false_assignments, "fraction", tally.frames)
-            yield Figure(f"{row}: missed", "none", tally.missed_share, "fraction", tally.frames)
+            yield tally.figure(f"{row}: FA", "<= 0.005" if limited else "none", tally.false_assignments)
+            yield tally.figure(f"{row}: missed", "none", tally.missed_share)
 
 
 @cache

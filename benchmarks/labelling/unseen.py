@@ -59,7 +59,7 @@ def unseen(benchmark: BenchmarkRun) -> Iterator[Figure]:
         pooled += total
         yield from _rates(f"subjects not seen, {name}", total, name, asked=True)
         yield from _rates(f"peer, subjects not seen, {name}", peers, name, asked=False)
-        yield Figure(f"subjects not seen, {name}: frames perfect", "none", total.perfect_share, "fraction", total.frames)
+        yield total.figure(f"subjects not seen, {name}: frames perfect", "none", total.perfect_share)
         yield Figure(f"subjects not seen, {name}: calibration error", "none", total.calibration_error, "fraction", total.given)
     yield Figure("subjects not seen, all conditions: calibration error", "<= 0.01", pooled.calibration_error, "fraction", pooled.given)
     labelled = sum(tally.frames for outcome in outcomes.values() for tally in outcome.peers.values())
@@ -67,8 +67,8 @@ def unseen(benchmark: BenchmarkRun) -> Iterator[Figure]:
     yield Figure("peer, subjects not seen: speed", "none", labelled / seconds, "frames/s", labelled)
     for subject, outcome in outcomes.items():
         for name, tally in outcome.ours.items():
-            yield Figure(f"subject {subject} not seen, {name}: FA", "none", tally.false_assignments, "fraction", tally.frames)
-            yield Figure(f"subject {subject} not seen, {name}: missed", "none", tally.missed_share, "fraction", tally.frames)
+            yield tally.figure(f"subject {subject} not seen, {name}: FA", "none", tally.false_assignments)
+            yield tally.figure(f"subject {subject} not seen, {name}: missed", "none", tally.missed_share)
 
 
 def _left_out(benchmark: BenchmarkRun, subject: str) -> Outcome:
@@ -94,4 +94,4 @@ def _left_out(benchmark: BenchmarkRun, subject: str) -> Outcome:
 
 def _rates(row: str, tally: Tally, condition: str, asked: bool) -> Iterator[Figure]:
     for rate, measured in (("right", tally.right_share), ("FA", tally.false_assignments), ("missed", tally.missed_share)):
-        yield Figure(f"{row}: {rate}", ASKED.get((condition, rate), "none") if asked else "none", measured, "fraction", tally.frames)
+        yield tally.figure(f"{row}: {rate}", ASKED.get((condition, rate), "none") if asked else "none", measured)

@@ -11,7 +11,7 @@ from benchmarks.data import gait, spread
 from benchmarks.figures import Figure
 from benchmarks.peer import KeyPoses
 from benchmarks.recordings.gaps import FEW, Tallies, rates, summed
-from benchmarks.recordings.walks import CONDITIONS, SEEDS, unseen_training, walks, with_gaps
+from benchmarks.recordings.walks import CONDITIONS, SEEDS, unseen_training, walk_of_draw, walks, with_gaps
 from benchmarks.score import Tally, some_frames
 from benchmarks.tracking import follow
 
@@ -34,13 +34,14 @@ def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:
     repeats = 1 if benchmark.quick else SEEDS
     for condition, (hidden, ghosts) in CONDITIONS.items():
         for number, (clouds, truth) in enumerate(with_gaps(benchmark, subject, hidden, ghosts)):
-            first = own[number // repeats].positions[0]
-            tallies[condition, TRACKING].add(follow(first, clouds, poses.names), truth)
+            first, walk = own[number // repeats].positions[0], walk_of_draw(benchmark, subject, number)
+            tallies[condition, TRACKING].add(follow(first, clouds, poses.names), truth, recording=walk)
             few, few_truth = some_frames(clouds, truth, spread(len(truth), POSES_FRAMES))
-            tallies[condition, POSES].add(poses.label(few), few_truth)
-    for number, walk in enumerate(own):
+            tallies[condition, POSES].add(poses.label(few), few_truth, recording=walk)
+    for number, recording in enumerate(own):
         for seed in range(repeats):
-            clouds, truth = simulate_gaps(walk, 5, seed=SEEDS * number + seed)
-            tallies[FEW, TRACKING].add(follow(walk.positions[0], clouds, walk.labels), truth)
+            clouds, truth = simulate_gaps(recording, 5, seed=SEEDS * number + seed)
+            labelling = follow(recording.positions[0], clouds, recording.labels)
+            tallies[FEW, TRACKING].add(labelling, truth, recording=f"{subject}, walk {number}")
     benchmark.report(f"{subject} left out: {'; '.join(f'{c}, {m} {tally.right_share:.4f}' for (c, m), tally in tallies.items())}")
     return dict(tallies)

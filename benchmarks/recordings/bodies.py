@@ -34,19 +34,19 @@ def bodies(benchmark: BenchmarkRun) -> Iterator[Figure]:
         for number, (first, second) in enumerate(zip(walks(pair[0]), walks(pair[1]), strict=False)):
             false, alone = false + _crowd(ensemble, first) + _crowd(ensemble, second), alone + 2
             for away in AWAY:
-                both = beside(first, second, away)
+                both, together = beside(first, second, away), f"{pair}, walk {number}"
                 for condition, (hidden, ghosts) in CONDITIONS.items():
                     clouds, truth = simulate_gaps_and_ghosts(both, hidden, ghosts, seed=number)
                     labellings = label_together([ensemble, ensemble], clouds)
                     orders = [_joined(labellings, ensemble), _joined(labellings[::-1], ensemble)]
-                    twice[condition].add(max(orders, key=lambda labelling: _right(labelling, truth)), truth)
+                    twice[condition].add(max(orders, key=lambda labelling: _right(labelling, truth)), truth, recording=together)
                     if len(adapted) == 2:
-                        own[condition].add(_joined(label_together(adapted, clouds), ensemble), truth)
+                        own[condition].add(_joined(label_together(adapted, clouds), ensemble), truth, recording=together)
                 said += _crowd(ensemble, both)
     for what, tallies in (("one model twice", twice), ("each person's own model", own)):
         for condition, tally in tallies.items():
-            yield Figure(f"two people, {what}{condition}: right", "none", tally.right_share, "fraction", tally.frames)
-            yield Figure(f"two people, {what}{condition}: FA", "none", tally.false_assignments, "fraction", tally.frames)
+            yield tally.figure(f"two people, {what}{condition}: right", "none", tally.right_share)
+            yield tally.figure(f"two people, {what}{condition}: FA", "none", tally.false_assignments)
     yield Figure("two people where one is expected: said", "none", said / (len(AWAY) * alone / 2), "fraction", len(AWAY) * alone // 2)
     yield Figure("one person where one is expected: taken for two", "none", false / alone, "fraction", alone)
 

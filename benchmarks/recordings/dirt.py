@@ -52,11 +52,9 @@ def dirt(benchmark: BenchmarkRun) -> Iterator[Figure]:
             total.framewise += found.framewise
             total.pieces = total.pieces + found.pieces
         tally, (samples, null, strange, strange_null) = total.tally, total.pieces
-        yield Figure(f"dirt, {label}: hand labels found again", ">= 0.995", tally.right_share, "fraction", tally.frames)
-        yield Figure(f"dirt, {label}: FA", "none", tally.false_assignments, "fraction", tally.frames)
-        yield Figure(
-            f"dirt, {label}, frame by frame: hand labels found again", "none", total.framewise.right_share, "fraction", tally.frames
-        )
+        yield tally.figure(f"dirt, {label}: hand labels found again", ">= 0.995", tally.right_share)
+        yield tally.figure(f"dirt, {label}: FA", "none", tally.false_assignments)
+        yield tally.figure(f"dirt, {label}, frame by frame: hand labels found again", "none", total.framewise.right_share)
         if samples:
             yield Figure(f"dirt, {label}: samples without a name, left null", "none", null / samples, "fraction", int(samples))
         if strange:

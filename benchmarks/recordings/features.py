@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -72,8 +72,8 @@ def features(benchmark: BenchmarkRun) -> Iterator[Figure]:
     for pool, outcome in outcomes.items():
         for case, tally in outcome.tallies.items():
             row = f"features, {pool}, {case}"
-            yield Figure(f"{row}: right", "none", tally.right_share, "fraction", tally.frames)
-            yield Figure(f"{row}: FA", "none", tally.false_assignments, "fraction", tally.frames)
+            yield tally.figure(f"{row}: right", "none", tally.right_share)
+            yield tally.figure(f"{row}: FA", "none", tally.false_assignments)
             yield Figure(f"{row}: evaluations", "none", outcome.evaluations[case] / tally.frames, "per frame", tally.frames)
         row, n = f"feature pool {pool}, partial solvers", outcome.solvers
         yield Figure(f"{row}: markers of a solver", "none", outcome.markers / n, "markers", n)
@@ -83,6 +83,13 @@ def features(benchmark: BenchmarkRun) -> Iterator[Figure]:
         wrong = len(outcome.accuracies) * _wrong(benchmark)
         row = f"feature pool {pool}, full solver: accuracy over wrong labellings"
         yield Figure(row, "none", float(np.mean(outcome.accuracies)), "fraction", wrong)
+
+
+def frame_labeller(benchmark: BenchmarkRun, subject: str, pool: str) -> Callable[[Clouds], Labelling]:
+    """Single frames labelled by partial solvers of a pool, completed by the strong classifier, of everyone but this subject."""
+    people, train = unseen_training(benchmark, subject)
+    solvers = _mined(people, train, pool)
+    return lambda clouds: _labelled(clouds, solvers, "partial-solvers", train[0].labels)[0]
 
 
 def _left_out(benchmark: BenchmarkRun, item: tuple[str, str]) -> tuple[str, Outcome]:

@@ -29,12 +29,12 @@ def full_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
     for (condition, method), tally in summed(list(outcomes.values())).items():
         for rate, measured in (("right", tally.right_share), ("FA", tally.false_assignments), ("missed", tally.missed_share)):
             asked = ASKED.get((condition, rate), "none") if method == WHOLE else "none"
-            yield Figure(f"{len(GAIT_BODY)} markers, {condition}, {method}: {rate}", asked, measured, "fraction", tally.frames)
+            yield tally.figure(f"{len(GAIT_BODY)} markers, {condition}, {method}: {rate}", asked, measured)
     for subject, outcome in outcomes.items():
         tally = outcome["3 hidden", WHOLE]
         row = f"{len(GAIT_BODY)} markers, subject {subject} not seen, 3 hidden"
-        yield Figure(f"{row}: right", "none", tally.right_share, "fraction", tally.frames)
-        yield Figure(f"{row}: FA", "none", tally.false_assignments, "fraction", tally.frames)
+        yield tally.figure(f"{row}: right", "none", tally.right_share)
+        yield tally.figure(f"{row}: FA", "none", tally.false_assignments)
 
 
 def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:

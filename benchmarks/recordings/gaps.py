@@ -12,7 +12,7 @@ from asterism.labelling.simulated_occlusions import simulate_gaps, simulate_gaps
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import gait
 from benchmarks.figures import Figure
-from benchmarks.recordings.walks import CONDITIONS, SEEDS, standing, unseen_ensemble, walks, with_gaps
+from benchmarks.recordings.walks import CONDITIONS, SEEDS, standing, unseen_ensemble, walk_of_draw, walks, with_gaps
 from benchmarks.score import Tally, some_frames
 
 WHOLE, FRAMEWISE = "whole recording", "frame by frame"
@@ -48,8 +48,8 @@ def gaps(benchmark: BenchmarkRun) -> Iterator[Figure]:
         for variant in VARIANTS:
             other = total[f"{condition}, {variant}", WHOLE]
             row = f"change, {condition}, {variant}"
-            yield Figure(f"{row}: right lost", "<= 0.001", plain.right_share - other.right_share, "fraction", other.frames)
-            yield Figure(f"{row}: FA gained", "<= 0.001", other.false_assignments - plain.false_assignments, "fraction", other.frames)
+            yield other.figure(f"{row}: right lost", "<= 0.001", plain.right_share - other.right_share)
+            yield other.figure(f"{row}: FA gained", "<= 0.001", other.false_assignments - plain.false_assignments)
     for method, bound in ((WHOLE, "<= 0.005"), (FRAMEWISE, "none")):
         pooled = Tally()
         for condition in CONDITIONS:
@@ -59,15 +59,15 @@ def gaps(benchmark: BenchmarkRun) -> Iterator[Figure]:
         for condition in (*CONDITIONS, STANDING):
             tally = outcome.get((condition, WHOLE))
             if tally:
-                yield Figure(f"subject {subject} not seen, {condition}: right", "none", tally.right_share, "fraction", tally.frames)
-                yield Figure(f"subject {subject} not seen, {condition}: FA", "none", tally.false_assignments, "fraction", tally.frames)
+                yield tally.figure(f"subject {subject} not seen, {condition}: right", "none", tally.right_share)
+                yield tally.figure(f"subject {subject} not seen, {condition}: FA", "none", tally.false_assignments)
 
 
 def rates(condition: str, method: str, tally: Tally, asked: bool) -> Iterator[Figure]:
     """Right, FA and missed of one condition and method."""
     for rate, measured in (("right", tally.right_share), ("FA", tally.false_assignments), ("missed", tally.missed_share)):
         bound = ASKED.get((condition, rate), "none") if asked else "none"
-        yield Figure(f"gaps, {condition}, {method}: {rate}", bound, measured, "fraction", tally.frames)
+        yield tally.figure(f"gaps, {condition}, {method}: {rate}", bound, measured)
 
 
 def summed(outcomes: Iterator[Tallies] | list[Tallies]) -> Tallies:
@@ -82,23 +82,25 @@ def summed(outcomes: Iterator[Tallies] | list[Tallies]) -> Tallies:
 def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:
     ensemble, tallies = unseen_ensemble(benchmark, subject), defaultdict(Tally)
     for condition, (hidden, ghosts) in CONDITIONS.items():
-        for clouds, truth in with_gaps(benchmark, subject, hidden, ghosts):
-            tallies[condition, WHOLE].add(ensemble.label(clouds, time=True), truth)
-            tallies[condition, FRAMEWISE].add(ensemble.label(clouds), truth)
+        for draw, (clouds, truth) in enumerate(with_gaps(benchmark, subject, hidden, ghosts)):
+            walk = walk_of_draw(benchmark, subject, draw)
+            tallies[condition, WHOLE].add(ensemble.label(clouds, time=True), truth, recording=walk)
+            tallies[condition, FRAMEWISE].add(ensemble.label(clouds), truth, recording=walk)
             bare = replace(clouds, tracks=None)
-            tallies[f"{condition}, {VARIANTS[0]}", WHOLE].add(ensemble.label(bare, time=True), truth)
+            tallies[f"{condition}, {VARIANTS[0]}", WHOLE].add(ensemble.label(bare, time=True), truth, recording=walk)
             reverse, reverse_truth = some_frames(clouds, truth, np.arange(len(truth))[::-1])
-            tallies[f"{condition}, {VARIANTS[1]}", WHOLE].add(ensemble.label(reverse, time=True), reverse_truth)
+            tallies[f"{condition}, {VARIANTS[1]}", WHOLE].add(ensemble.label(reverse, time=True), reverse_truth, recording=walk)
     still = standing(subject)
     for seed in range(1 if benchmark.quick else SEEDS):
-        for number, walk in enumerate(walks(subject)):
-            clouds, truth = simulate_gaps(walk, 5, seed=SEEDS * number + seed)
-            tallies[FEW, WHOLE].add(ensemble.label(clouds, time=True), truth)
-            tallies[FEW, FRAMEWISE].add(ensemble.label(clouds), truth)
+        for number, recording in enumerate(walks(subject)):
+            clouds, truth = simulate_gaps(recording, 5, seed=SEEDS * number + seed)
+            walk = f"{subject}, walk {number}"
+            tallies[FEW, WHOLE].add(ensemble.label(clouds, time=True), truth, recording=walk)
+            tallies[FEW, FRAMEWISE].add(ensemble.label(clouds), truth, recording=walk)
         if still:
             clouds, truth = simulate_gaps_and_ghosts(still, 3, 0, seed=seed)
-            tallies[STANDING, WHOLE].add(ensemble.label(clouds, time=True), truth)
-            tallies[STANDING, FRAMEWISE].add(ensemble.label(clouds), truth)
+            tallies[STANDING, WHOLE].add(ensemble.label(clouds, time=True), truth, recording=f"{subject}, standing")
+            tallies[STANDING, FRAMEWISE].add(ensemble.label(clouds), truth, recording=f"{subject}, standing")
     told = (f"{c} {tallies[c, WHOLE].right_share:.5f}, FA {tallies[c, WHOLE].false_assignments:.5f}" for c in CONDITIONS)
     benchmark.report(f"{subject} left out: {'; '.join(told)}")
     return dict(tallies)

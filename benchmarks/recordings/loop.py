@@ -24,8 +24,8 @@ from benchmarks.score import Tally
 
 CONDITIONS = {"as recorded": (0, 0), "3 hidden": (3, 0), "3 hidden + 3 ghosts": (3, 3)}
 """Markers hidden in gaps, and ghost tracks there, at every moment."""
-STARTS = 2
-"""Subjects whose straight walk is the one trial, each in turn, evenly spread."""
+NAMED_STARTS = 2
+"""Subjects whose straight walk is named, evenly spread; that of each of the eleven is labelled."""
 WORTH = 1.0
 """Samples that a look must be expected to mend, else the piece is not looked at."""
 HASTE = 1
@@ -91,14 +91,15 @@ class Course:
 def loop(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """The loop from each start; draws docs/loop.svg in a full run."""
     people = list(gait())
-    starts = people[:: max(1, len(people) // STARTS)][: 1 if benchmark.quick else STARTS]
+    few = people[:: max(1, len(people) // NAMED_STARTS)][: 1 if benchmark.quick else NAMED_STARTS]
     kinds = [(condition, named) for condition, (hidden, _) in CONDITIONS.items() for named in ((False, True) if hidden else (False,))]
-    courses = list(benchmark.each(run, [(start, *kind) for kind in kinds for start in starts]))
+    tasks = [(start, *kind) for kind in kinds for start in (few if kind[1] or benchmark.quick else people)]
+    courses = list(benchmark.each(run, tasks))
     for condition, named in kinds:
         some = [course for course in courses if course.task[1:] == (condition, named)]
         yield from _figures(f"loop, {condition}, one trial {'named' if named else 'labelled'}", some)
     if not benchmark.quick:
-        haunted = [course for course in courses if course.task[1] == list(CONDITIONS)[-1]]
+        haunted = [course for course in courses if course.task[0] in few and course.task[1] == list(CONDITIONS)[-1]]
         lines = [Line(f"{course.task[0]}{', named' if course.task[2] else ''}", course.task[2], course.line) for course in haunted]
         PICTURE.write_text(picture(lines, len(people)), encoding="utf-8")
 
@@ -110,10 +111,10 @@ def _figures(row: str, courses: Sequence[Course]) -> Iterator[Figure]:
         for tally in course.after.values():
             last += tally
     samples = sum(course.samples for course in courses)
-    yield Figure(f"{row}: right, by its model alone", "none", first.right_share, "fraction", first.frames)
-    yield Figure(f"{row}: right at the end", "none", last.right_share, "fraction", last.frames)
-    yield Figure(f"{row}: FA at the end", "none", last.false_assignments, "fraction", last.frames)
-    yield Figure(f"{row}: right, the worst subject of all starts", ">= 0.999", min(c.worst for c in courses), "fraction", last.frames)
+    yield first.figure(f"{row}: right, by its model alone", "none", first.right_share)
+    yield last.figure(f"{row}: right at the end", "none", last.right_share)
+    yield last.figure(f"{row}: FA at the end", "none", last.false_assignments)
+    yield last.figure(f"{row}: right, the worst subject of all starts", ">= 0.999", min(c.worst for c in courses))
     yield Figure(f"{row}: labels touched by hand", "< 0.005", sum(c.touched for c in courses) / samples, "fraction", samples)
     yield Figure(f"{row}: touches for a start", "none", sum(c.touches for c in courses) / len(courses), "touches", len(courses))
     yield Figure(f"{row}: labels looked at", "none", sum(c.looked_at for c in courses) / samples, "fraction", samples)
@@ -141,7 +142,7 @@ def run(benchmark: BenchmarkRun, task: tuple[str, str, bool]) -> Course:
         looks = [_look(ensemble, trial) for trial in waiting]
         if not done:
             for trial, (labelling, _) in zip(waiting, looks, strict=True):
-                course.before.add(labelling, trial.truth)
+                course.before.add(labelling, trial.truth, recording=str(file_of(trial.recording)))
         course.line.append((course.touched / course.samples, (errors + _errors(waiting, looks)) / course.samples))
         # all in which nothing is flagged, else those least in doubt: they teach the model before the hard ones come
         doubt = [sum(item.gain for item in items) / len(trial.clouds.xyz) for trial, (_, items) in zip(waiting, looks, strict=True)]
@@ -162,7 +163,7 @@ def run(benchmark: BenchmarkRun, task: tuple[str, str, bool]) -> Course:
         answered = {int(item.points[0]) for item, _ in given}
         items = [item for item in review(labelling, trial.clouds, least_gain=WORTH) if int(item.points[0]) not in answered]
         settled, _ = _settled(trial, labelling, items, course)
-        course.after.setdefault(trial.subject, Tally()).add(settled, trial.truth)
+        course.after.setdefault(trial.subject, Tally()).add(settled, trial.truth, recording=str(file_of(trial.recording)))
     wrong = sum(tally.missed + tally.given - tally.right for tally in course.after.values())
     course.line.append((course.touched / course.samples, wrong / course.samples))
     right = sum(tally.right for tally in course.after.values())

@@ -32,11 +32,11 @@ def movement(benchmark: BenchmarkRun) -> Iterator[Figure]:
             framewise += found[1]
         row = f"movement, {label}, {person}{' not seen' if unseen else ''}, 3 hidden"
         own = "none" if label in DIRTY else ">= 0.999"
-        yield Figure(f"{row}: right", ">= 0.995" if unseen else own, tally.right_share, "fraction", tally.frames)
-        yield Figure(f"{row}: FA", "<= 0.001" if unseen else "none", tally.false_assignments, "fraction", tally.frames)
-        yield Figure(f"{row}: missed", "none", tally.missed_share, "fraction", tally.frames)
-        yield Figure(f"{row}, frame by frame: right", "none", framewise.right_share, "fraction", framewise.frames)
-        yield Figure(f"{row}, frame by frame: FA", "none", framewise.false_assignments, "fraction", framewise.frames)
+        yield tally.figure(f"{row}: right", ">= 0.995" if unseen else own, tally.right_share)
+        yield tally.figure(f"{row}: FA", "<= 0.001" if unseen else "none", tally.false_assignments)
+        yield tally.figure(f"{row}: missed", "none", tally.missed_share)
+        yield framewise.figure(f"{row}, frame by frame: right", "none", framewise.right_share)
+        yield framewise.figure(f"{row}, frame by frame: FA", "none", framewise.false_assignments)
 
 
 @cache

@@ -38,8 +38,8 @@ def stream(benchmark: BenchmarkRun) -> Iterator[Figure]:
         count = len(next(iter(gait(markers).values()))[0].labels)
         for (condition, delay), tally in tallies.items():
             row = f"stream, {count} markers, {condition}, delay {delay}"
-            yield Figure(f"{row}: right", "none", tally.right_share, "fraction", tally.frames)
-            yield Figure(f"{row}: FA", "none", tally.false_assignments, "fraction", tally.frames)
+            yield tally.figure(f"{row}: right", "none", tally.right_share)
+            yield tally.figure(f"{row}: FA", "none", tally.false_assignments)
             asked = "< 10" if delay == 0 and markers is GAIT_BODY else "none"
             spent = np.concatenate(times[condition, delay])
             yield Figure(f"{row}: p99.9 of a push", asked, float(np.quantile(spent, 0.999)), "ms", len(spent))

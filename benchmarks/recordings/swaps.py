@@ -50,7 +50,7 @@ def swaps(benchmark: BenchmarkRun) -> Iterator[Figure]:
                 wrong, missing, there = wrong + parts[0], missing + parts[1], there + parts[2]
             condition = f"{hidden} hidden" + (f" + {ghosts} ghosts" if ghosts else "")
             asked = "< 0.0001" if ghosts else "< 0.00001"
-            yield Figure(f"links by motion, {name}, {condition}: wrong", asked, wrong / there, "fraction", there)
+            yield Figure(f"links by motion, {name}, {condition}: wrong", asked, wrong / there, "fraction", there, ours=True)
             yield Figure(f"links by motion, {name}, {condition}: missing", "none", missing / there, "fraction", there)
         clouds = simulate_gaps_and_ghosts(trials[0], 3, 3, number_tracks=False)[0]
         rate = frames_per_second(lambda clouds=clouds: find_tracklets(clouds), len(clouds))

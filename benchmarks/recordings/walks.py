@@ -43,6 +43,11 @@ def with_gaps(
             yield simulate_gaps_and_ghosts(walk, hidden, ghosts, seed=SEEDS * number + seed)
 
 
+def walk_of_draw(benchmark: BenchmarkRun, subject: str, draw: int) -> str:
+    """Which walk the clouds of this place in `with_gaps` show, for the different frames of a tally."""
+    return f"{subject}, walk {draw // (1 if benchmark.quick else SEEDS)}"
+
+
 def unseen_training(benchmark: BenchmarkRun, subject: str, markers: Markers = "helen-hayes") -> tuple[list[str], list[Recording]]:
     """Everyone's recordings but this subject's, with a name for each; a quick run takes a second of the straight walks of three people."""
     people, train = people_and_trials(gait(markers), leave_out=subject)

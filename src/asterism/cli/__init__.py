@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 from asterism.cli import _console, _first_compile, calibrate, rig
+from asterism.cli._plain_values import PlainValuesCommand, PlainValuesGroup
 from asterism.errors import AsterismError
 
 _RENAMED = {"--keep": "--keep-labels", "--anyway": "--force", "--weigh-from": "--weight-reference", "--mine-again": "--search-again"}
@@ -65,6 +66,7 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
     """
     app = typer.Typer(
         name="asterism",
+        cls=PlainValuesGroup,
         add_completion=False,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
@@ -81,7 +83,7 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
         _register(app, __name__, _EXAMPLES, first)
     for name, (help_, examples) in _GROUPS.items():
         if name == first or not named:
-            group = typer.Typer(name=name, help=help_, rich_markup_mode=None)
+            group = typer.Typer(name=name, cls=PlainValuesGroup, help=help_, rich_markup_mode=None)
             _register(group, f"{__name__}.{name}", examples, second)
             app.add_typer(group)
     return app
@@ -91,7 +93,7 @@ def _register(group: typer.Typer, package: str, examples: Mapping[str, str], wor
     """Add the verb of this name to a group of commands, or all verbs of a package where it has none of this name."""
     for verb in [word] if word in examples else examples:
         function = getattr(import_module(f"{package}.{verb}"), verb)
-        group.command(help=_paragraphs(function.__doc__ or ""), epilog=f"Example: {examples[verb]}")(function)
+        group.command(cls=PlainValuesCommand, help=_paragraphs(function.__doc__ or ""), epilog=f"Example: {examples[verb]}")(function)
 
 
 def _paragraphs(text: str) -> str:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -86,16 +88,14 @@ def _width(lines: Sequence[Sequence[str]]) -> int:
 
 
 def facts(title: str, rows: Sequence[tuple[str, str]]) -> None:
-    """Print names with their values under a title."""
-    from rich.table import Table
-    from rich.text import Text
-
-    sheet = Table.grid(padding=(0, 2))
-    sheet.add_column(no_wrap=True)
-    sheet.add_column(overflow="fold")
+    """Print names with their values under a title; long values go on below, as wide as the terminal."""
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDTH_WHEN_PIPED
+    indent = max((len(name) for name, _ in rows), default=0) + 4
+    lines = [title]
     for name, value in rows:
-        sheet.add_row(f"  {name}", Text(value))
-    console().print(Text(title, style="bold"), sheet, sep="\n")
+        first, *others = textwrap.wrap(value, max(width - indent, 20), break_on_hyphens=False) or [""]
+        lines += [f"  {name}".ljust(indent) + first, *(" " * indent + line for line in others)]
+    print("\n".join(lines), flush=True)
 
 
 def percent(fraction: float, digits: int = 2) -> str:

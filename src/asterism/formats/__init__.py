@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from asterism.formats._dispatch import (
     check_suffix,
     convert,
@@ -13,8 +16,10 @@ from asterism.formats._dispatch import (
     write,
     write_points,
 )
-from asterism.formats.csv_blobs import read_blobs, write_blobs
-from asterism.formats.storage import Table, read_table, write_table
+
+if TYPE_CHECKING:
+    from asterism.formats.csv_blobs import read_blobs, write_blobs
+    from asterism.formats.storage import Table, read_table, write_table
 
 __all__ = [
     "Table",
@@ -32,3 +37,16 @@ __all__ = [
     "write_points",
     "write_table",
 ]
+
+_MODULE_OF = {
+    **dict.fromkeys(("read_blobs", "write_blobs"), "csv_blobs"),
+    **dict.fromkeys(("Table", "read_table", "write_table"), "storage"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name when it is first used: a command that reads one format loads no other."""
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+    return value

@@ -18,6 +18,7 @@ from asterism.formats._physical import COMPUTED, UNNAMED, kinds_by_name
 from asterism.formats._text import some_of
 from asterism.formats._vertical import estimate_vertical, vertical_from_positions
 from asterism.recording import Event, Floats, MarkerSet, ProcessingStep, Recording, as_vertical, canonical, without_subject
+from asterism.recording.arrays import nan_median
 
 __all__ = [
     "Points",
@@ -248,8 +249,8 @@ def body_size(raw: Floats) -> float:
     some = some[(~np.isnan(some[:, :, 0])).sum(axis=1) > 1]
     if not len(some):
         return float("nan")
-    away = np.linalg.norm(some - np.nanmedian(some, axis=1, keepdims=True), axis=2)
-    size = 4.0 * float(np.median(np.nanmedian(away, axis=1)))
+    away = np.linalg.norm(some - nan_median(some, axis=1)[:, None], axis=2)
+    size = 4.0 * float(nan_median(nan_median(away, axis=1), axis=0))
     return size if size > 0 else float("nan")
 
 

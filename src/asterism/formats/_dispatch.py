@@ -4,40 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
-from asterism.formats import csv_blobs, csv_long, csv_motive, csv_nexus, csv_wide, mat, npz, storage, trc, tsv
 from asterism.formats._columns import Points, recording_of
 from asterism.formats._describe import described
 from asterism.formats._text import decoded, lines_of
 from asterism.formats._writing import all_points
-from asterism.formats.c3d import describe_c3d, read_c3d, write_c3d, write_c3d_points
 from asterism.recording import Clouds, Evidence, Ints, Recording
 
-_READERS: dict[str, Callable[[Path], Points]] = {
-    "TRC": trc.read_trc,
-    "Motive CSV": csv_motive.read_motive,
-    "Nexus CSV": csv_nexus.read_nexus,
-    "CSV long": csv_long.read_long,
-    "CSV": csv_wide.read_wide,
-    "QTM TSV": tsv.read_tsv,
-    "QTM MAT": mat.read_mat,
-    "storage": storage.read_marker_table,
-    "NPZ": npz.read_npz,
+_READERS = {
+    "TRC": "trc.read_trc",
+    "Motive CSV": "csv_motive.read_motive",
+    "Nexus CSV": "csv_nexus.read_nexus",
+    "CSV long": "csv_long.read_long",
+    "CSV": "csv_wide.read_wide",
+    "QTM TSV": "tsv.read_tsv",
+    "QTM MAT": "mat.read_mat",
+    "storage": "storage.read_marker_table",
+    "NPZ": "npz.read_npz",
 }
-_WRITERS: dict[str, Callable[[Path, Recording], list[str]]] = {
-    ".trc": trc.write_trc,
-    ".csv": csv_wide.write_wide,
-    ".tsv": tsv.write_tsv,
-    ".mat": mat.write_mat,
-    ".mot": storage.write_marker_table,
-    ".sto": storage.write_marker_table,
-    ".npz": npz.write_npz,
+"""The function that reads each kind of file, and its module, which is imported when a file needs it."""
+_WRITERS = {
+    ".trc": "trc.write_trc",
+    ".csv": "csv_wide.write_wide",
+    ".tsv": "tsv.write_tsv",
+    ".mat": "mat.write_mat",
+    ".mot": "storage.write_marker_table",
+    ".sto": "storage.write_marker_table",
+    ".npz": "npz.write_npz",
 }
 _TABLES = (".mot", ".sto", ".csv")
 _KNOWN = "C3D, TRC, CSV, TSV, MAT, MOT, STO and NPZ"
@@ -53,6 +53,8 @@ def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None
     Positions are metres. Raises AsterismError, naming the file, where it cannot be read, has no marker of the set, has one of
     them twice, or the vertical is not determined.
     """
+    from asterism.formats.c3d._reader import read_c3d
+
     path = Path(path)
     kind = _kind_of(path)
     if kind == "C3D":
@@ -61,11 +63,13 @@ def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None
         raise AsterismError(
             f"{path} holds 2D points of cameras and no markers in space; reconstruct them with `asterism reconstruct` first."
         )
-    return recording_of(path, _READERS[kind](path), markers, vertical)
+    return recording_of(path, _function(_READERS[kind])(path), markers, vertical)
 
 
 def read_clouds(path: str | Path, vertical: ArrayLike | str | None = None) -> Clouds:
     """The anonymous points of a file, frame by frame: of an NPZ or long CSV of clouds, or of any recording without its labels."""
+    from asterism.formats import npz
+
     path = Path(path)
     if _kind_of(path) == "NPZ":
         clouds = npz.read_npz_clouds(path)
@@ -84,6 +88,9 @@ def write(path: str | Path, recording: Recording | Clouds) -> list[str]:
 
     Raises AsterismError where the suffix is unknown or the file cannot be written.
     """
+    from asterism.formats import csv_long, npz
+    from asterism.formats.c3d._writer import write_c3d
+
     path = Path(path)
     suffix = path.suffix.casefold()
     if isinstance(recording, Clouds):
@@ -98,7 +105,7 @@ def write(path: str | Path, recording: Recording | Clouds) -> list[str]:
         write_c3d(path, _with_computed(recording))
         return []
     check_suffix(path)
-    return _WRITERS[suffix](path, recording)
+    return list(_function(_WRITERS[suffix])(path, recording))
 
 
 def read_evidence(path: str | Path) -> Evidence | None:
@@ -106,6 +113,8 @@ def read_evidence(path: str | Path) -> Evidence | None:
 
     Raises AsterismError where the file cannot be read.
     """
+    from asterism.formats import npz
+
     path = Path(path)
     return npz.read_npz_evidence(path) if _kind_of(path) == "NPZ" else None
 
@@ -130,6 +139,9 @@ def write_points(path: str | Path, clouds: Clouds, evidence: Evidence, columns: 
     phrase each.
     Raises AsterismError where the suffix is unknown or the file cannot be written.
     """
+    from asterism.formats import npz
+    from asterism.formats.c3d._writer import write_c3d_points
+
     path = Path(path)
     suffix = path.suffix.casefold()
     if suffix == ".npz":
@@ -170,9 +182,15 @@ def describe(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     kind = _kind_of(path)
     if kind == "C3D":
+        from asterism.formats.c3d._describe import describe_c3d
+
         return describe_c3d(path)
     if kind == "2D CSV":
+        from asterism.formats import csv_blobs
+
         return csv_blobs.describe_blobs(path)
+    from asterism.formats import npz, storage
+
     if kind == "NPZ":
         clouds = npz.read_npz_clouds(path)
         if clouds is not None:
@@ -182,7 +200,7 @@ def describe(path: str | Path) -> dict[str, Any]:
         if not storage.holds_markers(table):
             return storage.described_table(path, table)
     try:
-        points = _READERS[kind](path)
+        points = _function(_READERS[kind])(path)
     except AsterismError:
         if kind != "CSV":
             raise
@@ -198,6 +216,8 @@ def convert(source: str | Path, target: str | Path, vertical: ArrayLike | str | 
 
     Returns what the target could not carry, as `write` does. Raises AsterismError as `read` and `write` do.
     """
+    from asterism.formats import npz, storage
+
     source, target = Path(source), Path(target)
     if _kind_of(source) in ("storage", "CSV"):
         table = storage.table_or_none(source)
@@ -212,6 +232,12 @@ def convert(source: str | Path, target: str | Path, vertical: ArrayLike | str | 
         if clouds is not None and target.suffix.casefold() in (".npz", ".csv"):
             return write(target, clouds)
     return write(target, read(source, vertical=vertical))
+
+
+def _function(name: str) -> Callable[..., Any]:
+    """The function of a name as in `_READERS`."""
+    module, _, function = name.partition(".")
+    return cast("Callable[..., Any]", getattr(import_module(f"{__package__}.{module}"), function))
 
 
 def _kind_of(path: Path) -> str:
@@ -248,6 +274,8 @@ def _kind_of(path: Path) -> str:
 
 def _text_kind(path: Path, head: bytes) -> str | None:
     """The format by the first lines of a file, or None."""
+    from asterism.formats import csv_blobs, csv_long, csv_nexus
+
     lines = lines_of(decoded(path, head))
     first = lines[0].strip().strip('"').casefold()
     if first.startswith("format version"):

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.recording import Floats, canonical, is_unnamed, without_subject
+from asterism.recording.arrays import nan_median
 
 MARKER, COMPUTED, UNNAMED = "marker", "computed", "unnamed"
 
@@ -145,7 +146,7 @@ def _mark_far_values(some: Floats, points: list[int], kinds: list[str]) -> None:
     values = some[:, points]
     present = np.asarray(np.isfinite(values[:, :, 0]))
     size = np.where(present, np.abs(values).max(axis=2), 0.0).max(axis=0)
-    centre = np.nanmedian(np.where((present.sum(axis=1) > 0)[:, None, None], values, 0.0), axis=1)
+    centre = nan_median(np.where((present.sum(axis=1) > 0)[:, None, None], values, 0.0), axis=1)
     offset = np.where(present, np.abs(values - centre[:, None]).max(axis=2), 0.0)
     suspect = (size < _LARGEST_ANGLE) | ((offset > _ABSURD).sum(axis=0) > 0.5 * present.sum(axis=0))
     low = np.where(present[:, :, None], values, np.inf).min(axis=0)

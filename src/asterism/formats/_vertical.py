@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asterism.recording import Floats, canonical, without_subject
+from asterism.recording.arrays import nan_median, nan_quantile
 
 _MOST_FRAMES = 400
 _SURE_SHARE = 0.85
@@ -102,7 +103,7 @@ def _by_names(positions: Floats, labels: Sequence[str]) -> tuple[tuple[int, bool
 
 def _by_floor(positions: Floats) -> tuple[tuple[int, bool] | None, tuple[int, bool] | None]:
     """The only direction in which all lies above zero, and the only one in which it also rests on a floor at zero; None for several."""
-    ends = np.nanpercentile(_sampled(positions).reshape(-1, 3), [0.5, 5, 95, 99.5], axis=0)
+    ends = nan_quantile(_sampled(positions).reshape(-1, 3), [0.005, 0.05, 0.95, 0.995], axis=0)
     above, resting = [], []
     for axis in range(3):
         for down in (False, True):
@@ -117,8 +118,8 @@ def _by_floor(positions: Floats) -> tuple[tuple[int, bool] | None, tuple[int, bo
 
 def _long_axis(positions: Floats) -> int | None:
     some = _sampled(positions)
-    high, low = _quantile(some, 0.97), _quantile(some, 0.03)
-    extents = np.nanmedian(high - low, axis=0)
+    high, low = nan_quantile(some, [0.97, 0.03], axis=1)
+    extents = nan_median(high - low, axis=0)
     order = np.argsort(extents)[::-1]
     return int(order[0]) if extents[order[0]] > 1.15 * extents[order[1]] else None
 
@@ -129,7 +130,7 @@ def _by_shape(positions: Floats) -> tuple[int, bool] | None:
     if axis is None:
         return None
     along = positions[:, :, axis]
-    bottom, lowish, highish, top = np.nanpercentile(along, [1, 5, 95, 99])
+    bottom, lowish, highish, top = nan_quantile(along.ravel(), [0.01, 0.05, 0.95, 0.99], axis=0)
     length = top - bottom
     at_floor = abs(bottom) < 0.12 * length, abs(top) < 0.12 * length
     if at_floor[0] != at_floor[1]:
@@ -143,22 +144,13 @@ def _by_shape(positions: Floats) -> tuple[int, bool] | None:
     ends = speed[seen & (place < 0.15)], speed[seen & (place > 0.85)]
     if min(map(len, ends)) < 20:
         return None
-    still = [float(np.percentile(end, 25)) for end in ends]
+    still = [float(nan_quantile(end, 0.25, axis=0)[0]) for end in ends]
     return (axis, bool(still[1] < still[0])) if max(still) > 1.3 * min(still) else None
 
 
 def _level(label: str) -> int:
     name = canonical(without_subject(label))
     return next((level for level, pattern in enumerate(_LEVEL_PATTERNS) if pattern.fullmatch(name)), -1)
-
-
-def _quantile(some: Floats, share: float) -> Floats:
-    """(T, 3) the quantile over the points present, NaN without any; as `nanquantile`, without its loop over frames."""
-    ordered = np.sort(some, axis=1)
-    place = share * np.maximum(np.isfinite(some).sum(axis=1, keepdims=True) - 1, 0)
-    low = np.floor(place).astype(np.int64)
-    below, above = (np.take_along_axis(ordered, at, axis=1)[:, 0] for at in (low, np.ceil(place).astype(np.int64)))
-    return np.asarray(below + (above - below) * (place - low)[:, 0])
 
 
 def _sampled(positions: Floats) -> Floats:

@@ -269,7 +269,10 @@ class SolverEnsemble:
 
     def in_recording(self) -> BodyInRecording:
         """This model as one of the bodies that `label_whole` looks for."""
-        return BodyInRecording(self.body_labeller, self.marker_set.names, self.state.markers, self.state.certainty, self.rigid_distances)
+        state = self.state
+        return BodyInRecording(
+            self.body_labeller, self.marker_set.names, state.markers, state.certainty, state.frame_certainty, self.rigid_distances
+        )
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model: one NPZ file of plain arrays and a JSON text, no pickle. Written under a temporary name, then renamed.

@@ -75,7 +75,9 @@ def solver_sizes(solver: FullSolver, frames: Floats, wrong: int = 20_000, seed: 
         if count > len(solver.strong.weak):
             break
         strong = _first(solver, count)
-        found.append(SolverSize(count, strong.accuracy(complete, wrong, seed), _evaluations(strong, few, int(solver.solver.markers[0]), rng)))
+        found.append(
+            SolverSize(count, strong.accuracy(complete, wrong, seed), _evaluations(strong, few, int(solver.solver.markers[0]), rng))
+        )
     return found
 
 
@@ -92,5 +94,7 @@ def _evaluations(strong: StrongClassifier, frames: Floats, start: int, rng: np.r
     offsets = np.arange(0, count * m + 1, m, dtype=np.int64)
     first, total = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
     given = np.empty((count, m), dtype=np.int64)
-    label_by_full_solver(pack_solvers([tree]), False, np.ascontiguousarray(frames[:, :, :3]).reshape(-1, 3), offsets, BUDGET, given, first, total)
+    label_by_full_solver(
+        pack_solvers([tree]), False, np.ascontiguousarray(frames[:, :, :3]).reshape(-1, 3), offsets, BUDGET, given, first, total
+    )
     return float(np.where(first < 0, total, first).mean())

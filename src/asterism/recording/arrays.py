@@ -31,6 +31,27 @@ def as_vertical(vertical: ArrayLike | str) -> Floats:
     return vector / np.linalg.norm(vector)
 
 
+def nan_quantile(values: Floats, shares: ArrayLike, axis: int) -> Floats:
+    """The quantiles along an axis of the values that are there, NaN where none is, one after the other along a new first axis.
+
+    As `numpy.nanquantile`, which, like `numpy.nanmedian`, loads `numpy.ma`: a tenth of the time that a short command takes.
+    """
+    ordered = np.sort(values, axis=axis)
+    last = np.maximum((~np.isnan(values)).sum(axis=axis, keepdims=True) - 1, 0)
+    found = []
+    for share in np.atleast_1d(shares):
+        place = share * last
+        low = np.floor(place).astype(np.int64)
+        below, above = (np.take_along_axis(ordered, at, axis=axis) for at in (low, np.minimum(low + 1, last)))
+        found.append(np.squeeze(below + (above - below) * (place - low), axis=axis))
+    return np.stack(found)
+
+
+def nan_median(values: Floats, axis: int) -> Floats:
+    """The median along an axis of the values that are there, NaN where none is."""
+    return np.asarray(nan_quantile(values, 0.5, axis)[0])
+
+
 def frame_rows(offsets: Ints, cells: Ints) -> tuple[Ints, Ints]:
     """The rows of some cells of a flat array, and the offsets of these cells in an array of only these rows.
 

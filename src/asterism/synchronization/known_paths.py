@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.recording import Blobs, Floats, Ints
 
-LONGEST_GAP = 1.6
-"""Frame periods: nothing is interpolated across a longer gap. 1.6 allows one period with jitter, never a lost image."""
-_FEWEST_KNOTS = 5
-"""Akima's cubics need as many."""
+
+@dataclass(frozen=True)
+class PathRules:
+    """Where a path is interpolated.
+
+    longest_gap    frame periods: nothing is interpolated across a longer gap. 1.6 allows one period with jitter, never a lost image
+    fewest_places  of a path; Akima's cubic between two places takes the two on each side as well
+
+    Checked on the simulated cameras with clocks of their own of tests/test_wand.py.
+    """
+
+    longest_gap: float = 1.6
+    fewest_places: int = 5
+
+
+RULES = PathRules()
 
 
 def check_times(blobs: Blobs) -> None:
@@ -46,14 +60,14 @@ def resample_path(times: Floats, path: Floats, clock: Floats, period: float) -> 
     """The frames (m,) of a clock (T,) s inside a path's times (n,) s, and the path (n, D) there: (m, D).
 
     By Akima's piecewise cubics, which one wrong place disturbs only next to it. Nothing is interpolated across gaps longer than
-    `LONGEST_GAP` periods (s). No frames come back of a path of fewer than five places.
+    `PathRules.longest_gap` periods (s). No frames come back of a path of fewer than `PathRules.fewest_places` places.
     """
-    if len(times) < _FEWEST_KNOTS:
+    if len(times) < RULES.fewest_places:
         return np.empty(0, dtype=np.int64), np.empty((0, path.shape[1]))
     from scipy.interpolate import Akima1DInterpolator
 
     after = np.clip(np.searchsorted(times, clock), 1, len(times) - 1)
-    inside = (clock >= times[0]) & (clock <= times[-1]) & (times[after] - times[after - 1] <= LONGEST_GAP * period)
+    inside = (clock >= times[0]) & (clock <= times[-1]) & (times[after] - times[after - 1] <= RULES.longest_gap * period)
     frames = np.nonzero(inside)[0]
     return frames, np.asarray(Akima1DInterpolator(times, path)(clock[frames]))
 

@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asterism.calibration.wand.diagnose import PERSPECTIVE, diagnose_detection, inner_marker_shares
+from asterism.calibration.wand.diagnose import RULES as DIAGNOSIS
+from asterism.calibration.wand.diagnose import diagnose_detection, inner_marker_shares
 from asterism.calibration.wand.frames import spread_frames, widest_image
 from asterism.calibration.wand.identify import Wand
 from asterism.calibration.wand.initialise import adjust_subset, robust_noise
 from asterism.calibration.wand.recording import WandRecording
-from asterism.calibration.wand.two_view import LEAST_FRAMES, priors
+from asterism.calibration.wand.two_view import RULES as TWO_VIEW
+from asterism.calibration.wand.two_view import priors
 from asterism.cameras.bundle import Adjustment, AdjustSettings, Sightings, adjust, free_parameters
 from asterism.cameras.camera import Camera
 from asterism.errors import AsterismError
@@ -114,7 +116,7 @@ def adjust_cameras(recording: WandRecording, cameras: Sequence[Camera | None], n
     poses = recording.locate(cameras, np.maximum(RULES.reach * noise * relative, RULES.least_reach))
     offered = spread_frames(recording.shows_wand, RULES.frames)
     sightings, used = poses.sightings(recording.blobs, offered).compact()
-    if len(used) < LEAST_FRAMES:
+    if len(used) < TWO_VIEW.least_frames:
         _raise_too_few(recording, len(used))
     sightings = sightings.among(cameras)
     own = [camera for camera in cameras if camera is not None]
@@ -163,7 +165,7 @@ def _relative_noise(residuals: Floats, camera: Ints, cameras: int, noise: float)
     if cameras < 3:
         return np.ones(cameras)
     own = [residuals[camera == c] for c in range(cameras)]
-    each = [robust_noise(part) / noise if len(part) > LEAST_FRAMES else 1.0 for part in own]
+    each = [robust_noise(part) / noise if len(part) > TWO_VIEW.least_frames else 1.0 for part in own]
     return np.clip(each, 1.0 / RULES.noise_range, RULES.noise_range)
 
 
@@ -178,7 +180,7 @@ def inner_marker_position(recording: WandRecording, frames: Ints, cameras: dict[
         return float("nan")
     if wand.symmetric:
         share, given = inner_marker_shares(recording.blobs, wand)
-        return share * float(wand.lengths[2]) if abs(share - given) > PERSPECTIVE else float("nan")
+        return share * float(wand.lengths[2]) if abs(share - given) > DIAGNOSIS.perspective else float("nan")
     start, along = positions[:, 0], positions[:, 2] - positions[:, 0]
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
     shows = recording.shows_wand[frames]

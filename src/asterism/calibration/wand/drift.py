@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from asterism.calibration.wand.recording import shows_wand
@@ -10,12 +12,32 @@ from asterism.recording import Floats, Ints
 
 PARTS = 10
 """A recording is divided into this many parts to say when a camera's images were left out."""
-_BLOCKS, _LEAST_BLOCKS, _LEAST_IN_BLOCK = 40, 8, 5
-"""Blocks of frames whose mean residuals are compared; how many of them a camera needs, and how many sightings a block needs."""
-_SIGNIFICANT = 5.0
-"""Standard deviations by which residuals must change; the best of many splits differs by up to four where nothing happened."""
-_LEAST_MARKERS = 30
-"""Markers that a part of the recording must show for a share of them to be computed."""
+
+
+@dataclass(frozen=True)
+class StepRules:
+    """When a camera's residuals have changed at one moment, and when a share of its images is known.
+
+    blocks          of frames, whose mean residuals are compared
+    least_blocks    that a camera needs, and `least_in_block` sightings in each
+    least_side      blocks before the moment and after it, at least, and `least_share` of all
+    significant     standard deviations by which residuals must change; the best of many splits differs by up to four where nothing
+                    happened
+    least_markers   that a part of the recording must show for a share of them to be computed
+
+    Checked on the simulated and real wands of tests/test_wand.py and benchmarks/cameras/wand.py.
+    """
+
+    blocks: int = 40
+    least_blocks: int = 8
+    least_in_block: int = 5
+    least_side: int = 3
+    least_share: float = 0.125
+    significant: float = 5.0
+    least_markers: int = 30
+
+
+RULES = StepRules()
 
 
 def residual_steps(sightings: Sightings, residuals: Floats, cameras: int) -> tuple[Floats, Floats]:
@@ -27,18 +49,18 @@ def residual_steps(sightings: Sightings, residuals: Floats, cameras: int) -> tup
     size, moment = np.zeros(cameras), np.zeros(cameras)
     if not len(sightings):
         return size, moment
-    edges = np.unique(np.percentile(np.unique(sightings.frame), np.linspace(0.0, 100.0, _BLOCKS + 1)))
+    edges = np.unique(np.percentile(np.unique(sightings.frame), np.linspace(0.0, 100.0, RULES.blocks + 1)))
     block = np.clip(np.searchsorted(edges, sightings.frame, side="right") - 1, 0, len(edges) - 2)
     for c in range(cameras):
         own = sightings.camera == c
-        count = np.bincount(block[own], minlength=_BLOCKS)
-        there = np.nonzero(count >= _LEAST_IN_BLOCK)[0]
+        count = np.bincount(block[own], minlength=RULES.blocks)
+        there = np.nonzero(count >= RULES.least_in_block)[0]
         n = len(there)
-        if n < _LEAST_BLOCKS:
+        if n < RULES.least_blocks:
             continue
-        mean = np.stack([np.bincount(block[own], part, minlength=_BLOCKS)[there] / count[there] for part in residuals[own].T], axis=1)
-        best = _SIGNIFICANT
-        for split in range(max(3, n // 8), n - max(3, n // 8) + 1):
+        mean = np.stack([np.bincount(block[own], part, minlength=RULES.blocks)[there] / count[there] for part in residuals[own].T], axis=1)
+        best, side = RULES.significant, max(RULES.least_side, int(RULES.least_share * n))
+        for split in range(side, n - side + 1):
             before, after = mean[:split], mean[split:]
             step = float(np.linalg.norm(after.mean(axis=0) - before.mean(axis=0)))
             scatter = np.square(before - before.mean(axis=0)).sum() + np.square(after - after.mean(axis=0)).sum()
@@ -62,5 +84,5 @@ def rejected_shares(detections: Ints, offered: Ints, used: Sightings, frames: in
     frame, camera = np.nonzero(own)
     np.add.at(given, (camera, offered[frame] * PARTS // frames), detections.shape[2])
     np.add.at(kept, (used.camera, used.frame * PARTS // frames), 1)
-    parts = np.where(given >= _LEAST_MARKERS, np.maximum(1.0 - kept / np.maximum(given, 1.0), 0.0), np.nan)
+    parts = np.where(given >= RULES.least_markers, np.maximum(1.0 - kept / np.maximum(given, 1.0), 0.0), np.nan)
     return np.maximum(1.0 - kept.sum(axis=1) / np.maximum(given.sum(axis=1), 1.0), 0.0), parts

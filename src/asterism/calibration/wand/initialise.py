@@ -11,7 +11,8 @@ import numpy as np
 from asterism.calibration.wand.frames import evenly, spread_frames
 from asterism.calibration.wand.poses import WandPoses
 from asterism.calibration.wand.recording import WandRecording
-from asterism.calibration.wand.two_view import LEAST_FRAMES, Pair, initial_camera, initial_pair, priors
+from asterism.calibration.wand.two_view import RULES as TWO_VIEW
+from asterism.calibration.wand.two_view import Pair, initial_camera, initial_pair, priors
 from asterism.cameras.bundle import Adjustment, AdjustSettings, Sightings, adjust, free_parameters
 from asterism.cameras.camera import Camera
 from asterism.progress import Progress
@@ -76,7 +77,7 @@ def initialise_cameras(recording: WandRecording, progress: Progress | None = Non
     frames = spread_frames(recording.shows_wand, max(RULES.working_frames, 2 * RULES.camera_frames * cameras))
     recording = recording.select(frames)
     shared = recording.shared_frames
-    first = [(int(shared[a, b]), a, b) for a in range(cameras) for b in range(a + 1, cameras) if shared[a, b] >= LEAST_FRAMES]
+    first = [(int(shared[a, b]), a, b) for a in range(cameras) for b in range(a + 1, cameras) if shared[a, b] >= TWO_VIEW.least_frames]
     tried = [initial_pair(recording, a, b) for _, a, b in sorted(first, key=lambda s: (-s[0], s[1:]))[: RULES.pairs[0]]]
     pairs = sorted((pair for pair in tried if pair is not None), key=lambda pair: pair.focal_uncertainty)
     best: InitialCameras | None = None
@@ -135,10 +136,12 @@ def _add_neighbour(recording: WandRecording, cameras: list[Camera | None]) -> bo
         return False
     seen, shared, number = recording.shows_wand, recording.shared_frames, len(cameras)
     posed = [c for c, camera in enumerate(cameras) if camera is not None]
-    beside = [(int(shared[c, p]), c, p) for c in range(number) if cameras[c] is None for p in posed if shared[c, p] >= LEAST_FRAMES]
+    beside = [
+        (int(shared[c, p]), c, p) for c in range(number) if cameras[c] is None for p in posed if shared[c, p] >= TWO_VIEW.least_frames
+    ]
     for _, c, p in sorted(beside, key=lambda s: (-s[0], s[1:])):
         neighbour = cameras[p]
-        several = int((seen[:, c] & (seen[:, posed].sum(axis=1) >= 2)).sum()) >= LEAST_FRAMES
+        several = int((seen[:, c] & (seen[:, posed].sum(axis=1) >= 2)).sum()) >= TWO_VIEW.least_frames
         if neighbour is None or several:
             continue
         lenses = list(recording.lenses)
@@ -172,7 +175,7 @@ def adjust_subset(
     posed = [c for c, camera in enumerate(cameras) if camera is not None]
     frames = spread_frames(poses.seen[:, posed], frames_per_camera * len(posed))
     sightings, kept = poses.sightings(recording.blobs, frames).compact()
-    if len(kept) < LEAST_FRAMES // 2:
+    if len(kept) < TWO_VIEW.least_frames // 2:
         return None
     rotations, translations = (part[kept] for part in poses.placements())
     own = [camera for camera in cameras if camera is not None]
@@ -188,7 +191,7 @@ def resect_camera(recording: WandRecording, poses: WandPoses, camera: int) -> Ca
     """A camera from where the posed ones say that the wand lay; None where that does not fit."""
     wand = recording.wand
     frames = np.nonzero(recording.shows_wand[:, camera] & np.isfinite(poses.starts[:, 0]))[0]
-    if len(frames) < LEAST_FRAMES:
+    if len(frames) < TWO_VIEW.least_frames:
         return None
     frames = evenly(frames, RULES.resection_frames)
     world, xy = poses.markers(wand, frames), recording.images(frames, camera)

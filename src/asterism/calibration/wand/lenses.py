@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,12 +12,24 @@ from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
 from asterism.recording import Blobs, Floats
 
-_SMALLEST_IMAGE = 16
-"""px: no image has a shorter side."""
-_BEYOND = 0.02
-"""Of the image's sides, by which a blob's centre may lie outside: splitting and rounding move it a little."""
-_NEAREST_M, _FARTHEST_M = 0.01, 1000.0
-"""m: two cameras are not nearer to each other, or farther apart."""
+
+@dataclass(frozen=True)
+class PlausibleInput:
+    """What a user cannot have meant: bounds that no camera system reaches. Not tuned.
+
+    shortest_side  px: no image has a shorter one
+    beyond         share of an image's sides, and `beyond_px`, by which a blob's centre may lie outside: splitting and rounding move it
+                   a little
+    between_m      m: two cameras are not nearer to each other, or farther apart
+    """
+
+    shortest_side: int = 16
+    beyond: float = 0.02
+    beyond_px: float = 1.0
+    between_m: tuple[float, float] = (0.01, 1000.0)
+
+
+RULES = PlausibleInput()
 
 
 def lenses_and_sizes(
@@ -51,7 +63,7 @@ def _size(name: str, given: tuple[int, int] | None, lens: Camera | None) -> tupl
     size = given or (lens.size if lens is not None else None)
     if size is None:
         raise AsterismError(f"camera {name}: the size of its images is not known; give it, such as --image-size 1280x1024.")
-    if min(size) < _SMALLEST_IMAGE:
+    if min(size) < RULES.shortest_side:
         raise AsterismError(f"camera {name}: {size[0]} x {size[1]} px is too small for an image; give width x height.")
     return int(size[0]), int(size[1])
 
@@ -61,7 +73,8 @@ def _check_inside(name: str, xy: Floats, size: tuple[int, int]) -> None:
     if not len(xy):
         return
     low, high = xy.min(axis=0), xy.max(axis=0)
-    if low.min() < -_BEYOND * size[0] - 1 or high[0] > (1 + _BEYOND) * size[0] + 1 or high[1] > (1 + _BEYOND) * size[1] + 1:
+    beyond, px = RULES.beyond, RULES.beyond_px
+    if low.min() < -beyond * size[0] - px or high[0] > (1 + beyond) * size[0] + px or high[1] > (1 + beyond) * size[1] + px:
         raise AsterismError(
             f"camera {name}: blobs lie between ({low[0]:.0f}, {low[1]:.0f}) and ({high[0]:.0f}, {high[1]:.0f}), outside "
             f"its image of {size[0]} x {size[1]} px; give the size of the images that they were found in."
@@ -73,7 +86,7 @@ def check_distance(names: Sequence[str], distance: tuple[str, str, float]) -> No
     for name in distance[:2]:
         if name not in names:
             raise AsterismError(f"a distance to camera {name} is given, but the cameras are {', '.join(names)}.")
-    if distance[0] == distance[1] or not _NEAREST_M < distance[2] < _FARTHEST_M:
+    if distance[0] == distance[1] or not RULES.between_m[0] < distance[2] < RULES.between_m[1]:
         raise AsterismError(
             f"a distance of {distance[2]:g} m from camera {distance[0]} to camera {distance[1]} is not possible; give metres between two."
         )

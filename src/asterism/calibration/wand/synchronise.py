@@ -11,7 +11,8 @@ from asterism.calibration.wand.frames import evenly, widest_image
 from asterism.calibration.wand.identify import Wand
 from asterism.calibration.wand.initialise import adjust_subset, resect, resect_camera
 from asterism.calibration.wand.recording import WandRecording
-from asterism.calibration.wand.two_view import LEAST_FRAMES, initial_camera
+from asterism.calibration.wand.two_view import RULES as TWO_VIEW
+from asterism.calibration.wand.two_view import initial_camera
 from asterism.cameras.bundle import AdjustSettings, Sightings
 from asterism.cameras.camera import Camera
 from asterism.recording import Floats, Ints
@@ -151,13 +152,13 @@ def _coarse_lags(recording: WandRecording, cameras: Sequence[Camera | None]) -> 
     focal = float(np.median([camera.focal[0] / (camera.size or (1280, 0))[0] for camera in others]))
     for c, size in enumerate(recording.sizes):
         frames = np.nonzero(recording.shows_wand[:, c])[0]
-        if cameras[c] is not None or len(frames) < LEAST_FRAMES:
+        if cameras[c] is not None or len(frames) < TWO_VIEW.least_frames:
             continue
         best = (RULES.least_share, 0)
         for lag in range(-RULES.farthest, RULES.farthest + 1, RULES.stride):
             at = frames[(frames + lag >= 0) & (frames + lag < len(recording))]
             at = at[np.isfinite(poses.starts[at + lag, 0])]
-            if len(at) < LEAST_FRAMES:
+            if len(at) < TWO_VIEW.least_frames:
                 continue
             at = evenly(at, RULES.resection_frames)
             world, xy = poses.markers(wand, at + lag), recording.images(at, c)

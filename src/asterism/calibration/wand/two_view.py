@@ -19,16 +19,70 @@ from asterism.recording import Floats
 
 Bools = NDArray[np.bool_]
 
-GUESSES = (0.55, 0.8, 1.15, 1.65, 2.4, 3.6)
-"""Focal lengths to begin with, in widths of the image."""
-LEAST_FRAMES = 25
-"""Frames that two cameras must share, or a camera with those that are posed already."""
-_PAIR_FRAMES = 100
-"""Frames, evenly spread, that a pair is posed from."""
-_EPIPOLAR_GATE = 0.003
-"""Of the image's longer side: how far a point may lie from its epipolar line."""
-_COARSE_STEPS, _REFINED, _FINE_STEPS = 8, 3, 25
-"""Steps of the adjustment of every start, how many of the best starts are adjusted on, and in how many steps."""
+
+@dataclass(frozen=True)
+class TwoViewRules:
+    """How two cameras are posed with nothing known.
+
+    focal_guesses   focal lengths to begin with, in widths of the image; each is 1.45 times the one before
+    least_frames    that two cameras must share, or a camera with those that are posed already
+    pair_frames     evenly spread, that a pair is posed from
+    epipolar_gate   share of the image's longer side: how far a point may lie from its epipolar line; `middle_gate` times as far where
+                    the middle of the wand stands for it
+    fewest_points   of each camera that epipolar geometry needs
+    depth_ratio     one end of the wand is at most this many times as far from a camera as the other
+    depth_rounds    of reweighting, in which the wand's ends by one camera's depths are laid on those by the other's
+    coarse_steps    of the adjustment of every start
+    refined         so many of the best starts are adjusted on, in `fine_steps` steps
+    fine_steps      see `refined`
+    noise           px, of one coordinate, that priors are weighed against
+    loss_noises     the robust loss grows slower from so many times that on
+    focal_spread    standard deviation of a focal length around its guess, as a share of it
+
+    Checked on the simulated and real wands of tests/test_wand.py and benchmarks/cameras/wand.py.
+    """
+
+    focal_guesses: tuple[float, ...] = (0.55, 0.8, 1.15, 1.65, 2.4, 3.6)
+    least_frames: int = 25
+    pair_frames: int = 100
+    epipolar_gate: float = 0.003
+    middle_gate: float = 3.0
+    fewest_points: int = 15
+    depth_ratio: float = 2.5
+    depth_rounds: int = 15
+    coarse_steps: int = 8
+    refined: int = 3
+    fine_steps: int = 25
+    noise: float = 0.5
+    loss_noises: float = 3.0
+    focal_spread: float = 0.7
+
+
+RULES = TwoViewRules()
+
+
+@dataclass(frozen=True)
+class LensSpread:
+    """Standard deviations of a lens before anything was seen.
+
+    focal       share of the focal length
+    aspect      of the ratio of its two focal lengths
+    centre      of the principal point, in widths of the image
+    radial      of three coefficients
+    tangential  of both coefficients
+    """
+
+    focal: float
+    aspect: float
+    centre: float
+    radial: tuple[float, float, float]
+    tangential: float
+
+
+UNKNOWN_LENS = LensSpread(focal=10.0, aspect=0.003, centre=0.03, radial=(0.5, 0.5, 0.5), tangential=0.005)
+"""A lens of which nothing is known: the pixels are square, all else is left to the images. Checked like `TwoViewRules`."""
+KNOWN_LENS = LensSpread(focal=0.02, aspect=0.003, centre=0.01, radial=(0.03, 0.05, 0.05), tangential=0.002)
+"""A lens that was calibrated before, and may have been touched since. Checked like `TwoViewRules`."""
 
 
 @dataclass(frozen=True)
@@ -61,36 +115,37 @@ def priors(cameras: Sequence[Camera], known: Sequence[Camera | None], noise: flo
         if lens is None:
             centre = (0.5 * (width - 1), 0.5 * (height - 1))
             expected[c, 6:] = camera.focal[0], 1.0, *centre, 0.0, 0.0, 0.0, 0.0, 0.0
-            spread[c, 6:] = 10.0 * camera.focal[0], 0.003, 0.03 * width, 0.03 * width, 0.5, 0.5, 0.5, 0.005, 0.005
         else:
             radial = (*lens.radial, 0.0, 0.0, 0.0)[:3]
             expected[c, 6:] = lens.focal[0], lens.focal[1] / lens.focal[0], *lens.centre, *radial, *lens.tangential
-            spread[c, 6:] = 0.02 * lens.focal[0], 0.003, 0.01 * width, 0.01 * width, 0.03, 0.05, 0.05, 0.002, 0.002
+        its = UNKNOWN_LENS if lens is None else KNOWN_LENS
+        focal, centre_px = its.focal * expected[c, 6], its.centre * width
+        spread[c, 6:] = focal, its.aspect, centre_px, centre_px, *its.radial, its.tangential, its.tangential
     return expected, spread / noise
 
 
 def initial_pair(recording: WandRecording, a: int, b: int) -> Pair | None:
     """The best of several ways to pose two cameras: by the depths that the wand itself shows, by epipolar geometry; from several focals."""
     both = np.nonzero(recording.shows_wand[:, [a, b]].all(axis=1))[0]
-    xy = recording.blobs.xy[recording.detections[evenly(both, _PAIR_FRAMES)][:, [a, b]]]
+    xy = recording.blobs.xy[recording.detections[evenly(both, RULES.pair_frames)][:, [a, b]]]
     lenses = [recording.lenses[a], recording.lenses[b]]
-    epipolar = _fundamental(xy, recording.wand, _EPIPOLAR_GATE * max(recording.sizes[a]))
+    epipolar = _fundamental(xy, recording.wand, RULES.epipolar_gate * max(recording.sizes[a]))
     tried: list[tuple[float, int, Adjustment, Bools]] = []
-    for guess in GUESSES:
+    for guess in RULES.focal_guesses:
         pair = [
             recording.lenses[c] or initial_camera(recording.blobs.cameras[c], recording.sizes[c], guess * recording.sizes[c][0])
             for c in (a, b)
         ]
         for rotation, translation, turned in _poses(xy, pair, recording.wand, epipolar):
             posed = [pair[0], replace(pair[1], rotation=rotation, translation=translation)]
-            fitted = _fit_pair(xy, posed, lenses, recording.wand, turned, _COARSE_STEPS)
+            fitted = _fit_pair(xy, posed, lenses, recording.wand, turned, RULES.coarse_steps)
             if fitted is not None:
                 tried.append((_median_error(fitted), len(tried), fitted, turned))
         if lenses[0] is not None and lenses[1] is not None:
             break
     best: Pair | None = None
-    for _, _, fitted, turned in sorted(tried, key=lambda one: one[:2])[:_REFINED]:
-        full = _fit_pair(xy, list(fitted.cameras), lenses, recording.wand, turned, _FINE_STEPS)
+    for _, _, fitted, turned in sorted(tried, key=lambda one: one[:2])[: RULES.refined]:
+        full = _fit_pair(xy, list(fitted.cameras), lenses, recording.wand, turned, RULES.fine_steps)
         if full is None or (best is not None and _median_error(full) >= best.error):
             continue
         uncertainty = float((full.sigma[:, 6] / [camera.focal[0] for camera in full.cameras]).max())
@@ -123,15 +178,15 @@ def _fit_pair(
     points = triangulate(cameras, sightings, len(xy), len(wand))
     rotations, translations = _placed(wand, points)
     good: Bools = np.asarray(np.isfinite(translations).all(axis=1))
-    if good.sum() < LEAST_FRAMES // 2:
+    if good.sum() < RULES.least_frames // 2:
         return None
     sightings, kept = sightings.select(good[sightings.frame]).compact()
     free = free_parameters(2, "pose", "focal", "k1")
-    prior = priors(cameras, known, 0.5)
-    prior[1][:, 6] = np.minimum(prior[1][:, 6], 0.7 * np.array([camera.focal[0] for camera in cameras]) / 0.5)
+    prior = priors(cameras, known, RULES.noise)
+    prior[1][:, 6] = np.minimum(prior[1][:, 6], RULES.focal_spread * np.array([camera.focal[0] for camera in cameras]) / RULES.noise)
     return adjust(
         cameras, wand.template, sightings, rotations[kept], translations[kept],
-        free=free, prior=prior, settings=AdjustSettings(loss="cauchy", scale=3.0, tolerance=1e-4, steps=steps),
+        free=free, prior=prior, settings=AdjustSettings(loss="cauchy", scale=RULES.loss_noises, tolerance=1e-4, steps=steps),
     )  # fmt: skip
 
 
@@ -155,16 +210,16 @@ def _pose_by_depths(xy: Floats, pair: Sequence[Camera], wand: Wand) -> tuple[Flo
         ray = np.concatenate([flat, np.ones((*flat.shape[:2], 1))], axis=2)
         near, far = np.cross(ray[:, 0], ray[:, 1]), np.cross(ray[:, 2], ray[:, 1])
         ratio = -(1.0 - share) * (near * far).sum(axis=1) / np.maximum(share * (far * far).sum(axis=1), 1e-15)
-        ratio = np.clip(ratio, 0.4, 2.5)
+        ratio = np.clip(ratio, 1.0 / RULES.depth_ratio, RULES.depth_ratio)
         depth = whole / np.linalg.norm(ratio[:, None] * ray[:, 2] - ray[:, 0], axis=1)
         ends.append(np.stack([depth[:, None] * ray[:, 0], (depth * ratio)[:, None] * ray[:, 2]], axis=1))
     one, other = ends
     good = np.isfinite(one).all(axis=(1, 2)) & np.isfinite(other).all(axis=(1, 2))
-    if good.sum() < LEAST_FRAMES // 2:
+    if good.sum() < RULES.least_frames // 2:
         return None
     one, other = one[good].reshape(-1, 3), other[good].reshape(-1, 3)
     weight = np.ones(len(one))
-    for _ in range(15):
+    for _ in range(RULES.depth_rounds):
         rotation, translation = fit_rigid(one, other, weight)
         miss = np.linalg.norm(other - one @ rotation.T - translation, axis=1)
         weight = 1.0 / (1.0 + np.square(miss / max(float(np.median(miss)), 1e-9)))
@@ -183,7 +238,7 @@ def _fundamental(xy: Floats, wand: Wand, gate: float) -> tuple[Floats, Bools] | 
         matrix = _ransac(points[0], points[1], gate)
         return None if matrix is None else (matrix, turned)
     middle = xy[:, :, 1] if len(wand) == 3 else xy.mean(axis=2)
-    matrix = _ransac(middle[:, 0], middle[:, 1], 3.0 * gate)
+    matrix = _ransac(middle[:, 0], middle[:, 1], RULES.middle_gate * gate)
     for _ in range(2):
         if matrix is None:
             return None
@@ -195,7 +250,7 @@ def _fundamental(xy: Floats, wand: Wand, gate: float) -> tuple[Floats, Bools] | 
 
 
 def _ransac(one: Floats, other: Floats, gate: float) -> Floats | None:
-    if len(one) < 15:
+    if len(one) < RULES.fewest_points:
         return None
     matrix, _ = cv2.findFundamentalMat(np.ascontiguousarray(one), np.ascontiguousarray(other), cv2.FM_RANSAC, gate, 0.999, 2000)
     return None if matrix is None or matrix.shape != (3, 3) else np.asarray(matrix, dtype=np.float64)
@@ -216,7 +271,7 @@ def _pose_by_epipolar_geometry(
     ordered = np.stack([xy[:, 0], np.where(turned[:, None, None], xy[:, 1, ::-1], xy[:, 1])], axis=1)
     flat = [camera.undistort(ordered[:, c].reshape(-1, 2)) for c, camera in enumerate(pair)]
     good = np.isfinite(flat[0]).all(axis=1) & np.isfinite(flat[1]).all(axis=1)
-    if good.sum() < 15:
+    if good.sum() < RULES.fewest_points:
         return None
     essential = pair[1].matrix.T @ matrix @ pair[0].matrix
     _, rotation, translation, _ = cv2.recoverPose(essential, flat[0][good], flat[1][good], np.eye(3))

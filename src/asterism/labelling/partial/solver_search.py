@@ -106,7 +106,13 @@ PRINTED_FEATURES = ("g1", "g2", "g3", "g4", "g5", "g6", "g7", "g8", "g9")
 """What the thesis' solvers read, up to `features.MANY_MARKERS` markers: table 4.1. With the three of its full solver only half of the markers reach 0.9999 in six markers."""
 
 PRINTED = SearchSettings(
-    widen=0.0, beam_width=120, evaluation_frames=1500, validation_frames=30_000, max_solvers=250, search_target=0.9999, for_printed_matrix=True,
+    widen=0.0,
+    beam_width=120,
+    evaluation_frames=1500,
+    validation_frames=30_000,
+    max_solvers=250,
+    search_target=0.9999,
+    for_printed_matrix=True,
     coverage_patterns=4000,
 )
 """The thesis' solvers: intervals from the smallest to the largest value of the training (eq. 4.4)."""

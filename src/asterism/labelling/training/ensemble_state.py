@@ -63,6 +63,11 @@ class EnsembleState:
         """The rules by which the body was learned; the default ones for models of an earlier Asterism."""
         return BodyRules() if self.training is None else self.training.config.rules.body
 
+    @property
+    def frame_certainty(self) -> Certainty:
+        """From the margins and fits of labels in single frames to their confidence, and the least one to accept."""
+        return Certainty(self.calibrations if self.frame_calibration is None else self.frame_calibration, self.least_confidence)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a model file. Raises AsterismError where the place cannot be written."""
         write_arrays(path, self._head(), self._arrays())

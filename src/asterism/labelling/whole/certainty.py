@@ -27,13 +27,13 @@ class Certainty:
     least_confidence: float
     max_slope: float = MAX_SLOPE
 
-    def confidence(self, margin: Floats, near_unlabelled: Ints, fit: Floats) -> Floats:
-        """The probability that labels are right: (J,); margin, fit in nats, near_unlabelled 0 or 1."""
+    def confidence(self, margin: Floats, left_over: Ints, fit: Floats) -> Floats:
+        """The probability that labels are right: (J,); margin, fit in nats, left_over 0 or 1."""
         if isinstance(self.calibration, LabelCalibration):
-            return self.calibration.confidence(margin, fit, near_unlabelled)
+            return self.calibration.confidence(margin, fit, left_over)
         alone, crowded = (calibration.confidence(margin) for calibration in self.calibration)
         bound = 1.0 / (1.0 + np.exp(-self.max_slope * np.clip(margin, -100.0, 100.0)))
-        return np.clip(np.where(near_unlabelled > 0, crowded, alone), MIN_TRUST * bound, bound)
+        return np.clip(np.where(left_over > 0, crowded, alone), MIN_TRUST * bound, bound)
 
 
 def least_confidence_in_time(target: float) -> float:

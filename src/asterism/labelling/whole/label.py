@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
@@ -24,27 +25,30 @@ from asterism.labelling.whole.joint import SceneLabelling, label_scene
 from asterism.labelling.whole.scene import RecordingLabellingSettings, labels_of_body, marker_offsets, prepare_scene
 from asterism.labelling.whole.short import frames_with_bodies, label_short_points, long_points, tracklets_of
 from asterism.labelling.whole.splits import split_tracklets
-from asterism.labelling.whole.verdict import RigidDistances, VerdictRules, confidence_limit, exchangeable, judge_scene
+from asterism.labelling.whole.verdict import MIN_FRAMES, RigidDistances, VerdictRules, confidence_limit, exchangeable, judge, judge_scene
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
-from asterism.tracking.linking import find_tracklets
+from asterism.recording.verdict import Verdict
+from asterism.tracking.linking import Tracklets, find_tracklets
 
 
 @dataclass(frozen=True)
 class BodyInRecording:
     """A model as one of the bodies in a recording.
 
-    labeller   labels the body in single frames
-    names      all names of its marker set
-    markers    (M,) those that the body model has learned
-    certainty  how certain a tracklet's label is, and which labels are taken back
-    distances  near-rigid distances of the training, by which a recording is judged; None where the model keeps no sample of it
+    labeller         labels the body in single frames
+    names            all names of its marker set
+    markers          (M,) those that the body model has learned
+    certainty        how certain a tracklet's label is, and which labels are taken back
+    frame_certainty  the same for labels of a point in a frame that is labelled by itself
+    distances        near-rigid distances of the training, by which a recording is judged; None where the model keeps no sample of it
     """
 
     labeller: BodyLabeller
     names: tuple[str, ...]
     markers: Ints
     certainty: Certainty
+    frame_certainty: Certainty
     distances: RigidDistances | None = None
 
 
@@ -52,22 +56,61 @@ class BodyInRecording:
 class PointLabels:
     """Labels of the P points of clouds, in their order.
 
-    label            (P,) column among the markers of all bodies, one body after the other, -1 for none
-    margin           (P,) nats; of a point without a label: 0 or below, by how much it misses its best column
-    rival            (P,) that column, where there is one; -1 otherwise
-    near_unlabelled  (P,) 1 where a point without a label was there at some time of the point's tracklet, else 0
-    fit              (P,) nats, how well the tracklets of labelled points lie where the others predict them, see `point_fits`
-    limit            (P,) what no label of a point may be more certain than
-    found            the labels of the long tracklets
+    label       (P,) column among the markers of all bodies, one body after the other, -1 for none
+    margin      (P,) nats; of a point without a label: 0 or below, by how much it misses its best column
+    rival       (P,) that column, where there is one; -1 otherwise
+    left_over   (P,) 1 where a point without a label was there at some time of the point's tracklet (in its frame, where `alone`), else 0
+    fit         (P,) nats, how well the tracklets of labelled points (the points, where `alone`) lie where the others predict them, see
+                `point_fits`
+    limit       (P,) what no label of a point may be more certain than
+    alone       (P,) whether the label is one of a frame that was labelled by itself
+    found       the labels of the long tracklets
     """
 
     label: Ints
     margin: Floats
     rival: Ints
-    near_unlabelled: Ints
+    left_over: Ints
     fit: Floats
     limit: Floats
+    alone: NDArray[np.bool_]
     found: SceneLabelling
+
+    def confidence(self, certainty: Certainty, frame_certainty: Certainty) -> tuple[Floats, Floats]:
+        """The probability that each label is right, and below which it is taken back: (P,) each."""
+        in_time = certainty.confidence(self.margin, self.left_over, self.fit)
+        in_frame = frame_certainty.confidence(self.margin, self.left_over, self.fit)
+        least = np.where(self.alone, frame_certainty.least_confidence, certainty.least_confidence)
+        return np.minimum(np.where(self.alone, in_frame, in_time), self.limit), least
+
+
+@dataclass(frozen=True)
+class _LongTracklets:
+    """The long tracklets of a recording, labelled.
+
+    tracklets  of all points, cut by the body
+    kept       (P,) the points of the long ones
+    found      the long ones' labels
+    limit      (J,) what no label of them may be more certain than
+    """
+
+    tracklets: Tracklets
+    kept: NDArray[np.bool_]
+    found: SceneLabelling
+    limit: Floats
+
+    def points(self) -> PointLabels:
+        """The labels of all points, none of which belongs to a short tracklet."""
+        points, scene = len(self.kept), self.found.scene
+        long = np.nonzero(self.kept)[0][scene.order]
+        label, margin, rival = np.full(points, NULL, dtype=np.int64), np.zeros(points), np.full(points, NULL, dtype=np.int64)
+        left_over, limit = np.ones(points, dtype=np.int64), np.ones(points)
+        label[long], margin[long], rival[long] = (
+            of_track[scene.track] for of_track in (self.found.label, self.found.margin, self.found.rival)
+        )
+        left_over[long] = overlaps_unlabelled(self.found.label, scene.first, scene.last)[scene.track]
+        limit[long] = self.limit[scene.track]
+        return PointLabels(label, margin, rival, left_over, np.zeros(points), limit, np.zeros(points, dtype=np.bool_), self.found)
 
 
 def label_points(
@@ -85,6 +128,24 @@ def label_points(
     whole: the only body; where the recording does not fit it, the tracklets are labelled again (`foreign.py`). Raises SeveralBodies where
     the long tracklets certainly show two such bodies.
     """
+    long = _label_long_tracklets(labellers, clouds, rules, subject_rules, body_rules, workers, progress, whole)
+    labels, xyz = long.points(), rotate_z_up(clouds.xyz, clouds.vertical)
+    if not long.kept.all():
+        labels = _with_short_points(labellers, clouds, xyz, long.kept, labels, rules)
+    return replace(labels, fit=_fits(labellers, clouds, xyz, long, labels))
+
+
+def _label_long_tracklets(
+    labellers: Sequence[BodyLabeller],
+    clouds: Clouds,
+    rules: RecordingLabellingSettings,
+    subject_rules: SubjectRules,
+    body_rules: BodyRules,
+    workers: int,
+    progress: Progress | None,
+    whole: BodyInRecording | None,
+) -> _LongTracklets:
+    """The first part of `label_points`."""
     tracklets = find_tracklets(clouds)
     kept = long_points(clouds, tracklets, rules.short)
     if len(labellers) > 1:  # single frames do not tell which body is whose: without long tracklets, the short ones must
@@ -107,29 +168,46 @@ def label_points(
             return label_scene(labellers, scene, rules, subject_rules, body_rules, workers, start=start)
 
         found, limit = label_if_foreign(whole, found, relabel)
-    points = len(clouds.xyz)
-    label, margin, rival = np.full(points, NULL, dtype=np.int64), np.zeros(points), np.full(points, NULL, dtype=np.int64)
-    near_unlabelled = np.ones(points, dtype=np.int64)
-    limits = np.ones(points)
-    limits[long] = limit[scene.track]
-    label[long], margin[long], rival[long] = found.label[scene.track], found.margin[scene.track], found.rival[scene.track]
-    near_unlabelled[long] = overlaps_unlabelled(found.label, scene.first, scene.last)[scene.track]
-    offsets, xyz = marker_offsets(labellers), rotate_z_up(clouds.xyz, clouds.vertical)
-    if not kept.all():
-        for number, (labeller, body) in enumerate(zip(labellers, found.bodies, strict=True)):
-            arrays = labeller.body if body is labeller.model else body.arrays()
-            of_body = labels_of_body(label, offsets, number)
-            marker, its_margin = label_short_points(labeller, arrays, clouds, xyz, ~kept & (label == NULL), of_body, rules.short)
-            taken = marker != NULL
-            label[taken], margin[taken] = marker[taken] + offsets[number], its_margin[taken]
-    fit = np.zeros(points)
-    scored = np.isin(np.arange(len(clouds)), scene.sampled_frames)
-    scored[clouds.frame_of[~kept & (label != NULL)]] = True
-    for number, labeller in enumerate(labellers):  # by the body of people at large: that is what trials on other people were judged by
+    return _LongTracklets(tracklets, kept, found, limit)
+
+
+def _with_short_points(
+    labellers: Sequence[BodyLabeller],
+    clouds: Clouds,
+    xyz: Floats,
+    kept: NDArray[np.bool_],
+    labels: PointLabels,
+    rules: RecordingLabellingSettings,
+) -> PointLabels:
+    """The labels, with those of points of short tracklets; kept (P,): the points of the long ones."""
+    label, margin, alone, left_over = labels.label.copy(), labels.margin.copy(), labels.alone.copy(), labels.left_over.copy()
+    offsets = marker_offsets(labellers)
+    for number, (labeller, body) in enumerate(zip(labellers, labels.found.bodies, strict=True)):
+        arrays = labeller.body if body is labeller.model else body.arrays()
         of_body = labels_of_body(label, offsets, number)
-        own = point_fits(clouds, xyz, of_body, labeller.body, labeller.settings, scored, tracklets.of_point)
+        short = label_short_points(labeller, arrays, clouds, xyz, ~kept & (label == NULL), of_body, rules.short)
+        taken = short.label != NULL
+        label[taken], margin[taken], alone[taken] = short.label[taken] + offsets[number], short.margin[taken], short.alone[taken]
+    unlabelled = np.bincount(clouds.frame_of, weights=label == NULL, minlength=len(clouds)) > 0
+    left_over[alone] = unlabelled[clouds.frame_of[alone]]
+    return replace(labels, label=label, margin=margin, alone=alone, left_over=left_over)
+
+
+def _fits(labellers: Sequence[BodyLabeller], clouds: Clouds, xyz: Floats, long: _LongTracklets, labels: PointLabels) -> Floats:
+    """How well the tracklets of labelled points lie where the others predict them, (P,) nats; labels alone in their frame by themselves.
+
+    By the body of people at large: that is what trials on other people were judged by.
+    """
+    fit, offsets = np.zeros(len(labels.label)), marker_offsets(labellers)
+    scored = np.isin(np.arange(len(clouds)), long.found.scene.sampled_frames)
+    scored[clouds.frame_of[~long.kept & (labels.label != NULL)]] = True
+    group = long.tracklets.of_point.copy()
+    group[labels.alone] = group.max(initial=-1) + 1 + np.arange(labels.alone.sum())
+    for number, labeller in enumerate(labellers):
+        of_body = labels_of_body(labels.label, offsets, number)
+        own = point_fits(clouds, xyz, of_body, labeller.body, labeller.settings, scored, group)
         fit = np.where(of_body != NULL, own, fit)
-    return PointLabels(label, margin, rival, near_unlabelled, fit, limits, found)
+    return fit
 
 
 def label_if_foreign(
@@ -171,35 +249,53 @@ def label_whole(
     labellers = [body.labeller for body in bodies]
     whole = bodies[0] if len(bodies) == 1 else None
     labels = label_points(labellers, clouds, rules, subject_rules, body_rules, workers, progress, whole)
+    offsets = marker_offsets(labellers)
+    return [_labelling_of(body, number, clouds, labels, offsets) for number, body in enumerate(bodies)], labels.found
+
+
+def _labelling_of(body: BodyInRecording, number: int, clouds: Clouds, labels: PointLabels, offsets: Ints) -> Labelling:
+    """The labels of the body with this number; offsets: where each body's markers begin among the columns."""
     frame_of = clouds.frame_of
     place = np.arange(len(frame_of)) - clouds.offsets[frame_of]
-    offsets = marker_offsets(labellers)
-    labellings = []
-    for number, body in enumerate(bodies):
-        label, rival = labels_of_body(labels.label, offsets, number), labels_of_body(labels.rival, offsets, number)
-        blank = _empty_labelling(body, clouds)
-        indices, confidence = blank.indices, blank.confidence
-        verdict = judge_scene(labels.found.scene, labels.found.label, offsets, number, body.distances)
-        certainty = body.certainty.confidence(labels.margin, labels.near_unlabelled, labels.fit)
-        certainty = np.minimum(certainty, np.minimum(labels.limit, confidence_limit(verdict)))
-        if verdict is not None:
-            pairs = exchangeable(label, rival, certainty, len(clouds), VerdictRules())
-            named = tuple(tuple(body.names[body.markers[marker]] for marker in pair) for pair in pairs)
-            verdict = replace(verdict, exchangeable=named)
-        # a marker without a point: the probability that its best candidate was it, above one half only where a label was taken back
-        candidate = np.where(label != NULL, label, np.where(labels.label == NULL, rival, NULL))
-        chance = np.where(label != NULL, certainty, 0.5 * np.exp(np.minimum(labels.margin, 0.0)))
-        points = np.nonzero(candidate != NULL)[0]
-        points = points[np.lexsort((*clouds.xyz[points].T, chance[points]))]  # the order of the points does not matter
-        at = frame_of[points], body.markers[candidate[points]]
-        candidates = np.full(indices.shape, NULL, dtype=np.int64)
-        confidence[at], candidates[at] = chance[points], place[points]
-        points = np.nonzero((label != NULL) & (certainty >= body.certainty.least_confidence))[0]
-        at = frame_of[points], body.markers[label[points]]
-        indices[at], confidence[at] = place[points], certainty[points]
-        candidates[indices != NULL] = NULL
-        labellings.append(Labelling(indices, confidence, body.names, candidates, verdict))
-    return labellings, labels.found
+    label, rival = labels_of_body(labels.label, offsets, number), labels_of_body(labels.rival, offsets, number)
+    blank = _empty_labelling(body, clouds)
+    indices, confidence = blank.indices, blank.confidence
+    certainty, least = labels.confidence(body.certainty, body.frame_certainty)
+    verdict = _verdict_of(body, number, clouds, labels, offsets)
+    certainty = np.minimum(certainty, confidence_limit(verdict))
+    if verdict is not None:
+        pairs = exchangeable(label, rival, certainty, len(clouds), VerdictRules())
+        named = tuple(tuple(body.names[body.markers[marker]] for marker in pair) for pair in pairs)
+        verdict = replace(verdict, exchangeable=named)
+    # a marker without a point: the probability that its best candidate was it, above one half only where a label was taken back
+    candidate = np.where(label != NULL, label, np.where(labels.label == NULL, rival, NULL))
+    chance = np.where(label != NULL, certainty, 0.5 * np.exp(np.minimum(labels.margin, 0.0)))
+    points = np.nonzero(candidate != NULL)[0]
+    points = points[np.lexsort((*clouds.xyz[points].T, chance[points]))]  # the order of the points does not matter
+    at = frame_of[points], body.markers[candidate[points]]
+    candidates = np.full(indices.shape, NULL, dtype=np.int64)
+    confidence[at], candidates[at] = chance[points], place[points]
+    points = np.nonzero((label != NULL) & (certainty >= least))[0]
+    at = frame_of[points], body.markers[label[points]]
+    indices[at], confidence[at] = place[points], certainty[points]
+    candidates[indices != NULL] = NULL
+    return Labelling(indices, confidence, body.names, candidates, verdict)
+
+
+def _verdict_of(body: BodyInRecording, number: int, clouds: Clouds, labels: PointLabels, offsets: Ints) -> Verdict | None:
+    """The verdict on the labels of the body with this number: by the long tracklets, or by all points where these are in few frames."""
+    scene = labels.found.scene
+    if body.distances is None:
+        return None
+    if len(scene.sampled_frames) >= MIN_FRAMES:
+        return judge_scene(scene, labels.found.label, offsets, number, body.distances)
+    own, frames = labels_of_body(labels.label, offsets, number), len(clouds)
+    positions = np.full((frames, int(offsets[number + 1] - offsets[number]), 3), np.nan)
+    given = own != NULL
+    positions[clouds.frame_of[given], own[given]] = clouds.xyz[given]
+    free = given | (labels.label == NULL)  # the points of other bodies are theirs
+    counts = np.bincount(clouds.frame_of, weights=free, minlength=frames).astype(np.int64)
+    return judge(positions, counts, body.distances)
 
 
 def subject_body(
@@ -266,10 +362,10 @@ def run_trials(
                 continue
             found = label_points([labeller], clouds, rules, subject_rules, body_rules)
             frame_of = clouds.frame_of
-            used = np.nonzero(np.isin(frame_of, found.found.scene.sampled_frames) & (found.label != NULL))[0]
+            used = np.nonzero(np.isin(frame_of, found.found.scene.sampled_frames) & (found.label != NULL) & ~found.alone)[0]
             right = truth[frame_of[used], found.label[used]] == used - clouds.offsets[frame_of[used]]
             parts.append(
-                LabelTrials(found.margin[used], found.fit[used], found.near_unlabelled[used], right.astype(np.float64), np.ones(len(used)))
+                LabelTrials(found.margin[used], found.fit[used], found.left_over[used], right.astype(np.float64), np.ones(len(used)))
             )
     return LabelTrials.together(parts)
 

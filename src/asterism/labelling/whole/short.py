@@ -53,6 +53,20 @@ class ShortTrackletRules:
     prior_frames: float = 100.0
 
 
+@dataclass(frozen=True)
+class ShortPointLabels:
+    """Labels of the candidates among P points.
+
+    label   (P,) marker of each, -1 for none
+    margin  (P,) nats
+    alone   (P,) whether the label is one of a frame that was labelled by itself
+    """
+
+    label: Ints
+    margin: Floats
+    alone: NDArray[np.bool_]
+
+
 def long_points(clouds: Clouds, tracklets: Tracklets, rules: ShortTrackletRules) -> NDArray[np.bool_]:
     """The points (P,) of long tracklets."""
     duration = tracklets.last - tracklets.first + 1
@@ -79,8 +93,8 @@ def label_short_points(
     candidate: NDArray[np.bool_],
     label: Ints,
     rules: ShortTrackletRules,
-) -> tuple[Ints, Floats]:
-    """Markers of the candidates (P,), -1 for none, and their margins (P,) in nats.
+) -> ShortPointLabels:
+    """Label the candidates among the points (P,).
 
     body: adapted to the subject; xyz (P, 3) m, z up; label (P,): what the long tracklets are of this body, -1 for none. A frame that shows
     too few of them is labelled by itself. O(frames with a candidate), as `label_short`.
@@ -101,9 +115,10 @@ def label_short_points(
     by_body, by_motion = (marker_shares(counts, rules) for counts in (out.body_hits, out.near_hits))
     share = np.where(out.by_motion, by_motion[out.label], by_body[out.label])
     out.label[candidate & (share < rules.min_marker_share)] = NULL
+    alone = np.zeros(points, dtype=np.bool_)
     if out.alone.any():
-        _label_alone(labeller, clouds, out.alone, candidate, out.label, out.margin)
-    return np.where(candidate, out.label, NULL), out.margin
+        alone[_label_alone(labeller, clouds, out.alone, candidate, out.label, out.margin)] = True
+    return ShortPointLabels(np.where(candidate, out.label, NULL), out.margin, alone)
 
 
 def marker_shares(counts: Ints, rules: ShortTrackletRules) -> Floats:
@@ -121,8 +136,8 @@ def marker_shares(counts: Ints, rules: ShortTrackletRules) -> Floats:
 
 def _label_alone(
     labeller: BodyLabeller, clouds: Clouds, alone: NDArray[np.bool_], candidate: NDArray[np.bool_], found: Ints, margin: Floats
-) -> None:
-    """Label frames by themselves, and take from that what is a candidate for a marker that is not there yet."""
+) -> Ints:
+    """Label frames by themselves, and take from that what is a candidate for a marker that is not there yet: the points so labelled."""
     numbers = np.nonzero(alone)[0]
     alone_labels = labeller.label(clouds.frames(numbers))
     point_of, margins = alone_labels.point_of, alone_labels.margins
@@ -134,6 +149,7 @@ def _label_alone(
     held[clouds.frame_of[labelled], found[labelled]] = True
     taken = candidate[point] & ~held[frame, marker]
     found[point[taken]], margin[point[taken]] = marker[taken], margins[row[taken], marker[taken]]
+    return point[taken]
 
 
 def expect_by_motion(xyz: Floats, frame_of: Ints, label: Ints, shape: tuple[int, int], rate: float, rules: ShortTrackletRules) -> Expected:
