@@ -14,10 +14,10 @@ import pytest
 
 from asterism.errors import AsterismError
 from asterism.labelling import ConfidenceScore, ConfidenceTally, Reliability
-from asterism.labelling.simulated_occlusions import simulate_occlusions
-from asterism.recording import Clouds, Ints, Labelling, Recording
 from asterism.labelling.capturability import TargetRates
 from asterism.labelling.full_solver_study import ChosenClassifier, SolverSize
+from asterism.labelling.simulated_occlusions import simulate_occlusions
+from asterism.recording import Clouds, Ints, Labelling, Recording
 from asterism.report import LabelledRecording, capturability_report, evaluation_report, label_report
 from asterism.simulation import simulate_walks
 
@@ -323,7 +323,7 @@ def test_the_capturability_page_says_what_is_confused_and_what_helps(tmp_path: P
 
 
 def test_the_capturability_page_has_the_thesis_table_and_figures(tmp_path: Path) -> None:
-    """Table 5.1 with its sums, figure 5.1 with the evaluations on a logarithmic axis, figure 5.2 with a line for each number of hidden ones."""
+    """Table 5.1 with its sums, figure 5.1 with evaluations on a logarithmic axis, figure 5.2 with a line for each number of hidden ones."""
     capturability_report(tmp_path / "c.html", capturability())
     page = read(tmp_path / "c.html")
     chosen = next(rows for rows in page.tables if rows[0][1:2] == ["weak classifier"])

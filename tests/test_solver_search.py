@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from functools import cache
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np

@@ -77,8 +77,8 @@ FEATURES: tuple[Feature, ...] = (
     Feature("g18", "mean of g19 over three frames", 3, TRIPLE, "m2", _NEIGHBOURS, True),
     Feature("g9", "vertical part of the unit normal of a triangle", 3, TRIPLE, "1", _SIGNED),
 )
-"""The registry; its order is that of the constants in `_feature_kernels` and `_motion_kernels`, and model files keep features by their place.
-g19 has the place that g9 had in earlier models, which computed g19 under that name.
+"""The registry; its order is that of the constants in `_feature_kernels` and `_motion_kernels`, and model files keep features
+by their place. g19 has the place that g9 had in earlier models, which computed g19 under that name.
 
 None of them changes when the recording is turned about the vertical or shifted, nor when it is played backwards.
 """

@@ -1,4 +1,4 @@
-"""The choice of partial solvers for the labelling matrix as it is printed: candidates in; those that together label most, out (thesis 4.5.3).
+"""The choice of partial solvers for the printed labelling matrix: candidates in; those that together label most, out (thesis 4.5.3).
 
 Under the printed rules one ambiguous solver takes a marker's label from all others, so solvers cannot be chosen one by one for what they
 know. Here they are chosen for what the matrix gives with them, on frames of the training with hidden markers.

@@ -54,8 +54,8 @@ class SearchSettings:
                          those of two points' motion are added
     screening_frames     frames on which every subset is evaluated
     evaluation_frames    frames on which a promising one is evaluated
-    validation_frames    frames at most on which the solvers finally chosen are evaluated once more. `FEWEST_VALIDATION_FRAMES`, or more where
-                         the target needs them: 3 / (1 - target) without a miss show it with 95 % confidence
+    validation_frames    frames at most on which the solvers finally chosen are evaluated once more. `FEWEST_VALIDATION_FRAMES`, or more
+                         where the target needs them: 3 / (1 - target) without a miss show it with 95 % confidence
     max_hidden           0 to so many markers are hidden in these frames (thesis 4.5.1)
     beam_width           subsets that a level keeps (bottom-up, top-down), or the population (genetic)
     max_markers          markers of the largest partial solver
@@ -72,7 +72,7 @@ class SearchSettings:
     min_gain             expected number of further markers per pattern, in sum over all patterns, below which the choice ends
     max_rate_drop        a solver whose rate falls by more than this on the validation frames is put back
     substitutes          solvers taken for a marker for which none reaches the target
-    search_target        hit rate up to which a miner searches on where the target is lower: what reaches only the target is found on the way
+    search_target        hit rate up to which a miner searches on where the target is lower: what reaches but the target is found too
     for_printed_matrix   whether solvers are chosen by what the printed matrix gives with them (`matrix_choice`), else by what each knows
     wrong_cost           false occlusions that a false assignment weighs in that choice, times the share that may be wrong
     large_subsets        subsets of each size above `max_markers` that are tried at random for the printed matrix
@@ -103,7 +103,8 @@ class SearchSettings:
 
 
 PRINTED_FEATURES = ("g1", "g2", "g3", "g4", "g5", "g6", "g7", "g8", "g9")
-"""What the thesis' solvers read, up to `features.MANY_MARKERS` markers: table 4.1. With the three of its full solver only half of the markers reach 0.9999 in six markers."""
+"""What the thesis' solvers read, up to `features.MANY_MARKERS` markers: table 4.1. With the three of its full solver, solvers that reach
+0.9999 on the gait recordings have eight markers instead of five, and two thirds of the nulls are visible markers instead of a third."""
 
 PRINTED = SearchSettings(
     widen=0.0,
