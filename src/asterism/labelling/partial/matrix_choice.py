@@ -33,7 +33,10 @@ class Matrix:
         self.cells: Points = np.zeros(hidden.shape, dtype=word_for(len(hidden)))
 
     def cost(self, cells: Points) -> float:
-        """False occlusions and weighed false assignments of a matrix, each the mean of the rates at 1, 2, ... hidden markers."""
+        """False occlusions and weighed false assignments of a matrix: the mean of the rates at 1, 2, ... hidden markers, over their squares.
+
+        Without these weights the choice gives up the frames with one hidden marker for those with five, where more labels are to be had.
+        """
         given, right = self.labels(cells)
         missed, labels, good = (~given & ~self.hidden).sum(axis=0), given.sum(axis=0), right.sum(axis=0)
         lost, made, kept, frames = (
@@ -42,7 +45,8 @@ class Matrix:
         numbers = np.nonzero(frames[1:])[0] + 1
         occlusions = lost[numbers] / (lost[numbers] + numbers * frames[numbers])
         assignments = (made[numbers] - kept[numbers]) / np.maximum(made[numbers], 1)
-        return float((occlusions + self.wrong_cost * assignments).sum() / max(len(numbers), 1))
+        weights = 1.0 / numbers**2.0
+        return float(weights @ (occlusions + self.wrong_cost * assignments) / max(weights.sum(), 1e-9))
 
     def labels(self, cells: Points) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Which markers get a label by the safe rules of section 4.5.4, and which the right one: (M, K) each."""
