@@ -16,6 +16,8 @@ from benchmarks.stale import StaleRow, command_of
 PAGE = Path(__file__).parents[1] / "docs" / "figures-all.md"
 KEY_PAGE = PAGE.with_name("figures.md")
 RECORDINGS = PAGE.with_name("recordings.md")
+CONFIDENCE = PAGE.with_name("confidence.md")
+CAMERAS = PAGE.with_name("cameras.md")
 README = PAGE.parent.with_name("README.md")
 
 DEFINITIONS = """- **right**: visible markers with their own point. **missed**: visible markers without a label. **FA**, false assignments:
@@ -208,6 +210,15 @@ SECTIONS = (
 )
 """Title, how its rows begin, and for a table in two directions what names the line and what the column."""
 
+RELIABILITY = {
+    "stated at 0.99 to 0.999": "0.99: stated",
+    "right at 0.99 to 0.999": "right",
+    "log score": "log score",
+    "log score less that of the best constant": "less that of the best constant",
+    "labels that can be given at 99.9 % right": "share at 99.9 %",
+}
+"""The columns of the table in `docs/confidence.md`: how a figure's row ends, and the column's name."""
+
 ABLATIONS = {
     "ablation, ": "Walks of people not seen. Partial solvers label frame by frame, without features of motion and with them; their three "
     "people are fewer than those of the other lines. From *frame only* on each line has all that the lines above it have. *right*: markers "
@@ -219,6 +230,11 @@ ABLATIONS = {
 """The sections that stand in `docs/recordings.md`, too: how their rows begin, and what is said before them."""
 
 _RESULTS_BEGIN, _RESULTS_END = "<!-- results: written by `python -m benchmarks docs`, do not edit -->", "<!-- end of results -->"
+_RELIABILITY_BEGIN, _RELIABILITY_END = (
+    "<!-- reliability: written by `python -m benchmarks docs`, do not edit -->",
+    "<!-- end of reliability -->",
+)
+_NUMBER_MARK = re.compile(r"<!-- row: (?P<row>.+?) -->.*?<!-- end -->")
 _BEGINS, _ENDS = "<!-- ablation: written by `python -m benchmarks docs`, do not edit -->", "<!-- end of ablation -->"
 
 
@@ -240,13 +256,13 @@ def key_text(entries: list[Entry], stale: Stale = ()) -> str:
     return "\n".join(parts)
 
 
-def text(entries: list[Entry], stale: Stale = (), durations: Sequence[runs.Run] = ()) -> str:
-    """The page of all figures."""
+def text(entries: list[Entry], stale: Stale = (), durations: Sequence[runs.Run] = (), never: Sequence[str] = ()) -> str:
+    """The page of all figures; `never`: the commands of rows that have none."""
     parts = [INTRODUCTION_OF_ALL]
     everything = judged(entries, stale)
     verdicts = [one.reached for one in everything if not one.stale]
     parts.append(f"{verdicts.count(True)} of {verdicts.count(True) + verdicts.count(False)} figures asked for are reached.\n")
-    parts += [_named_stale(everything), _durations(durations)]
+    parts += [_named_stale(everything), _named_never(never), _durations(durations)]
     for issue in dict.fromkeys(entry.issue for entry in entries):
         of_issue = [one for one in everything if one.entry.issue == issue]
         parts.append(f"## {issue}\n")
@@ -266,6 +282,15 @@ def text(entries: list[Entry], stale: Stale = (), durations: Sequence[runs.Run] 
 def stale_in(page: str) -> list[str]:
     """The commands that a page of all figures names as stale."""
     return re.findall(r"^- `(python -m benchmarks [^`]*)`, \d+ figures$", page, re.MULTILINE)
+
+
+def never_in(page: str) -> list[str]:
+    """The commands that a page of all figures names as those of rows without any figure."""
+    return re.findall(r"^- `(python -m benchmarks [^`]*)`$", page, re.MULTILINE)
+
+
+def _named_never(never: Sequence[str]) -> str:
+    return "\n".join(("Never measured:\n", *(f"- `{command}`" for command in never))) + "\n" if never else ""
 
 
 def _named_stale(everything: Sequence[Judged]) -> str:
@@ -305,6 +330,37 @@ def with_ablation(page: str, entries: list[Entry], stale: Stale = ()) -> str:
     return before + _BEGINS + "\n" + "".join(f"{part}\n" for part in tables) + _ENDS + after
 
 
+def with_reliability(page: str, entries: list[Entry], stale: Stale = ()) -> str:
+    """The page about confidence with its table as measured: a line for each model and way to label."""
+    lines: dict[str, dict[str, str]] = {}
+    for one in judged(entries, stale):
+        model, _, what = one.entry.row.removeprefix("reliability, ").rpartition(": ")
+        if one.entry.row.startswith("reliability, ") and what in RELIABILITY:
+            lines.setdefault(model, {})[what] = _number(one.entry) + " (stale)" * one.stale
+    head = [f"| people, how labelled | {' | '.join(RELIABILITY.values())} |", "|---" * (len(RELIABILITY) + 1) + "|"]
+    rows = [f"| {model} | {' | '.join(found.get(what, '') for what in RELIABILITY)} |" for model, found in lines.items()]
+    shown = "\n".join((*head, *rows)) if rows else "(`python -m benchmarks dirt --rows reliability` has not been run to its end yet.)"
+    before, rest = page.split(_RELIABILITY_BEGIN)
+    _, after = rest.split(_RELIABILITY_END)
+    return f"{before}{_RELIABILITY_BEGIN}\n{shown}\n{_RELIABILITY_END}{after}"
+
+
+def with_numbers(page: str, entries: list[Entry], stale: Stale = ()) -> str:
+    """A page with the numbers in its sentences as measured: each stands between marks that name its row.
+
+    Raises ValueError where a mark names no kept row.
+    """
+    values = {one.entry.row: one for one in judged(entries, stale)}
+
+    def number(match: re.Match[str]) -> str:
+        one = values.get(match["row"])
+        if one is None:
+            raise ValueError(f"no figure is kept of the row {match['row']!r}, which a page names")
+        return f"<!-- row: {match['row']} -->{_number(one.entry)}{' (stale)' * one.stale}<!-- end -->"
+
+    return _NUMBER_MARK.sub(number, page)
+
+
 def with_results(page: str, entries: list[Entry], stale: Stale = ()) -> str:
     """The README with its table of results as measured."""
     values = {one.entry.row: one for one in judged(entries, stale)}
@@ -328,12 +384,15 @@ def write(stale: Sequence[StaleRow]) -> None:
     from benchmarks import plots
 
     entries, commands = load(), {command_of(row.chapter, row.row) for row in stale}
+    never = [command_of(row.chapter, row.row) for row in stale if not row.figures]
     plots.write(entries)
     pages = {
-        PAGE: text(entries, commands, list(runs.load().values())),
+        PAGE: text(entries, commands, list(runs.load().values()), never),
         KEY_PAGE: key_text(entries, commands),
         RECORDINGS: with_ablation(RECORDINGS.read_text(encoding="utf-8"), entries, commands),
         README: with_results(README.read_text(encoding="utf-8"), entries, commands),
+        CONFIDENCE: with_reliability(CONFIDENCE.read_text(encoding="utf-8"), entries, commands),
+        CAMERAS: with_numbers(CAMERAS.read_text(encoding="utf-8"), entries, commands),
     }
     for page, content in pages.items():
         temporary = page.with_name(page.name + ".part")

@@ -10,11 +10,12 @@ import pytest
 import twins_audit as twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from models import BRIEF, training_with
 
 import asterism
 from asterism import AsterismError, Recording, SolverEnsemble, formats
 from asterism.cli import main
-from asterism.labelling import TrainingRules, audit, remove_errors
+from asterism.labelling import audit, remove_errors
 from asterism.labelling.audit import _kernels as kernels
 from asterism.labelling.body._score_kernels import best_pose, evidence
 from asterism.labelling.body._workspace_kernels import make_body_workspace
@@ -327,20 +328,18 @@ def test_the_command_leaves_with_0_where_nothing_is_wrong(folder, capsys):
     assert "bare.npz has no labelled point" in shown.err and "no error" not in shown.out
 
 
-def test_training_can_leave_the_damage_out(folder, tmp_path, capsys, monkeypatch):
+def test_training_can_leave_the_damage_out(folder, tmp_path, capsys):
     """Trained on damaged files with their damage left out: the model that learns what `remove_errors` leaves."""
-    quick = TrainingRules(trial_frames=20, folds=2)
-    plain = SolverEnsemble.fit
-    monkeypatch.setattr(SolverEnsemble, "fit", lambda recordings, **given: plain(recordings, **{**given, "miner": None, "training": quick}))
     words = ["--markers", "helen-hayes", "-o", str(tmp_path / "a.model"), "--leave-out-damaged", "--json", str(tmp_path / "a.json")]
-    assert main(["train", *files(folder, True), *words]) == 0
+    with training_with(BRIEF):
+        assert main(["train", *files(folder, True), *words]) == 0
     shown = capsys.readouterr()
     assert "damaged.c3d, frames 71 to 73: LTHI and LKNE exchanged" in shown.err and "learns without these samples" in shown.err
     assert len(json.loads((tmp_path / "a.json").read_text())["left_out"]) == 1
     recordings = [asterism.read(file, markers="helen-hayes") for file in files(folder, True)]
     kept = remove_errors(recordings, audit(recordings))
     marker_set = asterism.MarkerSet.load("helen-hayes")
-    plain(kept, miner=None, training=quick, marker_set=marker_set).save(tmp_path / "b.model")
+    SolverEnsemble.fit(kept, miner=None, training=BRIEF, marker_set=marker_set).save(tmp_path / "b.model")
     assert (tmp_path / "a.model").read_bytes()[-500:] == (tmp_path / "b.model").read_bytes()[-500:]
 
 

@@ -53,11 +53,24 @@ def test_pages_with_tables_are_up_to_date() -> None:
     page, key_page, recordings, readme = (
         (ROOT / name).read_text(encoding="utf-8") for name in ("docs/figures-all.md", "docs/figures.md", "docs/recordings.md", "README.md")
     )
-    stale = docs.stale_in(page)  # those that were when the page was written: it need not be written again after each change of the code
-    assert page == docs.text(entries, stale, list(runs.load().values())), "run `python -m benchmarks docs`"
+    never, stale = (
+        docs.never_in(page),
+        docs.stale_in(page),
+    )  # those that were when the page was written: it need not be written again after each change of the code
+    assert page == docs.text(entries, stale, list(runs.load().values()), never), "run `python -m benchmarks docs`"
     assert key_page == docs.key_text(entries, stale), "run `python -m benchmarks docs`"
+    for name, made in (("confidence", docs.with_reliability), ("cameras", docs.with_numbers)):
+        written = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+        assert written == made(written, entries, stale), "run `python -m benchmarks docs`"
     assert readme == docs.with_results(readme, entries, stale), "run `python -m benchmarks docs`"
     assert recordings == docs.with_ablation(recordings, entries, stale), "run `python -m benchmarks docs`"
+
+
+def test_every_row_of_the_benchmark_has_figures_or_is_named_as_one_without_and_every_figure_has_a_row() -> None:
+    rows = {f"python -m benchmarks {name} --rows {row}" for name, chapter in main.CHAPTERS.items() for row in chapter.ROWS}
+    measured = {entry.command for entry in figures.load()}
+    assert measured <= rows
+    assert set(docs.never_in((ROOT / "docs" / "figures-all.md").read_text(encoding="utf-8"))) == rows - measured
 
 
 def test_every_row_of_the_page_of_key_figures_has_been_measured() -> None:
@@ -66,6 +79,28 @@ def test_every_row_of_the_page_of_key_figures_has_been_measured() -> None:
     assert len(rows) == len(set(rows)) == 25
     assert [row for row in rows if row not in measured] == []
     assert all((ROOT / "docs" / re.search(r"\((.*)\)", plot)[1]).exists() for _, plot, _ in docs.KEY_SECTIONS)
+
+
+def test_numbers_in_sentences_are_those_of_their_rows() -> None:
+    entry = figures.Entry("issue", "a, b: right", "none", 0.5, "fraction", 100, "run", "2026-01-01")
+    page = "Of all <!-- row: a, b: right -->?<!-- end --> are right, and <!-- row: a, b: right -->3 %<!-- end --> again."
+    marked = "<!-- row: a, b: right -->50 %{}<!-- end -->"
+    for stale, note in (([], ""), (["run"], " (stale)")):
+        shown = marked.format(note)
+        assert docs.with_numbers(page, [entry], stale) == f"Of all {shown} are right, and {shown} again."
+    with pytest.raises(ValueError, match="a, b: right"):
+        docs.with_numbers(page, [])
+
+
+def test_the_table_of_reliability_has_a_line_for_each_model_and_way() -> None:
+    def entry(row: str, measured: float) -> figures.Entry:
+        return figures.Entry("issue", f"reliability, {row}", "none", measured, "fraction", 100, "run", "2026-01-01")
+
+    empty = docs.with_reliability(docs._RELIABILITY_BEGIN + docs._RELIABILITY_END, [])
+    assert "has not been run" in empty
+    rows = ("gait, ten taught, frame by frame: right at 0.99 to 0.999", "gait, ten taught, frame by frame: stated at 0.99 to 0.999")
+    full = docs.with_reliability(empty, [entry(row, measured) for row, measured in zip(rows, (0.5, 0.75), strict=True)])
+    assert "| gait, ten taught, frame by frame | 75 % | 50 % |  |  |  |" in full
 
 
 def test_the_ablation_stands_in_the_page_about_recordings_once_it_is_measured() -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from models import SHORT, training_with
 
 from asterism import formats
 from asterism.cli import _console, main
@@ -64,9 +65,10 @@ def folder(walks: list[Recording], tmp_path_factory: pytest.TempPathFactory) -> 
 
 @pytest.fixture(scope="module")
 def model(folder: Path) -> Path:
-    """What `asterism train` makes of the first four."""
+    """What `asterism train` makes of the first four, in short trials."""
     path = folder / "walks.model"
-    assert run("train", *(folder / f"walk-{i}.c3d" for i in range(4)), "-o", path, "--markers", MARKERS) == 0
+    with training_with(SHORT):
+        assert run("train", *(folder / f"walk-{i}.c3d" for i in range(4)), "-o", path, "--markers", MARKERS) == 0
     return path
 
 
@@ -228,7 +230,8 @@ def test_train_is_the_same_again(folder: Path, model: Path, tmp_path: Path) -> N
     again = tmp_path / "again.model"
     report = tmp_path / "train.json"
     files = [folder / f"walk-{i}.c3d" for i in range(4)]
-    assert run("train", *files, "-o", again, "--markers", MARKERS, "--json", report) == 0
+    with training_with(SHORT):
+        assert run("train", *files, "-o", again, "--markers", MARKERS, "--json", report) == 0
     assert again.read_bytes() == model.read_bytes()
     told = json.loads(report.read_text())
     assert len(told["markers"]) == 15 and len(told["subjects"]) == 4 and 200 <= told["frames"] <= 400

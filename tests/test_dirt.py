@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from models import trained
 
 import asterism
+from asterism.labelling import TrainingRules
 from asterism.recording import NULL, Clouds, Ints, Labelling, MarkerSet, Recording
 from asterism.simulation import Clutter, add_clutter, displace_marker, simulate_gaps_and_ghosts, simulate_walks
 
@@ -35,7 +36,7 @@ def walks() -> list[Recording]:
 
 @pytest.fixture(scope="module")
 def ensemble(walks: list[Recording]) -> asterism.SolverEnsemble:
-    return trained(walks[:4], miner=None)
+    return trained(walks[:4], miner=None, training=TrainingRules())
 
 
 def in_clutter(walk: Recording, clutter: Clutter, hidden: int, seed: int, number_tracks: bool = True) -> tuple[Clouds, Ints]:

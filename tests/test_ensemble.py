@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from models import trained
+from models import BRIEF, trained
 
 from asterism import AsterismError, Clouds, MarkerSet, Recording, SolverEnsemble
-from asterism.labelling.ensemble import TrainingRules
+from asterism.labelling import TrainingRules
 from asterism.labelling.partial.matrix import label_by_matrix
 from asterism.labelling.partial.solver import stack_frames
 from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, search_partial_solvers
 from asterism.simulation import simulate_occlusions, simulate_walks
 
 QUICK = {"miner": None, "training": TrainingRules(trial_frames=40, folds=5)}
-QUICKEST = {"miner": None, "training": TrainingRules(trial_frames=8, folds=2)}
+QUICKEST = {"miner": None, "training": BRIEF}
 rooms = settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 

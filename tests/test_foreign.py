@@ -9,7 +9,7 @@ import pytest
 from models import trained
 
 import asterism
-from asterism.labelling.whole.foreign import ForeignRules, distance_gains, distance_margins, forward_share
+from asterism.labelling.whole.foreign import ForeignConfidence, ForeignRules, distance_gains, distance_margins, forward_share
 from asterism.labelling.whole.verdict import RigidDistances, VerdictRules
 from asterism.recording import Recording
 from asterism.simulation import simulate_walks
@@ -63,6 +63,22 @@ def test_distances_favour_the_right_labels() -> None:
     exchanged[[2, 7]] = 7, 2
     lead = distance_margins(distance_gains(exchanged, tracks, 12, reference, RULES), exchanged, first, last)
     assert lead[2] < 0.0 and lead[7] < 0.0
+
+
+def test_a_label_of_a_foreign_recording_is_the_more_certain_the_more_speaks_for_it() -> None:
+    evidence = ForeignConfidence(np.array([2.0, 2.0, 2.0, 4.0, 4.0]), np.array([1.0, 1.0, 1.0, 1.0, 0.5]), False, RULES)
+    given = evidence.confidence(np.array([0.9, 0.999, 0.999, 0.999, 0.999]), np.array([0.0, 0.0, 2.0, 2.0, 2.0]))
+    assert (np.diff(given[:4]) > 0.0).all()
+    assert given[4] == 0.5
+    crowded = replace(evidence, crowded=True)
+    assert crowded.least_confidence > evidence.least_confidence
+
+
+def test_the_evidence_of_tracklets_is_that_of_their_points() -> None:
+    of_tracks = ForeignConfidence(np.array([1.0, 3.0]), np.array([0.5, 1.0]), False, RULES)
+    of_points = of_tracks.of_points(5, np.array([0, 2, 4]), np.array([1, 0, 1]))
+    np.testing.assert_array_equal(of_points.log_odds, [3.0, 2.0, 1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(of_points.limit, [1.0, 1.0, 0.5, 1.0, 1.0])
 
 
 def test_tracklets_of_other_times_are_no_rivals() -> None:

@@ -10,6 +10,7 @@ import snapshot
 from models import trained
 
 from asterism import formats
+from asterism.labelling import TrainingRules
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Recording
 from asterism.simulation import simulate_walks
@@ -76,7 +77,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def model(folder: Path) -> None:
     """walks.model, which the cases take: of the first three people."""
-    trained([formats.read(folder / f"walk-{i}.c3d", markers="helen-hayes") for i in range(3)], miner=None).save(folder / "walks.model")
+    trained([formats.read(folder / f"walk-{i}.c3d", markers="helen-hayes") for i in range(3)], miner=None, training=TrainingRules()).save(
+        folder / "walks.model"
+    )
 
 
 @pytest.mark.parametrize("name", CASES)

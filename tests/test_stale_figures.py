@@ -170,6 +170,9 @@ def test_a_stale_row_counts_as_neither_reached_nor_missed() -> None:
     assert "| b | >= 90 % | 50 % | stale | 7 |" in page and "| c | >= 90 % | 50 % | **no** | 7 |" in page
     assert "**99 %" not in page and page.count("| b |") == 1, "stale rows do not stand under those not reached"
     assert docs.stale_in(page) == [] and "- `old`, 2 figures" in page
+    gone, never = "python -m benchmarks chapter --rows gone", "python -m benchmarks chapter --rows new"
+    page = docs.text([replace(row, command=gone) for row in rows], {gone}, never=[never])
+    assert (docs.stale_in(page), docs.never_in(page)) == ([gone], [never])
     readme = docs._RESULTS_BEGIN + docs._RESULTS_END
     rows += [_entry(f"gaps, 3 hidden, key poses: {what}", "new", "h", measured=0.5) for what in ("right", "FA")]
     assert "| 3 | 99.00 % (stale) | 1.00 % | 50.00 % | 50.00 % |" in docs.with_results(readme, rows, {"old"})

@@ -64,6 +64,17 @@ def test_someone_unseen_is_labelled_live(walks, ensemble, hidden: int, ghosts: i
     assert shares[1] >= shares[0] - 0.002
 
 
+def test_a_stream_says_that_markers_are_placed_elsewhere_and_is_not_certain(walks, ensemble) -> None:
+    aside = np.random.default_rng(0).normal(0.0, 0.04, (1, len(walks[5].labels), 3))
+    own, other = (
+        run(ensemble.stream(100.0), Clouds.from_points(list(positions), 100.0))
+        for positions in (walks[5].positions, walks[5].positions + aside)
+    )
+    assert all(frame.fits for frame in own) and max(frame.confidence.max() for frame in own) >= 0.99
+    assert not any(frame.fits for frame in other[20:])
+    assert max(frame.confidence.max() for frame in other[20:]) < 0.99
+
+
 def test_no_point_is_two_markers_and_confidence_is_a_probability(walks, ensemble) -> None:
     clouds, _ = simulate_gaps_and_ghosts(walks[5], 2, 3, 0)
     for frame in run(ensemble.stream(100.0, 5), clouds):

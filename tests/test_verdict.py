@@ -78,6 +78,39 @@ def test_what_is_no_body_is_said_and_gets_no_label(ensemble: asterism.SolverEnse
     assert not time or (labelling.indices < 0).all()
 
 
+def test_single_frames_of_markers_placed_elsewhere_are_not_certain(ensemble: asterism.SolverEnsemble, walks: list[Recording]) -> None:
+    """Each frame by what it shows itself: half of the frames get the labels that all of them get."""
+    clouds = placed_elsewhere(walks[4]).clouds()
+    labelling, half = ensemble.label(clouds), ensemble.label(clouds.frames(np.arange(0, 120, 2)))
+    assert labelling.confidence.max() < 0.99
+    np.testing.assert_array_equal(labelling.confidence[::2], half.confidence)
+    assert (ensemble.label(walks[4].clouds()).confidence >= 0.99).mean() > 0.5
+
+
+def test_the_scatter_of_a_frame_is_that_of_its_distances_to_the_nearest_person() -> None:
+    rng = np.random.default_rng(9)
+    bodies = BODY + rng.normal(0.0, 0.03, (3, 20, 3))
+    reference = RigidDistances.of_training(np.repeat(bodies, 10, axis=0), np.repeat(np.arange(3), 10), 1.0, VerdictRules())
+    frames = np.concatenate([bodies, BODY + rng.normal(0.0, 0.05, (6, 20, 3))])
+    frames[rng.random((9, 20)) < 0.2] = np.nan
+    frames[8, 3:] = np.nan
+    distance = np.linalg.norm(frames[:, reference.first] - frames[:, reference.second], axis=2)
+    np.testing.assert_allclose(reference.scatters(frames), [reference.nearest(some)[0] for some in distance])
+    assert np.isnan(reference.scatters(frames)).tolist() == [False] * 8 + [True]
+
+
+def test_labels_of_a_frame_that_does_not_fit_are_not_certain_and_least_so_after_standing_trials() -> None:
+    standing = rigid_body()
+    assert not standing.moving
+    shares = np.array([0.2, 0.9, 1.0, 3.0, np.nan])
+    after_walks = replace(standing, moving=True).confidence_limits(standing.limit * shares)
+    after_standing = standing.confidence_limits(standing.limit * shares)
+    assert (after_walks[0] > 0.9999) and (after_walks[0] > after_walks[1] > 0.99 > after_walks[2])
+    assert after_walks[2] == after_walks[3]
+    assert after_standing[0] > 0.9999 and 0.99 > after_standing[1] > after_standing[2] > after_standing[3]
+    assert after_walks[4] == after_standing[4] == 1.0
+
+
 def test_many_markers_not_worn_are_another_marker_set() -> None:
     """Eight of twenty markers fit, and twelve points are something else."""
     positions = np.tile(BODY, (20, 1, 1))

@@ -123,8 +123,8 @@ def _trained(walks: Sequence[Recording], seed: int, show: Callable[[str], None])
     show(f"Training on {len(walks)} simulated walkers, {len(walks[0].labels)} markers ...")
     started = time.perf_counter()
     with _console.progress("training") as progress:
-        # a quick training: two groups left out in turn, and no partial solvers, which the whole-body rules do not use
-        rules, marker_set = TrainingRules(folds=2, trial_frames=60), MarkerSet.load(_MARKERS)
+        # a quick training: two groups left out in turn, few trials, and no partial solvers, which the whole-body rules do not use
+        rules, marker_set = TrainingRules(folds=2, trial_frames=20, stretches=1, stretch_frames=75), MarkerSet.load(_MARKERS)
         ensemble = SolverEnsemble.fit(walks, seed=seed, miner=None, marker_set=marker_set, training=rules, progress=progress)
     show(f"Trained in {time.perf_counter() - started:.0f} s. Labelling recordings of {_NEW_WALKERS} walkers that it has not seen ...")
     return ensemble

@@ -212,7 +212,7 @@ class SolverEnsemble:
             return self._label_by_votes(clouds, rules)
         rows, confidence, counters = self._best_labels(clouds, workers, progress)
         verdict = None
-        if self.rigid_distances is not None:  # each frame stands alone: what all of them say changes no label
+        if self.rigid_distances is not None:  # what all frames say changes no label; what each of them says has limited its own
             best = Labelling(rows, confidence, self.marker_set.names)
             verdict = judge(best.positions(clouds)[:, self.state.markers], clouds.counts, self.rigid_distances)
         indices = np.where(confidence >= self.least_confidence, rows, NULL)
@@ -242,6 +242,9 @@ class SolverEnsemble:
         else:
             without, with_left_over = state.calibrations
             confidence = np.where(left_over[:, None], with_left_over.confidence(margins), without.confidence(margins))
+        if self.rigid_distances is not None:
+            positions = Labelling(rows, confidence, tuple(self.marker_set.names[m] for m in state.markers)).positions(clouds)
+            confidence = np.minimum(confidence, self.rigid_distances.confidence_limits(self.rigid_distances.scatters(positions))[:, None])
         # a null has no margin of its own: the best free point's chance of being the marker, never above one half
         confidence = np.where(rows >= 0, confidence, 0.5 * np.exp(np.minimum(margins, 0.0)))
         return *self._in_marker_set(rows, confidence), counters
@@ -263,7 +266,13 @@ class SolverEnsemble:
 
         state = self.state
         model = StreamModel(
-            self.body_labeller, state.markers, len(self.marker_set), state.calibrations, self.least_confidence, state.body_rules
+            self.body_labeller,
+            state.markers,
+            len(self.marker_set),
+            state.calibrations,
+            self.least_confidence,
+            state.body_rules,
+            self.rigid_distances,
         )
         return Stream(model, rate, delay, vertical)
 

@@ -184,10 +184,8 @@ def _fit_pair(
     free = free_parameters(2, "pose", "focal", "k1")
     prior = priors(cameras, known, RULES.noise)
     prior[1][:, 6] = np.minimum(prior[1][:, 6], RULES.focal_spread * np.array([camera.focal[0] for camera in cameras]) / RULES.noise)
-    return adjust(
-        cameras, wand.template, sightings, rotations[kept], translations[kept],
-        free=free, prior=prior, settings=AdjustSettings(loss="cauchy", scale=RULES.loss_noises, tolerance=1e-4, steps=steps),
-    )  # fmt: skip
+    settings = AdjustSettings(loss="cauchy", scale=RULES.loss_noises, tolerance=1e-4, steps=steps, covariance=steps == RULES.fine_steps)
+    return adjust(cameras, wand.template, sightings, rotations[kept], translations[kept], free=free, prior=prior, settings=settings)
 
 
 def _placed(wand: Wand, points: Floats) -> tuple[Floats, Floats]:

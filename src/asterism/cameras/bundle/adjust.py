@@ -269,6 +269,7 @@ class _Problem:
         given = settings.relative_noise
         self.relative = np.ones(len(wanted)) if given is None else np.asarray(given, dtype=np.float64)
         self.unknowns = int(wanted.sum())
+        self.free = [np.nonzero(own)[0] for own in wanted]
         self.columns = np.where(wanted, np.cumsum(wanted.ravel()).reshape(wanted.shape) - 1, -1)
         self.expected = None if prior is None else prior[0]
         self.stiffness: Floats = np.zeros(wanted.shape) if prior is None else 1.0 / np.square(prior[1])
@@ -318,10 +319,14 @@ class _Problem:
         blocks, gradient, reduced, factors, shifted = out
         flat = reduced.reshape(frames * dof, self.unknowns)
         matrix = -(flat.T @ flat)
-        for c, own in enumerate(self.wanted):
-            at = self.columns[c, own]
-            block = blocks[c][np.ix_(own, own)] + np.diag(self.stiffness[c, own])
-            matrix[np.ix_(at, at)] += block + damping * np.diag(np.diag(block))
+        end = 0
+        for c, own in enumerate(self.free):
+            at = slice(end, end := end + len(own))
+            block = blocks[c][own[:, None], own]
+            diagonal = np.einsum("ii->i", block)  # a view
+            diagonal += self.stiffness[c, own]
+            diagonal += damping * diagonal
+            matrix[at, at] += block
         return _Normal(matrix, gradient - flat.T @ shifted.ravel(), reduced, factors, shifted)
 
 

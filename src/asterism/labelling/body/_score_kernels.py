@@ -15,53 +15,34 @@ MAX_DISTANCE = 0.6
 
 
 @kernel
-def _cholesky(matrix, column):
-    """Lower triangle of a symmetric positive definite matrix replaced by its Cholesky factor; returns log det. O(r^3 / 3)."""
+def _cholesky(matrix):
+    """Upper triangle of a symmetric positive definite matrix A replaced by U with U' U = A; returns log det A. O(r^3 / 3).
+
+    Four rows at a time, so that what is below them is read and written once for the four.
+    """
     n = len(matrix)
-    log_det = 0.0
-    for j in range(n):
-        pivot = math.sqrt(matrix[j, j])
-        log_det += 2.0 * math.log(pivot)
-        matrix[j, j] = pivot
-        for i in range(j + 1, n):
-            matrix[i, j] /= pivot
-            column[i] = matrix[i, j]
-        for i in range(j + 1, n):
-            weight = column[i]
-            for k in range(j + 1, i + 1):
-                matrix[i, k] -= weight * column[k]
-    return log_det
-
-
-@kernel
-def _inverse_of_factor(factor, inverse):
-    """OUT inverse (r, r) of factor factor'. O(r^3 / 2)."""
-    n = len(factor)
-    # the factor's inverse, row by row, into the lower triangle
-    for i in range(n):
-        inverse[i, : i + 1] = 0.0
-        for k in range(i):
-            weight = factor[i, k]
-            for j in range(k + 1):
-                inverse[i, j] -= weight * inverse[k, j]
-        inverse[i, i] = 1.0
-        for j in range(i + 1):
-            inverse[i, j] /= factor[i, i]
-    # its transpose times itself: sums over rows i >= max(a, b), which are overwritten last
-    for a in range(n):
-        for b in range(a + 1, n):
-            inverse[a, b] = 0.0
-        for i in range(a + 1, n):
-            weight = inverse[i, a]
-            for b in range(a + 1, i + 1):
-                inverse[a, b] += weight * inverse[i, b]
-        total = 0.0
-        for i in range(a, n):
-            total += inverse[i, a] * inverse[i, a]
-        inverse[a, a] = total
-    for a in range(n):
-        for b in range(a):
-            inverse[a, b] = inverse[b, a]
+    log_det, product = 0.0, 1.0
+    for first in range(0, n, 4):
+        end = min(first + 4, n)
+        for j in range(first, end):
+            for i in range(first, j):
+                weight = matrix[i, j]
+                for k in range(j, n):
+                    matrix[j, k] -= weight * matrix[i, k]
+            pivot = math.sqrt(matrix[j, j])
+            product *= pivot
+            if product > 1e100:
+                log_det += 2.0 * math.log(product)
+                product = 1.0
+            scale = 1.0 / pivot
+            matrix[j, j] = pivot
+            for k in range(j + 1, n):
+                matrix[j, k] *= scale
+        for i in range(end, n):  # only after four whole rows
+            a, b, c, d = matrix[first, i], matrix[first + 1, i], matrix[first + 2, i], matrix[first + 3, i]
+            for k in range(i, n):
+                matrix[i, k] -= a * matrix[first, k] + b * matrix[first + 1, k] + c * matrix[first + 2, k] + d * matrix[first + 3, k]
+    return log_det + 2.0 * math.log(product)
 
 
 @kernel
@@ -69,32 +50,32 @@ def evidence(body, k, points, point_of, settings, workspace):
     """How likely the labelled points are all together, under one key pose.
 
     IN   body BodyArrays; k key pose; points (n, 3); point_of (M,), -1 for none; settings FrameSettings
-    OUT  workspace.aligned, residual, moment, information (its Cholesky factor)
+    OUT  workspace.aligned, residual, information (the factor of its upper triangle), latent (the latents' mean times that factor)
     Markers flagged in workspace.outlier count with `settings.outlier_score` and say nothing of the body.
     Returns the labelling's score: log density of its points plus the rewards, in nats (0 is the empty labelling).
     O(M r^2 + r^3).
     """
     markers, latents = body.load.shape[1], body.load.shape[3]
+    information, latent, factor = workspace.flat_information, workspace.latent, workspace.information
     align_about_z(points, point_of, body.mean[k], workspace.all_markers, workspace.aligned)
-    workspace.moment[:] = 0.0
     counted = 0
     for m in range(markers):
         counted += point_of[m] >= 0 and not workspace.outlier[m]
-    if 2 * counted > markers:
-        for i in range(latents):
-            for j in range(latents):
-                workspace.information[i, j] = body.full[k, i, j]
+    most = 2 * counted > markers
+    latent[:] = 0.0
+    if most:
+        for i in range(latents * latents):
+            information[i] = body.full[k, i]
     else:
-        workspace.information[:] = 0.0
+        information[:] = 0.0
         for i in range(latents):
-            workspace.information[i, i] = 1.0
+            information[i * latents + i] = 1.0
     for m in range(markers):
         present = point_of[m] >= 0 and not workspace.outlier[m]
-        if present != (2 * counted > markers):
+        if present != most:
             sign = 1.0 if present else -1.0
-            for i in range(latents):
-                for j in range(i + 1):
-                    workspace.information[i, j] += sign * body.gram[k, m, i, j]
+            for i in range(latents * latents):
+                information[i] += sign * body.gram[k, m, i]
     score, squares, labelled = body.log_weight[k], 0.0, 0
     for m in range(markers):
         row = point_of[m]
@@ -106,12 +87,12 @@ def evidence(body, k, points, point_of, settings, workspace):
             continue
         for a in range(3):
             total = 0.0
-            for b in range(3):
+            for b in range(a + 1):
                 total += body.whiten[k, m, a, b] * (workspace.aligned[row, b] - body.mean[k, m, b])
             workspace.residual[m, a] = total
             squares += total * total
         for i in range(latents):
-            workspace.moment[i] += (
+            latent[i] += (
                 body.load[k, m, 0, i] * workspace.residual[m, 0]
                 + body.load[k, m, 1, i] * workspace.residual[m, 1]
                 + body.load[k, m, 2, i] * workspace.residual[m, 2]
@@ -119,116 +100,102 @@ def evidence(body, k, points, point_of, settings, workspace):
         score += body.log_scale[k, m] - 1.5 * LOG_2PI + settings.reward
     if labelled < len(points):
         score -= settings.first_ghost_cost
-    score -= 0.5 * _cholesky(workspace.information, workspace.latent)
+    score -= 0.5 * _cholesky(factor)
     quadratic = 0.0
     for i in range(latents):
-        total = workspace.moment[i]
-        for j in range(i):
-            total -= workspace.information[i, j] * workspace.latent[j]
-        workspace.latent[i] = total / workspace.information[i, i]
-        quadratic += workspace.latent[i] * workspace.latent[i]
+        latent[i] /= factor[i, i]
+        quadratic += latent[i] * latent[i]
+        for j in range(i + 1, latents):
+            latent[j] -= factor[i, j] * latent[i]
     return score + 0.5 * (quadratic - squares)
 
 
 @kernel
-def posterior(workspace):
-    """What the labelled points say of the latents, after `evidence`. OUT workspace.covariance, latent. O(r^3)."""
-    _inverse_of_factor(workspace.information, workspace.covariance)
-    latents = len(workspace.latent)
-    workspace.latent[:] = 0.0
-    for j in range(latents):
-        weight = workspace.moment[j]
-        for i in range(latents):
-            workspace.latent[i] += weight * workspace.covariance[j, i]
+def predict_markers(body, k, workspace):
+    """Where the labelled points predict every marker, after `evidence`, in whitened units.
+
+    OUT  workspace.centre, variance
+    O(M r^2).
+    """
+    latents, markers = len(workspace.latent), body.load.shape[1]
+    solved, factor, centre, variance = workspace.solved, workspace.information, workspace.centre, workspace.variance
+    centre[:] = 0.0
+    variance[:] = 0.0
+    # forward substitution of all markers' coordinates at once
+    for i in range(latents):
+        for c in range(3 * markers):
+            solved[i, c] = body.load_by_latent[k, i, c]
+    for first in range(0, latents, 4):
+        end = min(first + 4, latents)
+        for i in range(first, end):
+            for j in range(first, i):
+                share = factor[j, i]
+                for c in range(3 * markers):
+                    solved[i, c] -= share * solved[j, c]
+            scale, weight = 1.0 / factor[i, i], workspace.latent[i]
+            for c in range(3 * markers):
+                solved[i, c] *= scale
+                centre[c] += weight * solved[i, c]
+            for m in range(markers):
+                x, y, z = solved[i, m], solved[i, markers + m], solved[i, 2 * markers + m]
+                variance[0, m] += x * x
+                variance[1, m] += x * y
+                variance[2, m] += x * z
+                variance[3, m] += y * y
+                variance[4, m] += y * z
+                variance[5, m] += z * z
+        for j in range(end, latents):  # only after four whole rows
+            s0, s1, s2, s3 = factor[first, j], factor[first + 1, j], factor[first + 2, j], factor[first + 3, j]
+            for c in range(3 * markers):
+                solved[j, c] -= s0 * solved[first, c] + s1 * solved[first + 1, c] + s2 * solved[first + 2, c] + s3 * solved[first + 3, c]
 
 
 @kernel
 def leave_one_out_scores(body, k, point_of, settings, workspace):
-    """Score every point as every marker, given all other labelled points (leave one out), after `posterior`.
+    """Score every point as every marker, given all other labelled points (leave one out), after `predict_markers`.
 
     OUT workspace.scores (M, n): nats by which "point c is marker m" beats "m is hidden and c is a ghost"; -inf where far
-    O(M (r^2 + n)).
+    O(M n).
     """
-    markers, latents, n = body.load.shape[1], body.load.shape[3], len(workspace.aligned)
-    h, inverse = np.empty((3, 3)), np.empty((3, 3))
-    centre, shift = np.empty(3), np.empty(3)
+    markers, n = body.load.shape[1], len(workspace.aligned)
+    centre, variance, residual, aligned = workspace.centre, workspace.variance, workspace.residual, workspace.aligned
     for m in range(markers):
-        for a in range(3):
-            workspace.slope[a] = 0.0
-            for j in range(latents):
-                weight = body.load[k, m, a, j]
-                for i in range(latents):
-                    workspace.slope[a, i] += weight * workspace.covariance[j, i]
-        # nine sums side by side: one alone would wait for each of its additions
-        h00, h01, h02, h10, h11, h12, h20, h21, h22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        x, y, z = 0.0, 0.0, 0.0
-        for i in range(latents):
-            load_x, load_y, load_z = body.load[k, m, 0, i], body.load[k, m, 1, i], body.load[k, m, 2, i]
-            slope = workspace.slope[0, i]
-            h00 += slope * load_x
-            h01 += slope * load_y
-            h02 += slope * load_z
-            slope = workspace.slope[1, i]
-            h10 += slope * load_x
-            h11 += slope * load_y
-            h12 += slope * load_z
-            slope = workspace.slope[2, i]
-            h20 += slope * load_x
-            h21 += slope * load_y
-            h22 += slope * load_z
-            x += load_x * workspace.latent[i]
-            y += load_y * workspace.latent[i]
-            z += load_z * workspace.latent[i]
-        h[0, 0], h[0, 1], h[0, 2] = h00, h01, h02
-        h[1, 0], h[1, 1], h[1, 2] = h10, h11, h12
-        h[2, 0], h[2, 1], h[2, 2] = h20, h21, h22
-        centre[0], centre[1], centre[2] = x, y, z
+        centre_x, centre_y, centre_z = centre[m], centre[markers + m], centre[2 * markers + m]
         counts = point_of[m] >= 0 and not workspace.outlier[m]
         sign = -1.0 if counts else 1.0
-        for a in range(3):
-            for b in range(3):
-                h[a, b] = (1.0 if a == b else 0.0) + sign * h[a, b]
+        xx, xy, xz = 1.0 + sign * variance[0, m], sign * variance[1, m], sign * variance[2, m]
+        yy, yz, zz = 1.0 + sign * variance[3, m], sign * variance[4, m], 1.0 + sign * variance[5, m]
         # predictive covariance (whitened): I + h for a hidden marker; (I - h)^-1 leave-one-out for a labelled one
-        det, c00, c01, c02, c11, c12, c22 = cofactors(h[0, 0], h[0, 1], h[0, 2], h[1, 0], h[1, 1], h[1, 2], h[2, 0], h[2, 1], h[2, 2])
+        det, c00, c01, c02, c11, c12, c22 = cofactors(xx, xy, xz, xy, yy, yz, xz, yz, zz)
         det = max(det, 1e-9)
-        inverse[0, 0], inverse[0, 1], inverse[0, 2] = c00 / det, c01 / det, c02 / det
-        inverse[1, 0], inverse[1, 1], inverse[1, 2] = c01 / det, c11 / det, c12 / det
-        inverse[2, 0], inverse[2, 1], inverse[2, 2] = c02 / det, c12 / det, c22 / det
+        c00, c01, c02, c11, c12, c22 = c00 / det, c01 / det, c02 / det, c11 / det, c12 / det, c22 / det
         base = body.log_scale[k, m] - 1.5 * LOG_2PI + settings.reward
         if counts:
             # leave-one-out centre: e - (I - h)^-1 (e - centre)
             base += 0.5 * math.log(det)
-            for a in range(3):
-                shift[a] = workspace.residual[m, a]
-                for b in range(3):
-                    shift[a] -= inverse[a, b] * (workspace.residual[m, b] - centre[b])
-            q = h
+            ex, ey, ez = residual[m, 0] - centre_x, residual[m, 1] - centre_y, residual[m, 2] - centre_z
+            at_x = residual[m, 0] - (c00 * ex + c01 * ey + c02 * ez)
+            at_y = residual[m, 1] - (c01 * ex + c11 * ey + c12 * ez)
+            at_z = residual[m, 2] - (c02 * ex + c12 * ey + c22 * ez)
         else:
             base -= 0.5 * math.log(det)
-            for a in range(3):
-                shift[a] = centre[a]
-            q = inverse
-        at_x = body.mean[k, m, 0] + body.spread[k, m, 0, 0] * shift[0]
-        at_y = body.mean[k, m, 1] + body.spread[k, m, 1, 0] * shift[0] + body.spread[k, m, 1, 1] * shift[1]
-        at_z = body.mean[k, m, 2] + body.spread[k, m, 2, 0] * shift[0] + body.spread[k, m, 2, 1] * shift[1]
-        at_z += body.spread[k, m, 2, 2] * shift[2]
+            at_x, at_y, at_z = centre_x, centre_y, centre_z
+            xx, xy, xz, yy, yz, zz = c00, c01, c02, c11, c12, c22
+        spread, whiten = body.spread[k, m], body.whiten[k, m]
+        mean_x, mean_y, mean_z = body.mean[k, m, 0], body.mean[k, m, 1], body.mean[k, m, 2]
+        place_x = mean_x + spread[0, 0] * at_x
+        place_y = mean_y + spread[1, 0] * at_x + spread[1, 1] * at_y
+        place_z = mean_z + spread[2, 0] * at_x + spread[2, 1] * at_y + spread[2, 2] * at_z
         for c in range(n):
-            dx, dy, dz = workspace.aligned[c, 0] - at_x, workspace.aligned[c, 1] - at_y, workspace.aligned[c, 2] - at_z
+            dx, dy, dz = aligned[c, 0] - place_x, aligned[c, 1] - place_y, aligned[c, 2] - place_z
             near2 = dx * dx + dy * dy + dz * dz
             if near2 > MAX_DISTANCE * MAX_DISTANCE:
                 workspace.scores[m, c] = -np.inf
                 continue
-            dx = workspace.aligned[c, 0] - body.mean[k, m, 0]
-            dy = workspace.aligned[c, 1] - body.mean[k, m, 1]
-            dz = workspace.aligned[c, 2] - body.mean[k, m, 2]
-            x = body.whiten[k, m, 0, 0] * dx + body.whiten[k, m, 0, 1] * dy + body.whiten[k, m, 0, 2] * dz - shift[0]
-            y = body.whiten[k, m, 1, 0] * dx + body.whiten[k, m, 1, 1] * dy + body.whiten[k, m, 1, 2] * dz - shift[1]
-            z = body.whiten[k, m, 2, 0] * dx + body.whiten[k, m, 2, 1] * dy + body.whiten[k, m, 2, 2] * dz - shift[2]
-            score = base - 0.5 * (
-                x * (q[0, 0] * x + q[0, 1] * y + q[0, 2] * z)
-                + y * (q[1, 0] * x + q[1, 1] * y + q[1, 2] * z)
-                + z * (q[2, 0] * x + q[2, 1] * y + q[2, 2] * z)
-            )
+            x = whiten[0, 0] * dx
+            y = whiten[1, 0] * dx + whiten[1, 1] * dy
+            z = whiten[2, 0] * dx + whiten[2, 1] * dy + whiten[2, 2] * dz
+            score = base - 0.5 * (x * (xx * x + 2.0 * (xy * y + xz * z)) + y * (yy * y + 2.0 * yz * z) + zz * z * z)
             if score < settings.outlier_score and near2 < settings.outlier_radius * settings.outlier_radius:
                 score = settings.outlier_score
             workspace.scores[m, c] = score
@@ -257,7 +224,7 @@ def rescore(body, k, points, point_of, settings, workspace):
     OUT  workspace.scores, workspace.outlier. Returns the labelling's score in nats. O(M (r^2 + n) + r^3).
     """
     score = evidence(body, k, points, point_of, settings, workspace)
-    posterior(workspace)
+    predict_markers(body, k, workspace)
     leave_one_out_scores(body, k, point_of, settings, workspace)
     changed = False
     for m in range(len(point_of)):
@@ -267,6 +234,6 @@ def rescore(body, k, points, point_of, settings, workspace):
             changed = True
     if changed:
         score = evidence(body, k, points, point_of, settings, workspace)
-        posterior(workspace)
+        predict_markers(body, k, workspace)
         leave_one_out_scores(body, k, point_of, settings, workspace)
     return score

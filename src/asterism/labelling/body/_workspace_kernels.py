@@ -22,8 +22,9 @@ class BodyArrays(NamedTuple):
     mean        (K, M, 3) m, the mean body
     whiten      (K, M, 3, 3) takes a residual in m to unit variance
     load        (K, M, 3, r) whitened displacement per unit of each latent
-    gram        (K, M, r, r) load' load
-    full        (K, r, r) identity plus the sum of gram over all markers
+    load_by_latent (K, r, 3 M) the same, latent by latent: the x of all markers, then y, then z
+    gram        (K, M, r r) load' load, flat
+    full        (K, r r) identity plus the sum of gram over all markers
     spread      (K, M, 3, 3) inverse of whiten
     log_scale   (K, M) log |det whiten|
     log_weight  (K,) log share of the training frames
@@ -32,6 +33,7 @@ class BodyArrays(NamedTuple):
     mean: np.ndarray
     whiten: np.ndarray
     load: np.ndarray
+    load_by_latent: np.ndarray
     gram: np.ndarray
     full: np.ndarray
     spread: np.ndarray
@@ -43,16 +45,16 @@ class AnchorArrays(NamedTuple):
     """What follows for the whole body once an anchor's three markers are known; A anchors.
 
     markers       (A, 3)
-    precision     (K, A, 9, 9) 1/m2, inverse covariance of the anchor's own points
+    precision_factor (K, A, 9, 9) 1/m, upper triangle U, U' U = the inverse covariance of the anchor's own points
     log_peak      (K, A) log density at the anchor's mean, with the key pose's weight
-    gain          (K, A, M, 3, 9) prediction of every marker per displacement of the anchor's points
+    gain          (K, A, 9, 3 M) prediction of all markers per displacement of the anchor's points: x of all, then y, then z
     whiten        (K, A, M, 3, 3) takes a prediction's residual to unit variance
     log_scale     (K, A, M) log |det whiten|
     max_variance  (K, A, M) m2, trace of a prediction's covariance
     """
 
     markers: np.ndarray
-    precision: np.ndarray
+    precision_factor: np.ndarray
     log_peak: np.ndarray
     gain: np.ndarray
     whiten: np.ndarray
@@ -111,11 +113,12 @@ class BodyWorkspace(NamedTuple):
 
     aligned      (n, 3) m, the points placed onto the mean body
     residual     (M, 3) whitened residuals of the labelled points
-    information  (r, r) posterior precision of the latents, or its Cholesky factor
-    covariance   (r, r) posterior covariance of the latents
-    moment       (r,) load' residual, summed over the labelled markers
-    latent       (r,) posterior mean of the latents
-    slope        (3, r) one marker's load times the covariance
+    information  (r, r) posterior precision of the latents, in its upper triangle, or the Cholesky factor U there, U' U = precision
+    flat_information (r r,) the same memory, flat
+    latent       (r,) U times the posterior mean of the latents
+    solved       (r, 3 M) U'^-1 times `load_by_latent`
+    centre       (3 M,) whitened displacement of the markers that the labelled points predict: x of all, then y, then z
+    variance     (6, M) its covariance, as far as the latents cause it: xx, xy, xz, yy, yz, zz
     outlier      (M,) bool, labelled markers that lie too far from where the others predict them
     scores       (M, n) nats, every point as every marker
     all_markers  (M,) 0, 1, ..., M - 1
@@ -125,10 +128,11 @@ class BodyWorkspace(NamedTuple):
     aligned: np.ndarray
     residual: np.ndarray
     information: np.ndarray
-    covariance: np.ndarray
-    moment: np.ndarray
+    flat_information: np.ndarray
     latent: np.ndarray
-    slope: np.ndarray
+    solved: np.ndarray
+    centre: np.ndarray
+    variance: np.ndarray
     outlier: np.ndarray
     scores: np.ndarray
     all_markers: np.ndarray
@@ -137,15 +141,17 @@ class BodyWorkspace(NamedTuple):
 
 @kernel
 def make_body_workspace(n, markers, latents):
-    """Working arrays for frames of n points. Returns BodyWorkspace. O(M n + r^2) memory."""
+    """Working arrays for frames of n points. Returns BodyWorkspace. O(M n + M r + r^2) memory."""
+    information = np.empty((latents, latents))
     return BodyWorkspace(
         np.empty((n, 3)),
         np.empty((markers, 3)),
-        np.empty((latents, latents)),
-        np.empty((latents, latents)),
+        information,
+        information.reshape(latents * latents),
         np.empty(latents),
-        np.empty(latents),
-        np.empty((3, latents)),
+        np.empty((latents, 3 * markers)),
+        np.empty(3 * markers),
+        np.empty((6, markers)),
         np.zeros(markers, dtype=np.bool_),
         np.empty((markers, n)),
         np.arange(markers),

@@ -88,7 +88,9 @@ class Anchors:
             log_peak = body.log_weight[k] - 0.5 * np.linalg.slogdet(of_anchor)[1] - 4.5 * LOG_2PI
             log_scale = -np.log(np.diagonal(lower, axis1=2, axis2=3)).sum(axis=2)
             widest = np.trace(spread, axis1=2, axis2=3)
-            parts.append((precision, log_peak, gain, np.linalg.inv(lower), log_scale, widest))
+            factor = np.linalg.cholesky(precision).transpose(0, 2, 1)
+            by_displacement = gain.transpose(0, 3, 2, 1).reshape(count, 9, -1)
+            parts.append((factor, log_peak, by_displacement, np.linalg.inv(lower), log_scale, widest))
         return AnchorArrays(np.ascontiguousarray(self.triples), *(np.stack(part) for part in zip(*parts, strict=True)))
 
 

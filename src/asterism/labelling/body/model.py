@@ -81,10 +81,11 @@ class BodyModel:
         lower = np.linalg.cholesky(self.noise)
         whiten = np.linalg.inv(lower)
         load = whiten @ self.load
-        gram = np.einsum("kmai,kmaj->kmij", load, load)
+        gram = np.einsum("kmai,kmaj->kmij", load, load).reshape(*load.shape[:2], -1)
         log_scale = -np.log(np.diagonal(lower, axis1=2, axis2=3)).sum(axis=2)
-        full = np.eye(load.shape[3]) + gram.sum(axis=1)
-        return BodyArrays(self.mean, whiten, load, gram, full, lower, log_scale, self.log_weight)
+        full = np.eye(load.shape[3]).ravel() + gram.sum(axis=1)
+        by_latent = np.ascontiguousarray(load.transpose(0, 3, 2, 1)).reshape(len(load), load.shape[3], -1)
+        return BodyArrays(self.mean, whiten, load, by_latent, gram, full, lower, log_scale, self.log_weight)
 
     def covariance(self, pose: int) -> Floats:
         """(3M, 3M) m2, of the placed body in one key pose."""

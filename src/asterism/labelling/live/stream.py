@@ -26,7 +26,9 @@ from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyRules
 from asterism.labelling.live.body import LiveBody, LiveRules
 from asterism.labelling.live.tracks import TrackEvidence
+from asterism.labelling.live.verdict import LiveVerdict, LiveVerdictRules
 from asterism.labelling.training.calibration import Calibration
+from asterism.labelling.whole.verdict import RigidDistances
 from asterism.recording import NULL, Floats, Ints, as_vertical
 from asterism.tracking.linking import LinkRules
 
@@ -74,6 +76,7 @@ class StreamModel:
     calibrations      confidence of frames without and with points left over
     least_confidence  labels below this confidence are not given
     body_rules        how the body model was learned
+    distances         near-rigid distances of the training, by which the stream is judged; None where the model keeps no sample of it
     """
 
     labeller: BodyLabeller
@@ -82,6 +85,7 @@ class StreamModel:
     calibrations: tuple[Calibration, Calibration]
     least_confidence: float
     body_rules: BodyRules
+    distances: RigidDistances | None = None
 
 
 @dataclass(frozen=True)
@@ -91,11 +95,13 @@ class FrameLabels:
     frame       how many frames were pushed before it
     indices     (M,) int, each marker's place in the pushed points, -1 for none
     confidence  (M,) in [0, 1]: the probability that this entry is right; for -1, that of the best candidate that was not given
+    fits        whether the last seconds show what the model was trained on; where they do not, no label is more certain than 0.99
     """
 
     frame: int
     indices: Ints
     confidence: Floats
+    fits: bool = True
 
 
 @dataclass(frozen=True)
@@ -150,6 +156,7 @@ class Stream:
         self._independent = 1.0 / (self._rules.independent_after * self.rate)
         labeller = model.labeller
         self._live = None if labeller.model.within is None else LiveBody(labeller.model, model.body_rules, self.rate, LiveRules())
+        self._verdict = None if model.distances is None else LiveVerdict(model.distances, self.rate, LiveVerdictRules())
         labellings = int(np.clip(self._rules.search_effort // len(model.markers), 4, MAX_LABELLINGS))
         self._candidates = make_candidates(labellings, len(model.markers))
         self._restart()
@@ -175,6 +182,8 @@ class Stream:
         self._body: BodyArrays = self._model.labeller.body
         if self._live is not None:
             self._live.restart()
+        if self._verdict is not None:
+            self._verdict.restart()
 
     def push(self, points: ArrayLike) -> FrameLabels | None:
         """Take the next frame's points; give the labels of the frame `delay` pushes ago, None where there is none yet.
@@ -227,6 +236,8 @@ class Stream:
         chosen, self._lead = self._contest(frame, carried, challenge, lead)
         if chosen.labelled < 3:
             return
+        if self._verdict is not None:
+            self._verdict.add(np.where((chosen.point_of >= 0)[:, None], xyz[chosen.point_of], np.nan))
         rescore(self._body, chosen.pose, xyz, chosen.point_of, settings, frame.workspace)
         self._tracks.add(np.clip(frame.workspace.scores.T, -self._rules.max_score, self._rules.max_score))
         if self._live is not None and not is_young and self._live.needs(self._pushed):
@@ -326,14 +337,17 @@ class Stream:
         left[point_of[given]] = False
         lasts, may_be_marker = self._lasting(waiting.rows)
         near_ghost = (left & may_be_marker).any() | (left.any() & ~lasts[point_of])
-        chance = np.where(given, self._confidence(margins, near_ghost), 0.5 * np.exp(np.minimum(margins, 0.0)))
+        certainty = self._confidence(margins, near_ghost)
+        if self._verdict is not None:
+            certainty = np.minimum(certainty, self._verdict.limit)
+        chance = np.where(given, certainty, 0.5 * np.exp(np.minimum(margins, 0.0)))
         kept = given & (chance >= model.least_confidence)
         indices, confidence = np.full(model.names, NULL, dtype=np.int64), np.zeros(model.names)
         indices[model.markers[kept]] = waiting.place[point_of[kept]]
         confidence[model.markers] = chance
         ended = np.setdiff1d(waiting.rows, self._tracks.current, assume_unique=True)
         self._tracks.release(ended, (frame.rows for frame in self._waiting))
-        return FrameLabels(waiting.frame, indices, confidence)
+        return FrameLabels(waiting.frame, indices, confidence, self._verdict is None or self._verdict.fits)
 
     def _margins(self, rows: Ints, scores: Floats, point_of: Ints) -> Floats:
         """`_margins` of a labelling of the tracks in these rows; a track that lasts has no rivals among those that flicker."""

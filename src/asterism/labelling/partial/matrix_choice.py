@@ -33,7 +33,7 @@ class Matrix:
         self.cells: Points = np.zeros(hidden.shape, dtype=word_for(len(hidden)))
 
     def cost(self, cells: Points) -> float:
-        """False occlusions and weighed false assignments of a matrix: the mean of the rates at 1, 2, ... hidden markers, over their squares.
+        """False occlusions and weighed false assignments of a matrix: the mean of the rates at h hidden markers, weighed by 1 / h^2.
 
         Without these weights the choice gives up the frames with one hidden marker for those with five, where more labels are to be had.
         """

@@ -200,3 +200,34 @@ def _median_and_std(values, n):
     """The median of the first n values, and the standard deviation that follows from their median distance to it. O(n)."""
     median = np.median(values[:n])
     return median, 1.4826 * np.median(np.abs(values[:n] - median))
+
+
+@kernel
+def frame_scatters(distance, log_reference, softness, min_pairs, out):
+    """How far the distances of each frame are off the reference that is the nearest to them, sizes of bodies set aside.
+
+    Robust standard deviation of the log ratios about their median. A distance d counts for 1 / sqrt(1 + (softness / d)^2).
+    IN  distance (T, N) m, NaN where not known; log_reference (R, N) logs of the references' distances, NaN where not known
+    OUT out (T,) NaN where fewer than `min_pairs` distances can be compared
+    O(T R N log N). Twin: `RigidDistances.nearest`, frame by frame.
+    """
+    frames, pairs = distance.shape
+    ratio, weight = np.empty(pairs), np.empty(pairs)
+    for t in range(frames):
+        out[t] = np.nan
+        for r in range(len(log_reference)):
+            known = 0
+            for i in range(pairs):
+                value = np.log(distance[t, i]) - log_reference[r, i]
+                if not np.isnan(value):
+                    ratio[known] = value
+                    weight[known] = 1.0 / np.sqrt(1.0 + (softness / distance[t, i]) ** 2)
+                    known += 1
+            if known < min_pairs:
+                continue
+            middle = np.median(ratio[:known])
+            for i in range(known):
+                ratio[i] = abs(ratio[i] - middle) * weight[i]
+            scatter = 1.4826 * np.median(ratio[:known])
+            if np.isnan(out[t]) or scatter < out[t]:
+                out[t] = scatter

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
-from scipy.special import gammaln
+from scipy.special import expit, gammaln, logit
 
 from asterism.labelling.body.model import BodyModel
 from asterism.labelling.whole.joint import SceneLabelling
@@ -51,14 +51,17 @@ class ForeignRules:
     partners         distances of a marker that count as independent, at most
     scale            nats of evidence between two whole labellings that make the odds e to 1
     crowded          points left over, as a share of the markers, from which a recording is crowded
-    log_odds         log odds that a label of a foreign recording is right, without a margin, and in a crowded one: a logistic regression
-    by_margin        what each nat of the label's margin adds, counted within `margins`
-    by_distance      what each nat adds by which its distances beat the best exchange, counted within `distances`; and in a crowded one
+    log_odds         log odds that a label of a foreign recording is right: a logistic regression on clinical-lower and pig39, of each label
+    by_lead          what 4 nats add by which its distances beat the best exchange, counted within `leads`
     by_deviation     what each standard deviation takes away by which the distances of a tracklet differ from its marker's elsewhere in the
                      recording, beyond `max_deviation`
     max_deviation    see above
-    margins          see above
-    distances        see above
+    leads            see above
+    by_fit           what 2 nats of the tracklet's fit add, counted within `fits`
+    fits             see above
+    by_certainty     what each 2 log odds add that the label has where recordings fit
+    by_surplus       what e^2 points take away that are left over in a usual frame
+    least_confidence labels of a foreign recording below this are taken back; and where points are left over
     """
 
     headings: int = 8
@@ -82,25 +85,58 @@ class ForeignRules:
     partners: int = 3
     scale: float = 5.0
     crowded: float = 0.25
-    log_odds: tuple[float, float] = (3.0, 0.3)
-    by_margin: float = 0.1
-    by_distance: tuple[float, float] = (0.2, 0.4)
-    by_deviation: float = 2.0
+    log_odds: float = 3.1
+    by_lead: float = 2.23
+    by_deviation: float = 0.29
     max_deviation: float = 1.5
-    margins: tuple[float, float] = (-15.0, 30.0)
-    distances: tuple[float, float] = (-6.0, 12.0)
+    leads: tuple[float, float] = (-6.0, 12.0)
+    by_fit: float = 0.73
+    fits: tuple[float, float] = (-8.0, 2.0)
+    by_certainty: float = 0.61
+    by_surplus: float = 2.35
+    least_confidence: tuple[float, float] = (0.9, 0.95)
+
+
+@dataclass(frozen=True)
+class ForeignConfidence:
+    """How certain the labels of n tracklets, or points, of a foreign recording may be.
+
+    log_odds  (n,) that a label is right by its distances, see `ForeignRules`
+    limit     (n,) what no label may be more certain than, as another labelling of the whole recording is nearly as good
+    crowded   whether points are left over in a usual frame
+    rules     weights
+    """
+
+    log_odds: Floats
+    limit: Floats
+    crowded: bool
+    rules: ForeignRules
+
+    def confidence(self, certainty: Floats, fit: Floats) -> Floats:
+        """The probability that labels are right (n,): certainty that they would have where recordings fit; fit in nats."""
+        rules = self.rules
+        by_fit = rules.by_fit * np.clip(fit, *rules.fits) / 2.0
+        by_certainty = rules.by_certainty * logit(np.clip(certainty, 0.001, 0.999)) / 2.0
+        return np.minimum(self.limit, expit(self.log_odds + by_fit + by_certainty))
+
+    @property
+    def least_confidence(self) -> float:
+        """Labels below this are taken back."""
+        return self.rules.least_confidence[self.crowded]
+
+    def of_points(self, points: int, long: Ints, track: Ints) -> ForeignConfidence:
+        """That of P points from that of tracklets; long: the points of tracklets, track: theirs. Others have no lead and no rival."""
+        log_odds, limit = np.full(points, float(np.median(self.log_odds))), np.ones(points)
+        log_odds[long], limit[long] = self.log_odds[track], self.limit[track]
+        return ForeignConfidence(log_odds, limit, self.crowded, self.rules)
 
 
 @dataclass(frozen=True)
 class ForeignLabels:
-    """A foreign recording labelled again.
-
-    found  the labels of the tracklets
-    limit  (J,) what no label of a tracklet may be more certain than
-    """
+    """A foreign recording labelled again: the labels of its tracklets, and how certain they may be."""
 
     found: SceneLabelling
-    limit: Floats
+    confidence: ForeignConfidence
 
 
 def label_foreign(
@@ -128,12 +164,13 @@ def label_foreign(
     scores = rules.body_weight * np.array([one.total for one in labelled]) + weight * distances[:, 0] + rules.forward * forward
     scores[0] += rules.prior[crowded]
     best = int(np.argmax(scores))
-    limit = _limit_by_distances(labelled[best], tracks, markers, reference, crowded, rules)
+    limit = np.ones(len(labelled[best].label))
     for one, score in zip(labelled, scores, strict=True):
         differs = one.label != labelled[best].label
         if differs.mean() > 1.0 - rules.same:
             limit[differs] = np.minimum(limit[differs], _odds(scores[best] - score, rules.scale))
-    return ForeignLabels(labelled[best], limit)
+    log_odds, surplus = label_evidence(labelled[best], tracks, markers, reference, rules)
+    return ForeignLabels(labelled[best], ForeignConfidence(log_odds, limit, surplus >= 1.0, rules))
 
 
 def _odds(nats: float | Floats, scale: float) -> Floats:
@@ -290,24 +327,29 @@ def forward_share(positions: Floats, seconds: Floats, sides: Sequence[tuple[int,
     return float(((forward[:-step] * velocity).sum(axis=1) / np.maximum(speed, 1e-9)).mean())
 
 
-def _crowded(found: SceneLabelling, markers: int, rules: ForeignRules) -> bool:
-    """Whether a usual frame has many points without a label."""
+def _surplus(found: SceneLabelling) -> float:
+    """Points without a label in a usual frame."""
     scene = found.scene
     left_over = np.bincount(scene.sampled_frame, found.label[scene.sampled_track] == NULL, len(scene.sampled_frames))
-    return bool(np.median(left_over) >= rules.crowded * markers)
+    return float(np.median(left_over))
 
 
-def _limit_by_distances(
-    found: SceneLabelling, tracks: Floats, markers: int, reference: RigidDistances, crowded: bool, rules: ForeignRules
-) -> Floats:
-    """What the labels of tracklets (J,) may be as certain as, by their margins and their distances against those of another marker."""
+def _crowded(found: SceneLabelling, markers: int, rules: ForeignRules) -> bool:
+    """Whether a usual frame has many points without a label."""
+    return _surplus(found) >= rules.crowded * markers
+
+
+def label_evidence(
+    found: SceneLabelling, tracks: Floats, markers: int, reference: RigidDistances, rules: ForeignRules
+) -> tuple[Floats, float]:
+    """Log odds (J,) that labels are right: their distances against those of another marker, and what is left over; and how much that is."""
     gain = distance_gains(found.label, tracks, markers, reference, rules)
     lead = distance_margins(gain, found.label, found.scene.first, found.scene.last)
-    by_margin = rules.by_margin * np.clip(found.margin, *rules.margins)
-    by_distance = rules.by_distance[crowded] * np.clip(lead, *rules.distances)
+    by_lead = rules.by_lead * np.clip(lead, *rules.leads) / 4.0
     deviation = own_deviations(found.scene, found.label, np.array([0, markers]), RecordingLabellingSettings())
-    by_deviation = rules.by_deviation * np.clip(deviation - rules.max_deviation, 0.0, None)
-    return _odds(rules.log_odds[crowded] + by_margin + by_distance - by_deviation, 1.0)
+    by_deviation = rules.by_deviation * np.clip(deviation - rules.max_deviation, 0.0, 4.0)
+    surplus = _surplus(found)
+    return rules.log_odds + by_lead - by_deviation - rules.by_surplus * float(np.log1p(surplus)) / 2.0, surplus
 
 
 def distance_gains(label: Ints, tracks: Floats, markers: int, reference: RigidDistances, rules: ForeignRules) -> Floats:

@@ -25,7 +25,7 @@ from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enou
 from asterism.labelling.whole._kernels import margins_of, overlaps, rivals_weight, sum_scores
 from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.bodies import find_bodies, follow_bodies, votes_of_bodies
-from asterism.labelling.whole.plausibility import ghost_penalty, off_training_distances
+from asterism.labelling.whole.plausibility import TrainingDeviations, compare_with_training, ghost_penalty
 from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, score_scene
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints
@@ -45,6 +45,8 @@ class SceneLabelling:
     rival   (J,) the second best column
     bodies  the models as adapted to the subjects
     total   nats, the total gain of the labels
+    off     by body, how far the labels' distances are off the training's
+    by_body (J,) nats, the margin before labels whose distances are off lost theirs
     stages  labels (J,) after each stage, by name
     """
 
@@ -54,6 +56,8 @@ class SceneLabelling:
     rival: Ints
     bodies: list[BodyModel]
     total: float
+    off: list[TrainingDeviations]
+    by_body: Floats
     stages: dict[str, Ints] = field(default_factory=dict)
 
 
@@ -95,11 +99,14 @@ def label_scene(
         state, bodies = trial, adapted
         stages[f"adapted {turn + 1}"] = state.label
     report(1.0, "labelled")
-    margin = state.margin - ghost_penalty(labellers, scene, state.label, rules)
+    by_body = state.margin - ghost_penalty(labellers, scene, state.label, rules)
+    margin, off = by_body.copy(), []
     for number, (labeller, body) in enumerate(zip(labellers, bodies, strict=True)):
-        doubtful = off_training_distances(labeller, body, scene, labels_of_body(state.label, offsets, number), rules, body_rules)
+        own = labels_of_body(state.label, offsets, number)
+        off.append(compare_with_training(labeller, body, scene, own, rules, body_rules))
+        doubtful = (own != NULL) & off[-1].are_off(rules)
         margin[doubtful] = np.minimum(margin[doubtful], -rules.no_adapt_margin)
-    return SceneLabelling(scene, state.label, margin, state.rival, bodies, state.total, stages)
+    return SceneLabelling(scene, state.label, margin, state.rival, bodies, state.total, off, by_body, stages)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from asterism.labelling.whole._kernels import FrameScores, score_frames
 from asterism.labelling.whole.bodies import check_single_body
 from asterism.labelling.whole.certainty import Certainty, overlaps_unlabelled
 from asterism.labelling.whole.fits import point_fits
-from asterism.labelling.whole.foreign import ForeignRules, forward_travel, label_foreign
+from asterism.labelling.whole.foreign import ForeignConfidence, ForeignLabels, ForeignRules, forward_travel, label_foreign
 from asterism.labelling.whole.joint import SceneLabelling, label_scene
 from asterism.labelling.whole.scene import RecordingLabellingSettings, labels_of_body, marker_offsets, prepare_scene
 from asterism.labelling.whole.short import frames_with_bodies, label_short_points, long_points, tracklets_of
@@ -62,7 +62,7 @@ class PointLabels:
     left_over   (P,) 1 where a point without a label was there at some time of the point's tracklet (in its frame, where `alone`), else 0
     fit         (P,) nats, how well the tracklets of labelled points (the points, where `alone`) lie where the others predict them, see
                 `point_fits`
-    limit       (P,) what no label of a point may be more certain than
+    foreign     how certain labels may be in a recording that is foreign to its model; None otherwise
     alone       (P,) whether the label is one of a frame that was labelled by itself
     found       the labels of the long tracklets
     """
@@ -72,7 +72,7 @@ class PointLabels:
     rival: Ints
     left_over: Ints
     fit: Floats
-    limit: Floats
+    foreign: ForeignConfidence | None
     alone: NDArray[np.bool_]
     found: SceneLabelling
 
@@ -81,7 +81,10 @@ class PointLabels:
         in_time = certainty.confidence(self.margin, self.left_over, self.fit)
         in_frame = frame_certainty.confidence(self.margin, self.left_over, self.fit)
         least = np.where(self.alone, frame_certainty.least_confidence, certainty.least_confidence)
-        return np.minimum(np.where(self.alone, in_frame, in_time), self.limit), least
+        if self.foreign is not None:
+            in_time = self.foreign.confidence(in_time, self.fit)
+            least = np.maximum(least, self.foreign.least_confidence)
+        return np.where(self.alone, in_frame, in_time), least
 
 
 @dataclass(frozen=True)
@@ -91,26 +94,26 @@ class _LongTracklets:
     tracklets  of all points, cut by the body
     kept       (P,) the points of the long ones
     found      the long ones' labels
-    limit      (J,) what no label of them may be more certain than
+    foreign    how certain they may be in a recording that is foreign to its model; None otherwise
     """
 
     tracklets: Tracklets
     kept: NDArray[np.bool_]
     found: SceneLabelling
-    limit: Floats
+    foreign: ForeignConfidence | None
 
     def points(self) -> PointLabels:
         """The labels of all points, none of which belongs to a short tracklet."""
         points, scene = len(self.kept), self.found.scene
         long = np.nonzero(self.kept)[0][scene.order]
         label, margin, rival = np.full(points, NULL, dtype=np.int64), np.zeros(points), np.full(points, NULL, dtype=np.int64)
-        left_over, limit = np.ones(points, dtype=np.int64), np.ones(points)
-        label[long], margin[long], rival[long] = (
-            of_track[scene.track] for of_track in (self.found.label, self.found.margin, self.found.rival)
-        )
+        # in a foreign recording distances that are off the training's say little; what they say is part of `foreign`
+        margins = self.found.margin if self.foreign is None else self.found.by_body
+        label[long], margin[long], rival[long] = (of_track[scene.track] for of_track in (self.found.label, margins, self.found.rival))
+        left_over = np.ones(points, dtype=np.int64)
         left_over[long] = overlaps_unlabelled(self.found.label, scene.first, scene.last)[scene.track]
-        limit[long] = self.limit[scene.track]
-        return PointLabels(label, margin, rival, left_over, np.zeros(points), limit, np.zeros(points, dtype=np.bool_), self.found)
+        foreign = None if self.foreign is None else self.foreign.of_points(points, long, scene.track)
+        return PointLabels(label, margin, rival, left_over, np.zeros(points), foreign, np.zeros(points, dtype=np.bool_), self.found)
 
 
 def label_points(
@@ -161,14 +164,16 @@ def _label_long_tracklets(
         if split is None:
             break
         tracklets = split
-    limit = np.ones(len(scene.first))
+    foreign = None
     if whole is not None:
 
         def relabel(start: Ints) -> SceneLabelling:
             return label_scene(labellers, scene, rules, subject_rules, body_rules, workers, start=start)
 
-        found, limit = label_if_foreign(whole, found, relabel)
-    return _LongTracklets(tracklets, kept, found, limit)
+        again = label_if_foreign(whole, found, relabel)
+        if again is not None:
+            found, foreign = again.found, again.confidence
+    return _LongTracklets(tracklets, kept, found, foreign)
 
 
 def _with_short_points(
@@ -210,25 +215,22 @@ def _fits(labellers: Sequence[BodyLabeller], clouds: Clouds, xyz: Floats, long: 
     return fit
 
 
-def label_if_foreign(
-    body: BodyInRecording, found: SceneLabelling, relabel: Callable[[Ints], SceneLabelling]
-) -> tuple[SceneLabelling, Floats]:
-    """A recording's labels, and what each of them may be as certain as (J,).
+def label_if_foreign(body: BodyInRecording, found: SceneLabelling, relabel: Callable[[Ints], SceneLabelling]) -> ForeignLabels | None:
+    """A recording labelled again, None where there is no need.
 
-    It is labelled again where it does not fit the body, where the body seems to walk backwards, and where few people taught the model and
+    There is where it does not fit the body, where the body seems to walk backwards, and where few people taught the model and
     many points are left over. relabel: labels the recording from given labels (J,) on.
     """
     reference = body.distances
     verdict = judge_scene(found.scene, found.label, marker_offsets([body.labeller]), 0, reference)
     if verdict is None or reference is None:
-        return found, np.ones(len(found.label))
+        return None
     names, rules = [body.names[marker] for marker in body.markers], ForeignRules()
     few = len(reference.median) < reference.rules.min_people
     crowded = few and verdict.surplus >= reference.rules.min_surplus * len(names)
     if verdict.fits and not crowded and forward_travel(found, names, rules) > rules.backward:
-        return found, np.ones(len(found.label))
-    again = label_foreign(body.labeller.model, found, reference, names, relabel, rules)
-    return again.found, again.limit
+        return None
+    return label_foreign(body.labeller.model, found, reference, names, relabel, rules)
 
 
 def label_whole(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,13 +52,34 @@ def own_deviations(
     return worst
 
 
-def off_training_distances(
-    labeller: BodyLabeller, body: BodyModel, scene: Scene, label: Ints, rules: RecordingLabellingSettings, body_rules: BodyRules
-) -> NDArray[np.bool_]:
-    """Labelled tracklets (J,) whose distances to near-rigid neighbours are not those that their marker had in the training.
+@dataclass(frozen=True)
+class TrainingDeviations:
+    """How far the near-rigid distances of labelled tracklets (J,) are off those that their markers had in the training.
 
-    Where most frames of a tracklet fit their labels worse than nearly every frame of people left out did, the movement is one that the
-    model does not know: there the distances must fit more closely, and a label that has no distances to compare is doubtful, too.
+    deviation   (J,) standard deviations, NaN where a tracklet has no label or no distances to compare
+    usual       their median over all near-rigid distances: how much this body differs from those of the training as a whole
+    unfamiliar  (J,) whether most frames of the tracklet fit their labels worse than nearly every frame of people left out did
+    """
+
+    deviation: Floats
+    usual: float
+    unfamiliar: NDArray[np.bool_]
+
+    def are_off(self, rules: RecordingLabellingSettings) -> NDArray[np.bool_]:
+        """Tracklets (J,) whose labels are doubtful for it.
+
+        In a movement that the model does not know the distances must fit more closely, and a label that has none to compare is doubtful,
+        too. A body that differs all over, as another person does from the only one of the training, says little against single labels.
+        """
+        limit = np.where(self.unfamiliar, rules.max_deviation_unfamiliar, rules.max_deviation_familiar * max(1.0, self.usual))
+        return np.where(np.isnan(self.deviation), self.unfamiliar, self.deviation > limit)
+
+
+def compare_with_training(
+    labeller: BodyLabeller, body: BodyModel, scene: Scene, label: Ints, rules: RecordingLabellingSettings, body_rules: BodyRules
+) -> TrainingDeviations:
+    """Compare the distances of labelled tracklets with those of the training.
+
     label (J,): labels as markers of this body, -1 for none; body: the model as adapted to the subject.
     """
     between = np.linalg.norm(labeller.model.mean[:, :, None] - labeller.model.mean[:, None], axis=3)
@@ -68,10 +90,7 @@ def off_training_distances(
         rules.training_noise * unit, body_rules.size_std, rules.max_rigid_std * unit, MIN_FRAMES, MAX_PARTNERS, MAX_DEVIATION
     )
     usual = training_deviations(points, label, between.min(axis=0), between.max(axis=0), limits, deviation)
-    unfamiliar = _in_unfamiliar_movement(labeller, body, scene, label)
-    # a body that differs all over, as another person does from the only one of the training, says little against single labels
-    limit = np.where(unfamiliar, rules.max_deviation_unfamiliar, rules.max_deviation_familiar * max(1.0, usual))
-    return (label != NULL) & np.where(np.isnan(deviation), unfamiliar, deviation > limit)
+    return TrainingDeviations(deviation, float(usual), _in_unfamiliar_movement(labeller, body, scene, label))
 
 
 def _in_unfamiliar_movement(labeller: BodyLabeller, body: BodyModel, scene: Scene, label: Ints) -> NDArray[np.bool_]:

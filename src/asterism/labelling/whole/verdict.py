@@ -9,15 +9,22 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy.special import expit, logit
 
+from asterism.labelling.whole._distance_kernels import frame_scatters
 from asterism.labelling.whole.scene import Scene, labels_of_body
 from asterism.recording import NULL, Floats, Ints
 from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, Verdict
 
 MIN_FRAMES = 5
 """Frames in which a distance must be known. In a recording of fewer frames the training's near-rigid distances are taken as such."""
+
+
+CERTAIN = 0.9899
+"""No label of what does not fit is more certain: below the 0.99 that promises one wrong label of a hundred."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +49,10 @@ class VerdictRules:
     min_labelled     share of the markers, or of the points if fewer, below which it is another marker set
     min_found        the same below which it is another body, where a usual frame shows `min_shown` of the markers' number of points
     min_shown        see above
+    fall_within      log odds by which the largest confidence in a frame rises for each e-fold by which its scatter is below the limit
+    standing_share   share of the limit that counts as the limit in frames labelled by a model of standing trials
+    fall_standing    log odds by which the largest confidence there falls for each e-fold beyond it
+    standing_confidence  to this at most
     either_way       confidence below which a label counts as one that could be exchanged
     min_surplus      points left over, as a share of the markers, from which what does not fit is another marker set
     """
@@ -63,6 +74,10 @@ class VerdictRules:
     min_labelled: float = 0.6
     min_found: float = 0.2
     min_shown: float = 0.4
+    fall_within: float = 20.0
+    standing_share: float = 0.5
+    fall_standing: float = 3.3
+    standing_confidence: float = 0.88
     either_way: float = 0.75
     min_surplus: float = 0.25
 
@@ -111,23 +126,57 @@ class RigidDistances:
         """Standard deviation (m) up to which a distance is near-rigid."""
         return self.rules.max_rigid_std * self.unit
 
+    @cached_property
+    def log_references(self) -> Floats:
+        """The logs of the distances (R, N) that a body may be near to: the people's mean, then each of several people."""
+        logs = np.log(self.median)
+        mean = _quietly(np.nanmean, logs, axis=0)
+        return np.stack([mean, *(logs if len(logs) > 1 else ())])
+
+    @property
+    def softness(self) -> float:
+        """Distances (m) well below this count for less: see `VerdictRules.noise`."""
+        return self.rules.noise * self.unit / self.rules.min_limit
+
+    def scatters(self, positions: Floats) -> Floats:
+        """The scatter of each frame alone (T,): positions (T, M, 3) m, NaN where missing. All pairs count as rigid; see `nearest`."""
+        return self.scatters_of(np.linalg.norm(positions[:, self.first] - positions[:, self.second], axis=2))
+
+    def scatters_of(self, distance: Floats) -> Floats:
+        """The scatter of each row of distances: (T, N) m in, (T,) out."""
+        out = np.empty(len(distance))
+        frame_scatters(distance, self.log_references, self.softness, self.rules.min_pairs, out)
+        return out
+
+    def confidence_limits(self, scatter: Floats) -> Floats:
+        """What labels of frames may be as certain as, by the scatter of each frame: (T,) each.
+
+        Just below 0.99 from the largest scatter that fits on; before it soon no longer limited; 1 where nothing can be compared. A model of
+        standing trials knows no other pose, and a single frame does not show whether the person moves: there the confidence is limited
+        from half that scatter on, and falls.
+        """
+        rules = self.rules
+        beyond = np.log(np.maximum(scatter, 1e-9) / (self.limit if self.moving else rules.standing_share * self.limit))
+        fallen = logit(CERTAIN) - (0.0 if self.moving else rules.fall_standing) * beyond
+        log_odds = np.where(beyond < 0.0, logit(CERTAIN) - rules.fall_within * beyond, np.maximum(fallen, logit(rules.standing_confidence)))
+        return np.where(np.isnan(beyond), 1.0, expit(log_odds))
+
     def nearest(self, distance: Floats) -> tuple[float, float, Floats]:
         """The people's mean, or the one of them, whose distances are the nearest to those of a body.
 
         distance (N,) m, NaN where not known or not rigid. Gives the scatter about the nearest, the log of the size, and the logs of the
         distances (N,); scatter and size are NaN and 0 where too few are known.
         """
-        logs, rules = np.log(self.median), self.rules
-        mean = _quietly(np.nanmean, logs, axis=0)
+        rules, mean = self.rules, self.log_references[0]
         best, size, nearest = float("nan"), 0.0, mean
-        for reference in [mean, *(logs if len(logs) > 1 else ())]:
+        for reference in self.log_references:
             ratio = np.log(distance) - reference
             known = ~np.isnan(ratio)
             if known.sum() < rules.min_pairs:
                 continue
             middle = float(np.median(ratio[known]))
             # a distance of 10 cm may be off by a centimetre as a long one may be by some per cent
-            weight = 1.0 / np.sqrt(1.0 + (rules.noise * self.unit / (rules.min_limit * distance[known])) ** 2)
+            weight = 1.0 / np.sqrt(1.0 + (self.softness / distance[known]) ** 2)
             scatter = 1.4826 * float(np.median(np.abs(ratio[known] - middle) * weight))
             if not scatter >= best:
                 best, size, nearest = scatter, middle, reference
@@ -220,7 +269,7 @@ def confidence_limit(verdict: Verdict | None) -> float:
         return 1.0
     if verdict.kind == OTHER_BODY:
         return 0.5
-    return 0.98
+    return CERTAIN
 
 
 def median_and_std(frames: Floats, first: Ints, second: Ints, least: int = MIN_FRAMES) -> tuple[Floats, Floats]:
