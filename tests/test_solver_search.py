@@ -270,8 +270,9 @@ def test_the_cost_is_the_weighted_mean_of_both_rates_over_the_numbers_of_hidden_
     hidden = np.array([[True, False, False], [True, False, False], [True, True, False], [False, False, False]])
     matrix = Matrix(hidden.T, 5.0)
     cells = np.array([[0, points_of(1), 0], [points_of(1), 0, points_of(2)], [0, 0, points_of(2)], [0, 0, 0]], dtype=np.uint64)
-    one_hidden = 2 / (2 + 2) + 5.0 * 1 / 3  # two visible ones are missed beside two that are hidden; one of three labels is wrong
-    assert matrix.cost(cells.T) == pytest.approx(one_hidden / (1 + 1 / 4)), "two hidden cost nothing, and weigh a quarter"
+    missed = 2 / (2 + 2)  # with one hidden, two visible ones beside the two that are hidden; with two hidden none
+    wrong = 1 / 3  # with one hidden, of three labels; with two hidden none
+    assert matrix.cost(cells.T) == pytest.approx(missed / (1 + 1 / 4) + 5.0 * wrong / 2), "missed ones weigh 1 / h^2"
 
 
 def test_the_choice_takes_what_lowers_the_cost_and_leaves_what_nulls_others():
