@@ -63,7 +63,26 @@ def test_progress_rises(good):
 def test_json(good):
     table = json.loads(json.dumps(good[0].to_dict()))
     assert table["markers"] == list(WALKS[0].labels)
-    assert set(table) == {"markers", "hit_rates", "confusion", "by_occlusions", "changes", "verdict"}
+    own = {"by_target", "first_classifiers", "solver_sizes"}
+    assert set(table) == {"markers", "hit_rates", "confusion", "by_occlusions", "changes", "verdict"} | own
+
+
+def test_the_thesis_tables_of_a_marker_set(good):
+    """Table 5.1: scores fall; figure 5.1: accuracy rises; figure 5.2: higher targets, fewer wrong labels and more missing ones."""
+    result = good[0]
+    scores = [chosen.score for chosen in result.first_classifiers]
+    assert len(scores) == 9 and scores[0] == max(scores) and min(scores) >= 0.0
+    assert 0.9 < sum(scores) <= 1.0
+    assert all("(" in chosen.description for chosen in result.first_classifiers)
+    accuracies = [size.accuracy for size in result.solver_sizes]
+    assert accuracies == sorted(accuracies)
+    assert accuracies[-1] > 0.999
+    assert accuracies[result.solver_sizes.index(next(s for s in result.solver_sizes if s.classifiers == 9))] == pytest.approx(sum(scores))
+    rates = {(one.target, one.hidden): one for one in result.by_target}
+    assert set(rates) == {(target, hidden) for target in QUICK.targets for hidden in range(1, 6)}
+    lax, strict = ([rates[target, hidden] for hidden in range(1, 6)] for target in (0.99, 0.99999))
+    assert sum(one.false_occlusions for one in lax) <= sum(one.false_occlusions for one in strict)
+    assert all(0.0 <= one.false_assignments < 0.2 for one in result.by_target)
 
 
 def test_two_markers_that_cannot_be_told_apart_are_found():

@@ -13,6 +13,9 @@ from models import BRIEF, trained
 
 from asterism import AsterismError, Clouds, MarkerSet, Recording, SolverEnsemble
 from asterism.labelling import TrainingRules
+from asterism.labelling.partial.matrix import label_by_matrix
+from asterism.labelling.partial.solver import stack_frames
+from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, search_partial_solvers
 from asterism.simulation import simulate_occlusions, simulate_walks
 
 QUICK = {"miner": None, "training": TrainingRules(trial_frames=40, folds=5)}
@@ -399,6 +402,36 @@ def test_rules_that_do_not_exist_are_refused(small, few):
 def test_the_thesis_rules_need_their_solvers(small, few):
     with pytest.raises(AsterismError, match="train it again with --miner bottom-up"):
         small.label(few[0].clouds(), rules="thesis")
+
+
+def test_confidence_by_the_thesis_rules_is_the_share_of_votes(small, few):
+    """Of the solvers trusted with a marker, the share that propose the point; nothing where none proposes one."""
+    frames, groups = stack_frames(few)
+    settings = replace(PRINTED, screening_frames=60, evaluation_frames=200, validation_frames=200, beam_width=15, max_markers=6)
+    solvers = search_partial_solvers(frames, groups, targets=0.97, features=PRINTED_FEATURES, settings=settings, seed=0)
+    solvers = replace(solvers, trusted=solvers.trusted & (solvers.solvers.markers != 3))
+    model = SolverEnsemble(replace(small.state, solvers={"thesis": solvers}))
+    clouds, _ = simulate_occlusions(few[0], 2, 1, seed=0)
+    labelling, votes = model.label(clouds, rules="thesis"), label_by_matrix(clouds, solvers, rules="printed")
+    given, shares = labelling.indices >= 0, votes.votes
+    np.testing.assert_array_equal(labelling.indices, votes.indices)
+    np.testing.assert_array_equal(labelling.confidence[given], shares[given])
+    assert len(np.unique(labelling.confidence[given])) > 3, "the votes are divided, so that it is no constant"
+    proposed = ~given & (shares > 0)
+    np.testing.assert_array_equal(labelling.confidence[proposed], 0.5 * shares[proposed])
+    assert np.isnan(labelling.confidence[~given & (shares == 0)]).all()
+    assert np.isnan(labelling.confidence[:, 3]).all(), "no solver is trusted with it"
+    with pytest.raises(AsterismError, match="partial-solvers"):
+        model.label(clouds, rules="partial-solvers")
+
+
+@pytest.mark.parametrize(
+    ("rules", "words"),
+    [({"marker_targets": {"LTHI": 1.5}}, "LTHI"), ({"solver_rules": ("whole-body",)}, "choose among partial-solvers, thesis")],
+)
+def test_training_rules_that_make_no_sense_are_refused(rules, words):
+    with pytest.raises(AsterismError, match=words):
+        TrainingRules(**rules)
 
 
 # --- the file

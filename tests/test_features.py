@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from asterism import AsterismError
 from asterism.labelling.partial import _feature_kernels
-from asterism.labelling.partial._motion_kernels import G10, G18, WIDTH
+from asterism.labelling.partial._motion_kernels import G9, G10, G18, WIDTH
 from asterism.labelling.partial.features import FEATURES, TEMPORAL, describe, feature_pool, markers_read, needs_motion
 
 coordinates = st.floats(-2.0, 2.0, allow_nan=False).map(lambda x: round(x, 3))
@@ -21,10 +21,11 @@ four_points = st.lists(st.tuples(coordinates, coordinates, coordinates), min_siz
 
 
 def test_registry_is_in_the_kernels_order():
-    assert [feature.name for feature in FEATURES] == [f"g{i}" for i in range(1, 19)]
-    assert (_feature_kernels.G1, _feature_kernels.G2, _feature_kernels.G9, G10, G18) == (0, 1, 8, 9, 17)
+    assert [feature.name for feature in FEATURES] == [f"g{i}" for i in (*range(1, 9), 19, *range(10, 19), 9)]
+    kernels = _feature_kernels
+    assert (kernels.G1, kernels.G2, kernels.G19, kernels.LAST_INLINED, G10, G18, G9) == (0, 1, 8, 8, 9, 17, 18)
     assert tuple(f"g{i}" for i in range(10, 19)) == TEMPORAL
-    assert [needs_motion(np.array([kind])) for kind in range(18)] == [False] * 9 + [True] * 9
+    assert [needs_motion(np.array([kind])) for kind in range(19)] == [False] * 9 + [True] * 9 + [False]
 
 
 @pytest.mark.parametrize("kind", range(len(FEATURES)), ids=[feature.name for feature in FEATURES])
@@ -80,11 +81,14 @@ def test_many_markers_sample_four_point_features():
     assert all(len(set(row)) == 4 for row in slots[kinds == 2][:200].tolist())
 
 
-def test_g9_tells_a_body_from_its_mirror_image():
+@pytest.mark.parametrize(("kind", "of_double_size"), [(_feature_kernels.G19, 4.0), (G9, 1.0)], ids=["g19", "g9"])
+def test_g9_and_g19_tell_a_body_from_its_mirror_image(kind, of_double_size):
+    """Only g19 counts the size of the triangle."""
     points = np.array([[0.0, 0, 1], [1.0, 0, 1], [0.0, 1, 1]])
     mirrored = points * [-1, 1, 1]
-    assert _feature_kernels.feature_value(_feature_kernels.G9, points, 0, 1, 2, 0) == pytest.approx(1.0)
-    assert _feature_kernels.feature_value(_feature_kernels.G9, mirrored, 0, 1, 2, 0) == pytest.approx(-1.0)
+    assert _feature_kernels.feature_value(kind, points, 0, 1, 2, 0) == pytest.approx(1.0)
+    assert _feature_kernels.feature_value(kind, mirrored, 0, 1, 2, 0) == pytest.approx(-1.0)
+    assert _feature_kernels.feature_value(kind, 2.0 * points, 0, 1, 2, 0) == pytest.approx(of_double_size)
 
 
 @pytest.mark.parametrize("kind", range(len(FEATURES)), ids=[feature.name for feature in FEATURES])
@@ -96,8 +100,8 @@ def test_missing_point_gives_nan_and_coincident_points_a_number(kind):
 
 
 def test_unknown_or_repeated_feature_is_refused():
-    with pytest.raises(AsterismError, match="g19"):
-        feature_pool(5, ("g2", "g19"))
+    with pytest.raises(AsterismError, match="g20"):
+        feature_pool(5, ("g2", "g20"))
     with pytest.raises(AsterismError, match="once"):
         feature_pool(5, ("g2", "g2"))
 

@@ -248,7 +248,19 @@ def test_frames_left_out_become_missing_frames(tmp_path):
 
 @pytest.mark.parametrize(
     "said, unit",
-    [("mm", 0.001), ("cm", 0.01), ("m", 1.0), ("Meters", 1.0), ("in", 0.0254)],
+    [
+        *(
+            ("mm", 0.001),
+            ("cm", 0.01),
+            ("dm", 0.1),
+            ("m", 1.0),
+            ("um", 1e-6),
+            ("Meters", 1.0),
+            ("millimetres", 0.001),
+            ("centimeter", 0.01),
+        ),
+        *(("in", 0.0254), ("inches", 0.0254), ("ft", 0.3048), ("Feet", 0.3048)),
+    ],
 )
 def test_units_become_metres(tmp_path, said, unit):
     recording = body(missing=False)

@@ -13,6 +13,11 @@ from models import BRIEF, trained
 
 from asterism import AsterismError, MarkerSet, Recording, SolverEnsemble, formats
 from asterism.cli import main
+from asterism.geometry import rotate_z_up
+from asterism.labelling.partial._feature_kernels import G2, G4
+from asterism.labelling.partial.solver import unpack_solvers
+from asterism.labelling.partial.weak import StrongClassifier
+from asterism.labelling.training.model_file import describe_model
 from asterism.labelling.training.sample import GRID, Clip, Sample
 from asterism.simulation import simulate_occlusions, simulate_walks
 
@@ -125,6 +130,50 @@ def test_partial_solvers_stay_unless_searched_again(walks, tmp_path):
     again = model.learn([few[2]], subjects=["Cem"], search_again=True)
     assert again.about["partial_solvers_from"] == 3
     assert content(again, tmp_path) == content(SolverEnsemble.fit(few[:3], subjects=PEOPLE[:3], **rules), tmp_path)
+
+
+def test_each_rules_solvers_and_each_markers_target_reach_the_model(walks, tmp_path):
+    """The thesis' solvers have the intervals of eq. 4.4, the others wider ones; targets, trials and what no solver covers are said."""
+    few = [walk.select(walk.labels[:4]) for walk in walks[:2]]
+    first, others = few[0].labels[0], few[0].labels[1:]
+    rules = replace(QUICK["training"], frames_per_person=20, marker_targets={first: 0.75})
+    model = SolverEnsemble.fit(few, subjects=PEOPLE[:2], miner="genetic", training=rules, target_hit_rate=0.9)
+    model.save(tmp_path / "four.model")
+    again = SolverEnsemble.load(tmp_path / "four.model")
+    assert set(again.state.solvers) == {"partial-solvers", "thesis"}
+    frames = np.concatenate([rotate_z_up(walk.positions, walk.vertical) for walk in few])
+    for name, solvers in again.state.solvers.items():
+        assert solvers.targets.tolist() == [0.75, 0.9, 0.9, 0.9]
+        inside = [solver_accepts(solver, frames) for solver in unpack_solvers(solvers.solvers)]
+        assert np.mean(inside) > 0.6, f"{name}: of the training itself, whose frames are not all used"
+        said = describe_model(tmp_path / "four.model")["partial_solvers"][name]
+        assert said["targets"] == {first: 0.75} | dict.fromkeys(others, 0.9)
+        assert said["solvers"] == len(solvers)
+        assert said["uncovered"] == [marker for marker, covered in zip(few[0].labels, solvers.covered, strict=True) if not covered]
+    widths = {name: interval_widths(solvers.solvers) for name, solvers in again.state.solvers.items()}
+    shared = widths["thesis"].keys() & widths["partial-solvers"].keys()
+    assert shared
+    assert all(widths["thesis"][key] < widths["partial-solvers"][key] for key in shared)
+    with pytest.raises(AsterismError, match="LNOSE"):
+        SolverEnsemble.fit(few, subjects=PEOPLE[:2], miner="genetic", training=replace(rules, marker_targets={"LNOSE": 0.9}))
+
+
+def solver_accepts(solver, frames):
+    """Share of frames whose right labelling all classifiers of a solver accept."""
+    strong = StrongClassifier(solver.weak, np.ones(len(solver.weak)), len(solver.markers))
+    return strong.accepts(np.ascontiguousarray(frames), np.tile(solver.markers, (len(frames), 1))).mean()
+
+
+def interval_widths(arrays):
+    """The width of the interval of each distance and height difference, by feature and markers."""
+    found = {}
+    for solver in unpack_solvers(arrays):
+        for kind, slots, low, high in zip(
+            solver.weak.kinds, solver.markers[solver.weak.slots], solver.weak.low, solver.weak.high, strict=True
+        ):
+            if kind in (G2, G4):
+                found[int(kind), *slots[:2].tolist()] = high - low
+    return found
 
 
 def test_solvers_that_were_never_searched_cannot_be_searched_again(first, walks):

@@ -154,9 +154,9 @@ def test_what_motion_rules_out_is_what_each_search_would_find(mined):
     clouds, _ = simulate_gaps_and_ghosts(WALKS[0].frames(slice(0, 60)), 2, 1, seed=3)
     points = motion_of_points(clouds)
     few = PartialSolvers(
-        mined.solvers, mined.hit_rates, mined.targets, mined.covered, np.ones_like(mined.trusted), mined.strong
+        mined.solvers, mined.hit_rates, mined.trials, mined.targets, mined.covered, np.ones_like(mined.trusted), mined.strong
     )  # every solver may propose
-    votes = label_by_matrix(clouds, few, budget=10**7, complete=False).indices
+    votes = label_by_matrix(clouds, few, budget=10**7, rules="agreed").indices
     for t in range(0, 60, 12):
         frame, proposals = points[clouds.offsets[t] : clouds.offsets[t + 1]], []
         for s in range(len(few)):
@@ -165,7 +165,7 @@ def test_what_motion_rules_out_is_what_each_search_would_find(mined):
             count = search(few.solvers, s, frame, np.arange(len(frame)), 10**7, found, np.zeros(2, dtype=np.int64))
             agreed = [set(found[: max(count, 0), depth].tolist()) for depth in range(end - begin)]
             markers = few.solvers.markers[begin:end].tolist()
-            proposals.append({m: a.pop() for m, a in zip(markers, agreed, strict=True) if len(a) == 1 and count <= 32})
+            proposals.append({m: a for m, a in zip(markers, agreed, strict=True) if len(a) == 1 and count <= 32})
         assert votes[t].tolist() == twins.matrix(proposals, 15)
 
 

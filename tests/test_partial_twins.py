@@ -10,7 +10,13 @@ import twins_partial as twins
 from test_search import MARKERS, solver_and_rules
 
 from asterism.labelling.partial._build_kernels import choose_covering, order_tests
-from asterism.labelling.partial._evaluation_kernels import EvaluationLimits, ProposalCounts, ValidationFrames, evaluate_solver
+from asterism.labelling.partial._evaluation_kernels import (
+    EvaluationLimits,
+    ProposalCounts,
+    ValidationFrames,
+    evaluate_solver,
+    handed_in_points,
+)
 from asterism.labelling.partial._matrix_kernels import (
     MatrixRules,
     StrongClassifierArrays,
@@ -28,7 +34,7 @@ from asterism.labelling.partial._search_kernels import label_by_full_solver
 from asterism.labelling.partial.features import FEATURES
 from asterism.labelling.partial.solver import factor_pair_rules, pack_solvers
 
-RULES = MatrixRules(outvote=2, slack=0.1, min_tests=3, rounds=3, budget=10**7)
+RULES = MatrixRules(outvote=2, slack=0.1, min_tests=3, rounds=3, budget=10**7, hand_in_all=False)
 SEEDS = range(8)
 
 
@@ -248,6 +254,10 @@ def test_search_by_pairs_and_evaluate_solver(width, seed):
     assert made == count
     for got, plain in zip(counts, expected, strict=True):
         np.testing.assert_array_equal(got, plain)
+    handed_in = np.empty((count, 4), dtype=np.uint64)
+    handed_in_points(arrays, pairs, 0, validation, 10**7, workspace, count, handed_in)
+    sets = twins.handed_in_points(solver, frames, chosen, hidden, motion_unknown, 7)
+    assert handed_in.tolist() == [[sum(1 << m for m in own) for own in row] for row in sets]
 
 
 def test_evaluate_solver_stops_as_soon_as_no_target_can_be_reached():

@@ -14,6 +14,8 @@ import pytest
 
 from asterism.errors import AsterismError
 from asterism.labelling import ConfidenceScore, ConfidenceTally, Reliability
+from asterism.labelling.capturability import TargetRates
+from asterism.labelling.full_solver_study import ChosenClassifier, SolverSize
 from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.recording import Clouds, Ints, Labelling, Recording
 from asterism.report import LabelledRecording, capturability_report, evaluation_report, label_report
@@ -299,6 +301,9 @@ def capturability() -> Any:
             SimpleNamespace(action="move", marker="B", description="3 cm up", hit_rate_before=0.93, hit_rate_after=0.97),
         ],
         verdict="B is taken for A; move it.",
+        by_target=[TargetRates(0.99, 1, 0.02, 0.1), TargetRates(0.99, 2, 0.01, 0.2), TargetRates(0.999, 1, 0.001, 0.3)],
+        first_classifiers=[ChosenClassifier("distance (A, B)", 0.6), ChosenClassifier("height difference (A, C)", 0.25)],
+        solver_sizes=[SolverSize(1, 0.6, 1000.0), SolverSize(2, 0.85, 90.0)],
     )
 
 
@@ -317,6 +322,22 @@ def test_the_capturability_page_says_what_is_confused_and_what_helps(tmp_path: P
     assert page.loads == []
 
 
+def test_the_capturability_page_has_the_thesis_table_and_figures(tmp_path: Path) -> None:
+    """Table 5.1 with its sums, figure 5.1 with evaluations on a logarithmic axis, figure 5.2 with a line for each number of hidden ones."""
+    capturability_report(tmp_path / "c.html", capturability())
+    page = read(tmp_path / "c.html")
+    chosen = next(rows for rows in page.tables if rows[0][1:2] == ["weak classifier"])
+    assert chosen[1:] == [["1", "distance (A, B)", "60.00 %", "60.00 %"], ["2", "height difference (A, C)", "25.00 %", "85.00 %"]]
+    rates = next(rows for rows in page.tables if rows[0][0] == "target hit rate")
+    assert rates[3] == ["99.900 %", "1", "0.100 %", "30.00 %"]
+    figures = json.loads(page.json)["figures"].values()
+    trade = next(one for one in figures if [line.get("name") for line in one["data"]] == ["1 hidden", "2 hidden"])
+    assert (trade["data"][0]["x"], trade["data"][0]["y"]) == (pytest.approx([2.0, 0.1]), pytest.approx([10.0, 30.0]))
+    effort = next(one for one in figures if [line.get("name") for line in one["data"]] == ["accuracy", "evaluations"])
+    assert effort["data"][0]["y"] == pytest.approx([60.0, 85.0]) and effort["data"][1]["y"] == [1000.0, 90.0]
+    assert effort["layout"]["yaxis2"]["type"] == "log"
+
+
 def test_the_confusion_picture_shows_rows_as_truth_and_no_diagonal(tmp_path: Path) -> None:
     capturability_report(tmp_path / "c.html", capturability())
     figures = json.loads(read(tmp_path / "c.html").json)["figures"].values()
@@ -328,5 +349,6 @@ def test_the_confusion_picture_shows_rows_as_truth_and_no_diagonal(tmp_path: Pat
 def test_a_marker_set_without_any_confusion_has_a_page(tmp_path: Path) -> None:
     perfect = capturability()
     perfect.confusion, perfect.hit_rates, perfect.changes, perfect.by_occlusions = np.eye(3), np.ones(3), [], []
+    perfect.by_target, perfect.first_classifiers, perfect.solver_sizes = [], [], []
     capturability_report(tmp_path / "c.html", perfect)
     assert ["no marker", "any other", "0.0 %"] in [row for rows in read(tmp_path / "c.html").tables for row in rows]

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism import AsterismError
 from asterism.labelling.partial._bit_kernels import popcount
+from asterism.labelling.partial.features import FEATURES, markers_read
 from asterism.labelling.partial.weak import (
     FeatureRanges,
     StrongClassifier,
@@ -117,6 +121,43 @@ def test_boosting_equals_its_twin(markers):
     chosen, gains, once = trial.boost(rows, list(markers), 12)
     assert chosen.tolist() == slow_boost(bits, moved, np.repeat(trial.weight, 64), rows, markers, 12)
     assert (np.diff(gains[:once]) <= 0).all(), "within a round each adds no more than the one before"
+
+
+def test_labellings_with_few_wrong_markers_weigh_most():
+    """Section 4.4.1: a classifier that rejects exchanges of two markers goes before one that rejects as many shuffled labellings."""
+    weak = SPREAD.classifiers("range")
+    trial = WrongLabellings.draw(FRAMES, weak, np.random.default_rng(0), 1024)
+    severity = (trial.labels != np.arange(7)).sum(axis=1).reshape(-1, 64)
+    assert (severity == severity[:, :1]).all(), "the labellings of a word are equally wrong"
+    assert trial.weight.tolist() == (8 - severity[:, 0]).tolist()
+    slight, severe = severity[:, 0] == 2, severity[:, 0] == 7
+    table = np.zeros((2, len(severity)), dtype=np.uint64)
+    table[0, severe] = table[1, np.nonzero(slight)[0][: severe.sum()]] = ~np.uint64(0)
+    rows, gains, _ = replace(trial, table=table).boost(np.arange(2), range(7), 2)
+    assert rows.tolist() == [1, 0]
+    assert gains[0] == 6 * gains[1], "of equally many labellings, 7 + 1 - 2 against 7 + 1 - 7 each"
+
+
+def test_a_strong_classifier_ignores_what_it_cannot_evaluate():
+    """Eq. 4.5 over a partial labelling (4.4.2): a marker without a point takes its classifiers out of both sums."""
+    weak = SPREAD.classifiers("range")
+    weights = np.random.default_rng(0).integers(1, 9, size=len(weak)).astype(float)
+    strong = StrongClassifier(weak, weights, 7)
+    labels = np.tile([1, 0, 2, 3, 4, 5, -1], (len(FRAMES), 1))
+    usable = ~markers_read(weak.kinds, weak.slots, 7)[:, 6]
+    accepts = np.empty((len(weak), len(FRAMES)))
+    for f in np.nonzero(usable)[0]:
+        points = [FRAMES[:, labels[0, slot]] for slot in weak.slots[f]]
+        values = np.array([twins.feature(FEATURES[weak.kinds[f]].name, list(frame)) for frame in np.stack(points, axis=1)])
+        accepts[f] = (values >= weak.low[f]) & (values <= weak.high[f])
+    expected = (weights[usable] @ accepts[usable]) / weights[usable].sum()
+    assert strong.score(FRAMES, labels) == pytest.approx(expected, abs=1e-12)
+    assert expected.min() < 1.0
+    missing = FRAMES.copy()
+    missing[:, 6] = np.nan
+    given = np.where(labels < 0, 6, labels)
+    assert strong.score(missing, given) == pytest.approx(expected, abs=1e-12), "a point that is missing is no point"
+    assert (strong.score(FRAMES, np.full((len(FRAMES), 7), -1)) == 1.0).all(), "nothing assigned, nothing rejected"
 
 
 def test_strong_classifier_rejects_and_its_score_counts_weights():

@@ -38,6 +38,9 @@ def feature(name, points):
         case "g8":
             return np.linalg.norm(np.cross(b - a, c - a)) / 2
         case "g9":
+            normal = np.cross(b - a, c - a)
+            return normal @ up / np.linalg.norm(normal)
+        case "g19":
             return np.cross(b - a, c - a) @ up
     frames = [[np.asarray(point)[at : at + 3] for point in points] for at in (0, 3, 6)]
     _, before, after = frames
@@ -60,7 +63,7 @@ def feature(name, points):
         case "g17":
             return (np.linalg.norm(after[1] - before[0]) + np.linalg.norm(before[1] - after[0])) / 2
         case "g18":
-            return np.mean([feature("g9", three) for three in frames])
+            return np.mean([feature("g19", three) for three in frames])
 
 
 def motion(positions, rate):
@@ -106,8 +109,8 @@ def labellings(weak, markers, points):
 
 
 def matrix(proposals, n_markers):
-    """The safe rules of section 4.5.4: of a dict marker -> candidate for each solver, the candidate of each marker or -1."""
-    cells = Counter((marker, candidate) for proposal in proposals for marker, candidate in proposal.items())
+    """The safe rules of section 4.5.4: of a dict marker -> set of candidates for each solver, the candidate of each marker or -1."""
+    cells = Counter((marker, candidate) for proposal in proposals for marker, some in proposal.items() for candidate in some)
     out = []
     for marker in range(n_markers):
         column = [c for m, c in cells if m == marker]

@@ -200,7 +200,7 @@ def refine(model, k, points, rows, settings):
 
 def anchor_triples(anchors, a, points):
     """All points that an anchor's three markers may be, by trying every triple; none where there are more than memory is for."""
-    checks = [("g4", (0, 1)), ("g2", (0, 1)), ("g4", (0, 2)), ("g2", (0, 2)), ("g2", (1, 2)), ("g9", (0, 1, 2))]
+    checks = [("g4", (0, 1)), ("g2", (0, 1)), ("g4", (0, 2)), ("g2", (0, 2)), ("g2", (1, 2)), ("g19", (0, 1, 2))]
 
     def allowed(triple):
         values = [twins.feature(name, [points[triple[slot]] for slot in slots]) for name, slots in checks]

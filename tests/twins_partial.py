@@ -234,3 +234,16 @@ def evaluate_solver(solver, frames, chosen, hidden, motion_unknown, n_markers):
             else:
                 failures[marker] += 1
     return hits, failures, abstentions
+
+
+def handed_in_points(solver, frames, chosen, hidden, motion_unknown, n_markers):
+    """For each frame and depth the set of markers whose points some labelling of the solver gives."""
+    out = []
+    for frame, away, unknown in zip(chosen, hidden, motion_unknown, strict=True):
+        there = [m for m in range(n_markers) if not away[m] and not np.isnan(frames[frame, m, 0])]
+        points = frames[frame, there].copy()
+        points[unknown[there], 3:] = np.nan
+        found = labellings(solver, points)
+        found = found if len(found) <= 32 else []
+        out.append([{there[labelling[k]] for labelling in found} for k in range(len(solver.markers))])
+    return out

@@ -10,7 +10,7 @@ import numpy as np
 
 from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
 from asterism.labelling.partial.solver import stack_frames
-from asterism.labelling.partial.solver_search import search_partial_solvers
+from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, search_partial_solvers
 from asterism.recording import Labelling, Recording
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import spread
@@ -19,7 +19,7 @@ from benchmarks.dirt.walks import ensemble_of, label_whole, reporting, samples
 from benchmarks.figures import Figure
 from benchmarks.peer import KeyPoses
 from benchmarks.recordings.baselines import POSES, POSES_FRAMES, TRACKING
-from benchmarks.recordings.features import SETTINGS, WIDEN
+from benchmarks.recordings.features import SETTINGS
 from benchmarks.recordings.gaps import WHOLE, Tallies, summed
 from benchmarks.recordings.walks import unseen_training
 from benchmarks.score import Tally, some_frames
@@ -55,13 +55,15 @@ def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:
             few, few_truth = some_frames(one.clouds, one.truth, spread(len(one.truth), POSES_FRAMES))
             tallies[name, POSES].add(poses.label(few), few_truth)
             if solvers:
-                votes = label_by_matrix(one.clouds, solvers, complete=False)
+                votes = label_by_matrix(one.clouds, solvers, rules="printed")
                 tallies[name, THESIS].add(Labelling(votes.indices, votes.votes, train[0].labels), one.truth)
     return dict(tallies)
 
 
 def _searched(people: list[str], train: list[Recording]) -> PartialSolvers:
-    """Partial solvers from a third of the usual search, as the row `features` has them: it takes a minute for each subject."""
+    """The thesis' partial solvers from a third of the usual search, as in the row `features`: it takes a minute for each subject."""
     frames, groups = stack_frames(train, people)
     usable = (~np.isnan(frames[:, :, 0])).sum(axis=1) >= 0.5 * frames.shape[1]
-    return search_partial_solvers(frames[usable], groups[usable], targets=0.999, settings=replace(SETTINGS, widen=WIDEN), seed=0)
+    third = {name: getattr(SETTINGS, name) for name in ("screening_frames", "evaluation_frames", "beam_width", "max_solvers")}
+    printed = replace(PRINTED, validation_frames=SETTINGS.validation_frames, **third)
+    return search_partial_solvers(frames[usable], groups[usable], targets=0.999, features=PRINTED_FEATURES, settings=printed, seed=0)

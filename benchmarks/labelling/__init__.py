@@ -10,6 +10,7 @@ from benchmarks.labelling.files import conformance, physical
 from benchmarks.labelling.movement import movement
 from benchmarks.labelling.seen import full_body, speed, tables, training
 from benchmarks.labelling.solver import full_solver, strong_classifier
+from benchmarks.labelling.thesis import thesis
 from benchmarks.labelling.unseen import unseen
 
 ISSUE = "Label a real recording end to end: the solver ensemble"
@@ -22,6 +23,7 @@ ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
     "training": training,
     "speed": speed,
     "tables": tables,
+    "thesis": thesis,
     "full-body": full_body,
     "unseen": unseen,
     "movement": movement,

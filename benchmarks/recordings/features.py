@@ -132,5 +132,5 @@ def _mined(people: list[str], train: list[Recording], pool: str) -> PartialSolve
 
 
 def _labelled(clouds: Clouds, solvers: PartialSolvers, rules: str, names: tuple[str, ...]) -> tuple[Labelling, int]:
-    votes = label_by_matrix(clouds, solvers, complete=rules == "partial-solvers")
+    votes = label_by_matrix(clouds, solvers, rules="completed" if rules == "partial-solvers" else "printed")
     return Labelling(votes.indices, votes.votes, names), int(votes.evaluations.sum())

@@ -17,6 +17,7 @@ class Miner(StrEnum):
     BOTTOM_UP = "bottom-up"
     TOP_DOWN = "top-down"
     GENETIC = "genetic"
+    GENETIC_ALL = "genetic-all"
 
 
 class Rules(StrEnum):
@@ -83,6 +84,15 @@ Subject = Annotated[
         "--subject", metavar="FILE", help="A trial of the person, best standing: narrows the model to this body.", show_default=False
     ),
 ]
+MarkerTargets = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--marker-target",
+        metavar="NAME=SHARE",
+        help="Another target hit rate for the partial solvers of one marker, such as LTHI=0.99; may be given several times.",
+        show_default=False,
+    ),
+]
 HitRate = Annotated[
     float, typer.Option("--target-hit-rate", metavar="SHARE", help="Share of the labels given that should be right, below 1.")
 ]
@@ -132,6 +142,18 @@ def image_size(given: str, option: str) -> tuple[int, int]:
     if len(sides) != 2 or not all(side.strip().isdigit() and int(side) > 0 for side in sides):
         raise AsterismError(f"{option} {given} is not an image size; give width x height in pixels, such as 1280x1024.")
     return int(sides[0]), int(sides[1])
+
+
+def marker_targets(given: list[str] | None) -> dict[str, float]:
+    """What --marker-target means to `TrainingRules`. Raises AsterismError for anything but NAME=SHARE."""
+    targets = {}
+    for pair in given or ():
+        name, _, share = pair.partition("=")
+        try:
+            targets[name.strip()] = float(share)
+        except ValueError:
+            raise AsterismError(f"--marker-target {pair} names no share; give for example --marker-target LTHI=0.99.") from None
+    return targets
 
 
 def feature_names(given: str | None) -> tuple[str, ...] | None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from asterism import formats
 from asterism.cli import _console
@@ -27,6 +27,11 @@ def is_rig(path: Path) -> bool:
     from asterism.cameras.files import is_rig_file
 
     return is_rig_file(path)
+
+
+def is_model(path: Path) -> bool:
+    """Whether a file's name is that of a model."""
+    return path.suffix.lower() == ".model"
 
 
 def read_labelled(
@@ -104,6 +109,18 @@ def left_out_markers(used: int, left_out: Sequence[str]) -> list[Finding]:
     few = ", ".join(left_out[:8]) + (", ..." if len(left_out) > 8 else "")
     sentence = f"the files share {used} markers, which are used; {len(left_out)} others are in some files only ({few})."
     return [Finding("recordings-differ", Severity.NOTE, "the files", sentence, "Name the markers with --markers to use others.")]
+
+
+def uncovered_markers(model: Path, partial_solvers: Mapping[str, Mapping[str, Any]]) -> list[Finding]:
+    """The findings that no partial solver of a model reaches the target hit rate of some markers; by the rules that use the solvers."""
+    found = []
+    for rules, about in partial_solvers.items():
+        if about["uncovered"]:
+            names = ", ".join(f"{name} ({_console.percent(about['targets'][name], 3)})" for name in about["uncovered"])
+            sentence = f"{model}, rules {rules}: no partial solver reaches the target hit rate of {names}; the best ones found vote there."
+            mend = "Give lower targets (--target-hit-rate, --marker-target), more recordings, or move the marker: asterism capturability."
+            found.append(Finding("model-uncovered-markers", Severity.NOTE, str(model), sentence, mend))
+    return found
 
 
 def report_warnings(recording: Recording, batch: _console.Batch) -> None:

@@ -37,7 +37,7 @@ def info(options: InfoOptions) -> None:
 
     Points (physical, computed, unnamed), frames, rate, units, the vertical, events and gaps; and findings, where a file
     contradicts itself or breaks off. Of rig files and folders of them: cameras, their lenses, positions and errors, and what the
-    file lacks.
+    file lacks. Of models: markers, what they were trained on, and the hit rates that their partial solvers have shown.
     """
     _console.check_new(options.json, options.overwrite)
     batch = _console.Batch("shown")
@@ -52,10 +52,11 @@ def info(options: InfoOptions) -> None:
 def _content(path: Path, batch: _console.Batch, *, show: bool) -> dict[str, Any]:
     """What one file holds, printed where it should be shown; its findings are named in any case."""
     from asterism import formats
-    from asterism.cli._recordings import is_rig
+    from asterism.cli._recordings import is_model, is_rig
 
-    rig = is_rig(path)
-    whole = _described_rig(path) if rig else formats.describe(path)
+    model = is_model(path)
+    rig = not model and is_rig(path)
+    whole = _described_model(path) if model else _described_rig(path) if rig else formats.describe(path)
     findings: Sequence[Finding] = whole.pop("findings", ())
     content = {key: value for key, value in whole.items() if key != "file"}
     if show:
@@ -65,6 +66,15 @@ def _content(path: Path, batch: _console.Batch, *, show: bool) -> dict[str, Any]
     for finding in findings:
         batch.found(finding)
     return {**content, "findings": [finding.to_dict() for finding in findings]}
+
+
+def _described_model(path: Path) -> dict[str, Any]:
+    """What a model was trained on, and what its partial solvers are known to reach."""
+    from asterism.cli._recordings import uncovered_markers
+    from asterism.labelling.training.model_file import describe_model
+
+    content = describe_model(path)
+    return {**content, "findings": uncovered_markers(path, content["partial_solvers"])}
 
 
 def _described_rig(path: Path) -> dict[str, Any]:
@@ -88,10 +98,19 @@ def _rows(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, s
         name = f"{prefix}{key.replace('_', ' ')}"
         if isinstance(value, Mapping) and value and key == "points":
             yield from _rows(value, prefix="points, ")
+        elif isinstance(value, Mapping) and key == "partial_solvers":
+            for rules, ensemble in value.items():
+                yield f"partial solvers, {rules}", _solvers_text(ensemble)
         elif key == "missing" and isinstance(value, float):
             yield name, _console.percent(value)
         else:
             yield name, _text(value, _LONGEST_LIST.get(key, _LONG_ENOUGH)) + _UNITS.get(key, "")
+
+
+def _solvers_text(ensemble: Mapping[str, Any]) -> str:
+    shown = ensemble["shown_hit_rates"]
+    worst = min(shown, key=shown.get)
+    return f"{ensemble['solvers']}; shown hit rates from {_console.percent(shown[worst], 3)} ({worst})"
 
 
 def _text(value: Any, longest: int = _LONG_ENOUGH) -> str:

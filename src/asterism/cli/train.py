@@ -18,12 +18,14 @@ from asterism.cli._options import (
     HitRate,
     Json,
     Markers,
+    MarkerTargets,
     MinerOption,
     Overwrite,
     Seed,
     Vertical,
     check_hit_rate,
     feature_names,
+    marker_targets,
 )
 from asterism.cli.audit import as_numbered
 from asterism.errors import AsterismError
@@ -40,6 +42,7 @@ class TrainOptions:
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The model to write.", show_default=False)]
     markers: Markers = None
     target_hit_rate: HitRate = 0.999
+    marker_target: MarkerTargets = None
     miner: MinerOption = None
     features: Features = None
     seed: Seed = 0
@@ -59,10 +62,10 @@ def train(options: TrainOptions) -> None:
     files have; the others are named. A file that lacks a marker of --markers stops the training before it starts, and is named.
     """
     check_hit_rate(options.target_hit_rate)
-    features = feature_names(options.features)
+    features, targets = feature_names(options.features), marker_targets(options.marker_target)
     _console.check_new(options.output, options.overwrite)
     _console.check_new(options.json, options.overwrite)
-    from asterism.cli._recordings import left_out_markers, marker_set_of
+    from asterism.cli._recordings import left_out_markers, marker_set_of, uncovered_markers
 
     marker_set = marker_set_of(options.markers)
     recordings = _read(options.files, marker_set, options.vertical)
@@ -79,14 +82,15 @@ def train(options: TrainOptions) -> None:
             target_hit_rate=options.target_hit_rate,
             miner=None if options.miner is None else options.miner.value,
             marker_set=marker_set,
-            training=TrainingRules(features=features),
+            training=TrainingRules(features=features, marker_targets=targets),
             progress=progress,
         )
     seconds = time.perf_counter() - started
     ensemble.save(options.output)
     names, about = ensemble.marker_set.names, ensemble.about
-    findings = [*left_out_markers(len(names), about["left_out_markers"]), *(error.finding for error in errors)]
-    for finding in left_out_markers(len(names), about["left_out_markers"]):
+    notes = [*left_out_markers(len(names), about["left_out_markers"]), *uncovered_markers(options.output, about["partial_solvers"])]
+    findings = [*notes, *(error.finding for error in errors)]
+    for finding in notes:
         _console.report(finding)
     if options.json != "-":
         _print(options.output, len(names), len(recordings), about, seconds)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
+from asterism.labelling.full_solver_study import ChosenClassifier, SolverSize, boosting_table, fit_printed, solver_sizes
 from asterism.labelling.partial._matrix_kernels import count_confusions
 from asterism.labelling.partial.matrix import PartialSolvers, classifiers_by_marker, label_by_matrix
 from asterism.labelling.partial.solver import FullSolver, FullSolverRules, stack_frames
 from asterism.labelling.partial.solver_search import (
+    EvaluatedSolver,
     MarkerSubset,
     SearchSettings,
     SolverSearch,
@@ -39,7 +41,8 @@ class CapturabilityRules:
     frames           frames used, evenly spread, half of them for learning
     search           how partial solvers are searched; no solver has more markers than the set
     change_frames    frames from which solvers learn where a change of the marker set is tried, and by which they are validated
-    max_hidden       by_occlusions goes up to so many hidden markers
+    max_hidden       by_occlusions and by_target go up to so many hidden markers
+    targets          hit rates of by_target: those of the thesis' tables 5.4 and 5.5
     compared_hidden  two marker sets are compared on frames with 0 to so many markers hidden
     step             m that a marker is moved, and that an added one stands off the plane of its neighbours
     hardest          markers that are moved and given a new neighbour
@@ -49,6 +52,7 @@ class CapturabilityRules:
     search: SearchSettings = _SEARCH
     change_frames: int = 800
     max_hidden: int = 5
+    targets: tuple[float, ...] = (0.99, 0.999, 0.9999, 0.99999)
     compared_hidden: int = 4
     step: float = 0.03
     hardest: int = 4
@@ -70,6 +74,21 @@ class Change:
 
 
 @dataclass(frozen=True)
+class TargetRates:
+    """What an ensemble of partial solvers with one target hit rate gives with so many markers hidden.
+
+    target  hit rate that each solver reaches for the markers that it votes on
+    hidden  markers hidden in each frame
+    false_assignments, false_occlusions  wrong labels among those given; visible markers among the nulls (thesis 5.3)
+    """
+
+    target: float
+    hidden: int
+    false_assignments: float
+    false_occlusions: float
+
+
+@dataclass(frozen=True)
 class Capturability:
     """Whether a marker set can be labelled.
 
@@ -80,6 +99,9 @@ class Capturability:
     by_occlusions  (hidden, share of the markers in sight that get their label, the same per marker (M,)) for 0, 1, 2, ... hidden
     changes        what dropping, moving or adding a marker would do, the most helpful first
     verdict        all this in plain words
+    by_target      false assignments and false occlusions by target hit rate and number of hidden markers (thesis figure 5.2)
+    first_classifiers  the weak classifiers that boosting chooses first (thesis table 5.1)
+    solver_sizes   what more weak classifiers gain (thesis figure 5.1)
     """
 
     markers: tuple[str, ...]
@@ -88,6 +110,9 @@ class Capturability:
     by_occlusions: list[tuple[int, float, Floats]]
     changes: list[Change]
     verdict: str
+    by_target: list[TargetRates] = field(default_factory=list)
+    first_classifiers: list[ChosenClassifier] = field(default_factory=list)
+    solver_sizes: list[SolverSize] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
         """Everything in lists and plain values, for JSON."""
@@ -101,6 +126,9 @@ class Capturability:
             ],
             "changes": [asdict(change) for change in self.changes],
             "verdict": self.verdict,
+            "by_target": [asdict(rates) for rates in self.by_target],
+            "first_classifiers": [asdict(chosen) for chosen in self.first_classifiers],
+            "solver_sizes": [asdict(size) for size in self.solver_sizes],
         }
 
 
@@ -132,10 +160,10 @@ def capturability(
     settings = replace(rules.search, max_markers=min(rules.search.max_markers, markers))
     search = SolverSearch(*teach, settings=settings, seed=seed)
     confusion = _confusion(search, test[0], np.random.default_rng(seed))
-    chosen = choose_ensemble(
-        search, bottom_up(search, lambda fraction, doing: report(0.15 + 0.35 * fraction, doing)), lambda fraction, doing: None
-    )
+    found = bottom_up(search, lambda fraction, doing: report(0.15 + 0.35 * fraction, doing))
+    chosen = choose_ensemble(search, found, lambda fraction, doing: None)
     report(0.55, "hidden markers")
+    by_target = _by_target(search, found, test[0], names, rules, seed)
     by_occlusions = []
     for hidden in range(min(rules.max_hidden, markers - 3) + 1):
         clouds, truth = simulate_occlusions(Recording(test[0], names, 1.0), hidden, 0, seed)
@@ -146,9 +174,27 @@ def capturability(
         by_occlusions.append((hidden, float(right.sum() / max(there.sum(), 1)), per_marker))
     hardest = np.argsort(by_occlusions[-1][2] + np.diagonal(confusion), kind="stable")[: rules.hardest]
     changes = _changes(chosen, search, (teach, test), names, hardest, seed, rules, lambda share, doing: report(0.6 + 0.4 * share, doing))
+    printed = fit_printed(*teach, names, seed)
+    first, sizes = boosting_table(printed, test[0], seed=seed), solver_sizes(printed, test[0], seed=seed)
     report(1.0, "done")
     verdict = _verdict(names, hit_rates, confusion, by_occlusions, changes)
-    return Capturability(names, hit_rates, confusion, by_occlusions, changes, verdict)
+    return Capturability(names, hit_rates, confusion, by_occlusions, changes, verdict, by_target, first, sizes)
+
+
+def _by_target(
+    search: SolverSearch, found: list[EvaluatedSolver], frames: Floats, names: tuple[str, ...], rules: CapturabilityRules, seed: int
+) -> list[TargetRates]:
+    """Both rates of the ensembles that other targets make of what was found, labelled by the labelling matrix alone."""
+    rates = []
+    for target in rules.targets:
+        ensemble = choose_ensemble(search.with_targets(target), found, lambda fraction, doing: None)
+        for hidden in range(1, min(rules.max_hidden, len(names) - 3) + 1):
+            clouds, truth = simulate_occlusions(Recording(frames, names, 1.0), hidden, 0, seed)
+            indices = label_by_matrix(clouds, ensemble, rules="agreed").indices
+            given, there = indices != NULL, truth != NULL
+            wrong, missed = (given & (indices != truth)).sum(), (~given & there).sum()
+            rates.append(TargetRates(target, hidden, float(wrong / max(given.sum(), 1)), float(missed / max((~given).sum(), 1))))
+    return rates
 
 
 def _halves(frames: Floats, groups: Ints, most: int) -> tuple[Half, Half]:

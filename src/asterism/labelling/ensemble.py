@@ -220,15 +220,16 @@ class SolverEnsemble:
 
     def _label_by_votes(self, clouds: Clouds, rules: str) -> tuple[Labelling, Ints]:
         """Label by the partial solvers' proposals: the matrix of section 4.5.4 ("thesis"), or completed by the strong classifier."""
-        partial = self.state.partial
+        partial = self.state.solvers.get(rules)
         if partial is None:
             raise AsterismError(
                 f"this model has no partial solvers, which the rules {rules!r} need; train it again with --miner bottom-up."
             )
-        votes = label_by_matrix(clouds, partial, complete=rules == "partial-solvers")
-        # a label that completion gave without a proposal has no share of votes
-        confidence = np.where(votes.indices < 0, 0.5 * votes.votes, np.where(votes.votes > 0, votes.votes, np.nan))
-        return Labelling(*self._in_marker_set(votes.indices, confidence), self.marker_set.names), votes.evaluations
+        votes = label_by_matrix(clouds, partial, rules="completed" if rules == "partial-solvers" else "printed")
+        # what no solver proposed, a label that completion gave or a marker that none reached, has no share of votes
+        share = np.where(votes.votes > 0, votes.votes, np.nan)
+        confidence = np.where(votes.indices < 0, 0.5 * share, share)
+        return Labelling(*self._in_marker_set(votes.indices, confidence, np.nan), self.marker_set.names), votes.evaluations
 
     def _best_labels(self, clouds: Clouds, workers: int = 1, progress: Progress | None = None) -> tuple[Ints, Floats, Ints]:
         """The best labelling of each frame before doubtful labels are taken back: indices, confidence (T, M), counters (T, 4)."""
@@ -248,10 +249,10 @@ class SolverEnsemble:
         confidence = np.where(rows >= 0, confidence, 0.5 * np.exp(np.minimum(margins, 0.0)))
         return *self._in_marker_set(rows, confidence), counters
 
-    def _in_marker_set(self, rows: Ints, confidence: Floats) -> tuple[Ints, Floats]:
-        """Indices and confidence (T, learned markers) as columns of all markers of the set."""
+    def _in_marker_set(self, rows: Ints, confidence: Floats, unknown: float = 0.0) -> tuple[Ints, Floats]:
+        """Indices and confidence (T, learned markers) as columns of all markers of the set; `unknown`: the confidence of the others."""
         shape = (len(rows), len(self.marker_set))
-        indices, whole = np.full(shape, NULL, dtype=np.int64), np.zeros(shape)
+        indices, whole = np.full(shape, NULL, dtype=np.int64), np.full(shape, unknown)
         indices[:, self.state.markers], whole[:, self.state.markers] = rows, confidence
         return indices, whole
 

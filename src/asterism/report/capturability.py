@@ -56,6 +56,7 @@ def capturability_report(
                 table=Table(["change", "marker", "how", "hit rate before", "after", "gain"], [_change(c) for c in ordered], left=3),
             )
         )
+    sections += _thesis_sections(capturability)
     merits = [(str(len(names)), "markers", "")]
     if len(rates):
         merits.append((percent(float(rates.mean()), 2), "hit rate, nothing hidden", ""))
@@ -65,6 +66,50 @@ def capturability_report(
         hidden, together, _ = capturability.by_occlusions[-1]
         merits.append((percent(float(together), 2), f"hit rate with {hidden} hidden", ""))
     write_page(path, Page(title, capturability.verdict, settings or {}, merits, sections))
+
+
+def _thesis_sections(capturability: Capturability) -> list[Section]:
+    """The thesis' figure 5.2, table 5.1 and figure 5.1 of this marker set, as far as they were examined."""
+    sections = []
+    if capturability.by_target:
+        rates = capturability.by_target
+        lines = {
+            f"{hidden} hidden": (
+                [one.false_assignments for one in rates if one.hidden == hidden],
+                [one.false_occlusions for one in rates if one.hidden == hidden],
+            )
+            for hidden in sorted({one.hidden for one in rates})
+        }
+        rows: list[list[str | Cell]] = [
+            [percent(one.target, 3), str(one.hidden), percent(one.false_assignments, 3), percent(one.false_occlusions, 2)] for one in rates
+        ]
+        sections.append(
+            Section(
+                "Wrong labels against missing ones",
+                "Each line is a number of hidden markers, each point a target hit rate of the partial solvers (thesis, figure 5.2). "
+                "The higher the target, the fewer labels are wrong, and the more markers in sight are taken for hidden.",
+                figure=figures.trade_off(lines),
+                table=Table(["target hit rate", "hidden", "false assignments", "false occlusions"], rows),
+                folded=True,
+            )
+        )
+    if capturability.first_classifiers:
+        together, listed = 0.0, []
+        for number, chosen in enumerate(capturability.first_classifiers, start=1):
+            together += chosen.score
+            listed.append([str(number), chosen.description, percent(chosen.score, 2), percent(together, 2)])
+        sections.append(
+            Section(
+                "What tells a right labelling from a wrong one",
+                "The weak classifiers that boosting chooses first, and the share of wrong labellings that each rejects and none before it "
+                "does (thesis, table 5.1). Below: what more of them gain, and the evaluations until the first feasible labelling "
+                "(thesis, figure 5.1).",
+                figure=figures.effort([(one.classifiers, one.accuracy, one.evaluations) for one in capturability.solver_sizes]),
+                table=Table(["", "weak classifier", "score", "sum"], listed, left=2),
+                folded=True,
+            )
+        )
+    return sections
 
 
 def _hidden_markers(capturability: Capturability, names: list[str]) -> Section:

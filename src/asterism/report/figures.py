@@ -207,6 +207,38 @@ def curves(lines: Mapping[str, tuple[Any, Any]], x: str, y: str, faint: Sequence
     )
 
 
+def effort(sizes: Sequence[tuple[int, float, float]]) -> Figure:
+    """The accuracy of solvers and, on a logarithmic axis, the evaluations that they take, by the number of their weak classifiers."""
+    counts, accuracies, evaluations = zip(*sizes, strict=True) if sizes else ((), (), ())
+    accuracy = {"name": "accuracy", "y": 100 * np.asarray(accuracies), "hovertemplate": "%{x} classifiers: %{y:.3f} %<extra></extra>"}
+    cost = {"name": "evaluations", "y": list(evaluations), "yaxis": "y2", "hovertemplate": "%{x} classifiers: %{y:.0f}<extra></extra>"}
+    return figure(
+        [{"type": "scatter", "mode": "lines+markers", "x": list(counts), **line} for line in (accuracy, cost)],
+        height=360,
+        xaxis={"title": {"text": "weak classifiers"}},
+        yaxis={"title": {"text": "wrong labellings rejected"}, "ticksuffix": " %"},
+        yaxis2={"title": {"text": "feature evaluations"}, "type": "log", "overlaying": "y", "side": "right"},
+    )
+
+
+def trade_off(lines: Mapping[str, tuple[Any, Any]]) -> Figure:
+    """Named lines of (false assignments, false occlusions), as shares; both axes in percent."""
+    data = [
+        {
+            "type": "scatter",
+            "mode": "lines+markers",
+            "name": name,
+            "x": 100 * np.asarray(wrong, dtype=np.float64),
+            "y": 100 * np.asarray(missed, dtype=np.float64),
+            "line": {"color": PALETTE[number % len(PALETTE)]},
+            "hovertemplate": name + ": %{x:.3f} % wrong, %{y:.2f} % of the nulls missed<extra></extra>",
+        }
+        for number, (name, (wrong, missed)) in enumerate(lines.items())
+    ]
+    axes = {"xaxis": "false assignments", "yaxis": "false occlusions"}
+    return figure(data, height=360, **{axis: {"title": {"text": what}, "ticksuffix": " %"} for axis, what in axes.items()})
+
+
 def reliability(lines: Mapping[str, Sequence[tuple[float, float, int]]], drawn: Sequence[str]) -> Figure:
     """Confidence against the share of right labels, one line per condition, on a scale of nines; below, the number of labels.
 

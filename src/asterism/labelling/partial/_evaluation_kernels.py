@@ -98,3 +98,34 @@ def evaluate_solver(solvers, pairs, s, validation, limits, workspace, first_id, 
         if out_of_reach:
             return e + 1
     return len(validation.chosen)
+
+
+@kernel
+def handed_in_points(solvers, pairs, s, validation, budget, workspace, first_id, out):
+    """The points that one solver hands in on frames some of whose markers are hidden: those of all its labellings (section 4.5.4).
+
+    IN  as `evaluate_solver`; at most 64 markers
+    OUT out (E, D) uint64, bit m where the point of marker m is handed in for the marker of this depth
+    O(E times a search). Twin: `handed_in_points` in tests/twins_partial.py
+    """
+    frames = validation.frames
+    first = solvers.first_depth[s]
+    depths = solvers.first_depth[s + 1] - first
+    markers = frames.shape[1]
+    points, owner = np.empty((markers, frames.shape[2])), np.empty(markers, dtype=np.int64)
+    out[:] = 0
+    for e in range(len(validation.chosen)):
+        frame = frames[validation.chosen[e]]
+        n = 0
+        for m in range(markers):
+            if not validation.hidden[e, m] and not np.isnan(frame[m, 0]):
+                points[n] = frame[m]
+                if validation.motion_unknown[e, m]:
+                    points[n, 3:] = np.nan
+                owner[n] = m
+                n += 1
+        load_frame(points, n, pairs.kinds, workspace)
+        solutions = search_by_pairs(solvers, pairs, s, n, first_id + e, budget, workspace)
+        for i in range(solutions):
+            for k in range(depths):
+                out[e, k] |= np.uint64(1) << np.uint64(owner[workspace.order[workspace.found[i, k]]])

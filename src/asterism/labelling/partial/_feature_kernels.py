@@ -10,10 +10,12 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.labelling.partial._motion_kernels import motion_feature
+from asterism.labelling.partial._motion_kernels import G9, motion_feature
 
 # Order of `features.FEATURES`: the registry and `feature_value` agree, and a test holds them to it.
-G1, G2, G3, G4, G5, G6, G7, G8, G9 = range(9)
+G1, G2, G3, G4, G5, G6, G7, G8, G19 = range(9)
+LAST_INLINED = G19
+"""The kinds up to this one are evaluated by `feature_or_cosine`, those after it by `later_feature`."""
 LANES = 64
 """Frames whose features are calculated side by side: as many as a word has bits."""
 _ROUNDING = 1e-9
@@ -50,18 +52,33 @@ def feature_value(kind, points, a, b, c, d):
     motion where the kind reads it. O(1).
     Thesis table 4.1; `_motion_kernels.motion_feature`. Twin: `feature` in tests/twins.py
     """
-    if kind > G9:
-        return motion_feature(kind, points, a, b, c)
+    if kind > LAST_INLINED:
+        return later_feature(kind, points, a, b, c)
     value = feature_or_cosine(kind, points, a, b, c, d)
     return _angle(value) if kind in (G1, G6, G7) else value
 
 
 @kernel
+def later_feature(kind, points, a, b, c):
+    """`feature_value` of the kinds that `feature_or_cosine` does not have: the unit normal's vertical part, and motion.
+
+    IN  as `feature_value`. Returns the value. O(1).
+    """
+    if kind != G9:
+        return motion_feature(kind, points, a, b, c)
+    bx, by, bz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+    cx, cy, cz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
+    x, y, z = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    norm = math.sqrt(x * x + y * y + z * z)
+    return z / norm if norm != 0.0 else 0.0
+
+
+@kernel
 def feature_or_cosine(kind, points, a, b, c, d):
-    """`feature_value` of the kinds up to G9, with the cosine in place of an angle: as good for a comparison, and faster.
+    """`feature_value` of the kinds up to LAST_INLINED, with the cosine in place of an angle: as good for a comparison, and faster.
 
     IN  as `feature_value`. Returns the value or cosine. O(1).
-    The caller evaluates other kinds with `motion_feature`. With that call in here, this kernel would be too large to be inlined.
+    The caller evaluates other kinds with `later_feature`. With that call in here, this kernel would be too large to be inlined.
     """
     if kind == G2:
         return _length(points, a, b)
@@ -76,7 +93,7 @@ def feature_or_cosine(kind, points, a, b, c, d):
     if kind == G6:
         return _cosine(bx, by, bz, points[d, 0] - points[c, 0], points[d, 1] - points[c, 1], points[d, 2] - points[c, 2])
     cx, cy, cz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
-    if kind == G9:
+    if kind == G19:
         return bx * cy - by * cx
     if kind == G1:
         return _cosine(bx, by, bz, cx, cy, cz)
@@ -109,7 +126,7 @@ def feature_ranges(frames, groups, n_groups, kinds, slots, low, high):
 
 @kernel
 def _lane_values(kind, x, y, z, a, b, c, d, out):
-    """`feature_or_cosine` of one kind up to G9 in each of LANES frames, whose points are x, y, z (M, LANES) m.
+    """`feature_or_cosine` of one kind up to LAST_INLINED in each of LANES frames, whose points are x, y, z (M, LANES) m.
 
     The loops hold no call and no branch, so they run in vector registers; the operations and their order are those of `feature_or_cosine`.
     """
@@ -131,7 +148,7 @@ def _lane_values(kind, x, y, z, a, b, c, d, out):
             out[n] = _cosine(ux, uy, uz, dx[n] - cx[n], dy[n] - cy[n], dz[n] - cz[n])
         else:
             vx, vy, vz = cx[n] - ax[n], cy[n] - ay[n], cz[n] - az[n]
-            if kind == G9:
+            if kind == G19:
                 out[n] = ux * vy - uy * vx
             elif kind == G1:
                 out[n] = _cosine(ux, uy, uz, vx, vy, vz)
@@ -163,10 +180,10 @@ def mark_rejections(frames, labels, kinds, slots, low, high, out):
                 x[m, n], y[m, n], z[m, n] = frames[frame, point, 0], frames[frame, point, 1], frames[frame, point, 2]
         for f in range(len(kinds)):
             kind, a, b, c, d = kinds[f], slots[f, 0], slots[f, 1], slots[f, 2], slots[f, 3]
-            if kind > G9:
+            if kind > LAST_INLINED:
                 for n in range(here):
                     points, row = frames[first + n], labels[first + n]
-                    values[n] = motion_feature(kind, points, row[a], row[b], row[c])
+                    values[n] = later_feature(kind, points, row[a], row[b], row[c])
             else:
                 _lane_values(kind, x, y, z, a, b, c, d, values)
             bits = np.uint64(0)

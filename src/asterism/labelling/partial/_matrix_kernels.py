@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.labelling.partial._feature_kernels import G9, feature_or_cosine
-from asterism.labelling.partial._motion_kernels import motion_feature
+from asterism.labelling.partial._feature_kernels import LAST_INLINED, feature_or_cosine, later_feature
 from asterism.labelling.partial._pair_search_kernels import load_frame, make_search_workspace, search_by_pairs
 from asterism.labelling.partial._search_kernels import agreed_points
 
@@ -38,6 +37,7 @@ class MatrixRules(NamedTuple):
     min_tests  classifiers that must have had known values before a marker is accepted
     rounds     completions at most; labels given in one round count in the next
     budget     feature evaluations per frame and solver, after which a solver proposes nothing
+    hand_in_all  whether a solver that finds several labellings proposes the points of all of them, else those on which they agree
     """
 
     outvote: int
@@ -45,6 +45,7 @@ class MatrixRules(NamedTuple):
     min_tests: int
     rounds: int
     budget: int
+    hand_in_all: bool
 
 
 class VoteArrays(NamedTuple):
@@ -78,7 +79,7 @@ def check_marker(strong, m, place, points, slack, min_tests):
             continue
         evaluations += 1
         kind = strong.kinds[f]
-        value = feature_or_cosine(kind, points, a, b, c, d) if kind <= G9 else motion_feature(kind, points, a, b, c)
+        value = feature_or_cosine(kind, points, a, b, c, d) if kind <= LAST_INLINED else later_feature(kind, points, a, b, c)
         known += value == value
         low, high = strong.low[f], strong.high[f]
         if value < low or value > high:
@@ -135,8 +136,8 @@ def complete_labels(strong, points, n, place, taken, levels, rules):
 def label_by_matrix(solvers, pairs, trusted, strong, rules, xyz, offsets, out):
     """Label frames with an ensemble of partial solvers through the labelling matrix and its safe rules (section 4.5.4).
 
-    A solver proposes a point for a marker where all labellings that it found agree on it and it is trusted with the marker. A column
-    with proposals of two points, and a row with proposals of two markers, give null.
+    A solver proposes points for the markers that it is trusted with: all of its labellings (the printed rule, `MatrixRules.hand_in_all`),
+    or the points on which these agree. A column with proposals of two points, and a row with proposals of two markers, give null.
 
     IN  solvers, pairs as in `search_by_pairs`; trusted (D,) bool whether the solver may propose the marker of this depth
         strong StrongClassifierArrays: a label then takes two solvers that propose it (where there are two), or more than `outvote` times as
@@ -158,7 +159,7 @@ def label_by_matrix(solvers, pairs, trusted, strong, rules, xyz, offsets, out):
         for k in range(solvers.first_depth[s], solvers.first_depth[s + 1]):
             able[solvers.markers[k]] += trusted[k]
     workspace = make_search_workspace(markers, most, deepest, xyz.shape[1], len(pairs.kinds))
-    matrix = np.empty((markers, most), dtype=np.int64)
+    matrix, handed_in = np.empty((markers, most), dtype=np.int64), np.empty(most, dtype=np.bool_)
     single = np.empty(markers, dtype=np.int64)
     place, taken, levels = np.empty(markers, dtype=np.int64), np.empty(most, dtype=np.bool_), np.empty((markers, most), dtype=np.int64)
     completing = len(strong.first) > 1
@@ -168,7 +169,9 @@ def label_by_matrix(solvers, pairs, trusted, strong, rules, xyz, offsets, out):
         matrix[:, :n] = 0
         evaluations[t] = 0
         for s in range(count):
-            evaluations[t] += _add_proposals(solvers, pairs, s, trusted, (n, t, rules.budget), workspace, matrix)
+            solutions = search_by_pairs(solvers, pairs, s, n, t, rules.budget, workspace)
+            evaluations[t] += workspace.counters[0]
+            add_proposals(solvers, s, trusted, solutions, (n, rules.hand_in_all), workspace, handed_in, matrix)
         place[:] = -1
         taken[:n] = False
         _choose_by_votes(matrix, n, able, (completing, rules.outvote), place, taken, single, votes[t])
@@ -180,18 +183,31 @@ def label_by_matrix(solvers, pairs, trusted, strong, rules, xyz, offsets, out):
 
 
 @kernel
-def _add_proposals(solvers, pairs, s, trusted, search, workspace, matrix):
-    """Add one solver's proposals to the matrix; search: points, frame id and budget. Returns the evaluations made."""
-    n, frame_id, budget = search
+def add_proposals(solvers, s, trusted, solutions, how, workspace, handed_in, matrix):
+    """Add one solver's proposals to the labelling matrix: each point once per marker, however many labellings give it.
+
+    IN  solvers, s, trusted as in `label_by_matrix`; solutions rows of workspace.found; how: number of points, `MatrixRules.hand_in_all`
+        handed_in (>= n,) bool is memory
+    OUT matrix (M, >= n) int: added to
+    O(depths (n + solutions)). Twin: `proposals` in tests/twins_partial.py
+    """
+    n, hand_in_all = how
     first = solvers.first_depth[s]
     depths = solvers.first_depth[s + 1] - first
-    solutions = search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace)
-    if solutions > 0:
-        agreed_points(workspace.found, solutions, depths, workspace.agreed)
-        for k in range(depths):
-            if workspace.agreed[k] >= 0 and trusted[first + k]:
-                matrix[solvers.markers[first + k], workspace.agreed[k]] += 1
-    return workspace.counters[0]
+    agreed_points(workspace.found, solutions, depths, workspace.agreed)
+    for k in range(depths):
+        if not trusted[first + k]:
+            continue
+        m = solvers.markers[first + k]
+        if not hand_in_all:
+            if workspace.agreed[k] >= 0:
+                matrix[m, workspace.agreed[k]] += 1
+            continue
+        handed_in[:n] = False
+        for i in range(solutions):
+            c = workspace.found[i, k]
+            matrix[m, c] += not handed_in[c]
+            handed_in[c] = True
 
 
 @kernel

@@ -13,7 +13,7 @@ import numpy as np
 from asterism._jit import kernel
 
 # Order of `features.FEATURES`, going on from the constants in `_feature_kernels`.
-G10, G11, G12, G13, G14, G15, G16, G17, G18 = range(9, 18)
+G10, G11, G12, G13, G14, G15, G16, G17, G18, G9 = range(9, 19)
 
 BEFORE, AFTER, VELOCITY, ACCELERATION, WIDTH = 3, 6, 9, 12, 15
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from asterism._jit import kernel
 from asterism.labelling.partial._bit_kernels import popcount, set_first_bits
-from asterism.labelling.partial._feature_kernels import G9, feature_or_cosine, point_distances
+from asterism.labelling.partial._feature_kernels import LAST_INLINED, feature_or_cosine, later_feature, point_distances
 from asterism.labelling.partial._motion_kernels import motion_feature
 from asterism.labelling.partial._search_kernels import sort_highest_first
 
@@ -103,7 +103,8 @@ def load_frame(points, n, kinds, workspace):
 def search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace):
     """`search` for an ensemble: the points that pairs of markers allow are bits, computed when first needed and shared by all solvers.
 
-    IN  solvers SolverArrays without the classifiers in `pairs`, angles as cosines, motion after all others (`solver.factor_pair_rules`)
+    IN  solvers SolverArrays without the classifiers in `pairs`, angles as cosines, kinds after LAST_INLINED last at their depth
+        (`solver.factor_pair_rules`)
         s which of them; n points in the workspace; frame_id, a number that this workspace has had for no other frame
         budget, feature evaluations for this solver on this frame; distance and height of a pair of points count as one
     OUT workspace.found (rows of workspace.points) by depth; workspace.counters, both from 0
@@ -132,10 +133,10 @@ def search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace):
             continue
         path[depth] = row
         accepted = True
-        moving = end = solvers.first_feature[first + depth + 1]
+        later = end = solvers.first_feature[first + depth + 1]
         for f in range(solvers.first_feature[first + depth], end):
-            if solvers.kinds[f] > G9:
-                moving = f
+            if solvers.kinds[f] > LAST_INLINED:
+                later = f
                 break
             evaluations += 1
             value = feature_or_cosine(
@@ -149,8 +150,8 @@ def search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace):
             if value < solvers.low[f] or value > solvers.high[f]:
                 accepted = False
                 break
-        if accepted and moving < end:
-            accepted, made = motion_accepted(solvers, moving, end, points, path)
+        if accepted and later < end:
+            accepted, made = later_accepted(solvers, later, end, points, path)
             evaluations += made
         if evaluations > budget:
             workspace.counters[0] = evaluations
@@ -188,15 +189,15 @@ def search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace):
 
 
 @kernel
-def motion_accepted(solvers, begin, end, points, path):
-    """Whether the classifiers begin to end, all of motion, accept the points of a path.
+def later_accepted(solvers, begin, end, points, path):
+    """Whether the classifiers begin to end, all of kinds after LAST_INLINED, accept the points of a path.
 
-    IN  solvers SolverArrays; begin, end of its classifiers; points (n, WIDTH); path (D,) rows by depth
+    IN  solvers SolverArrays; begin, end of its classifiers; points (n, 3), or (n, WIDTH) for motion; path (D,) rows by depth
     Returns (accepted, evaluations made). O(end - begin).
     """
     for f in range(begin, end):
         slots = solvers.slots[f]
-        value = motion_feature(solvers.kinds[f], points, path[slots[0]], path[slots[1]], path[slots[2]])
+        value = later_feature(solvers.kinds[f], points, path[slots[0]], path[slots[1]], path[slots[2]])
         if value < solvers.low[f] or value > solvers.high[f]:
             return False, f + 1 - begin
     return True, end - begin

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.labelling.partial._feature_kernels import G2, G4, G9, feature_value, point_distances
+from asterism.labelling.partial._feature_kernels import G2, G4, G19, feature_value, point_distances
 
 
 class SolverArrays(NamedTuple):
@@ -122,7 +122,7 @@ def search_frame(solvers, s, points, n, budget, workspace):
                     value = distance[a, b]
                 elif kind == G4:
                     value = points[a, 2] - points[b, 2]
-                elif kind == G9:
+                elif kind == G19:
                     c = path[solvers.slots[f, 2]]
                     value = (points[b, 0] - points[a, 0]) * (points[c, 1] - points[a, 1])
                     value -= (points[b, 1] - points[a, 1]) * (points[c, 0] - points[a, 0])

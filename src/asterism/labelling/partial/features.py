@@ -1,7 +1,7 @@
 """Features of points (thesis table 4.1) and of their motion (6.1, 6.2): the registry, and the pool of all over all subsets of a marker set.
 
-One more feature is one more `if kind == G19` in `_motion_kernels.motion_feature` and one more line at the end of `FEATURES` here, with a
-constant G19 beside the others; the pool, the training, the search and the files that models are saved in take it from there.
+One more feature is one more branch in `_feature_kernels.later_feature` and one more line at the end of `FEATURES` here, with a
+constant G20 beside the others; the pool, the training, the search and the files that models are saved in take it from there.
 """
 
 from __future__ import annotations
@@ -52,6 +52,8 @@ class Feature:
     moving: bool = False
 
 
+_SIGNED = "thesis tables 4.1 and 5.1; signed: the bars printed in 4.1 would lose the sign, by which a body differs from its mirror image"
+_NOT_NORMED = "ours: g9 times twice the triangle's area, so that size counts, and points that coincide have a value"
 _NEIGHBOURS, _DERIVATIVES = "thesis eq. 6.1, over the frames 0.2 s before and after", "thesis eq. 6.2"
 
 FEATURES: tuple[Feature, ...] = (
@@ -63,14 +65,7 @@ FEATURES: tuple[Feature, ...] = (
     Feature("g6", "angle between two segments", 4, TWO_PAIRS, "rad", "thesis table 4.1"),
     Feature("g7", "angle between a segment and the vertical", 2, PAIR, "rad", "thesis table 4.1"),
     Feature("g8", "triangle area", 3, TRIPLE, "m2", "thesis table 4.1"),
-    Feature(
-        "g9",
-        "vertical part of the cross product of two sides of a triangle",
-        3,
-        TRIPLE,
-        "m2",
-        "thesis table 4.1; signed here: the bars printed there would lose the sign, by which a body differs from its mirror image",
-    ),
+    Feature("g19", "vertical part of the cross product of two sides of a triangle", 3, TRIPLE, "m2", _NOT_NORMED),
     Feature("g10", "relative speed", 2, PAIR, "m/s", _DERIVATIVES, True),
     Feature("g11", "rate at which a distance changes, without sign", 2, PAIR, "m/s", _DERIVATIVES, True),
     Feature("g12", "half the second rate of change of a squared distance", 2, PAIR, "m2/s2", _DERIVATIVES, True),
@@ -79,9 +74,11 @@ FEATURES: tuple[Feature, ...] = (
     Feature("g15", "range of a distance over three frames", 2, PAIR, "m", _NEIGHBOURS, True),
     Feature("g16", "range of a height difference over three frames", 2, PAIR, "m", _NEIGHBOURS, True),
     Feature("g17", "mean distance between one point before and the other after", 2, PAIR, "m", _NEIGHBOURS, True),
-    Feature("g18", "mean of g9 over three frames", 3, TRIPLE, "m2", _NEIGHBOURS, True),
+    Feature("g18", "mean of g19 over three frames", 3, TRIPLE, "m2", _NEIGHBOURS, True),
+    Feature("g9", "vertical part of the unit normal of a triangle", 3, TRIPLE, "1", _SIGNED),
 )
-"""The registry; its order is that of the constants G1.. in `_feature_kernels` and `_motion_kernels`.
+"""The registry; its order is that of the constants in `_feature_kernels` and `_motion_kernels`, and model files keep features
+by their place. g19 has the place that g9 had in earlier models, which computed g19 under that name.
 
 None of them changes when the recording is turned about the vertical or shifted, nor when it is played backwards.
 """

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import betaincinv
 
 from asterism.errors import AsterismError
 from asterism.labelling.partial import _matrix_kernels
@@ -45,6 +46,7 @@ class PartialSolvers:
 
     solvers    flat arrays of S solvers
     hit_rates  (S, M) of each solver's proposals the share that was right, NaN for markers it does not know (1st property)
+    trials     (S, M) the proposals behind each hit rate; 0 where a model of an earlier Asterism does not say
     targets    (M,) a solver proposes a marker only where its hit rate reaches the marker's target
     covered    (M,) bool: a solver reaches the target. For a marker that none reaches, the best solvers are taken and trusted nevertheless
     trusted    (D,) bool by depth of all solvers: may this solver propose this marker
@@ -53,6 +55,7 @@ class PartialSolvers:
 
     solvers: SolverArrays
     hit_rates: Floats
+    trials: Ints
     targets: Floats
     covered: NDArray[np.bool_]
     trusted: NDArray[np.bool_]
@@ -66,11 +69,35 @@ class PartialSolvers:
         """Whether any of its classifiers reads the points' motion."""
         return needs_motion(self.solvers.kinds) or needs_motion(self.strong.kinds)
 
+    @property
+    def shown_hit_rates(self) -> Floats:
+        """(M,) the hit rate that the trials have shown of the best solver trusted with each marker; 0 where there is none.
+
+        The lower end of the exact 95 % interval: after n trials without a miss 0.05 ** (1 / n), about 1 - 3 / n (the rule of three).
+        """
+        right = np.nan_to_num(self.hit_rates) * self.trials
+        shown = np.where(right > 0, betaincinv(np.maximum(right, 1.0), self.trials - right + 1.0, 0.05), 0.0)
+        best = np.zeros(len(self.targets))
+        owner = np.repeat(np.arange(len(self)), np.diff(self.solvers.first_depth))
+        np.maximum.at(best, self.solvers.markers[self.trusted], shown[owner, self.solvers.markers][self.trusted])
+        return best
+
+    def summary(self, names: Sequence[str]) -> dict[str, Any]:
+        """What a person should know of it, in plain values, by the names of its markers."""
+        shown = self.shown_hit_rates
+        return {
+            "solvers": len(self),
+            "uncovered": [name for name, covered in zip(names, self.covered, strict=True) if not covered],
+            "targets": dict(zip(names, self.targets.tolist(), strict=True)),
+            "shown_hit_rates": dict(zip(names, shown.tolist(), strict=True)),
+        }
+
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything as plain arrays, for a file."""
         arrays: dict[str, NDArray[Any]] = {f"solver_{name}": array for name, array in self.solvers._asdict().items()}
         arrays |= {f"whole_{name}": array for name, array in self.strong._asdict().items()}
-        return arrays | {"hit_rates": self.hit_rates, "targets": self.targets, "covered": self.covered, "trusted": self.trusted}
+        own = {name: getattr(self, name) for name in ("hit_rates", "trials", "targets", "covered", "trusted")}
+        return arrays | own
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> PartialSolvers:
@@ -80,13 +107,15 @@ class PartialSolvers:
             strong = StrongClassifierArrays(*(_typed(arrays[f"whole_{name}"], name) for name in StrongClassifierArrays._fields))
             hit_rates, targets = (np.asarray(arrays[name], dtype=np.float64) for name in ("hit_rates", "targets"))
             covered, trusted = (np.asarray(arrays[name], dtype=np.bool_) for name in ("covered", "trusted"))
+            trials = np.asarray(arrays.get("trials", np.zeros(hit_rates.shape)), dtype=np.int64)
         except (KeyError, ValueError, TypeError) as problem:
             raise AsterismError(f"the partial solvers cannot be read ({problem}); train the model again.") from problem
         sizes = hit_rates.shape == (len(solvers.first_depth) - 1, len(targets)) and targets.ndim == 1
+        sizes = sizes and trials.shape == hit_rates.shape and bool((trials >= 0).all())
         sizes = sizes and covered.shape == targets.shape and trusted.shape == solvers.markers.shape
         if not sizes or not _walkable(solvers, len(targets)) or not _testable(strong, len(targets)):
             raise AsterismError("the partial solvers do not fit together; the model is damaged, train it again.")
-        return cls(solvers, hit_rates, targets, covered, trusted, strong)
+        return cls(solvers, hit_rates, trials, targets, covered, trusted, strong)
 
 
 def _typed(array: NDArray[Any], name: str) -> NDArray[Any]:
@@ -171,29 +200,38 @@ class Votes(NamedTuple):
     evaluations: Ints
 
 
-def label_by_matrix(clouds: Clouds, ensemble: PartialSolvers, budget: int | None = None, *, complete: bool = True) -> Votes:
+MATRIX_RULES = ("printed", "agreed", "completed")
+"""How `label_by_matrix` gets from labellings to labels: section 4.5.4 as it is printed; with solvers that keep silent about markers in
+which their labellings differ; and this completed by the strong classifier of all markers."""
+
+
+def label_by_matrix(clouds: Clouds, ensemble: PartialSolvers, budget: int | None = None, *, rules: str = "completed") -> Votes:
     """Label each frame by the proposals of all solvers.
 
     A marker gets the candidate on which all proposals for it agree. It gets none where there is no proposal, where two candidates are
     proposed, or where the candidate is proposed for another marker too. `budget` is in feature evaluations per frame and solver, by default
     `VotingRules.budget`: a solver that exhausts it proposes nothing, the same on every machine. Motion, where classifiers read it, comes
-    from the tracks of the clouds. For points without a known motion those classifiers accept.
+    from the tracks of the clouds. For points without a known motion those classifiers accept. rules is one of `MATRIX_RULES`:
 
-    Without `complete` these are the rules of the thesis. With it,
+    - "printed": a solver that finds several labellings hands in all of them. More than 32 count as an exhausted budget;
+    - "agreed": it hands in the points on which all its labellings agree, and nothing for the other markers;
+    - "completed": as "agreed", and a label takes two solvers that propose it, where there are two (on the gait recordings all wrong labels
+      had a single one). A proposal that outvotes all others by `VotingRules.outvote` stands. The strong classifier of all markers decides
+      last (a classifier whose points are not all labelled is ignored, section 4.4.2): a marker without a label gets the one free point that
+      is accepted with the labels given, if no other marker nearly accepts that point (`near_miss_slack`). Then what a single solver
+      proposed counts where it is accepted with the others.
 
-    - a label takes two solvers that propose it, where there are two (on the gait recordings all wrong labels had a single one);
-    - a proposal that outvotes all others by `VotingRules.outvote` stands;
-    - the strong classifier of all markers decides last (a classifier whose points are not all labelled is ignored, section 4.4.2). A marker
-      without a label gets the one free point that is accepted with the labels given, if no other marker nearly accepts that point
-      (`near_miss_slack`). Then what a single solver proposed counts where it is accepted with the others.
+    Raises AsterismError for unknown rules.
     """
+    if rules not in MATRIX_RULES:
+        raise AsterismError(f"there are no rules {rules!r} for the labelling matrix; choose from {', '.join(MATRIX_RULES)}.")
     xyz = feature_points(clouds, ensemble.reads_motion)
     frames, markers = len(clouds), len(ensemble.targets)
     votes = Votes(np.empty((frames, markers), dtype=np.int64), np.empty((frames, markers)), np.empty(frames, dtype=np.int64))
-    strong = ensemble.strong if complete else no_classifiers()
+    strong = ensemble.strong if rules == "completed" else no_classifiers()
     solvers, pairs = factor_pair_rules(ensemble.solvers, markers)
-    r = VotingRules()
-    rules = MatrixRules(r.outvote, near_miss_slack(ensemble.targets), r.min_tests, r.rounds, r.budget if budget is None else budget)
+    r, slack = VotingRules(), near_miss_slack(ensemble.targets)
+    how = MatrixRules(r.outvote, slack, r.min_tests, r.rounds, r.budget if budget is None else budget, rules == "printed")
     out = VoteArrays(votes.indices, votes.votes, votes.evaluations)
-    _matrix_kernels.label_by_matrix(solvers, pairs, ensemble.trusted, strong, rules, xyz, clouds.offsets, out)
+    _matrix_kernels.label_by_matrix(solvers, pairs, ensemble.trusted, strong, how, xyz, clouds.offsets, out)
     return votes

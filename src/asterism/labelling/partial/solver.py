@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
 from asterism.labelling.partial._build_kernels import order_tests
-from asterism.labelling.partial._feature_kernels import G1, G2, G4, G6, G7, mark_rejections
+from asterism.labelling.partial._feature_kernels import G1, G2, G4, G6, G7, LAST_INLINED, mark_rejections
 from asterism.labelling.partial._motion_kernels import G14
 from asterism.labelling.partial._pair_search_kernels import PairRules
 from asterism.labelling.partial._search_kernels import SolverArrays, label_by_full_solver, search
@@ -105,8 +105,8 @@ def unpack_solvers(arrays: SolverArrays) -> list[Solver]:
 def factor_pair_rules(arrays: SolverArrays, n_markers: int) -> tuple[SolverArrays, PairRules]:
     """Solvers without their classifiers of distance, height and two points' motion, and these as rules for pairs that all solvers share.
 
-    The intervals of angles become those of their cosines, and classifiers of three points' motion come last at their depth, as
-    `search_by_pairs` reads them. A solver from `solver_search` has all classifiers of pairs over its markers, with the same intervals as
+    The intervals of angles become those of their cosines, and kinds after LAST_INLINED come last at their depth, as `search_by_pairs` reads
+    them. A solver from `solver_search` has all classifiers of pairs over its markers, with the same intervals as
     the others, so the labellings found are the same.
     """
     shape = (n_markers, n_markers)
@@ -133,8 +133,8 @@ def factor_pair_rules(arrays: SolverArrays, n_markers: int) -> tuple[SolverArray
     rest = ~(far | above | moving)
     first = np.concatenate([[0], np.cumsum(rest)])[arrays.first_feature]
     low, high = angles_to_cosines(arrays.kinds, arrays.low, arrays.high)
-    moving_last = np.lexsort((np.array([feature.moving for feature in FEATURES])[arrays.kinds[rest]], depth_of[rest]))
-    kept = np.nonzero(rest)[0][moving_last]
+    inlined_first = np.lexsort((arrays.kinds[rest] > LAST_INLINED, depth_of[rest]))
+    kept = np.nonzero(rest)[0][inlined_first]
     own = (arrays.kinds[kept], arrays.slots[kept], low[kept], high[kept])
     return SolverArrays(arrays.first_depth, arrays.markers, first.astype(np.int64), *own), rules
 

@@ -3,32 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
-from asterism.labelling.partial._evaluation_kernels import EvaluationLimits, ProposalCounts, ValidationFrames, evaluate_solver
+from asterism.labelling.partial._evaluation_kernels import (
+    EvaluationLimits,
+    ProposalCounts,
+    ValidationFrames,
+    evaluate_solver,
+    handed_in_points,
+)
 from asterism.labelling.partial._pair_search_kernels import make_search_workspace
 from asterism.labelling.partial.features import FEATURES as REGISTRY
 from asterism.labelling.partial.features import MANY_MARKERS, markers_read
 from asterism.labelling.partial.matrix import PartialSolvers, VotingRules, classifiers_by_marker
+from asterism.labelling.partial.matrix_choice import Matrix, Points, best_addition, word_for
 from asterism.labelling.partial.solver import Solver, build_search_tree, factor_pair_rules, pack_solvers, replacement_table
 from asterism.labelling.partial.weak import FeatureRanges, WrongLabellings
 from asterism.progress import Progress
 from asterism.recording import Floats, Ints
 
-FEATURES = ("g1", "g2", "g4", "g6", "g7", "g8", "g9")
+FEATURES = ("g1", "g2", "g4", "g6", "g7", "g8", "g19")
 """Of a few markers, every feature helps: with the thesis' three features, solvers of six markers fail three times as often."""
 
-FEATURES_OF_MANY = ("g2", "g4", "g7", "g9")
+FEATURES_OF_MANY = ("g2", "g4", "g7", "g19")
 """With more than `features.MANY_MARKERS` markers, whose triples and quadruples are too many to weigh them all."""
 
-MINERS = ("bottom-up", "top-down", "genetic")
-"""The strategies of section 4.5.3."""
+MOST_IN_A_WORD = 64
+"""Markers up to which the points that a solver hands in fit the bits of a word. Larger sets are chosen by coverage."""
+
+MINERS = ("bottom-up", "top-down", "genetic", "genetic-all")
+"""The strategies of section 4.5.3; "genetic-all" also keeps what reached a target and died out later."""
 
 MarkerSubset = tuple[int, ...]
+
+
+FEWEST_VALIDATION_FRAMES = 12_000
+"""Frames on which solvers are validated, whatever the target. Chosen by hand."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +54,8 @@ class SearchSettings:
                          those of two points' motion are added
     screening_frames     frames on which every subset is evaluated
     evaluation_frames    frames on which a promising one is evaluated
-    validation_frames    frames on which the solvers finally chosen are evaluated once more
+    validation_frames    frames at most on which the solvers finally chosen are evaluated once more. `FEWEST_VALIDATION_FRAMES`, or more
+                         where the target needs them: 3 / (1 - target) without a miss show it with 95 % confidence
     max_hidden           0 to so many markers are hidden in these frames (thesis 4.5.1)
     beam_width           subsets that a level keeps (bottom-up, top-down), or the population (genetic)
     max_markers          markers of the largest partial solver
@@ -56,12 +72,16 @@ class SearchSettings:
     min_gain             expected number of further markers per pattern, in sum over all patterns, below which the choice ends
     max_rate_drop        a solver whose rate falls by more than this on the validation frames is put back
     substitutes          solvers taken for a marker for which none reaches the target
+    search_target        hit rate up to which a miner searches on where the target is lower: what reaches but the target is found too
+    for_printed_matrix   whether solvers are chosen by what the printed matrix gives with them (`matrix_choice`), else by what each knows
+    wrong_cost           false occlusions that a false assignment weighs in that choice, times the share that may be wrong
+    large_subsets        subsets of each size above `max_markers` that are tried at random for the printed matrix
     """
 
     max_classifiers: int = 200
     screening_frames: int = 300
     evaluation_frames: int = 2000
-    validation_frames: int = 12000
+    validation_frames: int = 300_000
     max_hidden: int = 5
     beam_width: int = 300
     max_markers: int = 8
@@ -76,6 +96,27 @@ class SearchSettings:
     min_gain: float = 0.02
     max_rate_drop: float = 0.05
     substitutes: int = 3
+    search_target: float = 0.0
+    for_printed_matrix: bool = False
+    wrong_cost: float = 0.01
+    large_subsets: int = 40
+
+
+PRINTED_FEATURES = ("g1", "g2", "g3", "g4", "g5", "g6", "g7", "g8", "g9")
+"""What the thesis' solvers read, up to `features.MANY_MARKERS` markers: table 4.1. With the three of its full solver, solvers that reach
+0.9999 on the gait recordings have eight markers instead of five, and two thirds of the nulls are visible markers instead of a third."""
+
+PRINTED = SearchSettings(
+    widen=0.0,
+    beam_width=120,
+    evaluation_frames=1500,
+    validation_frames=30_000,
+    max_solvers=250,
+    search_target=0.9999,
+    for_printed_matrix=True,
+    coverage_patterns=4000,
+)
+"""The thesis' solvers: intervals from the smallest to the largest value of the training (eq. 4.4)."""
 
 
 @dataclass(frozen=True)
@@ -83,11 +124,13 @@ class EvaluatedSolver:
     """A partial solver and its rates on labelled frames.
 
     hit_rates       (M,) share of its proposals that are right, NaN for other markers (1st property)
+    trials          (M,) proposals behind them
     response_rates  (M,) share of the frames with all its markers in sight in which it proposes the right point
     """
 
     solver: Solver
     hit_rates: Floats
+    trials: Ints
     response_rates: Floats
 
 
@@ -129,15 +172,24 @@ class SolverSearch:
         self.moving = np.array([feature.moving for feature in REGISTRY])[self.weak.kinds]
         self.table = replacement_table(self.frames, self.weak, self.rng)
         self.wrong = WrongLabellings.draw(self.frames, self.weak, self.rng, 2048)
-        self.chosen_frames = self.rng.integers(len(self.frames), size=max(s.evaluation_frames, s.validation_frames))
+        needed = np.round(3.0 / np.maximum(1.0 - self.targets.max(), 1e-9))
+        self.validation_frames = int(min(s.validation_frames, max(FEWEST_VALIDATION_FRAMES, needed)))
+        self.chosen_frames = self.rng.integers(len(self.frames), size=max(s.evaluation_frames, self.validation_frames))
         self.hidden = random_occlusions(len(self.chosen_frames), self.n_markers, s.max_hidden, self.rng)
         self.motion_unknown = self.hidden
         if self.frames.shape[2] > 3:
             share = np.minimum(s.motion_loss * self.hidden.sum(axis=1), s.max_motion_loss)
             self.motion_unknown = self.rng.random(self.hidden.shape) < share[:, None]
         n, pair_motions = self.n_markers, len(np.unique(self.weak.kinds[self.moving & (self.point_counts == 2)]))
-        self.workspace, self.next_frame_id = make_search_workspace(n, n, n, self.frames.shape[2], pair_motions), 0
+        self.workspace = make_search_workspace(n, n, n, self.frames.shape[2], pair_motions)
+        self.frame_ids = np.zeros(1, dtype=np.int64)  # an array: copies that share the workspace must not number two frames alike
         self.evaluated: dict[MarkerSubset, EvaluatedSolver] = {}
+
+    def with_targets(self, targets: ArrayLike) -> SolverSearch:
+        """The same frames, classifiers and evaluated solvers, with other targets."""
+        other = copy(self)
+        other.targets = np.broadcast_to(np.asarray(targets, dtype=np.float64), (self.n_markers,)).copy()
+        return other
 
     def build_solver(self, markers: MarkerSubset) -> Solver | None:
         """The solver of a subset: boosted classifiers in a search tree. None where no classifier reads its markers alone."""
@@ -167,7 +219,7 @@ class SolverSearch:
         if solver is None:
             return None
         if validate:
-            return self.evaluate_on(solver, self.settings.validation_frames)
+            return self.evaluate_on(solver, self.validation_frames)
         result = self.evaluate_on(solver, self.settings.screening_frames)
         if self.reaches_target(result).any():
             result = self.evaluate_on(solver, self.settings.evaluation_frames)
@@ -179,25 +231,47 @@ class SolverSearch:
         counts = ProposalCounts(*(np.zeros(self.n_markers, dtype=np.int64) for _ in ProposalCounts._fields))
         max_failures = max(2 if count > self.settings.screening_frames else 8, int((1 - self.targets.min()) * count * 2))
         arrays, pairs = factor_pair_rules(pack_solvers([solver]), self.n_markers)
-        first_id, self.next_frame_id = self.next_frame_id, self.next_frame_id + count
+        first_id = self._new_frame_ids(count)
         validation = ValidationFrames(self.frames, self.chosen_frames[:count], self.hidden[:count], self.motion_unknown[:count])
         limits = EvaluationLimits(VotingRules().budget, max_failures)
         evaluate_solver(arrays, pairs, 0, validation, limits, self.workspace, first_id, counts)
         own = np.zeros(self.n_markers, dtype=np.bool_)
         own[solver.markers] = True
-        hit_rates = np.where(own, counts.hits / np.maximum(counts.hits + counts.failures, 1), np.nan)
+        trials = counts.hits + counts.failures
+        hit_rates = np.where(own, counts.hits / np.maximum(trials, 1), np.nan)
         response_rates = np.where(own, counts.hits / np.maximum(counts.hits + counts.abstentions, 1), 0.0)
-        return EvaluatedSolver(solver, hit_rates, response_rates)
+        return EvaluatedSolver(solver, hit_rates, trials, response_rates)
+
+    def _new_frame_ids(self, count: int) -> int:
+        """The first of so many numbers that the workspace has had for no frame."""
+        first = int(self.frame_ids[0])
+        self.frame_ids[0] += count
+        return first
+
+    def handed_in(self, solver: Solver, trial: ValidationFrames) -> Points:
+        """(D, K) the points that a solver hands in for its markers, by depth, on frames with hidden markers."""
+        arrays, pairs = factor_pair_rules(pack_solvers([solver]), self.n_markers)
+        first_id = self._new_frame_ids(len(trial.chosen))
+        out = np.empty((len(trial.chosen), len(solver.markers)), dtype=np.uint64)
+        handed_in_points(arrays, pairs, 0, trial, VotingRules().budget, self.workspace, first_id, out)
+        return np.ascontiguousarray(out.T.astype(word_for(self.n_markers)))
 
     def reaches_target(self, evaluated: EvaluatedSolver) -> NDArray[np.bool_]:
         """(M,) where a solver's hit rate reaches the target."""
+        return self._reaches(evaluated, self.targets)
+
+    def reaches_goal(self, evaluated: EvaluatedSolver) -> bool:
+        """Whether a solver reaches, in one of its markers, what a miner searches for."""
+        return bool(self._reaches(evaluated, np.maximum(self.targets, self.settings.search_target)).any())
+
+    def _reaches(self, evaluated: EvaluatedSolver, rates: Floats) -> NDArray[np.bool_]:
         hit_rates = np.nan_to_num(evaluated.hit_rates, nan=-1.0)
-        return (hit_rates >= self.targets) & (evaluated.response_rates >= self.settings.min_response_rate)
+        return (hit_rates >= rates) & (evaluated.response_rates >= self.settings.min_response_rate)
 
 
-def random_occlusions(count: int, n_markers: int, most: int, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """(count, n_markers) markers to hide in each of `count` frames: 0 to `most` of them, each number equally often, at random."""
-    number = np.arange(count) % (min(most, max(n_markers - 1, 0)) + 1)
+def random_occlusions(count: int, n_markers: int, most: int, rng: np.random.Generator, least: int = 0) -> NDArray[np.bool_]:
+    """(count, n_markers) markers to hide in each of `count` frames: `least` to `most` of them, each number equally often, at random."""
+    number = least + np.arange(count) % (min(most, max(n_markers - 1, 0)) + 1 - least)
     ranks = np.argsort(np.argsort(rng.random((count, n_markers)), axis=1), axis=1)
     hidden: NDArray[np.bool_] = ranks < number[:, None]
     return hidden
@@ -237,7 +311,7 @@ def search_partial_solvers(
         raise AsterismError(f"{frames.shape[1]} markers cannot be told apart by distances and heights; a marker set needs at least three.")
     search = SolverSearch(frames, groups, targets=targets, features=features, settings=settings, seed=seed)
     report = progress or (lambda fraction, doing: None)
-    strategy = {"bottom-up": bottom_up, "top-down": top_down, "genetic": genetic}[miner]
+    strategy = {"bottom-up": bottom_up, "top-down": top_down, "genetic": genetic, "genetic-all": genetic_all}[miner]
     found = strategy(search, lambda fraction, doing: report(0.8 * fraction, doing))
     return choose_ensemble(search, found, lambda fraction, doing: report(0.8 + 0.2 * fraction, doing))
 
@@ -261,7 +335,7 @@ def bottom_up(search: SolverSearch, progress: Progress) -> list[EvaluatedSolver]
             evaluated = search.evaluate(subset)
             if evaluated is None:
                 continue
-            (found if search.reaches_target(evaluated).any() else waiting).append(evaluated)
+            (found if search.reaches_goal(evaluated) else waiting).append(evaluated)
         if not waiting:
             break
         level = {tuple(sorted(e.solver.markers.tolist())) for e in _best_per_marker(search, waiting, search.settings.beam_width)}
@@ -308,15 +382,26 @@ def top_down(search: SolverSearch, progress: Progress) -> list[EvaluatedSolver]:
 def _that_reach(search: SolverSearch, subsets: Iterable[MarkerSubset]) -> dict[MarkerSubset, EvaluatedSolver]:
     """Of some subsets the solvers that reach a target."""
     evaluated = {subset: search.evaluate(subset) for subset in subsets}
-    return {subset: one for subset, one in evaluated.items() if one is not None and search.reaches_target(one).any()}
+    return {subset: one for subset, one in evaluated.items() if one is not None and search.reaches_goal(one)}
 
 
 def genetic(search: SolverSearch, progress: Progress) -> list[EvaluatedSolver]:
-    """The genetic search: subsets as chromosomes, crossover, mutation, and a quarter that dies out per generation.
+    """The genetic search: those of the last population that reach a target."""
+    return list(_that_reach(search, sorted(evolve(search, progress))).values())
 
-    Fitness is the best hit rate of the solver, capped at the target; among equals the smaller solver wins. Mutations are
-    permutation, addition and subtraction. Subtraction is drawn twice as often as the other mutations, which favours small solvers. All
-    that ever reached a target are returned.
+
+def genetic_all(search: SolverSearch, progress: Progress) -> list[EvaluatedSolver]:
+    """The genetic search, with all that ever reached a target: what died out later costs nothing to keep."""
+    evolve(search, progress)
+    return [evaluated for _, evaluated in sorted(search.evaluated.items()) if search.reaches_target(evaluated).any()]
+
+
+def evolve(search: SolverSearch, progress: Progress) -> set[MarkerSubset]:
+    """The population after the last generation: subsets as chromosomes, crossover, mutation, and a quarter that dies out per generation.
+
+    Fitness is the best hit rate of the solver, capped at the target; among equals the smaller solver wins. Mutations are permutation,
+    addition and subtraction. Subtraction is drawn twice as often as the other mutations, which favours small solvers. At most twice
+    `beam_width` subsets live on.
     """
     rng, n, size = search.rng, search.n_markers, search.settings.beam_width
     generations = search.settings.generations
@@ -334,7 +419,7 @@ def genetic(search: SolverSearch, progress: Progress) -> list[EvaluatedSolver]:
         ranked = sorted(population, key=lambda subset: _rank_key(search, subset))
         population = set(ranked[: max(size, int(0.75 * len(ranked)))][: 2 * size])
     progress(1.0, "searched")
-    return [evaluated for _, evaluated in sorted(search.evaluated.items()) if search.reaches_target(evaluated).any()]
+    return population
 
 
 def _genes_of(subset: MarkerSubset, n: int) -> NDArray[np.bool_]:
@@ -409,8 +494,10 @@ def choose_ensemble(search: SolverSearch, found: list[EvaluatedSolver], progress
     is taken. For a marker that no solver reaches the target of, the best known solvers are taken, and the marker is not `covered`.
     """
     n = search.n_markers
-    found = sorted(found, key=lambda e: (len(e.solver.markers), sorted(e.solver.markers.tolist())))
-    chosen = _choose_for_coverage(search, found, progress)
+    if search.settings.for_printed_matrix and n <= MOST_IN_A_WORD:
+        chosen = _choose_for_matrix(search, sorted(_all_that_reach(search, found), key=_smallest_first), progress)
+    else:
+        chosen = _choose_for_coverage(search, sorted(found, key=_smallest_first), progress)
     covered = np.any(np.array([search.reaches_target(e) for e in chosen], dtype=np.bool_).reshape(-1, n), axis=0)
     trusted = [search.reaches_target(e) for e in chosen]
     for marker in np.nonzero(~covered)[0]:
@@ -423,11 +510,61 @@ def choose_ensemble(search: SolverSearch, found: list[EvaluatedSolver], progress
     return PartialSolvers(
         pack_solvers([e.solver for e in chosen]),
         np.array([e.hit_rates for e in chosen]).reshape(-1, n),
+        np.array([e.trials for e in chosen], dtype=np.int64).reshape(-1, n),
         search.targets,
         covered,
         np.concatenate([np.empty(0, dtype=np.bool_), *by_depth]),
         classifiers_by_marker(search.weak, search.table),
     )
+
+
+def _smallest_first(evaluated: EvaluatedSolver) -> tuple[int, list[int]]:
+    return len(evaluated.solver.markers), sorted(evaluated.solver.markers.tolist())
+
+
+def _all_that_reach(search: SolverSearch, found: list[EvaluatedSolver]) -> list[EvaluatedSolver]:
+    """What a miner found, what reached the target on its way, and subsets too large for it, drawn at random.
+
+    With few markers hidden, large solvers label most: a hidden marker's neighbours leave them no second labelling.
+    """
+    for size in range(search.settings.max_markers + 1, search.n_markers):
+        for _ in range(search.settings.large_subsets):
+            search.evaluate(search.rng.permutation(search.n_markers)[:size].tolist())
+    known = {tuple(sorted(e.solver.markers.tolist())): e for e in found}
+    return [*(known | {s: e for s, e in search.evaluated.items() if search.reaches_target(e).any()}).values()]
+
+
+def _choose_for_matrix(search: SolverSearch, found: list[EvaluatedSolver], progress: Progress) -> list[EvaluatedSolver]:
+    """Greedy choice by what the printed matrix gives on frames with hidden markers, each solver validated before it is taken."""
+    n, s = search.n_markers, search.settings
+    trial = ValidationFrames(
+        search.frames,
+        search.rng.integers(len(search.frames), size=s.coverage_patterns),
+        random_occlusions(s.coverage_patterns, n, s.max_hidden, search.rng, least=1),
+        search.motion_unknown[np.arange(s.coverage_patterns) % len(search.motion_unknown)],
+    )
+    candidates = [(e.solver.markers, search.handed_in(e.solver, trial)) for e in found]
+    may = [search.reaches_target(e)[e.solver.markers] for e in found]
+    offered = [(markers, points * own[:, None]) for (markers, points), own in zip(candidates, may, strict=True)]
+    matrix = Matrix(trial.hidden.T, s.wrong_cost / max(1.0 - float(search.targets.mean()), 1e-6))
+    gains = np.full(len(found), np.inf)
+    chosen: list[EvaluatedSolver] = []
+    while len(chosen) < s.max_solvers:
+        best = best_addition(matrix, offered, gains)
+        if best < 0:
+            break
+        markers, points = candidates[best]
+        validated = search.evaluate(markers.tolist(), validate=True)
+        assert validated is not None
+        own = search.reaches_target(validated)[markers] & may[best]
+        if not np.array_equal(own, may[best]):
+            may[best], offered[best] = own, (markers, points * own[:, None])
+            continue
+        matrix.cells = matrix.with_points(*offered[best])
+        gains[best] = -np.inf
+        chosen.append(validated)
+        progress(len(chosen) / s.max_solvers, f"{len(chosen)} solvers chosen")
+    return chosen
 
 
 def _choose_for_coverage(search: SolverSearch, found: list[EvaluatedSolver], progress: Progress) -> list[EvaluatedSolver]:

@@ -202,20 +202,28 @@ class StrongClassifier:
     n_markers: int
 
     def score(self, frames: Floats, labels: Ints) -> Floats:
-        """(N,) phi in [0, 1]: the weighted share of weak classifiers that accept.
+        """(N,) phi in [0, 1]: of the weak classifiers that can be evaluated, the weighted share that accept; 1 where none can be.
 
-        frames (N, n, 3) m, z up, or with their motion (N, n, WIDTH); labels (N, M) row of the point that each marker is given. A classifier
-        whose points, or the motion that it reads, are missing accepts.
+        frames (N, n, 3) m, z up, or with their motion (N, n, WIDTH); labels (N, M) row of the point that each marker is given, -1 for none.
+        A classifier is ignored, in the numerator and in the denominator, where one of its markers has no point (section 4.4.2), or the
+        point or the motion that it reads is missing.
         """
         check_motion(self.weak.kinds, frames)
+        absent = np.full((len(frames), 1, frames.shape[2]), np.nan)
+        points = np.ascontiguousarray(np.concatenate([frames, absent], axis=1))
+        rows = np.where(np.asarray(labels, dtype=np.int64) < 0, frames.shape[1], labels).astype(np.int64)
+        rejected = self._rejections(points, rows, self.weak.low, self.weak.high)
+        nothing = np.full(len(self.weak), np.inf)
+        known = self._rejections(points, rows, nothing, -nothing)  # an interval that rejects every value
+        weight = self.weights @ known
+        score: Floats = 1.0 - (self.weights @ rejected) / np.where(weight > 0, weight, 1.0)
+        return np.where(rejected.any(axis=0), np.minimum(score, np.nextafter(1.0, 0.0)), 1.0)
+
+    def _rejections(self, frames: Floats, labels: Ints, low: Floats, high: Floats) -> NDArray[np.uint8]:
+        """(F, N) 1 where a weak classifier with these intervals rejects."""
         table = np.zeros((len(self.weak), -(-len(labels) // 64)), dtype=np.uint64)
-        weak = self.weak
-        mark_rejections(
-            np.ascontiguousarray(frames), np.ascontiguousarray(labels, dtype=np.int64), weak.kinds, weak.slots, weak.low, weak.high, table
-        )
-        bits = np.unpackbits(table.astype("<u8").view(np.uint8), axis=1, bitorder="little")[:, : len(labels)]
-        score: Floats = 1.0 - (self.weights @ bits) / self.weights.sum()
-        return np.where(bits.any(axis=0), np.minimum(score, np.nextafter(1.0, 0.0)), 1.0)
+        mark_rejections(frames, labels, self.weak.kinds, self.weak.slots, low, high, table)
+        return np.unpackbits(table.astype("<u8").view(np.uint8), axis=1, bitorder="little")[:, : len(labels)]
 
     def accepts(self, frames: Floats, labels: Ints) -> NDArray[np.bool_]:
         """(N,) whether phi is 1: no weak classifier rejects."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,9 @@ from asterism.labelling.training.model_file import reading, write_arrays
 from asterism.labelling.training.sample import Sample
 from asterism.labelling.whole.certainty import Certainty
 from asterism.recording import Floats, Ints, MarkerSet
+
+_SOLVER_PREFIXES = {"partial-solvers": "partial_", "thesis": "thesis_"}
+"""How the arrays of a model's partial solvers begin, by the rules that use them."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +38,7 @@ class EnsembleState:
     frame_settings    how single frames are labelled
     certainty         from margins to confidence, and the least confidence, for whole recordings
     about             what the model was trained on, in plain values
-    partial           partial solvers, for the rules "partial-solvers" and "thesis"
+    solvers           partial solvers, by the rules that use them: "partial-solvers", "thesis"
     training          sample of the training and its configuration; None in models of an earlier Asterism
     general_body      body of people at large, where `body` was adapted to one subject
     """
@@ -49,7 +53,7 @@ class EnsembleState:
     frame_settings: FrameLabellingSettings
     certainty: Certainty
     about: dict[str, Any]
-    partial: PartialSolvers | None = None
+    solvers: Mapping[str, PartialSolvers] = field(default_factory=dict)
     training: TrainingState | None = None
     general_body: BodyModel | None = None
     frame_calibration: LabelCalibration | None = None
@@ -96,8 +100,9 @@ class EnsembleState:
             "anchor_low": self.anchors.low,
             "anchor_high": self.anchors.high,
         }
-        if self.partial is not None:
-            arrays |= {f"partial_{name}": array for name, array in self.partial.to_arrays().items()}
+        for rules, prefix in _SOLVER_PREFIXES.items():
+            if rules in self.solvers:
+                arrays |= {f"{prefix}{name}": array for name, array in self.solvers[rules].to_arrays().items()}
         for i, calibration in enumerate(self.calibrations):
             arrays[f"calibration_{i}"] = np.stack([calibration.margin, calibration.right])
         if self.frame_calibration is not None:
@@ -122,7 +127,7 @@ class EnsembleState:
             anchors = Anchors(arrays["anchor_triples"], arrays["anchor_low"], arrays["anchor_high"])
             _check_shapes(len(marker_set), arrays["markers"], body, anchors)
             calibrations, least_confidence = _two_curves(arrays, "calibration"), float(head["least_confidence"])
-            partial, sample = _with_prefix(arrays, "partial_"), _with_prefix(arrays, "sample_")
+            sample = _with_prefix(arrays, "sample_")
             training = None
             if sample:
                 training = TrainingState(Sample.from_arrays(sample, len(marker_set)), TrainingConfig.from_dict(head["recipe"]))
@@ -137,7 +142,7 @@ class EnsembleState:
                 frame_settings=FrameLabellingSettings.from_dict(head["look"]),
                 certainty=_certainty(head, arrays) or Certainty(calibrations, least_confidence),
                 about=dict(head["about"]),
-                partial=PartialSolvers.from_arrays(partial) if partial else None,
+                solvers=_solvers(arrays),
                 training=training,
                 general_body=_body(arrays, "general_") if "general_mean" in arrays else None,
                 frame_calibration=_label_calibration(arrays, "frame"),
@@ -177,6 +182,12 @@ def _label_calibration(arrays: dict[str, Any], name: str) -> LabelCalibration | 
     if weights.shape != (2, 2, 1 + PIECES) or not 0.0 <= share <= 1.0:
         raise ValueError("shapes disagree")
     return LabelCalibration(weights[0], weights[1], share)
+
+
+def _solvers(arrays: dict[str, Any]) -> dict[str, PartialSolvers]:
+    """The partial solvers of a model file, by the rules that use them."""
+    found = {rules: _with_prefix(arrays, prefix) for rules, prefix in _SOLVER_PREFIXES.items()}
+    return {rules: PartialSolvers.from_arrays(own) for rules, own in found.items() if own}
 
 
 def _with_prefix(arrays: dict[str, Any], prefix: str) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -30,6 +30,9 @@ from asterism.labelling.whole.label import run_trials
 from asterism.labelling.whole.scene import RecordingLabellingSettings
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording, is_unnamed
+
+SOLVER_RULES = ("partial-solvers", "thesis")
+"""The rules that label by partial solvers. Each has its own, because the thesis' intervals are those that training showed."""
 
 FEWEST_MARKERS = 4
 """Markers that recordings must share to be learned from together."""
@@ -68,7 +71,10 @@ class TrainingRules:
     stretches           stretches of each left-out person that are tried, at most
     body                how the body is learned
     frames              how single frames are labelled
-    features            what partial solvers read, by name; None for `solver_search.FEATURES`, all of single frames
+    features            what partial solvers read, by name; None for `solver_search.FEATURES`, all of single frames, and for the rules
+                        "thesis" `solver_search.PRINTED_FEATURES`
+    solver_rules        rules whose partial solvers a miner searches, of `SOLVER_RULES`
+    marker_targets      hit rates that partial solvers must reach for single markers, by name; for the others `target_hit_rate`
     """
 
     sample_frames_per_person: int = 3000
@@ -93,8 +99,17 @@ class TrainingRules:
     body: BodyRules = field(default_factory=BodyRules)
     frames: FrameLabellingSettings = field(default_factory=FrameLabellingSettings)
     features: Sequence[str] | None = None
+    solver_rules: Sequence[str] = SOLVER_RULES
+    marker_targets: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "solver_rules", tuple(self.solver_rules))
+        for rules in self.solver_rules:
+            if rules not in SOLVER_RULES:
+                raise AsterismError(f"the rules {rules!r} have no partial solvers; choose among {', '.join(SOLVER_RULES)}.")
+        for marker, target in self.marker_targets.items():
+            if not 0.0 < target <= 1.0:
+                raise AsterismError(f"a target hit rate of {target} for {marker} cannot be reached; give one above 0, at most 1.")
         if self.features is not None:
             kinds_of(self.features)
             object.__setattr__(self, "features", tuple(self.features))
@@ -120,6 +135,13 @@ class TrainingConfig:
             raise AsterismError(
                 f"a target hit rate of {self.target_hit_rate} cannot be reached or trusted; give one from 0.5 to below 1, such as 0.999."
             )
+
+    def targets_of(self, names: Sequence[str]) -> Floats:
+        """(M,) the target hit rates of these markers. Raises AsterismError where a target names none of them."""
+        for marker in self.rules.marker_targets:
+            if marker not in names:
+                raise AsterismError(f"a target hit rate is given for {marker}, which is not among the markers {', '.join(names)}.")
+        return np.array([self.rules.marker_targets.get(name, self.target_hit_rate) for name in names])
 
     @property
     def reads_motion(self) -> bool:

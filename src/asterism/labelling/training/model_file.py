@@ -37,6 +37,14 @@ def write_arrays(path: str | os.PathLike[str], head: Mapping[str, Any], arrays: 
         temporary.unlink(missing_ok=True)
 
 
+def describe_model(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """What a model was trained on, in plain values, without what it learned. Raises AsterismError as `reading` does."""
+    with reading(path) as (head, _):
+        about = dict(head["about"])
+        content: dict[str, Any] = {"format": "Asterism model", "version": head["version"], "markers": list(head["marker_set"]["names"])}
+        return {**content, "partial_solvers": {}, **about}
+
+
 @contextmanager
 def reading(path: str | os.PathLike[str]) -> Iterator[Contents]:
     """The head and the arrays of a model file, for as long as something is made of them.

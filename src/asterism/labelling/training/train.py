@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from asterism.labelling.partial.features import MANY_MARKERS, THESIS
 from asterism.labelling.partial.matrix import PartialSolvers
-from asterism.labelling.partial.solver_search import SearchSettings, search_partial_solvers
+from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, SearchSettings, search_partial_solvers
 from asterism.labelling.training.ensemble_state import EnsembleState
 from asterism.labelling.training.learning import TrainingConfig, TrainingState, learn_body, least_confidence
 from asterism.progress import Progress
@@ -38,15 +39,18 @@ def train_ensemble(
     share = 0.5 if searching else 1.0
     learned = learn_body(frames, people, stretches, config, lambda fraction, what: report(share * fraction, what))
     about = _about(training, len(frames), left_out)
-    partial = None
+    solvers: dict[str, PartialSolvers] = {}
+    names = [marker_set.names[marker] for marker in markers]
     if searching:
-        partial = _search(config, frames_with_motion, people, lambda fraction, what: report(0.5 + 0.5 * fraction, what))
+        targets = config.targets_of(names)
+        solvers = _search(config, frames_with_motion, people, targets, lambda fraction, what: report(0.5 + 0.5 * fraction, what))
         about["partial_solvers_from"] = about["recordings"]
-    elif earlier is not None and earlier.partial is not None:
+    elif earlier is not None and earlier.solvers:
         # they know the markers by their place among those that the earlier training showed
-        partial = earlier.partial if np.array_equal(markers, earlier.markers) else None
+        solvers = dict(earlier.solvers) if np.array_equal(markers, earlier.markers) else {}
         before = earlier.about.get("partial_solvers_from", earlier.about.get("mined_from", 0))
-        about["partial_solvers_from"] = before if partial is not None else 0
+        about["partial_solvers_from"] = before if solvers else 0
+    about["partial_solvers"] = {rules: ensemble.summary(names) for rules, ensemble in solvers.items()}
     report(1.0, "done")
     return EnsembleState(
         marker_set=marker_set,
@@ -59,7 +63,7 @@ def train_ensemble(
         frame_settings=config.rules.frames,
         certainty=learned.certainty,
         about=about,
-        partial=partial,
+        solvers=solvers,
         training=training,
         frame_calibration=learned.frame_calibration,
     )
@@ -79,15 +83,29 @@ def _about(training: TrainingState, frames: int, left_out: Sequence[str]) -> dic
     }
 
 
-def _search(config: TrainingConfig, frames: Floats, people: Ints, progress: Progress) -> PartialSolvers:
-    """The partial solvers of a training; frames (N, M, 3) m, z up, or with their motion."""
-    return search_partial_solvers(
-        frames,
-        people,
-        features=config.rules.features,
-        targets=config.target_hit_rate,
-        miner=str(config.miner),
-        settings=replace(SearchSettings(), widen=config.rules.solver_widen),
-        seed=config.seed,
-        progress=progress,
-    )
+def _search(config: TrainingConfig, frames: Floats, people: Ints, targets: Floats, progress: Progress) -> dict[str, PartialSolvers]:
+    """The partial solvers of a training, by the rules that use them; frames (N, M, 3) m, z up, or with their motion; targets (M,)."""
+    own, features = config.rules.solver_rules, config.rules.features
+    printed = PRINTED_FEATURES if frames.shape[1] <= MANY_MARKERS else THESIS
+    how = {
+        "partial-solvers": (features, replace(SearchSettings(), widen=config.rules.solver_widen)),
+        "thesis": (printed if features is None else features, PRINTED),
+    }
+    found = {}
+    for number, rules in enumerate(own):
+
+        def report(fraction: float, what: str, done: int = number) -> None:
+            progress((done + fraction) / len(own), what)
+
+        read, settings = how[rules]
+        found[rules] = search_partial_solvers(
+            frames,
+            people,
+            features=read,
+            targets=targets,
+            miner=str(config.miner),
+            settings=settings,
+            seed=config.seed,
+            progress=report,
+        )
+    return found
