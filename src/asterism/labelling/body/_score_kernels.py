@@ -151,54 +151,76 @@ def predict_markers(body, k, workspace):
 
 
 @kernel
+def leave_one_out(m, counts, workspace):
+    """Where all labelled points but its own predict marker m, after `predict_markers`, in whitened units.
+
+    IN  counts, whether m's own point is among those that `evidence` has counted
+    Returns (det, mean (3,), precision (6,)): the determinant of the inverse covariance, the mean, the inverse covariance. O(1).
+    """
+    markers, v, own = len(workspace.residual), workspace.variance, workspace.residual[m]
+    x, y, z = workspace.centre[m], workspace.centre[markers + m], workspace.centre[2 * markers + m]
+    sign = -1.0 if counts else 1.0
+    xx, xy, xz = 1.0 + sign * v[0, m], sign * v[1, m], sign * v[2, m]
+    yy, yz, zz = 1.0 + sign * v[3, m], sign * v[4, m], 1.0 + sign * v[5, m]
+    # the covariance is I + H for a marker without a point, and (I - H)^-1 for a labelled one
+    det, c_xx, c_xy, c_xz, c_yy, c_yz, c_zz = cofactors(xx, xy, xz, xy, yy, yz, xz, yz, zz)
+    det = max(det, 1e-9)
+    c_xx, c_xy, c_xz, c_yy, c_yz, c_zz = c_xx / det, c_xy / det, c_xz / det, c_yy / det, c_yz / det, c_zz / det
+    if not counts:
+        return 1.0 / det, (x, y, z), (c_xx, c_xy, c_xz, c_yy, c_yz, c_zz)
+    # the mean is e - (I - H)^-1 (e - centre), e the residual of the marker's own point
+    dx, dy, dz = own[0] - x, own[1] - y, own[2] - z
+    x = own[0] - (c_xx * dx + c_xy * dy + c_xz * dz)
+    y = own[1] - (c_xy * dx + c_yy * dy + c_yz * dz)
+    z = own[2] - (c_xz * dx + c_yz * dy + c_zz * dz)
+    return det, (x, y, z), (xx, xy, xz, yy, yz, zz)
+
+
+@kernel
+def place_on_body(body, k, m, at):
+    """Where marker m of the placed body is, in m, for a whitened displacement `at` (3,). Returns (x, y, z). O(1)."""
+    mean, spread = body.mean[k, m], body.spread[k, m]
+    return (
+        mean[0] + spread[0, 0] * at[0],
+        mean[1] + spread[1, 0] * at[0] + spread[1, 1] * at[1],
+        mean[2] + spread[2, 0] * at[0] + spread[2, 1] * at[1] + spread[2, 2] * at[2],
+    )
+
+
+@kernel
+def _score_at(point, place, whiten, precision, peak, settings):
+    """The score in nats of a placed point as a marker that is predicted at `place`.
+
+    IN  point, place (3,) m; whiten (3, 3) and precision (6,) of the prediction; peak nats, the score of a point at the place itself
+    O(1).
+    """
+    dx, dy, dz = point[0] - place[0], point[1] - place[1], point[2] - place[2]
+    near2 = dx * dx + dy * dy + dz * dz
+    if near2 > MAX_DISTANCE * MAX_DISTANCE:
+        return -np.inf
+    x = whiten[0, 0] * dx
+    y = whiten[1, 0] * dx + whiten[1, 1] * dy
+    z = whiten[2, 0] * dx + whiten[2, 1] * dy + whiten[2, 2] * dz
+    xx, xy, xz, yy, yz, zz = precision
+    score = peak - 0.5 * (x * (xx * x + 2.0 * (xy * y + xz * z)) + y * (yy * y + 2.0 * yz * z) + zz * z * z)
+    if score < settings.outlier_score and near2 < settings.outlier_radius * settings.outlier_radius:
+        return settings.outlier_score
+    return score
+
+
+@kernel
 def leave_one_out_scores(body, k, point_of, settings, workspace):
     """Score every point as every marker, given all other labelled points (leave one out), after `predict_markers`.
 
     OUT workspace.scores (M, n): nats by which "point c is marker m" beats "m is hidden and c is a ghost"; -inf where far
     O(M n).
     """
-    markers, n = body.load.shape[1], len(workspace.aligned)
-    centre, variance, residual, aligned = workspace.centre, workspace.variance, workspace.residual, workspace.aligned
-    for m in range(markers):
-        centre_x, centre_y, centre_z = centre[m], centre[markers + m], centre[2 * markers + m]
-        counts = point_of[m] >= 0 and not workspace.outlier[m]
-        sign = -1.0 if counts else 1.0
-        xx, xy, xz = 1.0 + sign * variance[0, m], sign * variance[1, m], sign * variance[2, m]
-        yy, yz, zz = 1.0 + sign * variance[3, m], sign * variance[4, m], 1.0 + sign * variance[5, m]
-        # predictive covariance (whitened): I + h for a hidden marker; (I - h)^-1 leave-one-out for a labelled one
-        det, c00, c01, c02, c11, c12, c22 = cofactors(xx, xy, xz, xy, yy, yz, xz, yz, zz)
-        det = max(det, 1e-9)
-        c00, c01, c02, c11, c12, c22 = c00 / det, c01 / det, c02 / det, c11 / det, c12 / det, c22 / det
-        base = body.log_scale[k, m] - 1.5 * LOG_2PI + settings.reward
-        if counts:
-            # leave-one-out centre: e - (I - h)^-1 (e - centre)
-            base += 0.5 * math.log(det)
-            ex, ey, ez = residual[m, 0] - centre_x, residual[m, 1] - centre_y, residual[m, 2] - centre_z
-            at_x = residual[m, 0] - (c00 * ex + c01 * ey + c02 * ez)
-            at_y = residual[m, 1] - (c01 * ex + c11 * ey + c12 * ez)
-            at_z = residual[m, 2] - (c02 * ex + c12 * ey + c22 * ez)
-        else:
-            base -= 0.5 * math.log(det)
-            at_x, at_y, at_z = centre_x, centre_y, centre_z
-            xx, xy, xz, yy, yz, zz = c00, c01, c02, c11, c12, c22
-        spread, whiten = body.spread[k, m], body.whiten[k, m]
-        mean_x, mean_y, mean_z = body.mean[k, m, 0], body.mean[k, m, 1], body.mean[k, m, 2]
-        place_x = mean_x + spread[0, 0] * at_x
-        place_y = mean_y + spread[1, 0] * at_x + spread[1, 1] * at_y
-        place_z = mean_z + spread[2, 0] * at_x + spread[2, 1] * at_y + spread[2, 2] * at_z
-        for c in range(n):
-            dx, dy, dz = aligned[c, 0] - place_x, aligned[c, 1] - place_y, aligned[c, 2] - place_z
-            near2 = dx * dx + dy * dy + dz * dz
-            if near2 > MAX_DISTANCE * MAX_DISTANCE:
-                workspace.scores[m, c] = -np.inf
-                continue
-            x = whiten[0, 0] * dx
-            y = whiten[1, 0] * dx + whiten[1, 1] * dy
-            z = whiten[2, 0] * dx + whiten[2, 1] * dy + whiten[2, 2] * dz
-            score = base - 0.5 * (x * (xx * x + 2.0 * (xy * y + xz * z)) + y * (yy * y + 2.0 * yz * z) + zz * z * z)
-            if score < settings.outlier_score and near2 < settings.outlier_radius * settings.outlier_radius:
-                score = settings.outlier_score
-            workspace.scores[m, c] = score
+    for m in range(body.load.shape[1]):
+        det, at, precision = leave_one_out(m, point_of[m] >= 0 and not workspace.outlier[m], workspace)
+        place, whiten = place_on_body(body, k, m, at), body.whiten[k, m]
+        peak = body.log_scale[k, m] - 1.5 * LOG_2PI + settings.reward + 0.5 * math.log(det)
+        for c in range(len(workspace.aligned)):
+            workspace.scores[m, c] = _score_at(workspace.aligned[c], place, whiten, precision, peak, settings)
 
 
 @kernel
@@ -207,36 +229,12 @@ def _without_marker(m, workspace, inverse, shift):
 
     OUT inverse (6,): (I - H)^-1, H the marker's `variance`; shift (3,): that times the marker's residual from its prediction. O(1).
     """
-    markers, v = len(workspace.residual), workspace.variance
-    left = (1.0 - v[0, m], -v[1, m], -v[2, m], 1.0 - v[3, m], -v[4, m], 1.0 - v[5, m])
-    _, xx, xy, xz, yy, yz, zz = symmetric_inverse(left)
+    v = workspace.variance
+    _, xx, xy, xz, yy, yz, zz = symmetric_inverse((1.0 - v[0, m], -v[1, m], -v[2, m], 1.0 - v[3, m], -v[4, m], 1.0 - v[5, m]))
     inverse[0], inverse[1], inverse[2], inverse[3], inverse[4], inverse[5] = xx, xy, xz, yy, yz, zz
-    x = workspace.residual[m, 0] - workspace.centre[m]
-    y = workspace.residual[m, 1] - workspace.centre[markers + m]
-    z = workspace.residual[m, 2] - workspace.centre[2 * markers + m]
-    shift[0], shift[1], shift[2] = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
-
-
-@kernel
-def _score_at(body, k, m, point, centre, covariance, settings):
-    """The score of a placed point as a marker that is predicted at `centre` (3,) with this covariance (6,), both whitened. Returns nats."""
-    w, s, mean = body.whiten[k, m], body.spread[k, m], body.mean[k, m]
-    dx, dy, dz = point[0] - mean[0], point[1] - mean[1], point[2] - mean[2]
-    away_x = dx - s[0, 0] * centre[0]
-    away_y = dy - s[1, 0] * centre[0] - s[1, 1] * centre[1]
-    away_z = dz - s[2, 0] * centre[0] - s[2, 1] * centre[1] - s[2, 2] * centre[2]
-    near2 = away_x * away_x + away_y * away_y + away_z * away_z
-    if near2 > MAX_DISTANCE * MAX_DISTANCE:
-        return -np.inf
-    x = w[0, 0] * dx + w[0, 1] * dy + w[0, 2] * dz - centre[0]
-    y = w[1, 0] * dx + w[1, 1] * dy + w[1, 2] * dz - centre[1]
-    z = w[2, 0] * dx + w[2, 1] * dy + w[2, 2] * dz - centre[2]
-    det, xx, xy, xz, yy, yz, zz = symmetric_inverse(covariance)
-    square = x * (xx * x + 2.0 * (xy * y + xz * z)) + y * (yy * y + 2.0 * yz * z) + z * zz * z
-    score = body.log_scale[k, m] - 1.5 * LOG_2PI + settings.reward - 0.5 * (math.log(max(det, 1e-9)) + square)
-    if score < settings.outlier_score and near2 < settings.outlier_radius * settings.outlier_radius:
-        return settings.outlier_score
-    return score
+    _, at, _ = leave_one_out(m, True, workspace)
+    for a in range(3):
+        shift[a] = workspace.residual[m, a] - at[a]
 
 
 @kernel
@@ -280,7 +278,10 @@ def score_held_points(body, k, point_of, least, settings, workspace, scores):
                     spread[entry] = (1.0 if a == b else 0.0) + variance[entry, m]
                     spread[entry] += part[a, 0] * cross[b, 0] + part[a, 1] * cross[b, 1] + part[a, 2] * cross[b, 2]
                     entry += 1
-            scores[m, c] = _score_at(body, k, m, workspace.aligned[c], at, spread, settings)
+            det, xx, xy, xz, yy, yz, zz = symmetric_inverse(spread)
+            peak = body.log_scale[k, m] - 1.5 * LOG_2PI + settings.reward - 0.5 * math.log(max(det, 1e-9))
+            place, precision = place_on_body(body, k, m, at), (xx, xy, xz, yy, yz, zz)
+            scores[m, c] = _score_at(workspace.aligned[c], place, body.whiten[k, m], precision, peak, settings)
 
 
 @kernel

@@ -10,9 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.geometry._kernels import cofactors
 from asterism.labelling.body._frame_kernels import frame_settings
-from asterism.labelling.body._score_kernels import best_pose, rescore
+from asterism.labelling.body._score_kernels import best_pose, leave_one_out, place_on_body, rescore
 from asterism.labelling.body._workspace_kernels import make_body_workspace
 
 
@@ -28,30 +27,6 @@ class ResidualLimits(NamedTuple):
 
 
 @kernel
-def predicted_place(body, k, m, counts, workspace, place):
-    """Where all other labelled points predict marker m, after `rescore` of a frame.
-
-    IN  body BodyArrays; k key pose; counts: whether m's own point is among those that the workspace has counted; workspace BodyWorkspace
-    OUT place (3,) m, on the placed body. O(1).
-    """
-    markers, own = len(workspace.residual), workspace.residual[m]
-    x, y, z = workspace.centre[m], workspace.centre[markers + m], workspace.centre[2 * markers + m]
-    if counts:  # e - (I - h)^-1 (e - centre) takes the point's own residual e out of the prediction
-        h = workspace.variance[:, m]
-        xy, xz, yz = -h[1], -h[2], -h[4]
-        det, c00, c01, c02, c11, c12, c22 = cofactors(1.0 - h[0], xy, xz, xy, 1.0 - h[3], yz, xz, yz, 1.0 - h[5])
-        det = max(det, 1e-9)
-        dx, dy, dz = own[0] - x, own[1] - y, own[2] - z
-        x = own[0] - (c00 * dx + c01 * dy + c02 * dz) / det
-        y = own[1] - (c01 * dx + c11 * dy + c12 * dz) / det
-        z = own[2] - (c02 * dx + c12 * dy + c22 * dz) / det
-    spread, mean = body.spread[k, m], body.mean[k, m]
-    place[0] = mean[0] + spread[0, 0] * x
-    place[1] = mean[1] + spread[1, 0] * x + spread[1, 1] * y
-    place[2] = mean[2] + spread[2, 0] * x + spread[2, 1] * y + spread[2, 2] * z
-
-
-@kernel
 def prediction_residuals(xyz, offsets, track, label, body, settings, out):
     """How far each labelled point lies from where all other labelled points of its frame predict its marker.
 
@@ -61,7 +36,7 @@ def prediction_residuals(xyz, offsets, track, label, body, settings, out):
     O(E (K M r^2 + r^3)); memory for one frame.
     """
     markers, latents = body.load.shape[1], body.load.shape[3]
-    point_of, place = np.empty(markers, dtype=np.int64), np.empty(3)
+    point_of = np.empty(markers, dtype=np.int64)
     workspace = make_body_workspace(0, markers, latents)
     out[:] = np.nan
     for t in range(len(offsets) - 1):
@@ -84,7 +59,8 @@ def prediction_residuals(xyz, offsets, track, label, body, settings, out):
         for m in range(markers):
             c = point_of[m]
             if c >= 0:
-                predicted_place(body, k, m, not workspace.outlier[m], workspace, place)
+                _, at, _ = leave_one_out(m, not workspace.outlier[m], workspace)
+                place = place_on_body(body, k, m, at)
                 for a in range(3):
                     out[first + c, a] = workspace.aligned[c, a] - place[a]
 
