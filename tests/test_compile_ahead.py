@@ -13,7 +13,7 @@ from models import trained
 import asterism
 from asterism.labelling import compile_ahead
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
-from asterism.labelling.whole import _distance_kernels, _kernels
+from asterism.labelling.whole import _distance_kernels, _kernels, _residual_kernels
 from asterism.simulation import simulate_walks
 from asterism.tracking import _chain_kernels, _cut_kernels, _link_kernels
 
@@ -34,6 +34,7 @@ ENTRIES: dict[str, Any] = {
             "branch_and_bound",
         ],
         _distance_kernels: ["rigid_deviations", "training_deviations"],
+        _residual_kernels: ["prediction_residuals", "residual_deviations"],
     }.items()
     for name in names
 }

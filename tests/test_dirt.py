@@ -16,8 +16,10 @@ from models import trained
 
 import asterism
 from asterism.labelling import TrainingRules
+from asterism.labelling.whole.short import ShortTrackletRules, long_points
 from asterism.recording import NULL, Clouds, Ints, Labelling, MarkerSet, Recording
 from asterism.simulation import Clutter, add_clutter, displace_marker, simulate_gaps_and_ghosts, simulate_walks
+from asterism.tracking.linking import Tracklets
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 dirt, accuracy, guarantee, speed, walks_of, docs, figures = (
@@ -73,6 +75,24 @@ def test_the_whole_recording_is_never_worse_than_its_frames(
     assert right >= own_right - ALLOWED, f"{100 * right:.2f} % right, frame by frame {100 * own_right:.2f} %"
     assert wrong <= own_wrong + ALLOWED, f"{100 * wrong:.2f} % wrong, frame by frame {100 * own_wrong:.2f} %"
     assert right > 0.9, "neither finds the markers"
+
+
+@pytest.mark.parametrize(
+    ("markers", "seen", "ghosts", "long"),
+    [(15, 100, 30, 15), (15, 100, 3, 18), (45, 100, 0, 45), (15, 10, 30, 45)],
+    ids=["crowd", "few ghosts", "a person with more markers", "markers in pieces"],
+)
+def test_ghosts_that_last_are_short_only_where_they_crowd_round_long_paths(markers: int, seen: int, ghosts: int, long: int) -> None:
+    """100 frames of markers that are seen for so many frames at a time, and of ghosts of 10 frames; a model of 15 markers."""
+    piece = np.concatenate([np.full(markers, seen), np.full(ghosts, 10)])
+    number = np.arange(len(piece)) * 100 + np.arange(100)[:, None] // piece
+    _, of_point = np.unique(number.ravel(), return_inverse=True)
+    frame = np.repeat(np.arange(100), len(piece))
+    first, last = np.full(of_point.max() + 1, 100), np.zeros(of_point.max() + 1, dtype=np.int64)
+    np.minimum.at(first, of_point, frame)
+    np.maximum.at(last, of_point, frame)
+    clouds = Clouds.from_points([np.zeros((len(piece), 3))] * 100, 100.0)
+    assert long_points(clouds, Tracklets(of_point, first, last), 15, ShortTrackletRules()).sum() == 100 * long
 
 
 def test_an_oddly_worn_marker_costs_no_other_marker(ensemble: asterism.SolverEnsemble, walks: list[Recording]) -> None:

@@ -66,12 +66,10 @@ def test_distances_favour_the_right_labels() -> None:
 
 
 def test_a_label_of_a_foreign_recording_is_the_more_certain_the_more_speaks_for_it() -> None:
-    evidence = ForeignConfidence(np.array([2.0, 2.0, 2.0, 4.0, 4.0]), np.array([1.0, 1.0, 1.0, 1.0, 0.5]), False, RULES)
-    given = evidence.confidence(np.array([0.9, 0.999, 0.999, 0.999, 0.999]), np.array([0.0, 0.0, 2.0, 2.0, 2.0]))
-    assert (np.diff(given[:4]) > 0.0).all()
-    assert given[4] == 0.5
-    crowded = replace(evidence, crowded=True)
-    assert crowded.least_confidence > evidence.least_confidence
+    evidence = ForeignConfidence(np.array([2.0, 2.0, 2.0, 4.0]), np.ones(4), False, RULES)
+    given = evidence.by_evidence(np.array([0.9, 0.999, 0.999, 0.999]), np.array([0.0, 0.0, 2.0, 2.0]))
+    assert (np.diff(given) > 0.0).all()
+    assert replace(evidence, crowded=True).least_confidence > evidence.least_confidence
 
 
 def test_the_evidence_of_tracklets_is_that_of_their_points() -> None:

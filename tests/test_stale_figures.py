@@ -222,6 +222,8 @@ def chapter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[st
     rows = {name: lambda benchmark, name=name: row(name, benchmark) for name in ("one", "two")}
     monkeypatch.setattr(main, "CHAPTERS", {"labelling": SimpleNamespace(ISSUE="issue", ROWS=rows)})
     monkeypatch.setattr(main, "folder", lambda: tmp_path)
+    monkeypatch.setattr(main, "commit", lambda: "")
+    monkeypatch.setattr(main, "Sources", SimpleNamespace(working=lambda: None))
     monkeypatch.setattr(main, "hash_of", lambda of, chapter, row, folder: calls.get("hash", ["now"])[0])
     monkeypatch.setattr(main.docs, "write", lambda rows: None)
     monkeypatch.setattr(main.stale, "stale_rows", lambda *given, **options: [])

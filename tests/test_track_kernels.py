@@ -12,6 +12,7 @@ from asterism.labelling.body.model import BodyModel
 from asterism.labelling.whole import _kernels as kernels
 from asterism.labelling.whole import assignment
 from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
+from asterism.labelling.whole._residual_kernels import ResidualLimits, prediction_residuals, residual_deviations
 from asterism.labelling.whole._short_kernels import Expected, ShortLabels, ShortLimits, label_short, take_best_pairs
 from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.short import ShortTrackletRules, expect_by_motion, marker_shares
@@ -44,11 +45,8 @@ def random_tracklets(rng: np.random.Generator, tracklets: int, frames: int = 30)
     return first, last, label
 
 
-@given(seeds)
-@races
-def test_scores_of_frames(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    model = random_body(rng)
+def labelled_frames(rng: np.random.Generator, model: BodyModel) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
+    """Four frames of a body and of ghosts, the tracklet of each of their points, and the tracklets' labels."""
     label = np.concatenate([rng.permutation(MARKERS), [-1, -1, -1]])
     label[rng.random(len(label)) < 0.25] = -1
     frames, tracks = [], []
@@ -58,6 +56,15 @@ def test_scores_of_frames(seed: int) -> None:
         points = [body[label[j]] if label[j] >= 0 and rng.random() < 0.9 else rng.normal(0.0, 0.3, 3) for j in track]
         frames.append(np.array(points).reshape(-1, 3))
         tracks.append(track)
+    return frames, tracks, label
+
+
+@given(seeds)
+@races
+def test_scores_of_frames(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    model = random_body(rng)
+    frames, tracks, label = labelled_frames(rng, model)
     offsets = np.concatenate([[0], np.cumsum([len(points) for points in frames])])
     xyz, track = np.concatenate(frames), np.concatenate(tracks)
     scores, totals, poses = np.empty((len(xyz), MARKERS)), np.empty(4), np.empty(4, dtype=np.int64)
@@ -66,6 +73,42 @@ def test_scores_of_frames(seed: int) -> None:
     np.testing.assert_allclose(scores, wanted, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(totals, sums, rtol=1e-6, atol=1e-6)
     np.testing.assert_array_equal(poses, chosen)
+
+
+@given(seeds)
+@races
+def test_how_far_points_lie_from_where_the_others_predict_them(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    model = random_body(rng)
+    frames, tracks, label = labelled_frames(rng, model)
+    offsets = np.concatenate([[0], np.cumsum([len(points) for points in frames])])
+    xyz, track = np.concatenate(frames), np.concatenate(tracks)
+    out = np.empty((len(xyz), 3))
+    prediction_residuals(xyz, offsets, track, label, model.arrays(), SETTINGS, out)
+    np.testing.assert_allclose(out, twins.prediction_residuals(model, frames, tracks, label, SETTINGS), rtol=1e-6, atol=1e-9)
+
+
+@given(seeds)
+@races
+def test_tracklets_that_lie_elsewhere_than_their_marker_does(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    track, label = rng.integers(0, 8, 60), rng.integers(-1, 3, 8)
+    residuals = rng.normal(0.0, 0.01, (60, 3))
+    residuals[rng.random(60) < 0.2] = np.nan
+    out = np.empty(8)
+    residual_deviations(residuals, track, label, ResidualLimits(0.004, 5), out)
+    np.testing.assert_allclose(out, twins.residual_deviations(residuals, track, label, 0.004, 5))
+
+
+def test_a_ghost_beside_its_marker_deviates_and_the_marker_that_comes_back_does_not() -> None:
+    """A marker seen for 20 frames, then a point 40 mm beside its place for 5, then the marker again for 5; noise of 5 mm."""
+    rng = np.random.default_rng(0)
+    track = np.repeat([0, 1, 2], [20, 5, 5])
+    residuals = rng.normal(0.0, 0.005, (30, 3)) + np.where(track == 1, 0.04, 0.0)[:, None] * np.array([1.0, 0.0, 0.0])
+    out = np.empty(3)
+    residual_deviations(residuals, track, np.zeros(3, dtype=np.int64), ResidualLimits(0.004, 5), out)
+    assert out[1] > 2.0 and out[2] < 1.0, out
+    assert np.isnan(out[0]), "the others were seen less often than this one"
 
 
 @given(seeds)

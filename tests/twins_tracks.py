@@ -37,6 +37,46 @@ def score_frames(model, frames, tracks, label, settings):
     return np.concatenate(scores), np.array(totals), np.array(poses)
 
 
+def prediction_residuals(model, frames, tracks, label, settings):
+    """How far each labelled point lies from where all other labelled points of its frame predict its marker: (P, 3), NaN elsewhere."""
+    markers, out = len(model.mean[0]), []
+    for points, track in zip(frames, tracks, strict=True):
+        residuals = np.full((len(points), 3), np.nan)
+        rows = np.full(markers, -1)
+        for c, j in enumerate(track):
+            if label[j] >= 0:
+                rows[label[j]] = c
+        if (rows >= 0).sum() >= 4:
+            own = twins_body.crowded(settings, len(points), markers)
+            none = np.zeros(markers, dtype=bool)
+            k = int(np.argmax([twins_body.evidence(model, k, points, rows, none, own) for k in range(len(model.mean))]))
+            found = twins_body.leave_one_out_scores(model, k, points, rows, none, own)
+            outlier = [rows[m] >= 0 and found[m, rows[m]] <= own.outlier_score for m in range(markers)]
+            for m in np.nonzero(rows >= 0)[0]:
+                others = [row if other != m else -1 for other, row in enumerate(rows)]
+                aligned = twins_body.place_points(points, rows, model.mean[k], range(markers))
+                said = [o for o in range(markers) if others[o] >= 0 and not outlier[o]]
+                deviation = np.concatenate([np.empty(0), *(aligned[rows[o]] - model.mean[k, o] for o in said)])
+                joint = twins_body.covariance(model, k)
+                centre, _ = twins_body.conditional(joint, twins_body.coordinates([m]), twins_body.coordinates(said), deviation)
+                residuals[rows[m]] = aligned[rows[m]] - model.mean[k, m] - centre
+        out.append(residuals)
+    return np.concatenate(out)
+
+
+def residual_deviations(residuals, track, label, noise, least):
+    """Standard deviations (J,) between each tracklet's mean residual and the middle of those of the other tracklets of its marker."""
+    known, out = ~np.isnan(residuals[:, 0]), np.full(len(label), np.nan)
+    for j, m in enumerate(label):
+        own = residuals[known & (track == j)]
+        others = residuals[known & (label[track] == m) & (track != j)]
+        if m >= 0 and len(own) and len(others) >= max(least, len(own)):
+            middle = np.median(others, axis=0)
+            std = 1.4826 * np.median(np.abs(others - middle), axis=0)
+            out[j] = np.sqrt((((own.mean(axis=0) - middle) / np.hypot(std, noise)) ** 2).mean())
+    return out
+
+
 def sum_scores(track, scores, least, most, tracklets):
     """Sums of each tracklet's clipped scores (J, M), and its points (J,)."""
     own = [np.clip(scores[track == j], least, most) for j in range(tracklets)]

@@ -36,7 +36,7 @@ class PeerSettings:
 
 SETTINGS = (
     PeerSettings("as it comes", False, 1e-4, False),
-    PeerSettings("k2 free, ftol 1e-10, true principal points given", True, 1e-10, True),
+    PeerSettings("k2 free, ftol 1e-6, true principal points given", True, 1e-6, True),
 )
 """Its defaults, and what these rigs need: lenses with two radial coefficients and principal points off the centre."""
 

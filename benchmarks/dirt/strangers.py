@@ -197,30 +197,43 @@ def _is_standing(trial: Recording) -> bool:
 
 def _standing_and_walking(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Ten children's walks, the eleventh's standing trial; and the reverse."""
-    subjects = gait()
+    subjects = list(gait())[: 1 if benchmark.quick else None]
     for standing in (True, False):
-        outcome = Outcome(Tally())
-        for subject, trials in list(subjects.items())[: 1 if benchmark.quick else None]:
-            train = [(who, t) for who, own in subjects.items() if who != subject for t in own if _is_standing(t) != standing]
-            train = train[: 3 if benchmark.quick else None]
-            ensemble = benchmark.fit(_some(benchmark, [trial for _, trial in train]), [who for who, _ in train])
-            for trial in (trial for trial in trials if _is_standing(trial) == standing):
-                clouds, truth = simulate_gaps_and_ghosts(trial, HIDDEN, 0, seed=0)
-                outcome.add(ensemble.label(clouds, time=True), truth)
+        total = Outcome(Tally())
+        for outcome in benchmark.each(_other_trials, [(subject, standing) for subject in subjects]):
+            total.join(outcome)
         what = "walks learned, standing labelled" if standing else "standing learned, walks labelled"
-        yield from _figures(f"strangers, gait, {what}, {HIDDEN} hidden", outcome, asked=True)
+        yield from _figures(f"strangers, gait, {what}, {HIDDEN} hidden", total, asked=True)
+
+
+def _other_trials(benchmark: BenchmarkRun, item: tuple[str, bool]) -> Outcome:
+    """One child's standing trials, or walks, by a model of the other children's other trials."""
+    left_out, standing = item
+    train = [(who, t) for who, own in gait().items() if who != left_out for t in own if _is_standing(t) != standing]
+    train = train[: 3 if benchmark.quick else None]
+    ensemble, outcome = benchmark.fit(_some(benchmark, [trial for _, trial in train]), [who for who, _ in train]), Outcome(Tally())
+    for trial in (trial for trial in gait()[left_out] if _is_standing(trial) == standing):
+        clouds, truth = simulate_gaps_and_ghosts(trial, HIDDEN, 0, seed=0)
+        outcome.add(ensemble.label(clouds, time=True), truth)
+    return outcome
 
 
 def _ordinary(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Every gait recording, its subject left out: none may be said not to fit."""
-    outcome = Outcome(Tally())
-    for subject, trials in list(gait().items())[: 1 if benchmark.quick else None]:
-        ensemble = ensemble_of(benchmark, subject)
-        for number, trial in enumerate(trials):
-            for hidden in (0, HIDDEN):
-                clouds, truth = simulate_gaps_and_ghosts(trial, hidden, 0, seed=number)
-                outcome.add(ensemble.label(clouds, time=True), truth)
-    yield Figure("strangers, gait, all trials left out: said not to fit", "== 0", outcome.foreign, "recordings", outcome.recordings)
+    total = Outcome(Tally())
+    for outcome in benchmark.each(_own_kind, list(gait())[: 1 if benchmark.quick else None]):
+        total.join(outcome)
+    yield Figure("strangers, gait, all trials left out: said not to fit", "== 0", total.foreign, "recordings", total.recordings)
+
+
+def _own_kind(benchmark: BenchmarkRun, left_out: str) -> Outcome:
+    """One child's trials by a model of all others."""
+    ensemble, outcome = ensemble_of(benchmark, left_out), Outcome(Tally())
+    for number, trial in enumerate(gait()[left_out]):
+        for hidden in (0, HIDDEN):
+            clouds, truth = simulate_gaps_and_ghosts(trial, hidden, 0, seed=number)
+            outcome.add(ensemble.label(clouds, time=True), truth)
+    return outcome
 
 
 def _other_bodies(benchmark: BenchmarkRun) -> Iterator[Figure]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,6 @@ from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import gait
 from benchmarks.figures import Figure
-from benchmarks.recordings.features import SUBJECTS, frame_labeller
 from benchmarks.recordings.gaps import Tallies, summed
 from benchmarks.recordings.walks import CONDITIONS, standing, unseen_ensemble, with_gaps
 from benchmarks.score import Tally
@@ -25,11 +24,10 @@ from benchmarks.score import Tally
 
 @dataclass(frozen=True)
 class Case:
-    """A subject left out: the ensemble of the others, the same after the subject's standing trial, and partial solvers by pool, or none."""
+    """A subject left out: the ensemble of the others, and the same after it has seen the subject's standing trial."""
 
     ensemble: asterism.SolverEnsemble
     adapted: asterism.SolverEnsemble
-    solvers: Mapping[str, Callable[[Clouds], Labelling]]
 
 
 def uncalibrated(case: Case, clouds: Clouds) -> Labelling:
@@ -39,43 +37,31 @@ def uncalibrated(case: Case, clouds: Clouds) -> Labelling:
     return label_whole([member], clouds, RecordingLabellingSettings(adapt_rounds=0, deviation_cost=0.0), SubjectRules(), BodyRules())[0][0]
 
 
-SOLVERS = {"partial solvers": "single frames", "+ time features": "+ both"}
-"""The first two methods, and the features that their solvers may look at: of single frames; of motion, too (thesis 6.2)."""
-
 METHODS: tuple[tuple[str, Callable[[Case, Clouds], Labelling]], ...] = (
-    *((name, lambda case, clouds, name=name: case.solvers[name](clouds)) for name in SOLVERS),
     ("frame only", lambda case, clouds: case.ensemble.label(clouds)),
     ("+ tracks", lambda case, clouds: by_majority(case.ensemble.label(clouds), clouds)),
     ("+ all tracks at once", uncalibrated),
     ("+ own calibration", lambda case, clouds: case.ensemble.label(clouds, time=True)),
     ("+ static trial", lambda case, clouds: case.adapted.label(clouds, time=True)),
 )
-"""The first two are another way to label single frames. Of the others each does what the one above it does, and more."""
+"""Each does what the one above it does, and more. The row `features` adds two lines."""
 
 
 def ablation(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Right and FA by method and condition, over the subjects with a standing trial; partial solvers on those of the row `features`."""
+    """Right and FA by method and condition, over the subjects that have a standing trial."""
     subjects = [subject for subject in gait() if standing(subject)][: 1 if benchmark.quick else None]
-    total = summed(list(benchmark.each(_left_out, subjects)))
-    for method, _ in METHODS:
-        for condition in CONDITIONS:
-            tally = total.get((condition, method))
-            if tally:
-                yield tally.figure(f"ablation, {method}, {condition}: right", "none", tally.right_share)
-                yield tally.figure(f"ablation, {method}, {condition}: FA", "none", tally.false_assignments)
+    for (condition, method), tally in summed(list(benchmark.each(_left_out, subjects))).items():
+        yield tally.figure(f"ablation, {method}, {condition}: right", "none", tally.right_share)
+        yield tally.figure(f"ablation, {method}, {condition}: FA", "none", tally.false_assignments)
 
 
 def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:
     ensemble, tallies = unseen_ensemble(benchmark, subject), defaultdict(Tally)
-    searched = SOLVERS if subject in list(gait())[SUBJECTS] and not benchmark.quick else {}
-    case = Case(
-        ensemble, ensemble.adapt(standing(subject)), {name: frame_labeller(benchmark, subject, pool) for name, pool in searched.items()}
-    )
+    case = Case(ensemble, ensemble.adapt(standing(subject)))
     for condition, (hidden, ghosts) in CONDITIONS.items():
         for clouds, truth in with_gaps(benchmark, subject, hidden, ghosts, seeds=1):
             for name, label in METHODS:
-                if name not in SOLVERS or name in case.solvers:
-                    tallies[condition, name].add(label(case, clouds), truth)
+                tallies[condition, name].add(label(case, clouds), truth)
     told = (f"{c}, {m} {tally.right_share:.5f}" for (c, m), tally in tallies.items())
     benchmark.report(f"{subject} left out: {'; '.join(told)}")
     return dict(tallies)

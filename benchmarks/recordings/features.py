@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -29,6 +29,9 @@ POOLS = {
     "+ both": FEATURES + TEMPORAL,
 }
 """What partial solvers may look at."""
+
+ABLATION = {"single frames": "partial solvers", "+ both": "+ time features"}
+"""The pools that have a line among those of the row `ablation`, which labels the same clouds of more subjects."""
 
 SUBJECTS = slice(2, None, 4)
 """Three of the eleven subjects, each left out in turn: a miner takes minutes for each pool."""
@@ -75,6 +78,10 @@ def features(benchmark: BenchmarkRun) -> Iterator[Figure]:
             yield tally.figure(f"{row}: right", "none", tally.right_share)
             yield tally.figure(f"{row}: FA", "none", tally.false_assignments)
             yield Figure(f"{row}: evaluations", "none", outcome.evaluations[case] / tally.frames, "per frame", tally.frames)
+        for condition in CONDITIONS if pool in ABLATION else ():
+            tally = outcome.tallies[f"partial-solvers, {condition}"]
+            yield tally.figure(f"ablation, {ABLATION[pool]}, {condition}: right", "none", tally.right_share)
+            yield tally.figure(f"ablation, {ABLATION[pool]}, {condition}: FA", "none", tally.false_assignments)
         row, n = f"feature pool {pool}, partial solvers", outcome.solvers
         yield Figure(f"{row}: markers of a solver", "none", outcome.markers / n, "markers", n)
         yield Figure(f"{row}: weak classifiers of a solver", "none", outcome.weak / n, "classifiers", n)
@@ -83,13 +90,6 @@ def features(benchmark: BenchmarkRun) -> Iterator[Figure]:
         wrong = len(outcome.accuracies) * _wrong(benchmark)
         row = f"feature pool {pool}, full solver: accuracy over wrong labellings"
         yield Figure(row, "none", float(np.mean(outcome.accuracies)), "fraction", wrong)
-
-
-def frame_labeller(benchmark: BenchmarkRun, subject: str, pool: str) -> Callable[[Clouds], Labelling]:
-    """Single frames labelled by partial solvers of a pool, completed by the strong classifier, of everyone but this subject."""
-    people, train = unseen_training(benchmark, subject)
-    solvers = _mined(people, train, pool)
-    return lambda clouds: _labelled(clouds, solvers, "partial-solvers", train[0].labels)[0]
 
 
 def _left_out(benchmark: BenchmarkRun, item: tuple[str, str]) -> tuple[str, Outcome]:

@@ -42,6 +42,7 @@ def compile_whole() -> None:
         settle_dominant,
         sum_scores,
     )
+    from asterism.labelling.whole._residual_kernels import ResidualLimits, prediction_residuals, residual_deviations
 
     body = BodyArrays(
         mean=_floats(0, 0, 3),
@@ -56,6 +57,8 @@ def compile_whole() -> None:
     )
     xyz, offsets, track, label, gain = _floats(0, 3), np.zeros(1, dtype=np.int64), _ints(0), _ints(0), _floats(0, 1)
     score_frames(xyz, offsets, track, label, body, _zeros(FrameSettings), FrameScores(_floats(0, 0), _floats(0), _ints(0)))
+    prediction_residuals(xyz, offsets, track, label, body, _zeros(FrameSettings), xyz)
+    residual_deviations(xyz, track, label, _zeros(ResidualLimits), _floats(0))
     points, limits = TrackedPoints(xyz, track, track, 0), _zeros(DistanceLimits)
     rigid_deviations(points, label, _floats(0, 0), limits, _floats(0))
     training_deviations(points, label, _floats(0, 0), _floats(0, 0), limits, _floats(0))

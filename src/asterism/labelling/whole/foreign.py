@@ -18,17 +18,19 @@ from scipy.special import expit, gammaln, logit
 from asterism.labelling.body.model import BodyModel
 from asterism.labelling.whole.joint import SceneLabelling
 from asterism.labelling.whole.plausibility import own_deviations
-from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene
+from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, with_fewer_samples
 from asterism.labelling.whole.verdict import RigidDistances, median_and_std
 from asterism.recording import NULL, Floats, Ints
 
-Relabel = Callable[[Ints], SceneLabelling]
+Relabel = Callable[[Scene, Ints], SceneLabelling]
+"""Labels a scene from given labels (J,) on."""
 
 
 @dataclass(frozen=True)
 class ForeignRules:
     """How a foreign recording is labelled again. Chosen on the sets for choosing (docs/recordings.md).
 
+    frames           sampled frames on which labellings are compared, at most
     headings         turns of the mean body about the vertical that are tried
     sizes            its sizes that are tried
     rounds           alternating steps of matching and placing, at most
@@ -61,9 +63,10 @@ class ForeignRules:
     fits             see above
     by_certainty     what each 2 log odds add that the label has where recordings fit
     by_surplus       what e^2 points take away that are left over in a usual frame
-    least_confidence labels of a foreign recording below this are taken back; and where points are left over
+    least_confidence labels that this evidence makes less certain are taken back; and where points are left over
     """
 
+    frames: int = 60
     headings: int = 8
     sizes: tuple[float, ...] = (0.85, 1.0, 1.18)
     rounds: int = 10
@@ -112,16 +115,19 @@ class ForeignConfidence:
     crowded: bool
     rules: ForeignRules
 
-    def confidence(self, certainty: Floats, fit: Floats) -> Floats:
-        """The probability that labels are right (n,): certainty that they would have where recordings fit; fit in nats."""
+    def by_evidence(self, certainty: Floats, fit: Floats) -> Floats:
+        """The probability that labels are right (n,), if no other labelling of the whole recording is.
+
+        certainty: what it would be where recordings fit; fit in nats.
+        """
         rules = self.rules
         by_fit = rules.by_fit * np.clip(fit, *rules.fits) / 2.0
         by_certainty = rules.by_certainty * logit(np.clip(certainty, 0.001, 0.999)) / 2.0
-        return np.minimum(self.limit, expit(self.log_odds + by_fit + by_certainty))
+        return np.asarray(expit(self.log_odds + by_fit + by_certainty))
 
     @property
     def least_confidence(self) -> float:
-        """Labels below this are taken back."""
+        """Labels that the evidence makes less certain than this are taken back."""
         return self.rules.least_confidence[self.crowded]
 
     def of_points(self, points: int, long: Ints, track: Ints) -> ForeignConfidence:
@@ -144,33 +150,50 @@ def label_foreign(
 ) -> ForeignLabels:
     """The best whole labelling of a recording with one body, and how certain its labels may be.
 
-    found: the labels so far; names: of the body's markers; relabel: labels the recording from given labels (J,) on.
+    Labellings are compared on a sample of the frames. Only if another than the labels so far is the best, the recording is labelled again.
+    found: the labels so far; names: of the body's markers. O(starts) on the sample.
     """
-    tracks = tracks_of(found.scene)
-    markers = body.mean.shape[1]
-    starts = [start for start in _starts(body.mean, tracks, rules) if _differ(start, found.label, rules.same)]
-    ranked = sorted(starts, key=lambda start: -_distance_score(_positions(tracks, start, markers), reference, rules)[0])
+    settings = RecordingLabellingSettings()
+    scene, markers = with_fewer_samples(found.scene, rules.frames, settings), body.mean.shape[1]
+    crowded = _crowded(found, markers, rules)
+    starts = _best_starts(body.mean, tracks_of(scene), found.label, reference, rules)
+    compared = [relabel(scene, start) for start in (found.label, *starts)] if starts else [found]
+    scores = _scores(compared, tracks_of(scene), names, reference, crowded, rules) if starts else np.zeros(1)
+    best = int(np.argmax(scores))
+    chosen = relabel(found.scene, compared[best].label) if best else found
+    limit = np.ones(len(chosen.label))
+    for one, score in zip(compared, scores, strict=True):
+        differs = one.label != compared[best].label
+        if differs[scene.samples > 0].mean() > 1.0 - rules.same:
+            differs |= (scene.samples == 0) & np.isin(chosen.label, compared[best].label[differs])
+            limit[differs] = np.minimum(limit[differs], _odds(scores[best] - score, rules.scale))
+    log_odds, surplus = label_evidence(chosen, tracks_of(found.scene), markers, reference, rules)
+    return ForeignLabels(chosen, ForeignConfidence(log_odds, limit, surplus >= 1.0, rules))
+
+
+def _best_starts(mean: Floats, tracks: Floats, found: Ints, reference: RigidDistances, rules: ForeignRules) -> list[Ints]:
+    """The starts (J,) whose distances fit best, `max_starts` at most, each unlike the others and unlike the labels so far."""
+    starts = [start for start in _starts(mean, tracks, rules) if _differ(start, found, rules.same)]
+    ranked = sorted(starts, key=lambda start: -_distance_score(_positions(tracks, start, mean.shape[1]), reference, rules)[0])
     chosen: list[Ints] = []
     for start in ranked:
         if len(chosen) < rules.max_starts and all(_differ(start, other, rules.same) for other in chosen):
             chosen.append(start)
-    labelled = [found, *(relabel(start) for start in chosen)]
-    sides = _side_pairs(names)
-    positions = [_positions(tracks, one.label, markers) for one in labelled]
+    return chosen
+
+
+def _scores(
+    compared: Sequence[SceneLabelling], tracks: Floats, names: Sequence[str], reference: RigidDistances, crowded: bool, rules: ForeignRules
+) -> Floats:
+    """Nats of evidence for each whole labelling, the first of which are the labels so far."""
+    positions = [_positions(tracks, one.label, len(names)) for one in compared]
     distances = np.array([_distance_score(some, reference, rules) for some in positions])
-    forward = np.array([forward_share(some, _seconds(found.scene), sides, rules.min_speed) for some in positions])
-    crowded = _crowded(found, markers, rules)
+    seconds, sides = _seconds(compared[0].scene), _side_pairs(names)
+    forward = np.array([forward_share(some, seconds, sides, rules.min_speed) for some in positions])
     weight = rules.distance_weight[crowded and not (distances[:, 1] <= rules.close).any()]
-    scores = rules.body_weight * np.array([one.total for one in labelled]) + weight * distances[:, 0] + rules.forward * forward
+    scores = rules.body_weight * np.array([one.total for one in compared]) + weight * distances[:, 0] + rules.forward * forward
     scores[0] += rules.prior[crowded]
-    best = int(np.argmax(scores))
-    limit = np.ones(len(labelled[best].label))
-    for one, score in zip(labelled, scores, strict=True):
-        differs = one.label != labelled[best].label
-        if differs.mean() > 1.0 - rules.same:
-            limit[differs] = np.minimum(limit[differs], _odds(scores[best] - score, rules.scale))
-    log_odds, surplus = label_evidence(labelled[best], tracks, markers, reference, rules)
-    return ForeignLabels(labelled[best], ForeignConfidence(log_odds, limit, surplus >= 1.0, rules))
+    return scores
 
 
 def _odds(nats: float | Floats, scale: float) -> Floats:

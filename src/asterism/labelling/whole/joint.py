@@ -25,7 +25,7 @@ from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enou
 from asterism.labelling.whole._kernels import margins_of, overlaps, rivals_weight, sum_scores
 from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.bodies import find_bodies, follow_bodies, votes_of_bodies
-from asterism.labelling.whole.plausibility import TrainingDeviations, compare_with_training, ghost_penalty
+from asterism.labelling.whole.plausibility import compare_with_training, ghost_penalty
 from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, score_scene
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints
@@ -45,7 +45,6 @@ class SceneLabelling:
     rival   (J,) the second best column
     bodies  the models as adapted to the subjects
     total   nats, the total gain of the labels
-    off     by body, how far the labels' distances are off the training's
     by_body (J,) nats, the margin before labels whose distances are off lost theirs
     stages  labels (J,) after each stage, by name
     """
@@ -56,7 +55,6 @@ class SceneLabelling:
     rival: Ints
     bodies: list[BodyModel]
     total: float
-    off: list[TrainingDeviations]
     by_body: Floats
     stages: dict[str, Ints] = field(default_factory=dict)
 
@@ -99,14 +97,13 @@ def label_scene(
         state, bodies = trial, adapted
         stages[f"adapted {turn + 1}"] = state.label
     report(1.0, "labelled")
-    by_body = state.margin - ghost_penalty(labellers, scene, state.label, rules)
-    margin, off = by_body.copy(), []
+    by_body = state.margin - ghost_penalty(labellers, bodies, scene, state.label, rules)
+    margin = by_body.copy()
     for number, (labeller, body) in enumerate(zip(labellers, bodies, strict=True)):
         own = labels_of_body(state.label, offsets, number)
-        off.append(compare_with_training(labeller, body, scene, own, rules, body_rules))
-        doubtful = (own != NULL) & off[-1].are_off(rules)
+        doubtful = (own != NULL) & compare_with_training(labeller, body, scene, own, rules, body_rules).are_off(rules)
         margin[doubtful] = np.minimum(margin[doubtful], -rules.no_adapt_margin)
-    return SceneLabelling(scene, state.label, margin, state.rival, bodies, state.total, off, by_body, stages)
+    return SceneLabelling(scene, state.label, margin, state.rival, bodies, state.total, by_body, stages)
 
 
 @dataclass(frozen=True)
@@ -132,14 +129,38 @@ def _votes_of_one(labeller: BodyLabeller, scene: Scene, rules: RecordingLabellin
     crowd = np.diff(scene.sampled_offsets).mean() / labeller.body.mean.shape[1] if len(scene.sampled_frames) else 0.0
     if crowd > rules.crowded:
         labeller = replace(labeller, settings=labeller.settings._replace(**CROWDED_SEARCH))
+    frames = _voting_frames(scene, rules.max_voting)
+    points = np.nonzero(np.isin(scene.sampled_frame, frames))[0]
+    offsets = np.concatenate([[0], np.cumsum(np.diff(scene.sampled_offsets)[frames])]).astype(np.int64)
     point_of, margins, _ = labeller.label_frames(
-        scene.sampled_xyz, scene.sampled_offsets, workers, lambda done, _: report(0.7 * done, "labelling single frames"), at_once=50
+        np.ascontiguousarray(scene.sampled_xyz[points]),
+        offsets,
+        workers,
+        lambda done, _: report(0.7 * done, "labelling single frames"),
+        at_once=50,
     )
     votes = np.zeros((len(scene.first), point_of.shape[1]))
     frame, marker = np.nonzero(point_of != NULL)
-    track = scene.sampled_track[scene.sampled_offsets[frame] + point_of[frame, marker]]
+    track = scene.sampled_track[points[offsets[frame] + point_of[frame, marker]]]
     np.add.at(votes, (track, marker), np.clip(margins[frame, marker], 0.1, rules.max_vote))
     return votes
+
+
+def _voting_frames(scene: Scene, most: int) -> Ints:
+    """Which sampled frames vote: so many, evenly spread, and one of each tracklet that none of these shows."""
+    frames = len(scene.sampled_frames)
+    if frames <= most:
+        return np.arange(frames)
+    votes = np.zeros(frames, dtype=np.bool_)
+    votes[np.linspace(0, frames - 1, most).round().astype(np.int64)] = True
+    shown = np.zeros(len(scene.first), dtype=np.bool_)
+    shown[scene.sampled_track[votes[scene.sampled_frame]]] = True
+    for e in range(frames):
+        tracks = scene.sampled_track[scene.sampled_offsets[e] : scene.sampled_offsets[e + 1]]
+        if not shown[tracks].all():
+            votes[e] = True
+            shown[tracks] = True
+    return np.nonzero(votes)[0]
 
 
 def _votes_of_several(

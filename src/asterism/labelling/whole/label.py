@@ -22,7 +22,7 @@ from asterism.labelling.whole.certainty import Certainty, overlaps_unlabelled
 from asterism.labelling.whole.fits import point_fits
 from asterism.labelling.whole.foreign import ForeignConfidence, ForeignLabels, ForeignRules, forward_travel, label_foreign
 from asterism.labelling.whole.joint import SceneLabelling, label_scene
-from asterism.labelling.whole.scene import RecordingLabellingSettings, labels_of_body, marker_offsets, prepare_scene
+from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, prepare_scene
 from asterism.labelling.whole.short import frames_with_bodies, label_short_points, long_points, tracklets_of
 from asterism.labelling.whole.splits import split_tracklets
 from asterism.labelling.whole.verdict import MIN_FRAMES, RigidDistances, VerdictRules, confidence_limit, exchangeable, judge, judge_scene
@@ -82,8 +82,9 @@ class PointLabels:
         in_frame = frame_certainty.confidence(self.margin, self.left_over, self.fit)
         least = np.where(self.alone, frame_certainty.least_confidence, certainty.least_confidence)
         if self.foreign is not None:
-            in_time = self.foreign.confidence(in_time, self.fit)
-            least = np.maximum(least, self.foreign.least_confidence)
+            by_evidence = self.foreign.by_evidence(in_time, self.fit)
+            in_time = np.minimum(by_evidence, self.foreign.limit)
+            least = np.where(by_evidence < self.foreign.least_confidence, np.inf, least)
         return np.where(self.alone, in_frame, in_time), least
 
 
@@ -150,30 +151,50 @@ def _label_long_tracklets(
 ) -> _LongTracklets:
     """The first part of `label_points`."""
     tracklets = find_tracklets(clouds)
-    kept = long_points(clouds, tracklets, rules.short)
+    markers = int(marker_offsets(labellers)[-1])
+    kept = long_points(clouds, tracklets, markers, rules.short)
     if len(labellers) > 1:  # single frames do not tell which body is whose: without long tracklets, the short ones must
-        markers = int(marker_offsets(labellers)[-1])
         kept |= frames_with_bodies(clouds, kept, markers, rules.short) < rules.short.min_long_frames
     elif whole is not None:
         check_single_body(labellers[0], clouds.select(kept))
-    for turn in range(rules.max_splits + 1):
-        scene = prepare_scene(clouds.select(kept), tracklets_of(tracklets, kept), rules)
-        found = label_scene(labellers, scene, rules, subject_rules, body_rules, workers, progress)
-        long = np.nonzero(kept)[0][scene.order]
-        split = split_tracklets(tracklets, long, labellers, scene, found.label, rules) if turn < rules.max_splits else None
-        if split is None:
-            break
-        tracklets = split
+
+    def label_from(scene: Scene, start: Ints | None) -> SceneLabelling:
+        return label_scene(labellers, scene, rules, subject_rules, body_rules, workers, progress if start is None else None, start)
+
+    tracklets, found = _label_and_split(labellers, clouds, tracklets, kept, rules, label_from)
     foreign = None
     if whole is not None:
-
-        def relabel(start: Ints) -> SceneLabelling:
-            return label_scene(labellers, scene, rules, subject_rules, body_rules, workers, start=start)
-
-        again = label_if_foreign(whole, found, relabel)
+        again = label_if_foreign(whole, found, label_from)
         if again is not None:
             found, foreign = again.found, again.confidence
     return _LongTracklets(tracklets, kept, found, foreign)
+
+
+def _label_and_split(
+    labellers: Sequence[BodyLabeller],
+    clouds: Clouds,
+    tracklets: Tracklets,
+    kept: NDArray[np.bool_],
+    rules: RecordingLabellingSettings,
+    label_from: Callable[[Scene, Ints | None], SceneLabelling],
+) -> tuple[Tracklets, SceneLabelling]:
+    """All tracklets, those cut that go over from one marker to another, and the labels of the kept ones.
+
+    kept (P,): points of the tracklets to label; label_from: labels a scene, from given labels (J,) on where there are some.
+    """
+    points = clouds.select(kept)
+    scene = prepare_scene(points, tracklets_of(tracklets, kept), rules)
+    found = label_from(scene, None)
+    for _ in range(rules.max_splits):
+        split = split_tracklets(tracklets, np.nonzero(kept)[0][scene.order], labellers, scene, found.label, rules)
+        if split is None:
+            break
+        tracklets, before = split, scene
+        scene = prepare_scene(points, tracklets_of(tracklets, kept), rules)
+        start = np.empty(len(scene.first), dtype=np.int64)
+        start[scene.track] = found.label[before.track]  # both parts of a tracklet begin with its label
+        found = label_from(scene, start)
+    return tracklets, found
 
 
 def _with_short_points(
@@ -215,11 +236,13 @@ def _fits(labellers: Sequence[BodyLabeller], clouds: Clouds, xyz: Floats, long: 
     return fit
 
 
-def label_if_foreign(body: BodyInRecording, found: SceneLabelling, relabel: Callable[[Ints], SceneLabelling]) -> ForeignLabels | None:
+def label_if_foreign(
+    body: BodyInRecording, found: SceneLabelling, relabel: Callable[[Scene, Ints], SceneLabelling]
+) -> ForeignLabels | None:
     """A recording labelled again, None where there is no need.
 
     There is where it does not fit the body, where the body seems to walk backwards, and where few people taught the model and
-    many points are left over. relabel: labels the recording from given labels (J,) on.
+    many points are left over. relabel: labels a scene from given labels (J,) on.
     """
     reference = body.distances
     verdict = judge_scene(found.scene, found.label, marker_offsets([body.labeller]), 0, reference)
@@ -265,6 +288,8 @@ def _labelling_of(body: BodyInRecording, number: int, clouds: Clouds, labels: Po
     certainty, least = labels.confidence(body.certainty, body.frame_certainty)
     verdict = _verdict_of(body, number, clouds, labels, offsets)
     certainty = np.minimum(certainty, confidence_limit(verdict))
+    if body.distances is not None:
+        certainty = np.minimum(certainty, body.distances.margin_limits(labels.margin))
     if verdict is not None:
         pairs = exchangeable(label, rival, certainty, len(clouds), VerdictRules())
         named = tuple(tuple(body.names[body.markers[marker]] for marker in pair) for pair in pairs)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules, length_scale
 from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
+from asterism.labelling.whole._residual_kernels import ResidualLimits, prediction_residuals, residual_deviations
 from asterism.labelling.whole.certainty import overlaps_unlabelled
 from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, score_scene
 from asterism.recording import NULL, Floats, Ints
@@ -19,17 +20,43 @@ MIN_FRAMES, MAX_PARTNERS, MAX_DEVIATION = 5, 6, 8.0
 """Frames that a distance must be known from; how many of the steadiest distances count; standard deviations that one counts at most."""
 
 
-def ghost_penalty(labellers: Sequence[BodyLabeller], scene: Scene, label: Ints, rules: RecordingLabellingSettings) -> Floats:
-    """Nats of margin (J,) that tracklets lose whose near-rigid distances are not those that their markers have elsewhere in the recording.
+def ghost_penalty(
+    labellers: Sequence[BodyLabeller], bodies: Sequence[BodyModel], scene: Scene, label: Ints, rules: RecordingLabellingSettings
+) -> Floats:
+    """Nats of margin (J,) that tracklets lose that do not lie, in this body, where their markers lie elsewhere in the recording.
 
-    A ghost that moves with the body where a marker is hidden can fit the pose, but hardly the distances of this very body. Only tracklets
-    during which some point has no label are checked: elsewhere there is no sign of ghosts.
+    A ghost that moves with the body where a marker is hidden can fit the pose, but hardly the places and distances of this very body. Only
+    tracklets during which some point has no label are checked: elsewhere there is no sign of ghosts.
+    bodies: the models as adapted to the subjects.
     """
     near_unlabelled = overlaps_unlabelled(label, scene.first, scene.last)
     if not near_unlabelled.any():
         return np.zeros(len(label))
-    excess = np.maximum(own_deviations(scene, label, marker_offsets(labellers), rules, labellers) - rules.max_rigid_deviation, 0.0)
-    return rules.deviation_cost * excess**2 * (near_unlabelled > 0)
+    offsets = marker_offsets(labellers)
+    by_distance = own_deviations(scene, label, offsets, rules, labellers)
+    by_place = place_deviations(labellers, bodies, scene, label, rules)
+    deviation = np.where(np.isnan(by_place), by_distance, np.sqrt(0.5 * (np.nan_to_num(by_place) ** 2 + by_distance**2)))
+    return rules.deviation_cost * np.maximum(deviation - rules.max_rigid_deviation, 0.0) ** 2 * (near_unlabelled > 0)
+
+
+def place_deviations(
+    labellers: Sequence[BodyLabeller], bodies: Sequence[BodyModel], scene: Scene, label: Ints, rules: RecordingLabellingSettings
+) -> Floats:
+    """Standard deviations (J,) by which tracklets lie elsewhere, in the body, than their markers do in the rest of the recording.
+
+    A marker's place in a frame is taken from where all other labelled points predict it. NaN where it cannot be told.
+    bodies: the models as adapted to the subjects.
+    """
+    offsets, out = marker_offsets(labellers), np.full(len(label), np.nan)
+    residuals, of_body = np.empty_like(scene.sampled_xyz), np.empty(len(label))
+    limits = ResidualLimits(rules.min_rigid_std, MIN_FRAMES)
+    for number, (labeller, body) in enumerate(zip(labellers, bodies, strict=True)):
+        own = labels_of_body(label, offsets, number)
+        arrays = labeller.body if body is labeller.model else body.arrays()
+        prediction_residuals(scene.sampled_xyz, scene.sampled_offsets, scene.sampled_track, own, arrays, labeller.settings, residuals)
+        residual_deviations(residuals, scene.sampled_track, own, limits, of_body)
+        out = np.where(own != NULL, of_body, out)
+    return out
 
 
 def own_deviations(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,8 @@ from asterism.tracking.linking import Tracklets
 class RecordingLabellingSettings:
     """How a recording is labelled as a whole. All were chosen on the gait subjects, each left out in turn (docs/recordings.md).
 
-    frame_interval    s between the frames that are sampled: labelled singly, and scored
+    frame_interval    s between the frames that are sampled: scored, and labelled singly
+    max_voting        sampled frames that are labelled singly, and one more for each tracklet that none of them shows. Not tuned
     crowded           points of long tracklets for each marker, on average, above which single frames are searched briefly
     max_rounds        relabellings after which the labels are taken as they are
     min_score         nats, the most that one frame can say against a label (negative)
@@ -35,7 +36,7 @@ class RecordingLabellingSettings:
     max_rigid_std     m; two markers are near-rigid where their distance varies by less in this recording
     min_rigid_std     m; the standard deviation of such a distance is taken as at least this
     pose_spread       and as at least this share of its range over the key poses of the training. Chosen on six gait subjects in clutter
-    max_rigid_deviation standard deviations by which a tracklet's near-rigid distances may differ without a loss of margin
+    max_rigid_deviation standard deviations by which a tracklet's near-rigid distances and place may differ without a loss of margin
     deviation_cost    nats of margin lost for each square of what exceeds that
     training_noise    m, standard deviation of a near-rigid distance between bodies of one size, beyond the range of the training
     max_deviation_familiar standard deviations by which a tracklet's near-rigid distances may differ from the training's
@@ -47,6 +48,7 @@ class RecordingLabellingSettings:
     """
 
     frame_interval: float = 0.1
+    max_voting: int = 60
     crowded: float = 1.5
     max_rounds: int = 4
     min_score: float = -4.0
@@ -142,8 +144,35 @@ def prepare_scene(clouds: Clouds, tracklets: Tracklets, rules: RecordingLabellin
         sampled_track,
         np.repeat(np.arange(len(frames)), clouds.counts[frames]),
         samples,
-        samples / (1.0 + rules.frame_correlation * (samples - 1.0)),
+        _independent(samples, rules),
     )
+
+
+def with_fewer_samples(scene: Scene, most: int, rules: RecordingLabellingSettings) -> Scene:
+    """The scene with so many of its sampled frames at most, evenly spread. Tracklets that none of these shows stay, without a sample."""
+    if len(scene.sampled_frames) <= most:
+        return scene
+    kept = np.linspace(0, len(scene.sampled_frames) - 1, most).round().astype(np.int64)
+    number = np.full(len(scene.sampled_frames), -1)
+    number[kept] = np.arange(most)
+    points = number[scene.sampled_frame] >= 0
+    counts = np.diff(scene.sampled_offsets)[kept]
+    samples = np.bincount(scene.sampled_track[points], minlength=len(scene.first))
+    return replace(
+        scene,
+        sampled_frames=scene.sampled_frames[kept],
+        sampled_xyz=np.ascontiguousarray(scene.sampled_xyz[points]),
+        sampled_offsets=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        sampled_track=scene.sampled_track[points],
+        sampled_frame=number[scene.sampled_frame[points]],
+        samples=samples,
+        independent=_independent(samples, rules),
+    )
+
+
+def _independent(samples: Ints, rules: RecordingLabellingSettings) -> Floats:
+    """How many independent frames so many samples of a tracklet (J,) amount to."""
+    return np.asarray(samples / (1.0 + rules.frame_correlation * (samples - 1.0)))
 
 
 def _sampled_frames(frames: int, step: int, first: Ints, last: Ints) -> NDArray[np.bool_]:

@@ -25,6 +25,9 @@ class ShortTrackletRules:
 
     frames          tracklets of so many frames are short
     seconds         those that last no longer, too
+    crowd_seconds   where there is a crowd, the longest of the tracklets that may be taken as short
+    crowded         points of long tracklets in a frame, for each marker, from which there is a crowd
+    min_shown       the same that must be left
     min_long_frames share of the frames that must show enough long tracklets; else those of several bodies are labelled with the short ones
     min_labelled    share of the markers that a frame must show labelled, to label its other points
     min_score       nats, the most that the body can say against a label (negative)
@@ -40,6 +43,9 @@ class ShortTrackletRules:
 
     frames: int = 3
     seconds: float = 0.05
+    crowd_seconds: float = 0.25
+    crowded: float = 1.5
+    min_shown: float = 0.6
     min_long_frames: float = 0.5
     min_labelled: float = 0.3
     min_score: float = -4.0
@@ -67,10 +73,21 @@ class ShortPointLabels:
     alone: NDArray[np.bool_]
 
 
-def long_points(clouds: Clouds, tracklets: Tracklets, rules: ShortTrackletRules) -> NDArray[np.bool_]:
-    """The points (P,) of long tracklets."""
-    duration = tracklets.last - tracklets.first + 1
-    return (duration > max(rules.frames, rules.seconds * clouds.rate))[tracklets.of_point]
+def long_points(clouds: Clouds, tracklets: Tracklets, markers: int, rules: ShortTrackletRules) -> NDArray[np.bool_]:
+    """The points (P,) of long tracklets.
+
+    Where the tracklets that are not short show many more points than the bodies have markers, longer ones are short, too, up to a limit;
+    but only if that leaves about as many points as there are markers.
+    """
+    duration = (tracklets.last - tracklets.first + 1)[tracklets.of_point]
+    longest = max(float(rules.frames), rules.seconds * clouds.rate)
+    lengths = np.arange(np.ceil(longest), np.floor(rules.crowd_seconds * clouds.rate) + 1)
+    for length in (longest, *lengths[lengths > longest]):
+        shown = float((duration > length).sum()) / max(1, int((clouds.counts > 0).sum()))
+        if shown <= rules.crowded * markers:
+            longest = length if shown >= rules.min_shown * markers else longest
+            break
+    return duration > longest
 
 
 def frames_with_bodies(clouds: Clouds, long: NDArray[np.bool_], markers: int, rules: ShortTrackletRules) -> float:
