@@ -8,11 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from models import trained
+from scipy.spatial.transform import Rotation
 
 import asterism
 from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.labelling.whole.fits import point_fits
+from asterism.labelling.whole.scene import RecordingLabellingSettings, prepare_scene
+from asterism.labelling.whole.upright import upright_turns
 from asterism.recording import Clouds
 from asterism.simulation import simulate_walks
 from asterism.tracking.linking import find_tracklets
@@ -67,6 +70,40 @@ def test_a_point_that_is_not_where_the_marker_was_in_training_is_not_given_its_l
         right = one.label(clouds, time=True).indices == np.arange(len(names))
         assert right[:, others].mean() > 0.95
         assert right[:, ~others].mean() == given
+
+
+def leaning(walk: asterism.Recording, degrees: np.ndarray) -> asterism.Recording:
+    """A walk whose body leans by so much in each frame (T,), about a horizontal axis through its middle; z is up."""
+    middle = walk.positions.mean(axis=1, keepdims=True)
+    turns = Rotation.from_rotvec(np.radians(degrees)[:, None] * [1.0, 0.0, 0.0]).as_matrix()
+    return replace(walk, positions=middle + np.einsum("tij,tmj->tmi", turns, walk.positions - middle))
+
+
+def test_a_body_that_falls_keeps_its_labels(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+    """Nobody leans in the training. Here a stranger falls to the side, by 80 degrees in the second half of the walk."""
+    fall = leaning(walks[4], np.clip(np.arange(120) - 60, 0, 40) * 2.0)
+    clouds, truth = simulate_gaps_and_ghosts(fall, 2, 0, seed=1)
+    labelling = ensemble.label(clouds, time=True)
+    given, lies = labelling.indices >= 0, np.arange(120) >= 100
+    assert (labelling.indices == truth)[given].all()
+    assert given[lies].sum() > 0.9 * (truth[lies] >= 0).sum()
+
+
+def test_only_frames_that_lean_are_turned(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+    """By the right labels: the turn takes back the lean, up to what a step of a walk differs from its key pose, and the heading."""
+    rules, labeller = RecordingLabellingSettings(), ensemble.body_labeller
+    for degrees in (0.0, 80.0):
+        clouds = leaning(walks[4], np.full(120, degrees)).select(list(ensemble.marker_set.names)).clouds()
+        scene = prepare_scene(clouds, find_tracklets(clouds), rules)
+        marker = np.empty(len(scene.first), dtype=np.int64)
+        marker[scene.track] = (np.arange(len(clouds.xyz)) % 15)[scene.order]
+        turns = upright_turns(labeller, scene, marker, rules)
+        if not degrees:
+            assert turns is None
+        else:
+            assert turns is not None
+            up = turns @ Rotation.from_rotvec([np.radians(degrees), 0.0, 0.0]).as_matrix()
+            assert np.degrees(np.arccos(np.clip(up[:, 2, 2], -1.0, 1.0))).max() < 25.0
 
 
 def test_the_order_of_the_points_plays_no_part(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:

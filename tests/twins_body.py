@@ -283,6 +283,21 @@ def find_labellings(model, anchors, points, settings):
     return found, best
 
 
+def score_held_points(model, k, points, rows, outlier, scores, settings):
+    """`leave_one_out_scores`, in which a labelled point that is scored as a hidden marker says nothing of the body."""
+    out = scores.copy()
+    for holder, row in enumerate(rows):
+        if row < 0:
+            continue
+        flags = outlier.copy()
+        flags[holder] = True
+        without = leave_one_out_scores(model, k, points, rows, flags, settings)[:, row]
+        for m in range(len(rows)):
+            if rows[m] < 0 and scores[m, row] > -4 * settings.exact_margin:
+                out[m, row] = without[m]
+    return out
+
+
 def nearest_changes(model, points, rows, settings):
     """Score, rows and margins (M,) of a labelling after the changes of one or two markers that make it better, four at most."""
     rows, none = list(rows), np.zeros(len(rows), dtype=bool)
@@ -290,6 +305,7 @@ def nearest_changes(model, points, rows, settings):
         k = best_pose(model, points, rows, none, settings)
         top, scores, outlier = rescore(model, k, points, rows, none, settings)
         owner = {row: m for m, row in enumerate(rows) if row >= 0}
+        scores = score_held_points(model, k, points, rows, outlier, scores, settings)
         hide = settings.first_ghost_cost if len(owner) == len(points) else 0.0
         margins = [scores[m, row] + hide if row >= 0 else -np.inf for m, row in enumerate(rows)]
         better = None
@@ -301,7 +317,7 @@ def nearest_changes(model, points, rows, settings):
             if other is not None:
                 swap = row >= 0 and scores[other, row] > -settings.exact_margin
                 cost += scores[other, c] - (max(0.0, scores[other, row]) if swap else 0.0)
-                if cost < settings.exact_margin or (row < 0 and scores[m, c] > -4 * settings.exact_margin):
+                if cost < settings.exact_margin:
                     trial, flags = list(rows), outlier.copy()
                     trial[m], trial[other] = c, row if swap else -1
                     flags[[m, other]] = False

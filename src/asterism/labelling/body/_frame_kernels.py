@@ -11,7 +11,7 @@ import numpy as np
 
 from asterism._jit import kernel
 from asterism.labelling.body._refine_kernels import refine
-from asterism.labelling.body._score_kernels import best_pose, evidence, rescore
+from asterism.labelling.body._score_kernels import best_pose, evidence, rescore, score_held_points
 from asterism.labelling.body._search_kernels import MAX_LABELLINGS, find_labellings, make_candidates, make_search_workspace
 from asterism.labelling.body._workspace_kernels import (
     FrameLabelling,
@@ -28,7 +28,7 @@ def nearest_changes(body, points, settings, workspace, labelling):
     """For every marker, by how much the labelling beats the nearest one that differs there; a better one replaces it.
 
     Changes that are compared: hide the marker, give it a free point, swap it with another, let another marker take its point. They are
-    estimated from the leave-one-out scores, and computed exactly if the estimate is less than `settings.exact_margin`.
+    estimated from the leave-one-out scores, and those of two markers computed exactly if the estimate is less than `settings.exact_margin`.
     IN     body BodyArrays; points (n, 3) m; settings FrameSettings; workspace BodyWorkspace
     IN/OUT labelling.point_of; labelling.counters, the third of which is added to
     OUT    labelling.margins, labelling.fits
@@ -37,13 +37,15 @@ def nearest_changes(body, points, settings, workspace, labelling):
     point_of, margins = labelling.point_of, labelling.margins
     markers, n = body.load.shape[1], len(points)
     trial, owner = np.empty(markers, dtype=np.int64), np.empty(n, dtype=np.int64)
+    swap_cost = np.empty((markers, markers))
     top = -np.inf
     for _ in range(4):
         workspace.outlier[:] = False
         k, _ = best_pose(body, points, point_of, settings, workspace)
         top = rescore(body, k, points, point_of, settings, workspace)
         scores = workspace.scores.copy()
-        owner[:] = -1
+        score_held_points(body, k, point_of, -4.0 * settings.exact_margin, settings, workspace, scores)
+        owner[:], swap_cost[:] = -1, np.nan
         no_ghost = count_labelled(point_of) == n
         for m in range(markers):
             margins[m], labelling.fits[m] = -np.inf, 0.0
@@ -65,8 +67,9 @@ def nearest_changes(body, points, settings, workspace, labelling):
                     swap = point_of[m] >= 0 and scores[o, point_of[m]] > -settings.exact_margin
                     if swap:
                         cost -= max(0.0, scores[o, point_of[m]])
-                    # a point that a hidden marker may own has drawn the body towards its present owner, so the estimate is biased
-                    if cost < settings.exact_margin or (point_of[m] < 0 and scores[m, c] > -4.0 * settings.exact_margin):
+                    if swap and cost < settings.exact_margin and not math.isnan(swap_cost[o, m]):
+                        cost = swap_cost[o, m]
+                    elif cost < settings.exact_margin:
                         copy_labels(point_of, trial)
                         trial[m] = c
                         trial[o] = point_of[m] if swap else -1
@@ -79,6 +82,8 @@ def nearest_changes(body, points, settings, workspace, labelling):
                             copy_labels(trial, point_of)
                             better = True
                             break
+                        if swap:
+                            swap_cost[m, o] = cost
                     margins[o] = min(margins[o], cost)
                 margins[m] = min(margins[m], cost) if point_of[m] >= 0 else max(margins[m], -cost)
             if better:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.geometry._kernels import align_about_z, cofactors
+from asterism.geometry._kernels import align_about_z, cofactors, symmetric_inverse
 from asterism.labelling.body._workspace_kernels import LOG_2PI
 
 MAX_DISTANCE = 0.6
@@ -199,6 +199,88 @@ def leave_one_out_scores(body, k, point_of, settings, workspace):
             if score < settings.outlier_score and near2 < settings.outlier_radius * settings.outlier_radius:
                 score = settings.outlier_score
             workspace.scores[m, c] = score
+
+
+@kernel
+def _without_marker(m, workspace, inverse, shift):
+    """What changes for all predictions if a labelled marker says nothing of the body, after `predict_markers`.
+
+    OUT inverse (6,): (I - H)^-1, H the marker's `variance`; shift (3,): that times the marker's residual from its prediction. O(1).
+    """
+    markers, v = len(workspace.residual), workspace.variance
+    left = (1.0 - v[0, m], -v[1, m], -v[2, m], 1.0 - v[3, m], -v[4, m], 1.0 - v[5, m])
+    _, xx, xy, xz, yy, yz, zz = symmetric_inverse(left)
+    inverse[0], inverse[1], inverse[2], inverse[3], inverse[4], inverse[5] = xx, xy, xz, yy, yz, zz
+    x = workspace.residual[m, 0] - workspace.centre[m]
+    y = workspace.residual[m, 1] - workspace.centre[markers + m]
+    z = workspace.residual[m, 2] - workspace.centre[2 * markers + m]
+    shift[0], shift[1], shift[2] = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
+
+
+@kernel
+def _score_at(body, k, m, point, centre, covariance, settings):
+    """The score of a placed point as a marker that is predicted at `centre` (3,) with this covariance (6,), both whitened. Returns nats."""
+    w, s, mean = body.whiten[k, m], body.spread[k, m], body.mean[k, m]
+    dx, dy, dz = point[0] - mean[0], point[1] - mean[1], point[2] - mean[2]
+    away_x = dx - s[0, 0] * centre[0]
+    away_y = dy - s[1, 0] * centre[0] - s[1, 1] * centre[1]
+    away_z = dz - s[2, 0] * centre[0] - s[2, 1] * centre[1] - s[2, 2] * centre[2]
+    near2 = away_x * away_x + away_y * away_y + away_z * away_z
+    if near2 > MAX_DISTANCE * MAX_DISTANCE:
+        return -np.inf
+    x = w[0, 0] * dx + w[0, 1] * dy + w[0, 2] * dz - centre[0]
+    y = w[1, 0] * dx + w[1, 1] * dy + w[1, 2] * dz - centre[1]
+    z = w[2, 0] * dx + w[2, 1] * dy + w[2, 2] * dz - centre[2]
+    det, xx, xy, xz, yy, yz, zz = symmetric_inverse(covariance)
+    square = x * (xx * x + 2.0 * (xy * y + xz * z)) + y * (yy * y + 2.0 * yz * z) + z * zz * z
+    score = body.log_scale[k, m] - 1.5 * LOG_2PI + settings.reward - 0.5 * (math.log(max(det, 1e-9)) + square)
+    if score < settings.outlier_score and near2 < settings.outlier_radius * settings.outlier_radius:
+        return settings.outlier_score
+    return score
+
+
+@kernel
+def score_held_points(body, k, point_of, least, settings, workspace, scores):
+    """Score the points that labelled markers hold as every hidden marker, given all other labelled points, after `rescore`.
+
+    `leave_one_out_scores` predicts a hidden marker from all labelled points. A point that is scored as this marker must not be one of them:
+    under its present label it has drawn the body towards itself.
+    IN     as `leave_one_out_scores`; only what scores above `least` nats is scored anew; outliers have drawn nothing
+    IN/OUT scores (M, n) nats
+    O(M + hidden n r).
+    """
+    markers = body.load.shape[1]
+    solved, variance = workspace.solved, workspace.variance
+    inverses, shifts = np.empty((markers, 6)), np.empty((markers, 3))
+    cross, part, at, spread = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(6)
+    for o in range(markers):
+        if point_of[o] >= 0 and not workspace.outlier[o]:
+            _without_marker(o, workspace, inverses[o], shifts[o])
+    for m in range(markers):
+        if point_of[m] >= 0:
+            continue
+        for o in range(markers):
+            c = point_of[o]
+            if c < 0 or workspace.outlier[o] or scores[m, c] <= least:
+                continue
+            cross[:] = 0.0
+            for i in range(len(solved)):
+                for a in range(3):
+                    for b in range(3):
+                        cross[a, b] += solved[i, a * markers + m] * solved[i, b * markers + o]
+            v, entry = inverses[o], 0
+            for a in range(3):
+                part[a, 0] = cross[a, 0] * v[0] + cross[a, 1] * v[1] + cross[a, 2] * v[2]
+                part[a, 1] = cross[a, 0] * v[1] + cross[a, 1] * v[3] + cross[a, 2] * v[4]
+                part[a, 2] = cross[a, 0] * v[2] + cross[a, 1] * v[4] + cross[a, 2] * v[5]
+                at[a] = workspace.centre[a * markers + m]
+                at[a] -= cross[a, 0] * shifts[o, 0] + cross[a, 1] * shifts[o, 1] + cross[a, 2] * shifts[o, 2]
+            for a in range(3):
+                for b in range(a, 3):
+                    spread[entry] = (1.0 if a == b else 0.0) + variance[entry, m]
+                    spread[entry] += part[a, 0] * cross[b, 0] + part[a, 1] * cross[b, 1] + part[a, 2] * cross[b, 2]
+                    entry += 1
+            scores[m, c] = _score_at(body, k, m, workspace.aligned[c], at, spread, settings)
 
 
 @kernel

@@ -56,7 +56,9 @@ class TrainingRules:
     sample_frames       frames of all people that a model keeps, about. Not tuned: bounds the file
     frames_per_person   of those, training frames of one person at most, evenly spread
     folds               groups of people left out in turn to calibrate the confidence
-    trial_frames        frames on which each left-out person is tried
+    trial_frames        frames on which each left-out person is tried in each of `trials`, at most
+    trial_labels        fewer where their markers would give more labels than this: frames of many markers take long, and tell more
+    min_trial_frames    but not fewer than this. Both not tuned: bound the time of training 40 markers and more
     usual_hidden_share  share of the markers hidden when the usual score is taken
     usual_quantile      share of the rightly labelled frames that score less than the usual score
     solver_widen        intervals of the partial solvers move out by this many standard deviations over the people. 1.5 measured best on
@@ -80,6 +82,8 @@ class TrainingRules:
     frames_per_person: int = 1500
     folds: int = 5
     trial_frames: int = 140
+    trial_labels: int = 2100
+    min_trial_frames: int = 60
     usual_hidden_share: float = 0.25
     usual_quantile: float = 0.05
     solver_widen: float = 1.5
@@ -406,7 +410,8 @@ def _try_frames(tried: BodyLabeller, frames: Floats, people: Ints, rules: Traini
     """The labels that frames of people left out get in all trials."""
     rng = np.random.default_rng(seed)
     parts = []
-    rows_of = subsample(people, rules.trial_frames)
+    most = max(rules.min_trial_frames, rules.trial_labels // frames.shape[1])
+    rows_of = subsample(people, min(rules.trial_frames, most))
     recording = Recording(frames[rows_of], tuple(str(m) for m in range(frames.shape[1])), 100.0)
     for trial in rules.trials:
         clouds, truth = trial.in_frames(recording, rng)

@@ -27,6 +27,7 @@ from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.bodies import find_bodies, follow_bodies, votes_of_bodies
 from asterism.labelling.whole.plausibility import compare_with_training, ghost_penalty
 from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, score_scene
+from asterism.labelling.whole.upright import turned, upright_turns
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints
 
@@ -47,6 +48,7 @@ class SceneLabelling:
     total   nats, the total gain of the labels
     by_body (J,) nats, the margin before labels whose distances are off lost theirs
     stages  labels (J,) after each stage, by name
+    turns   (E, 3, 3) rotations that set the body upright in each sampled frame, see `upright.py`; None where none is turned
     """
 
     scene: Scene
@@ -57,6 +59,7 @@ class SceneLabelling:
     total: float
     by_body: Floats
     stages: dict[str, Ints] = field(default_factory=dict)
+    turns: Floats | None = None
 
 
 def label_scene(
@@ -83,6 +86,11 @@ def label_scene(
         label = assign_tracklets(_votes_of_several(labellers, scene, rules, workers, report), scene.first, scene.last)
     state = _coordinate_ascent(labellers, bodies, scene, label, rules)
     stages = {"votes": label, "tracks": state.label}
+    whole, turns = scene, upright_turns(labellers[0], scene, state.label, rules) if len(labellers) == 1 else None
+    if turns is not None:
+        scene = replace(whole, sampled_xyz=turned(whole.sampled_xyz, whole.sampled_frame, turns))
+        state = _coordinate_ascent(labellers, bodies, scene, state.label, rules)
+        stages["upright"] = state.label
     for turn in range(rules.adapt_rounds):
         if ((state.label != NULL) & (state.margin > rules.no_adapt_margin)).all():
             break
@@ -103,7 +111,7 @@ def label_scene(
         own = labels_of_body(state.label, offsets, number)
         doubtful = (own != NULL) & compare_with_training(labeller, body, scene, own, rules, body_rules).are_off(rules)
         margin[doubtful] = np.minimum(margin[doubtful], -rules.no_adapt_margin)
-    return SceneLabelling(scene, state.label, margin, state.rival, bodies, state.total, by_body, stages)
+    return SceneLabelling(whole, state.label, margin, state.rival, bodies, state.total, by_body, stages, turns)
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from asterism.labelling.whole.joint import SceneLabelling, label_scene
 from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, prepare_scene
 from asterism.labelling.whole.short import frames_with_bodies, label_short_points, long_points, tracklets_of
 from asterism.labelling.whole.splits import split_tracklets
+from asterism.labelling.whole.upright import turned
 from asterism.labelling.whole.verdict import MIN_FRAMES, RigidDistances, VerdictRules, confidence_limit, exchangeable, judge, judge_scene
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
@@ -227,6 +228,10 @@ def _fits(labellers: Sequence[BodyLabeller], clouds: Clouds, xyz: Floats, long: 
     fit, offsets = np.zeros(len(labels.label)), marker_offsets(labellers)
     scored = np.isin(np.arange(len(clouds)), long.found.scene.sampled_frames)
     scored[clouds.frame_of[~long.kept & (labels.label != NULL)]] = True
+    if long.found.turns is not None:
+        turns = np.tile(np.eye(3), (len(clouds), 1, 1))
+        turns[long.found.scene.sampled_frames] = long.found.turns
+        xyz = turned(xyz, clouds.frame_of, turns)
     group = long.tracklets.of_point.copy()
     group[labels.alone] = group.max(initial=-1) + 1 + np.arange(labels.alone.sum())
     for number, labeller in enumerate(labellers):

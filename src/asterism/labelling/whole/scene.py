@@ -42,6 +42,8 @@ class RecordingLabellingSettings:
     max_deviation_familiar standard deviations by which a tracklet's near-rigid distances may differ from the training's
     max_deviation_unfamiliar the same where most frames of the tracklet fit worse than those of people left out did
     adapt_rounds      how often the model is adapted to the subject's own body; 0 for never
+    turn_cost         nats that a sampled frame must gain to be turned upright (`upright.py`). Chosen on acrobatics (cmu41, 85)
+    min_turned_share  share of the markers that must be labelled there. Not tuned
     split_gain        nats by which two markers must explain a tracklet better than one, before and after a frame, to cut it there
     max_splits        how often tracklets are cut and labelled again
     short             which tracklets are short, and how their points are labelled
@@ -68,6 +70,8 @@ class RecordingLabellingSettings:
     max_deviation_familiar: float = 5.0
     max_deviation_unfamiliar: float = 2.5
     adapt_rounds: int = 2
+    turn_cost: float = 10.0
+    min_turned_share: float = 0.3
     split_gain: float = 40.0
     max_splits: int = 2
     short: ShortTrackletRules = field(default_factory=ShortTrackletRules)
