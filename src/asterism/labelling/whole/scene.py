@@ -36,7 +36,8 @@ class RecordingLabellingSettings:
     max_rigid_std     m; two markers are near-rigid where their distance varies by less in this recording
     min_rigid_std     m; the standard deviation of such a distance is taken as at least this
     pose_spread       and as at least this share of its range over the key poses of the training. Chosen on six gait subjects in clutter
-    max_rigid_deviation standard deviations by which a tracklet's near-rigid distances and place may differ without a loss of margin
+    max_rigid_deviation standard deviations by which a tracklet's near-rigid distances and place may differ without a loss of margin.
+                        Chosen of 0.9 to 1.2 on six gait subjects with riding ghosts: the largest without avoidable wrong labels
     deviation_cost    nats of margin lost for each square of what exceeds that
     training_noise    m, standard deviation of a near-rigid distance between bodies of one size, beyond the range of the training
     max_deviation_familiar standard deviations by which a tracklet's near-rigid distances may differ from the training's
@@ -64,7 +65,7 @@ class RecordingLabellingSettings:
     max_rigid_std: float = 0.02
     min_rigid_std: float = 0.004
     pose_spread: float = 0.3
-    max_rigid_deviation: float = 1.2
+    max_rigid_deviation: float = 1.0
     deviation_cost: float = 12.0
     training_noise: float = 0.01
     max_deviation_familiar: float = 5.0
