@@ -29,6 +29,22 @@ class FrameScores(NamedTuple):
 
 
 @kernel
+def points_of_markers(track, label, point_of):
+    """The point of each marker in a frame. IN track (n,) tracklet of each point; label (J,) marker of each tracklet, -1 for none.
+
+    OUT point_of (M,), -1 for none. Returns how many markers have a point. O(M + n).
+    """
+    point_of[:] = -1
+    labelled = 0
+    for c in range(len(track)):
+        m = label[track[c]]
+        if m >= 0:
+            point_of[m] = c
+            labelled += 1
+    return labelled
+
+
+@kernel
 def score_frames(xyz, offsets, track, label, body, settings, out):
     """Score every point of every frame as every marker, given the labels of all other points of its frame.
 
@@ -43,14 +59,7 @@ def score_frames(xyz, offsets, track, label, body, settings, out):
     workspace = make_body_workspace(0, markers, latents)
     for t in range(len(offsets) - 1):
         first, n = offsets[t], offsets[t + 1] - offsets[t]
-        point_of[:] = -1
-        labelled = 0
-        for c in range(n):
-            m = label[track[first + c]]
-            if m >= 0:
-                point_of[m] = c
-                labelled += 1
-        if labelled < 3:
+        if points_of_markers(track[first : first + n], label, point_of) < 3:
             scores[first : first + n] = 0.0
             totals[t], poses[t] = np.nan, 0
             continue

@@ -13,6 +13,7 @@ from asterism._jit import kernel
 from asterism.labelling.body._frame_kernels import frame_settings
 from asterism.labelling.body._score_kernels import best_pose, leave_one_out, place_on_body, rescore
 from asterism.labelling.body._workspace_kernels import make_body_workspace
+from asterism.labelling.whole._kernels import points_of_markers
 
 
 class ResidualLimits(NamedTuple):
@@ -41,14 +42,7 @@ def prediction_residuals(xyz, offsets, track, label, body, settings, out):
     out[:] = np.nan
     for t in range(len(offsets) - 1):
         first, n = offsets[t], offsets[t + 1] - offsets[t]
-        point_of[:] = -1
-        labelled = 0
-        for c in range(n):
-            m = label[track[first + c]]
-            if m >= 0:
-                point_of[m] = c
-                labelled += 1
-        if labelled < 4:
+        if points_of_markers(track[first : first + n], label, point_of) < 4:
             continue
         if n != len(workspace.aligned):
             workspace = make_body_workspace(n, markers, latents)
