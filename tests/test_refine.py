@@ -105,15 +105,15 @@ def zoomed(camera: Camera, factor: float) -> Camera:
     return replace(camera, focal=(factor * camera.focal[0], factor * camera.focal[1]))
 
 
-@pytest.mark.parametrize("cameras", [4, 6])
+@pytest.mark.parametrize("cameras", [4, 5])
 def test_a_turned_zoom_ring_is_told_from_a_bump(cameras: int) -> None:
     true, blobs = filmed(cameras)
-    made = refine_rig(blobs, replace(true, cameras=(true[0], zoomed(true[1], 1.04), *true.cameras[2:])), frames=60)
+    made = refine_rig(blobs, replace(true, cameras=(true[0], zoomed(true[1], 1.04), *true.cameras[2:])), frames=40)
     check = made.cameras[1]
     assert check.state == "moved" and check.zoomed == pytest.approx(1 / 1.04 - 1, abs=0.004)
     assert check.shifted < 0.03, "what the zoom did must not be put down to a camera that walked away"
     assert "focal length changed by -3." in made.findings[0].sentence
-    turned_only = refine_rig(blobs, with_bumps(true, {1: (2.0, 0.02)}), frames=60).cameras[1]
+    turned_only = refine_rig(blobs, with_bumps(true, {1: (2.0, 0.02)}), frames=40).cameras[1]
     assert turned_only.state == "moved" and turned_only.zoomed == 0.0
 
 
@@ -134,7 +134,7 @@ def test_a_camera_out_of_step_is_not_mended_as_if_it_were_bumped(frames: int) ->
 def test_exchanged_names_are_said() -> None:
     true, blobs = filmed(8)
     swapped = replace(true, cameras=(replace(true[1], name="c1"), replace(true[0], name="c2"), *true.cameras[2:]))
-    said = [str(finding) for finding in refine_rig(blobs, swapped, frames=40).findings]
+    said = [str(finding) for finding in refine_rig(blobs, swapped, frames=24).findings]
     assert "camera c1 stands where the rig has camera c2. Check whether their names were exchanged." in said
 
 
