@@ -134,7 +134,7 @@ def test_a_camera_out_of_step_is_not_mended_as_if_it_were_bumped(frames: int) ->
 def test_exchanged_names_are_said() -> None:
     true, blobs = filmed(8)
     swapped = replace(true, cameras=(replace(true[1], name="c1"), replace(true[0], name="c2"), *true.cameras[2:]))
-    said = [str(finding) for finding in refine_rig(blobs, swapped, frames=24).findings]
+    said = [str(finding) for finding in refine_rig(blobs, swapped, frames=40).findings]
     assert "camera c1 stands where the rig has camera c2. Check whether their names were exchanged." in said
 
 
