@@ -9,7 +9,7 @@ import pytest
 from models import trained
 
 import asterism
-from asterism.labelling.whole.foreign import ForeignConfidence, ForeignRules, distance_gains, distance_margins, forward_share
+from asterism.labelling.whole.foreign import ForeignConfidence, ForeignRules, distance_gains, distance_margins, forward_share, hidden_margins
 from asterism.labelling.whole.verdict import RigidDistances, VerdictRules
 from asterism.recording import Recording
 from asterism.simulation import simulate_walks
@@ -84,6 +84,24 @@ def test_tracklets_of_other_times_are_no_rivals() -> None:
     label, first = np.array([0, -1]), np.array([0, 10])
     assert distance_margins(gain, label, first, np.array([9, 19]))[0] == 60.0
     assert distance_margins(gain, label, first, np.array([10, 19]))[0] == -4.0
+
+
+def test_only_markers_hidden_for_most_of_the_time_are_rivals_without_a_point() -> None:
+    """Marker 2 has no point; marker 1 is held by the second tracklet, of which the first one sees 4 or 5 of its 10 frames."""
+    gain, label = np.array([[3.0, 2.5, 1.0], [0.0, 9.0, 0.0]]), np.array([0, 1])
+    first, last = np.array([0, 5]), np.array([9, 19])
+    np.testing.assert_array_equal(hidden_margins(gain, label, first, last), [2.0, 9.0])
+    np.testing.assert_array_equal(hidden_margins(gain, label, first + [0, 1], last), [0.5, 9.0])
+    np.testing.assert_array_equal(hidden_margins(gain, np.array([0, -1]), first, last), [0.5, np.inf])
+
+
+def test_a_marker_beside_a_hidden_one_is_less_certain() -> None:
+    """Of two markers 2 cm apart one is hidden: distances do not tell which. One far from all others stays certain."""
+    body = np.concatenate([BODY, BODY[:1] + [0.02, 0.0, 0.0]])
+    reference = RigidDistances.of_training(np.tile(body, (20, 1, 1)), np.zeros(20, dtype=np.int64), 1.0, VerdictRules())
+    tracks, first, last = np.tile(1.1 * body[:12], (20, 1, 1)), np.zeros(12, dtype=np.int64), np.full(12, 19)
+    over = hidden_margins(distance_gains(np.arange(12), tracks, 13, reference, RULES), np.arange(12), first, last)
+    assert over[0] < RULES.hidden_lead < over[1:].min()
 
 
 def test_a_person_worn_otherwise_is_labelled_right_and_not_certain(one: asterism.SolverEnsemble, walks: list[Recording]) -> None:
