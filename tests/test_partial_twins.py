@@ -212,7 +212,7 @@ def test_count_confusions(seed):
 def frames_of(frames, seed):
     """The points of some frames in random order, one marker missing at times, with an empty frame, two coincident points and ghosts."""
     rng = np.random.default_rng(seed)
-    clouds = [rng.permutation(frame)[rng.integers(0, 3) :] for frame in frames[seed::17][:4]]
+    clouds = [rng.permutation(frame)[rng.integers(0, 3) :] for frame in frames[seed::17][:3]]
     clouds += [np.empty((0, WIDTH)), np.concatenate([clouds[0], clouds[0][:1]]), frames[0][:2]]
     offsets = np.concatenate([[0], np.cumsum([len(points) for points in clouds])]).astype(np.int64)
     return clouds, np.ascontiguousarray(np.concatenate(clouds)), offsets
