@@ -177,7 +177,10 @@ def copy_labels(source, target):
 
 @kernel
 def index_of(table, count, point_of):
-    """Where a labelling is among the first `count` rows of a table, -1 where it is not. O(count M)."""
+    """Where a labelling is among those of a table. IN table (H, M), its first `count` rows; point_of (M,).
+
+    Returns the row, -1 where it is in none. O(count M).
+    """
     for h in range(count):
         same = True
         for m in range(len(point_of)):
