@@ -42,6 +42,8 @@ COPIED = ("src", "tests", "benchmarks", "docs", "tools")
 NOT_COPIED = shutil.ignore_patterns("__pycache__", ".*", "*.egg-info")
 UNCOUNTED = ("no import", "no compile")
 """Outcomes that say nothing about the tests: the module cannot be imported, or Numba cannot compile the kernel."""
+INTERNAL_ERROR, USAGE_ERROR, NO_TESTS = 3, 4, 5
+"""What pytest ends with."""
 HANGS = 240.0
 """s: a test that runs longer, and twenty times as long as recorded, hangs."""
 
@@ -199,6 +201,8 @@ def _run_tests(copy: Copy, tests: Sequence[Test], limit: float) -> tuple[str, st
         return "failed", failed["failed"], failed["why"]
     if process.returncode < 0:
         return "caught", _last(log, "began").get("began", ""), f"ended by signal {-process.returncode}"
+    if process.returncode in (NO_TESTS, USAGE_ERROR, INTERNAL_ERROR):
+        return "undecided", "", f"pytest ended with {process.returncode}: are the recorded tests still there?"
     return ("survived", "", "") if process.returncode == 0 else ("failed", "", "")
 
 
