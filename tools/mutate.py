@@ -132,6 +132,8 @@ def record(root: Path, work: Path, minutes: float) -> None:
         began = time.monotonic()
         copy.pytest(f"tests/{file.name}", f"--record-reached={out}", kept=True).wait()
         tests = len(json.loads(out.read_text(encoding="utf-8"))["tests"]) if out.exists() else 0
+        if not tests:
+            out.unlink(missing_ok=True)
         print(f"{file.name}: {tests} tests passed, {time.monotonic() - began:.0f} s", flush=True)
 
 
@@ -146,11 +148,12 @@ class Trials:
         self.commit = done.stdout.strip()
 
     def add(self, fault: Fault, outcome: Outcome) -> None:
-        """Keep a result; the note on an earlier result stays while the fault survives."""
+        """Keep a result, the status of the first one, and, while the fault survives, the note on it."""
         with self.lock:
+            first = self.entries.get(fault.key, {}).get("first", outcome.status)
             change = {name: value for name, value in asdict(fault).items() if name not in ("begin", "nth")}
             note = self.entries.get(fault.key, {}).get("note", "") if outcome.status == "survived" else ""
-            self.entries[fault.key] = {**change, **asdict(outcome), "commit": self.commit, "note": note}
+            self.entries[fault.key] = {**change, **asdict(outcome), "first": first, "commit": self.commit, "note": note}
             self.save()
 
     def save(self) -> None:
