@@ -173,3 +173,17 @@ def copy_labels(source, target):
     """IN source (M,). OUT target (M,). O(M). Quicker to compile than an assignment of slices, which also checks the shapes."""
     for m in range(len(source)):
         target[m] = source[m]
+
+
+@kernel
+def index_of(table, count, point_of):
+    """Where a labelling is among the first `count` rows of a table, -1 where it is not. O(count M)."""
+    for h in range(count):
+        same = True
+        for m in range(len(point_of)):
+            if table[h, m] != point_of[m]:
+                same = False
+                break
+        if same:
+            return h
+    return -1
