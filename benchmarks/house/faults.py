@@ -37,7 +37,7 @@ def faults(benchmark: BenchmarkRun) -> Iterator[Figure]:
     equal = sum(entry["note"].startswith("equal") for entry in tried)
     what = f"deliberate faults in {', '.join(ROOMS)}"
     yield Figure(f"{what}: tried", f">= {ASKED}", len(tried), "faults", len(tried))
-    yield from _share(f"{what}: caught", ">= 0.9", caught, len(tried))
+    yield from _share(f"{what}: caught", ">= 0.9" if len(tried) >= ASKED else "none", caught, len(tried))
     first = sum(entry["first"] == "caught" for entry in tried)
     yield from _share(f"{what}: caught before tests were written for survivors", "none", first, len(tried))
     if equal:
