@@ -9,7 +9,15 @@ import pytest
 from models import trained
 
 import asterism
-from asterism.labelling.whole.foreign import ForeignConfidence, ForeignRules, distance_gains, distance_margins, forward_share, hidden_margins
+from asterism.labelling.whole.foreign import (
+    ForeignConfidence,
+    ForeignRules,
+    _placed_on,
+    distance_gains,
+    distance_margins,
+    forward_share,
+    hidden_margins,
+)
 from asterism.labelling.whole.verdict import RigidDistances, VerdictRules
 from asterism.recording import Recording
 from asterism.simulation import simulate_walks
@@ -33,6 +41,15 @@ def hips(direction: tuple[float, float]) -> np.ndarray:
     """A left and a right hip that face along y and travel 1 m in a second: (11, 2, 3)."""
     way = np.linspace(0.0, 1.0, 11)[:, None] * np.array([*direction, 0.0])
     return way[:, None] + np.array([[-0.1, 0.0, 1.0], [0.1, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize(("turn", "size"), [(0.0, 1.0), (2.0, 1.1), (-1.2, 0.8)])
+def test_a_body_is_placed_on_its_points(turn: float, size: float) -> None:
+    """Four of six markers have points: the body turned about the vertical, scaled and moved there comes to lie on them."""
+    body = np.random.default_rng(3).normal(0.0, 0.3, (6, 3))
+    c, s = np.cos(turn), np.sin(turn)
+    there = size * body @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T + [1.0, -2.0, 0.9]
+    assert _placed_on(body, body[:4], there[:4]) == pytest.approx(there)
 
 
 @pytest.mark.parametrize(

@@ -273,6 +273,7 @@ def test_evaluate_solver_stops_as_soon_as_no_target_can_be_reached():
     made = evaluate_solver(arrays, pairs, 0, validation, EvaluationLimits(10**7, limit), workspace, 0, counts)
     assert counts.hits.sum() == 0
     assert made < count
+    assert ((counts.failures + counts.abstentions)[MARKERS] == made).all(), "each evaluation shows all markers, and counts once for each"
     assert counts.failures[MARKERS].min() == limit + 1, "one frame fewer, and a marker could still reach its target"
 
 

@@ -42,6 +42,8 @@ COPIED = ("src", "tests", "benchmarks", "docs", "tools")
 NOT_COPIED = shutil.ignore_patterns("__pycache__", ".*", "*.egg-info")
 UNCOUNTED = ("no import", "no compile")
 """Outcomes that say nothing about the tests: the module cannot be imported, or Numba cannot compile the kernel."""
+INTERNAL_ERROR, USAGE_ERROR, NO_TESTS = 3, 4, 5
+"""What pytest ends with."""
 HANGS = 240.0
 """s: a test that runs longer, and twenty times as long as recorded, hangs."""
 
@@ -130,6 +132,8 @@ def record(root: Path, work: Path, minutes: float) -> None:
         began = time.monotonic()
         copy.pytest(f"tests/{file.name}", f"--record-reached={out}", kept=True).wait()
         tests = len(json.loads(out.read_text(encoding="utf-8"))["tests"]) if out.exists() else 0
+        if not tests:
+            out.unlink(missing_ok=True)
         print(f"{file.name}: {tests} tests passed, {time.monotonic() - began:.0f} s", flush=True)
 
 
@@ -144,11 +148,12 @@ class Trials:
         self.commit = done.stdout.strip()
 
     def add(self, fault: Fault, outcome: Outcome) -> None:
-        """Keep a result; the note on an earlier result stays while the fault survives."""
+        """Keep a result, the status of the first one, and, while the fault survives, the note on it."""
         with self.lock:
+            first = self.entries.get(fault.key, {}).get("first", outcome.status)
             change = {name: value for name, value in asdict(fault).items() if name not in ("begin", "nth")}
             note = self.entries.get(fault.key, {}).get("note", "") if outcome.status == "survived" else ""
-            self.entries[fault.key] = {**change, **asdict(outcome), "commit": self.commit, "note": note}
+            self.entries[fault.key] = {**change, **asdict(outcome), "first": first, "commit": self.commit, "note": note}
             self.save()
 
     def save(self) -> None:
@@ -199,6 +204,8 @@ def _run_tests(copy: Copy, tests: Sequence[Test], limit: float) -> tuple[str, st
         return "failed", failed["failed"], failed["why"]
     if process.returncode < 0:
         return "caught", _last(log, "began").get("began", ""), f"ended by signal {-process.returncode}"
+    if process.returncode in (NO_TESTS, USAGE_ERROR, INTERNAL_ERROR):
+        return "undecided", "", f"pytest ended with {process.returncode}: are the recorded tests still there?"
     return ("survived", "", "") if process.returncode == 0 else ("failed", "", "")
 
 

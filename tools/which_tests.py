@@ -57,13 +57,17 @@ class Program:
                 found[name].append(function)
         return found
 
-    def callers(self, module: str, name: str) -> Iterator[tuple[str, int]]:
-        """Keys of the functions in Python that name something of a module, through kernels that name it, and through how many."""
+    def callers(self, module: str, name: str, is_field: bool) -> Iterator[tuple[str, int]]:
+        """Keys of the functions in Python that name something of a module, through kernels that name it, and through how many.
+
+        A field is read by modules that do not import its class.
+        """
         waiting, seen = [(module, name, 0)], {(module, name)}
         for module, name, far in waiting:
             stem = Path(module).stem
             for function in self.naming.get(name, ()):
-                if function.module != module and not {stem, name} & self.imports[function.module]:
+                imported = {stem, name} & self.imports[function.module]
+                if not (function.module == module or imported or (is_field and far == 0)):
                     continue
                 if not function.compiled:
                     yield function.key, far
@@ -72,14 +76,15 @@ class Program:
                     waiting.append((function.module, function.name, far + 1))
 
     def nearest_functions(self, fault: Fault) -> dict[str, int]:
-        """Functions that a recording can see and that come to the fault, with the steps between."""
+        """Functions that a recording can see and that come to the fault, with the steps between; else all of its module."""
         own = next((function for function in self.functions if function.key == f"{fault.path}:{fault.place}"), None)
         if own is not None and not own.compiled:
             return {own.key: 0}
+        name = fault.place.rpartition(".")[2] if own is None else own.name
         found: dict[str, int] = {}
-        for key, far in self.callers(fault.path, fault.place.rpartition(".")[2] if own is None else own.name):
+        for key, far in self.callers(fault.path, name, own is None and "." in fault.place):
             found.setdefault(key, far)
-        return found
+        return found or {function.key: 0 for function in self.functions if function.module == fault.path and own is None}
 
     @cached_property
     def kept(self) -> frozenset[str]:
