@@ -108,13 +108,13 @@ def test_only_markers_hidden_for_most_of_the_time_are_rivals_without_a_point() -
     gain, label = np.array([[3.0, 2.5, 1.0], [0.0, 9.0, 0.0]]), np.array([0, 1])
     first, last = np.array([0, 5]), np.array([9, 19])
     np.testing.assert_array_equal(hidden_margins(gain, label, first, last), [2.0, 9.0])
-    np.testing.assert_array_equal(hidden_margins(gain, label, first + [0, 1], last), [0.5, 9.0])
+    np.testing.assert_array_equal(hidden_margins(gain, label, np.array([0, 6]), last), [0.5, 9.0])
     np.testing.assert_array_equal(hidden_margins(gain, np.array([0, -1]), first, last), [0.5, np.inf])
 
 
 def test_a_marker_beside_a_hidden_one_is_less_certain() -> None:
     """Of two markers 2 cm apart one is hidden: distances do not tell which. One far from all others stays certain."""
-    body = np.concatenate([BODY, BODY[:1] + [0.02, 0.0, 0.0]])
+    body = np.concatenate([BODY, BODY[:1] + np.array([0.02, 0.0, 0.0])])
     reference = RigidDistances.of_training(np.tile(body, (20, 1, 1)), np.zeros(20, dtype=np.int64), 1.0, VerdictRules())
     tracks, first, last = np.tile(1.1 * body[:12], (20, 1, 1)), np.zeros(12, dtype=np.int64), np.full(12, 19)
     over = hidden_margins(distance_gains(np.arange(12), tracks, 13, reference, RULES), np.arange(12), first, last)

@@ -59,8 +59,8 @@ class ForeignRules:
                      recording, beyond `max_deviation`
     max_deviation    see above
     leads            see above
-    by_hidden        what each nat takes away by which its distances beat those of the best hidden marker by less than `hidden_lead`: nothing
-                     else tells a heel from the ankle beside it that is not seen
+    by_hidden        what each nat takes away that its distances lack to beat those of the best hidden marker by `hidden_lead`: a heel looks
+                     like the ankle beside it where only one of the two is seen
     hidden_lead      see above
     by_fit           what 2 nats of the tracklet's fit add, counted within `fits`
     fits             see above
