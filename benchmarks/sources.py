@@ -19,7 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PACKAGE, BENCHMARKS = "asterism", "benchmarks"
-FOLDERS = ("src", BENCHMARKS, "tests", "docs/reference", ".ci", "pyproject.toml")
+FOLDERS = ("src", BENCHMARKS, "tests", "tools", "docs/reference", ".ci", "pyproject.toml")
 
 BOOKKEEPING = ("benchmarks.figures", "benchmarks.docs", "benchmarks.plots", "benchmarks.sources", "benchmarks.runs", "benchmarks.stale")
 """Modules that keep and print figures, and change none."""
@@ -31,6 +31,11 @@ BEYOND_IMPORTS = {
     ("house", "structure"): ("src/",),
     ("house", "reference"): ("src/", "docs/reference/"),
     ("house", "kernels"): ("tests/deciding_kernels.py",),
+    ("house", "faults"): (
+        *(f"src/asterism/{room}/" for room in ("labelling", "reconstruction", "cameras", "formats")),
+        "benchmarks/faults.json",
+        "tools/faults.py",
+    ),
     ("house", "startup"): ("src/asterism/cli/", "src/asterism/formats/", "src/asterism/recording/"),
     ("house", "install"): ("src/", "pyproject.toml"),
     ("house", "ci"): ("src/", "tests/", ".ci/", "pyproject.toml"),

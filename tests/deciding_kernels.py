@@ -35,7 +35,7 @@ CHECKED_BY: dict[str, str] = {
     f"{_POINTS}._frame_kernels.attach_available": f"{_TWINS}::test_available_blobs_are_attached_as_by_the_twin",
     f"{_POINTS}._frame_kernels.count_visibility": f"{_TWINS}::test_visibility_is_counted_as_by_the_rigs_own_projection",
     f"{_POINTS}._plain_kernels.reconstruct_frame_plain": _PLAIN,
-    f"{_POINTS}._plain_kernels.merge_versions": f"{_TWINS}::test_versions_are_merged_as_by_the_twin",
+    f"{_POINTS}._plain_kernels.merge_versions": f"{_TWINS}::test_versions_are_merged_by_the_sensitivity_as_by_the_twin",
     f"{_POINTS}._score_kernels.score": f"{_TWINS}::test_the_score_is_that_of_the_twin",
     f"{_POINTS}._compose_kernels.compose": f"{_TWINS}::test_composition_finds_what_trying_all_pairs_of_blobs_finds",
     "asterism.calibration.wand._kernels.locate_wand": "test_wand.py::test_what_cameras_agree_on_equals_the_plain_search_in_all_frames",

@@ -21,11 +21,13 @@ import pytest
 import scipy
 
 import asterism
-from asterism.labelling import TrainingRules
+from asterism import labelling
+from asterism.labelling import CapturabilityRules, TrainingRules
+from asterism.labelling.partial.solver_search import SearchSettings
 from asterism.labelling.training.trials import Trial
 
 BRIEF = TrainingRules(
-    trial_frames=8, folds=2, trials=(Trial(), Trial(0.2), Trial(0.2, 3)), time_trials=(Trial(0.2, 3),), stretches=1, stretch_frames=60
+    trial_frames=8, folds=2, trials=(Trial(), Trial(0.2), Trial(0.2, 3)), time_trials=(Trial(0.2),), stretches=1, stretch_frames=30
 )
 """Training that tries its model on little, so that its confidence is low: for tests of what is learned, not of what is labelled."""
 
@@ -37,6 +39,23 @@ SHORT = TrainingRules(
     stretch_frames=100,
 )
 """Training that tries its model in fewer trials of each kind than the default one, in a third of its time: what `trained` uses."""
+
+BRIEF_EXAMINATION = CapturabilityRules(
+    search=SearchSettings(
+        screening_frames=60,
+        evaluation_frames=200,
+        validation_frames=200,
+        beam_width=15,
+        max_markers=5,
+        max_solvers=15,
+        coverage_patterns=500,
+        max_classifiers=100,
+    ),
+    change_frames=60,
+    hardest=1,
+    targets=(0.99, 0.99999),
+)
+"""A marker set examined with few partial solvers, and few changes of it tried: for tests of what is shown, not of what is found."""
 
 _WAIT = 300.0
 """Seconds after which another process's lock is taken for one that was left behind."""
@@ -66,6 +85,15 @@ def training_with(rules: TrainingRules) -> Iterator[None]:
     plain = asterism.SolverEnsemble.fit
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(asterism.SolverEnsemble, "fit", lambda recordings, **given: plain(recordings, **{**given, "training": rules}))
+        yield
+
+
+@contextmanager
+def examining_briefly() -> Iterator[None]:
+    """Whoever calls `labelling.capturability` here examines by `BRIEF_EXAMINATION`."""
+    plain = labelling.capturability
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(labelling, "capturability", lambda recordings, **given: plain(recordings, **{"rules": BRIEF_EXAMINATION, **given}))
         yield
 
 

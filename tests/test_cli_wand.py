@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from cold_starts import few_starts
 
 from asterism.cameras import Rig
 from asterism.cameras.files import read_rig, write_rig
 from asterism.cli import main
 from asterism.formats import write_blobs
 from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, simulate_wand
+
+
+@pytest.fixture(autouse=True)
+def _few_starts() -> Iterator[None]:
+    with few_starts():
+        yield
 
 
 def run(*args: object) -> int:

@@ -18,11 +18,11 @@ from asterism.errors import AsterismError
 from asterism.formats import read_blobs
 from asterism.geometry import rotation_from_vector
 from asterism.recording import Clouds
-from asterism.simulation import pipeline, simulate_walks
+from asterism.simulation import pipeline, session, simulate_walks
 from asterism.simulation.cameras import ring_rig
 from asterism.simulation.comparison import compare_points, compare_rigs
 from asterism.simulation.pipeline import Criterion, PipelineResult
-from asterism.simulation.session import simulate_session
+from asterism.simulation.session import Session, simulate_session
 
 
 def test_a_rig_in_another_world_is_the_same_rig() -> None:
@@ -78,7 +78,9 @@ def test_the_demo_keeps_its_promises_and_says_when_it_does_not(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     outcomes: list[PipelineResult] = []
-    work = pipeline.run_pipeline
+    sessions: list[Session] = []
+    work, simulate = pipeline.run_pipeline, session.simulate_session
+    monkeypatch.setattr(session, "simulate_session", lambda *given: sessions.append(simulate(*given)) or sessions[-1])
     monkeypatch.setattr(pipeline, "run_pipeline", lambda *given: outcomes.append(work(*given)) or outcomes[-1])
     folder, told = tmp_path / "demo", tmp_path / "demo.json"
     assert main(["demo", "cameras", "-o", str(folder), "--json", str(told)]) == 0
@@ -104,7 +106,8 @@ def test_the_demo_keeps_its_promises_and_says_when_it_does_not(
     capsys.readouterr()
 
     model = asterism.SolverEnsemble.load(folder / "walkers.model")
-    monkeypatch.setattr(_demo_cameras, "_trained", lambda walks, seed: model)
+    monkeypatch.setattr(_demo_cameras, "train_on_walkers", lambda walks, seed: model)
+    monkeypatch.setattr(session, "simulate_session", lambda *given: sessions[0])
     damaged = replace(outcomes[0], wrong=500)
     monkeypatch.setattr(pipeline, "run_pipeline", lambda *given: damaged)
     assert main(["demo", "cameras", "-o", str(folder), "--json", "-"]) == 1

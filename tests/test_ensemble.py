@@ -407,8 +407,18 @@ def test_the_thesis_rules_need_their_solvers(small, few):
 def test_confidence_by_the_thesis_rules_is_the_share_of_votes(small, few):
     """Of the solvers trusted with a marker, the share that propose the point; nothing where none proposes one."""
     frames, groups = stack_frames(few)
-    settings = replace(PRINTED, screening_frames=60, evaluation_frames=200, validation_frames=200, beam_width=15, max_markers=6)
-    solvers = search_partial_solvers(frames, groups, targets=0.97, features=PRINTED_FEATURES, settings=settings, seed=0)
+    settings = replace(
+        PRINTED,
+        screening_frames=60,
+        evaluation_frames=100,
+        validation_frames=100,
+        beam_width=15,
+        max_markers=5,
+        max_solvers=60,
+        coverage_patterns=500,
+        large_subsets=5,
+    )
+    solvers = search_partial_solvers(frames, groups, targets=0.97, features=PRINTED_FEATURES[:5], settings=settings, seed=0)
     solvers = replace(solvers, trusted=solvers.trusted & (solvers.solvers.markers != 3))
     model = SolverEnsemble(replace(small.state, solvers={"thesis": solvers}))
     clouds, _ = simulate_occlusions(few[0], 2, 1, seed=0)

@@ -9,7 +9,15 @@ import pytest
 from models import trained
 
 import asterism
-from asterism.labelling.whole.foreign import ForeignConfidence, ForeignRules, distance_gains, distance_margins, forward_share
+from asterism.labelling.whole.foreign import (
+    ForeignConfidence,
+    ForeignRules,
+    _placed_on,
+    distance_gains,
+    distance_margins,
+    forward_share,
+    hidden_margins,
+)
 from asterism.labelling.whole.verdict import RigidDistances, VerdictRules
 from asterism.recording import Recording
 from asterism.simulation import simulate_walks
@@ -33,6 +41,15 @@ def hips(direction: tuple[float, float]) -> np.ndarray:
     """A left and a right hip that face along y and travel 1 m in a second: (11, 2, 3)."""
     way = np.linspace(0.0, 1.0, 11)[:, None] * np.array([*direction, 0.0])
     return way[:, None] + np.array([[-0.1, 0.0, 1.0], [0.1, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize(("turn", "size"), [(0.0, 1.0), (2.0, 1.1), (-1.2, 0.8)])
+def test_a_body_is_placed_on_its_points(turn: float, size: float) -> None:
+    """Four of six markers have points: the body turned about the vertical, scaled and moved there comes to lie on them."""
+    body = np.random.default_rng(3).normal(0.0, 0.3, (6, 3))
+    c, s = np.cos(turn), np.sin(turn)
+    there = size * body @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T + [1.0, -2.0, 0.9]
+    assert _placed_on(body, body[:4], there[:4]) == pytest.approx(there)
 
 
 @pytest.mark.parametrize(
@@ -84,6 +101,24 @@ def test_tracklets_of_other_times_are_no_rivals() -> None:
     label, first = np.array([0, -1]), np.array([0, 10])
     assert distance_margins(gain, label, first, np.array([9, 19]))[0] == 60.0
     assert distance_margins(gain, label, first, np.array([10, 19]))[0] == -4.0
+
+
+def test_only_markers_hidden_for_most_of_the_time_are_rivals_without_a_point() -> None:
+    """Marker 2 has no point; marker 1 is held by the second tracklet, of which the first one sees 4 or 5 of its 10 frames."""
+    gain, label = np.array([[3.0, 2.5, 1.0], [0.0, 9.0, 0.0]]), np.array([0, 1])
+    first, last = np.array([0, 5]), np.array([9, 19])
+    np.testing.assert_array_equal(hidden_margins(gain, label, first, last), [2.0, 9.0])
+    np.testing.assert_array_equal(hidden_margins(gain, label, np.array([0, 6]), last), [0.5, 9.0])
+    np.testing.assert_array_equal(hidden_margins(gain, np.array([0, -1]), first, last), [0.5, np.inf])
+
+
+def test_a_marker_beside_a_hidden_one_is_less_certain() -> None:
+    """Of two markers 2 cm apart one is hidden: distances do not tell which. One far from all others stays certain."""
+    body = np.concatenate([BODY, BODY[:1] + np.array([0.02, 0.0, 0.0])])
+    reference = RigidDistances.of_training(np.tile(body, (20, 1, 1)), np.zeros(20, dtype=np.int64), 1.0, VerdictRules())
+    tracks, first, last = np.tile(1.1 * body[:12], (20, 1, 1)), np.zeros(12, dtype=np.int64), np.full(12, 19)
+    over = hidden_margins(distance_gains(np.arange(12), tracks, 13, reference, RULES), np.arange(12), first, last)
+    assert over[0] < RULES.hidden_lead < over[1:].min()
 
 
 def test_a_person_worn_otherwise_is_labelled_right_and_not_certain(one: asterism.SolverEnsemble, walks: list[Recording]) -> None:

@@ -14,6 +14,7 @@ from hypothesis.extra.numpy import arrays
 
 from asterism.errors import AsterismError
 from asterism.formats import Table, convert, describe, read, read_clouds, read_table, write, write_table
+from asterism.formats._text import _timed_rate
 from asterism.formats.csv_long import write_long
 from asterism.recording import Clouds, Event, Recording, as_vertical
 
@@ -557,6 +558,16 @@ def test_a_wide_csv_of_one_marker_converts_as_a_recording(tmp_path):
     write(tmp_path / "one.csv", recording)
     convert(tmp_path / "one.csv", tmp_path / "one.npz")
     np.testing.assert_allclose(read(tmp_path / "one.npz").positions, recording.positions, atol=1e-9)
+
+
+@pytest.mark.parametrize(("jitter", "even"), [(0.0, True), (0.0001, True), (0.0005, False)])
+def test_times_that_jitter_by_less_than_two_percent_of_a_frame_are_evenly_spaced(jitter, even):
+    """100 frames a second, printed to a microsecond; every other frame is late."""
+    times = np.round(np.arange(21) / 100 + 0.000001 * (np.arange(21) % 3 == 1), 6) + jitter * (np.arange(21) % 2)
+    rate, agrees = _timed_rate(times, 100.0)
+    assert (rate is not None, agrees) == (even, even)
+    assert rate is None or rate == pytest.approx(100.0, rel=0.001)
+    assert not _timed_rate(times, 101.0)[1]
 
 
 @pytest.mark.parametrize("rate", [59.94, 60.0, 100.0, 119.88012, 240.0, 1000.0])

@@ -5,18 +5,15 @@ from __future__ import annotations
 import ast
 import importlib.util
 from collections.abc import Sequence
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
-from models import trained
+from models import examining_briefly, trained
 
-from asterism import labelling
-from asterism.labelling import CapturabilityRules, SolverEnsemble, TrainingRules
-from asterism.labelling.partial.solver_search import SearchSettings
+from asterism.labelling import SolverEnsemble, TrainingRules
 from asterism.recording import Recording
 
 matplotlib = pytest.importorskip("matplotlib")
@@ -44,14 +41,6 @@ def trained_once(monkeypatch: pytest.MonkeyPatch) -> None:
             return trained(recordings, miner=None, training=TrainingRules(folds=2, trial_frames=40), **settings)
 
     monkeypatch.setattr(SolverEnsemble, "fit", fit)
-
-
-@pytest.fixture(autouse=True)
-def examined_briefly(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A marker set is examined with few partial solvers, and few changes of it are tried."""
-    search = SearchSettings(screening_frames=60, evaluation_frames=200, validation_frames=200, beam_width=15, max_markers=5, max_solvers=15)
-    rules = CapturabilityRules(search=search, change_frames=60, hardest=1)
-    monkeypatch.setattr(labelling, "capturability", partial(labelling.capturability, rules=rules))
 
 
 @pytest.fixture
@@ -88,7 +77,8 @@ def test_a_stream_labels_most_markers_at_once_and_more_with_a_delay(picture: Pat
 
 
 def test_the_verdict_names_the_markers(picture: Path) -> None:
-    assert "marker" in script("capturability_of_a_marker_set").main(picture, subjects=3, frames=60)
+    with examining_briefly():
+        assert "marker" in script("capturability_of_a_marker_set").main(picture, subjects=2, frames=60)
     assert drawn(picture)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from models import trained
 
 from asterism import formats
 from asterism.cli import main
@@ -212,7 +213,7 @@ def test_numbers_then_names_then_a_model(
     labelled = formats.read(out)
     assert {f"M{g['group']}" for g in often} <= set(labelled.labels)
     assert labelled.visible.sum() == formats.read(first).visible.sum()
-    taught = SolverEnsemble.fit([formats.read(out, markers=[f"M{g['group']}" for g in often])], miner=None)
+    taught = trained([formats.read(out, markers=[f"M{g['group']}" for g in often])], miner=None)
     assert (taught.label(walk.clouds()).indices >= 0).mean() > 0.9
     monkeypatch.setattr(SolverEnsemble, "fit", lambda *given, **settings: taught)
     capsys.readouterr()

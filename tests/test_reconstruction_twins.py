@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism.cameras import Rig
+from asterism.cameras.accuracy.sensitivity import sensitivity
 from asterism.reconstruction import ReconstructionSettings, _pack_kernels, reconstruct
 from asterism.reconstruction._compose_kernels import compose
 from asterism.reconstruction._fit_kernels import FitWorkspace, closest_point, fit, fit_and_prune, fit_workspace
@@ -180,16 +181,55 @@ def test_visibility_is_counted_as_by_the_rigs_own_projection() -> None:
     assert 0 < seen.sum() < expected.sum() < 2400
 
 
+def merging(seed: int, count: int) -> tuple[Rig, RigArrays, np.ndarray, np.ndarray, np.ndarray]:
+    """Versions of points of two cameras each in a cube of 20 cm, some of which share blobs: rig, rays, places and spreads."""
+    rng = np.random.default_rng(seed)
+    rig = ring_rig(4, rng=np.random.default_rng(0))
+    bounds = image_bounds(Blobs.from_rows([], [], np.empty((0, 2)), rig.names), rig)
+    model = ObservationModel(np.full(4, 5.0), np.full(4, 0.7), np.full(4, 0.5), 30.0, 50.0)
+    rays = rng.integers(0, 3, (count, 4))
+    for row in rays:
+        row[rng.permutation(4)[:2]] = -1
+    points, spreads = rng.uniform([-0.1, -0.1, 0.9], [0.1, 0.1, 1.1], (count, 3)), rng.uniform(0.00001, 0.001, count)
+    return rig, Problem(rig, bounds, EVERYWHERE, 50.0, 2, 4.0).arrays(model), rays, points, spreads
+
+
 @given(st.integers(0, 2**32 - 1), st.integers(1, 25))
 @settings(max_examples=60, deadline=None)
-def test_versions_are_merged_as_by_the_twin(seed: int, count: int) -> None:
-    rng = np.random.default_rng(seed)
-    rays = rng.integers(-1, 3, (count, 4))
-    points, spreads = rng.uniform(0, 1, (count, 3)), rng.uniform(0.001, 0.02, count)
-    expected = twins.merged(rays, points, spreads, 16.0)
-    groups = merge_versions(rays, points, spreads, count, 16.0)
+def test_versions_are_merged_by_covariance_as_by_the_twin(seed: int, count: int) -> None:
+    _, arrays, rays, points, spreads = merging(seed, count)
+    order = np.argsort(spreads, kind="stable").tolist()
+    expected = twins.merged(rays, points, order, lambda n, first, _: 4.0 * (spreads[n] + spreads[first]) ** 0.5)
+    groups = merge_versions(arrays, rays, points, spreads, count, True)
     assert [tuple(row) for row in rays[:groups].tolist()] == [row for row, _ in expected]
     assert np.allclose(points[:groups], [point for _, point in expected], atol=1e-12)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 25))
+@settings(max_examples=60, deadline=None)
+def test_versions_are_merged_by_the_sensitivity_as_by_the_twin(seed: int, count: int) -> None:
+    """S is that of `asterism.cameras.accuracy` for the cameras of both, for pixels moved by four deviations of 5 px."""
+    rig, arrays, rays, points, spreads = merging(seed, count)
+    cameras = [rig.select([rig.names[c] for c in np.flatnonzero(row >= 0)]) for row in rays]
+
+    def limit(n: int, first: int, place: np.ndarray) -> float:
+        return float(np.mean([sensitivity(cameras[of], place, 4.0 * 5.0).effective for of in (n, first)]))
+
+    expected = twins.merged(rays, points, list(range(count)), limit)
+    groups = merge_versions(arrays, rays, points, spreads, count, False)
+    assert [tuple(row) for row in rays[:groups].tolist()] == [row for row, _ in expected]
+    assert np.allclose(points[:groups], [point for _, point in expected], atol=1e-12)
+
+
+def test_both_rules_merge_some_versions_and_not_the_same_ones() -> None:
+    found = []
+    for by_covariance in (False, True):
+        _, arrays, rays, points, spreads = merging(1, 25)
+        groups = merge_versions(arrays, rays, points, spreads, 25, by_covariance)
+        assert 2 < groups < 25
+        assert ((rays[:groups] >= 0).sum(axis=1) > 2).any(), "no group has more than two cameras"
+        found.append({tuple(row) for row in rays[:groups].tolist()})
+    assert found[0] != found[1]
 
 
 def test_the_plain_method_gives_every_pair_of_rays_that_meets() -> None:

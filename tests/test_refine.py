@@ -105,15 +105,15 @@ def zoomed(camera: Camera, factor: float) -> Camera:
     return replace(camera, focal=(factor * camera.focal[0], factor * camera.focal[1]))
 
 
-@pytest.mark.parametrize("cameras", [4, 6])
+@pytest.mark.parametrize("cameras", [4, 5])
 def test_a_turned_zoom_ring_is_told_from_a_bump(cameras: int) -> None:
     true, blobs = filmed(cameras)
-    made = refine_rig(blobs, replace(true, cameras=(true[0], zoomed(true[1], 1.04), *true.cameras[2:])), frames=60)
+    made = refine_rig(blobs, replace(true, cameras=(true[0], zoomed(true[1], 1.04), *true.cameras[2:])), frames=40)
     check = made.cameras[1]
     assert check.state == "moved" and check.zoomed == pytest.approx(1 / 1.04 - 1, abs=0.004)
     assert check.shifted < 0.03, "what the zoom did must not be put down to a camera that walked away"
     assert "focal length changed by -3." in made.findings[0].sentence
-    turned_only = refine_rig(blobs, with_bumps(true, {1: (2.0, 0.02)}), frames=60).cameras[1]
+    turned_only = refine_rig(blobs, with_bumps(true, {1: (2.0, 0.02)}), frames=40).cameras[1]
     assert turned_only.state == "moved" and turned_only.zoomed == 0.0
 
 

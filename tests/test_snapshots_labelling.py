@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 import snapshot
-from models import trained
+from models import SHORT, examining_briefly, trained, training_with
 
 from asterism import formats
-from asterism.labelling import TrainingRules
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Recording
 from asterism.simulation import simulate_walks
@@ -77,9 +76,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def model(folder: Path) -> None:
     """walks.model, which the cases take: of the first three people."""
-    trained([formats.read(folder / f"walk-{i}.c3d", markers="helen-hayes") for i in range(3)], miner=None, training=TrainingRules()).save(
-        folder / "walks.model"
-    )
+    trained([formats.read(folder / f"walk-{i}.c3d", markers="helen-hayes") for i in range(3)], miner=None).save(folder / "walks.model")
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -88,7 +85,8 @@ def test_a_command_prints_what_was_reviewed(
 ) -> None:
     if any("walks.model" in line for line in CASES[name]):
         request.getfixturevalue("model")
-    snapshot.compare(name, snapshot.output(CASES[name], folder, capsys), record_snapshots)
+    with examining_briefly(), training_with(SHORT):
+        snapshot.compare(name, snapshot.output(CASES[name], folder, capsys), record_snapshots)
 
 
 def test_every_snapshot_belongs_to_a_case() -> None:

@@ -39,7 +39,7 @@ from asterism.simulation import simulate_walks
 NO_CLASSIFIERS = WeakClassifiers(np.empty(0, dtype=np.int64), np.empty((0, 4), dtype=np.int64), np.empty(0), np.empty(0))
 WALKS = simulate_walks(subjects=3, frames=120, seed=2)
 FRAMES, GROUPS = stack_frames(WALKS)
-QUICK = SearchSettings(screening_frames=100, evaluation_frames=400, validation_frames=600, beam_width=40, max_markers=6, max_solvers=40)
+QUICK = SearchSettings(screening_frames=80, evaluation_frames=300, validation_frames=400, beam_width=40, max_markers=6, max_solvers=30)
 QUICKEST = SearchSettings(screening_frames=60, evaluation_frames=200, validation_frames=200, beam_width=10, max_markers=5, max_solvers=15)
 
 

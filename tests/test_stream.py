@@ -129,12 +129,12 @@ def test_memory_does_not_grow_with_time(walks, ensemble) -> None:
         return tracemalloc.get_traced_memory()[0]
 
     tracemalloc.start()
-    before = walk_on(4)
+    before = walk_on(2)
     size = len(stream._tracks)
-    grown = walk_on(4) - before
+    grown = walk_on(2) - before
     tracemalloc.stop()
     assert len(stream._tracks) <= 2 * size
-    assert grown < 100_000, f"{grown} bytes more after 800 frames more"
+    assert grown < 50_000, f"{grown} bytes more after 400 frames more"
 
 
 def test_bad_input_is_named_and_the_stream_goes_on(walks, ensemble) -> None:

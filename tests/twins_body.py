@@ -178,8 +178,8 @@ def rescore(model, k, points, rows, outlier, settings):
     return evidence(model, k, points, rows, outlier, settings), scores, outlier
 
 
-def refine(model, k, points, rows, settings):
-    """Relabel until nothing changes, unambiguous labels first: score, rows."""
+def refine(model, k, points, rows, settings, known=()):
+    """Relabel until nothing changes, or until one of the `known` labellings is reached; unambiguous labels first: score, rows."""
     rows, outlier, only_unambiguous = list(rows), np.zeros(len(rows), dtype=bool), True
     for step in range(MAX_ROUNDS):
         if count(rows) < 3:
@@ -195,6 +195,8 @@ def refine(model, k, points, rows, settings):
             rows = assign_greedily(scores, settings.first_ghost_cost)
         if rows == previous:
             break
+        if not only_unambiguous and tuple(map(int, rows)) in known:
+            return np.nan, rows
     return score, previous
 
 
@@ -269,7 +271,7 @@ def find_labellings(model, anchors, points, settings):
             elif proposal in found:
                 final = proposal
             else:
-                total, rows = refine(model, k, points, assign_unambiguous(scores, settings.assign_margin), settings)
+                total, rows = refine(model, k, points, assign_unambiguous(scores, settings.assign_margin), settings, found)
                 final = led_to[proposal] = tuple(int(row) for row in rows)
                 if final not in found:
                     usual = settings.usual_score * count(final) - settings.first_ghost_cost * (count(final) < n)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import combinations, pairwise
 from math import atan2, inf, pi
 
@@ -184,17 +185,23 @@ def visibility(rig: Rig, points: np.ndarray, rays: np.ndarray, bounds: np.ndarra
     return expected, seen
 
 
-def merged(rays: np.ndarray, points: np.ndarray, spreads: np.ndarray, limit: float) -> list[tuple[Rays, np.ndarray]]:
-    """Versions of points as groups: the rays of each, and the mean of its versions."""
+def merged(
+    rays: np.ndarray, points: np.ndarray, order: list[int], limit: Callable[[int, int, np.ndarray], float]
+) -> list[tuple[Rays, np.ndarray]]:
+    """Versions of points as groups: the rays of each, and the mean of its versions.
+
+    `limit` (m) of a version, the first version of a group and the place between version and group: nearer ones are one point.
+    """
     groups: list[list[int]] = []
-    for n in np.argsort(spreads, kind="stable").tolist():
+    for n in order:
         nearest = inf
         home = None
         for group in groups:
-            distance = float(((np.mean(points[group], axis=0) - points[n]) ** 2).sum())
+            place = np.mean(points[group], axis=0)
+            distance = float(np.linalg.norm(place - points[n]))
             union = rays[group].max(axis=0)
             fits = ((rays[n] < 0) | (union < 0) | (rays[n] == union)).all()
-            if distance < nearest and distance < limit * (spreads[n] + spreads[group[0]]) and fits:
+            if distance < nearest and fits and distance < limit(n, group[0], (place + points[n]) / 2):
                 nearest, home = distance, group
         if home is None:
             groups.append([n])

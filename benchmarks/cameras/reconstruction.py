@@ -23,7 +23,7 @@ APART = 0.03
 """m, the least distance of two markers."""
 NEAR = 0.005
 """m: a marker further from every point is lost; a point further from every marker is a ghost, unless it says that it is less exact."""
-OWN, PLAIN = "global choice", "plain algorithm 3.1/3.2"
+OWN, PLAIN, BY_COVARIANCE = "global choice", "plain algorithm 3.1/3.2", "algorithm 3.1/3.2, merged by covariance"
 HARD = {"missed": 0.3, "strays": 0.5}
 """A third of all images of markers missing, a stray light in every second image."""
 
@@ -56,7 +56,7 @@ def ghosts(benchmark: BenchmarkRun) -> Iterator[Figure]:
     frames = 100 if benchmark.quick else 2000
     for case, more in (("all seen", {}), ("30 % missed, 0.5 strays an image", HARD)):
         rig, blobs, truth, shows = scene(8, 50, frames, **more)
-        for name, method in ((OWN, "global"), (PLAIN, "plain")):
+        for name, method in ((OWN, "global"), (PLAIN, "plain"), (BY_COVARIANCE, "plain-covariance")):
             some = blobs if method == "global" else first_frames(blobs, frames // 10)
             told = judged(reconstruct(some, rig, ReconstructionSettings(method=method)), truth, shows)
             bound = case == "all seen" and method == "global"

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 from benchmarks.house.equality import equality
+from benchmarks.house.faults import faults
 from benchmarks.house.install import ci, install
 from benchmarks.house.kernels import kernels
 from benchmarks.house.names import reference
@@ -20,6 +21,7 @@ ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
     "structure": structure,
     "reference": reference,
     "kernels": kernels,
+    "faults": faults,
     "startup": startup,
     "training-default": training,
     "equality": equality,

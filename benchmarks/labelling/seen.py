@@ -61,17 +61,21 @@ def _column(benchmark: BenchmarkRun, target: float) -> list[Figure]:
             figures.append(tally.figure(f"{cell}: FA", "<= 0.0001", fa))
             figures.append(tally.figure(f"{cell}: FO", "<= 0.15", fo))
             figures.append(tally.figure(f"{cell}: missed", "none", tally.missed_share))
-            figures += _by_marker(cell, labelling, truth, tally)
+            figures += by_marker(cell, labelling, truth, tally)
     return figures
 
 
-def _by_marker(cell: str, labelling: Labelling, truth: Ints, tally: Tally) -> Iterator[Figure]:
+def by_marker(
+    cell: str, labelling: Labelling, truth: Ints, tally: Tally, printed: dict[str, tuple[float, float]] | None = None
+) -> Iterator[Figure]:
+    """Table 5.3: FA and FO of each marker, beside what is `printed` for it."""
     given, there = labelling.indices != NULL, truth != NULL
     wrong = (given & (labelling.indices != truth)).sum(axis=0) / np.maximum(given.sum(axis=0), 1)
     null = (~given & there).sum(axis=0) / np.maximum((~given).sum(axis=0), 1)
     for marker, name in enumerate(labelling.names):
-        yield tally.figure(f"table 5.3, {cell}, {name}: FA", "none", float(wrong[marker]))
-        yield tally.figure(f"table 5.3, {cell}, {name}: FO", "none", float(null[marker]))
+        fa, fo = ("", "") if printed is None else (f" (printed {value:g})" for value in printed[name])
+        yield tally.figure(f"table 5.3, {cell}, {name}: FA{fa}", "none", float(wrong[marker]))
+        yield tally.figure(f"table 5.3, {cell}, {name}: FO{fo}", "none", float(null[marker]))
 
 
 def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:

@@ -10,12 +10,11 @@ from asterism.labelling.partial.matrix import label_by_matrix
 from asterism.labelling.partial.solver import stack_frames
 from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, search_partial_solvers
 from asterism.labelling.simulated_occlusions import simulate_occlusions
-from asterism.recording import NULL, Ints, Labelling
+from asterism.recording import Labelling
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import blocks, evenly, gait, people_and_trials
 from benchmarks.figures import Figure, reached
-from benchmarks.labelling.seen import FRAMES, TARGETS, THESIS_FA, THESIS_FO, redrawn, test_frames
-from benchmarks.score import Tally
+from benchmarks.labelling.seen import FRAMES, TARGETS, THESIS_FA, THESIS_FO, by_marker, redrawn, test_frames
 
 PRINTED_MARKERS = {
     "RASI": (0.0002, 0.0638), "LASI": (0.0002, 0.0555), "SACR": (0.0, 0.0611), "RTHI": (0.0, 0.4503), "LTHI": (0.0001, 0.0485),
@@ -63,15 +62,5 @@ def _column(benchmark: BenchmarkRun, target: float) -> list[Figure]:
             figures.append(tally.figure(f"table 5.4, {cell}: FA", f"<= {THESIS_FA[hidden][column]:g}", fa))
             figures.append(tally.figure(f"table 5.5, {cell}: FO", f"<= {THESIS_FO[hidden][column]:g}", fo))
             if rules == THESIS and target == 0.9999 and hidden == 4:
-                figures += _by_marker(cell, labelling, truth, tally)
+                figures += by_marker(cell, labelling, truth, tally, PRINTED_MARKERS)
     return figures
-
-
-def _by_marker(cell: str, labelling: Labelling, truth: Ints, tally: Tally) -> Iterator[Figure]:
-    given, there = labelling.indices != NULL, truth != NULL
-    wrong = (given & (labelling.indices != truth)).sum(axis=0) / np.maximum(given.sum(axis=0), 1)
-    null = (~given & there).sum(axis=0) / np.maximum((~given).sum(axis=0), 1)
-    for marker, name in enumerate(labelling.names):
-        printed_fa, printed_fo = PRINTED_MARKERS[name]
-        yield tally.figure(f"table 5.3, {cell}, {name}: FA (printed {printed_fa:g})", "none", float(wrong[marker]))
-        yield tally.figure(f"table 5.3, {cell}, {name}: FO (printed {printed_fo:g})", "none", float(null[marker]))

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
-import shutil
 import sys
-import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
 
 from asterism.errors import AsterismError
@@ -89,6 +85,9 @@ def _width(lines: Sequence[Sequence[str]]) -> int:
 
 def facts(title: str, rows: Sequence[tuple[str, str]]) -> None:
     """Print names with their values under a title; long values go on below, as wide as the terminal."""
+    import shutil
+    import textwrap
+
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDTH_WHEN_PIPED
     indent = max((len(name) for name, _ in rows), default=0) + 4
     lines = [title]
@@ -189,6 +188,8 @@ def check_new(given: Path | str | None, overwrite: bool) -> None:
     """Raise AsterismError where a file exists and may not be overwritten, or its folder is missing. None and "-" are no files."""
     if given is None or given == "-":
         return
+    from tempfile import TemporaryFile
+
     path = Path(given)
     if path.is_dir():
         raise AsterismError(f"{path} is a folder; give the name of a file in it.")
@@ -221,6 +222,8 @@ def write_json(where: str | None, content: Mapping[str, Any]) -> None:
     """Write `content` to the file `where`, or to standard output for "-"; NaN becomes null. Nothing for None."""
     if where is None:
         return
+    import json
+
     text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     if where == "-":
         sys.stdout.write(text)

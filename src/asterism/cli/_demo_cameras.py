@@ -8,16 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from asterism.cli import _console
+from asterism.cli._demo_training import MARKERS, train_on_walkers
 from asterism.findings import Finding, Severity, exit_status
 
 if TYPE_CHECKING:
-    from asterism.labelling import SolverEnsemble
-    from asterism.recording import Recording
     from asterism.simulation.pipeline import Criterion, PipelineResult
     from asterism.simulation.session import Session
 
 _WALKERS, _FRAMES, _RATE = 9, 300, 100.0
-_MARKERS = "helen-hayes"
 
 
 def demo_cameras(output: Path, seed: int, json: str | None) -> int:
@@ -29,7 +27,7 @@ def demo_cameras(output: Path, seed: int, json: str | None) -> int:
     _console.check_new(json, overwrite=True)
     output.mkdir(parents=True, exist_ok=True)
     say = _console.result if json != "-" else _console.error
-    walks = simulate_walks(subjects=_WALKERS, frames=_FRAMES, rate=_RATE, markers=_MARKERS, seed=seed)
+    walks = simulate_walks(subjects=_WALKERS, frames=_FRAMES, rate=_RATE, markers=MARKERS, seed=seed)
     started = time.perf_counter()
     session = simulate_session(walks[-1], seed)
     say(
@@ -37,7 +35,7 @@ def demo_cameras(output: Path, seed: int, json: str | None) -> int:
         f"hides some of the {len(walks[0].labels)} markers from the cameras; noise, strays, lost images."
     )
     say(f"Training on {_WALKERS - 1} other walkers ...")
-    ensemble = _trained(walks[:-1], seed)
+    ensemble = train_on_walkers(walks[:-1], seed)
     with _console.progress("working") as progress:
         result = run_pipeline(session, ensemble, progress)
     seconds = time.perf_counter() - started
@@ -54,21 +52,6 @@ def demo_cameras(output: Path, seed: int, json: str | None) -> int:
     content = {**_facts(result), "findings": [finding.to_dict() for finding in findings]}
     _console.write_json(json, {"command": "demo cameras", "seed": seed, "seconds": seconds, **content, **files})
     return exit_status(findings)
-
-
-def _trained(walks: list[Recording], seed: int) -> SolverEnsemble:
-    from asterism.labelling import SolverEnsemble, TrainingRules
-    from asterism.recording import MarkerSet
-
-    with _console.progress("training") as progress:
-        return SolverEnsemble.fit(
-            walks,
-            seed=seed,
-            miner=None,
-            marker_set=MarkerSet.load(_MARKERS),
-            training=TrainingRules(folds=2, trial_frames=60),
-            progress=progress,
-        )
 
 
 def _print(criteria: list[Criterion], seconds: float) -> None:

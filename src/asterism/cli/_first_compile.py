@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import atexit
 import os
-import subprocess
 import sys
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from asterism.cli import _console
 from asterism.progress import on_first_compile
+
+if TYPE_CHECKING:
+    import subprocess
 
 _SECONDS = 30
 """How long the kernels of one command take to compile on two idle cores of 2024 (s)."""
@@ -39,6 +42,8 @@ def _compile_ahead(steps: Sequence[str]) -> None:
 
     `-P` keeps modules of the user's folder from being imported in place of ours.
     """
+    import subprocess
+
     try:
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", "asterism.labelling.compile_ahead", *steps],

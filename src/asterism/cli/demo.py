@@ -13,6 +13,7 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
+from asterism.cli._demo_training import MARKERS, train_on_walkers
 from asterism.cli._options import Json, Seed
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from asterism.recording import Clouds, Ints, Labelling, Recording
 
 _WALKERS, _NEW_WALKERS, _FRAMES, _RATE = 10, 2, 150, 50.0
-_MARKERS = "helen-hayes"
 _CONDITIONS = ((0, 0), (2, 0), (4, 0), (2, 3))
 """The numbers of markers in a gap and of ghosts at every moment. The last condition is the hardest; the report shows it."""
 
@@ -67,7 +67,7 @@ def demo(options: DemoOptions) -> None:
     _console.check_new(options.json, overwrite=True)
     options.output.mkdir(parents=True, exist_ok=True)
     show = _console.result if options.json != "-" else _console.error
-    walks = simulate_walks(subjects=_WALKERS, frames=_FRAMES, rate=_RATE, markers=_MARKERS, seed=options.seed)
+    walks = simulate_walks(subjects=_WALKERS, frames=_FRAMES, rate=_RATE, markers=MARKERS, seed=options.seed)
     ensemble = _trained(walks[:-_NEW_WALKERS], options.seed, show)
     files = _Files.in_folder(options.output)
     ensemble.save(files.model)
@@ -117,15 +117,9 @@ class _Trial:
 
 
 def _trained(walks: Sequence[Recording], seed: int, show: Callable[[str], None]) -> SolverEnsemble:
-    from asterism.labelling import SolverEnsemble, TrainingRules
-    from asterism.recording import MarkerSet
-
     show(f"Training on {len(walks)} simulated walkers, {len(walks[0].labels)} markers ...")
     started = time.perf_counter()
-    with _console.progress("training") as progress:
-        # a quick training: two groups left out in turn, few trials, and no partial solvers, which the whole-body rules do not use
-        rules, marker_set = TrainingRules(folds=2, trial_frames=20, stretches=1, stretch_frames=75), MarkerSet.load(_MARKERS)
-        ensemble = SolverEnsemble.fit(walks, seed=seed, miner=None, marker_set=marker_set, training=rules, progress=progress)
+    ensemble = train_on_walkers(walks, seed)
     show(f"Trained in {time.perf_counter() - started:.0f} s. Labelling recordings of {_NEW_WALKERS} walkers that it has not seen ...")
     return ensemble
 

@@ -23,6 +23,7 @@ class Method(StrEnum):
 
     GLOBAL = "global"
     PLAIN = "plain"
+    PLAIN_COVARIANCE = "plain-covariance"
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,9 @@ class ReconstructOptions:
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="FILE", help="Where the points go: .npz, .c3d, .csv, .trc, ...", show_default=False)
     ]
-    method: Annotated[Method, typer.Option(help="The likeliest set of points, or the thesis' plain merging.")] = Method.GLOBAL
+    method: Annotated[
+        Method, typer.Option(help="The likeliest set of points, or the thesis' plain merging (by sensitivity, or by covariance).")
+    ] = Method.GLOBAL
     min_cameras: Annotated[int, typer.Option(metavar="N", min=2, help="How many cameras must show a point.")] = 2
     noise: Annotated[
         float | None, typer.Option(metavar="PX", help="How far off blobs are, per axis. Else estimated from the blobs.", show_default=False)

@@ -71,12 +71,14 @@ def align_about_z(frames: Floats, template: Floats) -> Floats:
     count = np.maximum(shown.sum(axis=1, keepdims=True), 1)
     here = np.where(shown, frames, 0.0).sum(axis=1, keepdims=True) / count
     there = np.where(shown, template, 0.0).sum(axis=1, keepdims=True) / count
-    a, b = np.where(shown, frames - here, 0.0), np.where(shown, template - there, 0.0)
-    along = (a[..., :2] * b[..., :2]).sum(axis=(1, 2))
+    moved = frames - here
+    a, b = np.where(shown, moved[..., :2], 0.0), np.where(shown, template[:, :2] - there[..., :2], 0.0)
+    along = (a * b).sum(axis=(1, 2))
     across = (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sum(axis=1)
     angle = np.arctan2(across, along)[:, None]
-    moved = frames - here
+    cos, sin = np.cos(angle), np.sin(angle)
     x, y = moved[..., 0].copy(), moved[..., 1].copy()
-    moved[..., 0] = np.cos(angle) * x - np.sin(angle) * y
-    moved[..., 1] = np.sin(angle) * x + np.cos(angle) * y
-    return moved + there
+    moved[..., 0] = cos * x - sin * y
+    moved[..., 1] = sin * x + cos * y
+    moved += there
+    return moved

@@ -200,7 +200,7 @@ class _Part:
 
 
 def _run_all(arrays: RigArrays, rays: Rays, method: str, progress: Progress | None) -> list[_Part]:
-    run = _run_global if method == "global" else _run_plain
+    run = _run_global if method == "global" else partial(_run_plain, method == "plain-covariance")
     parts = []
     for begin in range(0, len(rays.blobs), _CHUNK):
         end = min(begin + _CHUNK, len(rays.blobs))
@@ -223,14 +223,14 @@ def _run_global(arrays: RigArrays, rays: Rays, begin: int, end: int) -> _Part:
     return _Part(_first_points(out, total), counts, notes)
 
 
-def _run_plain(arrays: RigArrays, rays: Rays, begin: int, end: int) -> _Part:
+def _run_plain(by_covariance: bool, arrays: RigArrays, rays: Rays, begin: int, end: int) -> _Part:
     cameras, capacity = len(rays.blobs.cameras), _FIRST_CAPACITY
     frames = []
     notes = np.zeros((end - begin, 2), dtype=np.int64)
     for t in range(begin, end):
         while True:
             out = _empty_points(capacity, cameras)
-            kept, versions = reconstruct_frame_plain(arrays, rays.arrays, t, out)
+            kept, versions = reconstruct_frame_plain(arrays, rays.arrays, t, by_covariance, out)
             if versions <= capacity:
                 break
             capacity = 2 * versions

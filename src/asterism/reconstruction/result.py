@@ -26,10 +26,10 @@ class Reconstruction:
     rays           (P, C) int: the blob of each camera that shows the point, its place in `blobs.xy`; -1 where none does
     blobs          the blobs that were used: those given, on a common clock, without blobs that have no ray and duplicates
     noise          (C,) px per axis, the pixel noise that was given or estimated from the blobs
-    method         "global" or "plain"
+    method         "global", "plain" or "plain-covariance"
     unused         (T, C) int: blobs that show no point
     gated          (T,) int: pairs of blobs that passed the epipolar gate
-    proved         (T,) bool: whether the choice among the frame's hypotheses is proved to be the best; never for "plain"
+    proved         (T,) bool: whether the choice among the frame's hypotheses is proved to be the best; never by the other methods
     masked_places  (C,) int: places of each image that were left out because what they show never moves
     findings       what a user should know
     noise_known    whether the noise was given or could be estimated: False where points are too few, or the blobs do not fit the rig

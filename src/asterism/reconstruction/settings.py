@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from asterism.errors import AsterismError
 from asterism.recording import Floats
 
-METHODS = ("global", "plain")
+METHODS = ("global", "plain", "plain-covariance")
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,8 @@ class ReconstructionSettings:
     """How points are made from blobs.
 
     method       "global": each blob shows one point at most, and of all sets of points the likeliest is chosen, frame by frame;
-                 "plain": the thesis' algorithms 3.1 and 3.2, all versions of a point merged by distance, with their ghosts
+                 "plain": the thesis' algorithms 3.1 and 3.2, versions of a point merged within the sensitivity S, with their ghosts;
+                 "plain-covariance": the same, but versions are merged within `gate` deviations of their distance
     noise        px, standard deviation of a blob's position per axis; None: estimated from the blobs themselves
     min_cameras  how many cameras must show a point, at least 2
     gate         how many standard deviations a blob may lie from where a point should show, 1 to 20. At 4, one blob in 3,000 is lost by
@@ -38,7 +39,7 @@ class ReconstructionSettings:
     def check(self, cameras: int) -> None:
         """Raise AsterismError where an option is out of range for a rig of so many cameras."""
         if self.method not in METHODS:
-            raise AsterismError(f"there is no method {self.method}; choose {' or '.join(METHODS)}.")
+            raise AsterismError(f"there is no method {self.method}; choose one of {', '.join(METHODS)}.")
         if self.noise is not None and not 0 < self.noise < math.inf:
             raise AsterismError(f"pixel noise of {self.noise} px is not possible; give a positive number, or none to have it measured.")
         if not 2 <= self.min_cameras <= cameras:

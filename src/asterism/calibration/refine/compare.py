@@ -101,10 +101,12 @@ def _resect(camera: Camera, pairs: list[tuple[Floats, Floats]], size: Floats, no
 def _matched(camera: Camera, pairs: list[tuple[Floats, Floats]], gate: float, shift: Floats) -> tuple[Floats, Floats]:
     """Points (n, 3) m and the blobs (n, 2) px that are each other's nearest and within the gate."""
     points, places = [np.empty((0, 3))], [np.empty((0, 2))]
-    for cloud, xy in pairs:
-        projected = camera.project(cloud) + shift
-        off = np.linalg.norm(projected[:, None] - xy[None], axis=2)
-        off = np.where(np.isfinite(off), off, np.inf)
+    all_projected = camera.project(np.concatenate([cloud for cloud, _ in pairs])) + shift
+    all_projected[~np.isfinite(all_projected).all(axis=1)] = np.inf
+    ends = np.cumsum([len(cloud) for cloud, _ in pairs])
+    for (cloud, xy), projected in zip(pairs, np.split(all_projected, ends[:-1]), strict=True):
+        across, down = projected[:, None, 0] - xy[None, :, 0], projected[:, None, 1] - xy[None, :, 1]
+        off = np.sqrt(across * across + down * down)
         blob = off.argmin(axis=1)
         mutual = (off.argmin(axis=0)[blob] == np.arange(len(cloud))) & (off[np.arange(len(cloud)), blob] < gate)
         points.append(cloud[mutual])

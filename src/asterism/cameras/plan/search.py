@@ -151,9 +151,8 @@ class _Hall:
         angles = 2 * np.pi * (np.arange(cameras) + 0.5) / cameras
         return np.array([np.concatenate([self.mounts.toward(angle, self.centre), self.centre]) for angle in angles])
 
-    def views(self, poses: Floats) -> tuple[NDArray[np.bool_], Floats, NDArray[np.bool_]]:
-        """What each pose sees (K, P), tells (K, P, 6) 1/m2 and is faced by (K, P, D)."""
-        rig = self.rig(poses)
+    def views(self, rig: Rig) -> tuple[NDArray[np.bool_], Floats, NDArray[np.bool_]]:
+        """What each of K cameras sees (K, P), tells (K, P, 6) 1/m2 and is faced by (K, P, D)."""
         seen = sees(rig, self.places)
         information_of = np.ascontiguousarray(information(rig, self.places)[..., _PAIRS[:, 0], _PAIRS[:, 1]]) / self.noise**2
         information_of[~seen] = 0.0
@@ -173,13 +172,13 @@ class _Hall:
         """What `worth` is of these cameras and one more, as a function of that one's pose (6,)."""
         rig = self.rig(others)
         eyes = np.stack([camera.position for camera in rig])
-        base = self._base(*self.views(others))
+        base = self._base(*self.views(rig))
         glare, pairs = int(sees(rig, eyes).sum()), len(others) * (len(others) + 1)
         only = np.zeros(1, dtype=np.int64)
 
         def worth(pose: Floats) -> float:
-            seen, information_of, faces = self.views(pose[None])
             one = self.rig(pose[None])
+            seen, information_of, faces = self.views(one)
             glaring = glare + int(sees(one, eyes).sum()) + int(sees(rig, one[0].position).sum())
             covered, sided = base[0] + seen[0] >= 3, base[1] + (seen[0, :, None] & faces[0]) >= 2
             missing = max(0.0, least[0] - float(covered.mean())) + max(0.0, least[1] - float(sided.mean()))
@@ -190,7 +189,7 @@ class _Hall:
 
     def shares(self, poses: Floats) -> tuple[float, float]:
         """The share of the volume that three cameras see, and that of the markers on a body that two do."""
-        count, sided, _ = self._base(*self.views(poses))
+        count, sided, _ = self._base(*self.views(self.rig(poses)))
         return float((count >= 3).mean()), float((sided >= 2).mean())
 
     def glare(self, poses: Floats) -> int:
@@ -225,7 +224,7 @@ class _Hall:
         mount = np.repeat(np.arange(len(places)), len(aims))
         poses = np.concatenate([places[mount], np.tile(aims, (len(places), 1))], axis=1)
         seen, information_of, _ = (
-            np.concatenate(part) for part in zip(*(self.views(block) for block in np.array_split(poses, 10)), strict=True)
+            np.concatenate(part) for part in zip(*(self.views(self.rig(block)) for block in np.array_split(poses, 10)), strict=True)
         )
         faces = self._faces(eyes)
         lamps = np.concatenate([sees(self.rig(block), eyes) for block in np.array_split(poses, 10)])

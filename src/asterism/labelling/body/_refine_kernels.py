@@ -7,7 +7,7 @@ import numpy as np
 from asterism._jit import kernel
 from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
 from asterism.labelling.body._score_kernels import best_pose, rescore
-from asterism.labelling.body._workspace_kernels import copy_labels, count_labelled
+from asterism.labelling.body._workspace_kernels import copy_labels, count_labelled, index_of
 
 MAX_ROUNDS = 8
 """Relabellings after which a labelling that still changes is taken as it is."""
@@ -21,6 +21,16 @@ def refine(body, k, points, point_of, settings, workspace):
     IN k key pose to begin with; IN/OUT point_of (M,). Returns the score of the labelling, in nats.
     O(M r^2 + r^3 + M n) per round, at most MAX_ROUNDS rounds.
     """
+    return refine_until_known(body, k, points, point_of, np.empty((0, len(point_of)), dtype=np.int64), 0, settings, workspace)[0]
+
+
+@kernel
+def refine_until_known(body, k, points, point_of, known, count, settings, workspace):
+    """`refine` that stops as soon as it arrives at one of the first `count` rows of `known` (H, M), labellings refined before.
+
+    Returns the score in nats, and the row of `known` that it stopped at, -1 for none; the score is NaN where it stopped at one.
+    O(M r^2 + r^3 + M n + H M) per round, at most MAX_ROUNDS rounds.
+    """
     score = -np.inf
     previous = np.empty_like(point_of)
     workspace.outlier[:] = False
@@ -29,7 +39,7 @@ def refine(body, k, points, point_of, settings, workspace):
         copy_labels(point_of, previous)
         if count_labelled(point_of) < 3:
             point_of[:] = -1
-            return -np.inf
+            return -np.inf, -1
         if step == 1:
             k, _ = best_pose(body, points, point_of, settings, workspace)
         score = rescore(body, k, points, point_of, settings, workspace)
@@ -44,6 +54,10 @@ def refine(body, k, points, point_of, settings, workspace):
                 same = False
                 break
         if same:
-            return score
+            return score, -1
+        if not only_unambiguous:
+            row = index_of(known, count, point_of)
+            if row >= 0:
+                return np.nan, row
     copy_labels(previous, point_of)
-    return score
+    return score, -1

@@ -12,8 +12,8 @@ import numpy as np
 from asterism._jit import kernel
 from asterism.labelling.body._anchor_kernels import anchor_key_pose, score_from_anchor
 from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
-from asterism.labelling.body._refine_kernels import refine
-from asterism.labelling.body._workspace_kernels import BodyWorkspace, copy_labels, count_labelled
+from asterism.labelling.body._refine_kernels import refine_until_known
+from asterism.labelling.body._workspace_kernels import BodyWorkspace, copy_labels, count_labelled, index_of
 from asterism.labelling.partial._search_kernels import search
 
 MAX_LABELLINGS = 24
@@ -105,20 +105,6 @@ def make_search_workspace(body, candidates, proposals):
     )
 
 
-@kernel
-def _index_of(table, count, point_of):
-    """Where a labelling is among the first `count` rows of a table, -1 where it is not. O(count M)."""
-    for h in range(count):
-        same = True
-        for m in range(len(point_of)):
-            if table[h, m] != point_of[m]:
-                same = False
-                break
-        if same:
-            return h
-    return -1
-
-
 @kernel(inline=True)
 def propose(model, a, points, solutions, workspace):
     """Choose the triples of an anchor that are worth refining: those from which the whole body scores best.
@@ -205,15 +191,16 @@ def find_labellings(model, points, workspace, counters):
             if labelled < max(most_labelled - 2, settings.min_found_share * min(n, markers)):
                 continue
             most_labelled = max(most_labelled, labelled)
-            proposal, final = _index_of(candidates.proposals, n_proposals, trial), _index_of(candidates.labellings, n_labellings, trial)
+            proposal, final = index_of(candidates.proposals, n_proposals, trial), index_of(candidates.labellings, n_labellings, trial)
             if proposal >= 0:
                 final = candidates.labelling_of[proposal]
             elif final < 0:
                 copy_labels(trial, candidates.proposals[n_proposals])
                 assign_unambiguous(workspace.body.scores, settings.assign_margin, trial)
-                score = refine(body, k, points, trial, settings, workspace.body)
+                score, final = refine_until_known(body, k, points, trial, candidates.labellings, n_labellings, settings, workspace.body)
                 counters[2] += 1
-                final = _index_of(candidates.labellings, n_labellings, trial)
+                if final < 0:
+                    final = index_of(candidates.labellings, n_labellings, trial)
                 if final < 0:
                     final = n_labellings
                     labelled = count_labelled(trial)

@@ -173,3 +173,20 @@ def copy_labels(source, target):
     """IN source (M,). OUT target (M,). O(M). Quicker to compile than an assignment of slices, which also checks the shapes."""
     for m in range(len(source)):
         target[m] = source[m]
+
+
+@kernel
+def index_of(table, count, point_of):
+    """Where a labelling is among those of a table. IN table (H, M), its first `count` rows; point_of (M,).
+
+    Returns the row, -1 where it is in none. O(count M).
+    """
+    for h in range(count):
+        same = True
+        for m in range(len(point_of)):
+            if table[h, m] != point_of[m]:
+                same = False
+                break
+        if same:
+            return h
+    return -1

@@ -46,6 +46,33 @@ class ProposalCounts(NamedTuple):
 
 
 @kernel
+def _in_sight(validation, e, m):
+    """Returns whether evaluation e shows marker m: it was seen in the frame, and is not hidden. O(1)."""
+    return not validation.hidden[e, m] and not np.isnan(validation.frames[validation.chosen[e], m, 0])
+
+
+@kernel
+def _load_evaluation(validation, e, kinds, points, marker_of, workspace):
+    """Load the markers that evaluation e shows into the workspace, as points without labels.
+
+    IN  validation ValidationFrames; kinds, the pair features that the search needs
+    OUT points (M, 3 or WIDTH); marker_of (M,) the marker of each point; workspace SearchWorkspace
+    Returns the number of points. O(M^2 kinds)
+    """
+    frame = validation.frames[validation.chosen[e]]
+    n = 0
+    for m in range(len(frame)):
+        if _in_sight(validation, e, m):
+            points[n] = frame[m]
+            if validation.motion_unknown[e, m]:
+                points[n, 3:] = np.nan
+            marker_of[n] = m
+            n += 1
+    load_frame(points, n, kinds, workspace)
+    return n
+
+
+@kernel
 def evaluate_solver(solvers, pairs, s, validation, limits, workspace, first_id, counts):
     """Evaluate one solver on frames some of whose markers are hidden, and count its proposals against the truth (section 4.5.1, hit rates).
 
@@ -59,37 +86,26 @@ def evaluate_solver(solvers, pairs, s, validation, limits, workspace, first_id, 
     50 abstentions that are more than four times its hits.
     O(E times a search). Twin: `evaluate_solver` in tests/twins_partial.py
     """
-    frames = validation.frames
+    markers, width = validation.frames.shape[1:]
     first = solvers.first_depth[s]
     depths = solvers.first_depth[s + 1] - first
-    markers = frames.shape[1]
-    points, row = np.empty((markers, frames.shape[2])), np.empty(markers, dtype=np.int64)
+    points, marker_of = np.empty((markers, width)), np.empty(markers, dtype=np.int64)
     counts.hits[:] = 0
     counts.failures[:] = 0
     counts.abstentions[:] = 0
     for e in range(len(validation.chosen)):
-        frame = frames[validation.chosen[e]]
-        n = 0
-        for m in range(markers):
-            row[m] = -1
-            if not validation.hidden[e, m] and not np.isnan(frame[m, 0]):
-                points[n] = frame[m]
-                if validation.motion_unknown[e, m]:
-                    points[n, 3:] = np.nan
-                row[m] = n
-                n += 1
-        load_frame(points, n, pairs.kinds, workspace)
-        in_sight = True
+        n = _load_evaluation(validation, e, pairs.kinds, points, marker_of, workspace)
+        all_in_sight = True
         for k in range(depths):
-            in_sight = in_sight and row[solvers.markers[first + k]] >= 0
+            all_in_sight = all_in_sight and _in_sight(validation, e, solvers.markers[first + k])
         solutions = search_by_pairs(solvers, pairs, s, n, first_id + e, limits.budget, workspace)
         agreed_points(workspace.found, solutions, depths, workspace.agreed)
         out_of_reach = True
         for k in range(depths):
             m = solvers.markers[first + k]
             if workspace.agreed[k] < 0:
-                counts.abstentions[m] += in_sight
-            elif workspace.order[workspace.agreed[k]] == row[m]:
+                counts.abstentions[m] += all_in_sight
+            elif marker_of[workspace.order[workspace.agreed[k]]] == m:
                 counts.hits[m] += 1
             else:
                 counts.failures[m] += 1
@@ -108,24 +124,14 @@ def handed_in_points(solvers, pairs, s, validation, budget, workspace, first_id,
     OUT out (E, D) uint64, bit m where the point of marker m is handed in for the marker of this depth
     O(E times a search). Twin: `handed_in_points` in tests/twins_partial.py
     """
-    frames = validation.frames
+    markers, width = validation.frames.shape[1:]
     first = solvers.first_depth[s]
     depths = solvers.first_depth[s + 1] - first
-    markers = frames.shape[1]
-    points, owner = np.empty((markers, frames.shape[2])), np.empty(markers, dtype=np.int64)
+    points, marker_of = np.empty((markers, width)), np.empty(markers, dtype=np.int64)
     out[:] = 0
     for e in range(len(validation.chosen)):
-        frame = frames[validation.chosen[e]]
-        n = 0
-        for m in range(markers):
-            if not validation.hidden[e, m] and not np.isnan(frame[m, 0]):
-                points[n] = frame[m]
-                if validation.motion_unknown[e, m]:
-                    points[n, 3:] = np.nan
-                owner[n] = m
-                n += 1
-        load_frame(points, n, pairs.kinds, workspace)
+        n = _load_evaluation(validation, e, pairs.kinds, points, marker_of, workspace)
         solutions = search_by_pairs(solvers, pairs, s, n, first_id + e, budget, workspace)
         for i in range(solutions):
             for k in range(depths):
-                out[e, k] |= np.uint64(1) << np.uint64(owner[workspace.order[workspace.found[i, k]]])
+                out[e, k] |= np.uint64(1) << np.uint64(marker_of[workspace.order[workspace.found[i, k]]])

@@ -251,69 +251,94 @@ def learn_body(
     The body and its anchors are learned from all. Then people are left out in turn, what is learned from the others is tried on them with
     markers hidden and ghosts added, and all these trials together calibrate the confidence (frames without and with points left over).
     """
-    seed = config.seed
     progress(0.0, "learning the body")
-    body = fit_body(frames, people, config.rules.body, seed)
-    anchors = choose_anchors(frames, people, body, AnchorRules(), np.random.default_rng(seed))
-    folds = _folds(people, config.rules.folds)
-
-    def try_fold(number: int) -> _HeldOutTrial | None:
-        return _try_fold(frames, people, stretches, folds[number], anchors.triples, config, number)
-
-    outcomes: list[_HeldOutTrial] = []
-    progress(0.2, "trying it on people left out")
-    with ThreadPoolExecutor(min(len(folds), os.cpu_count() or 1)) as pool:
-        for i, outcome in enumerate(pool.map(try_fold, range(len(folds)))):
-            outcomes += [] if outcome is None else [outcome]
-            progress(0.2 + 0.8 * (i + 1) / len(folds), "trying it on people left out")
-    in_frames, in_time = (LabelTrials.together([getattr(outcome, name) for outcome in outcomes]) for name in ("frames", "in_time"))
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        try:
+            whole = pool.submit(_fit_whole, frames, people, config)
+            parts = [pool.submit(_fit_without, frames, people, out, config, i) for i, out in enumerate(_folds(people, config.rules.folds))]
+            body, anchors = whole.result()
+            progress(0.2, "trying it on people left out")
+            learned = [part for part in (future.result() for future in parts) if part is not None]
+            in_frames, in_time = _try_on_left_out(pool, learned, stretches, anchors.triples, config, progress)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
     sides = [in_frames.left_over == side for side in (0, 1)]
     none, some = (Calibration.fit(in_frames.margin[side], in_frames.right[side]) for side in sides)
     count = len(np.unique(people))
     certainty = Certainty(LabelCalibration.fitted(in_time, count, IN_TIME), least_confidence_in_time(config.target_hit_rate))
-    usual_score = float(np.median([outcome.usual_score for outcome in outcomes]))
+    usual_score = float(np.median([part.usual_score for part in learned]))
     return LearnedBody(body, anchors, usual_score, (none, some), LabelCalibration.fitted(in_frames, count, IN_FRAMES), certainty)
 
 
-@dataclass(frozen=True)
-class _HeldOutTrial:
-    """What a model learned from the other people showed on one group of people left out.
+def _fit_whole(frames: Floats, people: Ints, config: TrainingConfig) -> tuple[BodyModel, Anchors]:
+    """The body and its anchors from all frames."""
+    body = fit_body(frames, people, config.rules.body, config.seed)
+    return body, choose_anchors(frames, people, body, AnchorRules(), np.random.default_rng(config.seed))
 
+
+@dataclass(frozen=True)
+class _LearnedFromOthers:
+    """What is learned from all people but one group, and that group's frames.
+
+    number       of the group
+    body         learned from the others' frames
+    markers      (M,) those that the others show, of all
+    frames       (n, M, 3) m, the others', and whose they are: people (n,)
+    tested       (m, M, 3) m, of the people left out, and whose they are: tested_people (m,)
     usual_score  nats per label, see `TrainingRules.usual_quantile`
-    frames       the labels of single frames
-    in_time      the labels of whole stretches
     """
 
+    number: int
+    body: BodyModel
+    markers: Ints
+    frames: Floats
+    people: Ints
+    tested: Floats
+    tested_people: Ints
     usual_score: float
-    frames: LabelTrials
-    in_time: LabelTrials
 
 
-def _try_fold(
-    frames: Floats,
-    people: Ints,
-    stretches: Sequence[tuple[int, Recording]],
-    out: NDArray[np.bool_],
-    triples: Ints,
-    config: TrainingConfig,
-    number: int,
-) -> _HeldOutTrial | None:
-    """Learn from the frames that are not `out` (N,), and label those that are; None where no frame of the people left out can be scored."""
-    rules, seed = config.rules, config.seed + number
-    shown = np.nonzero(~np.isnan(frames[~out, :, 0]).all(axis=0))[0]
-    others, whose = frames[np.ix_(~out, shown)], renumbered(people[~out])
-    tested = frames[np.ix_(out, shown)]
-    body = fit_body(others, whose, config.rules.body, config.seed)
-    scores = _scores_of_truth(body, tested, config.rules.frames, rules, np.random.default_rng([config.seed, number]))
+def _fit_without(frames: Floats, people: Ints, out: NDArray[np.bool_], config: TrainingConfig, number: int) -> _LearnedFromOthers | None:
+    """Learn from the frames that are not `out` (N,); None where no frame of the people left out can be scored."""
+    rules = config.rules
+    markers = np.nonzero(~np.isnan(frames[~out, :, 0]).all(axis=0))[0]
+    others, whose, tested = frames[np.ix_(~out, markers)], renumbered(people[~out]), frames[np.ix_(out, markers)]
+    body = fit_body(others, whose, rules.body, config.seed)
+    scores = _scores_of_truth(body, tested, rules.frames, rules, np.random.default_rng([config.seed, number]))
     if len(scores) == 0:
         return None
     usual_score = float(np.quantile(scores, rules.usual_quantile))
-    anchors = with_intervals(_triples_within(triples, shown), others, whose, AnchorRules())
-    model = BodyLabeller.from_model(body, anchors, config.rules.frames.with_usual_score(usual_score))
-    in_frames = _try_frames(model, tested, people[out], rules, seed)
-    chosen = _some_stretches(stretches, np.unique(people[out]), shown, rules)
-    in_time = run_trials(model, chosen, rules.time_trials, RecordingLabellingSettings(), SubjectRules(), config.rules.body, seed)
-    return _HeldOutTrial(usual_score, in_frames, in_time)
+    return _LearnedFromOthers(number, body, markers, others, whose, tested, people[out], usual_score)
+
+
+def _try_on_left_out(
+    pool: ThreadPoolExecutor,
+    learned: Sequence[_LearnedFromOthers],
+    stretches: Sequence[tuple[int, Recording]],
+    triples: Ints,
+    config: TrainingConfig,
+    progress: Progress,
+) -> tuple[LabelTrials, LabelTrials]:
+    """Label the frames, and the stretches, of all people left out, each by what is learned from the others; triples (A, 3) of all markers.
+
+    Each group's frames and stretches are tasks of their own, so that no thread waits for the last group.
+    """
+    rules = config.rules
+    tasks = []
+    for part in learned:
+        anchors = with_intervals(_triples_within(triples, part.markers), part.frames, part.people, AnchorRules())
+        model = BodyLabeller.from_model(part.body, anchors, rules.frames.with_usual_score(part.usual_score))
+        chosen = _some_stretches(stretches, np.unique(part.tested_people), part.markers, rules)
+        seed = config.seed + part.number
+        settings = (RecordingLabellingSettings(), SubjectRules(), rules.body, seed)
+        tasks.append(pool.submit(_try_frames, model, part.tested, part.tested_people, rules, seed))
+        tasks.append(pool.submit(run_trials, model, chosen, rules.time_trials, *settings))
+    found = []
+    for i, task in enumerate(tasks):
+        found.append(task.result())
+        progress(0.2 + 0.8 * (i + 1) / len(tasks), "trying it on people left out")
+    return LabelTrials.together(found[::2]), LabelTrials.together(found[1::2])
 
 
 def least_confidence(target_hit_rate: float) -> float:

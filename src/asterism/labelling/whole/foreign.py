@@ -59,6 +59,9 @@ class ForeignRules:
                      recording, beyond `max_deviation`
     max_deviation    see above
     leads            see above
+    by_hidden        what each nat takes away that its distances lack to beat those of the best hidden marker by `hidden_lead`: a heel looks
+                     like the ankle beside it where only one of the two is seen
+    hidden_lead      see above
     by_fit           what 2 nats of the tracklet's fit add, counted within `fits`
     fits             see above
     by_certainty     what each 2 log odds add that the label has where recordings fit
@@ -93,6 +96,8 @@ class ForeignRules:
     by_deviation: float = 0.29
     max_deviation: float = 1.5
     leads: tuple[float, float] = (-6.0, 12.0)
+    by_hidden: float = 1.0
+    hidden_lead: float = 2.0
     by_fit: float = 0.73
     fits: tuple[float, float] = (-8.0, 2.0)
     by_certainty: float = 0.61
@@ -369,10 +374,12 @@ def label_evidence(
     gain = distance_gains(found.label, tracks, markers, reference, rules)
     lead = distance_margins(gain, found.label, found.scene.first, found.scene.last)
     by_lead = rules.by_lead * np.clip(lead, *rules.leads) / 4.0
+    over_hidden = hidden_margins(gain, found.label, found.scene.first, found.scene.last)
+    by_hidden = rules.by_hidden * np.clip(rules.hidden_lead - over_hidden, 0.0, 2.0 * rules.hidden_lead)
     deviation = own_deviations(found.scene, found.label, np.array([0, markers]), RecordingLabellingSettings())
     by_deviation = rules.by_deviation * np.clip(deviation - rules.max_deviation, 0.0, 4.0)
     surplus = _surplus(found)
-    return rules.log_odds + by_lead - by_deviation - rules.by_surplus * float(np.log1p(surplus)) / 2.0, surplus
+    return rules.log_odds + by_lead - by_hidden - by_deviation - rules.by_surplus * float(np.log1p(surplus)) / 2.0, surplus
 
 
 def distance_gains(label: Ints, tracks: Floats, markers: int, reference: RigidDistances, rules: ForeignRules) -> Floats:
@@ -407,4 +414,19 @@ def distance_margins(gain: Floats, label: Ints, first: Ints, last: Ints) -> Floa
         theirs = np.where(label != NULL, gain[rows, label] - gain[j, label], 0.0)
         lead = gain[j, label[j]] - gain[:, label[j]] + theirs
         margin[j] = lead[other].min(initial=60.0)
+    return margin
+
+
+def hidden_margins(gain: Floats, label: Ints, first: Ints, last: Ints) -> Floats:
+    """By how many nats (J,) the distances of each label beat those of the best marker that is hidden for most of the tracklet's time.
+
+    Infinite where no marker is hidden, and without a label. O(J^2).
+    """
+    margin = np.full(len(label), np.inf)
+    given = label != NULL
+    for j in np.nonzero(given)[0]:
+        shared = np.maximum(0, np.minimum(last, last[j]) - np.maximum(first, first[j]) + 1)
+        held = np.bincount(label[given], shared[given], gain.shape[1])
+        hidden = held < 0.5 * (last[j] - first[j] + 1)
+        margin[j] = (gain[j, label[j]] - gain[j, hidden]).min(initial=np.inf)
     return margin
