@@ -39,6 +39,7 @@ BEYOND_IMPORTS = {
     ("house", "startup"): ("src/asterism/cli/", "src/asterism/formats/", "src/asterism/recording/"),
     ("house", "install"): ("src/", "pyproject.toml"),
     ("house", "ci"): ("src/", "tests/", ".ci/", "pyproject.toml"),
+    ("house", "ci-fresh"): ("src/", "tests/", ".ci/", "pyproject.toml"),
     ("house", "equality"): ("benchmarks/house/before.npz", "src/asterism/calibration/"),
 }
 """What rows read or start without importing it."""

@@ -8,7 +8,7 @@ from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 from benchmarks.house.equality import equality
 from benchmarks.house.faults import faults
-from benchmarks.house.install import ci, install
+from benchmarks.house.install import ci, ci_fresh, install
 from benchmarks.house.kernels import kernels
 from benchmarks.house.names import reference
 from benchmarks.house.startup import startup
@@ -27,5 +27,6 @@ ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
     "equality": equality,
     "install": install,
     "ci": ci,
+    "ci-fresh": ci_fresh,
 }
 """Cheap rows first: a run that is cut short has measured most of them."""

@@ -60,8 +60,9 @@ class ForeignRules:
     max_deviation    see above
     leads            see above
     by_hidden        what each nat takes away that its distances lack to beat those of the best hidden marker by `hidden_lead`: a heel looks
-                     like the ankle beside it where only one of the two is seen
+                     like the ankle beside it where only one of the two is seen, and fewer than `hidden_people` people taught the distances
     hidden_lead      see above
+    hidden_people    see above
     by_fit           what 2 nats of the tracklet's fit add, counted within `fits`
     fits             see above
     by_certainty     what each 2 log odds add that the label has where recordings fit
@@ -98,6 +99,7 @@ class ForeignRules:
     leads: tuple[float, float] = (-6.0, 12.0)
     by_hidden: float = 1.0
     hidden_lead: float = 2.0
+    hidden_people: int = 3
     by_fit: float = 0.73
     fits: tuple[float, float] = (-8.0, 2.0)
     by_certainty: float = 0.61
@@ -374,8 +376,10 @@ def label_evidence(
     gain = distance_gains(found.label, tracks, markers, reference, rules)
     lead = distance_margins(gain, found.label, found.scene.first, found.scene.last)
     by_lead = rules.by_lead * np.clip(lead, *rules.leads) / 4.0
-    over_hidden = hidden_margins(gain, found.label, found.scene.first, found.scene.last)
-    by_hidden = rules.by_hidden * np.clip(rules.hidden_lead - over_hidden, 0.0, 2.0 * rules.hidden_lead)
+    by_hidden: Floats | float = 0.0
+    if len(reference.median) < rules.hidden_people:
+        over_hidden = hidden_margins(gain, found.label, found.scene.first, found.scene.last)
+        by_hidden = rules.by_hidden * np.clip(rules.hidden_lead - over_hidden, 0.0, 2.0 * rules.hidden_lead)
     deviation = own_deviations(found.scene, found.label, np.array([0, markers]), RecordingLabellingSettings())
     by_deviation = rules.by_deviation * np.clip(deviation - rules.max_deviation, 0.0, 4.0)
     surplus = _surplus(found)
