@@ -318,7 +318,7 @@ def test_the_capturability_page_says_what_is_confused_and_what_helps(tmp_path: P
     changes = next(rows for rows in page.tables if rows[0][0] == "change")
     assert [row[1] for row in changes[1:]] == ["B", "C"], "the best change comes first"
     assert changes[1][-1] == "+4.000 points"
-    assert "B is taken for A; move it." in page.text
+    assert "B is taken for A; move it." in page.text and "It finds each marker" not in page.text
     assert page.loads == []
 
 
@@ -335,7 +335,10 @@ def test_the_capturability_page_has_the_thesis_table_and_figures(tmp_path: Path)
     assert (trade["data"][0]["x"], trade["data"][0]["y"]) == (pytest.approx([2.0, 0.1]), pytest.approx([10.0, 30.0]))
     effort = next(one for one in figures if [line.get("name") for line in one["data"]] == ["accuracy", "evaluations"])
     assert effort["data"][0]["y"] == pytest.approx([60.0, 85.0]) and effort["data"][1]["y"] == [1000.0, 90.0]
-    assert effort["layout"]["yaxis2"]["type"] == "log"
+    axis = effort["layout"]["yaxis2"]
+    assert axis["type"] == "log" and axis["range"] == pytest.approx([np.log10(90.0) - 0.1, 3.1])
+    ticks = dict(zip(axis["ticktext"], axis["tickvals"], strict=True))
+    assert {"100": 100.0, "200": 200.0, "500": 500.0, "1,000": 1000.0}.items() <= ticks.items()
 
 
 def test_the_confusion_picture_shows_rows_as_truth_and_no_diagonal(tmp_path: Path) -> None:
@@ -351,4 +354,8 @@ def test_a_marker_set_without_any_confusion_has_a_page(tmp_path: Path) -> None:
     perfect.confusion, perfect.hit_rates, perfect.changes, perfect.by_occlusions = np.eye(3), np.ones(3), [], []
     perfect.by_target, perfect.first_classifiers, perfect.solver_sizes = [], [], []
     capturability_report(tmp_path / "c.html", perfect)
-    assert ["no marker", "any other", "0.0 %"] in [row for rows in read(tmp_path / "c.html").tables for row in rows]
+    page = read(tmp_path / "c.html")
+    assert ["no marker", "any other", "0.0 %"] in [row for rows in page.tables for row in rows]
+    assert "It finds each marker in every frame." in page.text
+    bars = [one for one in json.loads(page.json)["figures"].values() if one["data"][0]["type"] == "bar"]
+    assert bars == [], "a chart of nothing is not drawn"

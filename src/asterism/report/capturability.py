@@ -38,8 +38,9 @@ def capturability_report(
         ),
         _hidden_markers(capturability, names),
         Section(
-            "Markers that are not found, nothing hidden",
-            figure=figures.bars(names, 1.0 - rates, "not found (100 % less the hit rate)"),
+            "Markers that the full solver does not find, nothing hidden",
+            "" if (rates < 1.0).any() else "It finds each marker in every frame.",
+            figure=figures.bars(names, 1.0 - rates, "not found (100 % less the hit rate)") if (rates < 1.0).any() else None,
             table=Table(
                 ["marker", "hit rate", "taken for"],
                 [[name, percent(float(rates[i]), 3), _taken_for(names, confusion, i)] for i, name in enumerate(names)],
@@ -59,7 +60,7 @@ def capturability_report(
     sections += _thesis_sections(capturability)
     merits = [(str(len(names)), "markers", "")]
     if len(rates):
-        merits.append((percent(float(rates.mean()), 2), "hit rate, nothing hidden", ""))
+        merits.append((percent(float(rates.mean()), 2), "hit rate of the full solver, nothing hidden", ""))
         name, rate = _worst(names, rates, digits=2)
         merits.append((rate, f"hit rate of {name}, the worst", ""))
     if capturability.by_occlusions:
@@ -120,7 +121,8 @@ def _hidden_markers(capturability: Capturability, names: list[str]) -> Section:
     ]
     return Section(
         "With markers hidden",
-        "The share of markers that are still found while others are hidden. Grey: each marker. Thick line: all markers together.",
+        "The share of the markers in sight that partial solvers find while others are hidden. Grey: each marker. Thick line: all markers "
+        "together. The full solver needs all markers; where none is hidden, it finds more.",
         figure=_hit_rate_curves(capturability),
         table=Table(["hidden", "hit rate", "worst marker", "its hit rate"], rows),
     )

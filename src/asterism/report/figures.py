@@ -217,8 +217,22 @@ def effort(sizes: Sequence[tuple[int, float, float]]) -> Figure:
         height=360,
         xaxis={"title": {"text": "weak classifiers"}},
         yaxis={"title": {"text": "wrong labellings rejected"}, "ticksuffix": " %"},
-        yaxis2={"title": {"text": "feature evaluations"}, "type": "log", "overlaying": "y", "side": "right"},
+        yaxis2={
+            "title": {"text": "feature evaluations"},
+            "overlaying": "y",
+            "side": "right",
+            "showgrid": False,
+            **_logarithmic(evaluations),
+        },
     )
+
+
+def _logarithmic(values: Sequence[float]) -> dict[str, Any]:
+    """A logarithmic axis over positive values, its ticks written out: Plotly shows only their first digits."""
+    logs = np.log10([value for value in values if value > 0] or [1.0])
+    low, high = float(logs.min()) - 0.1, float(logs.max()) + 0.1
+    ticks = [digit * 10.0**power for power in range(int(np.floor(low)), int(np.ceil(high))) for digit in (1, 2, 5)]
+    return {"type": "log", "range": [low, high], "tickvals": ticks, "ticktext": [f"{tick:,g}" for tick in ticks]}
 
 
 def trade_off(lines: Mapping[str, tuple[Any, Any]]) -> Figure:
