@@ -26,7 +26,8 @@ def faults(benchmark: BenchmarkRun) -> Iterator[Figure]:
 
     A fault that survived and that nobody could notice, because it changes nothing, counts as not caught in the first row.
     """
-    there = {fault.key for room in ROOMS for fault in _all_faults(room)}
+    possible, _ = _tool("faults").sample(ROOT, [f"src/asterism/{room}" for room in ROOMS], 0, sys.maxsize)
+    there = {fault.key for fault in possible}
     entries = json.loads(RESULTS.read_text(encoding="utf-8"))
     tried = [entry for key, entry in entries.items() if key in there and entry["status"] not in ("no import", "no compile")]
     if not tried:
@@ -51,10 +52,6 @@ def _share(what: str, asked: str, caught: int, tried: int) -> Iterator[Figure]:
     yield Figure(what, asked, caught / tried, "fraction", tried)
     yield Figure(f"{what}, lower end of the 95 % interval", "none", float(ends.low), "fraction", tried)
     yield Figure(f"{what}, upper end of the 95 % interval", "none", float(ends.high), "fraction", tried)
-
-
-def _all_faults(room: str) -> list:
-    return _tool("faults").sample(ROOT, [f"src/asterism/{room}"], 0, sys.maxsize)[0]
 
 
 def _tool(name: str) -> ModuleType:
