@@ -90,7 +90,7 @@ class PointLabels:
 
 
 @dataclass(frozen=True)
-class _LongTracklets:
+class LongTracklets:
     """The long tracklets of a recording, labelled.
 
     tracklets  of all points, cut by the body
@@ -133,14 +133,11 @@ def label_points(
     whole: the only body; where the recording does not fit it, the tracklets are labelled again (`foreign.py`). Raises SeveralBodies where
     the long tracklets certainly show two such bodies.
     """
-    long = _label_long_tracklets(labellers, clouds, rules, subject_rules, body_rules, workers, progress, whole)
-    labels, xyz = long.points(), rotate_z_up(clouds.xyz, clouds.vertical)
-    if not long.kept.all():
-        labels = _with_short_points(labellers, clouds, xyz, long.kept, labels, rules)
-    return replace(labels, fit=_fits(labellers, clouds, xyz, long, labels))
+    long = label_long_tracklets(labellers, clouds, rules, subject_rules, body_rules, workers, progress, whole)
+    return label_all_points(labellers, clouds, long, rules)
 
 
-def _label_long_tracklets(
+def label_long_tracklets(
     labellers: Sequence[BodyLabeller],
     clouds: Clouds,
     rules: RecordingLabellingSettings,
@@ -149,8 +146,8 @@ def _label_long_tracklets(
     workers: int,
     progress: Progress | None,
     whole: BodyInRecording | None,
-) -> _LongTracklets:
-    """The first part of `label_points`."""
+) -> LongTracklets:
+    """The first part of `label_points`: the long tracklets."""
     tracklets = find_tracklets(clouds)
     markers = int(marker_offsets(labellers)[-1])
     kept = long_points(clouds, tracklets, markers, rules.short)
@@ -168,7 +165,17 @@ def _label_long_tracklets(
         again = label_if_foreign(whole, found, label_from)
         if again is not None:
             found, foreign = again.found, again.confidence
-    return _LongTracklets(tracklets, kept, found, foreign)
+    return LongTracklets(tracklets, kept, found, foreign)
+
+
+def label_all_points(
+    labellers: Sequence[BodyLabeller], clouds: Clouds, long: LongTracklets, rules: RecordingLabellingSettings
+) -> PointLabels:
+    """The second part of `label_points`: the labels of the long tracklets as labels of points, and those of short tracklets."""
+    labels, xyz = long.points(), rotate_z_up(clouds.xyz, clouds.vertical)
+    if not long.kept.all():
+        labels = _with_short_points(labellers, clouds, xyz, long.kept, labels, rules)
+    return replace(labels, fit=_fits(labellers, clouds, xyz, long, labels))
 
 
 def _label_and_split(
@@ -220,7 +227,7 @@ def _with_short_points(
     return replace(labels, label=label, margin=margin, alone=alone, left_over=left_over)
 
 
-def _fits(labellers: Sequence[BodyLabeller], clouds: Clouds, xyz: Floats, long: _LongTracklets, labels: PointLabels) -> Floats:
+def _fits(labellers: Sequence[BodyLabeller], clouds: Clouds, xyz: Floats, long: LongTracklets, labels: PointLabels) -> Floats:
     """How well the tracklets of labelled points lie where the others predict them, (P,) nats; labels alone in their frame by themselves.
 
     By the body of people at large: that is what trials on other people were judged by.
@@ -280,10 +287,10 @@ def label_whole(
     whole = bodies[0] if len(bodies) == 1 else None
     labels = label_points(labellers, clouds, rules, subject_rules, body_rules, workers, progress, whole)
     offsets = marker_offsets(labellers)
-    return [_labelling_of(body, number, clouds, labels, offsets) for number, body in enumerate(bodies)], labels.found
+    return [labelling_of(body, number, clouds, labels, offsets) for number, body in enumerate(bodies)], labels.found
 
 
-def _labelling_of(body: BodyInRecording, number: int, clouds: Clouds, labels: PointLabels, offsets: Ints) -> Labelling:
+def labelling_of(body: BodyInRecording, number: int, clouds: Clouds, labels: PointLabels, offsets: Ints) -> Labelling:
     """The labels of the body with this number; offsets: where each body's markers begin among the columns."""
     frame_of = clouds.frame_of
     place = np.arange(len(frame_of)) - clouds.offsets[frame_of]
