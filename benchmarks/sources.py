@@ -29,11 +29,14 @@ READERS = (
     "asterism.errors",
     "asterism.findings",
     "asterism.progress",
+    "asterism.recording._marker_set_file",
     "asterism.formats",
     "asterism.cameras.files",
+    "asterism.detection.claimed_sizes",
     "asterism.detection.sources",
     "asterism.detection.times",
     "asterism.labelling.training.model_file",
+    "asterism.labelling.training.model_schema",
 )
 """Modules that read and write files, and what they say of them. They do not count, with what only they import, where a row only reads:
 the values read do. A model is written and read by the same code; tests hold that it comes back as it was."""

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.detection.claimed_sizes import check_claimed_size, claimed_size
 from asterism.detection.grey import Grey, as_grey
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, guarded_reading
 
 if TYPE_CHECKING:
     import cv2
@@ -64,7 +65,11 @@ def open_source(path: str | Path) -> Source:
     Images are put in natural order (2 before 10); where their names end in numbers these are the frames' numbers, so that a gap in them
     is a gap in time. Raises AsterismError where there is no such thing, or nothing in it that can be read.
     """
-    path = Path(path)
+    with guarded_reading(path, "record or copy it again"):
+        return _opened(Path(path))
+
+
+def _opened(path: Path) -> Source:
     if re.search(r"%0?\d*d", path.name):
         pattern = re.compile(re.sub(r"%0?\d*d", r"(\\d+)", _escaped(path.name)))
         files = [file for file in _listed(path.parent) if pattern.fullmatch(file.name)]
@@ -94,7 +99,7 @@ def open_source(path: str | Path) -> Source:
             raise AsterismError(f"{path} has more than 8 bits, of which OpenCV {cv2.__version__} reads 8; make 16 bit PNG or TIFF of it.")
         rate = float(capture.get(cv2.CAP_PROP_FPS))
         count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        if count < 1:
+        if not 1 <= count <= path.stat().st_size:  # a frame takes a byte at least: the header is wrong
             count = 1
             while capture.grab():
                 count += 1
@@ -108,6 +113,7 @@ def _film(path: Path) -> Iterator[cv2.VideoCapture]:
 
     capture = cv2.VideoCapture(str(path))
     try:
+        check_claimed_size(path, capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
         if _is_deep(capture):
             capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
         yield capture
@@ -137,12 +143,14 @@ def images(source: Source, times: list[float] | None = None) -> Iterator[tuple[i
     with _film(source.path) as capture:
         place = 0
         while True:
-            there, image = capture.read()
-            if not there:
-                return
-            if times is not None:
-                times.append(1e-3 * float(capture.get(cv2.CAP_PROP_POS_MSEC)))
-            yield place, _grey(source.path, image)
+            with guarded_reading(source.path, "record or copy it again"):
+                there, image = capture.read()
+                if not there:
+                    return
+                if times is not None:
+                    times.append(1e-3 * float(capture.get(cv2.CAP_PROP_POS_MSEC)))
+                image = _grey(source.path, image)
+            yield place, image
             place += 1
 
 
@@ -171,8 +179,9 @@ def some_images(source: Source, count: int) -> list[tuple[int, Grey]]:
 
 def _image(source: Source, place: int) -> Grey | None:
     file = source.files[place] if source.files else source.path
-    image = _page(file, source.pages[place], place) if source.pages else _decoded(np.fromfile(file, np.uint8))
-    return None if image is None else _grey(file, image)
+    with guarded_reading(file, "record or copy it again"):
+        image = _page(file, source.pages[place], place) if source.pages else _decoded(file, np.fromfile(file, np.uint8))
+        return None if image is None else _grey(file, image)
 
 
 def _page(file: Path, at: int, place: int) -> NDArray[Any] | None:
@@ -181,11 +190,12 @@ def _page(file: Path, at: int, place: int) -> NDArray[Any] | None:
 
     content = np.memmap(file, np.uint8, "c")
     if len(content) > _MOST_BYTES:
+        check_claimed_size(file, *claimed_size(content, at))
         there, pages = cv2.imreadmulti(str(file), start=place, count=1, flags=cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE)
         return np.asarray(pages[0]) if there and len(pages) else None
     order, big = _tiff(content)
     struct.pack_into(order + ("Q" if big else "I"), content.data, 8 if big else 4, at)
-    return _decoded(np.asarray(content))
+    return _decoded(file, np.asarray(content), at)
 
 
 def _tiff(content: NDArray[np.uint8]) -> tuple[str, bool]:
@@ -218,10 +228,14 @@ def _pages(file: Path) -> tuple[tuple[int, ...], bool]:
     return tuple(found), False
 
 
-def _decoded(content: NDArray[np.uint8]) -> NDArray[Any] | None:
-    """The image in a file's bytes, grey, with its own depth; None where they hold none. OpenCV itself trips over names on Windows."""
+def _decoded(file: Path, content: NDArray[np.uint8], page: int = 0) -> NDArray[Any] | None:
+    """The image in a file's bytes, grey, with its own depth; None where they hold none. OpenCV itself trips over names on Windows.
+
+    page  where the page of a TIFF is described. Raises AsterismError where the image claims more pixels than an image has.
+    """
     import cv2
 
+    check_claimed_size(file, *claimed_size(content, page))
     image: NDArray[Any] | None = cv2.imdecode(content, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE) if len(content) else None
     return image
 

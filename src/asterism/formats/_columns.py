@@ -38,6 +38,7 @@ _METRES = {
 }  # fmt: skip
 _SMALLEST_BODY, _LARGEST_BODY = 0.005, 60.0
 _FURTHEST = 1e6
+_LONGEST_LABEL = 1000
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,12 @@ class Points:
     findings: tuple[Finding, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
     log: tuple[ProcessingStep, ...] = ()
+
+    def __post_init__(self) -> None:
+        longest = max(map(len, self.labels), default=0)
+        if longest > _LONGEST_LABEL:
+            number = next(i for i, label in enumerate(self.labels) if len(label) == longest) + 1
+            raise AsterismError(f"point {number} has a name of {longest:,} characters; give it one of at most {_LONGEST_LABEL:,}.")
 
     @property
     def kind_of_points(self) -> tuple[str, ...]:

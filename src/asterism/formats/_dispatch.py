@@ -11,12 +11,12 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, guarded_reading
 from asterism.formats._columns import Points, recording_of
 from asterism.formats._describe import described
 from asterism.formats._text import decoded, lines_of
 from asterism.formats._writing import all_points
-from asterism.recording import Clouds, Evidence, Ints, Recording
+from asterism.recording import Clouds, Evidence, Ints, MarkerSet, Recording, as_vertical
 
 _READERS = {
     "TRC": "trc.read_trc",
@@ -56,14 +56,17 @@ def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None
     from asterism.formats.c3d._reader import read_c3d
 
     path = Path(path)
-    kind = _kind_of(path)
-    if kind == "C3D":
-        return read_c3d(path, markers, vertical)
-    if kind == "2D CSV":
-        raise AsterismError(
-            f"{path} holds 2D points of cameras and no markers in space; reconstruct them with `asterism reconstruct` first."
-        )
-    return recording_of(path, _function(_READERS[kind])(path), markers, vertical)
+    wanted = None if markers is None else MarkerSet.load(markers)
+    up = None if vertical is None else as_vertical(vertical)
+    with guarded_reading(path):
+        kind = _kind_of(path)
+        if kind == "C3D":
+            return read_c3d(path, wanted, up)
+        if kind == "2D CSV":
+            raise AsterismError(
+                f"{path} holds 2D points of cameras and no markers in space; reconstruct them with `asterism reconstruct` first."
+            )
+        return recording_of(path, _function(_READERS[kind])(path), wanted, up)
 
 
 def read_clouds(path: str | Path, vertical: ArrayLike | str | None = None) -> Clouds:
@@ -71,11 +74,12 @@ def read_clouds(path: str | Path, vertical: ArrayLike | str | None = None) -> Cl
     from asterism.formats import npz
 
     path = Path(path)
-    if _kind_of(path) == "NPZ":
-        clouds = npz.read_npz_clouds(path)
-        if clouds is not None:
-            return clouds
-    return read(path, vertical=vertical).clouds()
+    with guarded_reading(path):
+        if _kind_of(path) == "NPZ":
+            clouds = npz.read_npz_clouds(path)
+            if clouds is not None:
+                return clouds
+        return read(path, vertical=vertical).clouds()
 
 
 def write(path: str | Path, recording: Recording | Clouds) -> list[str]:
@@ -116,7 +120,8 @@ def read_evidence(path: str | Path) -> Evidence | None:
     from asterism.formats import npz
 
     path = Path(path)
-    return npz.read_npz_evidence(path) if _kind_of(path) == "NPZ" else None
+    with guarded_reading(path):
+        return npz.read_npz_evidence(path) if _kind_of(path) == "NPZ" else None
 
 
 def is_recording_file(path: str | Path) -> bool:
@@ -180,6 +185,11 @@ def describe(path: str | Path) -> dict[str, Any]:
     Raises AsterismError where the file cannot be read.
     """
     path = Path(path)
+    with guarded_reading(path):
+        return _described(path)
+
+
+def _described(path: Path) -> dict[str, Any]:
     kind = _kind_of(path)
     if kind == "C3D":
         from asterism.formats.c3d._describe import describe_c3d
@@ -219,16 +229,19 @@ def convert(source: str | Path, target: str | Path, vertical: ArrayLike | str | 
     from asterism.formats import npz, storage
 
     source, target = Path(source), Path(target)
-    if _kind_of(source) in ("storage", "CSV"):
+    with guarded_reading(source):
+        kind = _kind_of(source)
+    if kind in ("storage", "CSV"):
         table = storage.table_or_none(source)
-        if table is not None and not storage.holds_markers(table, strictly=_kind_of(source) == "storage"):
+        if table is not None and not storage.holds_markers(table, strictly=kind == "storage"):
             if target.suffix.casefold() not in _TABLES:
                 raise AsterismError(
                     f"{source} holds a table of values and no marker positions; write it as {', '.join(_TABLES)}, not as {target.name}."
                 )
             return storage.write_table(target, table)
-    if _kind_of(source) == "NPZ":
-        clouds = npz.read_npz_clouds(source)
+    if kind == "NPZ":
+        with guarded_reading(source):
+            clouds = npz.read_npz_clouds(source)
         if clouds is not None and target.suffix.casefold() in (".npz", ".csv"):
             return write(target, clouds)
     return write(target, read(source, vertical=vertical))

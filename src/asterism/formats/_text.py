@@ -15,7 +15,9 @@ from asterism.formats._findings import frame_numbers, rate_conflict, short_rows
 from asterism.recording import Floats
 
 _MISSING = {"", "na", "n/a", "#n/a", "null", "none", "-", "--", "nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#ind", "1.#ind"}
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf(inity)?|[+-]?nan", re.IGNORECASE)
+_LONGEST_CELL = 1000
+_NUMBER = re.compile(r"[+-]?(\d++(\.\d*+)?|\.\d++)(e[+-]?\d++)?|[+-]?inf(inity)?|[+-]?nan", re.IGNORECASE)
+"""Digits are never given back (`++`), so that a long cell takes time with its length, not with its square."""
 
 
 def read_bytes(path: Path) -> bytes:
@@ -59,13 +61,24 @@ def delimiter_of(line: str) -> str | None:
 
 
 def cells_of(line: str, delimiter: str | None) -> list[str]:
-    """The cells of a line, without surrounding blanks and quotes."""
+    """The cells of a line, without surrounding blanks and quotes. Raises AsterismError where one is too long to be a cell."""
+    cells = _split(line, delimiter)
+    longest = max(map(len, cells), default=0)
+    if longest > _LONGEST_CELL:
+        raise AsterismError(f"a cell of {longest:,} characters ({max(cells, key=len)[:20]!r} ...) is no name or number; correct this line.")
+    return cells
+
+
+def _split(line: str, delimiter: str | None) -> list[str]:
     if delimiter is None:
         return line.split()
     if '"' in line:
         import csv
 
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+        try:
+            return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+        except csv.Error:  # a cell of more than 131,072 characters: as if it had no quotes, and whoever reads it names the place
+            pass
     return [cell.strip() for cell in line.split(delimiter)]
 
 

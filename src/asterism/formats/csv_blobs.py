@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, guarded_reading
 from asterism.formats._text import cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes, some_of, write_atomically
 from asterism.recording import Blobs, Floats, Ints
 from asterism.recording.arrays import checked_rate
@@ -42,14 +42,19 @@ def read_blobs(path: str | Path, cameras: Sequence[str] | None = None, rate: flo
     blobs. A blob that is repeated counts once. Raises AsterismError, naming file and line, where a column is missing, a cell is
     not a number, a camera is unknown or its number ambiguous, a camera has two times for one frame, or the file breaks off.
     """
-    path = Path(path)
+    wanted_rate = None if rate is None else checked_rate(rate)
+    with guarded_reading(path):
+        return _blobs(Path(path), None if cameras is None else tuple(cameras), wanted_rate)
+
+
+def _blobs(path: Path, wanted: tuple[str, ...] | None, wanted_rate: float | None) -> Blobs:
     lines = lines_of(decoded(path, read_bytes(path)))
-    comments = dict(re.findall(r"^#\s*(\w+)\s*=\s*(.*?)[\s,;]*$", "\n".join(lines[:20]), re.MULTILINE))
+    comments = dict(_comment(line) for line in lines[:20] if line.startswith("#") and "=" in line)
     start = next((i for i, line in enumerate(lines) if line.strip(" ,;\t") and not line.startswith("#")), len(lines))
     sheet = _Sheet.opened(path, lines, start)
     values, names = sheet.values()
     listed = tuple(name for name in comments.get("cameras", "").split("|") if name)
-    order, camera = _cameras(path, names, values[:, 1], listed if cameras is None else tuple(cameras), strict=cameras is not None)
+    order, camera = _cameras(path, names, values[:, 1], listed if wanted is None else wanted, strict=wanted is not None)
     _refuse(sheet, values[:, 0] != np.round(values[:, 0]), "the frame is not a whole number; correct it")
     _refuse(sheet, np.abs(values[:, 0]) > 2**53, "the frame number is too large; correct it")
     present = ~np.isnan(values[:, 2:4])
@@ -76,12 +81,18 @@ def read_blobs(path: str | Path, cameras: Sequence[str] | None = None, rate: flo
         camera[seen],
         values[seen, 2:4],
         order,
-        rate=checked_rate(rate) if rate is not None else _rate(comments.get("rate"), times),
+        rate=wanted_rate if wanted_rate is not None else _rate(comments.get("rate"), times),
         sizes=values[seen, 4],
         frames=total,
         times=times,
     )
     return replace(blobs, first_frame=first)
+
+
+def _comment(line: str) -> tuple[str, str]:
+    """Name and value of a line `# name = value`; blanks, commas and semicolons at its end belong to neither."""
+    name, _, value = line[1:].partition("=")
+    return name.strip(), value.lstrip().rstrip(" \t,;")
 
 
 def _first_of_its_kind(rows: Floats) -> NDArray[np.bool_]:

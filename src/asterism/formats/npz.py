@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +12,12 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.formats._columns import Points
+from asterism.formats._npz_members import arrays_of_npz, most_unpacked
 from asterism.formats._text import read_bytes, write_atomically
 from asterism.formats._writing import all_points
 from asterism.recording import Clouds, Event, Evidence, Recording, as_vertical, log_as_text, log_from_text
 
 VERSION = 1
-_MOST_BYTES = 8 << 30
 
 
 def read_npz(path: Path) -> Points:
@@ -177,6 +176,9 @@ def _save(path: Path, **arrays: Any) -> None:
     buffer = io.BytesIO()
     stored: dict[str, Any] = {"asterism": VERSION, **arrays}
     np.savez_compressed(buffer, **stored)
+    if sum(np.asarray(array).nbytes for array in stored.values()) > most_unpacked(len(buffer.getvalue())) // 2:
+        buffer = io.BytesIO()
+        np.savez(buffer, **stored)  # packed so far, it could not be told from a file that claims too much
     write_atomically(path, buffer.getvalue())
 
 
@@ -184,15 +186,7 @@ def _arrays(path: Path, only_kind: bool = False) -> dict[str, NDArray[Any]]:
     """The arrays of a file, refused before they are loaded where they claim more than they can hold."""
     data = read_bytes(path)
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            if sum(entry.file_size for entry in archive.infolist()) > min(_MOST_BYTES, 1100 * len(data) + 65536):
-                raise ValueError("it claims to hold more than it can")
-            stored = {}
-            for entry in archive.infolist():
-                name = entry.filename.removesuffix(".npy")
-                if only_kind and name not in ("asterism", "kind"):
-                    continue
-                stored[name] = _array(archive.read(entry))
+        stored = arrays_of_npz(data, ("asterism", "kind") if only_kind else None)
     except ValueError as problem:
         raise AsterismError(f"{path} is damaged ({str(problem)[:100]}); write it again.") from problem
     except Exception as problem:  # a damaged archive raises anything from zlib.error to SyntaxError
@@ -203,22 +197,6 @@ def _arrays(path: Path, only_kind: bool = False) -> dict[str, NDArray[Any]]:
     if int(version) > VERSION:
         raise AsterismError(f"{path} has format version {int(version)}, this Asterism reads up to {VERSION}; install a later one.")
     return stored
-
-
-def _array(data: bytes) -> NDArray[Any]:
-    """One member, without pickle, its size checked against its header first."""
-    stream = io.BytesIO(data)
-    version = np.lib.format.read_magic(stream)
-    if version == (1, 0):
-        shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
-    else:
-        shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
-    count = 1
-    for length in shape:
-        count *= int(length)
-    if dtype.hasobject or min(shape, default=0) < 0 or count * dtype.itemsize > len(data):
-        raise ValueError("an array in it is longer than its data, or holds objects")
-    return np.asarray(np.load(io.BytesIO(data), allow_pickle=False))
 
 
 def _points_of_clouds(clouds: Clouds) -> Points:

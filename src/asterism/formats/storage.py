@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, guarded_reading
 from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._groups import Group, exact_groups, marker_groups
@@ -68,7 +68,11 @@ def read_table(path: str | Path) -> Table:
 
     Raises AsterismError, naming file and line, where it has no row of names above numbers, or no time column.
     """
-    path = Path(path)
+    with guarded_reading(path):
+        return _table(Path(path))
+
+
+def _table(path: Path) -> Table:
     lines = lines_of(decoded(path, read_bytes(path)))
     end = next((i for i, line in enumerate(lines[:_HEADER_LINES]) if line.strip(" \t,;").casefold() == "endheader"), None)
     header = _header(lines[:end] if end is not None else lines[:0])

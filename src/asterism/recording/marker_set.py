@@ -106,21 +106,19 @@ class MarkerSet:
             raise AsterismError(
                 f"marker set {str(source)!r} is neither shipped ({', '.join(shipped_marker_sets())}) nor a TOML file that exists."
             )
-        return cls.from_toml(path.read_text(encoding="utf-8", errors="replace"), origin=str(path))
+        from asterism.errors import guarded_reading
+
+        with guarded_reading(path):
+            return cls.from_toml(path.read_text(encoding="utf-8", errors="replace"), origin=str(path))
 
     @classmethod
     def from_toml(cls, text: str, origin: str) -> MarkerSet:
         """A marker set from its TOML text; `origin` names it in messages."""
+        from asterism.recording._marker_set_file import fields_of
+
         try:
-            table = tomllib.loads(text)
-            return cls(
-                names=tuple(str(name) for name in table["markers"]),
-                title=str(table.get("title", origin)),
-                aliases={k: tuple(v) for k, v in table.get("aliases", {}).items()},
-                pairs=tuple((str(left), str(right)) for left, right in table.get("pairs", [])),
-                segments={k: tuple(v) for k, v in table.get("segments", {}).items()},
-            )
-        except (tomllib.TOMLDecodeError, KeyError, TypeError, ValueError) as problem:
+            return cls(**fields_of(tomllib.loads(text), origin))
+        except (tomllib.TOMLDecodeError, RecursionError, ValueError) as problem:
             raise AsterismError(
                 f"{origin} is not a marker set ({problem}); it is TOML with a list `markers`, if needed `aliases`, `pairs` and `segments`."
             ) from problem

@@ -72,6 +72,8 @@ class Board:
         table = read_toml(path)
         try:
             if "kind" in table:
+                if table["kind"] not in ("chessboard", "charuco", "circles", "asymmetric circles"):
+                    raise ValueError(f"there is no kind {str(table['kind'])[:40]!r}")
                 return cls(
                     table["kind"],
                     int(table["columns"]),
@@ -91,7 +93,9 @@ class Board:
                 _caliscope_square(table, columns, rows) * float(table.get("aruco_scale", 0.75)),
                 bool(table.get("inverted", False)),
             )
-        except (KeyError, TypeError, ValueError) as problem:
+        except AsterismError as problem:
+            raise AsterismError(f"{path}: {problem}") from problem
+        except (KeyError, TypeError, ValueError, ArithmeticError) as problem:
             raise AsterismError(
                 f"{path} is no board ({problem}); give kind, columns, rows, square in metres, and for ChArUco dictionary and marker."
             ) from problem

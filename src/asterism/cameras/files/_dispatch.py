@@ -11,10 +11,11 @@ from asterism.cameras.files import anipose, datasets, opencv, openptv, own, qual
 from asterism.cameras.files._common import UNIT_TAKEN
 from asterism.cameras.files._toml import read_toml
 from asterism.cameras.rig import Rig
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, guarded_reading
 
 _OPENCV = (".yml", ".yaml", ".xml")
 _SUFFIXES = (".toml", ".xcp", ".ori", ".json", *_OPENCV)
+_MEND = "calibrate with asterism calibrate, or export it again"
 _KNOWN = "Asterism's, anipose's or caliscope's TOML, OpenCV's YAML or XML, .xcp, .qca.txt, .ori, Human3.6M's or Shelf's JSON"
 _WRITERS: tuple[tuple[tuple[str, ...], Callable[[Path, Rig], list[str]]], ...] = (
     (("anipose.toml", "aniposelib.toml"), anipose.write_anipose),
@@ -47,11 +48,12 @@ def read_rig(*paths: str | Path) -> Rig:
     kinds = {_kind(file) for file in files}
     if len(kinds) > 1 or (len(files) > 1 and kinds <= {"one"}):
         raise AsterismError(f"{', '.join(map(str, files[:4]))} are not parts of one rig; name one of them.")
-    if kinds == {"OpenCV"}:
-        return opencv.read_opencv(files)
-    if kinds == {"OpenPTV"}:
-        return openptv.read_openptv(files)
-    return _read_one(files[0])
+    with guarded_reading(", ".join(map(str, files[:4])), _MEND):
+        if kinds == {"OpenCV"}:
+            return opencv.read_opencv(files)
+        if kinds == {"OpenPTV"}:
+            return openptv.read_openptv(files)
+        return _read_one(files[0])
 
 
 def write_rig(rig: Rig, path: str | Path) -> list[str]:
@@ -121,7 +123,8 @@ def _holds_cameras(path: Path) -> bool:
     if path.suffix.casefold() not in _OPENCV:
         return False
     try:
-        opencv.read_opencv([path])
+        with guarded_reading(path):
+            opencv.read_opencv([path])
     except AsterismError:
         return False
     return True
@@ -129,7 +132,8 @@ def _holds_cameras(path: Path) -> bool:
 
 def _is_rig(path: Path) -> bool:
     try:
-        _read_one(path)
+        with guarded_reading(path):
+            _read_one(path)
     except AsterismError:
         return False
     return True

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, guarded_reading
 from asterism.formats._text import decoded, read_bytes
 
 _WIDTH = 120
@@ -18,10 +18,11 @@ _WIDTH = 120
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file. Raises AsterismError where it is not TOML, or breaks off."""
-    try:
-        return tomllib.loads(decoded(path, read_bytes(path)))
-    except (tomllib.TOMLDecodeError, RecursionError) as problem:
-        raise AsterismError(f"{path} is damaged: it is no TOML ({problem}); write it again.") from problem
+    with guarded_reading(path, "write it again"):
+        try:
+            return tomllib.loads(decoded(path, read_bytes(path)))
+        except tomllib.TOMLDecodeError as problem:
+            raise AsterismError(f"{path} is damaged: it is no TOML ({problem}); write it again.") from problem
 
 
 def toml_line(key: str, value: Any) -> str:

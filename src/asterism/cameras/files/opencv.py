@@ -13,6 +13,7 @@ import numpy as np
 from asterism.cameras.camera import Camera
 from asterism.cameras.files._common import image_size, in_metres, numbers, read_otherwise, rig_of, rotation_of, within
 from asterism.cameras.files._lens import OPENCV, lens_lost, with_fisheye, with_shapes
+from asterism.cameras.files._opencv_text import values_of_xml, values_of_yaml
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
 from asterism.formats._text import decoded, read_bytes, write_atomically
@@ -30,7 +31,7 @@ _SHIFT = re.compile(r"(?i)(?:T|translation|tvec)_?(\w*)")
 _ERROR = re.compile(r"(?i)(?:avg_reprojection_error|reprojection_error|rms|error)_?(\w*)")
 
 _LONGEST = 20_000
-"""Items of a list that are looked at: OpenCV counts them from the first each time."""
+"""Items of a list that are looked at."""
 
 
 def read_opencv(paths: Sequence[Path]) -> Rig:
@@ -166,46 +167,35 @@ def _stereo(where: str, cameras: list[Camera], contents: list[dict[str, Any]]) -
 
 
 def _values(path: Path) -> dict[str, Any]:
-    """All values of a file: matrices, numbers, texts, lists. Raises AsterismError where OpenCV cannot read it."""
-    import cv2
-
+    """All values of a file: matrices, numbers, texts, lists. Raises AsterismError where it is no YAML or XML of OpenCV's."""
     text = decoded(path, read_bytes(path))
-    if path.suffix.casefold() in (".yml", ".yaml") and not text.startswith("%YAML"):
-        text = f"%YAML:1.0\n---\n{text}"
-    log: Any = getattr(cv2.utils, "logging", cv2)  # OpenCV 5 has it there, 4 at the top
-    level = log.getLogLevel()
-    log.setLogLevel(getattr(log, "LOG_LEVEL_SILENT", 0))
     try:
-        file = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        root = file.root()
-        return {key: _value(root.getNode(key)) for key in root.keys()} if root.isMap() else {}  # noqa: SIM118
-    except (cv2.error, SystemError) as problem:
-        raise AsterismError(f"{path} is damaged, or no YAML or XML of OpenCV's; export it again.") from problem
-    finally:
-        log.setLogLevel(level)
+        found = values_of_xml(text) if text.lstrip().startswith("<") else values_of_yaml(text)
+    except ValueError as problem:
+        raise AsterismError(f"{path} is damaged, or no YAML or XML of OpenCV's ({problem}); export it again.") from problem
+    return {key: _value(value) for key, value in found.items()}
 
 
-def _value(node: Any) -> Any:
-    if node.isMap():
-        keys = set(node.keys())
-        if {"rows", "cols", "data"} <= keys:
-            cells = node.getNode("data")
-            data = [_number(cells.at(i)) for i in range(min(cells.size(), _LONGEST))]
-            shape = (_number(node.getNode("rows")), _number(node.getNode("cols")))
-            fits = len(data) == shape[0] * shape[1]
-            return np.array(data).reshape(int(shape[0]), int(shape[1])) if fits else np.array([])
-        return {}
-    if node.isSeq():
-        items = [node.at(i) for i in range(min(node.size(), _LONGEST))]
-        return [item.string() if item.isString() else _number(item) for item in items]
-    return node.string() if node.isString() else _number(node)
+def _value(value: Any) -> Any:
+    """A matrix where a mapping is one, else nothing of it; the numbers and texts of a list; a number; a text."""
+    if isinstance(value, dict):
+        if not {"rows", "cols", "data"} <= set(value):
+            return {}
+        cells = value["data"] if isinstance(value["data"], list) else [value["data"]]
+        data = [_number(cell) for cell in cells[:_LONGEST]]
+        shape = (_number(value["rows"]), _number(value["cols"]))
+        fits = len(data) == shape[0] * shape[1]
+        return np.array(data).reshape(int(shape[0]), int(shape[1])) if fits else np.array([])
+    if isinstance(value, list):
+        return [item if isinstance(item, str) else _number(item) for item in value[:_LONGEST]]
+    return value
 
 
-def _number(node: Any) -> float:
-    """A node's number, NaN where it has none (OpenCV gives its largest number then)."""
-    return float(node.real()) if node.isInt() or node.isReal() else float("nan")
+def _number(value: Any) -> float:
+    """A number, NaN where it is none."""
+    return value if isinstance(value, float) else float("nan")
 
 
 def file_list(path: Path) -> list[str]:
-    """The file names that an OpenCV image list holds. Raises AsterismError where OpenCV cannot read it."""
+    """The file names that an OpenCV image list holds. Raises AsterismError where it is no such list."""
     return [text for value in _values(path).values() if isinstance(value, list) for text in value if isinstance(text, str)]

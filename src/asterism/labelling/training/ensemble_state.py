@@ -121,6 +121,8 @@ class EnsembleState:
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> EnsembleState:
         """Read a model file. Raises AsterismError where it is missing, damaged, no model, or of a later version."""
+        from asterism.labelling.training.model_schema import check_state
+
         with reading(path) as (head, arrays):
             marker_set = _marker_set(head["marker_set"])
             body = _body(arrays, "body_")
@@ -131,7 +133,7 @@ class EnsembleState:
             training = None
             if sample:
                 training = TrainingState(Sample.from_arrays(sample, len(marker_set)), TrainingConfig.from_dict(head["recipe"]))
-            return cls(
+            state = cls(
                 marker_set=marker_set,
                 markers=arrays["markers"],
                 body=body,
@@ -147,6 +149,8 @@ class EnsembleState:
                 general_body=_body(arrays, "general_") if "general_mean" in arrays else None,
                 frame_calibration=_label_calibration(arrays, "frame"),
             )
+            check_state(state)
+            return state
 
 
 def _marker_set(plain: dict[str, Any]) -> MarkerSet:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +12,8 @@ from typing import Any
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.formats._npz_members import arrays_of_npz
+from asterism.labelling.training.model_schema import check_contents
 
 FORMAT = "asterism-model"
 FORMAT_VERSION = 2
@@ -49,31 +49,25 @@ def describe_model(path: str | os.PathLike[str]) -> dict[str, Any]:
 def reading(path: str | os.PathLike[str]) -> Iterator[Contents]:
     """The head and the arrays of a model file, for as long as something is made of them.
 
-    Raises AsterismError where the file is missing, no model, of a later version or damaged. An error such as KeyError or ValueError inside
+    Raises AsterismError where the file is missing, no model, of a later version or damaged. Any other error inside
     the `with` block counts as damage: the caller could not use what the file holds.
     """
     path = Path(path)
     if not path.is_file():
         raise AsterismError(f"{path} does not exist; train a model first (asterism train), or check the path.")
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        arrays = arrays_of_npz(path.read_bytes())
         head = json.loads(arrays.pop("head").tobytes().decode())
-        if head["format"] != FORMAT:
+        if not isinstance(head, dict) or head["format"] != FORMAT:
             raise AsterismError(f"{path} is no Asterism model; train one with asterism train.")
         if head["version"] > FORMAT_VERSION:
             raise AsterismError(f"{path} was written by a later Asterism (model format {head['version']}); update Asterism.")
+        check_contents(head, arrays)
         yield head, arrays
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        IndexError,
-        TypeError,
-        EOFError,
-        RuntimeError,
-        zipfile.BadZipFile,
-        zlib.error,
-        MemoryError,
-    ) as problem:
-        raise AsterismError(f"{path} is damaged or no Asterism model ({type(problem).__name__}); train it again.") from problem
+    except AsterismError as problem:
+        if path.name in str(problem):
+            raise
+        raise AsterismError(f"{path}: {problem}") from problem
+    except Exception as problem:  # a damaged archive raises anything from zlib.error to SyntaxError
+        what = f": {' '.join(str(problem).split())[:120]}" if isinstance(problem, ValueError) else ""
+        raise AsterismError(f"{path} is damaged or no Asterism model ({type(problem).__name__}{what}); train it again.") from problem
