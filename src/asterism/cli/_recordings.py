@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,12 +33,10 @@ def is_model(path: Path) -> bool:
     return path.suffix.lower() == ".model"
 
 
-def read_labelled(
-    files: Sequence[Path], markers: str | MarkerSet | None, vertical: str | None, batch: _console.Batch, *, complete: bool = False
-) -> list[Recording]:
+def read_labelled(files: Sequence[Path], markers: str | MarkerSet | None, vertical: str | None, batch: _console.Batch) -> list[Recording]:
     """The files of a batch that can be read, under one set of markers; without a set, the markers that all of them have.
 
-    complete: a file without one of the set's markers counts as one that cannot be read. Raises AsterismError where none is left.
+    Raises AsterismError where none is left.
     """
     marker_set = markers if isinstance(markers, MarkerSet) else marker_set_of(markers)
     axis = vertical_axis(vertical)
@@ -48,8 +45,6 @@ def read_labelled(
         with batch.file(path):
             recording = formats.read(path, markers=marker_set, vertical=axis)
             report_warnings(recording, batch)
-            if complete and marker_set is not None:
-                _check_complete(path, recording)
             recordings.append(recording)
     if not recordings:
         raise AsterismError("none of the files can be used; the reasons are above.")
@@ -61,7 +56,7 @@ def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str
 
     A file without a labelled sample counts as one that cannot be used. Raises AsterismError where none is left.
     """
-    from asterism.labelling.training.learning import named_markers
+    from asterism.labelling.training.markers import named_markers
 
     axis = vertical_axis(vertical)
     recordings = []
@@ -84,19 +79,10 @@ def marker_set_of(markers: str | None) -> MarkerSet | None:
     return None if markers is None else MarkerSet.load(marker_names(markers) or ())
 
 
-def _check_complete(path: Path, recording: Recording) -> None:
-    absent = [name for column, name in enumerate(recording.labels) if not recording.visible[:, column].any()]
-    if absent:
-        raise AsterismError(
-            f"{path} has no marker {', '.join(absent[:6])}{', ...' if len(absent) > 6 else ''}; "
-            "leave the file out, name a smaller set with --markers, or add its spelling to the set's aliases."
-        )
-
-
 def _with_common_markers(recordings: Sequence[Recording], batch: _console.Batch) -> list[Recording]:
-    from asterism.labelling.training.learning import common_markers
+    from asterism.labelling.training.markers import learned_markers
 
-    common, left_out = common_markers(recordings)
+    common, left_out = learned_markers(recordings, [str(i) for i in range(len(recordings))], 1.0)
     for finding in left_out_markers(len(common), left_out):
         batch.found(finding)
     return [recording.select(common) for recording in recordings]
@@ -107,7 +93,7 @@ def left_out_markers(used: int, left_out: Sequence[str]) -> list[Finding]:
     if not left_out:
         return []
     few = ", ".join(left_out[:8]) + (", ..." if len(left_out) > 8 else "")
-    sentence = f"the files share {used} markers, which are used; {len(left_out)} others are in some files only ({few})."
+    sentence = f"{used} markers are used; {len(left_out)} others are in too few of the files ({few})."
     return [Finding("recordings-differ", Severity.NOTE, "the files", sentence, "Name the markers with --markers to use others.")]
 
 
@@ -151,24 +137,6 @@ def labels_kept(path: Path, labelling: Labelling, recording: Recording, clouds: 
         raise AsterismError(f"{path}: {problem}") from None
 
 
-@dataclass(frozen=True)
-class LabelShares:
-    """What became of the markers of a recording: shares of all markers in all frames, which add up to 1.
-
-    labelled  a point got the marker's name
-    unsure    no point got it, and the frame has points without a name, one of which may be the marker
-    hidden    no point got it, and every point of the frame has a name
-    """
-
-    labelled: float
-    unsure: float
-    hidden: float
-
-
-def label_shares(labelling: Labelling, clouds: Clouds) -> LabelShares:
-    """The shares for a labelling of `clouds`; all NaN where there are no frames."""
-    given = labelling.indices >= 0
-    if given.size == 0:
-        return LabelShares(float("nan"), float("nan"), float("nan"))
-    unsure = ~given & (clouds.counts > given.sum(axis=1))[:, None]
-    return LabelShares(float(given.mean()), float(unsure.mean()), float((~given & ~unsure).mean()))
+def shares_text(row: Mapping[str, Any]) -> str:
+    """What became of a recording's markers, in words: the shares in `row`, as `LabelShares` names them."""
+    return ", ".join(f"{_console.percent(row[name])} {name}" for name in ("labelled", "likely", "unsure"))
