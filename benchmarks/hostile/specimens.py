@@ -53,7 +53,7 @@ def _specimen(path: Path, kind: str, *reads: Callable[[Path], Any], packed: bool
 
 def _walk() -> Recording:
     rng = np.random.default_rng(0)
-    places = rng.normal(0.0, 0.3, (1, len(MARKERS), 3)) + [0.0, 0.0, 1.0]
+    places = rng.normal([0.0, 0.0, 1.0], 0.3, (1, len(MARKERS), 3))
     positions = places + np.linspace(0.0, 1.0, FRAMES)[:, None, None] * [1.0, 0.2, 0.0] + rng.normal(0.0, 0.01, (FRAMES, len(MARKERS), 3))
     positions[5:9, 1] = np.nan
     events = (Event("Foot Strike", 0.05, "Left"), Event("Foot Off", 0.1, "Right"))

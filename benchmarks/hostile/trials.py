@@ -73,8 +73,8 @@ def _names_a_file(sentence: str, specimen: Specimen) -> bool:
 def run(numbers: range, jobs: int, model: bool = True) -> Iterator[tuple[int, list[Fault]]]:
     """Read so many copies; after each stretch of them, how many are done and the faults found in it.
 
-    Each of `jobs` processes works on stretches. One that hangs for more than 10 s at a copy is ended, and one that crashed is replaced; both
-    go on with the next copy.
+    `jobs` processes share them. One that hangs for more than 10 s at a copy is ended, and one that crashed is replaced; both go on with
+    the next copy.
     """
     with tempfile.TemporaryDirectory() as folder:
         workers = [_Worker(Path(folder) / str(job), numbers[job::jobs], model) for job in range(jobs)]

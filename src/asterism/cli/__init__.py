@@ -124,7 +124,11 @@ def main(args: Sequence[str] | None = None) -> int:
         return 2
     except Exception as problem:
         if not hasattr(problem, "format_message"):
-            raise
+            import traceback
+
+            traceback.print_exc()
+            _console.error(_console.reason(problem))
+            return 2
         _console.error(f"{problem.format_message().rstrip('.')}; `asterism COMMAND --help` shows what it takes.")
         return 2
     if status == 130:

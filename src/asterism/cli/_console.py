@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from asterism.cli._printable import printable
 from asterism.errors import AsterismError
 from asterism.findings import Finding, exit_status
 from asterism.progress import Progress
@@ -31,13 +32,13 @@ def console() -> Console:
 
 def result(line: str) -> None:
     """One plain line of result."""
-    print(line, flush=True)
+    print(printable(line), flush=True)
 
 
 def error(sentence: str) -> None:
     """One plain line on standard error."""
     sys.stdout.flush()
-    print(f"asterism: {sentence}", file=sys.stderr, flush=True)
+    print(f"asterism: {printable(sentence)}", file=sys.stderr, flush=True)
 
 
 def report(finding: Finding) -> None:
@@ -50,7 +51,9 @@ def reason(problem: Exception) -> str:
     """What an exception means to a user: one line."""
     if isinstance(problem, OSError) and problem.filename:
         return f"{problem.filename}: {(problem.strerror or 'cannot be opened').lower()}."
-    return " ".join(str(problem).split())
+    sentence = " ".join(str(problem).split())
+    expected = isinstance(problem, AsterismError | OSError)
+    return sentence if expected else f"{type(problem).__name__}: {sentence}; this is a fault of Asterism, please report it with the file."
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> None:
@@ -63,7 +66,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, 
     from rich.text import Text
 
     screen = console()
-    lines = [tuple(columns), *(tuple(row) for row in rows)]
+    lines = [tuple(map(printable, row)) for row in (columns, *rows)]
     turned = list(zip(*lines, strict=True))
     if _width(lines) > screen.width >= _width(turned):
         lines, left = turned, 1
@@ -71,11 +74,11 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, 
     for i, cells in enumerate(zip(*lines, strict=True)):
         widest = max(map(len, cells[1:]), default=0)
         sheet.add_column(
-            cells[0], justify="left" if i < left else "right", overflow="fold", min_width=min(widest, 8) if i < left else widest
+            Text(cells[0]), justify="left" if i < left else "right", overflow="fold", min_width=min(widest, 8) if i < left else widest
         )
     for line in lines[1:]:
         sheet.add_row(*(Text(cell) for cell in line))
-    screen.print(Text(title, style="bold"), sheet, sep="\n", crop=False)
+    screen.print(Text(printable(title), style="bold"), sheet, sep="\n", crop=False)
 
 
 def _width(lines: Sequence[Sequence[str]]) -> int:
@@ -91,10 +94,10 @@ def facts(title: str, rows: Sequence[tuple[str, str]]) -> None:
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDTH_WHEN_PIPED
     indent = max((len(name) for name, _ in rows), default=0) + 4
     lines = [title]
-    for name, value in rows:
+    for name, value in ((printable(name), printable(value)) for name, value in rows):
         first, *others = textwrap.wrap(value, max(width - indent, 20), break_on_hyphens=False) or [""]
         lines += [f"  {name}".ljust(indent) + first, *(" " * indent + line for line in others)]
-    print("\n".join(lines), flush=True)
+    print(printable("\n".join(lines)), flush=True)
 
 
 def percent(fraction: float, digits: int = 2) -> str:
@@ -121,12 +124,12 @@ def progress(what: str) -> Iterator[Progress | None]:
     from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Bar(*columns, console=Console(stderr=True), transient=True, redirect_stdout=sys.stdout.isatty()) as bar:
         task = bar.add_task(what, total=1.0)
-        _bars.append(lambda text: bar.update(task, description=text))
+        _bars.append(lambda text: bar.update(task, description=printable(text)))
         try:
-            yield lambda fraction, doing: bar.update(task, completed=fraction, description=doing or what)
+            yield lambda fraction, doing: bar.update(task, completed=fraction, description=printable(doing or what))
         finally:
             _bars.pop()
 
@@ -139,10 +142,10 @@ def notice(sentence: str, *, in_progress_line: bool = False) -> None:
     if _bars:
         from rich.console import Console
 
-        Console(stderr=True, highlight=False).print(sentence, markup=False)
+        Console(stderr=True, highlight=False).print(printable(sentence), markup=False)
         return
     sys.stdout.flush()
-    print(sentence, file=sys.stderr, flush=True)
+    print(printable(sentence), file=sys.stderr, flush=True)
 
 
 class Batch:
@@ -156,10 +159,14 @@ class Batch:
 
     @contextmanager
     def file(self, path: Path) -> Iterator[None]:
-        """Work on one file; its AsterismError or OSError becomes one line on standard error."""
+        """Work on one file; whatever it raises costs this file only and becomes one line on standard error."""
         try:
             yield
-        except (AsterismError, OSError) as problem:
+        except BrokenPipeError:
+            raise
+        except Exception as problem:
+            if type(problem).__module__.startswith(("typer", "click")):
+                raise
             sentence = reason(problem)
             error(sentence if path.name in sentence else f"{path}: {sentence}")
             self.failed.append(path)
@@ -190,6 +197,9 @@ def check_new(given: Path | str | None, overwrite: bool) -> None:
         return
     from tempfile import TemporaryFile
 
+    from asterism.formats._atomic import on_removed
+
+    on_removed(lambda unfinished: notice(f"{unfinished} was left by a run that was killed; it is removed."))
     path = Path(given)
     if path.is_dir():
         raise AsterismError(f"{path} is a folder; give the name of a file in it.")
@@ -229,13 +239,9 @@ def write_json(where: str | None, content: Mapping[str, Any]) -> None:
         sys.stdout.write(text)
         sys.stdout.flush()
         return
-    path = Path(where)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    from asterism.formats._atomic import write_atomically
+
+    write_atomically(Path(where), text.encode("utf-8", "backslashreplace"))  # as JSON writes what is no character
 
 
 def _plain(value: Any) -> Any:

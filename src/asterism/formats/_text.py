@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,6 +15,8 @@ from asterism.recording import Floats
 
 _MISSING = {"", "na", "n/a", "#n/a", "null", "none", "-", "--", "nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#ind", "1.#ind"}
 _LONGEST_CELL = 1000
+_FORMULA = ("=", "+", "-", "@")
+"""How a cell begins that spreadsheets run."""
 _NUMBER = re.compile(r"[+-]?(\d++(\.\d*+)?|\.\d++)(e[+-]?\d++)?|[+-]?inf(inity)?|[+-]?nan", re.IGNORECASE)
 """Digits are never given back (`++`), so that a long cell takes time with its length, not with its square."""
 
@@ -60,13 +61,24 @@ def delimiter_of(line: str) -> str | None:
     return None
 
 
+def cell_text(name: str) -> str:
+    """A name as a cell of a spreadsheet that shows it: one that begins like a formula gets an apostrophe before it."""
+    return f"'{name}" if name.startswith(_FORMULA) else name
+
+
+def name_of_cell(cell: str) -> str:
+    """The inverse of `cell_text`."""
+    return cell[1:] if len(cell) > 1 and cell[0] == "'" and cell[1] in _FORMULA else cell
+
+
 def cells_of(line: str, delimiter: str | None) -> list[str]:
     """The cells of a line, without surrounding blanks and quotes. Raises AsterismError where one is too long to be a cell."""
     cells = _split(line, delimiter)
     longest = max(map(len, cells), default=0)
     if longest > _LONGEST_CELL:
-        raise AsterismError(f"a cell of {longest:,} characters ({max(cells, key=len)[:20]!r} ...) is no name or number; correct this line.")
-    return cells
+        begins = max(cells, key=len)[:20]
+        raise AsterismError(f"a cell that begins {begins!r} has {longest:,} characters, which is no name or number; find and correct it.")
+    return [name_of_cell(cell) for cell in cells] if "'" in line else cells
 
 
 def _split(line: str, delimiter: str | None) -> list[str]:
@@ -186,17 +198,3 @@ def frames_in_place(frames: Floats, rows: Floats) -> tuple[Floats, int, list[Fin
     filled = np.full((span, *rows.shape[1:]), np.nan)
     filled[(numbers - numbers[0]).astype(np.int64)] = rows
     return filled, first, [frame_numbers(f"{span - len(frames)} frames are left out in the file; they were inserted as missing")]
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write the whole file or nothing. Raises AsterismError where the folder cannot be written to."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        temporary.write_bytes(data)
-        os.replace(temporary, path)
-    except OSError as problem:
-        raise AsterismError(
-            f"{path} cannot be written ({problem.strerror or problem}); check the folder, space and permissions."
-        ) from problem
-    finally:
-        temporary.unlink(missing_ok=True)

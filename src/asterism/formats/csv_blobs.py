@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError, guarded_reading
-from asterism.formats._text import cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes, some_of, write_atomically
+from asterism.formats._atomic import utf8, write_atomically
+from asterism.formats._text import cell_text, cells_of, decoded, delimiter_of, lines_of, name_of_cell, number_of, read_bytes, some_of
 from asterism.recording import Blobs, Floats, Ints
 from asterism.recording.arrays import checked_rate
 
@@ -113,7 +114,8 @@ def write_blobs(blobs: Blobs, path: str | Path) -> None:
     head = [f"# rate={blobs.rate!r}", f"# frames={len(blobs)}", f"# first_frame={blobs.first_frame}", f"# blobs={len(blobs.xy)}"]
     head += [f"# cameras={'|'.join(blobs.cameras)}"]
     head += [",".join(["frame", "camera", "x", "y", *(["size"] if sized else []), *(["time"] if blobs.times is not None else [])])]
-    names = [blobs.cameras[c] for c in blobs.camera_of]
+    spelled = [cell_text(name) for name in blobs.cameras]
+    names = [spelled[c] for c in blobs.camera_of]
     frame, camera = blobs.frame_of, blobs.camera_of
     cells = [(frame + blobs.first_frame).tolist(), names, blobs.xy[:, 0].tolist(), blobs.xy[:, 1].tolist()]
     pattern = "%d,%s,%.17g,%.17g"
@@ -127,8 +129,8 @@ def write_blobs(blobs: Blobs, path: str | Path) -> None:
     if blobs.times is not None:
         empty = np.argwhere((blobs.counts == 0) & np.isfinite(blobs.times))
         gap = ",,,," if sized else ",,,"
-        rows += [f"{t + blobs.first_frame},{blobs.cameras[c]}{gap}{_time(float(blobs.times[t, c]))}" for t, c in empty.tolist()]
-    write_atomically(path, ("\n".join([*head, *rows]) + "\n").encode())
+        rows += [f"{t + blobs.first_frame},{spelled[c]}{gap}{_time(float(blobs.times[t, c]))}" for t, c in empty.tolist()]
+    write_atomically(path, utf8("\n".join([*head, *rows]) + "\n"))
 
 
 def describe_blobs(path: Path) -> dict[str, Any]:
@@ -218,7 +220,7 @@ class _Sheet:
             )
         if "nan" in known or not np.isfinite(out[:, 0]).all():
             raise ValueError
-        return out, list(known)
+        return out, [name_of_cell(name) for name in known]
 
     def _careful(self) -> tuple[Floats, list[str]]:
         """Row by row, with blanks. Raises AsterismError that names the first impossible cell."""

@@ -11,9 +11,21 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding
+from asterism.formats._atomic import utf8, write_atomically
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
-from asterism.formats._text import cells_of, decoded, delimiter_of, lines_of, number_of, rate_of, read_bytes, some_of, write_atomically
+from asterism.formats._text import (
+    cell_text,
+    cells_of,
+    decoded,
+    delimiter_of,
+    lines_of,
+    name_of_cell,
+    number_of,
+    rate_of,
+    read_bytes,
+    some_of,
+)
 from asterism.formats._writing import all_points
 from asterism.recording import Clouds, Floats, Recording
 
@@ -96,13 +108,13 @@ def write_long(path: Path, recording: Recording) -> list[str]:
     head = comment_lines(
         "m", recording.rate, recording.vertical, len(positions), first, str(recording.metadata.get("subject", "")), recording.events
     )
-    names = [re.sub(r"[\s,;\"]+", " ", label) for label in labels]
+    names = [cell_text(re.sub(r"[\s,;\"]+", " ", label)) for label in labels]
     frames, columns = np.nonzero(~np.isnan(positions[:, :, 0]))
     rows = [
         f"{first + t},{times[t]:.9g},{names[m]},{x:.17g},{y:.17g},{z:.17g}"
         for t, m, (x, y, z) in zip(frames.tolist(), columns.tolist(), positions[frames, columns].tolist(), strict=True)
     ]
-    write_atomically(path, ("\n".join([*head, "frame,time,marker,x,y,z", *rows]) + "\n").encode())
+    write_atomically(path, utf8("\n".join([*head, "frame,time,marker,x,y,z", *rows]) + "\n"))
     unseen = [label for m, label in enumerate(labels) if np.isnan(positions[:, m, 0]).all()]
     if unseen:
         omitted.append(f"columns without a sample: {', '.join(unseen[:5])}")
@@ -114,7 +126,7 @@ def write_clouds(path: Path, clouds: Clouds) -> list[str]:
     head = comment_lines("m", clouds.rate, clouds.vertical, len(clouds), 0)
     frames = clouds.frame_of
     rows = [f"{t},{x:.17g},{y:.17g},{z:.17g}" for t, (x, y, z) in zip(frames.tolist(), clouds.xyz.tolist(), strict=True)]
-    write_atomically(path, ("\n".join([*head, "frame,x,y,z", *rows]) + "\n").encode())
+    write_atomically(path, utf8("\n".join([*head, "frame,x,y,z", *rows]) + "\n"))
     return [] if (clouds.columns < 0).all() else ["the columns that the points came from"]
 
 
@@ -149,7 +161,7 @@ def _samples(
         values.append(row)
         numbers.append(i + 1)
         if name_at is not None:
-            marks.append(cells[name_at].strip())
+            marks.append(name_of_cell(cells[name_at].strip()))
     return np.array(values, dtype=np.float64).reshape(len(values), len(wanted)), marks if name_at is not None else None, numbers
 
 

@@ -9,10 +9,12 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding
+from asterism.formats._atomic import utf8, write_atomically
 from asterism.formats._columns import _METRES, Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
 from asterism.formats._groups import exact_groups, marker_groups
 from asterism.formats._text import (
+    cell_text,
     cells_of,
     decoded,
     delimiter_of,
@@ -23,7 +25,6 @@ from asterism.formats._text import (
     read_bytes,
     rows_of_numbers,
     some_of,
-    write_atomically,
 )
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.recording import Recording
@@ -99,11 +100,11 @@ def write_wide(path: Path, recording: Recording) -> list[str]:
     head = comment_lines(
         units, recording.rate, recording.vertical, len(positions), first, str(recording.metadata.get("subject", "")), recording.events
     )
-    bare = [re.sub(r'[,;"#]', " ", label) for label in _unrepeated(labels)]
+    bare = [cell_text(re.sub(r'[,;"#]', " ", label)) for label in _unrepeated(labels)]
     names = [f"{label}_{axis}" for label in bare for axis in "xyz"]
     body = spelled_numbers(dense_rows(positions / _METRES[units], decimals), ",", decimals)
     rows = [",".join(filter(None, (str(first + t), f"{times[t]:.9g}", row))) for t, row in enumerate(body)]
-    write_atomically(path, ("\n".join([*head, ",".join(["frame", "time", *names]), *rows]) + "\n").encode())
+    write_atomically(path, utf8("\n".join([*head, ",".join(["frame", "time", *names]), *rows]) + "\n"))
     if len(set(labels)) < len(labels):
         omitted.append("labels that occur more than once, to whose repeats a number was added")
     return omitted

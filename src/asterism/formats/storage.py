@@ -11,9 +11,11 @@ import numpy as np
 
 from asterism.errors import AsterismError, guarded_reading
 from asterism.findings import Finding
+from asterism.formats._atomic import utf8, write_atomically
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._groups import Group, exact_groups, marker_groups
 from asterism.formats._text import (
+    cell_text,
     cells_of,
     decoded,
     delimiter_of,
@@ -23,7 +25,6 @@ from asterism.formats._text import (
     read_bytes,
     rows_of_numbers,
     some_of,
-    write_atomically,
 )
 from asterism.formats._writing import all_points
 from asterism.recording import Floats, Recording, as_vertical
@@ -141,11 +142,12 @@ def write_table(path: str | Path, table: Table) -> list[str]:
         head += ["endheader"]
         separator = "\t"
     names = [re.sub(r"[\t\r\n,;\"]", " ", name) for name in table.names]
+    names = [cell_text(name) for name in names] if suffix == ".csv" else names
     rows = [
         separator.join(_shortest(value) for value in (time, *row))
         for time, row in zip(table.times.tolist(), table.values.tolist(), strict=True)
     ]
-    write_atomically(path, ("\n".join([*head, separator.join(["time", *names]), *rows]) + "\n").encode())
+    write_atomically(path, utf8("\n".join([*head, separator.join(["time", *names]), *rows]) + "\n"))
     return []
 
 

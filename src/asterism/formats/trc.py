@@ -10,6 +10,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding
+from asterism.formats._atomic import utf8, write_atomically
 from asterism.formats._columns import _METRES, Points, as_metres, metres_per_unit
 from asterism.formats._findings import cut_off, header_conflict, point_names
 from asterism.formats._text import (
@@ -22,7 +23,6 @@ from asterism.formats._text import (
     rate_of,
     read_bytes,
     rows_of_numbers,
-    write_atomically,
 )
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.recording import Floats, Recording, as_vertical
@@ -135,7 +135,7 @@ def write_trc(path: Path, recording: Recording) -> list[str]:
     ]
     body = spelled_numbers(dense_rows(values, decimals), "\t", decimals)
     rows = ["\t".join(filter(None, (str(first + t), f"{times[t]:.6f}", row))) for t, row in enumerate(body)]
-    write_atomically(path, ("\n".join([*head, *rows]) + "\n").encode())
+    write_atomically(path, utf8("\n".join([*head, *rows]) + "\n"))
     if recording.vertical[1] < 0.99:
         omitted.append("the vertical: TRC readers take Y as up or determine it from the data")
     return omitted

@@ -10,9 +10,10 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding
+from asterism.formats._atomic import utf8, write_atomically
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._findings import header_conflict
-from asterism.formats._text import decoded, frames_in_place, lines_of, number_of, rate_of, read_bytes, rows_of_numbers, write_atomically
+from asterism.formats._text import decoded, frames_in_place, lines_of, number_of, rate_of, read_bytes, rows_of_numbers
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.formats.csv_long import is_long, read_long
 from asterism.formats.csv_wide import read_wide
@@ -130,7 +131,7 @@ def write_tsv(path: Path, recording: Recording) -> list[str]:
     ]
     body = spelled_numbers(dense_rows(positions * 1000.0, 5), "\t", 5)
     rows = ["\t".join(filter(None, (str(first + t), f"{times[t]:.6f}", row))) for t, row in enumerate(body)]
-    write_atomically(path, ("\n".join([*head, *rows]) + "\n").encode())
+    write_atomically(path, utf8("\n".join([*head, *rows]) + "\n"))
     if recording.vertical[2] < 0.99:
         omitted.append("the vertical: QTM's files are Z up")
     if any(event.context for event in recording.events):

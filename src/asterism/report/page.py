@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -17,7 +15,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from asterism.errors import AsterismError
+from asterism.formats._atomic import utf8, write_atomically
 from asterism.report.player import deflated, player_script, player_style
 
 NOTHING = "–"
@@ -89,13 +87,25 @@ def write_page(path: str | Path, page: Page) -> None:
         style=_template("page.css") + player_style(),
         script=player_script() + _template("page.js") if figures or players else "",
         plotly=_plotly() if figures else "",
-        data=_as_script({"figures": figures, "players": players}),
+        data=_as_script({"figures": _without_markup(figures), "players": players}),
         is_cell=lambda cell: isinstance(cell, Cell),
     )
-    try:
-        _replace(target, html)
-    except OSError as problem:
-        raise AsterismError(f"{target}: the report cannot be written ({problem.strerror}); choose another place.") from problem
+    write_atomically(target, utf8(html))
+
+
+_OWN_TAGS = re.compile("&lt;(/?extra|br)>")
+"""Tags of ours in a figure's texts, which Plotly obeys."""
+
+
+def _without_markup(value: Any) -> Any:
+    """A figure in whose texts Plotly finds no tags but ours: it would make links and pictures of a label."""
+    if isinstance(value, str):
+        return _OWN_TAGS.sub(r"<\1>", visible_text(str(value)).replace("&", "&amp;").replace("<", "&lt;"))
+    if isinstance(value, Mapping):
+        return {key: _without_markup(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _without_markup(value.tolist()) if value.dtype.kind in "OU" else value
+    return [_without_markup(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 _UNSEEN = re.compile("[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u061c\\u200b-\\u200f\\u2028-\\u202e\\u2060-\\u2069\\ufeff]")
@@ -163,17 +173,3 @@ def _version() -> str:
         return metadata.version("asterism")
     except metadata.PackageNotFoundError:
         return "0+unknown"
-
-
-def _replace(target: Path, text: str) -> None:
-    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
-            stream.write(text)
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, target)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise

@@ -11,7 +11,7 @@ from asterism.cameras.files._lens import OPENCV, lens_lost, with_fisheye, with_s
 from asterism.cameras.files._toml import toml_line
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
-from asterism.formats._text import write_atomically
+from asterism.formats._atomic import utf8, write_atomically
 from asterism.geometry import vector_from_rotation
 
 ANIPOSE, CALISCOPE = "anipose TOML", "caliscope TOML"
@@ -84,7 +84,7 @@ def write_anipose(path: Path, rig: Rig) -> list[str]:
     lines += ["[metadata]", toml_line("adjusted", True)]
     error = rig.metadata.get("error")
     lines += [toml_line("error", float(error))] if isinstance(error, int | float) else []
-    write_atomically(path, ("\n".join(lines) + "\n").encode())
+    write_atomically(path, utf8("\n".join(lines) + "\n"))
     lost = [*(["the vertical"] if rig.vertical is not None else []), *_errors_lost(rig), *lens_lost(lefts)]
     return lost + read_otherwise(rig, 1000.0)
 
@@ -105,7 +105,7 @@ def write_caliscope(path: Path, rig: Rig) -> list[str]:
         if camera.posed:
             lines += [toml_line("translation", camera.translation.tolist()), toml_line("rotation", camera.rotation.tolist())]
         lines += [""]
-    write_atomically(path, "\n".join(lines).encode())
+    write_atomically(path, utf8("\n".join(lines)))
     lost = [*(["the vertical"] if rig.vertical is not None else []), *lens_lost(lefts)]
     return [*lost, *([] if own else ["the names of the cameras (numbers stand for them)"])]
 

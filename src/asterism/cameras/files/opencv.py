@@ -16,7 +16,8 @@ from asterism.cameras.files._lens import OPENCV, lens_lost, with_fisheye, with_s
 from asterism.cameras.files._opencv_text import values_of_xml, values_of_yaml
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
-from asterism.formats._text import decoded, read_bytes, write_atomically
+from asterism.formats._atomic import utf8, write_atomically
+from asterism.formats._text import decoded, read_bytes
 from asterism.recording import Floats
 
 KIND = "OpenCV"
@@ -97,7 +98,7 @@ def write_opencv(path: Path, rig: Rig) -> list[str]:
         if camera.posed:
             file.write(f"R_{mark}", camera.rotation)
             file.write(f"T_{mark}", camera.translation.reshape(3, 1))
-    write_atomically(path, file.releaseAndGetString().encode())
+    write_atomically(path, utf8(file.releaseAndGetString()))
     return [*(["the vertical"] if rig.vertical is not None else []), *lens_lost(lefts), *read_otherwise(rig, 1.0)]
 
 

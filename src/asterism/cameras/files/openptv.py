@@ -13,7 +13,8 @@ from asterism.cameras.files._common import OPENCV_FROM_UPRIGHT, image_size, numb
 from asterism.cameras.files._lens import TOLERABLE_PX, corner_radius, lens_lost
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
-from asterism.formats._text import decoded, read_bytes, write_atomically
+from asterism.formats._atomic import utf8, write_atomically
+from asterism.formats._text import decoded, read_bytes
 from asterism.geometry import rotation_from_vector
 from asterism.recording import Floats
 
@@ -309,8 +310,8 @@ def write_openptv(path: Path, rig: Rig) -> list[str]:
         raise AsterismError(f"{taken} exists and would be replaced; write to another folder.")
     folder.mkdir(exist_ok=True)
     for place, text in files:
-        write_atomically(place, text.encode())
-    write_atomically(folder / "ptv.par", ("\n".join(setup) + "\n").encode())
+        write_atomically(place, utf8(text))
+    write_atomically(folder / "ptv.par", utf8("\n".join(setup) + "\n"))
     lost = [*lens_lost(lefts), *(["the vertical"] if rig.vertical is not None else [])]
     return lost + (["the reprojection errors"] if any(camera.error == camera.error for camera in rig) else [])
 

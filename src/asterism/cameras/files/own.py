@@ -11,7 +11,7 @@ from asterism.cameras.camera import Camera
 from asterism.cameras.files._toml import toml_line
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
-from asterism.formats._text import write_atomically
+from asterism.formats._atomic import utf8, write_atomically
 
 FORMAT = "asterism-rig"
 FORMAT_VERSION = 1
@@ -56,7 +56,7 @@ def write_own(path: Path, rig: Rig) -> list[str]:
             lines += [toml_line("rotation", camera.rotation.tolist()), toml_line("translation", camera.translation.tolist())]
     if rig.metadata:
         lines += ["", "[metadata]", *(toml_line(str(key), value) for key, value in rig.metadata.items() if value is not None)]
-    write_atomically(path, ("\n".join(lines) + "\n").encode())
+    write_atomically(path, utf8("\n".join(lines) + "\n"))
     return []
 
 

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
+from asterism.formats._atomic import write_atomically
 from asterism.formats._columns import without_common_subject
 from asterism.formats._physical import is_unnamed
-from asterism.formats._text import write_atomically
 from asterism.formats.c3d._edit import label_parameters, log_of, with_events, with_log, with_number
 from asterism.formats.c3d._file import BLOCK, C3DFile
 from asterism.formats.c3d._fresh import fresh_c3d

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.formats._atomic import write_atomically
 from asterism.formats._npz_members import arrays_of_npz
 from asterism.labelling.training.model_schema import check_contents
 
@@ -26,15 +28,9 @@ def write_arrays(path: str | os.PathLike[str], head: Mapping[str, Any], arrays: 
     """Write a model under a temporary name, then rename it. Raises AsterismError where the place cannot be written."""
     path = Path(path)
     text = json.dumps({"format": FORMAT, "version": FORMAT_VERSION, **head})
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with temporary.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, head=np.frombuffer(text.encode(), dtype=np.uint8), **arrays)
-        os.replace(temporary, path)
-    except OSError as problem:
-        raise AsterismError(f"{path} cannot be written ({problem.strerror}); choose another place.") from problem
-    finally:
-        temporary.unlink(missing_ok=True)
+    packed = io.BytesIO()
+    np.savez_compressed(packed, allow_pickle=False, head=np.frombuffer(text.encode(), dtype=np.uint8), **arrays)
+    write_atomically(path, packed.getvalue())
 
 
 def describe_model(path: str | os.PathLike[str]) -> dict[str, Any]:
