@@ -338,6 +338,20 @@ def test_what_packs_extremely_well_is_written_so_that_it_can_be_read(tmp_path: P
     assert path.stat().st_size > 20 * packed and len(asterism.read(path)) == 2000
 
 
+def test_a_long_recording_is_in_memory_a_few_times_only(tmp_path: Path) -> None:
+    import tracemalloc
+
+    path = tmp_path / "hour.c3d"
+    places = np.random.default_rng(0).normal([0.0, 0.0, 1.0], 0.3, (1, 39, 3))
+    drift = np.linspace(0.0, 0.1, 20_000)[:, None, None]
+    asterism.write(path, asterism.Recording(places + drift, tuple(f"M{i}" for i in range(39)), 100.0))
+    tracemalloc.start()
+    asterism.read(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 6.0 * path.stat().st_size, f"{peak / path.stat().st_size:.1f} times the file"  # it was 13
+
+
 def _png(width: int, height: int) -> bytes:
     def chunk(kind: bytes, content: bytes) -> bytes:
         return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))

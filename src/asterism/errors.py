@@ -24,8 +24,8 @@ class AsterismError(Exception):
 def guarded_reading(path: str | PathLike[str], mend: str = "export it again, or check what it is") -> Iterator[None]:
     """Make an AsterismError, which names the file, of everything that reading it raises; the cause is chained.
 
-    An AsterismError passes, because what a reader says itself is more exact; where it does not name the file, the name is put before it.
-    What is not an `Exception`, such as an interrupt, passes too.
+    path is the file that is named, mend what to do about a damaged one. An AsterismError passes, because what a reader says itself is
+    more exact; where it does not name the file, the name is put before it. What is not an `Exception`, such as an interrupt, passes too.
     """
     try:
         yield

@@ -85,11 +85,14 @@ class Points:
         return self.kinds if self.kinds is not None else tuple(kinds_by_name(self.labels))
 
 
-def recording_of(path: Path, points: Points, markers: Any = None, vertical: ArrayLike | str | None = None) -> Recording:
+def recording_of(
+    path: Path, points: Points, markers: Any = None, vertical: ArrayLike | str | None = None, *, source: Any = None
+) -> Recording:
     """The recording that `asterism.read` gives for the points of a file.
 
     markers   None: all points but the computed ones; else what `MarkerSet.load` takes: exactly its columns, NaN where absent
     vertical  None: determined by `settle_vertical`; else a vector or an axis name
+    source    what the recording keeps for its writer; by default the points
 
     Raises AsterismError, naming the file, where it has no marker of the set, has one twice, or does not determine the vertical.
     """
@@ -100,12 +103,13 @@ def recording_of(path: Path, points: Points, markers: Any = None, vertical: Arra
         columns, names = physical, tuple(labels[c] for c in physical)
     else:
         columns, names = wanted_columns(path, labels, MarkerSet.load(markers))
-    positions = np.full((len(points.positions), len(names), 3), np.nan)
     present = columns >= 0
-    positions[:, present] = points.positions[:, columns[present]]
-    up, how = settle_vertical(
-        path, points.positions[:, physical], [labels[c] for c in physical], vertical, declared=points.declared, fallback=points.fallback
-    )
+    positions = points.positions  # as it is where all columns stay in their places: long recordings are large
+    if not np.array_equal(columns, np.arange(len(labels))):
+        positions = np.full((len(points.positions), len(names), 3), np.nan)
+        positions[:, present] = points.positions[:, columns[present]]
+    bodily = points.positions if len(physical) == len(labels) else points.positions[:, physical]
+    up, how = settle_vertical(path, bodily, [labels[c] for c in physical], vertical, declared=points.declared, fallback=points.fallback)
     findings = points.findings
     if how == "data against file":
         findings = (*findings, vertical_conflict("the declared vertical contradicts the markers; the vertical is that of the markers"))
@@ -127,8 +131,8 @@ def recording_of(path: Path, points: Points, markers: Any = None, vertical: Arra
         vertical=up,
         events=points.events,
         metadata=metadata,
-        source=points,
-        origin=origin.astype(np.int64),
+        source=points if source is None else source,
+        origin=origin.astype(np.int64, copy=False),
         taken=tuple(int(c) for c in (physical if markers is None else columns[present])),
         first_frame=points.first_frame,
         log=points.log,

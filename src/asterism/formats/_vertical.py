@@ -13,6 +13,7 @@ from asterism.recording import Floats, canonical, without_subject
 from asterism.recording.arrays import nan_median, nan_quantile
 
 _MOST_FRAMES = 400
+_FRAMES_AT_ONCE = 10_000
 _SURE_SHARE = 0.85
 _LIKELY_SHARE = 0.6
 _PELVIS = 2
@@ -59,7 +60,8 @@ def estimate_vertical(positions: Floats, labels: Sequence[str] = ()) -> Vertical
     positions = np.asarray(positions, dtype=np.float64)
     if positions.ndim != 3 or positions.shape[0] == 0 or positions.shape[1] < 3:
         return VerticalEstimate(None)
-    positions = np.where(np.isfinite(positions), positions, np.nan)
+    if np.isinf(positions).any():
+        positions = np.where(np.isfinite(positions), positions, np.nan)
     if np.isnan(positions).all():
         return VerticalEstimate(None)
     with warnings.catch_warnings():
@@ -138,7 +140,10 @@ def _by_shape(positions: Floats) -> tuple[int, bool] | None:
     sharpness = (lowish - bottom) / length, (top - highish) / length
     if (bottom > 0 or top < 0) and sharpness[int(top < 0)] <= 0.06:
         return axis, bool(top < 0)
-    speed = np.linalg.norm(np.diff(positions, axis=0), axis=2)
+    speed = np.empty(along[1:].shape)
+    for start in range(0, len(speed), _FRAMES_AT_ONCE):
+        some = positions[start : start + _FRAMES_AT_ONCE + 1]
+        speed[start : start + _FRAMES_AT_ONCE] = np.linalg.norm(np.diff(some, axis=0), axis=2)
     place = (along[:-1] - np.nanmin(along[:-1], axis=1, keepdims=True)) / length
     seen = np.isfinite(speed) & np.isfinite(place)
     ends = speed[seen & (place < 0.15)], speed[seen & (place > 0.85)]

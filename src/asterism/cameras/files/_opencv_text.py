@@ -34,7 +34,7 @@ _WORD = re.compile(r"\s*+(?:\"(?P<quoted>[^\"]*+)\"|(?P<plain>[^\s\"]\S*+))")
 
 def values_of_yaml(text: str) -> dict[str, Any]:
     """The values of a YAML text by key; nothing where it is no mapping. Raises ValueError, with the line, where it breaks off."""
-    lines = []
+    lines: list[tuple[int, str]] = []
     begun = False
     for number, line in enumerate(text.splitlines(), 1):
         if line.startswith("---"):

@@ -28,6 +28,8 @@ BLOCK = 512
 _KEY = 0x50
 _LABEL_KEY = 12345
 _NOWHERE = 1e8
+_FRAMES_AT_ONCE = 10_000
+"""What is converted at a time: a recording of an hour is in memory once, not three times."""
 
 
 @dataclass(frozen=True)
@@ -123,16 +125,23 @@ class C3DFile:
         """Whether Asterism wrote this file."""
         return self.parameters.text("MANUFACTURER", "SOFTWARE").startswith("Asterism")
 
-    @cached_property
+    @property
     def coordinates(self) -> Floats:
-        """(frames, points, 3) in the file's unit, NaN where a point is missing, not finite or impossibly far away."""
-        xyz = np.ascontiguousarray(self.point_words[:, :, :3])
+        """(frames, points, 3) in the file's unit, NaN where a point is missing, not finite or impossibly far away; made anew each time."""
+        values = np.empty((self.layout.frames, self.layout.points, 3))
+        for start in range(0, self.layout.frames, _FRAMES_AT_ONCE):
+            some = slice(start, start + _FRAMES_AT_ONCE)
+            values[some] = self._coordinates_of(some)
+        return values
+
+    def _coordinates_of(self, frames: slice) -> Floats:
+        xyz = np.ascontiguousarray(self.point_words[frames, :, :3])
         with np.errstate(invalid="ignore", over="ignore"):
             stored = self.processor.floats(xyz) if self.layout.real else self.processor.integers(xyz)
             values = stored.astype(np.float64) * (1.0 if self.layout.real else self.scale)
             missing = ~(np.abs(values) < _NOWHERE).all(axis=2)
         if not self.residuals_are_unused:
-            missing |= self.residuals < 0
+            missing |= self.residuals[frames] < 0
         if self.zeros_are_missing:
             missing |= ~(xyz & self._not_sign).any(axis=2)
         values[missing] = np.nan

@@ -28,11 +28,11 @@ class Processor:
 
     def words16(self, raw: bytes | memoryview, count: int = -1, offset: int = 0) -> Words:
         """16-bit patterns, native order."""
-        return np.frombuffer(raw, dtype=f"{self.order}u2", count=count, offset=offset).astype(np.uint16)
+        return np.frombuffer(raw, dtype=f"{self.order}u2", count=count, offset=offset).astype(np.uint16, copy=False)
 
     def words32(self, raw: bytes | memoryview, count: int = -1, offset: int = 0) -> Words:
         """32-bit patterns, native order, VAX floats in the order in which they lie in the file."""
-        return np.frombuffer(raw, dtype=f"{self.order}u4", count=count, offset=offset).astype(np.uint32)
+        return np.frombuffer(raw, dtype=f"{self.order}u4", count=count, offset=offset).astype(np.uint32, copy=False)
 
     def integers(self, words: Words) -> NDArray[np.int16]:
         """Signed values of 16-bit patterns."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +39,7 @@ def read_c3d(path: Path, markers: Any = None, vertical: ArrayLike | str | None =
         raise AsterismError(f"{path} holds no points{analog}; choose a recording with markers.")
     if not file.layout.frames:
         raise AsterismError(f"{path} holds no frames; export it again.")
-    return replace(recording_of(path, points_of(file), markers, vertical), source=file)
+    return recording_of(path, points_of(file), markers, vertical, source=file)
 
 
 def points_of(file: C3DFile) -> Points:
@@ -71,7 +70,11 @@ def in_metres(file: C3DFile) -> tuple[Floats, float, str, list[Finding]]:
     captured = np.array([kind != COMPUTED for kind in kinds], dtype=bool)
     others = [file.parameters.text("POINT", name) for name in ("MODELED_MARKER_UNITS", "SCALAR_UNITS")]
     scale, units, found = metres_per_unit(Path(file.path), file.parameters.text("POINT", "UNITS"), raw[:, captured], others)
-    return raw / round(1 / scale) if scale < 1 and scale == 1 / round(1 / scale) else raw * scale, scale, units, found
+    if scale < 1 and scale == 1 / round(1 / scale):
+        raw /= round(1 / scale)
+    else:
+        raw *= scale
+    return raw, scale, units, found
 
 
 def kinds_of_points(file: C3DFile, positions: Floats) -> list[str]:

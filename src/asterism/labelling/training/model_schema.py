@@ -35,8 +35,8 @@ _SAMPLE = {
 }
 """Arrays of the sample of the training, where there is one."""
 
-_OPEN_ENDED = ("_low", "_high")
-"""Ends of names of arrays that may hold infinities: intervals that are open at one side."""
+_OPEN_ENDED = ("_low", "_high", "_hit_rates")
+"""Ends of names of arrays whose numbers need not be finite: intervals that are open at one side, hit rates that no trial has shown."""
 
 _LARGEST = 1e12
 _MOST_MARKERS = 2000
@@ -54,16 +54,14 @@ def check_contents(head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) 
     markers = head["marker_set"].get("names")
     if not isinstance(markers, list) or not all(isinstance(name, str) for name in markers) or len(markers) > _MOST_MARKERS:
         raise ValueError("its markers are no list of names")
-    for name, (kind, dimensions) in {**_ARRAYS, **(_SAMPLE if "sample_numbers" in arrays else {})}.items():
+    for name, (letter, dimensions) in {**_ARRAYS, **(_SAMPLE if "sample_numbers" in arrays else {})}.items():
         if name not in arrays:
             raise ValueError(f"it lacks {name}")
-        if arrays[name].dtype.kind != kind or arrays[name].ndim != dimensions or not arrays[name].size:
+        if arrays[name].dtype.kind != letter or arrays[name].ndim != dimensions or not arrays[name].size:
             raise ValueError(f"{name} has {arrays[name].dtype} in {arrays[name].shape}")
     for name, array in arrays.items():
         if array.dtype.kind == "f" and not name.endswith(_OPEN_ENDED) and not (np.abs(array) < _LARGEST).all():
             raise ValueError(f"{name} has a number that is not finite or too large")
-        if array.dtype.kind == "f" and np.isnan(array).any():
-            raise ValueError(f"{name} has a number that is none")
         if array.dtype.kind == "i" and array.size and not (np.abs(array.astype(np.float64)) < _LARGEST).all():
             raise ValueError(f"{name} has a number that is too large")
     _check_sample(arrays, len(markers))
