@@ -18,6 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from asterism.cameras.camera import Camera
+from asterism.cameras.rig import Rig
 from asterism.progress import Progress
 from asterism.recording import Recording
 from benchmarks.data import GAIT_BODY
@@ -30,6 +32,9 @@ DIVIDED = ("cameras",)
 
 SETS = (None, "helen-hayes", list(GAIT_BODY))
 """The marker sets with which recordings are read."""
+
+DIGITS = 7
+"""Significant digits of the numbers of rigs and boards: some lenses are fitted, and the fit's last digits differ from run to run."""
 
 FRAMES = 10
 """Images of each source that are hashed, evenly spread; of a video the first."""
@@ -85,6 +90,15 @@ def values_of(recordings: Path, folder: str) -> str:
             except Exception:  # what a reader refuses, by whatever exception, no row has read
                 digest.update(b"refused")
     return digest.hexdigest()
+
+
+def _rounded(value: Any) -> Any:
+    """Numbers to seven significant digits, all else as it is."""
+    if isinstance(value, np.ndarray) and value.dtype.kind == "f":
+        return [_rounded(inner) for inner in value.ravel().tolist()]
+    if isinstance(value, float):
+        return f"{value:.{DIGITS - 1}e}"
+    return tuple(_rounded(inner) for inner in value) if isinstance(value, tuple) else value
 
 
 def _save(kept: Mapping[str, KeptFolder]) -> None:
@@ -143,6 +157,9 @@ def _add(update: Callable[[bytes], None], value: Any) -> None:
             **{name: getattr(value, name) for name in ("positions", "labels", "rate", "vertical", "events", "first_frame")},
             "subject": value.metadata.get("subject"),
         }
+    if isinstance(value, Rig | Camera):
+        value = {part.name: getattr(value, part.name) for part in fields(value) if part.name not in ("metadata", "lacks")}
+        value = {name: _rounded(inner) for name, inner in value.items()}
     if isinstance(value, np.ndarray):
         update(f"{value.dtype.str}{value.shape}".encode())
         update(np.where(np.isnan(value), np.nan, value).tobytes() if value.dtype.kind == "f" else np.ascontiguousarray(value).tobytes())

@@ -89,6 +89,7 @@ def test_the_row_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytes
 
     monkeypatch.setattr(damaged_files, "run", run)
     monkeypatch.setattr(damaged_files, "COPIES", 3000)
+    monkeypatch.setattr(damaged_files, "STRETCH", 1000)
     monkeypatch.setattr(damaged_files, "_code", lambda: "code")
     benchmark = BenchmarkRun(models=tmp_path)
     with pytest.raises(KeyboardInterrupt):

@@ -14,7 +14,7 @@ from benchmarks.figures import Figure
 from benchmarks.hostile.trials import HANG_S, MOST_BYTES, Fault, run
 from benchmarks.sources import Sources
 
-COPIES, QUICK_COPIES, STRETCH = 100_000, 300, 1000
+COPIES, QUICK_COPIES, STRETCH = 100_000, 300, 5000
 
 
 def damaged_files(benchmark: BenchmarkRun) -> Iterator[Figure]:
