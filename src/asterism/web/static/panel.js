@@ -6,6 +6,8 @@
   const SHOWN = 8;             // candidates before anything is typed
   const SAID_SECONDS = 9;
 
+  const amount = value => value < 10 ? value.toFixed(1) : Math.round(value).toLocaleString("en");
+
   class NameBox {
     constructor(input, list, take) {
       Object.assign(this, { input, list, take, candidates: [], shown: [], at: 0 });
@@ -90,7 +92,7 @@
     set(labels) {
       const { items } = labels.state, gain = items.reduce((sum, item) => sum + item.gain, 0), most = items.length ? items[0].gain : 1;
       this.heading.textContent = items.length ? `To check: ${items.length}${items.length >= 500 ? " or more" : ""}` : "Nothing is left to check";
-      this.about.textContent = items.length ? `One answer corrects a whole piece. About ${gain < 10 ? gain.toFixed(1) : Math.round(gain)} samples are expected to be wrong or missing.`
+      this.about.textContent = items.length ? `One answer corrects a whole piece. About ${amount(gain)} samples are expected to be wrong or missing.`
         : "No label of this recording is in doubt.";
       this.lines = new Map();
       this.list.replaceChildren(...items.map((item, i) => {
@@ -98,7 +100,7 @@
         const or = place !== undefined && labels.pieces.marker[place] < 0 ? "perhaps" : "or";
         const others = item.alternatives.map(([name, chance]) => `${plainText(name)} ${percent(chance)}`).join(", ");
         const line = make("button", { type: "button", className: "line", onclick: () => this.go(i) },
-          make("span", { className: "gain", title: "samples that an answer is expected to correct", textContent: item.gain < 10 ? item.gain.toFixed(1) : Math.round(item.gain) }),
+          make("span", { className: "gain", title: "samples that an answer is expected to correct", textContent: amount(item.gain) }),
           make("span", { className: "what", textContent: place === undefined ? "a piece" : labels.label(place) }),
           make("span", { className: "about", textContent: `${place === undefined ? "" : labels.frames(place)}${others ? ` · ${or} ${others}` : ""}` }));
         line.style.setProperty("--gain", Math.sqrt(item.gain / most).toFixed(3));

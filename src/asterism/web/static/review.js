@@ -188,7 +188,7 @@
       if (this.swapping) return "Select the piece to exchange it with; Esc gives up.";
       const { labels } = this, samples = labels.from[place + 1] - labels.from[place];
       const said = labels.pieces.person[place] ? " You said so." : "";
-      return `${labels.frames(place)}, ${samples} samples.${said}`;
+      return `${labels.frames(place)}, ${samples.toLocaleString("en")} samples.${said}`;
     }
 
     async loadOdds(keep = false) {

@@ -60,7 +60,7 @@
       this.canvas.setAttribute("role", "img");
       this.head = this.spacer.appendChild(Object.assign(document.createElement("div"), { className: "playhead" }));
       this.tip = host.appendChild(Object.assign(document.createElement("div"), { className: "tip", hidden: true }));
-      this.context = this.canvas.getContext("2d");
+      this.context = this.canvas.getContext("2d", { alpha: false });
       this.cache = document.createElement("canvas");
       Object.assign(this, { seek, pick, frame: 0, bars: [], marked: [], data: null });
       this.listen();
