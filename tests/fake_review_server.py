@@ -1,4 +1,4 @@
-"""A server for tests of the page on which labels are corrected: one recording, its tracks are the pieces, a name is taken as it is given."""
+"""A server for tests of the page on which labels are corrected: one recording, its tracks are the pieces, names are taken as given."""
 
 from __future__ import annotations
 
