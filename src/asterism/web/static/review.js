@@ -93,6 +93,7 @@
       at("trial").value = trial.id;
       this.labels = null;
       document.body.classList.add("without");
+      for (const id of ["undo", "redo", "save"]) at(id).disabled = true;
       at("verdict").hidden = true;
       at("empty").hidden = false;
       at("empty").textContent = trial.state === "failed" ? `${plainText(trial.error || "It could not be labelled.", 400)}` : `${plainText(trial.name)} is being labelled. It opens by itself.`;
@@ -140,6 +141,7 @@
       const trial = this.trials.find(one => one.id === this.trial);
       Object.assign(trial, { verdict: state.verdict, touches: state.touches, saved: state.saved });
       this.showTrials();
+      at("save").disabled = false;
       at("save").classList.toggle("done", Boolean(state.saved));
       this.showSelected();
     }
@@ -245,6 +247,7 @@
         if (this.trial !== trial || !this.labels) return;
         try {
           const answer = await this.connection.ask(`/api/trials/${encodeURIComponent(trial)}/${verb}`, { body: { revision: this.labels.state.revision, ...body } });
+          if (verb === "touch" && !answer.changed.length) this.messages.say(`${said}: taken. No label changed.`);
           await this.take(answer.state, answer.changed, verb === "touch" || verb === "refuse");
         } catch (problem) {
           if (!(problem instanceof Asterism.Refused)) throw problem;

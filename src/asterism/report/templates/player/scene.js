@@ -139,9 +139,9 @@
       }
       const walk = body.walks[body.knot(frame)];
       if (!walk) return;
-      const [bx, by] = body.origin(frame), s = body.size, [ux, uy] = walk, tip = 0.95, wing = 0.13;
+      const [bx, by] = body.origin(frame), s = body.size, [ux, uy] = walk, tail = 0.3, tip = 0.8, wing = 0.13;
       const place = (along, across) => camera.project(bx + s * (along * ux - across * uy), by + s * (along * uy + across * ux), body.floor);
-      const shape = [[0.45, 0.03], [tip - wing, 0.03], [tip - wing, wing * 0.75], [tip, 0], [tip - wing, -wing * 0.75], [tip - wing, -0.03], [0.45, -0.03]].map(([a, c]) => place(a, c));
+      const shape = [[tail, 0.03], [tip - wing, 0.03], [tip - wing, wing * 0.75], [tip, 0], [tip - wing, -wing * 0.75], [tip - wing, -0.03], [tail, -0.03]].map(([a, c]) => place(a, c));
       if (shape.some(at => !at)) return;
       context.globalAlpha = 0.55;
       context.fillStyle = colours.arrow;
@@ -267,7 +267,7 @@
           }
           context.globalAlpha = 1;
         }
-        if (marks[p] & Asterism.IN_QUESTION) this.ring(x, y, 2.1 * r, colours.asked, 2.5);
+        if (marks[p] & Asterism.IN_QUESTION && !this.chosen) this.ring(x, y, 2.1 * r, colours.asked, 2.5);
       }
       for (const p of this.selectedAt(frame)) this.ring(this.placeOf(p)[0], this.placeOf(p)[1], 10, colours.asked, 2.5);
       if (this.hovered >= offsets[frame] && this.hovered < offsets[frame + 1]) {

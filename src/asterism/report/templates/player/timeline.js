@@ -70,6 +70,7 @@
     // rows [{name, share}], codes: rows x columns, each of `block` frames; bars [{first, last, ghost}] of points without a label, below
     set({ rows, codes, columns, block = 1, frames, number = frame => frame, bars = [], keepWindow = false }) {
       const before = this.data;
+      this.tip.hidden = true;
       this.data = { rows, codes, columns, block, frames, number, names: rows.map(row => Asterism.plainText(row.name, 30)) };
       this.bars = bars;
       this.lanes = lanes(bars.map(bar => bar.first), bars.map(bar => bar.last));
