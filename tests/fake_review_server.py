@@ -108,17 +108,22 @@ class FakeReview:
         raise KeyError(path)
 
 
-def static(path: str) -> tuple[bytes, str]:
-    """One of the page's files."""
-    name = "review.html" if path == "/" else path.removeprefix("/static/")
-    kind = {"html": "text/html; charset=utf-8", "js": "text/javascript", "css": "text/css"}[name.rpartition(".")[2]]
+def static(path: str, driver: str) -> tuple[bytes, str]:
+    """One of the page's files; the page loads the driver after its own scripts."""
+    if path == "/static/driver.js":
+        return driver.encode(), "text/javascript"
+    if path == "/":
+        page = (resources.files("asterism") / "web" / "static" / "review.html").read_text(encoding="utf-8")
+        return page.replace("</body>", '<script src="/static/driver.js"></script></body>').encode(), "text/html; charset=utf-8"
+    name = path.removeprefix("/static/")
+    kind = {"js": "text/javascript", "css": "text/css"}[name.rpartition(".")[2]]
     if name in ("player.js", "player.css"):
         return (player_script() if name.endswith("js") else player_style()).encode(), kind
     return (resources.files("asterism") / "web" / "static" / name).read_bytes(), kind
 
 
-def serve(review: FakeReview) -> http.server.ThreadingHTTPServer:
-    """A server on a free port, in a thread of its own; its `server_port` is the port."""
+def serve(review: FakeReview, driver: str = "") -> http.server.ThreadingHTTPServer:
+    """A server on a free port, in a thread of its own; its `server_port` is the port. driver: a script that stands for the person."""
 
     class Handler(http.server.BaseHTTPRequestHandler):
         def answer(self, status: int, content: bytes | Any, kind: str = "application/json") -> None:
@@ -136,7 +141,7 @@ def serve(review: FakeReview) -> http.server.ThreadingHTTPServer:
         def do_GET(self) -> None:
             url = urlparse(self.path)
             if url.path == "/" or url.path.startswith("/static/"):
-                self.answer(200, *static(url.path))
+                self.answer(200, *static(url.path, driver))
             elif self.headers.get("X-Asterism-Token") != TOKEN:
                 self.answer(403, {"error": "the token is missing or of an earlier run."})
             else:

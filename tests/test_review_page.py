@@ -198,6 +198,52 @@ def test_the_page_opens_with_its_list_and_hostile_names_as_text(review: FakeRevi
         server.server_close()
 
 
+DRIVER = """(async () => {
+  const { page } = Asterism, at = id => document.getElementById(id);
+  const until = met => new Promise(ok => { const timer = setInterval(() => { if (met()) { clearInterval(timer); ok(); } }, 20); });
+  const press = key => document.activeElement.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, cancelable: true }));
+  const taken = revision => until(() => page.labels.state.revision === revision && !at("piece").hasAttribute("aria-busy"));
+  await until(() => document.querySelector("#list .current"));
+  press("g");
+  await taken(2);
+  press("Tab");
+  press("n");
+  document.activeElement.value = "l.kne";
+  document.activeElement.dispatchEvent(new Event("input"));
+  press("Enter");
+  await taken(3);
+  const before = page.player.frame;
+  press("ArrowRight");
+  press("ArrowRight");
+  press("c");
+  await taken(4);
+  press("s");
+  page.select(page.labels.state.items[0].piece);
+  await taken(5);
+  const { frame, canvas } = page.player;
+  document.body.append(Asterism.make("p", { textContent: `driven ${frame - before} frames, ${document.activeElement === canvas}` }));
+})();"""
+
+
+@needs_chromium
+def test_keys_say_what_a_person_means(review: FakeReview, tmp_path: Path) -> None:
+    """A ghost, a name typed in part, a cut two frames on, a swap with the list's first; the focus returns to the picture."""
+    asked = FakeReview(review.clouds, review.marker, review.confidence, review.names)
+    first, second = (item["piece"] for item in asked.state()["items"][:2])
+    frame = asked.state()["items"][1]["frame"]
+    server = serve(asked, DRIVER)
+    try:
+        opened(f"http://127.0.0.1:{server.server_port}/?token={TOKEN}", tmp_path, "driven 2 frames, true")
+    finally:
+        server.shutdown()
+        server.server_close()
+    ghost, name, cut, swap = (given["event"] for given in asked.asked[-4:])
+    assert ghost == {"kind": "ghost", "piece": first} and name == {"kind": "name", "piece": second, "marker": "LKNE"}
+    assert cut == {"kind": "cut", "piece": second, "frame": frame + 2}
+    assert swap["kind"] == "swap" and swap["piece"] == second and swap["other"] not in (first, second)
+    assert [given["revision"] for given in asked.asked[-4:]] == [1, 2, 3, 4]
+
+
 @needs_chromium
 def test_a_wrong_token_is_said(review: FakeReview, tmp_path: Path) -> None:
     server = serve(review)

@@ -189,8 +189,8 @@
     about(place) {
       if (this.swapping) return "Select the piece to exchange it with; Esc gives up.";
       const { labels } = this, samples = labels.from[place + 1] - labels.from[place];
-      const said = labels.pieces.person[place] ? " You said so." : "";
-      return `${labels.frames(place)}, ${samples.toLocaleString("en")} samples.${said}`;
+      const said = labels.pieces.person[place] ? " You said so." : "", track = labels.pieces.track?.[place] ?? -1;
+      return `${labels.frames(place)}, ${samples.toLocaleString("en")} samples${track >= 0 ? `, track ${track + 1}` : ""}.${said}`;
     }
 
     async loadOdds(keep = false) {
