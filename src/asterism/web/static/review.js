@@ -6,13 +6,6 @@
   const at = id => document.getElementById(id);
   const POLL = 1500;  // milliseconds between questions while recordings are being labelled
   const VERDICTS = { ready: "ready", look: "look", "do-not-use": "do not use" };
-  const KEYS = [
-    ["n", "name the selected piece; type, Enter takes the first"], ["r", "this label is right"], ["g", "this is a ghost, no marker"], ["c", "cut the piece at this frame"],
-    ["s", "swap two pieces: select one, s, select the other"], ["u, Shift-u", "undo, redo"], ["Tab, Shift-Tab", "next, previous line of the list (with the picture or the list in focus)"],
-    ["space", "play or pause"], ["← →, ↑ ↓", "one frame, ten frames"], ["Page keys", "one second"], ["Shift and arrows", "turn the view; with the mouse: drag, Shift-drag moves, the wheel zooms"],
-    ["1 2 3 4", "front, side, top, all points"], ["l, f", "names, follow the body"], ["Shift-click", "select a second piece"], ["F6", "next part of the page"], ["Ctrl-s", "save"], ["Esc", "back to the picture"],
-  ];
-
   class Page {
     constructor() {
       this.token = new URLSearchParams(location.search).get("token") || "";
@@ -21,6 +14,7 @@
       this.connection = new Asterism.Connection(this.token, { status: status => this.connectionIs(status), told: news => this.heard(news) });
       this.names = new Asterism.NameBox(at("name"), at("candidates"), name => this.nameIt(name));
       this.changes = new Asterism.Changes(at("changes"), { go: (id, frame) => this.select(id, frame), refuse: ids => this.refuse(ids) });
+      this.teaching = new Asterism.TeachForm(at("teach-form"), (trials, name) => this.teach(trials, name));
       this.list = new Asterism.List(at("list"), i => this.goToItem(i));
       this.timeline = new Asterism.Timeline(at("timeline"), { seek: frame => this.seek(frame), pick: under => this.pickBar(under) });
       this.listen();
@@ -333,21 +327,11 @@
       }));
     }
 
-    askToTeach() {
-      const ready = this.trials.filter(trial => trial.state === "ready");
-      at("teach-form").querySelector(".trials").replaceChildren(...ready.map(trial => make("label", {},
-        make("input", { type: "checkbox", value: trial.id, checked: Boolean(trial.saved), disabled: !trial.saved }), ` ${plainText(trial.name)}${trial.saved ? "" : " (not saved)"}`)));
-      at("teach-form").returnValue = "";
-      at("teach-form").showModal();
-    }
-
-    teach() {
-      const form = at("teach-form"), chosen = [...form.querySelectorAll("input[type=checkbox]:checked")].map(box => box.value);
-      if (form.returnValue !== "teach") return;
-      if (!chosen.length) { this.messages.say("No saved recording was chosen; save one first.", { problem: true }); return; }
+    teach(trials, name) {
+      if (!trials.length) { this.messages.say("No saved recording was chosen; save one first.", { problem: true }); return; }
       this.messages.say("The model learns; this can take a minute.");
       this.trying(async () => {
-        const answer = await this.connection.ask("/api/teach", { body: { trials: chosen, model_out: at("model-name").value.trim() || null } });
+        const answer = await this.connection.ask("/api/teach", { body: { trials, model_out: name } });
         this.messages.say(answer.sentence || `The model was written as ${answer.path}.`);
       });
     }
@@ -365,7 +349,7 @@
       const acts = {
         n: () => { if (this.place(this.selected) >= 0) { at("name").focus(); at("name").select(); } else this.touch(); }, s: () => this.swap(), c: () => this.cut(),
         g: () => this.touch({ kind: "ghost", piece: this.selected }, "The ghost"), r: () => this.touch({ kind: "right", piece: this.selected }, "Right"),
-        u: () => this.undo(), U: () => this.redo(), "?": () => this.help(),
+        u: () => this.undo(), U: () => this.redo(), "?": () => Asterism.showHelp(at("help-text")),
       }, act = acts[event.key];
       if (act) { event.preventDefault(); act(); return; }
       if (target.matches("button, summary, a") && (event.key === " " || event.key === "Enter")) return;
@@ -386,22 +370,16 @@
       if (parts.length) parts[(now + by + parts.length) % parts.length].focus();
     }
 
-    help() {
-      at("help-text").querySelector("dl").replaceChildren(...KEYS.flatMap(([key, text]) => [make("dt", { textContent: key }), make("dd", { textContent: text })]));
-      at("help-text").showModal();
-    }
-
     listen() {
       document.addEventListener("keydown", event => this.keys(event));
       at("trial").addEventListener("change", () => { const id = at("trial").value; this.open(id); });
       const buttons = {
-        undo: () => this.undo(), redo: () => this.redo(), save: () => this.save(), teach: () => this.askToTeach(), help: () => this.help(),
+        undo: () => this.undo(), redo: () => this.redo(), save: () => this.save(), teach: () => this.teaching.ask(this.trials), help: () => Asterism.showHelp(at("help-text")),
         right: () => this.touch({ kind: "right", piece: this.selected }, "Right"), ghost: () => this.touch({ kind: "ghost", piece: this.selected }, "The ghost"),
         cut: () => this.cut(), swap: () => this.swap(),
         narrower: () => this.labels && this.timeline.zoom(0.5, this.player.frame), wider: () => this.labels && this.timeline.zoom(2, this.player.frame), whole: () => this.labels && this.timeline.zoom(1e9, 0),
       };
       for (const [id, act] of Object.entries(buttons)) at(id).addEventListener("click", act);
-      at("teach-form").addEventListener("close", () => this.teach());
     }
   }
 
