@@ -7,35 +7,19 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from browser import in_node, needs_chromium, needs_node, opened
 
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds, Ints, Labelling, Recording
 from asterism.report import LabelledRecording, label_report, player_script, player_style
 from asterism.report.player import WRONG, ShownRecording, pack_recordings
 from asterism.simulation import simulate_walks
-
-NODE, CHROMIUM = shutil.which("node"), shutil.which("chromium") or shutil.which("google-chrome")
-needs_node = pytest.mark.skipif(NODE is None, reason="Node.js is not installed")
-needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
-
-
-def in_node(code: str, folder: Path, **given: Any) -> Any:
-    """What the code returns, with `Asterism` loaded and `given` defined; as JSON."""
-    assert NODE is not None
-    values = "\n".join(f"const {name} = {json.dumps(value)};" for name, value in given.items())
-    script = folder / "run.js"
-    script.write_text(
-        f"{player_script()}\n{values}\n(async () => {{ {code} }})().then(out => console.log(JSON.stringify(out)));", encoding="utf-8"
-    )
-    return json.loads(subprocess.run([NODE, script], capture_output=True, text=True, check=True, timeout=120).stdout)
 
 
 def plain(packed: dict[str, Any]) -> dict[str, Any]:
@@ -204,20 +188,6 @@ def test_the_script_makes_no_request_and_writes_no_markup() -> None:
     assert "</script" not in script.casefold()
 
 
-def opened(page: Path, folder: Path, wanted: str) -> str:
-    """The page's elements after its scripts have run, with what is wanted. The browser's clock may run out before: three tries."""
-    assert CHROMIUM is not None
-    elements = ""
-    for attempt in range(3):
-        words = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder / f'profile-{attempt}'}"]
-        budget = f"--virtual-time-budget={5000 * 4**attempt}"
-        done = subprocess.run([*words, budget, "--dump-dom", page.as_uri()], capture_output=True, text=True, check=True, timeout=120)
-        elements = re.sub(r"<script.*?</script>", "", done.stdout, flags=re.DOTALL)
-        if re.search(wanted, elements):
-            return elements
-    raise AssertionError(f"{wanted} is not in {elements[-3000:]}")
-
-
 @needs_chromium
 def test_a_page_draws_its_recordings_in_a_browser(tmp_path: Path, hidden: tuple[Clouds, Ints, Labelling]) -> None:
     clouds, truth, labelling = hidden
@@ -225,7 +195,7 @@ def test_a_page_draws_its_recordings_in_a_browser(tmp_path: Path, hidden: tuple[
     shown = [LabelledRecording(odd, clouds, truth=truth, first_frame=101), LabelledRecording(labelling, clouds)]
     label_report(tmp_path / "p.html", shown, title="Two", files=[{"file": "a<i>.c3d"}, {"file": "b.c3d"}])
     seen = int((truth[0] >= 0).sum())
-    elements = opened(tmp_path / "p.html", tmp_path, f"a&lt;i&gt;.c3d: frame 101, {seen} of 15 markers")
+    elements = opened((tmp_path / "p.html").as_uri(), tmp_path, f"a&lt;i&gt;.c3d: frame 101, {seen} of 15 markers")
     assert re.search(r"<canvas[^>]*aria-label=\"15 markers over 150 frames", elements)
     assert elements.count('class="opens"') == 2 and "too old" not in elements
     assert "<img" not in elements and "onerror" in elements, "the name is text"
@@ -240,5 +210,7 @@ def test_a_recording_without_frames_or_points_opens_too(tmp_path: Path, hidden: 
     shown = [LabelledRecording(empty, nothing), LabelledRecording(labelling, clouds), LabelledRecording(none, nothing.frames(slice(0, 0)))]
     for order in (shown, shown[::-1]):
         label_report(tmp_path / "p.html", order, title="Odd")
-        elements = opened(tmp_path / "p.html", tmp_path, r"<canvas[^>]*aria-label=\"recording 1: frame 1, 0 of 15 markers, 0 points")
+        elements = opened(
+            (tmp_path / "p.html").as_uri(), tmp_path, r"<canvas[^>]*aria-label=\"recording 1: frame 1, 0 of 15 markers, 0 points"
+        )
         assert "NaN" not in elements and "undefined" not in elements

@@ -277,6 +277,21 @@ def test_wrong_labels_are_marked_where_they_are(tmp_path: Path, walk: Recording)
     np.testing.assert_array_equal(codes.T == 1, (labelling.indices < 0) & (truth >= 0))
 
 
+def test_a_block_of_the_timeline_shows_its_lowest_confidence_and_what_most_of_it_is(walk: Recording) -> None:
+    """150 frames in 15 columns of ten: one doubtful frame shows, four missing ones of ten do not, six do."""
+    clouds, truth = simulate_occlusions(walk, 0, 0)
+    indices, confidence = truth.copy(), np.full(truth.shape, 0.9999)
+    confidence[25, 0], indices[30:34, 1], indices[40:46, 1], indices[50:56, 2] = 0.5, -1, -1, -1
+    unsure = np.zeros(truth.shape, dtype=np.bool_)
+    unsure[50:56, 2] = True
+    shown = ShownRecording("a", Labelling(indices, confidence, walk.labels), clouds, unsure=unsure)
+    (packed,) = pack_recordings([shown], PageRules(columns=15))
+    codes = np.frombuffer(zlib.decompress(base64.b64decode(packed["timeline"]["data"])), dtype=np.uint8).reshape(len(walk.labels), 15)
+    expected = np.full(codes.shape, 200)
+    expected[0, 2], expected[1, 4], expected[2, 5] = 2 + round(198 * np.log10(2) / 4), 0, 1
+    np.testing.assert_array_equal(codes, expected)
+
+
 def test_more_files_than_a_page_holds_are_named_with_their_timelines(walk: Recording) -> None:
     clouds, _, labelling = labelled(walk)
     shown = [ShownRecording(str(i), labelling, clouds, unsure=np.zeros(labelling.indices.shape, dtype=np.bool_)) for i in range(20)]

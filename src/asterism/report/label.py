@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.recording import Clouds, Floats, Ints, Labelling, MarkerSet
+from asterism.recording import Clouds, Floats, Ints, Labelling, LabelStates, MarkerSet, label_states
+from asterism.recording.shares import SURE
 from asterism.recording.verdict import FITS, OTHER_BODY
 from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, tinted, write_page
 from asterism.report.player import WRONG, ShownRecording, pack_recordings
-
-_SURE = 0.99
-"""Confidence from which a label counts as labelled; below, it counts as likely."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +39,11 @@ class LabelledRecording:
     first_frame: int = 1
 
     @cached_property
+    def states(self) -> LabelStates:
+        """What became of each marker in each frame, by what is left over."""
+        return label_states(self.labelling, self.clouds)
+
+    @cached_property
     def given(self) -> NDArray[np.bool_]:
         """(T, M) whether a marker got a label."""
         return np.asarray(self.labelling.indices >= 0)
@@ -48,13 +51,12 @@ class LabelledRecording:
     @cached_property
     def likely(self) -> NDArray[np.bool_]:
         """(T, M) whether a marker got a label with a confidence below 99 %."""
-        return np.asarray(self.given & ~(self.labelling.confidence >= _SURE))
+        return self.states.likely
 
     @cached_property
     def unsure(self) -> NDArray[np.bool_]:
         """(T, M) whether a marker got no label though it may be in view."""
-        possible = (self.clouds.counts > self.given.sum(axis=1))[:, None] if self.truth is None else self.truth >= 0
-        return np.asarray(~self.given & possible)
+        return self.states.unsure if self.truth is None else np.asarray(~self.given & (self.truth >= 0))
 
     @cached_property
     def hidden(self) -> NDArray[np.bool_]:
@@ -174,7 +176,7 @@ def _merits(recordings: Sequence[LabelledRecording], rows: Sequence[Mapping[str,
         *([(percent(_share(rows, "likely"), 2), "likely", "")] if any("likely" in row for row in rows) else []),
         (percent(_share(rows, "unsure"), 2), "unsure", "warn" if _share(rows, "unsure") > _MANY_UNSURE else ""),
         (percent(_share(rows, "hidden"), 2), "hidden", ""),
-        (percent(_mean(np.concatenate([np.zeros(0), *confidence]) >= _SURE), 2), "of the labels have a confidence of 99 % or more", ""),
+        (percent(_mean(np.concatenate([np.zeros(0), *confidence]) >= SURE), 2), "of the labels have a confidence of 99 % or more", ""),
     ]
     checked = [one.wrong[one.given] for one in recordings if one.wrong is not None]
     if checked:
@@ -306,7 +308,7 @@ def _marker_row(name: str, recordings: Sequence[LabelledRecording], files: Seque
                 counts += [int(part.sum()) for part in (right, one.given[:, m] & ~right, visible & ~one.given[:, m])]
         row += [count(int(counts[0])), Cell(count(int(counts[1])), min(counts[1] / 10, 1.0), "bad"), count(int(counts[2]))]
     if len(recordings) > 1:
-        row.append(having[int(np.argmin(lowest))][2] if min(lowest) < _SURE else NOTHING)
+        row.append(having[int(np.argmin(lowest))][2] if min(lowest) < SURE else NOTHING)
     return row
 
 

@@ -53,6 +53,7 @@
       this.view.hidden = !unpacked;
       if (unpacked && this.player) this.player.take(unpacked, packed.start);
       else if (unpacked) this.player = new Asterism.Player(this.view, unpacked, { start: packed.start, names: packed.namesShown, onFrame: () => this.moved() });
+      if (unpacked) this.player.scene.chosen = askedOf(unpacked);
       if (!unpacked) this.note.append(" It has too many points for a page with so many files; a report of it alone shows it.");
       this.note.hidden = !this.note.textContent;
       this.showTimeline(packed, codes);
@@ -78,6 +79,16 @@
       const packed = this.recordings[this.current];
       if (this.timeline && this.player) this.timeline.at(packed.firstShown + this.player.frame * packed.step);
     }
+  }
+
+  // The point in question in each frame, whose path is drawn; null where the recording has none.
+  function askedOf(recording) {
+    const { offsets, marks } = recording;
+    if (!marks.some(mark => mark & Asterism.IN_QUESTION)) return null;
+    return frame => {
+      for (let p = offsets[frame]; p < offsets[frame + 1]; p++) if (marks[p] & Asterism.IN_QUESTION) return p;
+      return -1;
+    };
   }
 
   function openByTable(shown) {

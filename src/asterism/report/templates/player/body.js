@@ -2,7 +2,7 @@
 (function (Asterism) {
   "use strict";
 
-  const MOST_KNOTS = 4000, SMOOTH_SECONDS = 0.1, DRAWN_SECONDS = 1, AROUND_SECONDS = 0.5;
+  const MOST_KNOTS = 1500, SMOOTH_SECONDS = 0.1, DRAWN_SECONDS = 1, AROUND_SECONDS = 0.5;
   const SPEED = 0.12;       // sizes of the body per second, from which it is said to walk
   const FLOOR_BELOW = 0.1;  // sizes of the body: markers as low as this stand on the floor at 0
   const SNAP = 0.5;         // cosine of the angle to the way it walks, from which it is said to face along or against it

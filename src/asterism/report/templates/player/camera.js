@@ -17,7 +17,7 @@
       this.toEye = [cp * cy, cp * sy, sp];
       this.right = [-sy, cy, 0];
       this.up = [-sp * cy, -sp * sy, cp];
-      this.scale = 0.42 * Math.min(this.width, this.height) / this.size * this.zoom;
+      this.scale = 0.45 * Math.min(this.width, this.height) / this.size * this.zoom;
       this.distance = DISTANCE * this.size * Math.max(1, 1 / this.zoom);
     }
 

@@ -6,7 +6,8 @@
   const LOWEST = 2, HIGHEST = 200, MOST_NINES = 4;
 
   async function inflate(text) {
-    const packed = Uint8Array.from(atob(text), letter => letter.charCodeAt(0));
+    const letters = atob(text), packed = new Uint8Array(letters.length);
+    for (let i = 0; i < packed.length; i++) packed[i] = letters.charCodeAt(i);
     const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
     return new Uint8Array(await new Response(stream).arrayBuffer());
   }
@@ -15,22 +16,26 @@
     const out = new Float64Array(count);
     let at = 0;
     for (let i = 0; i < count; i++) {
-      let value = 0, scale = 1, byte;
-      do {
+      let byte = bytes[at++], value = byte & 127;
+      for (let scale = 128; byte > 127; scale *= 128) {
         byte = bytes[at++];
         value += (byte & 127) * scale;
-        scale *= 128;
-      } while (byte > 127);
+      }
       out[i] = value;
     }
     return out;
   }
 
+  // Undoes differences within series of so many values each, once or twice.
   function sums(values, counts, order) {
     let first = 0;
     for (const count of counts) {
-      for (let done = order; done > 0; done--) {
-        for (let i = first + done; i < first + count; i++) values[i] += values[i - 1];
+      let place = 0, step = 0;
+      for (let i = first; i < first + count; i++) {
+        step = order > 1 && i > first + 1 ? step + values[i] : values[i];
+        place += step;
+        values[i] = place;
+        if (i === first) step = 0;
       }
       first += count;
     }
@@ -38,7 +43,10 @@
   }
 
   function signed(values) {
-    for (let i = 0; i < values.length; i++) values[i] = values[i] % 2 ? -(values[i] + 1) / 2 : values[i] / 2;
+    for (let i = 0; i < values.length; i++) {
+      const half = Math.floor(values[i] / 2);
+      values[i] = values[i] === 2 * half ? half : -half - 1;
+    }
     return values;
   }
 
@@ -66,13 +74,17 @@
     for (let i = 0; i < total; i++) offsets[frame[i] + 1]++;
     for (let t = 0; t < packed.frames; t++) offsets[t + 1] += offsets[t];
     const next = offsets.slice(), points = new Recording({ ...packed, offsets, xyz: new Float32Array(3 * total) });
+    const { xyz, marker, confidence } = points, [xs, ys, zs] = columns, { unit } = packed;
+    const confidences = Float32Array.from({ length: 256 }, (_, code) => confidenceOf(code));
     let series = 0, end = counts[0] || 0;
     for (let i = 0; i < total; i++) {
       while (i >= end) end += counts[++series];
       const at = next[frame[i]]++;
-      for (let axis = 0; axis < 3; axis++) points.xyz[3 * at + axis] = columns[axis][i] * packed.unit;
-      points.marker[at] = packed.series[series];
-      points.confidence[at] = confidenceOf(codes[i]);
+      xyz[3 * at] = xs[i] * unit;
+      xyz[3 * at + 1] = ys[i] * unit;
+      xyz[3 * at + 2] = zs[i] * unit;
+      marker[at] = packed.series[series];
+      confidence[at] = confidences[codes[i]];
       points.marks[at] = marks[i];
     }
     points.index();
@@ -132,7 +144,7 @@
 
   function percent(share) {
     const value = 100 * share;
-    return (value >= 100 ? "100" : value >= 99.99 ? "99.99" : value >= 99 ? value.toFixed(2) : value.toFixed(value < 10 ? 1 : 0)) + " %";
+    return (value >= 100 ? "100" : value >= 99.99 ? "99.99" : value >= 99 ? value.toFixed(2) : value.toFixed(value < 10 ? 1 : 0)) + "\u00a0%";
   }
 
   Object.assign(Asterism, { Recording, unpack, inflate, varints, sums, signed, confidenceOf, codeOf, plainText, percent, WRONG, IN_QUESTION, GHOST, PERSON, LOWEST, HIGHEST });

@@ -26,7 +26,7 @@
   class Scene {
     constructor(canvas, recording, body) {
       this.canvas = canvas;
-      this.context = canvas.getContext("2d");
+      this.context = canvas.getContext("2d", { alpha: false });
       this.camera = new Asterism.Camera();
       this.show = { names: "doubtful", rest: true, hidden: true, follow: true };
       this.selected = [];     // points whose rings are drawn: functions of the frame would be slower
@@ -133,17 +133,15 @@
       const cx = Math.round(ox / cell) * cell, cy = Math.round(oy / cell) * cell;
       context.lineWidth = 1;
       context.strokeStyle = colours.grid;
-      context.beginPath();
       for (let d = -reach; d <= reach + cell / 2; d += cell) {
-        this.line(cx + d, cy - reach, cx + d, cy + reach);
-        this.line(cx - reach, cy + d, cx + reach, cy + d);
+        this.floorLine(cx + d, cy - reach, cx + d, cy + reach);
+        this.floorLine(cx - reach, cy + d, cx + reach, cy + d);
       }
-      context.stroke();
       const walk = body.walks[body.knot(frame)];
       if (!walk) return;
-      const [bx, by] = body.origin(frame), s = body.size, [ux, uy] = walk, tip = 0.95, wing = 0.13;
+      const [bx, by] = body.origin(frame), s = body.size, [ux, uy] = walk, tail = 0.3, tip = 0.8, wing = 0.13;
       const place = (along, across) => camera.project(bx + s * (along * ux - across * uy), by + s * (along * uy + across * ux), body.floor);
-      const shape = [[0.45, 0.03], [tip - wing, 0.03], [tip - wing, wing * 0.75], [tip, 0], [tip - wing, -wing * 0.75], [tip - wing, -0.03], [0.45, -0.03]].map(([a, c]) => place(a, c));
+      const shape = [[tail, 0.03], [tip - wing, 0.03], [tip - wing, wing * 0.75], [tip, 0], [tip - wing, -wing * 0.75], [tip - wing, -0.03], [tail, -0.03]].map(([a, c]) => place(a, c));
       if (shape.some(at => !at)) return;
       context.globalAlpha = 0.55;
       context.fillStyle = colours.arrow;
@@ -153,15 +151,24 @@
       context.globalAlpha = 1;
     }
 
-    // A line on the floor, in pieces, so that what lies behind the eye is left out.
-    line(x0, y0, x1, y1) {
-      const pieces = 8, z = this.body.floor;
-      let before = null;
-      for (let i = 0; i <= pieces; i++) {
-        const at = this.camera.project(x0 + (x1 - x0) * i / pieces, y0 + (y1 - y0) * i / pieces, z);
-        if (at && before) { this.context.moveTo(before[0], before[1]); this.context.lineTo(at[0], at[1]); }
+    // A line on the floor; in pieces where one end is behind the eye.
+    floorLine(x0, y0, x1, y1) {
+      const z = this.body.floor, from = this.camera.project(x0, y0, z), to = this.camera.project(x1, y1, z), pieces = from && to ? 1 : 8;
+      let before = from;
+      for (let i = 1; i <= pieces; i++) {
+        const at = i === pieces ? to : this.camera.project(x0 + (x1 - x0) * i / pieces, y0 + (y1 - y0) * i / pieces, z);
+        if (at && before) this.line(before, at);
         before = at;
       }
+    }
+
+    // A stroke of its own for each line: one path of many lines takes a canvas several times as long.
+    line(from, to) {
+      const { context } = this;
+      context.beginPath();
+      context.moveTo(from[0], from[1]);
+      context.lineTo(to[0], to[1]);
+      context.stroke();
     }
 
     // Where a marker is drawn in this frame: its own place, or the expected one of a hidden marker, which is faint.
@@ -174,21 +181,15 @@
     drawBones(frame) {
       const { context, recording, colours } = this, places = recording.names.map((_, m) => this.standing(m, frame));
       this.standings = places;
-      context.lineWidth = 2.2;
       context.strokeStyle = colours.bone;
       for (const whole of [false, true]) {
-        context.globalAlpha = whole ? 0.95 : 0.4;
-        context.setLineDash(whole ? [] : [4, 4]);
-        context.beginPath();
+        context.globalAlpha = whole ? 0.95 : 0.5;
+        context.lineWidth = whole ? 2.2 : 1.1;
         for (const [a, b] of recording.bones) {
-          const [one, other] = [places[a], places[b]];
-          if (!one.at || !other.at || (one.seen && other.seen) !== whole) continue;
-          context.moveTo(one.at[0], one.at[1]);
-          context.lineTo(other.at[0], other.at[1]);
+          const one = places[a], other = places[b];
+          if (one.at && other.at && (one.seen && other.seen) === whole) this.line(one.at, other.at);
         }
-        context.stroke();
       }
-      context.setLineDash([]);
       context.lineWidth = 1.2;
       context.globalAlpha = 0.45;
       places.forEach((place, m) => {
@@ -226,24 +227,21 @@
     drawRest(frame) {
       if (!this.show.rest) return;
       const { context, recording, colours } = this, { offsets, marker, marks } = recording;
-      for (const ghosts of [false, true]) {
-        context.beginPath();
-        for (let p = offsets[frame]; p < offsets[frame + 1]; p++) {
-          if (marker[p] >= 0 || Boolean(marks[p] & Asterism.GHOST) !== ghosts) continue;
-          const [x, y, near] = this.placeOf(p), r = REST_RADIUS * near;
-          if (Number.isNaN(x)) continue;
-          if (ghosts) {
-            context.moveTo(x - r, y - r); context.lineTo(x + r, y + r);
-            context.moveTo(x + r, y - r); context.lineTo(x - r, y + r);
-          } else {
-            context.moveTo(x + r, y);
-            context.arc(x, y, r, 0, TAU);
-          }
+      context.lineWidth = 1.6;
+      context.strokeStyle = colours.ghost;
+      context.fillStyle = colours.rest;
+      for (let p = offsets[frame]; p < offsets[frame + 1]; p++) {
+        if (marker[p] >= 0) continue;
+        const [x, y, near] = this.placeOf(p), r = REST_RADIUS * near;
+        if (Number.isNaN(x)) continue;
+        if (marks[p] & Asterism.GHOST) {
+          this.line([x - r, y - r], [x + r, y + r]);
+          this.line([x + r, y - r], [x - r, y + r]);
+        } else {
+          context.beginPath();
+          context.arc(x, y, r, 0, TAU);
+          context.fill();
         }
-        context.lineWidth = 1.6;
-        context.strokeStyle = colours.ghost;
-        context.fillStyle = colours.rest;
-        if (ghosts) context.stroke(); else context.fill();
       }
     }
 
@@ -269,7 +267,7 @@
           }
           context.globalAlpha = 1;
         }
-        if (marks[p] & Asterism.IN_QUESTION) this.ring(x, y, 2.1 * r, colours.asked, 2.5);
+        if (marks[p] & Asterism.IN_QUESTION && !this.chosen) this.ring(x, y, 2.1 * r, colours.asked, 2.5);
       }
       for (const p of this.selectedAt(frame)) this.ring(this.placeOf(p)[0], this.placeOf(p)[1], 10, colours.asked, 2.5);
       if (this.hovered >= offsets[frame] && this.hovered < offsets[frame + 1]) {

@@ -58,8 +58,9 @@
       this.canvas = this.spacer.appendChild(document.createElement("canvas"));
       this.canvas.tabIndex = 0;
       this.canvas.setAttribute("role", "img");
+      this.head = this.spacer.appendChild(Object.assign(document.createElement("div"), { className: "playhead" }));
       this.tip = host.appendChild(Object.assign(document.createElement("div"), { className: "tip", hidden: true }));
-      this.context = this.canvas.getContext("2d");
+      this.context = this.canvas.getContext("2d", { alpha: false });
       this.cache = document.createElement("canvas");
       Object.assign(this, { seek, pick, frame: 0, bars: [], marked: [], data: null });
       this.listen();
@@ -69,6 +70,7 @@
     // rows [{name, share}], codes: rows x columns, each of `block` frames; bars [{first, last, ghost}] of points without a label, below
     set({ rows, codes, columns, block = 1, frames, number = frame => frame, bars = [], keepWindow = false }) {
       const before = this.data;
+      this.tip.hidden = true;
       this.data = { rows, codes, columns, block, frames, number, names: rows.map(row => Asterism.plainText(row.name, 30)) };
       this.bars = bars;
       this.lanes = lanes(bars.map(bar => bar.first), bars.map(bar => bar.last));
@@ -80,9 +82,13 @@
 
     get height() { return AXIS + ROW * this.data.rows.length + (this.bars.length ? 8 + LANE * this.lanes.count : 0); }
 
+    // The moment that is shown: a line of its own over the canvas, so that playing paints nothing here.
     at(frame) {
       this.frame = frame;
-      this.paint();
+      if (!this.data || !this.width) return;
+      const x = this.xOf(frame + 0.5);
+      this.head.hidden = x < this.left || x > this.right;
+      this.head.style.transform = `translateX(${x - 0.75}px)`;
     }
 
     mark(bars) {  // [{row or bar, first, last}] that are outlined
@@ -214,12 +220,7 @@
         const x = Math.max(this.left, this.xOf(mark.first)), end = Math.min(this.right, this.xOf(mark.last + 1));
         if (end >= x && y >= AXIS - high) context.strokeRect(x - 0.5, y + 0.5, Math.max(3, end - x + 1), high - 1);
       }
-      const x = this.xOf(this.frame + 0.5);
-      if (x < this.left || x > this.right) return;
-      context.fillStyle = this.colours.ink;
-      context.globalAlpha = 0.85;
-      context.fillRect(x - 0.75, 14, 1.5, this.shown - 14);
-      context.globalAlpha = 1;
+      this.at(this.frame);
     }
 
     zoom(factor, about) {

@@ -1,0 +1,39 @@
+// The page's dialogs: the keys, and which recordings the model learns.
+(function (Asterism) {
+  "use strict";
+
+  const { make, plainText } = Asterism;
+  const KEYS = [
+    ["n", "name the selected piece; type, Enter takes the first"], ["r", "this label is right"], ["g", "this is a ghost, no marker"], ["c", "cut the piece at this frame"],
+    ["s", "swap two pieces: select one, s, select the other"], ["u, Shift-u", "undo, redo"], ["Tab, Shift-Tab", "next, previous line of the list (with the picture or the list in focus)"],
+    ["space", "play or pause"], ["← →, ↑ ↓", "one frame, ten frames"], ["Page keys", "one second"], ["Shift and arrows", "turn the view; with the mouse: drag, Shift-drag moves, the wheel zooms"],
+    ["1 2 3 4", "front, side, top, all points"], ["l, f", "names, follow the body"], ["Shift-click", "select a second piece"], ["F6", "next part of the page"], ["Ctrl-s", "save"], ["Esc", "back to the picture"],
+  ];
+
+  function showHelp(dialog) {
+    dialog.querySelector("dl").replaceChildren(...KEYS.flatMap(([key, text]) => [make("dt", { textContent: key }), make("dd", { textContent: text })]));
+    dialog.showModal();
+  }
+
+  class TeachForm {
+    // teach([ids], name or null) is called when the form is sent
+    constructor(dialog, teach) {
+      Object.assign(this, { dialog, list: dialog.querySelector(".trials"), name: dialog.querySelector("input[type=text]") });
+      dialog.addEventListener("close", () => {
+        if (dialog.returnValue === "teach") teach([...this.list.querySelectorAll("input:checked")].map(box => box.value), this.name.value.trim() || null);
+      });
+    }
+
+    // Only a saved recording can be chosen.
+    ask(trials) {
+      const ready = trials.filter(trial => trial.state === "ready");
+      this.list.replaceChildren(...ready.map(trial => make("label", {},
+        make("input", { type: "checkbox", value: trial.id, checked: Boolean(trial.saved), disabled: !trial.saved }),
+        ` ${plainText(trial.name)}${trial.saved ? "" : " (not saved)"}`)));
+      this.dialog.returnValue = "";
+      this.dialog.showModal();
+    }
+  }
+
+  Object.assign(Asterism, { showHelp, TeachForm });
+})(globalThis.Asterism = globalThis.Asterism || {});
