@@ -10,17 +10,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import softmax
 
+from asterism.geometry import rotate_z_up
 from asterism.labelling.body.model import BodyRules
 from asterism.labelling.body.subject import SubjectRules
+from asterism.labelling.whole._kernels import FrameScores, score_frames
 from asterism.labelling.whole.foreign import ForeignConfidence
 from asterism.labelling.whole.joint import FREE, relabel_scene
 from asterism.labelling.whole.label import BodyInRecording, LongTracklets, label_all_points, label_long_tracklets, labelling_of
 from asterism.labelling.whole.scene import RecordingLabellingSettings, marker_offsets, prepare_scene
 from asterism.labelling.whole.short import tracklets_of
 from asterism.progress import Progress
-from asterism.recording import NULL, Clouds, Ints, Labelling
+from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 from asterism.tracking.linking import Tracklets
+
+CHANCE_FRAMES = 20
+"""Frames of a piece by which the chances of other markers are told, at most."""
 
 
 @dataclass(frozen=True)
@@ -116,3 +122,32 @@ def _with_known(labelling: Labelling, body: BodyInRecording, clouds: Clouds, fix
     if candidates is not None:
         candidates[at] = NULL
     return replace(labelling, indices=indices, confidence=confidence, candidates=candidates)
+
+
+def marker_chances(before: LabelledTracklets, labelling: Labelling, points: Ints) -> Floats:
+    """The chance of one piece of a track to be each marker of the set, given the labels of all others: (markers of the set,), sum 1 at most.
+
+    points: places of its points in the clouds, in the order of frames. A marker that the model has not learned has chance 0. By the body
+    alone, in some of the piece's frames; O(M).
+    """
+    body, clouds, rules = before.body, before.clouds, RecordingLabellingSettings()
+    sampled = points[np.unique(np.linspace(0, len(points) - 1, CHANCE_FRAMES).round().astype(np.int64))]
+    frames = clouds.frame_of[sampled]
+    some = clouds.frames(frames)
+    xyz, row = rotate_z_up(some.xyz, some.vertical), some.frame_of
+    order = np.lexsort((xyz[:, 1], xyz[:, 0], -xyz[:, 2], row))
+    label = np.full(len(xyz), NULL, dtype=np.int64)
+    given, marker = np.nonzero(labelling.indices[frames][:, body.markers] >= 0)
+    label[some.offsets[given] + labelling.indices[frames[given], body.markers[marker]]] = marker
+    own = np.zeros(len(xyz), dtype=np.bool_)
+    own[some.offsets[:-1] + sampled - clouds.offsets[frames]] = True
+    model = before.long.found.bodies[0]
+    arrays, settings = (body.labeller.body if model is body.labeller.model else model.arrays()), body.labeller.settings
+    scores = np.empty((len(xyz), arrays.mean.shape[1]))
+    out = FrameScores(scores, np.empty(len(frames)), np.empty(len(frames), dtype=np.int64))
+    score_frames(np.ascontiguousarray(xyz[order]), some.offsets, np.arange(len(xyz)), label[order], arrays, settings, out)
+    gain = np.clip(scores[own[order]], rules.min_score, rules.max_score).mean(axis=0)
+    gain *= len(frames) / (1.0 + rules.frame_correlation * (len(frames) - 1.0))
+    chance = np.zeros(len(body.names))
+    chance[body.markers] = softmax(np.append(gain, 0.0))[:-1]
+    return chance

@@ -1,0 +1,29 @@
+"""A person corrects labels: a model and a recording in; touches, their consequences and a log of them out."""
+
+from asterism.labelling.correction.correct import Change, Correction, PieceChange
+from asterism.labelling.correction.event_log import CorrectionLog, log_path
+from asterism.labelling.correction.pieces import Pieces
+from asterism.labelling.correction.readiness import Readiness, ReadinessRules, Shares, shares_of
+from asterism.labelling.correction.touches import Cut, Ghost, Name, PointInFrame, Right, Swap, SwapMarkers, Touch, request_of
+
+__all__ = [
+    "Change",
+    "Correction",
+    "CorrectionLog",
+    "Cut",
+    "Ghost",
+    "Name",
+    "PieceChange",
+    "Pieces",
+    "PointInFrame",
+    "Readiness",
+    "ReadinessRules",
+    "Right",
+    "Shares",
+    "Swap",
+    "SwapMarkers",
+    "Touch",
+    "log_path",
+    "request_of",
+    "shares_of",
+]
