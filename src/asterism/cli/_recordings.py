@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -151,24 +150,6 @@ def labels_kept(path: Path, labelling: Labelling, recording: Recording, clouds: 
         raise AsterismError(f"{path}: {problem}") from None
 
 
-@dataclass(frozen=True)
-class LabelShares:
-    """What became of the markers of a recording: shares of all markers in all frames, which add up to 1.
-
-    labelled  a point got the marker's name
-    unsure    no point got it, and the frame has points without a name, one of which may be the marker
-    hidden    no point got it, and every point of the frame has a name
-    """
-
-    labelled: float
-    unsure: float
-    hidden: float
-
-
-def label_shares(labelling: Labelling, clouds: Clouds) -> LabelShares:
-    """The shares for a labelling of `clouds`; all NaN where there are no frames."""
-    given = labelling.indices >= 0
-    if given.size == 0:
-        return LabelShares(float("nan"), float("nan"), float("nan"))
-    unsure = ~given & (clouds.counts > given.sum(axis=1))[:, None]
-    return LabelShares(float(given.mean()), float(unsure.mean()), float((~given & ~unsure).mean()))
+def shares_text(row: Mapping[str, Any]) -> str:
+    """What became of a recording's markers, in words: the shares in `row`, as `LabelShares` names them."""
+    return ", ".join(f"{_console.percent(row[name])} {name}" for name in ("labelled", "likely", "unsure"))

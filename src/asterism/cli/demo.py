@@ -127,8 +127,10 @@ def _trained(walks: Sequence[Recording], seed: int, show: Callable[[str], None])
 def _labelled(ensemble: SolverEnsemble, walks: Sequence[Recording], hidden: int, ghosts: int, seed: int) -> _Trial:
     """Label the walks, each as a whole, with so many markers in a gap and so many ghosts at every moment."""
     from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
+    from asterism.recording import label_states
 
     counts = {"right": 0, "wrong": 0, "not labelled": 0, "visible": 0}
+    states = dict.fromkeys(("labelled", "likely", "unsure", "hidden"), 0)
     seconds, frames = 0.0, 0
     for i, walk in enumerate(walks):
         clouds, truth = simulate_gaps_and_ghosts(walk, hidden, ghosts, seed=seed + 1 + i)
@@ -138,7 +140,10 @@ def _labelled(ensemble: SolverEnsemble, walks: Sequence[Recording], hidden: int,
         frames += len(clouds)
         for key, value in _compared(labelling, truth).items():
             counts[key] += value
-    row = {"hidden": hidden, "ghosts": ghosts, **counts, "frames_per_second": frames / seconds}
+        for key, value in vars(label_states(labelling, clouds)).items():
+            states[key] += int(value.sum())
+    shares = {key: value / sum(states.values()) for key, value in states.items()}
+    row = {"hidden": hidden, "ghosts": ghosts, **counts, "shares": shares, "frames_per_second": frames / seconds}
     return _Trial(row, clouds, labelling, truth)
 
 
@@ -187,7 +192,7 @@ def _compared(labelling: Labelling, truth: Ints) -> dict[str, int]:
 def _print(rows: Sequence[dict[str, Any]]) -> None:
     _console.table(
         f"{_NEW_WALKERS} recordings of {_FRAMES} frames, each labelled as a whole; wrong labels include those given to hidden markers",
-        ["hidden", "ghosts", "markers in view", "right", "not labelled", "wrong labels", "frames/s"],
+        ["hidden", "ghosts", "markers in view", "right", "not labelled", "wrong labels", "labelled", "likely", "unsure", "frames/s"],
         [
             [
                 str(row["hidden"]),
@@ -196,6 +201,7 @@ def _print(rows: Sequence[dict[str, Any]]) -> None:
                 f"{row['right']:,} ({_console.percent(row['right'] / max(row['visible'], 1))})",
                 _console.count(row["not labelled"]),
                 _console.count(row["wrong"]),
+                *(_console.percent(row["shares"][name]) for name in ("labelled", "likely", "unsure")),
                 _console.count(row["frames_per_second"]),
             ]
             for row in rows

@@ -29,7 +29,7 @@ from asterism.cli._options import (
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
-    from asterism.labelling import Evaluation
+    from asterism.labelling import Condition, Evaluation
     from asterism.labelling.reliability import ConfidenceScore
 
 
@@ -63,6 +63,7 @@ def evaluate(options: EvaluateOptions) -> None:
     The labels of the files are taken away, markers are hidden, ghost points are added, and the labels that the model gives are compared
     with the truth. The rules whole-body label recordings as a whole, as asterism label does; --frame-wise turns that off.
 
+    Labelled: share of all markers in all frames with a label of a confidence of 99 % or more. Likely: with less.
     FA: share of wrong labels among those given. FO: share of visible markers among those left without a label.
     Missed: share of visible markers left without a label.
     Perfect: share of frames without an error. Log score: how little the confidence said of what came, in
@@ -108,7 +109,7 @@ def evaluate(options: EvaluateOptions) -> None:
             "files": batch.done,
             "failed": batch.failed,
             **settings,
-            "evaluation": evaluation.to_dict(),
+            "evaluation": _as_json(evaluation),
             "findings": [finding.to_dict() for finding in batch.findings],
         },
     )
@@ -134,12 +135,13 @@ def _print(evaluation: Evaluation) -> None:
     counted = [] if evaluation.time else ["evaluations/frame"]
     _console.table(
         f"Hidden markers and ghosts at every moment, {'recordings as a whole' if evaluation.time else 'each frame by itself'}",
-        ["hidden", "ghosts", "frames", "right", "FA", "FO", "missed", "perfect", "log score", "frames/s", *counted],
+        ["hidden", "ghosts", "frames", "labelled", "likely", "right", "FA", "FO", "missed", "perfect", "log score", "frames/s", *counted],
         [
             [
                 str(c.occlusions),
                 str(c.ghosts),
                 count(c.frames),
+                *(percent(_shares(evaluation, c)[name]) for name in ("labelled", "likely")),
                 percent(c.right),
                 percent(c.fa, 3),
                 percent(c.fo),
@@ -161,6 +163,26 @@ def _print(evaluation: Evaluation) -> None:
             ["marker", *names],
             [[marker, *(percent(c.per_marker[marker][key], digits) for c in evaluation.conditions)] for marker in evaluation.markers],
         )
+
+
+def _shares(evaluation: Evaluation, condition: Condition) -> dict[str, float]:
+    """The shares of all markers in all frames that are labelled, likely, unsure and hidden; the truth says which are in view."""
+    from asterism.recording import SURE
+
+    places = condition.frames * len(evaluation.markers)
+    labelled = sum(level.labels for level in condition.confidence.levels if level.least >= SURE)
+    unsure = round(condition.missed * condition.visible)
+    counts = {"labelled": labelled, "likely": condition.given - labelled, "unsure": unsure}
+    counts["hidden"] = places - sum(counts.values())
+    return {name: number / places if places else float("nan") for name, number in counts.items()}
+
+
+def _as_json(evaluation: Evaluation) -> dict[str, Any]:
+    """The evaluation as plain values, with each condition's shares as `asterism label` names them."""
+    whole = evaluation.to_dict()
+    for content, condition in zip(whole["conditions"], evaluation.conditions, strict=True):
+        content["shares"] = _shares(evaluation, condition)
+    return whole
 
 
 def _log_score(score: ConfidenceScore) -> str:

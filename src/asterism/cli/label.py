@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -64,8 +64,9 @@ def label(options: LabelOptions) -> None:
     """Label the points of recordings, whatever names the points have now.
 
     Each file is written to FOLDER under its name and format, with everything else in it unchanged. Points that are not labelled become
-    *1, *2, ... A line per file says which share of all markers in all frames is labelled, and which share is unsure: not labelled
-    in a frame with points left over. The rules whole-body label a recording as a whole, by its tracks; --frame-wise turns that off.
+    *1, *2, ... A line per file says which share of all markers in all frames is labelled (confidence 99 % or more), likely (less) and
+    unsure (not labelled in a frame with points left over). The rules whole-body label a recording as a whole, by its tracks;
+    --frame-wise turns that off.
     With several people or objects in the volume, give --model once for each of them; names that two of them share become 1:LASI and
     2:LASI. The trial given as --subject may be labelled or not.
     """
@@ -162,8 +163,9 @@ def _check(options: LabelOptions) -> None:
 def _labelled(labeller: _Labeller, batch: _console.Batch, path: Path, target: Path, progress: Progress | None) -> _Result:
     """Label one file and write it."""
     from asterism import __version__, formats
-    from asterism.cli._recordings import label_shares, labels_kept, not_carried, report_warnings
+    from asterism.cli._recordings import labels_kept, not_carried, report_warnings
     from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
+    from asterism.recording import label_shares
 
     options = labeller.options
     recording, clouds = _read(path, vertical_axis(options.vertical))
@@ -209,9 +211,7 @@ def _labelled(labeller: _Labeller, batch: _console.Batch, path: Path, target: Pa
         "file": path,
         "output": target,
         "frames": len(clouds),
-        "labelled": shares.labelled,
-        "unsure": shares.unsure,
-        "hidden": shares.hidden,
+        **asdict(shares),
         "verdict": None if labelling.verdict is None else labelling.verdict.kind,
         "frames_per_second": len(clouds) / seconds if seconds else float("nan"),
         "not_carried": lost,
@@ -286,7 +286,6 @@ def _adapted(ensemble: SolverEnsemble, subject: Path, axis: str | list[float] | 
 
 
 def _line(row: dict[str, Any]) -> str:
-    return (
-        f"{row['file']}: {row['frames']:,} frames, {_console.percent(row['labelled'])} labelled, {_console.percent(row['unsure'])} unsure, "
-        f"{_console.count(row['frames_per_second'])} frames/s"
-    )
+    from asterism.cli._recordings import shares_text
+
+    return f"{row['file']}: {row['frames']:,} frames, {shares_text(row)}, {_console.count(row['frames_per_second'])} frames/s"

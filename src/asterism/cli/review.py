@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -78,6 +78,7 @@ def review(options: ReviewOptions) -> None:
             "files": batch.done,
             "failed": batch.failed,
             "findings": [finding.to_dict() for finding in batch.findings],
+            "shares": found.shares,
             "pieces": found.pieces,
             "gain": found.gain,
             "items": [_as_json(line) for line in found.lines],
@@ -96,8 +97,9 @@ class _Line:
 
 @dataclass
 class _Review:
-    """What was found in all files: how many pieces, how many samples they gain, and the lines that gain most."""
+    """What was found in all files: the shares of each, how many pieces, how many samples they gain, and the lines that gain most."""
 
+    shares: list[dict[str, Any]] = field(default_factory=list)
     pieces: int = 0
     gain: float = 0.0
     lines: Sequence[_Line] = field(default_factory=tuple)
@@ -108,6 +110,7 @@ def _add(found: _Review, path: Path, ensemble: SolverEnsemble, options: ReviewOp
     from asterism import formats
     from asterism.cli._recordings import labels_kept, report_warnings
     from asterism.labelling import review as review_labelling
+    from asterism.recording import label_shares
     from asterism.report import ReviewEntry
 
     recording = formats.read(path, vertical=vertical_axis(options.vertical))
@@ -117,6 +120,7 @@ def _add(found: _Review, path: Path, ensemble: SolverEnsemble, options: ReviewOp
     if options.keep_labels:
         labelling = labels_kept(path, labelling, recording, clouds, ensemble.marker_set)
     items = review_labelling(labelling, clouds)
+    found.shares.append({"file": path, "frames": len(clouds), **asdict(label_shares(labelling, clouds))})
     found.pieces += len(items)
     found.gain += sum(item.gain for item in items)
     lines = list(found.lines)
@@ -128,8 +132,11 @@ def _add(found: _Review, path: Path, ensemble: SolverEnsemble, options: ReviewOp
 
 
 def _print(found: _Review) -> None:
+    from asterism.cli._recordings import shares_text
     from asterism.report.review import alternatives_text, label_text
 
+    for row in found.shares:
+        _console.result(f"{row['file']}: {row['frames']:,} frames, {shares_text(row)}")
     entries = [line.entry for line in found.lines]
     rows = [
         [

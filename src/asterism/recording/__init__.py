@@ -5,17 +5,21 @@ from asterism.recording.blobs import Blobs
 from asterism.recording.clouds import NULL, Clouds, Evidence, Labelling
 from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, without_subject
 from asterism.recording.processing import ProcessingStep, log_as_text, log_from_text
+from asterism.recording.shares import SURE, LabelShares, LabelStates, label_shares, label_states
 from asterism.recording.trajectories import Event, Recording, keep_labels
 from asterism.recording.verdict import Verdict
 
 __all__ = [
     "NULL",
+    "SURE",
     "Blobs",
     "Clouds",
     "Event",
     "Evidence",
     "Floats",
     "Ints",
+    "LabelShares",
+    "LabelStates",
     "Labelling",
     "MarkerSet",
     "ProcessingStep",
@@ -25,6 +29,8 @@ __all__ = [
     "canonical",
     "is_unnamed",
     "keep_labels",
+    "label_shares",
+    "label_states",
     "log_as_text",
     "log_from_text",
     "shipped_marker_sets",
