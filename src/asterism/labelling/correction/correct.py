@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.labelling.correction.event_log import REDO, UNDO, CorrectionLog, hash_of_model, hash_of_points
+from asterism.labelling.correction.event_log import REDO, SAVED, UNDO, CorrectionLog, hash_of_model, hash_of_points
 from asterism.labelling.correction.pieces import (
     Pieces,
     by_first_points,
@@ -56,13 +56,13 @@ class PieceChange:
 
 @dataclass(frozen=True)
 class Change:
-    """What one touch, or taking one back, changed.
+    """What touches, or taking one back, changed.
 
-    touch   what was said
-    pieces  whose labels changed
+    touches  what was said
+    pieces   whose labels changed
     """
 
-    touch: Touch
+    touches: tuple[Touch, ...]
     pieces: tuple[PieceChange, ...]
 
 
@@ -190,13 +190,13 @@ class Correction:
                 labels.append((point, None if part.before == GHOST else part.before))
         return self.touch(Touch("refuse", (), tuple(labels)))
 
-    def touch(self, touch: Touch) -> Change:
-        """Take a touch as it is written in a log. Raises AsterismError as `apply` does."""
-        solved = self._solve([*self._done, touch])
-        self._write(touch.to_plain())
-        self._done.append(touch)
+    def touch(self, *touches: Touch) -> Change:
+        """Take touches as they are written in a log, one or several at once. Raises AsterismError as `apply` does."""
+        solved = self._solve([*self._done, *touches])
+        self._write(*(touch.to_plain() for touch in touches))
+        self._done += touches
         self._undone.clear()
-        return self._become(solved, touch)
+        return self._become(solved, touches)
 
     def undo(self) -> Change:
         """Take the last touch back. Raises AsterismError where there is none."""
@@ -206,7 +206,7 @@ class Correction:
         self._write({"kind": UNDO})
         touch = self._done.pop()
         self._undone.append(touch)
-        return self._become(solved, touch)
+        return self._become(solved, (touch,))
 
     def redo(self) -> Change:
         """Take again what was taken back last. Raises AsterismError where there is nothing."""
@@ -216,7 +216,7 @@ class Correction:
         self._write({"kind": REDO})
         touch = self._undone.pop()
         self._done.append(touch)
-        return self._become(solved, touch)
+        return self._become(solved, (touch,))
 
     def attach(self, log: CorrectionLog) -> None:
         """Take what a log holds, and write to it from now on. Raises AsterismError where an entry does not fit the recording."""
@@ -232,7 +232,7 @@ class Correction:
         except AsterismError as problem:
             raise AsterismError(f"{log.path}: {problem}") from problem
         self._done, self._undone, self._log = done, undone, log
-        self._become(solved, Touch("replay"))
+        self._become(solved, ())
 
     def close(self) -> None:
         """Close the log."""
@@ -249,13 +249,13 @@ class Correction:
         counts = {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
         return labelled.logged("corrected", "a person", touches=len(self._done), **counts)
 
-    def _write(self, entry: Mapping[str, Any]) -> None:
+    def _write(self, *entries: Mapping[str, Any]) -> None:
         if self._log is not None:
-            self._log.append(entry)
+            self._log.append(*entries)
 
-    def _become(self, solved: _Solved, touch: Touch) -> Change:
+    def _become(self, solved: _Solved, touches: tuple[Touch, ...]) -> Change:
         """Take a solved state, and say what changed."""
-        change = Change(touch, self._differences(self._solved, solved))
+        change = Change(touches, self._differences(self._solved, solved))
         self._solved, self._items, self.last_change = solved, None, change
         self.revision += 1
         return change
@@ -332,10 +332,18 @@ class Correction:
             raise AsterismError("a piece cannot be exchanged with itself; give two pieces.")
         first = int(min(pieces.first[[one, other]])) if request.first is None else request.first
         last = int(max(pieces.last[[one, other]])) if request.last is None else request.last
+        return self.swap_from((one, other), first, last)
+
+    def swap_from(self, places: tuple[int, int], first: int, last: int | None = None) -> Touch:
+        """The touch by which two pieces, by their places in the table, carry each other's labels in some frames.
+
+        Raises AsterismError where both have the same label, or none is there.
+        """
+        one, other = places
         swapped = ((one, self._marker(other)), (other, self._marker(one)))
         if swapped[0][1] == swapped[1][1]:
             raise AsterismError("both pieces have the same label, so that there is nothing to exchange; name one of them.")
-        return self._exchanged(swapped, first, last)
+        return self._exchanged(swapped, first, len(self.clouds) - 1 if last is None else last)
 
     def _swap_of_markers(self, request: SwapMarkers) -> Touch:
         one, other = self._place_of(request.marker), self._place_of(request.other)
@@ -407,6 +415,8 @@ def _labels_of(pieces: Pieces) -> Ints:
 
 def _replay(entry: Mapping[str, Any], done: list[Touch], undone: list[Touch]) -> None:
     """Take one entry of a log."""
+    if entry["kind"] == SAVED:
+        return
     if entry["kind"] == UNDO:
         undone.append(done.pop())
     elif entry["kind"] == REDO:

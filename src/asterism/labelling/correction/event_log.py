@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 FORMAT, VERSION = "asterism-corrections", 1
 SUFFIX = ".asterism-log.jsonl"
-UNDO, REDO = "undo", "redo"
+UNDO, REDO, SAVED = "undo", "redo", "saved"
 
 
 def hash_of_points(clouds: Clouds) -> str:
@@ -76,22 +76,22 @@ class CorrectionLog:
             os.close(self._file)
             raise
 
-    def append(self, entry: Mapping[str, Any]) -> None:
-        """Write an entry; it is on the disk when this returns. Raises AsterismError where it cannot be written; nothing of it stays then."""
+    def append(self, *entries: Mapping[str, Any]) -> None:
+        """Write entries; they are on the disk when this returns. Raises AsterismError where they cannot be written; none of them stays then."""
         now = datetime.now(UTC).isoformat(timespec="seconds")
-        line = json.dumps({**entry, "at": now}, separators=(",", ":")).encode() + b"\n"
+        lines = b"".join(json.dumps({**entry, "at": now}, separators=(",", ":")).encode() + b"\n" for entry in entries)
         try:
             os.lseek(self._file, self._length, os.SEEK_SET)
             written = 0
-            while written < len(line):
-                written += os.write(self._file, line[written:])
+            while written < len(lines):
+                written += os.write(self._file, lines[written:])
             os.fsync(self._file)
         except OSError as problem:
             os.ftruncate(self._file, self._length)
             raise AsterismError(
                 f"{self.path}: the correction cannot be written ({problem.strerror}) and was not taken; make space, and try again."
             ) from problem
-        self._length += len(line)
+        self._length += len(lines)
 
     def close(self) -> None:
         """Close the file, which frees it for other programs."""

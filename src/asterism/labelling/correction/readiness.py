@@ -18,14 +18,12 @@ READY, LOOK, DO_NOT_USE = "ready", "look", "do-not-use"
 class ReadinessRules:
     """When a labelled recording is ready, and when it should not be used.
 
-    sure           confidence from which a label counts as labelled, and below which as likely: what all commands call so
     least_gain     samples that a piece must gain to be worth a look
     least_error    and mean chance that a label of it is wrong or missing; a model of few people gives no confidence above 0.99
     max_error      share of wrong or missing labels to be expected from which a recording should not be used. By hand: above it, naming the
                    tracks one by one is as quick as looking for the errors
     """
 
-    sure: float = 0.99
     least_gain: float = 1.0
     least_error: float = 0.02
     max_error: float = 0.3
@@ -48,30 +46,6 @@ class Readiness:
     sentence: str
     look_at: int
     error: float
-
-
-@dataclass(frozen=True)
-class Shares:
-    """What became of the markers of a recording: shares of all markers in all frames; the rest is hidden.
-
-    labelled  labels of at least 99 % confidence
-    likely    labels below
-    unsure    no label, while the frame has points without one
-    """
-
-    labelled: float
-    likely: float
-    unsure: float
-
-
-def shares_of(labelling: Labelling, clouds: Clouds, rules: ReadinessRules = _RULES) -> Shares:
-    """The shares; all 0 for a recording without frames or markers."""
-    given = labelling.indices >= 0
-    if given.size == 0:
-        return Shares(0.0, 0.0, 0.0)
-    labelled = given & ~(labelling.confidence < rules.sure)
-    unsure = ~given & (clouds.counts > given.sum(axis=1))[:, None]
-    return Shares(float(labelled.mean()), float((given & ~labelled).mean()), float(unsure.mean()))
 
 
 def to_look_at(items: Sequence[ReviewItem], rules: ReadinessRules = _RULES) -> list[ReviewItem]:
