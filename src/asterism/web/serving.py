@@ -91,7 +91,9 @@ def _bound(place: Place) -> socket.socket:
     except OSError as problem:
         listening.close()
         if problem.errno == errno.EADDRINUSE:
-            raise AsterismError(f"the port {place.port} is taken by another program; give another with --port, or leave it out.") from problem
+            raise AsterismError(
+                f"the port {place.port} is taken by another program; give another with --port, or leave it out."
+            ) from problem
         if problem.errno in (errno.EACCES, errno.EPERM):
             raise AsterismError(f"the port {place.port} may not be used; give one above 1023 with --port, or leave it out.") from problem
         raise AsterismError(f"--host {place.host} is no address of this machine; leave it out, or give one of its own.") from problem

@@ -68,7 +68,7 @@ class Change:
 
 @dataclass(frozen=True)
 class _Solved:
-    """The recording labelled with all that was said: said (J,) the marker of each tracklet, by name's place, -1 none, `FREE` nothing said."""
+    """The recording labelled with all that was said; said (J,): the marker of each tracklet by its place, -1 for none, `FREE` for nothing."""
 
     tracklets: Tracklets
     said: Ints
@@ -79,9 +79,9 @@ class _Solved:
 class Correction:
     """A recording's labels while a person corrects them.
 
-    The recording is labelled once, as a whole. `apply` takes what a person says of a piece, labels the recording again with all that was said
-    so far held, and gives what changed. `undo` and `redo` have no end. What was said, not the result, is the state: the same touches give
-    the same labels, whatever was taken back between them.
+    The recording is labelled once, as a whole. `apply` takes what a person says of a piece, labels the recording again with all that was
+    said so far held, and gives what changed. `undo` and `redo` have no end. What was said, not the result, is the state: the same touches
+    give the same labels, whatever was taken back between them.
     """
 
     def __init__(self, ensemble: SolverEnsemble, recording: Recording, *, workers: int = 1, progress: Progress | None = None) -> None:
@@ -149,7 +149,10 @@ class Correction:
         return readiness(self.labelling, self.clouds, self.items())
 
     def candidates(self, piece: int) -> list[tuple[str, float]]:
-        """All markers and the chance that the piece is each of them, the likeliest first. Raises AsterismError where there is no such piece."""
+        """All markers and the chance that the piece is each of them, the likeliest first.
+
+        Raises AsterismError where there is no such piece.
+        """
         pieces = self.pieces
         place = pieces.place_of(piece)
         points = np.nonzero(pieces.of_point == place)[0]
@@ -181,7 +184,9 @@ class Correction:
         changed = {part.piece: part for part in change.pieces}
         strangers = [piece for piece in pieces if piece not in changed]
         if strangers or not pieces:
-            raise AsterismError(f"the piece {strangers[0]} did not change." if strangers else "no piece was named that should stay as it was.")
+            raise AsterismError(
+                f"the piece {strangers[0]} did not change." if strangers else "no piece was named that should stay as it was."
+            )
         labels = []
         for part in change.pieces:
             if part.piece in pieces:

@@ -53,8 +53,8 @@ class CorrectionLog:
     def __init__(self, path: Path, points: str, model: str) -> None:
         """Open the log of a recording and a model, given by their hashes, or begin it. `entries` are what it holds.
 
-        Raises AsterismError where it cannot be read or written, is damaged, belongs to another recording or model, is of a later version, or
-        is open in another program.
+        Raises AsterismError where it cannot be read or written, is damaged, belongs to another recording or model, is of a later version,
+        or is open in another program.
         """
         self.path = path
         self.entries: list[dict[str, Any]] = []
@@ -77,7 +77,10 @@ class CorrectionLog:
             raise
 
     def append(self, *entries: Mapping[str, Any]) -> None:
-        """Write entries; they are on the disk when this returns. Raises AsterismError where they cannot be written; none of them stays then."""
+        """Write entries; they are on the disk when this returns.
+
+        Raises AsterismError where they cannot be written; none of them stays then.
+        """
         now = datetime.now(UTC).isoformat(timespec="seconds")
         lines = b"".join(json.dumps({**entry, "at": now}, separators=(",", ":")).encode() + b"\n" for entry in entries)
         try:

@@ -125,7 +125,7 @@ def _with_known(labelling: Labelling, body: BodyInRecording, clouds: Clouds, fix
 
 
 def marker_chances(before: LabelledTracklets, labelling: Labelling, points: Ints) -> Floats:
-    """The chance of one piece of a track to be each marker of the set, given the labels of all others: (markers of the set,), sum 1 at most.
+    """The chance of one piece of a track to be each marker of the set, given the labels of all others: (markers of the set,).
 
     points: places of its points in the clouds, in the order of frames. A marker that the model has not learned has chance 0. By the body
     alone, in some of the piece's frames; O(M).
