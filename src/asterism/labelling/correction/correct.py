@@ -68,7 +68,7 @@ class Change:
 
 @dataclass(frozen=True)
 class _Solved:
-    """The recording labelled with all that was said; said (J,): the marker of each tracklet by its place, -1 for none, `FREE` for nothing."""
+    """The recording labelled with all that was said; said (J,): each tracklet's marker by its place, -1 for none, `FREE` for nothing."""
 
     tracklets: Tracklets
     said: Ints
@@ -276,7 +276,7 @@ class Correction:
         labelling = self._base.labelling
         if touches:
             column = np.where(said >= 0, self._column[said], said)
-            labelling = relabel_tracklets(self._base, tracklets, column).labelling
+            labelling = relabel_tracklets(self._base, tracklets, column)
             labelling = self._with_unlearned(labelling, tracklets, np.where((said >= 0) & (column == NULL), said, FREE))
         pieces = table_of_pieces(tracklets, self.clouds, labelling, said == NULL, said != FREE)
         return _Solved(tracklets, said, labelling, pieces)
