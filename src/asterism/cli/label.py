@@ -142,6 +142,7 @@ class _Result:
     labelling: Labelling
     clouds: Clouds
     marker_set: MarkerSet
+    first_frame: int
 
 
 def _check(options: LabelOptions) -> None:
@@ -216,18 +217,18 @@ def _labelled(labeller: _Labeller, batch: _console.Batch, path: Path, target: Pa
         "frames_per_second": len(clouds) / seconds if seconds else float("nan"),
         "not_carried": lost,
     }
-    return _Result(row, labelling, clouds, marker_set)
+    return _Result(row, labelling, clouds, marker_set, recording.first_frame)
 
 
 def _report(options: LabelOptions, labeller: _Labeller, results: Sequence[_Result]) -> None:
     from asterism.report import LabelledRecording, label_report
 
     assert options.report is not None
-    first, rows = results[0], [result.row for result in results]
+    rows = [result.row for result in results]
     about = {"model": ", ".join(map(str, options.model)), "rules": options.rules.value, "keep_labels": options.keep_labels}
     label_report(
         options.report,
-        LabelledRecording(first.labelling, first.clouds, first.marker_set),
+        [LabelledRecording(result.labelling, result.clouds, result.marker_set, None, result.first_frame) for result in results],
         title=f"{len(rows)} labelled recordings" if len(rows) > 1 else f"{rows[0]['file'].name}, labelled",
         files=rows,
         model_info={**about, **labeller.ensembles[0].about},
