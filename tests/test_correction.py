@@ -108,7 +108,7 @@ def test_a_consequence_that_is_refused_stays_as_it_was() -> None:
 
 
 def test_two_pieces_exchange_their_labels_from_a_frame_on() -> None:
-    correction, truth = corrected()
+    correction, _ = corrected()
     pieces = correction.pieces
     whole = [int(piece) for piece in pieces.id[(pieces.first == 0) & (pieces.last == 119) & (pieces.marker >= 0)]]
     one, other = whole[:2]
@@ -256,7 +256,7 @@ def test_a_person_who_knows_the_truth_gets_every_label_right() -> None:
         piece = int(items[0].points[0])
         marker = int(truth[piece])
         correction.apply(Ghost(piece) if marker < 0 else Name(piece, correction.names[marker]))
-    marker_of, confidence = labels_of_points(correction.labelling, correction.clouds)
+    marker_of = labels_of_points(correction.labelling, correction.clouds)[0]
     assert not correction.items()
     assert np.array_equal(marker_of, truth)
 
@@ -272,7 +272,7 @@ def logged(folder: Path) -> tuple[Correction, CorrectionLog]:
 
 
 def test_a_log_gives_the_same_labels_again(tmp_path: Path) -> None:
-    correction, log = logged(tmp_path)
+    correction, _ = logged(tmp_path)
     piece = long_piece(correction)
     change = correction.apply(Name(piece, "SACR"))
     correction.refuse(change, [next(part.piece for part in change.pieces if not part.by_person)])
@@ -424,7 +424,10 @@ def test_a_killed_program_loses_no_touch_that_was_answered(tmp_path: Path) -> No
     [file] = written(tmp_path)
     for kill in range(4):
         run = subprocess.Popen(
-            [sys.executable, "-c", KILLED, str(file), str(tmp_path / "gait.model")], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            [sys.executable, "-c", KILLED, str(file), str(tmp_path / "gait.model")],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
         )
         assert run.stdout is not None and run.stderr is not None
         answered = [int(run.stdout.readline() or "-1") for _ in range(3)]

@@ -54,11 +54,17 @@ def to_look_at(items: Sequence[ReviewItem], rules: ReadinessRules = _RULES) -> l
 
 
 def readiness(labelling: Labelling, clouds: Clouds, items: Sequence[ReviewItem], rules: ReadinessRules = _RULES) -> Readiness:
-    """Whether a labelling can be used; items: what `review` lists in it, without what a person has answered."""
+    """Whether a labelling can be used; items: what `review` lists in it, without what a person has answered.
+
+    Where a recording does not fit its model, every point that could be a marker and has no label counts as missing.
+    """
     visible = int(np.minimum(clouds.counts, len(labelling.names)).sum())
     error = min(1.0, sum(item.gain for item in items) / max(visible, 1))
     look_at = len(to_look_at(items, rules))
     verdict = labelling.verdict
+    if verdict is not None and not verdict.fits:
+        unanswered = sum(item.samples for item in items if item.marker is None)
+        error = max(error, min(unanswered, visible - int((labelling.indices >= 0).sum())) / max(visible, 1))
     if verdict is not None and verdict.kind == OTHER_BODY and not (labelling.indices >= 0).any():
         return Readiness(DO_NOT_USE, "Do not use: this is no body that the model knows, and no label was given.", look_at, error)
     if error > rules.max_error:

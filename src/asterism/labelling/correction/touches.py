@@ -146,10 +146,10 @@ def _markers_swapped(given: Mapping[str, Any]) -> SwapMarkers:
     markers, first, last = given["markers"], given.get("frame", given.get("first")), given.get("last")
     if not isinstance(markers, list | tuple) or len(markers) != 2 or not all(isinstance(name, str) for name in markers):
         raise AsterismError("an answer of kind swap needs two names in the field markers.")
-    _check_field("swap", "frame", first)
-    _check_field("swap", "last", last)
     if first is None:
         raise AsterismError("an answer of kind swap of two markers needs the field frame.")
+    _check_field("swap", "frame", first)
+    _check_field("swap", "last", last)
     return SwapMarkers(markers[0], markers[1], first, last)
 
 

@@ -1,8 +1,8 @@
 """A labelled recording and what a person says of some tracklets in; the recording labelled again, and at once, out.
 
 The first labelling looks for the body in single frames and adapts the model to the subject, which takes most of its time. Both are kept.
-Labelling again repeats the steps in which all tracklets are labelled together (`joint.py`), with the person's labels held; frames are scored
-again only where a label in them has changed, and tracklets whose labels have not changed keep what the first labelling found against them.
+Labelling again repeats the steps in which all tracklets are labelled together (`joint.py`), with the person's labels held. Frames are
+scored again only where a label in them has changed, and tracklets with the same labels keep what the first labelling found against them.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.labelling.body.model import BodyRules
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.whole._kernels import FrameScores, margins_of, score_frames, sum_scores
+from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.certainty import overlaps_unlabelled
 from asterism.labelling.whole.fits import point_fits
 from asterism.labelling.whole.foreign import ForeignConfidence
-from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.joint import FREE, SceneLabelling, _by_length, _hold
 from asterism.labelling.whole.label import (
     BodyInRecording,
@@ -47,7 +47,7 @@ _SETTINGS = RecordingLabellingSettings()
 
 @dataclass(frozen=True)
 class RelabelRules:
-    """How much of a recording is looked at again. Chosen so that a minute of 15 markers takes 0.2 s: the median over so few frames is as good.
+    """How much of a recording is looked at again. So chosen that a minute of 15 markers takes 0.2 s; medians over so few frames serve.
 
     chance_frames   frames of a piece by which the chances of other markers are told, at most
     penalty_frames  sampled frames by which labels that changed are compared with the body's distances and places, at most
