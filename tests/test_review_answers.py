@@ -75,10 +75,8 @@ def test_a_cut_a_swap_and_right_are_understood(walk: tuple[Recording, list[str]]
     text = question_row("walk.c3d", correction, correction.items()[0])
     marker = correction.names[pieces.marker[pieces.place_of(one)]]
     point = recording.labels[int(correction.clouds.columns[other])]
-    table = table_text(
-        [[*text[:2], str(one), *text[3:-1], answer] for answer in ("lasi cut@40 ghost Cut @ 60 right", f"swap@91 with {point}")]
-    )
-    path = Path("answers.csv")
+    said = ("lasi cut@40 ghost Cut @ 60 right", f"swap@91 with {point}")
+    table = table_text([[*text[:2], str(one), *text[3:-1], answer] for answer in said])
     answers = _read(table)
     assert tuple(answer.text for answer in answers) == said
     cut = touches_of(answers[:1], correction)
