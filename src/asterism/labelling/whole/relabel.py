@@ -18,12 +18,12 @@ from asterism.geometry import rotate_z_up
 from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.labelling.body.model import BodyRules
 from asterism.labelling.body.subject import SubjectRules
-from asterism.labelling.whole._kernels import FrameScores, margins_of, score_frames, sum_scores
+from asterism.labelling.whole._kernels import FrameScores, margins_of, overlaps, rivals_weight, score_frames, sum_scores
 from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.certainty import overlaps_unlabelled
 from asterism.labelling.whole.fits import point_fits
 from asterism.labelling.whole.foreign import ForeignConfidence
-from asterism.labelling.whole.joint import FREE, SceneLabelling, _by_length, _hold
+from asterism.labelling.whole.joint import FREE, SceneLabelling, _hold
 from asterism.labelling.whole.label import (
     BodyInRecording,
     LongTracklets,
@@ -49,10 +49,12 @@ _SETTINGS = RecordingLabellingSettings()
 class RelabelRules:
     """How much of a recording is looked at again. So chosen that a minute of 15 markers takes 0.2 s; medians over so few frames serve.
 
+    rounds          how often labels are chosen anew at most; what a touch sets off ends after two
     chance_frames   frames of a piece by which the chances of other markers are told, at most
     penalty_frames  sampled frames by which labels that changed are compared with the body's distances and places, at most
     """
 
+    rounds: int = 3
     chance_frames: int = 20
     penalty_frames: int = 120
 
@@ -116,12 +118,22 @@ class LabelledTracklets:
         return 2 if (unlabelled & long).any() else 1 if unlabelled.any() else 0
 
     @cached_property
+    def gain(self) -> Floats:
+        """(J, M) nats of each long tracklet as each marker."""
+        return _gain(self.scores, self.upright, np.full(len(self.upright.first), FREE), self)
+
+    @cached_property
+    def rivals_weight(self) -> float:
+        """By how much the gains of long tracklets are raised against many short rivals: see `joint.py`."""
+        scene = self.upright
+        pairs = overlaps(self.gain, scene.first, scene.last, np.argsort(scene.first, kind="stable"))
+        return float(rivals_weight(self.gain, pairs, scene.first, scene.last, scene.samples, scene.independent))
+
+    @cached_property
     def penalty(self) -> Floats:
         """(J,) nats by which the margins of long tracklets were lowered, as their distances or places are off."""
-        found = self.long.found
-        gain = _gain(self.scores, self.upright, np.full(len(found.label), FREE), self)
-        first, last = self.upright.first, self.upright.last
-        margin, _ = margins_of(gain, found.label, first, last, np.argsort(first, kind="stable"))
+        found, first, last = self.long.found, self.upright.first, self.upright.last
+        margin, _ = margins_of(self.gain, found.label, first, last, np.argsort(first, kind="stable"))
         return np.asarray(np.maximum(margin - found.by_body, 0.0))
 
 
@@ -222,12 +234,13 @@ def _ascent(before: LabelledTracklets, problem: _Problem) -> SceneLabelling:
     else:
         scores = problem.scores.copy()
         _score(scores, scene, label, label != problem.start, before)
-    for last in range(_SETTINGS.max_rounds):
+    for last in range(_RULES.rounds):
         gain = _gain(scores, scene, fixed, before)
-        found = assign_tracklets(_by_length(gain, scene), scene.first, scene.last)
+        by_length = np.maximum(1.0, before.rivals_weight * scene.samples / np.maximum(scene.independent, 1e-12))
+        found = assign_tracklets(gain * by_length[:, None], scene.first, scene.last)
         changed = found != label
         label = found
-        if not changed.any() or last == _SETTINGS.max_rounds - 1:
+        if not changed.any() or last == _RULES.rounds - 1:
             break
         _score(scores, scene, label, changed, before)
     margin, rival = margins_of(gain, label, scene.first, scene.last, np.argsort(scene.first, kind="stable"))
