@@ -15,12 +15,20 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from asterism.errors import AsterismError
-from benchmarks import cameras, dirt, docs, figures, hostile, house, labelling, read_values, recordings, runs, stale
+from benchmarks import cameras, desk, dirt, docs, figures, hostile, house, labelling, read_values, recordings, runs, stale
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import folder
 from benchmarks.sources import Folder, Sources, commit, hash_of
 
-CHAPTERS = {"labelling": labelling, "recordings": recordings, "dirt": dirt, "cameras": cameras, "hostile": hostile, "house": house}
+CHAPTERS = {
+    "labelling": labelling,
+    "recordings": recordings,
+    "dirt": dirt,
+    "cameras": cameras,
+    "hostile": hostile,
+    "desk": desk,
+    "house": house,
+}
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -12,6 +12,7 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import Files, FrameWise, Json, Model, Overwrite, Report, Vertical, Workers, vertical_axis
+from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
     from asterism.labelling import SolverEnsemble
@@ -34,20 +35,75 @@ class ReviewOptions:
     overwrite: Overwrite = False
     report: Report = None
     json: Json = None
+    csv: Annotated[
+        Path | None,
+        typer.Option("--csv", metavar="FILE", help="Write the list as a table with an empty column `answer`.", show_default=False),
+    ] = None
+    answers: Annotated[
+        Path | None,
+        typer.Option("--answers", metavar="FILE", help="Correct the files by that table, filled in; needs -o.", show_default=False),
+    ] = None
+    serve: Annotated[bool, typer.Option("--serve", help="Open a page in the browser on which the labels are corrected.")] = False
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FOLDER", help="Where corrected files go. Page: else `corrected`.", show_default=False),
+    ] = None
+    log_folder: Annotated[
+        Path | None,
+        typer.Option("--log-folder", metavar="FOLDER", help="Where the page's logs go, else beside the files.", show_default=False),
+    ] = None
+    port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port of the page; 0 for a free one.")] = 0
+    host: Annotated[
+        str, typer.Option("--host", metavar="ADDRESS", help="Address of this machine that serves the page; 0.0.0.0 lets a tablet in.")
+    ] = "127.0.0.1"
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the page's address only.")] = False
 
 
 @takes(ReviewOptions)
 def review(options: ReviewOptions) -> None:
-    """List the labels that a person should check first.
+    """List the labels that a person should check first, or correct them.
 
     The files are labelled as `asterism label` does it, whatever names their points have now. Nothing is written to them. A line is
     a piece of a track between two gaps: one name for it corrects all its frames. The gain is the expected number of its samples whose
     label is wrong or missing. The list begins where a check corrects most.
+
+    With --serve a page opens on which each answer is taken at once, labels the rest again and is kept in a log beside the file. Without a
+    browser, --csv writes the list as a table; with the answers filled in, --answers corrects the files.
     """
+    _check(options)
+    if options.serve:
+        from asterism.cli._review_page import serve_page
+
+        serve_page(options)
+    elif options.answers is not None:
+        from asterism.cli._review_answers import correct_by_answers
+
+        raise typer.Exit(correct_by_answers(options))
+    else:
+        raise typer.Exit(_listed(options))
+
+
+def _check(options: ReviewOptions) -> None:
+    """Raise AsterismError where options contradict each other, or an output cannot be made."""
+    correcting = "--serve" if options.serve else "--answers" if options.answers is not None else "--csv" if options.csv is not None else ""
+    if options.serve and (options.answers is not None or options.csv is not None):
+        raise AsterismError("--serve takes the answers on its page; leave out --csv and --answers.")
+    if options.answers is not None and options.csv is not None:
+        raise AsterismError("--answers takes a table that an earlier run wrote; leave out --csv.")
+    if correcting and (options.frame_wise or options.keep_labels):
+        raise AsterismError(f"{correcting} corrects whole recordings by the model; leave out --frame-wise and --keep-labels.")
+    if correcting in ("--serve", "--answers") and (options.report is not None or options.json is not None):
+        raise AsterismError(f"{correcting} writes no list; leave out --report and --json.")
+    if options.answers is not None and options.output is None:
+        raise AsterismError("--answers writes corrected files; say where with -o FOLDER.")
+    for path in (options.report, options.json, options.csv):
+        _console.check_new(path, options.overwrite)
+
+
+def _listed(options: ReviewOptions) -> int:
+    """List what to check; returns the exit status."""
     from asterism.labelling import SolverEnsemble
 
-    _console.check_new(options.report, options.overwrite)
-    _console.check_new(options.json, options.overwrite)
     ensemble = SolverEnsemble.load(options.model)
     batch, found = _console.Batch("reviewed"), _Review()
     with _console.progress("labelling") as progress:
@@ -84,15 +140,21 @@ def review(options: ReviewOptions) -> None:
             "items": [_as_json(line) for line in found.lines],
         },
     )
-    raise typer.Exit(batch.close())
+    if options.csv is not None:
+        from asterism.formats._text import write_atomically
+        from asterism.labelling.correction import table_text
+
+        write_atomically(options.csv, table_text([line.question for line in found.lines]).encode())
+    return batch.close()
 
 
 @dataclass(frozen=True)
 class _Line:
-    """A line of the list: the item, and the name that its points have in the file."""
+    """A line of the list: the item, the name that its points have in the file, and, with --csv, its line of the table."""
 
     point: str
     entry: ReviewEntry
+    question: Sequence[str] = ()
 
 
 @dataclass
@@ -115,11 +177,17 @@ def _add(found: _Review, path: Path, ensemble: SolverEnsemble, options: ReviewOp
 
     recording = formats.read(path, vertical=vertical_axis(options.vertical))
     report_warnings(recording, batch)
-    clouds = recording.clouds()
-    labelling = ensemble.label(clouds, time=not options.frame_wise, workers=options.workers)
-    if options.keep_labels:
-        labelling = labels_kept(path, labelling, recording, clouds, ensemble.marker_set)
-    items = review_labelling(labelling, clouds)
+    clouds, correction = recording.clouds(), None
+    if options.csv is not None:
+        from asterism.labelling.correction import Correction, question_row
+
+        correction = Correction(ensemble, recording, workers=options.workers)
+        labelling, items = correction.labelling, correction.items()
+    else:
+        labelling = ensemble.label(clouds, time=not options.frame_wise, workers=options.workers)
+        if options.keep_labels:
+            labelling = labels_kept(path, labelling, recording, clouds, ensemble.marker_set)
+        items = review_labelling(labelling, clouds)
     found.shares.append({"file": path, "frames": len(clouds), **asdict(label_shares(labelling, clouds))})
     found.pieces += len(items)
     found.gain += sum(item.gain for item in items)
@@ -127,7 +195,8 @@ def _add(found: _Review, path: Path, ensemble: SolverEnsemble, options: ReviewOp
     for item in items[: options.top]:
         column = int(clouds.columns[item.points[0]])
         point = recording.labels[column] if column >= 0 else ""
-        lines.append(_Line(point, ReviewEntry(str(path), item, labelling, clouds, recording.first_frame)))
+        question = question_row(str(path), correction, item) if correction is not None else ()
+        lines.append(_Line(point, ReviewEntry(str(path), item, labelling, clouds, recording.first_frame), question))
     found.lines = sorted(lines, key=lambda line: -line.entry.item.gain)[: options.top]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
-from asterism.tracking.linking import find_tracklets
+from asterism.tracking.linking import Tracklets, find_tracklets
 
 
 @dataclass(frozen=True)
@@ -59,13 +59,16 @@ class ReviewItem:
     points: Ints = field(repr=False, compare=False)
 
 
-def review(labelling: Labelling, clouds: Clouds, *, top: int | None = None, least_gain: float = 0.1) -> list[ReviewItem]:
+def review(
+    labelling: Labelling, clouds: Clouds, *, top: int | None = None, least_gain: float = 0.1, tracklets: Tracklets | None = None
+) -> list[ReviewItem]:
     """List the pieces of tracks that a person should check first, by expected gain.
 
     top         the most items to list
     least_gain  samples that an item gains at least
+    tracklets   of the clouds, where they are known already; by default those of `find_tracklets`
 
-    A piece is a tracklet (`find_tracklets`): one marker's path between two gaps, so that one name holds for all its frames. A labelled
+    A piece is a tracklet: one marker's path between two gaps, so that one name holds for all its frames. A labelled
     point gains 1 - confidence or, where its piece bears another label more often, that label's weight if it is larger. A point without
     a label gains the chance that it is one of the markers that are missing in its frame. A marker's best candidate that was not
     accepted gets the marker's confidence. The other points share what is left, the more the nearer they are to where the marker was
@@ -79,7 +82,7 @@ def review(labelling: Labelling, clouds: Clouds, *, top: int | None = None, leas
         raise AsterismError(f"top is {top}, which lists nothing; give 1 or more.")
     if not least_gain >= 0:
         raise AsterismError(f"least_gain is {least_gain}; give 0 or more samples.")
-    piece_of = find_tracklets(clouds).of_point
+    piece_of = (find_tracklets(clouds) if tracklets is None else tracklets).of_point
     frame_of = clouds.frame_of
     marker_of, confidence = labels_of_points(labelling, clouds)
     votes = _votes(piece_of, marker_of, confidence, len(labelling.names))

@@ -1,0 +1,87 @@
+"""`asterism review --answers`: files and a filled table in; the corrected files out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from asterism.cli import _console
+from asterism.cli._options import vertical_axis
+from asterism.errors import AsterismError
+
+if TYPE_CHECKING:
+    from asterism.cli.review import ReviewOptions
+    from asterism.labelling import SolverEnsemble
+    from asterism.labelling.correction import Answer
+
+
+def correct_by_answers(options: ReviewOptions) -> int:
+    """Label the files, hold the answers of the table, and write the result. Returns the exit status."""
+    from asterism.labelling import SolverEnsemble
+    from asterism.labelling.correction import read_answers
+
+    assert options.answers is not None and options.output is not None
+    answers = _by_file(options.answers, read_answers(options.answers), options.files)
+    targets = _targets(options.files, options.output)
+    ensemble, batch = SolverEnsemble.load(options.model), _console.Batch("corrected")
+    with _console.progress("labelling") as progress:
+        for path, target in zip(options.files, targets, strict=True):
+            with batch.file(path):
+                if progress:
+                    progress((len(batch.done) + len(batch.failed)) / len(options.files), path.name)
+                _correct(path, target, answers.get(path, ()), ensemble, options, batch)
+    return batch.close()
+
+
+def _correct(
+    path: Path, target: Path, answers: Sequence[Answer], ensemble: SolverEnsemble, options: ReviewOptions, batch: _console.Batch
+) -> None:
+    from asterism import __version__, formats
+    from asterism.cli._recordings import not_carried, report_warnings
+    from asterism.labelling.correction import Correction, touches_of
+
+    if target.exists() and not options.overwrite:
+        what = "is the input itself" if target.samefile(path) else "exists"
+        raise AsterismError(f"{path}: {target} {what}; choose another folder with -o, or replace it with --overwrite.")
+    recording = formats.read(path, vertical=vertical_axis(options.vertical))
+    report_warnings(recording, batch)
+    correction = Correction(ensemble, recording, workers=options.workers)
+    if answers:
+        try:
+            correction.touch(*touches_of(answers, correction))
+        except AsterismError as problem:
+            raise AsterismError(f"{path}: {options.answers}, {problem}") from problem
+    target.parent.mkdir(parents=True, exist_ok=True)
+    lost = formats.write(target, correction.labelled_recording(f"asterism {__version__}, {options.model.name}"))
+    for finding in not_carried(target, lost):
+        batch.found(finding)
+    _console.result(f"{path}: {len(answers)} answer{'' if len(answers) == 1 else 's'}; written as {target}. {correction.verdict.sentence}")
+
+
+def _by_file(table: Path, answers: Sequence[Answer], files: Sequence[Path]) -> dict[Path, list[Answer]]:
+    """The answers of each file, which the table names by its path, or by its name where no other file has the same.
+
+    Raises AsterismError where a file of the table was not given.
+    """
+    found: dict[Path, list[Answer]] = {}
+    for answer in answers:
+        name = answer.file.replace("\\", "/").rpartition("/")[2]
+        same = [path for path in files if str(path) == answer.file] or [path for path in files if path.name == name]
+        if len(same) != 1:
+            what = "is none of the files given" if not same else "is the name of several of the files given"
+            raise AsterismError(f"{table}, line {answer.line}: {answer.file[:200]} {what}; name the files as when the list was written.")
+        found.setdefault(same[0], []).append(answer)
+    return found
+
+
+def _targets(files: Sequence[Path], output: Path) -> list[Path]:
+    """Where each file goes. Raises AsterismError where two would go to one place, or `output` is no folder."""
+    if output.exists() and not output.is_dir():
+        raise AsterismError(f"{output} is a file; -o takes the folder for the corrected files.")
+    taken: dict[str, Path] = {}
+    for path in files:
+        other = taken.setdefault(path.name.casefold(), path)
+        if other is not path:
+            raise AsterismError(f"{other} and {path} would both become {output / path.name}; correct them into two folders.")
+    return [output / path.name for path in files]

@@ -1,0 +1,431 @@
+"""A model and a recording in; its labels while a person corrects them: pieces, touches, their consequences, undo and redo."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.labelling.correction.event_log import REDO, SAVED, UNDO, CorrectionLog, hash_of_model, hash_of_points
+from asterism.labelling.correction.pieces import (
+    Pieces,
+    by_first_points,
+    cut_before,
+    described,
+    found_again,
+    point_of_piece,
+    table_of_pieces,
+)
+from asterism.labelling.correction.readiness import Readiness, readiness
+from asterism.labelling.correction.touches import Cut, Ghost, Name, PointInFrame, Request, Right, Swap, SwapMarkers, Touch
+from asterism.labelling.review import ReviewItem, review
+from asterism.labelling.whole.joint import FREE
+from asterism.labelling.whole.relabel import label_tracklets, marker_chances, relabel_tracklets
+from asterism.progress import Progress
+from asterism.recording import NULL, Ints, Labelling, Recording
+from asterism.tracking.linking import Tracklets
+
+if TYPE_CHECKING:
+    from asterism.labelling.ensemble import SolverEnsemble
+
+GHOST = "ghost"
+"""What a piece is that a person said to be no marker."""
+
+
+@dataclass(frozen=True)
+class PieceChange:
+    """A piece, or part of one, whose label changed.
+
+    piece            its id now
+    first, last      frames in which the label changed, inclusive
+    before, after    the marker, None without a label, or "ghost"
+    by_person        whether a person said so; else it follows from what they said
+    """
+
+    piece: int
+    first: int
+    last: int
+    before: str | None
+    after: str | None
+    by_person: bool
+
+
+@dataclass(frozen=True)
+class Change:
+    """What touches, or taking one back, changed.
+
+    touches  what was said
+    pieces   whose labels changed
+    """
+
+    touches: tuple[Touch, ...]
+    pieces: tuple[PieceChange, ...]
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """The recording labelled with all that was said; said (J,): each tracklet's marker by its place, -1 for none, `FREE` for nothing."""
+
+    tracklets: Tracklets
+    said: Ints
+    labelling: Labelling
+    pieces: Pieces
+
+
+class Correction:
+    """A recording's labels while a person corrects them.
+
+    The recording is labelled once, as a whole. `apply` takes what a person says of a piece, labels the recording again with all that was
+    said so far held, and gives what changed. `undo` and `redo` have no end. What was said, not the result, is the state: the same touches
+    give the same labels, whatever was taken back between them.
+    """
+
+    def __init__(self, ensemble: SolverEnsemble, recording: Recording, *, workers: int = 1, progress: Progress | None = None) -> None:
+        """Label the recording. Raises AsterismError where it has no points, or certainly shows two bodies of the model."""
+        self.ensemble, self.recording = ensemble, recording
+        self.clouds = recording.clouds()
+        if not len(self.clouds.xyz):
+            raise AsterismError("the recording has no points to label.")
+        self.names = ensemble.marker_set.names
+        self._body = ensemble.in_recording()
+        self._base = label_tracklets(self._body, self.clouds, ensemble.state.body_rules, workers, progress)
+        self._tracklets = by_first_points(self._base.long.tracklets)
+        self._column = np.full(len(self.names), NULL, dtype=np.int64)
+        self._column[self._body.markers] = np.arange(len(self._body.markers))
+        self._done: list[Touch] = []
+        self._undone: list[Touch] = []
+        self._log: CorrectionLog | None = None
+        self._solved = self._solve([])
+        self._items: list[ReviewItem] | None = None
+        self.last_change: Change | None = None
+        self.revision = 0
+        """Rises with every change."""
+
+    @property
+    def labelling(self) -> Labelling:
+        """The labels with all that was said; what a person said has confidence 1."""
+        return self._solved.labelling
+
+    @property
+    def pieces(self) -> Pieces:
+        """The pieces of tracks."""
+        return self._solved.pieces
+
+    @property
+    def touches(self) -> tuple[Touch, ...]:
+        """What was said and not taken back, in its order."""
+        return tuple(self._done)
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is something to take back."""
+        return bool(self._done)
+
+    @property
+    def can_redo(self) -> bool:
+        """Whether something was taken back last."""
+        return bool(self._undone)
+
+    @cached_property
+    def identity(self) -> tuple[str, str]:
+        """Hashes of the recording's points and of the model: to whom a log of corrections belongs."""
+        return hash_of_points(self.clouds), hash_of_model(self.ensemble)
+
+    def items(self) -> list[ReviewItem]:
+        """What a person should check, by expected gain, without what they have answered."""
+        if self._items is None:
+            pieces = self.pieces
+            found = review(self.labelling, self.clouds, tracklets=self._solved.tracklets)
+            self._items = [item for item in found if not pieces.person[pieces.of_point[item.points[0]]]]
+        return self._items
+
+    @property
+    def verdict(self) -> Readiness:
+        """Whether the recording can be used."""
+        return readiness(self.labelling, self.clouds, self.items())
+
+    def candidates(self, piece: int) -> list[tuple[str, float]]:
+        """All markers and the chance that the piece is each of them, the likeliest first.
+
+        Raises AsterismError where there is no such piece.
+        """
+        pieces = self.pieces
+        place = pieces.place_of(piece)
+        points = np.nonzero(pieces.of_point == place)[0]
+        chance = marker_chances(self._base, self.labelling, points)
+        marker = int(pieces.marker[place])
+        if marker != NULL:
+            chance[marker] = 0.0
+            chance *= (1.0 - pieces.confidence[place]) / max(float(chance.sum()), 1e-300)
+            chance[marker] = pieces.confidence[place]
+        for item in self.items():
+            if item.points[0] == points[0]:
+                for name, share in item.alternatives:
+                    chance[self.names.index(name)] = max(share, chance[self.names.index(name)])
+        order = np.argsort(-chance, kind="stable")
+        return [(self.names[m], float(chance[m])) for m in order]
+
+    def apply(self, request: Request) -> Change:
+        """Take what a person says, and label the recording again.
+
+        Raises AsterismError where the piece, marker or frame does not exist; nothing changes then.
+        """
+        return self.touch(self._touch_of(request))
+
+    def refuse(self, change: Change, pieces: Sequence[int]) -> Change:
+        """Keep the labels that some pieces of a change had before it; what a person said in it stays unless it is named.
+
+        pieces: their ids in the change. Raises AsterismError where one is not in it.
+        """
+        changed = {part.piece: part for part in change.pieces}
+        strangers = [piece for piece in pieces if piece not in changed]
+        if strangers or not pieces:
+            raise AsterismError(
+                f"the piece {strangers[0]} did not change." if strangers else "no piece was named that should stay as it was."
+            )
+        labels = []
+        for part in change.pieces:
+            if part.piece in pieces:
+                place = self.pieces.place_of(part.piece)
+                point = described(point_of_piece(self.pieces, self.clouds, place, part.first), self.clouds)
+                labels.append((point, None if part.before == GHOST else part.before))
+        return self.touch(Touch("refuse", (), tuple(labels)))
+
+    def touch(self, *touches: Touch) -> Change:
+        """Take touches as they are written in a log, one or several at once. Raises AsterismError as `apply` does."""
+        solved = self._solve([*self._done, *touches])
+        self._write(*(touch.to_plain() for touch in touches))
+        self._done += touches
+        self._undone.clear()
+        return self._become(solved, touches)
+
+    def undo(self) -> Change:
+        """Take the last touch back. Raises AsterismError where there is none."""
+        if not self._done:
+            raise AsterismError("there is nothing to take back.")
+        solved = self._solve(self._done[:-1])
+        self._write({"kind": UNDO})
+        touch = self._done.pop()
+        self._undone.append(touch)
+        return self._become(solved, (touch,))
+
+    def redo(self) -> Change:
+        """Take again what was taken back last. Raises AsterismError where there is nothing."""
+        if not self._undone:
+            raise AsterismError("there is nothing to take again.")
+        solved = self._solve([*self._done, self._undone[-1]])
+        self._write({"kind": REDO})
+        touch = self._undone.pop()
+        self._done.append(touch)
+        return self._become(solved, (touch,))
+
+    def attach(self, log: CorrectionLog) -> None:
+        """Take what a log holds, and write to it from now on. Raises AsterismError where an entry does not fit the recording."""
+        done: list[Touch] = []
+        undone: list[Touch] = []
+        for number, entry in enumerate(log.entries, 2):
+            try:
+                _replay(entry, done, undone)
+            except (KeyError, TypeError, ValueError, IndexError, OverflowError) as problem:
+                raise AsterismError(f"{log.path}, line {number} is damaged; move the log away, and correct anew.") from problem
+        try:
+            solved = self._solve(done)
+        except AsterismError as problem:
+            raise AsterismError(f"{log.path}: {problem}") from problem
+        self._done, self._undone, self._log = done, undone, log
+        self._become(solved, ())
+
+    def close(self) -> None:
+        """Close the log."""
+        if self._log is not None:
+            self._log.close()
+            self._log = None
+
+    def labelled_recording(self, by: str = "", *, keep_names: bool = False) -> Recording:
+        """The recording under its labels, what was said counted in its processing log; by: what labelled, such as the model's file."""
+        labelled = self.recording.with_labelling(self.labelling, self.clouds, keep_names=keep_names, by=by)
+        if not self._done:
+            return labelled
+        kinds = [touch.kind for touch in self._done]
+        counts = {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
+        return labelled.logged("corrected", "a person", touches=len(self._done), **counts)
+
+    def _write(self, *entries: Mapping[str, Any]) -> None:
+        if self._log is not None:
+            self._log.append(*entries)
+
+    def _become(self, solved: _Solved, touches: tuple[Touch, ...]) -> Change:
+        """Take a solved state, and say what changed."""
+        change = Change(touches, self._differences(self._solved, solved))
+        self._solved, self._items, self.last_change = solved, None, change
+        self.revision += 1
+        return change
+
+    def _solve(self, touches: Sequence[Touch]) -> _Solved:
+        """The recording labelled with these touches held; from the first labelling on, whatever was solved between."""
+        cuts = np.array([found_again(point, self.clouds) for touch in touches for point in touch.cuts], dtype=np.int64)
+        tracklets = cut_before(self._tracklets, self.clouds, cuts)
+        said = np.full(len(tracklets), FREE, dtype=np.int64)
+        for touch in touches:
+            for point, marker in touch.labels:
+                self._say(said, tracklets, int(tracklets.of_point[found_again(point, self.clouds)]), marker)
+        labelling = self._base.labelling
+        if touches:
+            column = np.where(said >= 0, self._column[said], said)
+            labelling = relabel_tracklets(self._base, tracklets, column)
+            labelling = self._with_unlearned(labelling, tracklets, np.where((said >= 0) & (column == NULL), said, FREE))
+        pieces = table_of_pieces(tracklets, self.clouds, labelling, said == NULL, said != FREE)
+        return _Solved(tracklets, said, labelling, pieces)
+
+    def _say(self, said: Ints, tracklets: Tracklets, piece: int, marker: str | None) -> None:
+        """Put what was said of a tracklet into `said` (J,); what was said of others before that contradicts it is forgotten."""
+        if marker is None:
+            said[piece] = NULL
+            return
+        place = self._place_of(marker)
+        together = (tracklets.first <= tracklets.last[piece]) & (tracklets.last >= tracklets.first[piece])
+        said[together & (said == place)] = FREE
+        said[piece] = place
+
+    def _place_of(self, marker: str) -> int:
+        if marker not in self.names:
+            listed = ", ".join(self.names[:8])
+            raise AsterismError(f"{marker[:60]!r} is no marker of the model ({listed}, ...); give one of its markers.")
+        return self.names.index(marker)
+
+    def _with_unlearned(self, labelling: Labelling, tracklets: Tracklets, said: Ints) -> Labelling:
+        """The labelling with what was said of markers that the model has not learned: said (J,), `FREE` for others."""
+        points = np.nonzero(said[tracklets.of_point] != FREE)[0]
+        if not len(points):
+            return labelling
+        indices, confidence = labelling.indices.copy(), labelling.confidence.copy()
+        frames, markers = self.clouds.frame_of[points], said[tracklets.of_point[points]]
+        indices[frames, markers], confidence[frames, markers] = points - self.clouds.offsets[frames], 1.0
+        return replace(labelling, indices=indices, confidence=confidence)
+
+    def _touch_of(self, request: Request) -> Touch:
+        """What a request says, in terms that survive another labelling."""
+        if isinstance(request, SwapMarkers):
+            return self._swap_of_markers(request)
+        pieces = self.pieces
+        place = pieces.place_of(request.piece)
+        if isinstance(request, Cut):
+            if not pieces.first[place] < request.frame <= pieces.last[place]:
+                raise AsterismError(
+                    f"the piece is there in frames {pieces.first[place]} to {pieces.last[place]} and cannot be cut at {request.frame}; "
+                    "give a frame after its first one."
+                )
+            return Touch("cut", (self._point(place, request.frame),))
+        if isinstance(request, Swap):
+            return self._swap_of_pieces(request)
+        if isinstance(request, Name):
+            self._place_of(request.marker)
+            return Touch("name", (), ((self._point(place), request.marker),))
+        if isinstance(request, Ghost):
+            return Touch("ghost", (), ((self._point(place), None),))
+        assert isinstance(request, Right)
+        return Touch("right", (), ((self._point(place), self._marker(place)),))
+
+    def _swap_of_pieces(self, request: Swap) -> Touch:
+        pieces = self.pieces
+        one, other = pieces.place_of(request.piece), pieces.place_of(request.other)
+        if one == other:
+            raise AsterismError("a piece cannot be exchanged with itself; give two pieces.")
+        first = int(min(pieces.first[[one, other]])) if request.first is None else request.first
+        last = int(max(pieces.last[[one, other]])) if request.last is None else request.last
+        return self.swap_from((one, other), first, last)
+
+    def swap_from(self, places: tuple[int, int], first: int, last: int | None = None) -> Touch:
+        """The touch by which two pieces, by their places in the table, carry each other's labels in some frames.
+
+        Raises AsterismError where both have the same label, or none is there.
+        """
+        one, other = places
+        swapped = ((one, self._marker(other)), (other, self._marker(one)))
+        if swapped[0][1] == swapped[1][1]:
+            raise AsterismError("both pieces have the same label, so that there is nothing to exchange; name one of them.")
+        return self._exchanged(swapped, first, len(self.clouds) - 1 if last is None else last)
+
+    def _swap_of_markers(self, request: SwapMarkers) -> Touch:
+        one, other = self._place_of(request.marker), self._place_of(request.other)
+        last = len(self.clouds) - 1 if request.last is None else request.last
+        swapped = []
+        for place in np.nonzero(np.isin(self.pieces.marker, (one, other)))[0]:
+            swapped.append((int(place), request.other if self.pieces.marker[place] == one else request.marker))
+        return self._exchanged(swapped, request.first, last)
+
+    def _exchanged(self, markers: Sequence[tuple[int, str | None]], first: int, last: int) -> Touch:
+        """Pieces, by their places, get other markers from frame first to last, and are cut there."""
+        pieces, cuts, labels = self.pieces, [], []
+        for place, marker in markers:
+            begin, end = max(first, int(pieces.first[place])), min(last, int(pieces.last[place]))
+            if begin > end:
+                continue
+            if begin > pieces.first[place]:
+                cuts.append(self._point(place, begin))
+            if end < pieces.last[place]:
+                cuts.append(self._point(place, end + 1))
+            labels.append((self._point(place, begin), marker))
+        if not labels:
+            raise AsterismError(f"neither of the two is there in frames {first} to {last}; give other frames.")
+        return Touch("swap", tuple(cuts), tuple(labels))
+
+    def _point(self, place: int, frame: int | None = None) -> PointInFrame:
+        frame = int(self.pieces.first[place]) if frame is None else frame
+        return described(point_of_piece(self.pieces, self.clouds, place, frame), self.clouds)
+
+    def _marker(self, place: int) -> str | None:
+        marker = int(self.pieces.marker[place])
+        return self.names[marker] if marker != NULL else None
+
+    def _differences(self, before: _Solved, after: _Solved) -> tuple[PieceChange, ...]:
+        """The pieces, or parts of them, whose labels differ."""
+        count = len(before.pieces)
+        pair, first_point, of_point = np.unique(
+            after.pieces.of_point * count + before.pieces.of_point, return_index=True, return_inverse=True
+        )
+        now, then = np.divmod(pair, count)
+        frames = self.clouds.frame_of
+        last = np.zeros(len(pair), dtype=np.int64)
+        np.maximum.at(last, of_point, frames)
+        changed = (_labels_of(before.pieces)[then] != _labels_of(after.pieces)[now]).nonzero()[0]
+        found = []
+        for part in changed[np.argsort(first_point[changed], kind="stable")]:
+            found.append(
+                PieceChange(
+                    int(after.pieces.id[now[part]]),
+                    int(frames[first_point[part]]),
+                    int(last[part]),
+                    self._said_of(before.pieces, then[part]),
+                    self._said_of(after.pieces, now[part]),
+                    bool(after.pieces.person[now[part]]),
+                )
+            )
+        return tuple(found)
+
+    def _said_of(self, pieces: Pieces, place: int) -> str | None:
+        if pieces.ghost[place]:
+            return GHOST
+        return self.names[pieces.marker[place]] if pieces.marker[place] != NULL else None
+
+
+def _labels_of(pieces: Pieces) -> Ints:
+    """(J,) the marker of each piece, -1 without a label, -2 for what a person said to be none."""
+    return np.where(pieces.ghost, NULL - 1, pieces.marker)
+
+
+def _replay(entry: Mapping[str, Any], done: list[Touch], undone: list[Touch]) -> None:
+    """Take one entry of a log."""
+    if entry["kind"] == SAVED:
+        return
+    if entry["kind"] == UNDO:
+        undone.append(done.pop())
+    elif entry["kind"] == REDO:
+        done.append(undone.pop())
+    else:
+        done.append(Touch.from_plain(entry))
+        undone.clear()

@@ -1,0 +1,79 @@
+"""A labelling and what is left to check in it; whether the recording can be used, out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asterism.labelling.review import ReviewItem
+from asterism.recording import Clouds, Labelling
+from asterism.recording.verdict import OTHER_BODY
+
+READY, LOOK, DO_NOT_USE = "ready", "look", "do-not-use"
+
+
+@dataclass(frozen=True)
+class ReadinessRules:
+    """When a labelled recording is ready, and when it should not be used.
+
+    least_gain     samples that a piece must gain to be worth a look
+    least_error    and mean chance that a label of it is wrong or missing; a model of few people gives no confidence above 0.99
+    max_error      share of wrong or missing labels to be expected from which a recording should not be used. By hand: above it, naming the
+                   tracks one by one is as quick as looking for the errors
+    """
+
+    least_gain: float = 1.0
+    least_error: float = 0.02
+    max_error: float = 0.3
+
+
+_RULES = ReadinessRules()
+
+
+@dataclass(frozen=True)
+class Readiness:
+    """Whether a labelled recording can be used.
+
+    kind      "ready", "look" (some pieces should be looked at) or "do-not-use"
+    sentence  what a person should know, in one sentence
+    look_at   number of pieces to look at
+    error     share of the markers' samples whose label is expected to be wrong or missing
+    """
+
+    kind: str
+    sentence: str
+    look_at: int
+    error: float
+
+
+def to_look_at(items: Sequence[ReviewItem], rules: ReadinessRules = _RULES) -> list[ReviewItem]:
+    """The items that are worth a look, in their order."""
+    return [item for item in items if item.gain >= rules.least_gain and item.gain >= rules.least_error * item.samples]
+
+
+def readiness(labelling: Labelling, clouds: Clouds, items: Sequence[ReviewItem], rules: ReadinessRules = _RULES) -> Readiness:
+    """Whether a labelling can be used; items: what `review` lists in it, without what a person has answered.
+
+    Where a recording does not fit its model, every point that could be a marker and has no label counts as missing.
+    """
+    visible = int(np.minimum(clouds.counts, len(labelling.names)).sum())
+    error = min(1.0, sum(item.gain for item in items) / max(visible, 1))
+    look_at = len(to_look_at(items, rules))
+    verdict = labelling.verdict
+    if verdict is not None and not verdict.fits:
+        unanswered = sum(item.samples for item in items if item.marker is None)
+        error = max(error, min(unanswered, visible - int((labelling.indices >= 0).sum())) / max(visible, 1))
+    if verdict is not None and verdict.kind == OTHER_BODY and not (labelling.indices >= 0).any():
+        return Readiness(DO_NOT_USE, "Do not use: this is no body that the model knows, and no label was given.", look_at, error)
+    if error > rules.max_error:
+        sentence = f"Do not use: {100 * error:.0f} % of the labels are expected to be wrong or missing."
+        return Readiness(DO_NOT_USE, sentence, look_at, error)
+    exchangeable = () if verdict is None else verdict.exchangeable
+    if exchangeable:
+        names = "; ".join(f"{', '.join(group[:-1])} and {group[-1]}" for group in exchangeable)
+        return Readiness(LOOK, f"Look: {names} may be exchanged throughout.", look_at, error)
+    if look_at:
+        return Readiness(LOOK, f"Look at {look_at} piece{'s' if look_at > 1 else ''} of tracks.", look_at, error)
+    return Readiness(READY, "Ready: no label needs a look.", 0, error)

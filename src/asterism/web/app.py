@@ -1,0 +1,212 @@
+"""The page's server: addresses in; pages, plain values and bytes out. The work is that of `session.py`, done in threads."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable
+from importlib import resources
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from asterism.errors import AsterismError
+from asterism.labelling.correction import Change, Correction, request_of
+from asterism.report import player_script, player_style
+from asterism.web.plain import packed_pieces, packed_points, plain_change, plain_state, plain_trials
+from asterism.web.session import Session, StaleRevision, Trial
+
+MAX_BODY = 1 << 16
+"""Bytes of a request at most."""
+_TYPES = {"html": "text/html; charset=utf-8", "js": "text/javascript; charset=utf-8", "css": "text/css; charset=utf-8"}
+
+
+class _Refused(Exception):
+    """A request that is answered by a sentence and a status."""
+
+    def __init__(self, status: int, sentence: str) -> None:
+        super().__init__(sentence)
+        self.status, self.sentence = status, sentence
+
+
+def make_app(session: Session) -> Starlette:
+    """The application for a sitting; behind a `Guard`."""
+    api = _Api(session)
+    trial = "/api/trials/{trial}"
+    routes = [
+        Route("/", lambda request: _static("review.html")),
+        Route("/static/{name}", lambda request: _static(request.path_params["name"])),
+        Route("/api/trials", api.answering(api.trials)),
+        Route(f"{trial}/points", api.answering(api.points)),
+        Route(f"{trial}/piece_points", api.answering(api.piece_points)),
+        Route(f"{trial}/state", api.answering(api.state)),
+        Route(f"{trial}/candidates", api.answering(api.candidates)),
+        *(Route(f"{trial}/{verb}", api.answering(api.changing(verb)), methods=["POST"]) for verb in ("touch", "refuse", "undo", "redo")),
+        Route(f"{trial}/save", api.answering(api.save), methods=["POST"]),
+        Route("/api/teach", api.answering(api.teach), methods=["POST"]),
+        WebSocketRoute("/ws", api.tell),
+    ]
+    return Starlette(routes=routes)
+
+
+class _Api:
+    """What the addresses under /api/ answer. Each method takes the request and its JSON, and runs in a thread."""
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+
+    def answering(self, answer: Callable[[Request, dict[str, Any]], Response | dict[str, Any]]) -> Callable[[Request], Any]:
+        """An endpoint that answers by a method of this class, and by a sentence where it fails."""
+
+        async def endpoint(request: Request) -> Response:
+            try:
+                given = await _json_of(request) if request.method == "POST" else {}
+                found = await run_in_threadpool(answer, request, given)
+            except _Refused as problem:
+                return JSONResponse({"error": problem.sentence}, problem.status)
+            except StaleRevision as problem:
+                return JSONResponse({"error": str(problem)}, 409)
+            except AsterismError as problem:
+                return JSONResponse({"error": str(problem)}, 400)
+            except OSError as problem:
+                return JSONResponse({"error": f"{problem.filename or 'a file'}: {(problem.strerror or str(problem)).lower()}."}, 500)
+            return found if isinstance(found, Response) else JSONResponse(found)
+
+        return endpoint
+
+    def trials(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
+        return plain_trials(self.session)
+
+    def points(self, request: Request, given: dict[str, Any]) -> Response:
+        with self._trial(request).opened() as correction:
+            return Response(packed_points(correction), media_type="application/octet-stream")
+
+    def piece_points(self, request: Request, given: dict[str, Any]) -> Response:
+        with self._trial(request).opened() as correction:
+            return Response(packed_pieces(correction), media_type="application/octet-stream")
+
+    def state(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
+        trial = self._trial(request)
+        with trial.opened() as correction:
+            return plain_state(trial, correction)
+
+    def candidates(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
+        try:
+            piece = int(request.query_params.get("piece", ""))
+        except ValueError:
+            raise _Refused(400, "the address needs a piece's id, such as ?piece=0.") from None
+        with self._trial(request).opened() as correction:
+            return {"candidates": [[name, round(chance, 6)] for name, chance in correction.candidates(piece)]}
+
+    def changing(self, verb: str) -> Callable[[Request, dict[str, Any]], dict[str, Any]]:
+        """The answer to a request that changes labels: touch, refuse, undo or redo."""
+
+        def answer(request: Request, given: dict[str, Any]) -> dict[str, Any]:
+            trial, revision = self._trial(request), given.get("revision")
+            if isinstance(revision, bool) or not isinstance(revision, int):
+                raise _Refused(400, "the request needs the revision that it is about, a whole number.")
+            change = trial.change(revision, lambda correction: _change(correction, verb, given))
+            with trial.opened() as correction:
+                return {"revision": correction.revision, "changed": plain_change(change), "state": plain_state(trial, correction)}
+
+        return answer
+
+    def save(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
+        trial = self._trial(request)
+        sentence = trial.save()
+        return {"path": str(trial.target), "sentence": sentence or f"Saved as {trial.target}."}
+
+    def teach(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
+        trials, name = given.get("trials"), given.get("model_out")
+        known = {trial.id for trial in self.session.trials}
+        if not isinstance(trials, list) or not all(isinstance(trial, str) and trial in known for trial in trials):
+            raise _Refused(400, "the request needs the ids of trials in the field trials.")
+        if name is not None and not isinstance(name, str):
+            raise _Refused(400, "the field model_out is no text; give the name of a file, or null.")
+        path = self.session.teach(trials, name)
+        return {"path": str(path), "sentence": f"The model has learned {len(trials)} trials; it was written as {path}."}
+
+    async def tell(self, socket: WebSocket) -> None:
+        """Tell a page whatever changes, for as long as it is open."""
+        await socket.accept()
+        loop, waiting = asyncio.get_running_loop(), asyncio.Queue[tuple[str, int]]()
+
+        def listener(trial: str, revision: int) -> None:
+            loop.call_soon_threadsafe(waiting.put_nowait, (trial, revision))
+
+        self.session.listeners.append(listener)
+        sender = asyncio.create_task(_send_all(socket, waiting))
+        try:
+            while True:
+                await socket.receive_text()
+        except (WebSocketDisconnect, KeyError, RuntimeError):
+            pass  # the page is gone
+        finally:
+            self.session.listeners.remove(listener)
+            sender.cancel()
+
+    def _trial(self, request: Request) -> Trial:
+        try:
+            return self.session.trial(request.path_params["trial"])
+        except KeyError:
+            raise _Refused(404, "there is no such trial.") from None
+
+
+async def _send_all(socket: WebSocket, waiting: asyncio.Queue[tuple[str, int]]) -> None:
+    while True:
+        trial, revision = await waiting.get()
+        await socket.send_text(json.dumps({"trial": trial, "revision": revision}))
+
+
+def _change(correction: Correction, verb: str, given: dict[str, Any]) -> Change:
+    if verb == "undo":
+        return correction.undo()
+    if verb == "redo":
+        return correction.redo()
+    if verb == "refuse":
+        pieces = given.get("pieces")
+        if not isinstance(pieces, list) or not all(isinstance(piece, int) and not isinstance(piece, bool) for piece in pieces):
+            raise _Refused(400, "the request needs the ids of pieces in the field pieces.")
+        if correction.last_change is None:
+            raise _Refused(400, "nothing has changed that could be refused.")
+        return correction.refuse(correction.last_change, pieces)
+    event = given.get("event")
+    if not isinstance(event, dict):
+        raise _Refused(400, "the request needs what was said in the field event.")
+    return correction.apply(request_of(event))
+
+
+async def _json_of(request: Request) -> dict[str, Any]:
+    """The JSON object of a request."""
+    if request.headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
+        raise _Refused(415, "the request is no JSON.")
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > MAX_BODY:
+            raise _Refused(413, f"the request has more than {MAX_BODY} bytes.")
+    try:
+        given = json.loads(body)
+    except (ValueError, RecursionError):
+        raise _Refused(400, "the request is no JSON.") from None
+    if not isinstance(given, dict):
+        raise _Refused(400, "the request is no JSON object.")
+    return given
+
+
+def _static(name: str) -> Response:
+    """One of the page's own files."""
+    kind = _TYPES.get(name.rpartition(".")[2])
+    if name in ("player.js", "player.css"):
+        return Response(player_script() if name.endswith("js") else player_style(), media_type=kind)
+    if kind is None or name != name.replace("/", "").replace("\\", "") or name.startswith("."):
+        return JSONResponse({"error": "there is no such file."}, 404)
+    file = resources.files("asterism.web").joinpath("static", name)
+    if not file.is_file():
+        return JSONResponse({"error": "there is no such file."}, 404)
+    return Response(file.read_bytes(), media_type=kind)

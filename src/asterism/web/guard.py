@@ -1,0 +1,99 @@
+"""Every request to the page's server, checked before anything else sees it: who asks, from which page, by which name of this machine."""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import json
+import socket
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import parse_qs
+
+STATIC = "/static/"
+"""Files under this address hold no data, and need no token."""
+
+_HEADERS = [
+    (b"cache-control", b"no-store"),
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"x-frame-options", b"DENY"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+]
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; font-src 'self'; "
+    "connect-src 'self' ws://{host}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
+
+
+@dataclass(frozen=True)
+class Guard:
+    """An ASGI application that lets only the right requests through to another one.
+
+    app    the application
+    token  the secret of this run, in a header or in the address
+    host   the address that the server is bound to
+    port   its port
+    """
+
+    app: Any
+    token: str
+    host: str
+    port: int
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        """Answer, or refuse, one request."""
+        if scope["type"] == "lifespan":
+            await self.app(scope, receive, send)
+            return
+        headers = {name.decode("latin-1").lower(): value.decode("latin-1") for name, value in scope["headers"]}
+        problem = self._problem(scope, headers)
+        if problem and scope["type"] == "websocket":
+            await receive()
+            await send({"type": "websocket.close", "code": 1008})
+            return
+        policy = _POLICY.format(host=headers.get("host", "") if not problem else "").encode("latin-1", "replace")
+
+        async def send_guarded(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                message = {**message, "headers": [*message["headers"], *_HEADERS, (b"content-security-policy", policy)]}
+            await send(message)
+
+        if problem:
+            body = json.dumps({"error": problem}).encode()
+            plain = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
+            await send_guarded({"type": "http.response.start", "status": 403, "headers": plain})
+            await send_guarded({"type": "http.response.body", "body": body})
+            return
+        await self.app(scope, receive, send_guarded)
+
+    def _problem(self, scope: Any, headers: dict[str, str]) -> str:
+        """Why a request is refused; empty where it is not."""
+        host = headers.get("host", "")
+        if not self._is_own_name(host):
+            return "this address is not the one that the page was opened with; use the address that the command printed."
+        origin = headers.get("origin")
+        if origin is not None and origin != f"http://{host}":
+            return "the request came from another page; use the address that the command printed."
+        if scope["type"] == "http" and scope["method"] in ("GET", "HEAD") and scope["path"].startswith(STATIC):
+            return ""
+        given = headers.get("x-asterism-token") or parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+        if not hmac.compare_digest(given.encode("utf-8", "replace"), self.token.encode()):
+            return "the token is missing or of an earlier run; use the address that the command printed."
+        return ""
+
+    def _is_own_name(self, given: str) -> bool:
+        """Whether a Host header names this server. With it, a page of another site cannot point its own name at this machine."""
+        name, _, port = given.rpartition(":")
+        if port != str(self.port):
+            return False
+        name = name.strip("[]").lower()
+        if name in ("127.0.0.1", "localhost", "::1", self.host.lower()):
+            return True
+        if self.host not in ("0.0.0.0", "::"):
+            return False
+        try:
+            ipaddress.ip_address(name)
+        except ValueError:
+            return name == socket.gethostname().lower()
+        return True

@@ -1,0 +1,139 @@
+"""Trials and their corrections in; the plain values and bytes that the page asks for, out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from asterism.geometry import rotate_z_up
+from asterism.labelling.correction import Change, Correction, Readiness
+from asterism.recording import label_shares
+from asterism.report import marker_bones, marker_sides
+from asterism.web.session import READY, Session, Trial
+
+ITEMS = 500
+"""The list is cut after so many items."""
+BONE_FRAMES = 200
+"""Frames by which the bones are chosen, at most."""
+
+
+def plain_trials(session: Session) -> dict[str, Any]:
+    """What `/api/trials` answers."""
+    out = session.options.output
+    return {
+        "trials": [_plain_trial(trial) for trial in session.trials],
+        "markers_of_model": list(session.ensemble.marker_set.names),
+        "out": "corrected" if out is None else str(out),
+    }
+
+
+def _plain_trial(trial: Trial) -> dict[str, Any]:
+    row: dict[str, Any] = {
+        "id": trial.id,
+        "name": trial.path.name,
+        "path": str(trial.path),
+        "state": trial.state,
+        "error": trial.error,
+        "notes": list(trial.notes),
+        "saved": trial.is_saved,
+    }
+    if trial.state != READY:
+        return row
+    with trial.opened() as correction:
+        shares = label_shares(correction.labelling, correction.clouds)
+        return row | {
+            "frames": len(correction.clouds),
+            "rate": correction.recording.rate,
+            "first_frame": correction.recording.first_frame,
+            "verdict": plain_verdict(correction.verdict),
+            "labelled": _number(shares.labelled),
+            "likely": _number(shares.likely),
+            "unsure": _number(shares.unsure),
+            "touches": len(correction.touches),
+            "saved": trial.is_saved,
+        }
+
+
+def plain_verdict(verdict: Readiness) -> dict[str, Any]:
+    """A verdict."""
+    return {"kind": verdict.kind, "sentence": verdict.sentence, "look_at": verdict.look_at}
+
+
+def plain_state(trial: Trial, correction: Correction) -> dict[str, Any]:
+    """What `/api/trials/ID/state` answers."""
+    pieces, names = correction.pieces, correction.names
+    return {
+        "revision": correction.revision,
+        "markers": list(names),
+        "side": marker_sides(names, correction.ensemble.marker_set),
+        "bones": _bones(correction),
+        "rate": correction.recording.rate,
+        "first_frame": correction.recording.first_frame,
+        "frames": len(correction.clouds),
+        "pieces": {
+            "id": pieces.id.tolist(),
+            "first": pieces.first.tolist(),
+            "last": pieces.last.tolist(),
+            "marker": pieces.marker.tolist(),
+            "confidence": np.round(pieces.confidence, 6).tolist(),
+            "ghost": pieces.ghost.tolist(),
+            "person": pieces.person.tolist(),
+            "track": pieces.track.tolist(),
+        },
+        "items": [
+            {
+                "piece": int(pieces.id[pieces.of_point[item.points[0]]]),
+                "frame": item.frame,
+                "gain": round(item.gain, 3),
+                "alternatives": [[name, round(chance, 6)] for name, chance in item.alternatives],
+            }
+            for item in correction.items()[:ITEMS]
+        ],
+        "verdict": plain_verdict(correction.verdict),
+        "can_undo": correction.can_undo,
+        "can_redo": correction.can_redo,
+        "touches": len(correction.touches),
+        "saved": trial.is_saved,
+    }
+
+
+def plain_change(change: Change) -> list[dict[str, Any]]:
+    """What a touch changed."""
+    return [
+        {
+            "piece": part.piece,
+            "first": part.first,
+            "last": part.last,
+            "before": part.before,
+            "after": part.after,
+            "by_person": part.by_person,
+        }
+        for part in change.pieces
+    ]
+
+
+def packed_points(correction: Correction) -> bytes:
+    """What `/api/trials/ID/points` answers: numbers of frames and points, offsets, and positions with the z axis up."""
+    clouds = correction.clouds
+    head = np.array([len(clouds), len(clouds.xyz)], dtype="<u4").tobytes() + clouds.offsets.astype("<u4").tobytes()
+    return head + rotate_z_up(clouds.xyz, clouds.vertical).astype("<f4").tobytes()
+
+
+def packed_pieces(correction: Correction) -> bytes:
+    """What `/api/trials/ID/piece_points` answers: the place in the table of pieces of each point."""
+    return correction.pieces.of_point.astype("<u4").tobytes()
+
+
+def _bones(correction: Correction) -> list[list[int]]:
+    labelling, clouds = correction.labelling, correction.clouds
+    frames = np.unique(np.linspace(0, len(clouds) - 1, BONE_FRAMES).round().astype(np.int64))
+    some = clouds.frames(frames)
+    positions = np.full((len(frames), len(correction.names), 3), np.nan)
+    row, marker = np.nonzero(labelling.indices[frames] >= 0)
+    positions[row, marker] = some.xyz[some.offsets[row] + labelling.indices[frames[row], marker]]
+    return [[int(a), int(b)] for a, b in marker_bones(positions, correction.names, correction.ensemble.marker_set)]
+
+
+def _number(value: float) -> float | None:
+    return None if np.isnan(value) else round(value, 6)

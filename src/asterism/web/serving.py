@@ -1,0 +1,126 @@
+"""A sitting in; a server on this machine, its address in the person's browser, until they stop it."""
+
+from __future__ import annotations
+
+import errno
+import secrets
+import socket
+import threading
+import webbrowser
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from asterism.errors import AsterismError
+from asterism.web.session import Session
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the page is served.
+
+    host     the address to bind to; another than the loopback address lets other machines in the same network in, with the token
+    port     the port; 0 for a free one
+    browser  whether to open the page in the default browser
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 0
+    browser: bool = True
+
+
+def serve(session: Session, place: Place, say: Callable[[str], None], ready: Callable[[str], None] | None = None) -> None:
+    """Serve the page of a sitting until it is interrupted.
+
+    say: told sentences for the person, the page's address among them; ready: told the address once the server answers.
+    Raises AsterismError where the port is taken, the address is not of this machine, or the extra `web` is not installed.
+    """
+    try:
+        import uvicorn
+
+        from asterism.web.app import make_app
+    except ModuleNotFoundError as problem:
+        raise AsterismError(
+            f"the page needs {problem.name}, which is not installed; install it with `pip install asterism[web]`."
+        ) from problem
+    from asterism.web.guard import Guard
+
+    token = secrets.token_urlsafe(24)
+    with _bound(place) as listening:
+        port = listening.getsockname()[1]
+        address = f"http://{_in_address(place.host)}:{port}/?token={token}"
+        config = uvicorn.Config(
+            Guard(make_app(session), token, place.host, port),
+            log_level="critical",
+            access_log=False,
+            lifespan="off",
+            server_header=False,
+            ws_max_size=1 << 16,
+            timeout_graceful_shutdown=2,
+        )
+        server = uvicorn.Server(config)
+        thread = session.start()
+        say(f"The page is at {address}")
+        say("Stop with Ctrl-C. Every answer is kept in a log at once.")
+        if ready is not None:
+            ready(address)
+        if place.browser:
+            threading.Thread(target=_open, args=(address, say), daemon=True).start()
+        try:
+            server.run(sockets=[listening])
+        except KeyboardInterrupt:
+            pass
+        finally:
+            session.close()
+            thread.join(timeout=0.1)
+
+
+def _bound(place: Place) -> socket.socket:
+    """A socket that is bound."""
+    try:
+        found = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)[0]
+        listening = socket.socket(found[0], found[1])
+    except (OSError, OverflowError) as problem:
+        raise AsterismError(f"--host {place.host} is no address of this machine; leave it out, or give one of its own.") from problem
+    try:
+        if hasattr(socket, "SO_EXCLUSIVEADDRUSE"):
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
+        else:
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind(found[4])
+        listening.listen(128)
+    except OSError as problem:
+        listening.close()
+        if problem.errno == errno.EADDRINUSE:
+            raise AsterismError(
+                f"the port {place.port} is taken by another program; give another with --port, or leave it out."
+            ) from problem
+        if problem.errno in (errno.EACCES, errno.EPERM):
+            raise AsterismError(f"the port {place.port} may not be used; give one above 1023 with --port, or leave it out.") from problem
+        raise AsterismError(f"--host {place.host} is no address of this machine; leave it out, or give one of its own.") from problem
+    return listening
+
+
+def _in_address(host: str) -> str:
+    """A host as it stands in an address that a browser can open."""
+    if host in ("0.0.0.0", "::"):
+        return _own_address()
+    return f"[{host}]" if ":" in host else host
+
+
+def _own_address() -> str:
+    """An address of this machine in its network, found without sending anything."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # a datagram socket only chooses a route
+            return str(probe.getsockname()[0])
+        except OSError:
+            return "127.0.0.1"
+
+
+def _open(address: str, say: Callable[[str], None]) -> None:
+    try:
+        opened = webbrowser.open(address)
+    except (webbrowser.Error, OSError):
+        opened = False
+    if not opened:
+        say("No browser could be opened; open the address yourself.")

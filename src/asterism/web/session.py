@@ -1,0 +1,288 @@
+"""The recordings that a person corrects at one sitting: each labelled, corrected, saved; and the model taught by them."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from asterism import formats
+from asterism.errors import AsterismError
+from asterism.labelling.correction import Correction, CorrectionLog, log_path
+from asterism.labelling.correction.event_log import SAVED
+
+if TYPE_CHECKING:
+    from asterism.labelling import SolverEnsemble
+    from asterism.labelling.correction import Change
+
+WAITING, LABELLING, READY, FAILED = "waiting", "labelling", "ready", "failed"
+
+
+class StaleRevision(AsterismError):
+    """What was asked is about labels that have changed since."""
+
+
+@dataclass(frozen=True)
+class SessionOptions:
+    """How a sitting works.
+
+    model       the model's file
+    output      the folder for the corrected files; None for a folder `corrected` beside each
+    log_folder  the folder for the logs of corrections; None for beside each file
+    overwrite   whether files that were there before may be replaced
+    vertical    what points up, as `asterism.read` takes it
+    workers     threads that share the work of labelling
+    """
+
+    model: Path
+    output: Path | None = None
+    log_folder: Path | None = None
+    overwrite: bool = False
+    vertical: Any = None
+    workers: int = 1
+
+
+@dataclass
+class Trial:
+    """One recording of a sitting. Its methods may be called from any thread.
+
+    id       a short name in addresses
+    path     its file
+    target   where it is saved
+    state    "waiting", "labelling", "ready" or "failed"
+    error    why it failed, in one sentence
+    """
+
+    id: str
+    path: Path
+    target: Path
+    options: SessionOptions
+    changed: Callable[[str, int], None]
+    state: str = WAITING
+    error: str = ""
+    notes: list[str] = field(default_factory=list)
+    _lock: threading.RLock = field(default_factory=threading.RLock)
+    _correction: Correction | None = None
+    _log: CorrectionLog | None = None
+    _saved: int = -1
+    _saved_hash: str = ""
+    _on_disk: tuple[int, int] = (0, 0)
+
+    def label(self, ensemble: SolverEnsemble) -> None:
+        """Read and label the file, and take up the corrections of its log; a failure is kept as `error`."""
+        self.state = LABELLING
+        self.changed(self.id, 0)
+        try:
+            self._open(ensemble)
+            self.state = READY
+        except Exception as problem:  # whatever a file raises costs that file only
+            self.error = _sentence(problem, self.path)
+            self.state = FAILED
+        self.changed(self.id, 0)
+
+    @contextmanager
+    def opened(self) -> Iterator[Correction]:
+        """The corrections, for one thread at a time. Raises AsterismError where the trial is not ready."""
+        if self.state != READY:
+            raise AsterismError(self.error or f"{self.path.name} is not labelled yet; wait a moment.")
+        with self._lock:
+            assert self._correction is not None
+            yield self._correction
+
+    @property
+    def is_saved(self) -> bool:
+        """Whether the labels are in the file `target` as they are now."""
+        return self._correction is not None and self._saved == self._correction.revision
+
+    @property
+    def has_unsaved(self) -> bool:
+        """Whether something was said that is in no saved file."""
+        return self._correction is not None and bool(self._correction.touches) and not self.is_saved
+
+    def change(self, revision: int, act: Callable[[Correction], Change]) -> Change:
+        """Change the labels. Raises StaleRevision where they are no longer those of this revision, else what `act` raises."""
+        with self.opened() as correction:
+            if revision != correction.revision:
+                raise StaleRevision("the labels have changed since, perhaps in another tab; look at them again.")
+            change = act(correction)
+            number = correction.revision
+        self.changed(self.id, number)
+        return change
+
+    def save(self) -> str:
+        """Write the labelled file. Returns what it leaves out, in one sentence; empty where it leaves out nothing.
+
+        Raises AsterismError where the recording's file has changed on the disk, or the target is there and not ours.
+        """
+        from asterism import __version__
+
+        with self.opened() as correction:
+            if _stamp(self.path) != self._on_disk:
+                raise AsterismError(f"{self.path} has changed on the disk since it was opened; start again to correct the new one.")
+            self._check_target()
+            self.target.parent.mkdir(parents=True, exist_ok=True)
+            by = f"asterism {__version__}, {self.options.model.name}"
+            lost = formats.write(self.target, correction.labelled_recording(by))
+            self._saved, self._saved_hash = correction.revision, _hash_of_file(self.target)
+            if self._log is not None:
+                self._log.append({"kind": SAVED, "file": str(self.target), "sha256": self._saved_hash})
+            number = correction.revision
+        self.changed(self.id, number)
+        return f"{self.target.name} leaves out {', '.join(lost)}." if lost else ""
+
+    def close(self) -> None:
+        """Close the log."""
+        with self._lock:
+            if self._correction is not None:
+                self._correction.close()
+
+    def _open(self, ensemble: SolverEnsemble) -> None:
+        stamp = _stamp(self.path)
+        recording = formats.read(self.path, vertical=self.options.vertical)
+        correction = Correction(ensemble, recording, workers=self.options.workers)
+        folder = self.options.log_folder
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+        log = CorrectionLog(log_path(self.path, folder), *correction.identity)
+        try:
+            correction.attach(log)
+        except BaseException:
+            log.close()
+            raise
+        if log.dropped:
+            self.notes.append(f"{log.path.name}: the last line was not whole and was dropped; one correction may be missing.")
+        saves = [entry for entry in log.entries if entry["kind"] == SAVED and entry.get("file") == str(self.target)]
+        self._saved_hash = str(saves[-1].get("sha256")) if saves else ""
+        if saves and log.entries[-1] is saves[-1] and self._is_ours():
+            self._saved = correction.revision
+        self._correction, self._log, self._on_disk = correction, log, stamp
+
+    def _is_ours(self) -> bool:
+        """Whether the target is the file that was saved last."""
+        return self.target.is_file() and _hash_of_file(self.target) == self._saved_hash
+
+    def _check_target(self) -> None:
+        if self.target.exists() and self.target.samefile(self.path) and not self.options.overwrite:
+            raise AsterismError(f"{self.target} is the recording itself; choose another folder with -o, or replace it with --overwrite.")
+        if self.target.exists() and not self.options.overwrite and not self._is_ours():
+            raise AsterismError(f"{self.target} exists; choose another folder with -o, or replace it with --overwrite.")
+
+
+class Session:
+    """The trials of a sitting, labelled one after the other."""
+
+    def __init__(self, files: Sequence[Path], ensemble: SolverEnsemble, options: SessionOptions) -> None:
+        """Raises AsterismError where two files would be saved to one place, or the output is no folder."""
+        self.ensemble, self.options = ensemble, options
+        self.listeners: list[Callable[[str, int], None]] = []
+        """Called with a trial's id and revision when it has changed, from any thread."""
+        targets = _targets(files, options.output)
+        self.trials = [
+            Trial(str(number), path, target, options, self._changed)
+            for number, (path, target) in enumerate(zip(files, targets, strict=True))
+        ]
+        self._stopped = threading.Event()
+        self._teaching = threading.Lock()
+
+    def start(self) -> threading.Thread:
+        """Label the trials in a thread of its own."""
+        thread = threading.Thread(target=self._label_all, name="labelling", daemon=True)
+        thread.start()
+        return thread
+
+    def trial(self, number: str) -> Trial:
+        """The trial with this id. Raises KeyError where there is none."""
+        return {trial.id: trial for trial in self.trials}[number]
+
+    def teach(self, trials: Sequence[str], name: str | None = None) -> Path:
+        """Teach the model some saved trials; returns the new model's file, which is beside the present one.
+
+        name: of that file, without a folder; by default one that is not there yet. Raises AsterismError where a trial is not saved, should
+        not be used, or the name is taken.
+        """
+        recordings = [self._taught(number) for number in trials]
+        if not recordings:
+            raise AsterismError("no trial was chosen; save one, and teach it.")
+        target = self._model_target(name)
+        with self._teaching:
+            self.ensemble.learn(recordings).save(target)
+        return target
+
+    def close(self) -> None:
+        """Close the logs; labelling stops after the present file."""
+        self._stopped.set()
+        for trial in self.trials:
+            trial.close()
+
+    def _label_all(self) -> None:
+        for trial in self.trials:
+            if self._stopped.is_set():
+                return
+            trial.label(self.ensemble)
+
+    def _changed(self, trial: str, revision: int) -> None:
+        for listener in list(self.listeners):
+            listener(trial, revision)
+
+    def _taught(self, number: str) -> Any:
+        trial = self.trial(number)
+        with trial.opened() as correction:
+            if not trial.is_saved:
+                raise AsterismError(f"{trial.path.name} is not saved; save it before the model learns it.")
+            verdict = correction.verdict
+            if verdict.kind == "do-not-use":
+                raise AsterismError(f"{trial.path.name} should not be learned: {verdict.sentence}")
+            return correction.labelled_recording()
+
+    def _model_target(self, name: str | None) -> Path:
+        model = self.options.model
+        if name is None:
+            number = 2
+            while (target := model.with_name(f"{model.stem}-{number}{model.suffix}")).exists():
+                number += 1
+            return target
+        if not name.strip() or name != Path(name).name or "\\" in name or name.startswith("."):
+            raise AsterismError(f"{name[:60]!r} is no name of a file; give one without a folder, such as better.model.")
+        target = model.with_name(name if name.endswith(".model") else f"{name}.model")
+        if target.exists() and not self.options.overwrite:
+            raise AsterismError(f"{target} exists; give another name, or start with --overwrite.")
+        return target
+
+
+def _targets(files: Sequence[Path], output: Path | None) -> list[Path]:
+    """Where each file is saved."""
+    if output is not None and output.exists() and not output.is_dir():
+        raise AsterismError(f"{output} is a file; -o takes the folder for the corrected files.")
+    targets = [(path.parent / "corrected" if output is None else output) / path.name for path in files]
+    taken: dict[str, Path] = {}
+    for path, target in zip(files, targets, strict=True):
+        other = taken.setdefault(str(target.absolute()).casefold(), path)
+        if other is not path:
+            raise AsterismError(f"{other} and {path} would both become {target}; correct them one after the other, into two folders.")
+    return targets
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    """Size and time of the last change of a file; zeros where it is gone."""
+    try:
+        found = path.stat()
+    except OSError:
+        return 0, 0
+    return found.st_size, found.st_mtime_ns
+
+
+def _hash_of_file(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _sentence(problem: Exception, path: Path) -> str:
+    """One sentence on what went wrong with a file."""
+    text = " ".join(str(problem).split())
+    if not isinstance(problem, AsterismError | OSError):
+        text = f"{type(problem).__name__}: {text}"
+    return text if path.name in text else f"{path}: {text}"
