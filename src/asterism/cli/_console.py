@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, NoMarkers
 from asterism.findings import Finding, exit_status
 from asterism.progress import Progress
 
@@ -150,15 +150,26 @@ class Batch:
 
     def __init__(self, verb: str) -> None:
         self.verb = verb
+        self.in_folders: frozenset[Path] = frozenset()
+        self.passed_over: list[Path] = []
         self.done: list[Path] = []
         self.failed: list[Path] = []
         self.findings: list[Finding] = []
 
     @contextmanager
     def file(self, path: Path) -> Iterator[None]:
-        """Work on one file; its AsterismError or OSError becomes one line on standard error."""
+        """Work on one file; its AsterismError or OSError becomes one line on standard error.
+
+        A file that was found in a folder (`in_folders`) and holds no markers is passed over.
+        """
         try:
             yield
+        except NoMarkers as problem:
+            if path in self.in_folders:
+                self.passed_over.append(path)
+                return
+            error(reason(problem))
+            self.failed.append(path)
         except (AsterismError, OSError) as problem:
             sentence = reason(problem)
             error(sentence if path.name in sentence else f"{path}: {sentence}")
@@ -174,11 +185,15 @@ class Batch:
     @property
     def status(self) -> int:
         """0: all files done, without warnings. 1: some files failed, or a warning or error was found. 2: no file done."""
-        return 2 if self.failed and not self.done else 1 if self.failed else exit_status(self.findings)
+        return 2 if (self.failed or self.passed_over) and not self.done else 1 if self.failed else exit_status(self.findings)
 
     def close(self) -> int:
         """Name the failed files once more where the batch had several files; returns the status."""
         total = len(self.done) + len(self.failed)
+        if self.passed_over:
+            holds = "1 file in the folders holds" if len(self.passed_over) == 1 else f"{len(self.passed_over)} files in the folders hold"
+            few = ", ".join(map(str, self.passed_over[:8])) + (", ..." if len(self.passed_over) > 8 else "")
+            notice(f"{holds} no markers and {'was' if len(self.passed_over) == 1 else 'were'} passed over: {few}")
         if self.failed and total > 1:
             error(f"{total} files: {len(self.done)} {self.verb}, {len(self.failed)} failed: {', '.join(map(str, self.failed))}")
         return self.status

@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from asterism.formats._confidence import LabelConfidence
 from asterism.formats._dispatch import (
     check_suffix,
     convert,
@@ -12,6 +13,7 @@ from asterism.formats._dispatch import (
     is_recording_file,
     read,
     read_clouds,
+    read_confidence,
     read_evidence,
     write,
     write_points,
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from asterism.formats.storage import Table, read_table, write_table
 
 __all__ = [
+    "LabelConfidence",
     "Table",
     "check_suffix",
     "convert",
@@ -30,6 +33,7 @@ __all__ = [
     "read",
     "read_blobs",
     "read_clouds",
+    "read_confidence",
     "read_evidence",
     "read_table",
     "write",

@@ -87,7 +87,7 @@ def label_parameters(file: C3DFile, labels: Sequence[bytes], descriptions: Seque
 
 def with_events(parameters: Parameters, events: Sequence[Event]) -> Parameters:
     """The parameters with these events in the group EVENT, in place of those that it had."""
-    parameters, group = _with_group(parameters, "EVENT")
+    parameters, group = with_group(parameters, "EVENT")
     changes: dict[tuple[str, str], Record | None] = {}
     for name in (*_EVENT_WIDTHS, "TIMES", "ICON_IDS", "GENERIC_FLAGS"):
         changes.update({("EVENT", key): None for key in numbered(parameters, "EVENT", name)})
@@ -99,7 +99,7 @@ def with_events(parameters: Parameters, events: Sequence[Event]) -> Parameters:
 
 def with_log(parameters: Parameters, log: Sequence[ProcessingStep]) -> Parameters:
     """The parameters with this processing log in the group ASTERISM, in place of the one that they had."""
-    parameters, group = _with_group(parameters, LOG_GROUP)
+    parameters, group = with_group(parameters, LOG_GROUP)
     return parameters.replaced({(LOG_GROUP, LOG): log_record(log, group, parameters.processor)})
 
 
@@ -118,7 +118,7 @@ def log_of(parameters: Parameters) -> tuple[ProcessingStep, ...]:
     return () if record is None or record.kind != CHARACTER else log_from_text(record.data.decode("ascii", "replace"))
 
 
-def _with_group(parameters: Parameters, name: str) -> tuple[Parameters, int]:
+def with_group(parameters: Parameters, name: str) -> tuple[Parameters, int]:
     """The parameters with a group of this name, and its number."""
     group = parameters.group_id(name)
     if group is not None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, NoMarkers
 from asterism.findings import Finding
 from asterism.formats._columns import Points, metres_per_unit, recording_of
 from asterism.formats._physical import COMPUTED, point_kinds
@@ -37,7 +37,7 @@ def read_c3d(path: Path, markers: Any = None, vertical: ArrayLike | str | None =
     file = open_c3d(path)
     if not file.layout.points:
         analog = f", only {file.analog_channels} analog channels" if file.analog_channels else ""
-        raise AsterismError(f"{path} holds no points{analog}; choose a recording with markers.")
+        raise NoMarkers(f"{path} holds no points{analog}; choose a recording with markers.")
     if not file.layout.frames:
         raise AsterismError(f"{path} holds no frames; export it again.")
     return replace(recording_of(path, points_of(file), markers, vertical), source=file)

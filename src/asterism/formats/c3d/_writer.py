@@ -15,21 +15,24 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.formats._columns import without_common_subject
+from asterism.formats._confidence import LabelConfidence
 from asterism.formats._physical import is_unnamed
 from asterism.formats._text import write_atomically
 from asterism.formats.c3d._edit import label_parameters, log_of, with_events, with_log, with_number
-from asterism.formats.c3d._file import BLOCK, C3DFile
+from asterism.formats.c3d._file import BLOCK, C3DFile, parse_c3d
 from asterism.formats.c3d._fresh import fresh_c3d
 from asterism.formats.c3d._numbers import Words
 from asterism.formats.c3d._parameters import Parameters, Record
 from asterism.formats.c3d._reader import in_metres
-from asterism.recording import Floats, Ints, Recording
+from asterism.recording import Floats, Ints, LabelStates, Recording
 
 _MOST_POINTS = 65535
 
 
-def write_c3d(path: Path, recording: Recording) -> None:
+def write_c3d(path: Path, recording: Recording, confidence: LabelConfidence | None = None, states: LabelStates | None = None) -> None:
     """Write a recording as C3D; a file at `path` is replaced completely or not at all.
+
+    The confidence of labels goes into analog channels and the group ASTERISM; states: what became of the markers.
 
     Where the recording was read from C3D, every unchanged sample (`origin`) is copied bit by bit with its residual
     and cameras, new samples get residual 0, missing ones are written as the file writes missing points; points that the
@@ -42,10 +45,13 @@ def write_c3d(path: Path, recording: Recording) -> None:
     if not recording.labels or not len(recording):
         what = "no points" if not recording.labels else "no frames"
         raise AsterismError(f"{path}: the recording has {what}, and a C3D file needs both; nothing was written.")
-    if isinstance(recording.source, C3DFile):
-        write_atomically(path, rewritten(recording.source, recording, str(path)))
-    else:
-        write_atomically(path, fresh_c3d(recording, str(path)))
+    of_c3d = isinstance(recording.source, C3DFile)
+    data = rewritten(recording.source, recording, str(path)) if of_c3d else fresh_c3d(recording, str(path))
+    if confidence is not None and states is not None:
+        from asterism.formats.c3d._confidence import with_confidence
+
+        data = with_confidence(parse_c3d(data, str(path)), confidence, states)
+    write_atomically(path, data)
 
 
 def write_c3d_points(path: Path, recording: Recording, residual: Floats, cameras: NDArray[np.bool_]) -> None:
@@ -102,7 +108,7 @@ def rewritten(file: C3DFile, recording: Recording, target: str) -> bytes:
     rate = recording.rate if recording.rate != file.rate else None
     if rate is not None:
         parameters = _with_rate(parameters, rate / file.rate)
-    return _assembled(file, parameters, words, len(slots), rate)
+    return assembled(file, parameters, words, len(slots), rate)
 
 
 def _slots(seen: Sequence[str], recording: Recording, origin: Ints, points: int) -> list[_Slot]:
@@ -220,7 +226,7 @@ def _with_rate(parameters: Parameters, factor: float) -> Parameters:
     return parameters.replaced(changes)
 
 
-def _assembled(file: C3DFile, parameters: Parameters, words: Words, points: int, rate: float | None) -> bytes:
+def assembled(file: C3DFile, parameters: Parameters, words: Words, points: int, rate: float | None) -> bytes:
     """Header, parameters, data and what follows, with their pointers updated."""
     raw, start = file.raw, file.layout.start
     begin = min(file.header.parameters_at, start)
