@@ -45,8 +45,8 @@ with plots. To measure: `python -m benchmarks` (all that this code has not measu
 `--rows gaps` (some rows), `--quick` (a short run that keeps nothing). `python -m benchmarks stale` lists what has changed since the figures
 were measured. The environment variable `ASTERISM_DATA` names the folder of the recordings.
 
-{DEFINITIONS}- *Stale*: since it was measured, the modules that the row imports, its own functions, or the names and sizes of its
-  recordings have changed.
+{DEFINITIONS}- *Stale*: since it was measured, the modules that the row imports, its own functions, the names and sizes of its
+  recordings, or the values that are read of them have changed. What reads them does not count, save in rows about files.
 - *n*: different samples (frames, points, files), with the number of random draws behind it where each was hidden several times. Frames of
   one walk resemble each other, and so do draws: an interval over people is wider than n suggests.
 - *(ours)*: a bound that we set ourselves; all others are asked for in an issue, or printed by the thesis or a peer.

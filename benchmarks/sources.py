@@ -2,7 +2,8 @@
 
 The benchmark's own functions are followed one by one, so that a change of one row leaves the others alone. Of the package a module counts
 as a whole, with all that it imports, in functions too; an `__init__` that only hands names on is seen through. Comments, docstrings and
-layout do not count.
+layout do not count. Readers do not count where reading is not what the row is about: in their place count the values that they gave
+(`benchmarks/read_values.py`).
 """
 
 from __future__ import annotations
@@ -21,8 +22,36 @@ ROOT = Path(__file__).parents[1]
 PACKAGE, BENCHMARKS = "asterism", "benchmarks"
 FOLDERS = ("src", BENCHMARKS, "tests", "tools", "docs/reference", ".ci", "pyproject.toml")
 
-BOOKKEEPING = ("benchmarks.figures", "benchmarks.docs", "benchmarks.plots", "benchmarks.sources", "benchmarks.runs", "benchmarks.stale")
+BOOKKEEPING = tuple(f"benchmarks.{name}" for name in ("figures", "docs", "plots", "sources", "read_values", "runs", "stale"))
 """Modules that keep and print figures, and change none."""
+
+READERS = (
+    "asterism.errors",
+    "asterism.findings",
+    "asterism.progress",
+    "asterism.formats",
+    "asterism.cameras.files",
+    "asterism.detection.sources",
+    "asterism.detection.times",
+    "asterism.labelling.training.model_file",
+)
+"""Modules that read and write files, and what they say of them. They do not count, with what only they import, where a row only reads:
+the values read do. A model is written and read by the same code; tests hold that it comes back as it was."""
+
+READING_FUNCTIONS = {
+    "asterism.recording.marker_set": ("MarkerSet.load", "MarkerSet.from_toml"),
+    "asterism.calibration.boards.board": ("Board.from_toml", "_caliscope_square"),
+    "asterism.labelling.training.ensemble_state": (
+        *("EnsembleState.load", "_marker_set", "_certainty", "_label_calibration", "_solvers"),
+        *("_with_prefix", "_body", "_two_curves", "_finite", "_check_shapes"),
+    ),
+}
+"""Functions that read files, in modules that do something else too; they do not count either."""
+
+ABOUT_FILES = {("labelling", "conformance"), ("labelling", "physical"), ("recordings", "loop"), ("cameras", "rig-files")}
+"""Rows about reading and writing, for which readers count as other modules do; as for all of the chapters in `CHAPTERS_ABOUT_FILES`."""
+
+CHAPTERS_ABOUT_FILES = ("house", "hostile")
 
 DATA_OF = {"asterism.recording.marker_set": "src/asterism/marker_sets/", "asterism.report.page": "src/asterism/report/templates/"}
 """Files of the package that a module reads."""
@@ -49,6 +78,14 @@ Symbol = tuple[str, str | None]
 
 
 @dataclass(frozen=True)
+class Folder:
+    """A folder of recordings: hashes of the names and sizes of its files, and of the values that the readers give of them."""
+
+    index: str
+    values: str
+
+
+@dataclass(frozen=True)
 class Module:
     """A parsed file: the statements that bind each name at its top level, where imported names come from, and what else is executed."""
 
@@ -68,7 +105,7 @@ class Sources:
         self.paths = {_module_name(path): path for path in files if path.endswith(".py") and path.startswith(("src/", f"{BENCHMARKS}/"))}
         self._parsed: dict[str, Module] = {}
         self._imports: dict[str, set[str]] = {}
-        self._closures: dict[str, set[str]] = {}
+        self._closures: dict[tuple[str, bool], set[str]] = {}
         self._needs: dict[Symbol, list[Symbol]] = {}
 
     @classmethod
@@ -105,8 +142,9 @@ class Sources:
 
     def measured_by(self, chapter: str, row: str) -> dict[str, str]:
         """Everything that a row measures, by name, with a hash of each: modules, functions of the benchmark, and other files."""
-        modules, symbols = self._followed(self.rows()[chapter, row])
-        found = {name: _hash(self.files[self.paths[name]]) for name in modules}
+        readers = is_about_files(chapter, row)
+        modules, symbols = self._followed(self.rows()[chapter, row], readers)
+        found = self._hashes_of(modules, readers)
         for module, name in symbols:
             statements = self.module(module).bound[name] if name else self.module(module).loose
             found[f"{module}.{name}" if name else module] = _digest("".join(_canonical(statement) for statement in statements))
@@ -117,25 +155,37 @@ class Sources:
         return found
 
     def hash_of_module(self, module: str) -> str:
-        """One hash of a module of the package and of all that it imports."""
-        return _digest("".join(f"{name}={_hash(self.files[self.paths[name]])}\n" for name in sorted(self._imported_by(module))))
+        """One hash of a module of the package and of all that it imports, without readers."""
+        return _digest(_lines(self._hashes_of(self._imported_by(module, readers=False), readers=False)))
+
+    def hash_of_readers(self) -> str:
+        """One hash of all readers, of what they import, and of how their values are hashed."""
+        starts = [name for name in self.paths if _is_reader(name)] + [name for name in READING_FUNCTIONS if name in self.paths]
+        modules = {found for start in starts for found in self._imported_by(start, readers=True)}
+        own = {name: _hash(self.files[self.paths[name]]) for name in ("benchmarks.read_values",) if name in self.paths}
+        return _digest(_lines({**self._hashes_of(modules, readers=True), **own}))[:16]
 
     def recordings_of(self, chapter: str, row: str) -> set[str]:
         """The folders of recordings that a row's functions name; "" stands for all."""
-        _, symbols = self._followed(self.rows()[chapter, row])
+        _, symbols = self._followed(self.rows()[chapter, row], is_about_files(chapter, row))
         statements = (statement for module, name in symbols if name for statement in self.module(module).bound[name])
         found = {folder for statement in statements for folder in _folders_named(statement)}
         return {""} if "" in found else found
 
-    def _followed(self, start: Symbol) -> tuple[set[str], set[Symbol]]:
-        """The package's modules and the benchmark's symbols that a function needs, directly or not."""
+    def _hashes_of(self, modules: Iterable[str], readers: bool) -> dict[str, str]:
+        """The hash of each module of the package, with or without its functions that read files."""
+        without = {} if readers else READING_FUNCTIONS
+        return {name: _hash(self.files[self.paths[name]], without.get(name, ())) for name in modules}
+
+    def _followed(self, start: Symbol, readers: bool) -> tuple[set[str], set[Symbol]]:
+        """The package's modules and the benchmark's symbols that a function needs, directly or not; with or without readers."""
         modules: set[str] = set()
         symbols: set[Symbol] = set()
         waiting = [start]
         while waiting:
             for module, name in self._resolved(waiting.pop()):
                 if _belongs(module, PACKAGE):
-                    modules |= self._imported_by(module)
+                    modules |= self._imported_by(module, readers)
                 elif module not in BOOKKEEPING and (module, name) not in symbols:
                     symbols |= {(module, name), (module, None)}
                     if (module, name) not in self._needs:
@@ -159,17 +209,18 @@ class Sources:
                 elif first in of.imported:
                     yield self._attribute(of.imported[first], attributes)
 
-    def _imported_by(self, start: str) -> set[str]:
-        """A module of the package and all that it imports, directly or not."""
-        if start not in self._closures:
-            found = {start}
+    def _imported_by(self, start: str, readers: bool) -> set[str]:
+        """A module of the package and all that it imports, directly or not; with or without readers and what only they import."""
+        if (start, readers) not in self._closures:
+            found: set[str] = set()
             waiting = [start]
             while waiting:
-                new = self._direct_imports(waiting.pop()) - found
-                found |= new
-                waiting += new
-            self._closures[start] = found
-        return self._closures[start]
+                name = waiting.pop()
+                if name not in found and (readers or not _is_reader(name)):
+                    found.add(name)
+                    waiting += self._direct_imports(name)
+            self._closures[start, readers] = found
+        return self._closures[start, readers]
 
     def _direct_imports(self, name: str) -> set[str]:
         if name not in self._imports:
@@ -204,17 +255,24 @@ class Sources:
         return [(module, name if name in of.bound else None)]
 
 
+def is_about_files(chapter: str, row: str) -> bool:
+    """Whether a row is about reading and writing files, so that readers count among its sources."""
+    return (chapter, row) in ABOUT_FILES or chapter in CHAPTERS_ABOUT_FILES
+
+
 def index_of(root: Path, folders: Iterable[str]) -> str:
     """The hash of the names and sizes of all files in some folders of the recordings."""
     files = sorted({path for folder in folders for path in _files_in(root / folder)})
     return _digest("\n".join(f"{path.relative_to(root).as_posix()} {path.stat().st_size}" for path in files))
 
 
-def hash_of(sources: Sources, chapter: str, row: str, recordings: Path) -> str:
-    """One hash of all that a row measures, the index of its recordings included."""
-    found = sources.measured_by(chapter, row)
-    index = index_of(recordings, sources.recordings_of(chapter, row))
-    return _digest(index + "".join(f"{name}={content}\n" for name, content in sorted(found.items())))[:16]
+def hash_of(sources: Sources, chapter: str, row: str, contents: Mapping[str, Folder]) -> str:
+    """One hash of all that a row measures, of the recordings in the folders that it names included."""
+    named = sources.recordings_of(chapter, row)
+    held = {folder: own for folder, own in contents.items() if any(_within(folder, name) or _within(name, folder) for name in named)}
+    about_files = is_about_files(chapter, row)
+    recordings = {folder: own.index if about_files else f"{own.index} {own.values}" for folder, own in held.items()}
+    return _digest(_lines(recordings) + _lines(sources.measured_by(chapter, row)))[:16]
 
 
 def commit(root: Path = ROOT) -> str:
@@ -240,6 +298,18 @@ def _module_name(path: str) -> str:
 
 def _belongs(module: str, package: str) -> bool:
     return module == package or module.startswith(f"{package}.")
+
+
+def _is_reader(module: str) -> bool:
+    return any(_belongs(module, reader) for reader in READERS)
+
+
+def _within(folder: str, other: str) -> bool:
+    return not other or folder == other or folder.startswith(f"{other}/")
+
+
+def _lines(hashes: Mapping[str, str]) -> str:
+    return "".join(f"{name}={content}\n" for name, content in sorted(hashes.items()))
 
 
 def _parse(content: bytes, package: bool) -> Module:
@@ -338,8 +408,14 @@ def _is_docstring(statement: ast.AST) -> bool:
 
 
 @cache
-def _hash(content: bytes) -> str:
-    return _digest(_canonical(ast.parse(content)))
+def _hash(content: bytes, without: tuple[str, ...] = ()) -> str:
+    """The hash of a module's statements but for some functions and methods."""
+    tree = ast.parse(content)
+    holders: list[tuple[ast.Module | ast.ClassDef, str]] = [(tree, "")]
+    holders += [(part, f"{part.name}.") for part in tree.body if isinstance(part, ast.ClassDef)]
+    for holder, prefix in holders:
+        holder.body = [part for part in holder.body if not (isinstance(part, ast.FunctionDef) and prefix + part.name in without)]
+    return _digest(_canonical(tree))
 
 
 def _canonical(node: ast.AST) -> str:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from benchmarks.figures import Entry
 from benchmarks.runs import Run
-from benchmarks.sources import Sources, hash_of
+from benchmarks.sources import Folder, Sources, hash_of
 
 SHOWN = 4
 """Changed sources that are named of each row."""
@@ -41,10 +40,10 @@ def command_of(chapter: str, row: str) -> str:
     return f"python -m benchmarks {chapter} --rows {row}"
 
 
-def stale_rows(entries: Sequence[Entry], sources: Sources, recordings: Path, explain: bool = True) -> list[StaleRow]:
+def stale_rows(entries: Sequence[Entry], sources: Sources, contents: Mapping[str, Folder], explain: bool = True) -> list[StaleRow]:
     """Rows with a figure of other sources than these, and rows without any; then commands of kept figures that are no rows any more.
 
-    `explain` looks into git for what has changed.
+    `contents` says what the folders of recordings hold (see `read_values.contents`); `explain` looks into git for what has changed.
     """
     by_command: dict[str, list[Entry]] = {}
     for entry in entries:
@@ -53,7 +52,7 @@ def stale_rows(entries: Sequence[Entry], sources: Sources, recordings: Path, exp
     found = []
     for chapter, row in sources.rows():
         own = by_command.pop(command_of(chapter, row), [])
-        current = hash_of(sources, chapter, row, recordings)
+        current = hash_of(sources, chapter, row, contents)
         old = [entry for entry in own if entry.sources != current]
         if own and not old:
             continue
@@ -99,4 +98,4 @@ def _changed(before: Sources | None, now: Sources, row: Row) -> set[str]:
     except (KeyError, ValueError):
         return {"the row itself"}
     new = now.measured_by(*row)
-    return {name for name in {*old, *new} if old.get(name) != new.get(name)}
+    return {name for name in {*old, *new} if old.get(name) != new.get(name)} or {"the recordings, or what is read of them"}

@@ -328,11 +328,11 @@ def test_the_command_leaves_with_0_where_nothing_is_wrong(folder, capsys):
     assert "bare.npz has no labelled point" in shown.err and "no error" not in shown.out
 
 
-def test_training_can_leave_the_damage_out(folder, tmp_path, capsys):
+def test_training_leaves_the_damage_out(folder, tmp_path, capsys):
     """Trained on damaged files with their damage left out: the model that learns what `remove_errors` leaves."""
-    words = ["--markers", "helen-hayes", "-o", str(tmp_path / "a.model"), "--leave-out-damaged", "--json", str(tmp_path / "a.json")]
+    words = ["--markers", "helen-hayes", "-o", str(tmp_path / "a.model"), "--json", str(tmp_path / "a.json")]
     with training_with(BRIEF):
-        assert main(["train", *files(folder, True), *words]) == 0
+        assert main(["train", *files(folder, True), *words]) == 1
     shown = capsys.readouterr()
     assert "damaged.c3d, frames 71 to 73: LTHI and LKNE exchanged" in shown.err and "learns without these samples" in shown.err
     assert len(json.loads((tmp_path / "a.json").read_text())["left_out"]) == 1

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from models import SHORT, examining_briefly, training_with
 
-from asterism import formats
+from asterism import SolverEnsemble, formats
 from asterism.cli import _console, main
 from asterism.recording import Recording
 from asterism.simulation import simulate_walks
@@ -216,13 +216,25 @@ def test_convert_takes_some_markers(folder: Path, tmp_path: Path) -> None:
 # train
 
 
-def test_train_names_the_file_that_lacks_a_marker(
+def test_train_learns_a_marker_from_the_files_that_have_it(
     folder: Path, walks: list[Recording], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    formats.write(tmp_path / "legless.c3d", walks[1].select([name for name in walks[1].labels if name != "LKNE"]))
-    assert run("train", folder / "walk-0.c3d", tmp_path / "legless.c3d", "-o", tmp_path / "m.model", "--markers", MARKERS) == 2
-    said = capsys.readouterr().err
-    assert "legless.c3d" in said and "LKNE" in said
+    formats.write(tmp_path / "kneeless.c3d", walks[1].select([name for name in walks[1].labels if name != "LKNE"]))
+    files = [folder / "walk-0.c3d", tmp_path / "kneeless.c3d"]
+    assert run("train", *files, "-o", tmp_path / "m.model", "--markers", MARKERS) == 0
+    assert "not all of the 2 files have each marker, which is learned from those that do: LKNE (in 1)." in capsys.readouterr().err
+    assert len(SolverEnsemble.load(tmp_path / "m.model").state.markers) == len(walks[0].labels)
+
+
+def test_train_names_the_file_that_lacks_most_markers_and_a_marker_that_no_file_has(
+    folder: Path, walks: list[Recording], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    formats.write(tmp_path / "pelvis.c3d", walks[1].select(walks[1].labels[:5]))
+    assert run("train", folder / "walk-0.c3d", tmp_path / "pelvis.c3d", "-o", tmp_path / "m.model", "--markers", MARKERS) == 2
+    assert "pelvis.c3d has 5 of the 15 markers, fewer than half" in capsys.readouterr().err
+    names = ",".join([*walks[0].labels, "LFHD"])
+    assert run("train", folder / "walk-0.c3d", "-o", tmp_path / "m.model", "--markers", names) == 2
+    assert "no file has the marker LFHD" in capsys.readouterr().err
     assert not (tmp_path / "m.model").exists()
 
 

@@ -16,8 +16,8 @@ from asterism.errors import AsterismError
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
-benchmark_data, docs, figures, main, runs, sources, stale = (
-    import_module(f"benchmarks.{name}") for name in ("data", "docs", "figures", "__main__", "runs", "sources", "stale")
+benchmark_data, docs, figures, main, read_values, runs, sources, stale = (
+    import_module(f"benchmarks.{name}") for name in ("data", "docs", "figures", "__main__", "read_values", "runs", "sources", "stale")
 )
 
 FILES = {
@@ -43,10 +43,24 @@ FILES = {
         "    def each(self, items):\n        return items\n    def train(self):\n        return label\n"
     ),
     "benchmarks/data.py": (
-        "from pathlib import Path\ndef folder():\n    return Path('.')\n"
-        "def gait():\n    return list((folder() / 'gait' / 'walks').iterdir())\n"
+        "from pathlib import Path\nfrom asterism.formats import read\ndef folder():\n    return Path('.')\n"
+        "def gait():\n    return [read(path) for path in (folder() / 'gait' / 'walks').iterdir()]\n"
+    ),
+    "src/asterism/errors.py": "class AsterismError(Exception):\n    pass\n",
+    "src/asterism/formats/__init__.py": "from asterism.formats.table import read\n",
+    "src/asterism/formats/table.py": (
+        "from asterism.formats.text import number\nfrom asterism.recording.marker_set import MarkerSet\n"
+        "def read(path):\n    return MarkerSet.load(number(path))\n"
+    ),
+    "src/asterism/formats/text.py": (
+        "from asterism.errors import AsterismError\ndef number(text):\n    if not text:\n        raise AsterismError('no number')\n"
+        "    return float(text)\n"
+    ),
+    "src/asterism/recording/marker_set.py": (
+        "class MarkerSet:\n    @classmethod\n    def load(cls, path):\n        return cls(path)\n    def names(self):\n        return 1\n"
     ),
 }
+HELD = {"gait": sources.Folder("names", "values")}
 WALKS, PAGES = ("chapter", "walks"), ("chapter", "pages")
 
 
@@ -59,8 +73,8 @@ def _sources(**changed: str) -> sources.Sources:
     return sources.Sources({path: text.encode() for path, text in files.items()})
 
 
-def _hashes(of: sources.Sources, recordings: Path) -> tuple[str, str]:
-    return tuple(sources.hash_of(of, *row, recordings) for row in (WALKS, PAGES))
+def _hashes(of: sources.Sources, held: dict[str, sources.Folder] = HELD) -> tuple[str, str]:
+    return tuple(sources.hash_of(of, *row, held) for row in (WALKS, PAGES))
 
 
 def test_a_row_measures_the_modules_it_reaches_by_whatever_way_and_no_others() -> None:
@@ -89,22 +103,110 @@ def test_a_row_measures_the_modules_it_reaches_by_whatever_way_and_no_others() -
         ("benchmarks__run", "return label", "return label, label", False, False),
     ],
 )
-def test_a_change_makes_stale_what_it_can_move(tmp_path: Path, file: str, old: str, new: str, walks_stale: bool, pages_stale: bool) -> None:
-    (text,) = (text for path, text in FILES.items() if path.endswith(file.replace("__", "/") + ".py"))
-    assert old in text
-    before, after = _hashes(_sources(), tmp_path), _hashes(_sources(**{file: text.replace(old, new)}), tmp_path)
+def test_a_change_makes_stale_what_it_can_move(file: str, old: str, new: str, walks_stale: bool, pages_stale: bool) -> None:
+    before, after = _hashes(_sources()), _hashes(_sources(**_changed(file, old, new)))
     assert (before[0] != after[0], before[1] != after[1]) == (walks_stale, pages_stale)
 
 
-def test_other_recordings_make_a_row_stale_that_reads_them(tmp_path: Path) -> None:
-    (tmp_path / "gait" / "walks").mkdir(parents=True)
-    (tmp_path / "gait" / "walks" / "one.c3d").write_bytes(b"12")
-    before = _hashes(_sources(), tmp_path)
-    (tmp_path / "gait" / "notes.txt").write_text("not read by any row")
-    assert _hashes(_sources(), tmp_path) == before
-    (tmp_path / "gait" / "walks" / "one.c3d").write_bytes(b"123")
-    after = _hashes(_sources(), tmp_path)
-    assert after[0] != before[0] and after[1] == before[1]
+def _changed(file: str, old: str, new: str) -> dict[str, str]:
+    (text,) = (text for path, text in FILES.items() if path.endswith(file.replace("__", "/") + ".py"))
+    assert old in text
+    return {file: text.replace(old, new)}
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        ("errors", "pass", "sentence = ''"),
+        ("formats__text", "'no number'", "'no number; give one'"),
+        ("formats__text", "float(text)", "float(text) + 1"),
+        ("formats__table", "number(path)", "number(path[1:])"),
+        ("recording__marker_set", "cls(path)", "cls(path, 1)"),
+    ],
+)
+def test_a_change_of_a_reader_makes_only_rows_about_files_stale(monkeypatch: pytest.MonkeyPatch, file: str, old: str, new: str) -> None:
+    changed = _sources(**_changed(file, old, new))
+    assert _hashes(_sources()) == _hashes(changed)
+    assert _sources().hash_of_readers() != changed.hash_of_readers(), "so that the recordings are read again"
+    monkeypatch.setattr(sources, "ABOUT_FILES", {WALKS})
+    before, after = _hashes(_sources()), _hashes(changed)
+    assert before[0] != after[0] and before[1] == after[1]
+
+
+def test_what_a_reader_shares_with_other_code_counts() -> None:
+    changed = _sources(**_changed("recording__marker_set", "return 1", "return 2"))
+    search = FILES["src/asterism/heart/search.py"]
+    plain = _sources(heart__search=f"from asterism.recording.marker_set import MarkerSet\n{search}")
+    both = _sources(
+        heart__search=f"from asterism.recording.marker_set import MarkerSet\n{search}",
+        recording__marker_set=FILES["src/asterism/recording/marker_set.py"].replace("return 1", "return 2"),
+    )
+    assert _hashes(_sources()) == _hashes(changed), "only readers import it"
+    assert _hashes(plain)[0] != _hashes(both)[0], "another module imports it too"
+
+
+def test_other_recordings_make_a_row_stale_that_reads_them() -> None:
+    before = _hashes(_sources())
+    assert _hashes(_sources(), {**HELD, "movement": sources.Folder("others", "others")}) == before
+    for other in (sources.Folder("names", "other values"), sources.Folder("other names", "values")):
+        for folder in ("gait", "gait/walks", "gait/walks/deeper"):
+            after = _hashes(_sources(), {folder: other})
+            assert after[0] != before[0] and after[1] == before[1]
+
+
+def test_values_that_were_read_are_kept_until_files_or_readers_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(read_values, "KEPT", tmp_path / "read.json")
+    data = tmp_path / "data"
+    for folder in ("gait/walks", "cameras/one", "cameras/two"):
+        (data / folder).mkdir(parents=True)
+        (data / folder / "walk.csv").write_text("time,A_x,A_y,A_z,B_x,B_y,B_z\n" + "".join(f"{i / 100},1,2,{i},4,5,6\n" for i in range(20)))
+    read: list[str] = []
+
+    def held(of: sources.Sources, where: Path | None = data) -> dict[str, sources.Folder]:
+        read.clear()
+        return read_values.contents(of, where, lambda share, what: read.append(what))
+
+    first = held(_sources())
+    assert list(first) == ["cameras/one", "cameras/two", "gait"] == read[:-1]
+    assert held(_sources()) == first and read == []
+    (data / "cameras" / "two" / "walk.csv").write_text("damaged")
+    second = held(_sources())
+    assert read[:-1] == ["cameras/two"] and second["cameras/two"].values != first["cameras/two"].values
+    assert second["gait"] == first["gait"]
+    mended = held(_sources(**_changed("formats__text", "'no number'", "'no number; give one'")))
+    assert len(read) == 4 and mended == second, "other readers that give the same values"
+    assert held(_sources(), None) == second and read == [], "without recordings the kept ones are taken"
+
+
+def test_values_differ_by_a_bit_and_not_by_what_is_said_of_a_file(tmp_path: Path) -> None:
+    def values(last: str, note: str = "") -> str:
+        header = f"{note}time,A_x,A_y,A_z,B_x,B_y,B_z\n"
+        (tmp_path / "gait").mkdir(exist_ok=True)
+        (tmp_path / "gait" / "walk.csv").write_text(header + "".join(f"{i / 100},1,2,{i},4,5,{last}\n" for i in range(20)))
+        return read_values.values_of(tmp_path, "gait")
+
+    assert values("6") == values("6.0") != values("6.000000000000001") != values("")
+    assert values("6") == values("6.0 ")
+
+
+def test_kept_values_are_those_of_the_recordings(data: Path) -> None:
+    kept = read_values.load()
+    assert set(kept) == set(read_values._folders(data))
+    for folder, own in kept.items():
+        assert own.index == sources.index_of(data, [folder]), folder
+    for folder in ("cameras/easywand", "cameras/qualisys", "cameras/chessboard-stereo"):
+        assert kept[folder].values == read_values.values_of(data, folder), f"{folder}: run `python -m benchmarks stale`"
+
+
+def test_readers_are_there() -> None:
+    of = sources.Sources.working()
+    for reader in sources.READERS:
+        assert any(sources._belongs(module, reader) for module in of.paths), reader
+    for module, functions in sources.READING_FUNCTIONS.items():
+        for function in functions:
+            assert function in of.module(module).bound, f"{module}.{function}"
+    for chapter, row in sources.ABOUT_FILES:
+        assert (chapter, row) in of.rows()
 
 
 def _entry(row: str, command: str, sources: str, asked: str = "none", measured: float = 0.0) -> figures.Entry:
@@ -113,14 +215,14 @@ def _entry(row: str, command: str, sources: str, asked: str = "none", measured: 
     )
 
 
-def test_stale_are_rows_of_other_sources_rows_never_measured_and_figures_of_no_row(tmp_path: Path) -> None:
-    of, current = _sources(), _hashes(_sources(), tmp_path)[0]
+def test_stale_are_rows_of_other_sources_rows_never_measured_and_figures_of_no_row() -> None:
+    of, current = _sources(), _hashes(_sources())[0]
     commands = [stale.command_of(*row) for row in (WALKS, PAGES, ("chapter", "gone"))]
     entries = [_entry("a", commands[0], current), _entry("b", commands[0], current), _entry("c", commands[2], current)]
-    found = stale.stale_rows(entries, of, tmp_path, explain=False)
+    found = stale.stale_rows(entries, of, HELD, explain=False)
     assert [(row.row, row.figures) for row in found] == [("pages", 0), ("gone", 1)]
     entries[1] = _entry("b", commands[0], "other")
-    found = stale.stale_rows(entries, of, tmp_path, explain=False)
+    found = stale.stale_rows(entries, of, HELD, explain=False)
     assert [(row.row, row.figures) for row in found] == [("walks", 2), ("pages", 0), ("gone", 1)]
     told = stale.report(found, {WALKS: runs.Run(*WALKS, 90.0, 150.0, 2, "", "other", "2026-01-01")})
     assert "python -m benchmarks chapter --rows walks    (90 s with 2 jobs)" in told
@@ -128,12 +230,13 @@ def test_stale_are_rows_of_other_sources_rows_never_measured_and_figures_of_no_r
     assert stale.report([], {}) == "No figure is stale."
 
 
-def test_what_has_changed_since_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_has_changed_since_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     now = _sources(heart__search=FILES["src/asterism/heart/search.py"].replace("LIMIT = 1", "LIMIT = 2"))
     monkeypatch.setattr(sources.Sources, "at", classmethod(lambda cls, commit: _sources()))
     entry = replace(_entry("a", stale.command_of(*WALKS), "old"), commit="1234567+")
-    (walks, _) = stale.stale_rows([entry], now, tmp_path)
+    (walks, _) = stale.stale_rows([entry], now, HELD)
     assert walks.changed == ("asterism.heart.search",)
+    assert stale.stale_rows([entry], _sources(), HELD)[0].changed == ("the recordings, or what is read of them",)
     assert str(walks) == "chapter walks: 1 figures by 1234567+; changed since: asterism.heart.search"
 
 
@@ -153,7 +256,7 @@ def test_the_sources_of_a_commit_are_those_that_git_keeps(tmp_path: Path) -> Non
     (tmp_path / "src/asterism/heart/search.py").write_text("LIMIT = 2\n")
     assert sources.commit(tmp_path) == f"{first}+"
     kept, changed = sources.Sources.at(first, tmp_path), sources.Sources.working(tmp_path)
-    assert _hashes(kept, tmp_path) == _hashes(_sources(), tmp_path) != _hashes(changed, tmp_path)
+    assert _hashes(kept) == _hashes(_sources()) != _hashes(changed)
     assert sources.Sources.at("f" * 40, tmp_path) is None
 
 
@@ -224,6 +327,7 @@ def chapter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[st
     monkeypatch.setattr(main, "folder", lambda: tmp_path)
     monkeypatch.setattr(main, "commit", lambda: "")
     monkeypatch.setattr(main, "Sources", SimpleNamespace(working=lambda: None))
+    monkeypatch.setattr(main.read_values, "contents", lambda *given: HELD)
     monkeypatch.setattr(main, "hash_of", lambda of, chapter, row, folder: calls.get("hash", ["now"])[0])
     monkeypatch.setattr(main.docs, "write", lambda rows: None)
     monkeypatch.setattr(main.stale, "stale_rows", lambda *given, **options: [])

@@ -166,6 +166,19 @@ def test_the_best_assignment(seed: int) -> None:
 
 
 @given(seeds)
+@races
+def test_the_best_assignment_of_many_tracklets_at_one_time(seed: int) -> None:
+    """More than branch and bound can search, as in a crowd of reflections."""
+    rng = np.random.default_rng(seed)
+    gain = rng.normal(0.2, 1.0, (60, 12))
+    first, last = rng.integers(0, 10, 60), rng.integers(10, 20, 60)
+    label, by_highs = assign_tracklets(gain, first, last), assignment._solve_by_highs(gain, first, last)
+    assert len(np.unique(label[label >= 0])) == (label >= 0).sum()
+    total, wanted = (gain[found >= 0, found[found >= 0]].sum() for found in (label, by_highs))
+    assert np.isclose(total, wanted)
+
+
+@given(seeds)
 @settings(races, max_examples=40)
 def test_what_dominates_is_in_the_best_of_all_labellings(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -33,12 +33,10 @@ def is_model(path: Path) -> bool:
     return path.suffix.lower() == ".model"
 
 
-def read_labelled(
-    files: Sequence[Path], markers: str | MarkerSet | None, vertical: str | None, batch: _console.Batch, *, complete: bool = False
-) -> list[Recording]:
+def read_labelled(files: Sequence[Path], markers: str | MarkerSet | None, vertical: str | None, batch: _console.Batch) -> list[Recording]:
     """The files of a batch that can be read, under one set of markers; without a set, the markers that all of them have.
 
-    complete: a file without one of the set's markers counts as one that cannot be read. Raises AsterismError where none is left.
+    Raises AsterismError where none is left.
     """
     marker_set = markers if isinstance(markers, MarkerSet) else marker_set_of(markers)
     axis = vertical_axis(vertical)
@@ -47,8 +45,6 @@ def read_labelled(
         with batch.file(path):
             recording = formats.read(path, markers=marker_set, vertical=axis)
             report_warnings(recording, batch)
-            if complete and marker_set is not None:
-                _check_complete(path, recording)
             recordings.append(recording)
     if not recordings:
         raise AsterismError("none of the files can be used; the reasons are above.")
@@ -60,7 +56,7 @@ def read_some(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str
 
     A file without a labelled sample counts as one that cannot be used. Raises AsterismError where none is left.
     """
-    from asterism.labelling.training.learning import named_markers
+    from asterism.labelling.training.markers import named_markers
 
     axis = vertical_axis(vertical)
     recordings = []
@@ -83,19 +79,10 @@ def marker_set_of(markers: str | None) -> MarkerSet | None:
     return None if markers is None else MarkerSet.load(marker_names(markers) or ())
 
 
-def _check_complete(path: Path, recording: Recording) -> None:
-    absent = [name for column, name in enumerate(recording.labels) if not recording.visible[:, column].any()]
-    if absent:
-        raise AsterismError(
-            f"{path} has no marker {', '.join(absent[:6])}{', ...' if len(absent) > 6 else ''}; "
-            "leave the file out, name a smaller set with --markers, or add its spelling to the set's aliases."
-        )
-
-
 def _with_common_markers(recordings: Sequence[Recording], batch: _console.Batch) -> list[Recording]:
-    from asterism.labelling.training.learning import common_markers
+    from asterism.labelling.training.markers import learned_markers
 
-    common, left_out = common_markers(recordings)
+    common, left_out = learned_markers(recordings, [str(i) for i in range(len(recordings))], 1.0)
     for finding in left_out_markers(len(common), left_out):
         batch.found(finding)
     return [recording.select(common) for recording in recordings]
@@ -106,7 +93,7 @@ def left_out_markers(used: int, left_out: Sequence[str]) -> list[Finding]:
     if not left_out:
         return []
     few = ", ".join(left_out[:8]) + (", ..." if len(left_out) > 8 else "")
-    sentence = f"the files share {used} markers, which are used; {len(left_out)} others are in some files only ({few})."
+    sentence = f"{used} markers are used; {len(left_out)} others are in too few of the files ({few})."
     return [Finding("recordings-differ", Severity.NOTE, "the files", sentence, "Name the markers with --markers to use others.")]
 
 

@@ -29,6 +29,7 @@ from asterism.cli._options import (
 )
 from asterism.cli.audit import as_numbered
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity, exit_status
 
 if TYPE_CHECKING:
     from asterism.recording import MarkerSet, Recording
@@ -46,9 +47,10 @@ class TrainOptions:
     miner: MinerOption = None
     features: Features = None
     seed: Seed = 0
-    leave_out_damaged: Annotated[
-        bool, typer.Option("--leave-out-damaged", help="Look through the files first, and leave out what cannot be right.")
-    ] = False
+    audit: Annotated[
+        bool,
+        typer.Option("--audit/--no-audit", help="Look through the files first, and leave out labels that cannot be right."),
+    ] = True
     vertical: Vertical = None
     overwrite: Overwrite = False
     json: Json = None
@@ -58,8 +60,10 @@ class TrainOptions:
 def train(options: TrainOptions) -> None:
     """Learn a marker set from files whose points are labelled.
 
-    Recordings of several people make a model that holds for people it has not seen. Without --markers the set is the markers that all
-    files have; the others are named. A file that lacks a marker of --markers stops the training before it starts, and is named.
+    Recordings of several people make a model that holds for people it has not seen. Without --markers the set is the markers that most
+    people wear; the others are named. A marker is learned from the files that have it. The files are audited first: labels that cannot be
+    right are named and left out, and the exit status is then 1. A file that cannot be used stops the training before it starts, and is
+    named.
     """
     check_hit_rate(options.target_hit_rate)
     features, targets = feature_names(options.features), marker_targets(options.marker_target)
@@ -68,11 +72,11 @@ def train(options: TrainOptions) -> None:
     from asterism.cli._recordings import left_out_markers, marker_set_of, uncovered_markers
 
     marker_set = marker_set_of(options.markers)
-    recordings = _read(options.files, marker_set, options.vertical)
+    recordings, absent = _read(options.files, marker_set, options.vertical)
     from asterism.labelling import SolverEnsemble, TrainingRules
 
     errors: list[Any] = []
-    if options.leave_out_damaged:
+    if options.audit:
         recordings, errors = _without_damage(recordings, marker_set, options.seed)
     started = time.perf_counter()
     with _console.progress("training") as progress:
@@ -88,7 +92,11 @@ def train(options: TrainOptions) -> None:
     seconds = time.perf_counter() - started
     ensemble.save(options.output)
     names, about = ensemble.marker_set.names, ensemble.about
-    notes = [*left_out_markers(len(names), about["left_out_markers"]), *uncovered_markers(options.output, about["partial_solvers"])]
+    notes = [
+        *absent,
+        *left_out_markers(len(names), about["left_out_markers"]),
+        *uncovered_markers(options.output, about["partial_solvers"]),
+    ]
     findings = [*notes, *(error.finding for error in errors)]
     for finding in notes:
         _console.report(finding)
@@ -107,29 +115,54 @@ def train(options: TrainOptions) -> None:
             "seconds": seconds,
         },
     )
+    raise typer.Exit(exit_status(error.finding for error in errors))
 
 
-def _read(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | None) -> list[Recording]:
-    """The files' recordings: with the set's markers, else each with all its named ones. Raises AsterismError where one cannot be used."""
+def _read(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | None) -> tuple[list[Recording], list[Finding]]:
+    """The files' recordings: with the set's markers, else each with all its named ones; and which markers some files lack.
+
+    Raises AsterismError where a file cannot be used.
+    """
     from asterism.cli._recordings import read_labelled, read_some
 
     batch = _console.Batch("read")
-    if marker_set is None:
-        recordings = read_some(files, None, vertical, batch)
-    else:
-        recordings = read_labelled(files, marker_set, vertical, batch, complete=True)
+    read = read_some if marker_set is None else read_labelled
+    recordings = read(files, marker_set, vertical, batch)
     if batch.failed:
         raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; correct them or leave them out.")
-    return recordings
+    return recordings, [] if marker_set is None else _absent_markers(files, recordings, marker_set)
+
+
+def _absent_markers(files: Sequence[Path], recordings: Sequence[Recording], marker_set: MarkerSet) -> list[Finding]:
+    """The finding that some files lack markers of the set, which are learned from the others; empty where none does.
+
+    Raises AsterismError where a file has less than half of the markers, or no file has one.
+    """
+    import numpy as np
+
+    mend = "name a smaller set with --markers, or add the files' spelling to the set's aliases."
+    shown = np.array([recording.visible.any(axis=0) for recording in recordings])
+    for path, seen in zip(files, shown, strict=True):
+        if 2 * seen.sum() < len(seen):
+            raise AsterismError(f"{path} has {seen.sum()} of the {len(seen)} markers, fewer than half; leave the file out, {mend}")
+    never = [name for name, count in zip(marker_set.names, shown.sum(axis=0), strict=True) if not count]
+    if never:
+        raise AsterismError(f"no file has the marker {', '.join(never[:6])}{', ...' if len(never) > 6 else ''}; {mend}")
+    some = [f"{name} (in {seen.sum()})" for name, seen in zip(marker_set.names, shown.T, strict=True) if not seen.all()]
+    if not some:
+        return []
+    few = ", ".join(some[:8]) + (", ..." if len(some) > 8 else "")
+    sentence = f"not all of the {len(files)} files have each marker, which is learned from those that do: {few}."
+    return [Finding("train-markers-absent", Severity.NOTE, "the files", sentence, f"If they are there under other names, {mend}")]
 
 
 def _without_damage(recordings: Sequence[Recording], marker_set: MarkerSet | None, seed: int) -> tuple[list[Recording], list[Any]]:
     """The recordings without the samples that cannot be right, and the label errors found, each reported on the console."""
     from asterism.labelling import audit, remove_errors
-    from asterism.labelling.training.learning import common_marker_set
+    from asterism.labelling.training.markers import learned_marker_set
 
-    names = (marker_set or common_marker_set(recordings)[0]).names
-    audited = [recording.select(names) for recording in recordings]
+    names = (marker_set or learned_marker_set(recordings)[0]).names
+    audited = [recording.select([name for name in names if name in recording.labels]) for recording in recordings]
     with _console.progress("auditing") as progress:
         errors = [error for error in audit(audited, seed=seed, progress=progress) if error.damage]
     numbered = [as_numbered(error, audited) for error in errors]

@@ -19,7 +19,9 @@ from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.partial.matrix import label_by_matrix
 from asterism.labelling.partial.solver import subject_of
 from asterism.labelling.training.ensemble_state import EnsembleState
-from asterism.labelling.training.learning import TrainingConfig, TrainingRules, TrainingState, common_marker_set
+from asterism.labelling.training.learning import TrainingConfig, TrainingRules, TrainingState
+from asterism.labelling.training.markers import learned_marker_set
+from asterism.labelling.training.people import one_person_each
 from asterism.labelling.training.sample import Sample
 from asterism.labelling.training.train import train_ensemble
 from asterism.labelling.whole.label import BodyInRecording, label_whole, subject_body, subject_body_gain
@@ -100,17 +102,20 @@ class SolverEnsemble:
                          "thesis" need, which takes most of the training's time. `TrainingRules.features` asks for them too: the miner
                          is then "bottom-up" where it is None
         subjects         the person of each recording; by default what its metadata says, else its folder. The confidence is calibrated on
-                         people left out in turn, so a model of several people has an honest one
-        marker_set       markers to learn; by default the recordings' labels. Where these differ, the markers that all recordings have, in
-                         the order of the first; `about["left_out_markers"]` names the others
+                         people left out in turn, so a model of several people has an honest one. A recording of several people is split by
+                         the prefixes of its labels ("Ann:LKNE", "Bob:LKNE")
+        marker_set       markers to learn; by default the recordings' labels. Where these differ, the markers that enough people show, see
+                         `learned_markers`; `about["left_out_markers"]` names the others. A marker is learned from the recordings that
+                         have it
 
         The same recordings and seed give the same model, bit for bit.
         Raises AsterismError where there is nothing to learn from, or the recordings share fewer than four markers.
         """
         config = TrainingConfig(seed, target_hit_rate, miner, training or TrainingRules())
+        recordings, subjects = _of_one_person_each(recordings, subjects)
         left_out: tuple[str, ...] = ()
         if marker_set is None:
-            marker_set, left_out = common_marker_set(recordings)
+            marker_set, left_out = learned_marker_set(recordings, subjects)
         state = TrainingState(Sample(), config).with_recordings(recordings, subjects, marker_set)
         return cls(train_ensemble(marker_set, state, progress, left_out=left_out))
 
@@ -136,6 +141,7 @@ class SolverEnsemble:
             raise AsterismError("this model was written by an earlier Asterism and keeps nothing to learn on from; train it again.")
         if search_again and self.state.training.config.miner is None:
             raise AsterismError("this model was trained without partial solvers; train it again with --miner bottom-up to add them.")
+        recordings, subjects = _of_one_person_each(recordings, subjects)
         training = self.state.training.with_recordings(recordings, subjects, self.marker_set)
         earlier = None if search_again else self.state
         return SolverEnsemble(
@@ -177,7 +183,7 @@ class SolverEnsemble:
 
     def label(
         self,
-        clouds: Clouds,
+        clouds: Clouds | Recording,
         *,
         time: bool = False,
         rules: str = "whole-body",
@@ -186,8 +192,9 @@ class SolverEnsemble:
     ) -> Labelling:
         """Label every frame: which candidate is which marker.
 
-        clouds: T frames. Gives indices (T, M), -1 where it does not know, and confidence (T, M): a probability by the rules "whole-body",
-        by others the share of votes, NaN for a label that no solver proposed. Without `time` each frame stands alone.
+        clouds: T frames; a recording stands for its points without their names. Gives indices (T, M), -1 where it does not know, and
+        confidence (T, M): a probability by the rules "whole-body", by others the share of votes, NaN for a label that no solver proposed.
+        Without `time` each frame stands alone.
         With it the recording is labelled as a whole: its points are linked to tracklets (`clouds.tracks` help, and are cut where they
         swap), the tracklets are labelled together, and the most certain ones adapt the model to the subject's body (`labelling/whole`). The
         result does not depend on the order of the points, nor on `workers`. O(T); a frame of n points costs O(n M) beyond the search, which
@@ -196,6 +203,8 @@ class SolverEnsemble:
         solvers that the rules need; and its kind SeveralBodies where whole recordings certainly show two people with these markers: see
         `label_together`.
         """
+        if isinstance(clouds, Recording):
+            clouds = clouds.clouds()
         if time:
             if rules != "whole-body":
                 raise AsterismError(f"whole recordings are labelled by the rules whole-body, not {rules}; leave out time or the rules.")
@@ -294,6 +303,15 @@ class SolverEnsemble:
     def load(cls, path: str | os.PathLike[str]) -> SolverEnsemble:
         """Read a model. Raises AsterismError where the file is missing, damaged, no model, or of a later version."""
         return cls(EnsembleState.load(path))
+
+
+def _of_one_person_each(
+    recordings: Sequence[Recording], subjects: Sequence[str] | None
+) -> tuple[Sequence[Recording], Sequence[str] | None]:
+    """See `one_person_each`; what does not give one subject for each recording is left to `TrainingState.with_recordings` to refuse."""
+    if subjects is not None and len(subjects) != len(recordings):
+        return recordings, subjects
+    return one_person_each(recordings, subjects)
 
 
 def label_together(

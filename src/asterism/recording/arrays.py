@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -62,6 +63,17 @@ def frame_rows(offsets: Ints, cells: Ints) -> tuple[Ints, Ints]:
     new = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     rows = np.repeat(offsets[cells] - new[:-1], counts) + np.arange(new[-1])
     return rows, new
+
+
+def same_values(one: object, other: object, names: Iterable[str]) -> bool:
+    """Whether two objects of one type have equal attributes of these names; in arrays, NaN equals NaN."""
+    return all(_same(getattr(one, name), getattr(other, name)) for name in names)
+
+
+def _same(one: object, other: object) -> bool:
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        return one.shape == other.shape and bool(((one == other) | ((one != one) & (other != other))).all())
+    return type(one) is type(other) and bool(one == other)
 
 
 def checked_rate(rate: float) -> float:

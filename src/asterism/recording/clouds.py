@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
-from asterism.recording.arrays import Floats, Ints, as_vertical, checked_rate, frame_rows
+from asterism.recording.arrays import Floats, Ints, as_vertical, checked_rate, frame_rows, same_values
 from asterism.recording.display import Rows, as_html, as_text, duration, listed
 from asterism.recording.verdict import Verdict
 
@@ -18,7 +18,7 @@ NULL = -1
 """The null candidate: this marker has no point in this frame (the thesis' label 0)."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Clouds:
     """Unlabelled points, frame by frame, in one flat array.
 
@@ -29,6 +29,8 @@ class Clouds:
     columns   (P,) int: the column of the recording that each point came from, -1 where it came from no column
     tracks    (P,) int: the track of each point by the camera system, -1 for none; None where the system gave no tracks.
               A track has at most one point in a frame. It may jump from one marker to another
+
+    Two clouds are equal if all of these are.
     """
 
     xyz: Floats
@@ -68,6 +70,13 @@ class Clouds:
 
     def __len__(self) -> int:
         return len(self.offsets) - 1
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Clouds):
+            return NotImplemented
+        return same_values(self, other, ("rate", "vertical", "offsets", "xyz", "columns", "tracks"))
+
+    __hash__ = None  # type: ignore[assignment]
 
     def __getitem__(self, frame: int) -> Floats:
         """The points of one frame, (N_t, 3) m."""
@@ -149,7 +158,7 @@ class Evidence:
     depth_scale: Floats
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Labelling:
     """Which candidate of its frame's cloud each marker is (the thesis' L, section 4.1).
 
@@ -159,6 +168,8 @@ class Labelling:
     names       (M,) marker names
     candidates  (T, M) int, for -1 the place of the best candidate, which was not accepted, or -1; None where they were not kept
     verdict     whether the recording shows what the model was trained on; None where it was not judged
+
+    Two labellings are equal if they give the same labels the same confidence: names, indices and confidence.
     """
 
     indices: Ints
@@ -166,6 +177,13 @@ class Labelling:
     names: tuple[str, ...]
     candidates: Ints | None = None
     verdict: Verdict | None = None
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Labelling):
+            return NotImplemented
+        return same_values(self, other, ("names", "indices", "confidence"))
+
+    __hash__ = None  # type: ignore[assignment]
 
     def _facts(self) -> Rows:
         given = self.indices >= 0

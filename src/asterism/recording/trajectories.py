@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.recording.arrays import Floats, Ints, as_vertical, checked_rate
+from asterism.recording.arrays import Floats, Ints, as_vertical, checked_rate, same_values
 from asterism.recording.clouds import NULL, Clouds, Labelling
 from asterism.recording.display import Rows, as_html, as_text, duration, listed
 from asterism.recording.marker_set import MarkerSet, is_unnamed
@@ -34,7 +34,7 @@ class Event:
     context: str = ""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Recording:
     """Labelled positions over time, and everything that must survive until they are written again.
 
@@ -50,6 +50,8 @@ class Recording:
     taken      the point columns of `source` that this recording replaces when it is written; the others stay
     first_frame  the number that the file gives the first frame; 1 for a trial that is stored from its start
     log        what was done to the recording since it was captured, oldest step first
+
+    Two recordings are equal if they show the same: positions, labels, rate, vertical, events and number of the first frame.
     """
 
     positions: Floats
@@ -97,6 +99,13 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.positions)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Recording):
+            return NotImplemented
+        return same_values(self, other, ("labels", "rate", "first_frame", "events", "vertical", "positions"))
+
+    __hash__ = None  # type: ignore[assignment]
 
     def _facts(self) -> Rows:
         file = str(self.metadata.get("file", ""))

@@ -29,14 +29,10 @@ from asterism.labelling.whole.certainty import Certainty, least_confidence_in_ti
 from asterism.labelling.whole.label import run_trials
 from asterism.labelling.whole.scene import RecordingLabellingSettings
 from asterism.progress import Progress
-from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording, is_unnamed
+from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording
 
 SOLVER_RULES = ("partial-solvers", "thesis")
 """The rules that label by partial solvers. Each has its own, because the thesis' intervals are those that training showed."""
-
-FEWEST_MARKERS = 4
-"""Markers that recordings must share to be learned from together."""
-
 
 EARLIER_NAMES = {
     "carried_per_person": "sample_frames_per_person",
@@ -347,45 +343,6 @@ def least_confidence(target_hit_rate: float) -> float:
     A power law through what was measured on left-out people (docs/labelling.md): 0.72, 0.85, 0.92, 0.96 for 0.99 to 0.99999.
     """
     return 1.0 - (1.0 - target_hit_rate) ** 0.275
-
-
-def common_marker_set(recordings: Sequence[Recording]) -> tuple[MarkerSet, tuple[str, ...]]:
-    """The markers to learn from recordings, and those left out because only some recordings have them.
-
-    Recordings with equal labels share all of them; else see `common_markers`. Raises AsterismError where there is no recording, or too few
-    markers are shared.
-    """
-    if not recordings:
-        raise AsterismError("there is no recording to learn from; give at least one labelled file.")
-    names = recordings[0].labels
-    left_out: tuple[str, ...] = ()
-    if any(recording.labels != names for recording in recordings):
-        names, left_out = common_markers(recordings)
-    return MarkerSet(names, title="the recordings' own labels"), left_out
-
-
-def common_markers(recordings: Sequence[Recording]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The markers that all recordings have (`named_markers`), in the order of the first one; and those that only some have, sorted.
-
-    Raises AsterismError where recordings share fewer than `FEWEST_MARKERS`.
-    """
-    named = [named_markers(recording) for recording in recordings]
-    common = tuple(name for name in named[0] if all(name in others for others in named))
-    if len(common) < FEWEST_MARKERS:
-        raise AsterismError(
-            f"{recordings[0].metadata.get('file', 'the first recording')} and the other files share {len(common)} labelled markers, "
-            f"fewer than {FEWEST_MARKERS}; name the set with --markers (in Python: marker_set)."
-        )
-    return common, tuple(sorted({name for names in named for name in names} - set(common)))
-
-
-def named_markers(recording: Recording) -> tuple[str, ...]:
-    """The labels of the columns that have a name, no other column's, and a sample."""
-    return tuple(
-        name
-        for column, name in enumerate(recording.labels)
-        if not is_unnamed(name) and recording.labels.count(name) == 1 and recording.visible[:, column].any()
-    )
 
 
 def renumbered(people: Ints) -> Ints:

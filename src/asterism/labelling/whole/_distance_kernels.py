@@ -113,7 +113,7 @@ def training_deviations(points, label, low, high, limits, out):
     IN  points TrackedPoints; label (J,), -1 for none; low, high (M, M) m, the range of each distance in the training; limits DistanceLimits
     OUT out (J,) mean deviation in standard deviations, NaN where it cannot be told
     Returns the median deviation of all near-rigid distances of the recording: how much this body differs from those of the training as a
-    whole. O(E M2 log E + J E M) and memory O(E M).
+    whole. O(E M2 log E + Q M) and memory O(E M).
     """
     markers = len(low)
     point_of = _points_of_markers(points, label, markers)
@@ -122,11 +122,12 @@ def training_deviations(points, label, low, high, limits, out):
     ratios, pairs = np.empty(markers * markers), 0
     for m in range(markers):
         for o in range(m):
-            known = _distances(points, point_of, m, o, -1, values)
+            known = _distances(points, point_of, m, o, -1, 0, points.frames, values)
             if known < limits.min_frames:
                 continue
             median, std = _median_and_std(values, known)
             medians[m, o], stds[m, o] = median, std
+            medians[o, m], stds[o, m] = median, std
             if std < limits.max_std and high[m, o] - low[m, o] < limits.max_std and median > 5.0 * limits.max_std:
                 ratios[pairs] = 2.0 * median / (low[m, o] + high[m, o])
                 pairs += 1
@@ -138,8 +139,11 @@ def training_deviations(points, label, low, high, limits, out):
                 all_deviations[pairs] = _excess(medians[m, o], stds[m, o], scale * low[m, o], scale * high[m, o], limits)[0]
                 pairs += 1
     counts = np.zeros(len(label), dtype=np.int64)
+    begins, ends = np.full(len(label), points.frames), np.zeros(len(label), dtype=np.int64)
     for q in range(len(points.track)):
-        counts[points.track[q]] += 1
+        j, t = points.track[q], points.frame[q]
+        counts[j] += 1
+        begins[j], ends[j] = min(begins[j], t), max(ends[j], t + 1)
     spread, deviation = np.empty(markers), np.empty(markers)
     for j in range(len(label)):
         out[j] = np.nan
@@ -150,10 +154,12 @@ def training_deviations(points, label, low, high, limits, out):
         for o in range(markers):
             if o == m:
                 continue
-            known = _distances(points, point_of, m, o, j if counts[j] >= limits.min_frames else -1, values)
-            if known < limits.min_frames:
-                continue
-            median, std = _median_and_std(values, known)
+            median, std = medians[m, o], stds[m, o]
+            if counts[j] >= limits.min_frames:
+                known = _distances(points, point_of, m, o, j, begins[j], ends[j], values)
+                if known < limits.min_frames:
+                    continue
+                median, std = _median_and_std(values, known)
             if std < limits.max_std:
                 excess, spread[found] = _excess(median, std, scale * low[m, o], scale * high[m, o], limits)
                 deviation[found] = min(limits.max_deviation, excess)
@@ -181,13 +187,13 @@ def _excess(median, std, low, high, limits):
 
 
 @kernel
-def _distances(points, point_of, m, o, only, out):
+def _distances(points, point_of, m, o, only, begin, end, out):
     """Distances of markers m and o in the frames that show both; where `only` is not -1, those in which m belongs to that tracklet.
 
-    OUT out (E,) m. Returns how many. O(E).
+    IN begin, end: the frames to look at. OUT out (E,) m. Returns how many. O(end - begin).
     """
     xyz, known = points.xyz, 0
-    for t in range(len(point_of)):
+    for t in range(begin, end):
         p, q = point_of[t, m], point_of[t, o]
         if p >= 0 and q >= 0 and (only < 0 or points.track[p] == only):
             out[known] = np.sqrt((xyz[p, 0] - xyz[q, 0]) ** 2 + (xyz[p, 1] - xyz[q, 1]) ** 2 + (xyz[p, 2] - xyz[q, 2]) ** 2)

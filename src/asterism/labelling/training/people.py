@@ -1,0 +1,53 @@
+"""Recordings of several people in; recordings of one person each out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from asterism.labelling.partial.solver import subject_of
+from asterism.recording import Recording, canonical, is_unnamed
+
+FEWEST_SHARED = 4
+"""Markers that two prefixes share from which they are two people, where these are also half of the markers of one: parts of a body that
+carry prefixes of their own (a chair, an arm) share few names."""
+
+
+def one_person_each(recordings: Sequence[Recording], subjects: Sequence[str] | None) -> tuple[list[Recording], list[str]]:
+    """The recordings, those of several people split by the prefixes of their labels ("Ann:LKNE", "Bob:LKNE"); and whose each is.
+
+    subjects: the person of each recording, by default as `subject_of` says. Of a split recording a person is "subject Ann". Columns of no
+    person's prefix, such as an object's, are left out of split recordings.
+    """
+    found, names = [], []
+    for i, recording in enumerate(recordings):
+        subject = subject_of(recording) if subjects is None else subjects[i]
+        prefixes = prefixes_of_people(recording.labels)
+        if not prefixes:
+            found.append(recording)
+            names.append(subject)
+        for prefix in prefixes:
+            own = recording.select([label for label in recording.labels if _prefix(label) == prefix])
+            found.append(replace(own, labels=tuple(label.partition(":")[2].strip() for label in own.labels)))
+            names.append(f"{subject} {prefix}")
+    return found, names
+
+
+def prefixes_of_people(labels: Sequence[str]) -> list[str]:
+    """The prefixes of labels that several people wear: "Ann" and "Bob"; empty where there is one person."""
+    worn: dict[str, set[str]] = {}
+    for label in labels:
+        prefix = _prefix(label)
+        if prefix and not is_unnamed(label):
+            worn.setdefault(prefix, set()).add(canonical(label.partition(":")[2]))
+    return [prefix for prefix, names in worn.items() if any(_alike(names, worn[other]) for other in worn if other != prefix)]
+
+
+def _alike(one: set[str], other: set[str]) -> bool:
+    """Whether two prefixes have so many names in common that they are two people."""
+    return len(one & other) >= max(FEWEST_SHARED, 0.5 * min(len(one), len(other)))
+
+
+def _prefix(label: str) -> str:
+    before, colon, after = label.partition(":")
+    return before.strip() if colon and after.strip() else ""
