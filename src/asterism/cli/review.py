@@ -11,6 +11,7 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
+from asterism.cli._folders import recordings_of
 from asterism.cli._options import Files, FrameWise, Json, Model, Overwrite, Report, Vertical, Workers, vertical_axis
 
 if TYPE_CHECKING:
@@ -50,11 +51,12 @@ def review(options: ReviewOptions) -> None:
     _console.check_new(options.json, options.overwrite)
     ensemble = SolverEnsemble.load(options.model)
     batch, found = _console.Batch("reviewed"), _Review()
+    files = recordings_of(options.files, batch)
     with _console.progress("labelling") as progress:
-        for path in options.files:
+        for path in files:
             with batch.file(path):
                 if progress:
-                    progress((len(batch.done) + len(batch.failed)) / len(options.files), path.name)
+                    progress((len(batch.done) + len(batch.failed)) / len(files), path.name)
                 _add(found, path, ensemble, options, batch)
     if options.json != "-" and batch.done:
         _print(found)

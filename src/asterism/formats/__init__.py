@@ -20,6 +20,7 @@ from asterism.formats._dispatch import (
 )
 
 if TYPE_CHECKING:
+    from asterism.formats._computed import computed_labels, without_computed
     from asterism.formats.csv_blobs import read_blobs, write_blobs
     from asterism.formats.storage import Table, read_table, write_table
 
@@ -27,6 +28,7 @@ __all__ = [
     "LabelConfidence",
     "Table",
     "check_suffix",
+    "computed_labels",
     "convert",
     "describe",
     "is_recording_file",
@@ -36,6 +38,7 @@ __all__ = [
     "read_confidence",
     "read_evidence",
     "read_table",
+    "without_computed",
     "write",
     "write_blobs",
     "write_points",
@@ -43,6 +46,7 @@ __all__ = [
 ]
 
 _MODULE_OF = {
+    **dict.fromkeys(("computed_labels", "without_computed"), "_computed"),
     **dict.fromkeys(("read_blobs", "write_blobs"), "csv_blobs"),
     **dict.fromkeys(("Table", "read_table", "write_table"), "storage"),
 }

@@ -111,8 +111,7 @@ def write(
         return csv_long.write_long(path, recording, confidence)
     if suffix == ".c3d":
         states = None if labelling is None else label_states(labelling, recording.clouds() if clouds is None else clouds)
-        write_c3d(path, _with_computed(recording), confidence, states)
-        return []
+        return write_c3d(path, _with_computed(recording), confidence, states)
     check_suffix(path)
     if confidence is None:
         return list(_function(_WRITERS[suffix])(path, recording))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +10,12 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.formats.c3d._file import C3DFile, numbered
 from asterism.formats.c3d._numbers import Processor
-from asterism.formats.c3d._parameters import CHARACTER, FLOAT, INTEGER, Parameters, Record, make_group, make_parameter
+from asterism.formats.c3d._parameters import CHARACTER, FLOAT, INTEGER, Parameters, Record, make_group, make_parameter, text_of
 from asterism.recording import Event, ProcessingStep, log_as_text, log_from_text
 
 MOST_STRINGS = 255
+COMPUTED_GROUPS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS", "MODELED_MARKERS", "MODELLED_MARKERS")
+"""Parameters of the group POINT that list what a model computed."""
 LOG_GROUP, LOG = "ASTERISM", "LOG"
 _WIDEST = 127
 _LOG_WIDTH = 120
@@ -83,6 +85,21 @@ def label_parameters(file: C3DFile, labels: Sequence[bytes], descriptions: Seque
             ]
             changes["POINT", key] = strings_record(key, group, page, max(widths, default=4), processor, like)
     return changes
+
+
+def without_declared(parameters: Parameters, gone: Collection[str]) -> Parameters:
+    """The parameters without these labels in the lists of angles, forces and the like; a list that would be empty is left out."""
+    changes: dict[tuple[str, str], Record | None] = {}
+    for name in parameters.groups.get("POINT", ()):
+        record = parameters.find("POINT", name)
+        if record is None or record.kind != CHARACTER or len(record.dimensions) != 2 or not name.startswith(COMPUTED_GROUPS):
+            continue
+        listed = parameters.raw_strings("POINT", name)
+        kept = [raw for raw in listed if text_of(raw) not in gone]
+        if len(kept) < len(listed):
+            width, processor = record.dimensions[0], parameters.processor
+            changes["POINT", name] = strings_record(name, record.group, kept, width, processor, record) if kept else None
+    return parameters.replaced(changes)
 
 
 def with_events(parameters: Parameters, events: Sequence[Event]) -> Parameters:

@@ -13,11 +13,9 @@ from asterism.errors import AsterismError, NoMarkers
 from asterism.findings import Finding
 from asterism.formats._columns import Points, metres_per_unit, recording_of
 from asterism.formats._physical import COMPUTED, point_kinds
-from asterism.formats.c3d._edit import log_of
+from asterism.formats.c3d._edit import COMPUTED_GROUPS, log_of
 from asterism.formats.c3d._file import C3DFile, numbered, open_c3d
 from asterism.recording import Floats, Recording, as_vertical
-
-_COMPUTED_GROUPS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS", "MODELED_MARKERS", "MODELLED_MARKERS")
 
 
 def read_c3d(path: Path, markers: Any = None, vertical: ArrayLike | str | None = None) -> Recording:
@@ -84,7 +82,7 @@ def kinds_of_points(file: C3DFile, positions: Floats) -> list[str]:
 
 def declared_computed(file: C3DFile) -> set[str]:
     """Labels that the file lists as angles, forces and the like, also in the groups that it defines (POINT:TYPE_GROUPS)."""
-    groups = dict.fromkeys([*_COMPUTED_GROUPS, *(name.upper() for name in file.parameters.strings("POINT", "TYPE_GROUPS")[::2])])
+    groups = dict.fromkeys([*COMPUTED_GROUPS, *(name.upper() for name in file.parameters.strings("POINT", "TYPE_GROUPS")[::2])])
     return {
         label
         for group in groups

@@ -18,18 +18,18 @@ from asterism.formats._columns import without_common_subject
 from asterism.formats._confidence import LabelConfidence
 from asterism.formats._physical import is_unnamed
 from asterism.formats._text import write_atomically
-from asterism.formats.c3d._edit import label_parameters, log_of, with_events, with_log, with_number
+from asterism.formats.c3d._edit import label_parameters, log_of, with_events, with_log, with_number, without_declared
 from asterism.formats.c3d._file import BLOCK, C3DFile, parse_c3d
 from asterism.formats.c3d._fresh import fresh_c3d
 from asterism.formats.c3d._numbers import Words
-from asterism.formats.c3d._parameters import Parameters, Record
+from asterism.formats.c3d._parameters import Parameters, Record, text_of
 from asterism.formats.c3d._reader import in_metres
 from asterism.recording import Floats, Ints, LabelStates, Recording
 
 _MOST_POINTS = 65535
 
 
-def write_c3d(path: Path, recording: Recording, confidence: LabelConfidence | None = None, states: LabelStates | None = None) -> None:
+def write_c3d(path: Path, recording: Recording, confidence: LabelConfidence | None = None, states: LabelStates | None = None) -> list[str]:
     """Write a recording as C3D; a file at `path` is replaced completely or not at all.
 
     The confidence of labels goes into analog channels and the group ASTERISM; states: what became of the markers.
@@ -39,6 +39,7 @@ def write_c3d(path: Path, recording: Recording, confidence: LabelConfidence | No
     recording does not replace (`taken`), analog data, parameters, byte order and number format stay. An unchanged recording gives
     the file byte for byte.
 
+    Returns what the file cannot hold: the confidence, where it has no room for the channels.
     Raises AsterismError where the recording does not fit its source (other frames, a label twice), a coordinate does not fit the
     file's integers, or the file cannot be written.
     """
@@ -47,11 +48,16 @@ def write_c3d(path: Path, recording: Recording, confidence: LabelConfidence | No
         raise AsterismError(f"{path}: the recording has {what}, and a C3D file needs both; nothing was written.")
     of_c3d = isinstance(recording.source, C3DFile)
     data = rewritten(recording.source, recording, str(path)) if of_c3d else fresh_c3d(recording, str(path))
+    lost = []
     if confidence is not None and states is not None:
         from asterism.formats.c3d._confidence import with_confidence
 
-        data = with_confidence(parse_c3d(data, str(path)), confidence, states)
+        try:
+            data = with_confidence(parse_c3d(data, str(path)), confidence, states)
+        except AsterismError as problem:
+            lost.append(f"the confidence of the labels, because {str(problem).rstrip('.')}")
     write_atomically(path, data)
+    return lost
 
 
 def write_c3d_points(path: Path, recording: Recording, residual: Floats, cameras: NDArray[np.bool_]) -> None:
@@ -101,6 +107,7 @@ def rewritten(file: C3DFile, recording: Recording, target: str) -> bytes:
             for slot, label in zip(slots, labels, strict=True)
         ]
         parameters = parameters.replaced(label_parameters(file, labels, descriptions))
+        parameters = without_declared(parameters, {text_of(raw) for raw in file.raw_labels} - {text_of(raw) for raw in labels})
     if recording.events != file.events:
         parameters = with_events(parameters, recording.events)
     if recording.log != log_of(file.parameters):
