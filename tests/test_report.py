@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
+import zlib
+from dataclasses import replace
 from html.parser import HTMLParser
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,8 +21,9 @@ from asterism.labelling import ConfidenceScore, ConfidenceTally, Reliability
 from asterism.labelling.capturability import TargetRates
 from asterism.labelling.full_solver_study import ChosenClassifier, SolverSize
 from asterism.labelling.simulated_occlusions import simulate_occlusions
-from asterism.recording import Clouds, Ints, Labelling, Recording
-from asterism.report import LabelledRecording, capturability_report, evaluation_report, label_report
+from asterism.recording import Clouds, Ints, Labelling, MarkerSet, Recording
+from asterism.report import LabelledRecording, capturability_report, evaluation_report, label_report, marker_bones, marker_sides
+from asterism.report.player import PageRules, ShownRecording, pack_recordings
 from asterism.simulation import simulate_walks
 
 
@@ -150,21 +155,34 @@ def test_pages_are_self_contained_and_small(tmp_path: Path, walk: Recording) -> 
     path = tmp_path / "page.html"
     page = make_label_page(path, walk)
     assert page.loads == []
-    assert path.stat().st_size < 8e6
+    assert path.stat().st_size < 0.5e6
     assert list(tmp_path.iterdir()) == [path]
     assert "@import" not in path.read_text(encoding="utf-8").split("</style>")[0]
 
 
-def test_a_long_recording_of_a_whole_body_stays_small(tmp_path: Path) -> None:
-    long = simulate_walks(1, frames=6000, markers="plug-in-gait")[0]
-    page = make_label_page(tmp_path / "page.html", long)
-    assert (tmp_path / "page.html").stat().st_size < 8e6
-    data = json.loads(page.json)
-    (scene,) = data["scenes"].values()
-    assert 100 < len(scene["points"]) <= 200
-    assert len(scene["bones"]) == 38, "the bones join all 39 markers"
-    (timeline,) = data["figures"].values()
-    assert len(timeline["data"][0]["x"]) <= 600
+def shown_in(page: Reader) -> list[dict[str, Any]]:
+    """The recordings of a page's player."""
+    (recordings,) = json.loads(page.json)["players"].values()
+    return list(recordings)
+
+
+def test_a_page_of_thirteen_recordings_stays_small_and_shows_all(tmp_path: Path) -> None:
+    """Thirteen of 3,000 frames and 39 markers are 1.5 million points."""
+    rng = np.random.default_rng(1)
+    long = simulate_walks(1, frames=3000, markers="plug-in-gait")[0]
+    shown = []
+    for _ in range(13):
+        noisy = replace(long, positions=long.positions + rng.normal(0.0, 0.002, long.positions.shape))
+        clouds, truth = simulate_occlusions(noisy, 0, 0)
+        shown.append(LabelledRecording(Labelling(truth, np.full(truth.shape, 0.995), long.labels), clouds, first_frame=501))
+    label_report(tmp_path / "page.html", shown, title="Many", files=[{"file": f"{i}.c3d"} for i in range(13)])
+    assert (tmp_path / "page.html").stat().st_size < 2.5e6
+    recordings = shown_in(read(tmp_path / "page.html"))
+    assert len(recordings) == 13
+    for packed in recordings:
+        assert len(packed["bones"]) == 38, "the bones join all 39 markers"
+        assert packed["timeline"]["columns"] <= 600 and packed["firstFrame"] == 501
+        assert packed["rate"] / packed["step"] >= 2.0 and packed["frames"] == -(-3000 // packed["step"])
 
 
 @pytest.mark.parametrize("name", ["</script><script>alert(1)</script>.c3d", "a<b>&\"'.c3d", "Jürgen – 歩行.c3d"])
@@ -173,21 +191,130 @@ def test_names_of_files_and_markers_cannot_break_the_page(tmp_path: Path, walk: 
     odd = Labelling(labelling.indices, labelling.confidence, (name, *labelling.names[1:]))
     page = make_label_page(tmp_path / "page.html", walk, files=[{"file": name}], labelling=odd, title=name)
     assert name in page.table("marker")
-    assert json.loads(page.json)["scenes"]["scene-2"]["names"][0] == name
+    assert shown_in(page)[0]["markers"][0] == name
 
 
-def test_positions_in_the_scene_are_those_of_the_labels(tmp_path: Path) -> None:
+def test_names_that_turn_the_text_are_shown_as_they_are(tmp_path: Path, walk: Recording) -> None:
+    page = make_label_page(tmp_path / "page.html", walk, files=[{"file": "walk\u202egnp.c3d"}], title="a\u2066b\x1b[31m")
+    assert "walk\ufffdgnp.c3d" in page.table("file") and "a\ufffdb\ufffd[31m" in page.text
+
+
+def unpacked(packed: dict[str, Any]) -> dict[str, Any]:
+    """What the player makes of a packed recording, in NumPy: frame, place, series, code and marks of each point."""
+    data = zlib.decompress(base64.b64decode(packed["points"]["data"]))
+    ends = np.cumsum([0, *packed["points"]["lengths"]])
+    parts = [data[a:b] for a, b in pairwise(ends)]
+    counts = packed["counts"]
+
+    def numbers(part: bytes) -> list[int]:
+        out, value, shift = [], 0, 0
+        for byte in part:
+            value, shift = value | (byte & 127) << shift, shift + 7
+            if byte < 128:
+                out.append(value)
+                value, shift = 0, 0
+        return out
+
+    def summed(values: list[int], order: int) -> np.ndarray[Any, Any]:
+        out, first = np.array(values, dtype=np.int64), 0
+        for count in counts:
+            for done in range(order, 0, -1):
+                out[first + done - 1 : first + count] = np.cumsum(out[first + done - 1 : first + count])
+            first += count
+        return out
+
+    signed = [[-(v + 1) // 2 if v % 2 else v // 2 for v in numbers(part)] for part in parts[1:4]]
+    return {
+        "frame": summed(numbers(parts[0]), 1),
+        "xyz": np.stack([summed(axis, 2) for axis in signed], axis=1) * packed["unit"],
+        "marker": np.repeat(packed["series"], counts),
+        "code": np.frombuffer(parts[4], dtype=np.uint8),
+        "marks": np.frombuffer(parts[5], dtype=np.uint8),
+    }
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.05, 300.0])
+def test_positions_in_the_player_are_those_of_the_labels(tmp_path: Path, scale: float) -> None:
+    """Upright whatever the vertical, not mirrored, all points, at the file's frames; a mouse as well as a stadium."""
     sideways = simulate_walks(1, frames=120, vertical="-y", seed=3)[0]
-    clouds, truth = simulate_occlusions(sideways, 0, 0)
-    labelling = Labelling(truth, np.ones(truth.shape), sideways.labels)
+    sideways = replace(sideways, positions=scale * sideways.positions)
+    clouds, truth = simulate_occlusions(sideways, 2, 3, seed=1)
+    labelling = Labelling(truth, np.where(truth >= 0, 0.99, 0.0), sideways.labels)
     page = make_label_page(tmp_path / "p.html", sideways, labelling=labelling, clouds=clouds, truth=truth)
-    (scene,) = json.loads(page.json)["scenes"].values()
-    for points, frame in zip(scene["points"], scene["frames"], strict=True):
-        shown, true = np.array(points) / 1000, sideways.positions[frame - 1]
-        distances = [np.linalg.norm(p[:, None] - p[None], axis=2) for p in (shown, true)]
-        np.testing.assert_allclose(*distances, atol=0.003)
-        assert np.corrcoef(shown[:, 2], true @ sideways.vertical)[0, 1] > 0.999
+    (packed,) = shown_in(page)
+    points = unpacked(packed)
+    assert len(points["frame"]) == len(clouds.xyz) and packed["step"] == 1
+    order = np.argsort(points["frame"], kind="stable")
+    np.testing.assert_array_equal(points["frame"][order], clouds.frame_of)
+    tolerance = 0.5 * packed["unit"] + 1e-9
+    assert packed["unit"] == (1e-5 if scale == 0.05 else 1e-3)
+    for t in range(0, 120, 7):
+        own = points["frame"] == t
+        for m in range(len(sideways.labels)):
+            there = points["xyz"][own & (points["marker"] == m)]
+            assert len(there) == (truth[t, m] >= 0)
+        np.testing.assert_allclose(np.sort(points["xyz"][own][:, 2]), np.sort(clouds[t] @ sideways.vertical), atol=tolerance)
+        shown = points["xyz"][own & (points["marker"] >= 0)]
+        true = clouds[t][truth[t][truth[t] >= 0]]
+        np.testing.assert_allclose(*(np.linalg.norm(p[:, None] - p[None], axis=2) for p in (shown, true)), atol=4 * tolerance)
         assert np.sign(np.linalg.det(shown[1:4] - shown[0])) == np.sign(np.linalg.det(true[1:4] - true[0])), "the body is mirrored"
+
+
+def test_wrong_labels_are_marked_where_they_are(tmp_path: Path, walk: Recording) -> None:
+    _, truth, labelling = labelled(walk)
+    (packed,) = shown_in(make_label_page(tmp_path / "page.html", walk))
+    points = unpacked(packed)
+    wrong = (labelling.indices >= 0) & (labelling.indices != truth)
+    marked = points["marks"] == 1
+    found = np.zeros_like(wrong)
+    found[points["frame"][marked], points["marker"][marked]] = True
+    np.testing.assert_array_equal(found, wrong)
+    stated = np.array([2 + round(198 * -np.log10(1 - confidence) / 4) for confidence in (0.995, 0.1)])
+    np.testing.assert_array_equal(np.unique(points["code"][points["marker"] >= 0]), np.sort(stated))
+    assert not points["code"][points["marker"] < 0].any()
+    codes = np.frombuffer(zlib.decompress(base64.b64decode(packed["timeline"]["data"])), dtype=np.uint8).reshape(len(walk.labels), -1)
+    np.testing.assert_array_equal(codes.T == 255, wrong)
+    np.testing.assert_array_equal(codes.T == 1, (labelling.indices < 0) & (truth >= 0))
+
+
+def test_more_files_than_a_page_holds_are_named_with_their_timelines(walk: Recording) -> None:
+    clouds, _, labelling = labelled(walk)
+    shown = [ShownRecording(str(i), labelling, clouds, unsure=np.zeros(labelling.indices.shape, dtype=np.bool_)) for i in range(20)]
+    packed = pack_recordings(shown, PageRules(bytes=40_000))
+    assert [one["name"] for one in packed] == [one.name for one in shown] and all(one["timeline"] for one in packed)
+    assert sum(len(one["points"]["data"]) for one in packed if one["points"]) <= 40_000
+    assert all(one["step"] > 1 for one in packed if one["points"])
+    none = pack_recordings(shown[:2], PageRules(bytes=1_000))
+    assert [one["points"] for one in none] == [None, None]
+
+
+def test_sides_and_bones_need_no_marker_set() -> None:
+    names = [
+        "LKNE",
+        "RKNE",
+        "Ann:LTHI",
+        "Ann:RTHI",
+        "CLAV",
+        "R.Elbow",
+        "KneeOut_L",
+        "KneeOut_R",
+        "left_heel",
+        "LUMB",
+        "C7",
+        "MLHE",
+        "MRHE",
+        "RBAK2",
+        "",
+    ]
+    expected = ["left", "right"] * 2 + ["middle", "right", "left", "right", "left", "middle", "middle", "left", "right", "middle", "middle"]
+    assert marker_sides(names) == expected
+    assert marker_sides(["LKNE", "RKNE"], MarkerSet(("LKNE", "RKNE"), pairs=(("RKNE", "LKNE"),))) == ["right", "left"]
+    rng = np.random.default_rng(0)
+    path = np.cumsum(rng.normal(0, 0.02, (80, 1, 3)), axis=0)
+    rigid = np.concatenate([path + np.array([[0, 0, 0], [0, 0, 0.2], [0, 0, 0.4]]), path[::-1] + 0.3], axis=1)
+    rigid[10:40, 1] = np.nan
+    assert {tuple(sorted(bone)) for bone in marker_bones(rigid[:, :3], ["a", "b", "c"])} == {(0, 1), (1, 2)}
+    assert len(marker_bones(rigid, list("abcd"))) == 3 and marker_bones(rigid * np.nan, list("abcd")) == []
 
 
 def nothing(frames: int) -> dict[str, Any]:
@@ -207,7 +334,7 @@ def test_points_without_any_label_are_no_trouble(tmp_path: Path, walk: Recording
     _, truth, labelling = labelled(walk)
     none = Labelling(np.full_like(truth, -1), np.zeros(truth.shape), labelling.names)
     page = make_label_page(tmp_path / "page.html", walk, labelling=none, truth=None)
-    assert page.table("file")["walk.c3d"][1:3] == ["0.00 %", "100.00 %"]
+    assert page.table("file")["walk.c3d"][1:4] == ["0.00 %", "0.00 %", "100.00 %"]
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path, walk: Recording) -> None:

@@ -245,7 +245,11 @@ def test_the_command_lists_pieces_by_gain(folder: Path, capsys: pytest.CaptureFi
     assert gains == sorted(gains, reverse=True) and sum(gains) <= told["gain"]
     assert f"{gains[0]:.1f}" in shown and f"{told['pieces']:,} pieces of tracks to check" in shown
     page = (folder / "r.html").read_text(encoding="utf-8")
-    assert "5. " in page and page.count('class="figure"') == 5
+    data = json.loads(page.split('id="data">')[1].split("</script>")[0])
+    (drawn,) = data["players"].values()
+    assert [one["name"].split()[0] for one in drawn] == ["1.", "2.", "3.", "4.", "5."] and page.count("data-opens") >= 5
+    for one, item in zip(drawn, told["items"], strict=True):
+        assert one["firstFrame"] + one["firstShown"] + one["step"] * one["start"] == item["look_at"]
 
 
 def test_what_the_file_says_is_kept_when_asked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

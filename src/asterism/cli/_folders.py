@@ -47,7 +47,7 @@ def trials(given: Sequence[Path], batch: _console.Batch, *, without: Path | None
                 found.setdefault(file.resolve(), (file, path))
         else:
             found.setdefault(path.resolve(), (path, None))
-    batch.in_folders = frozenset(file for file, folder in found.values() if folder is not None)
+    batch.in_folders |= frozenset(file for file, folder in found.values() if folder is not None)
     files = list(found.values())
     several = sum(path.is_dir() for path in given) > 1 or len({path.is_dir() for path in given}) > 1
     places = [Path(file.name) if folder is None else file.relative_to(folder) for file, folder in files]

@@ -38,7 +38,13 @@ if TYPE_CHECKING:
     from asterism.cli._finished import Finished
     from asterism.cli._labelling import Labeller
     from asterism.progress import Progress
-    from asterism.recording import Clouds, Labelling, MarkerSet, Recording
+    from asterism.recording import Clouds, Labelling, Recording
+    from asterism.report import LabelledRecording
+
+PAGE = "asterism-label.html"
+"""The page on a folder of recordings, among the outputs, where --report names none."""
+_MOST_SHOWN = 100
+"""Recordings that the page shows frame by frame; its table has all. More would not fit into the memory of a small computer."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +99,7 @@ def label(options: LabelOptions) -> None:
     *1, *2, ... A line per file says which share of all markers in all frames is labelled (confidence 99 % or more), likely (less) and
     unsure (not labelled in a frame with points left over). The rules whole-body label a recording as a whole, by its tracks;
     --frame-wise turns that off.
-    Of a folder, all recordings below it are labelled, and keep their places below FOLDER. A trial in which the person stands, found by its
+    Of a folder, all recordings below it are labelled, and keep their places below FOLDER, with a page on all of them. A trial in which the person stands, found by its
     name or by what it shows, narrows the model to the person. A run that was stopped goes on where it was.
     With several people or objects in the volume, give --model once for each of them; names that two of them share become 1:LASI and
     2:LASI. The trial given as --subject may be labelled or not.
@@ -112,8 +118,9 @@ def label(options: LabelOptions) -> None:
     rows = [result.row for result in results]
     if len(rows) > 1 and options.json != "-":
         _table(rows)
-    if options.report is not None and results:
-        _report(options, run.labeller, results)
+    page = run.page
+    if page is not None and results:
+        _report(page, options, run.labeller, results)
     _console.write_json(
         options.json,
         {
@@ -133,12 +140,10 @@ def label(options: LabelOptions) -> None:
 
 @dataclass(frozen=True)
 class _Result:
-    """One labelled file, for the table, the JSON and the report; without a labelling where no report is asked for, or it was finished."""
+    """One labelled file: its row of the table and the JSON; and what the page shows, where there is one and the file was not finished."""
 
     row: dict[str, Any]
-    labelling: Labelling | None = None
-    clouds: Clouds | None = None
-    marker_set: MarkerSet | None = None
+    shown: LabelledRecording | None = None
 
 
 @dataclass(frozen=True)
@@ -161,6 +166,12 @@ class _Run:
         standing = StandingTrials([trial.path for trial in files], options.subject or (), not options.no_static, axis)
         labeller = Labeller.of_models(options.model, standing, rules=options.rules, in_time=options.in_time, workers=options.workers)
         return cls(options, labeller, Finished(options.output, options.how, options.model), batch, len(files))
+
+    @property
+    def page(self) -> Path | None:
+        """The report: that which was asked for; of a folder, one beside the outputs."""
+        in_folder = self.options.output / PAGE if any(path.is_dir() for path in self.options.files) else None
+        return self.options.report or in_folder
 
     def result(self, trial: Trial, progress: Progress | None) -> _Result:
         """Label one file and write it, or take over what an earlier run has finished."""
@@ -211,7 +222,11 @@ class _Run:
             "not_carried": lost,
         }
         self.finished.end(trial.place, target, row)
-        return _Result(row) if options.report is None else _Result(row, labelled.labelling, clouds, labelled.marker_set)
+        if self.page is None or len(self.batch.done) >= _MOST_SHOWN:
+            return _Result(row)
+        from asterism.report import LabelledRecording
+
+        return _Result(row, LabelledRecording(labelled.labelling, clouds, labelled.marker_set, None, recording.first_frame))
 
 
 def _check(options: LabelOptions) -> None:
@@ -251,21 +266,20 @@ def _by_marker(labelling: Labelling, clouds: Clouds) -> dict[str, dict[str, Any]
     return found
 
 
-def _report(options: LabelOptions, labeller: Labeller, results: Sequence[_Result]) -> None:
-    from asterism.report import LabelledRecording, label_report
+def _report(path: Path, options: LabelOptions, labeller: Labeller, results: Sequence[_Result]) -> None:
+    """Write the page on all files; those that an earlier run has finished are in its table only."""
+    from asterism.report import label_report
 
-    assert options.report is not None
-    shown = next((result for result in results if result.labelling is not None), None)
-    if shown is None or shown.labelling is None or shown.clouds is None:
-        _console.notice(
-            f"{options.report} was not written: an earlier run labelled all files. Label them again with --overwrite for a page."
-        )
+    shown = [result for result in results if result.shown is not None]
+    if not shown:
+        if options.report is not None:
+            _console.notice(f"{path} was not written, because an earlier run labelled all files; --overwrite labels them again.")
         return
-    rows = [shown.row, *(result.row for result in results if result is not shown)]
+    rows = [result.row for result in (*shown, *(result for result in results if result.shown is None))]
     about = {"model": ", ".join(map(str, options.model)), "rules": options.rules.value, "keep_labels": options.known is KnownLabels.KEEP}
     label_report(
-        options.report,
-        LabelledRecording(shown.labelling, shown.clouds, shown.marker_set),
+        path,
+        [result.shown for result in shown if result.shown is not None],
         title=f"{len(rows)} labelled recordings" if len(rows) > 1 else f"{rows[0]['file'].name}, labelled",
         files=rows,
         model_info={**about, **labeller.ensembles[0].about},

@@ -6,9 +6,11 @@ from asterism.report.detection import detection_report
 from asterism.report.evaluation import evaluation_report
 from asterism.report.label import LabelledRecording, label_report
 from asterism.report.naming import naming_report
+from asterism.report.player import player_script, player_style
 from asterism.report.refinement import refinement_report
 from asterism.report.review import ReviewEntry, review_report
 from asterism.report.rig import rig_report
+from asterism.report.skeleton import marker_bones, marker_sides
 from asterism.report.wand import wand_report
 
 __all__ = [
@@ -19,7 +21,11 @@ __all__ = [
     "detection_report",
     "evaluation_report",
     "label_report",
+    "marker_bones",
+    "marker_sides",
     "naming_report",
+    "player_script",
+    "player_style",
     "refinement_report",
     "review_report",
     "rig_report",

@@ -6,31 +6,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asterism.recording import Floats
 
 Figure = dict[str, Any]
 
 PALETTE = ("#0f7b8a", "#d1495b", "#e09f3e", "#5b5f97", "#3a9d5d", "#8d5a97", "#64748b", "#b5651d")
-HIDDEN, UNSURE = -2.0, -1.0
 MOST_NINES = 4.0
-CONFIDENCE_SHADES = ((0.0, "#d8eef0"), (0.25, "#a5d8dc"), (0.5, "#5fb6be"), (0.75, "#248f9c"), (1.0, "#0b5563"))
 COLUMNS = 600
-"""The most columns of a timeline; longer recordings are drawn by blocks of frames."""
-
-_LEVEL_BAR = {
-    "tickvals": [HIDDEN, UNSURE, 0, 1, 2, 3, 4],
-    "ticktext": ["hidden", "unsure", "0 %", "90 %", "99 %", "99.9 %", "99.99 %"],
-    "thickness": 12,
-    "outlinewidth": 0,
-    "orientation": "h",
-    "y": 1.01,
-    "yanchor": "bottom",
-    "tickfont": {"size": 11},
-    "ticklabelposition": "outside top",
-}
-"""The scale beside a timeline: what its colours mean."""
+"""The most columns of a picture over time; longer recordings are drawn by blocks of frames."""
 
 
 def figure(data: Sequence[Mapping[str, Any]], height: int, **layout: Any) -> Figure:
@@ -52,78 +36,8 @@ def figure(data: Sequence[Mapping[str, Any]], height: int, **layout: Any) -> Fig
 
 
 def frames_per_column(frames: int) -> int:
-    """How many frames one column of a timeline stands for."""
+    """How many frames one column of a picture over time stands for."""
     return max(1, -(-frames // COLUMNS))
-
-
-def timeline(
-    names: Sequence[str],
-    confidence: Floats,
-    given: NDArray[np.bool_],
-    unsure: NDArray[np.bool_],
-    wrong: NDArray[np.bool_] | None,
-    rate: float,
-) -> Figure:
-    """Frames x markers: shade = confidence of the label, amber = unsure, grey = hidden, red = wrong (where the truth is known).
-
-    confidence, given, unsure, wrong  (T, M). A block of several frames is unsure or hidden where at least half of it is. Otherwise it
-    shows the lowest confidence of its labels. A wrong label always shows.
-    """
-    frames, markers = given.shape
-    starts = np.arange(0, frames, frames_per_column(frames))
-    levels = _levels(confidence, given, unsure, starts)
-    low, high = HIDDEN - 0.5, MOST_NINES
-    data: list[Mapping[str, Any]] = [
-        {
-            "type": "heatmap",
-            "x": starts / rate,
-            "y": list(names),
-            "z": np.round(levels.T, 2),
-            "text": [[_level_text(float(value)) for value in row] for row in levels.T],
-            "zmin": low,
-            "zmax": high,
-            "colorscale": _level_colors(low, high),
-            "ygap": 1,
-            "hovertemplate": "%{y}, %{x:.2f} s: %{text}<extra></extra>",
-            "colorbar": _LEVEL_BAR,
-        }
-    ]
-    if wrong is not None and wrong.any():
-        at, marker = np.nonzero(np.logical_or.reduceat(wrong, starts, axis=0))
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "x": starts[at] / rate,
-                "y": [names[int(m)] for m in marker],
-                "marker": {"color": "#ff2d1a", "size": 6, "symbol": "x"},
-                "hovertemplate": "%{y}, %{x:.2f} s: wrong label<extra></extra>",
-                "showlegend": False,
-            }
-        )
-    return figure(
-        data,
-        height=110 + 20 * markers,
-        yaxis={"autorange": "reversed", "dtick": 1, "showgrid": False, "type": "category", "tickfont": {"size": 11}},
-        xaxis={"title": {"text": "time in s"}, "showgrid": False, "range": [0, max(frames, 1) / rate]},
-    )
-
-
-def _levels(confidence: Floats, given: NDArray[np.bool_], unsure: NDArray[np.bool_], starts: NDArray[np.int64]) -> Floats:
-    """(columns, M) the level of each block of frames: HIDDEN, UNSURE, or the nines of its lowest confidence; `starts` (columns,) frames."""
-    nines = np.clip(-np.log10(np.maximum(1.0 - confidence, 10.0**-MOST_NINES)), 0.0, MOST_NINES)
-    least = np.minimum.reduceat(np.where(given, nines, np.inf), starts, axis=0)
-    size = np.diff([*starts, len(given)])[:, None]
-    doubtful, labelled = (2 * np.add.reduceat(part.astype(np.int64), starts, axis=0) for part in (unsure, given))
-    unlabelled = np.where(doubtful >= size - labelled / 2, UNSURE, HIDDEN)
-    return np.asarray(np.where(labelled > size, np.where(np.isfinite(least), least, 0.0), unlabelled))
-
-
-def _level_colors(low: float, high: float) -> list[list[Any]]:
-    """Plotly's colour scale for levels from `low` to `high`: grey for hidden, amber for unsure, shades for confidence."""
-    grey, amber, zero = ((edge - low) / (high - low) for edge in (HIDDEN + 0.5, UNSURE + 0.5, 0.0))
-    shades = [[0.0, "#e3e7ee"], [grey, "#e3e7ee"], [grey, "#f2a93b"], [amber, "#f2a93b"], [amber, CONFIDENCE_SHADES[0][1]]]
-    return shades + [[zero + (1.0 - zero) * at, color] for at, color in CONFIDENCE_SHADES]
 
 
 def matrix(names: Sequence[str], shares: Floats) -> Figure:
@@ -303,12 +217,6 @@ def _reliability_traces(name: str, bins: Sequence[tuple[float, float, int]], col
     shares = {"y": [_nines(right) for _, right, _ in kept], "line": {"color": color, "width": 2}, "marker": {"size": 7}}
     counts = {"y": [n for _, _, n in kept], "line": {"color": color, "width": 1}, "marker": {"size": 5}, "yaxis": "y2", "showlegend": False}
     return [{**shared, **shares}, {**shared, **counts}]
-
-
-def _level_text(value: float) -> str:
-    if value < 0:
-        return "hidden" if value == HIDDEN else "unsure"
-    return f"confidence {100 * (1 - 10.0**-value):.4g} %"
 
 
 def _nines(share: float) -> float:

@@ -12,19 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.recording import Clouds, Floats, Ints, Labelling, MarkerSet
-from asterism.report import figures
+from asterism.recording.verdict import FITS, OTHER_BODY
 from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, tinted, write_page
-from asterism.report.scene import scene
+from asterism.report.player import WRONG, ShownRecording, pack_recordings
+
+_SURE = 0.99
+"""Confidence from which a label counts as labelled; below, it counts as likely."""
 
 
 @dataclass(frozen=True)
 class LabelledRecording:
-    """A labelled recording that a page shows in full.
+    """A labelled recording that a page shows.
 
-    labelling   T frames, M markers
-    clouds      the clouds that were labelled
-    marker_set  for pairs and segments; by default the shipped set that has these markers
-    truth       (T, M) int, for each marker its place in its frame's cloud, -1 where it is hidden; None where it is not known
+    labelling    T frames, M markers
+    clouds       the clouds that were labelled
+    marker_set   for pairs and segments; by default the shipped set that has these markers
+    truth        (T, M) int, for each marker its place in its frame's cloud, -1 where it is hidden; None where it is not known
+    first_frame  the number that the file gives its first frame
 
     A marker without a label counts as unsure where its frame has points left over, as hidden where none is left. Where the truth is
     given, it decides.
@@ -34,11 +38,17 @@ class LabelledRecording:
     clouds: Clouds
     marker_set: MarkerSet | None = None
     truth: Ints | None = None
+    first_frame: int = 1
 
     @cached_property
     def given(self) -> NDArray[np.bool_]:
         """(T, M) whether a marker got a label."""
         return np.asarray(self.labelling.indices >= 0)
+
+    @cached_property
+    def likely(self) -> NDArray[np.bool_]:
+        """(T, M) whether a marker got a label with a confidence below 99 %."""
+        return np.asarray(self.given & ~(self.labelling.confidence >= _SURE))
 
     @cached_property
     def unsure(self) -> NDArray[np.bool_]:
@@ -59,71 +69,116 @@ class LabelledRecording:
 
 def label_report(
     path: str | Path,
-    shown: LabelledRecording,
+    shown: LabelledRecording | Sequence[LabelledRecording],
     *,
     title: str,
     files: Sequence[Mapping[str, Any]] = (),
     model_info: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write an HTML page on labelled files, with one of them in full.
+    """Write an HTML page on labelled files, with each of them in 3D and over time.
 
-    shown       the recording that is shown in full; its truth, where it is known, adds right, wrong and missed
-    files       a mapping per file: file, frames, labelled, unsure, hidden (shares 0..1), frames_per_second; what is absent shows as a
-                dash. The first is the one shown in full
+    shown       the recordings, in the order of `files`; their truth, where it is known, adds right, wrong and missed
+    files       a mapping per file: file, frames, labelled, likely, unsure, hidden (shares 0..1), verdict, frames_per_second; what is absent
+                is counted in the recording, or shows as a dash
     model_info  facts for the foot of the page: model, seed, rules, ...
 
-    Raises AsterismError where the file cannot be written.
+    A page of many files shows some of them with fewer frames per second, so that it stays small. Raises AsterismError where the file cannot
+    be written.
     """
-    name = Path(str(files[0].get("file", ""))).name if files else ""
-    name = name or "the recording"
-    counted = {
-        "frames": len(shown.clouds),
-        "labelled": _mean(shown.given),
-        "unsure": _mean(shown.unsure),
-        "hidden": _mean(shown.hidden),
-    }
-    rows = [{**(counted if i == 0 else {}), **file} for i, file in enumerate(files or [{"file": name}])]
-    clouds = shown.clouds
-    lead = f"{len(shown.labelling.names)} markers in {len(clouds):,} frames at {clouds.rate:g} frames per second"
-    lead += f" ({len(clouds) / clouds.rate:.1f} s)." if len(rows) < 2 else f" in {name}, which is shown in full."
+    recordings = [shown] if isinstance(shown, LabelledRecording) else list(shown)
+    unnamed = ["the recording"] if len(recordings) == 1 else [f"recording {i + 1}" for i in range(len(recordings))]
+    given_rows = [*files, *({"file": name} for name in unnamed[len(files) :])]
+    rows = [{**_counted(recordings, i, row), **row} for i, row in enumerate(given_rows)]
+    names = _short_names([str(row.get("file", "")) or "the recording" for row in rows])
     sections = [
-        Section("Files", table=_files(rows), note=_NOTE if shown.truth is None else _NOTE_WITH_TRUTH),
-        *([] if shown.truth is None else [_against_truth(shown, shown.truth)]),
-        *_pictures(shown, name),
-        Section(f"Markers of {name}", table=_markers(shown)),
+        Section("Files", table=_files(rows, names), note=_note(recordings)),
+        *([_against_truth(recordings)] if any(one.truth is not None for one in recordings) else []),
+        *_pictures(recordings, rows, names),
+        *([Section(f"Markers of {names[0]}" if len(recordings) == 1 else "Markers of all files", table=_markers(recordings, names))]),
     ]
-    write_page(path, Page(title, lead, model_info or {}, _merits(shown, rows), sections))
+    write_page(path, Page(title, _lead(recordings), model_info or {}, _merits(recordings, rows), sections))
 
 
-def _pictures(shown: LabelledRecording, name: str) -> list[Section]:
-    """The recording in 3D and over time, where it has labels and frames."""
-    labelling, clouds, wrong = shown.labelling, shown.clouds, shown.wrong
-    sections = []
-    view = scene(labelling, clouds, shown.marker_set, wrong)
-    if view is not None:
-        text = "Drag to turn the view; the slider moves in time. The view follows the body. Grey points have no label."
-        sections.append(Section(f"{name} in 3D", text, scene=view))
-    if shown.given.size:
-        block = figures.frames_per_column(len(clouds))
-        text = "Each row is a marker. The darker the colour, the higher the confidence. Amber: unsure. Grey: hidden."
-        text += f" Each column stands for {block} frames." if block > 1 else ""
-        text += " Red crosses: wrong labels." if wrong is not None and wrong.any() else ""
-        picture = figures.timeline(labelling.names, np.nan_to_num(labelling.confidence), shown.given, shown.unsure, wrong, clouds.rate)
-        sections.append(Section(f"{name} over time", text, figure=picture))
-    return sections
+def _counted(recordings: Sequence[LabelledRecording], number: int, row: Mapping[str, Any]) -> dict[str, Any]:
+    """What a row says of its recording where the row does not say it itself."""
+    if number >= len(recordings):
+        return {}
+    one = recordings[number]
+    if "labelled" in row:
+        return {"frames": len(one.clouds)}
+    return {
+        "frames": len(one.clouds),
+        "labelled": _mean(one.given & ~one.likely),
+        "likely": _mean(one.likely),
+        "unsure": _mean(one.unsure),
+        "hidden": _mean(one.hidden),
+    }
 
 
-def _merits(shown: LabelledRecording, rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str]]:
+def _lead(recordings: Sequence[LabelledRecording]) -> str:
+    if not recordings:
+        return "No recording was labelled."
+    markers, frames = len(recordings[0].labelling.names), sum(len(one.clouds) for one in recordings)
+    seconds = sum(len(one.clouds) / one.clouds.rate for one in recordings)
+    if len(recordings) == 1:
+        return f"{markers} markers in {frames:,} frames at {recordings[0].clouds.rate:g} frames per second ({seconds:.1f} s)."
+    return f"{markers} markers in {len(recordings)} recordings, {frames:,} frames ({seconds:.1f} s) in all."
+
+
+def _pictures(recordings: Sequence[LabelledRecording], rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[Section]:
+    """The recordings in 3D and over time, those that have frames and points or markers."""
+    if not any(one.given.size for one in recordings):
+        return []
+    text = "Drag to turn, shift-drag to move, Ctrl and the wheel to zoom; with the picture in focus, space plays and the arrow keys step. "
+    text += "Opacity: confidence of the label. Faint: a hidden marker where it was expected. The arrow is the walking direction. "
+    text += "Below, each row is a marker: the darker, the higher the confidence; amber: unsure; grey: hidden"
+    text += "; red: a wrong label." if any(one.wrong is not None and one.wrong.any() for one in recordings) else "."
+    packed = pack_recordings([_shown(one, row, name) for one, row, name in zip(recordings, rows, names, strict=False)])
+    heading = f"{names[0]} in 3D and over time" if len(recordings) == 1 else "Each file in 3D and over time"
+    return [Section(heading, text, player=packed)]
+
+
+def _shown(one: LabelledRecording, row: Mapping[str, Any], name: str) -> ShownRecording:
+    marks = None
+    if one.wrong is not None:
+        marks = np.zeros(len(one.clouds.xyz), dtype=np.int64)
+        frames, markers = np.nonzero(one.wrong)
+        marks[one.clouds.offsets[frames] + one.labelling.indices[frames, markers]] = WRONG
+    first = np.nonzero(one.given.any(axis=1))[0]
+    return ShownRecording(
+        name,
+        one.labelling,
+        one.clouds,
+        one.first_frame,
+        unsure=one.unsure,
+        marks=marks,
+        marker_set=one.marker_set,
+        note=_row_text(row),
+        start=int(first[0]) if len(first) else 0,
+    )
+
+
+def _row_text(row: Mapping[str, Any]) -> str:
+    """A file's row as a line above its picture."""
+    shares = [f"{percent(float(row[key]), 2)} {key}" for key in ("labelled", "likely", "unsure", "hidden") if key in row]
+    verdict = row.get("verdict")
+    return ", ".join([*([str(verdict)] if verdict else []), *shares])
+
+
+def _merits(recordings: Sequence[LabelledRecording], rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str]]:
     """The figures at the head of the page."""
+    confidence = [one.labelling.confidence[one.given] for one in recordings]
     merits = [
         (count(_total(rows, "frames")), "frames" if len(rows) < 2 else f"frames in {len(rows)} files", ""),
         (percent(_share(rows, "labelled"), 2), "of the markers labelled", ""),
+        *([(percent(_share(rows, "likely"), 2), "likely", "")] if any("likely" in row for row in rows) else []),
         (percent(_share(rows, "unsure"), 2), "unsure", "warn" if _share(rows, "unsure") > _MANY_UNSURE else ""),
         (percent(_share(rows, "hidden"), 2), "hidden", ""),
-        (percent(_mean(shown.labelling.confidence[shown.given] >= 0.99), 2), "of the labels have a confidence of 99 % or more", ""),
+        (percent(_mean(np.concatenate([np.zeros(0), *confidence]) >= _SURE), 2), "of the labels have a confidence of 99 % or more", ""),
     ]
-    if shown.wrong is not None:
-        share = _mean(shown.wrong[shown.given])
+    checked = [one.wrong[one.given] for one in recordings if one.wrong is not None]
+    if checked:
+        share = _mean(np.concatenate(checked))
         merits.append((percent(share, 3), "of the labels wrong", "good" if share <= _FEW_WRONG else "bad"))
     timed = [row for row in rows if row.get("frames_per_second", 0) > 0]
     if timed:
@@ -141,68 +196,118 @@ _NOTE = (
     "Hidden: a marker without a label in a frame in which every point has a label."
 )
 _NOTE_WITH_TRUTH = "Unsure: a marker in view without a label. Hidden: a marker out of view without a label, which is right."
+_NOTE_LIKELY = "Labelled: a label with a confidence of 99 % or more. Likely: a label with less. "
 
 
-def _files(rows: Sequence[Mapping[str, Any]]) -> Table:
-    head = ["file", "frames", "labelled", "unsure", "hidden", "frames/s"]
+def _note(recordings: Sequence[LabelledRecording]) -> str:
+    known = [one.truth is not None for one in recordings]
+    return _NOTE_LIKELY + (_NOTE_WITH_TRUTH if known and all(known) else _NOTE)
+
+
+def _files(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Table:
     nan = float("nan")
+    judged, likely = any(row.get("verdict") for row in rows), any("likely" in row for row in rows)
+    head = ["file", *(["verdict"] if judged else []), "frames", "labelled", *(["likely"] if likely else []), "unsure", "hidden", "frames/s"]
     return Table(
         head,
         [
             [
-                Path(str(row.get("file", NOTHING))).name,
+                name,
+                *([_verdict(row)] if judged else []),
                 count(row.get("frames", nan)),
                 percent(row.get("labelled", nan), 2),
+                *([percent(row.get("likely", nan), 2)] if likely else []),
                 tinted(float(row.get("unsure", nan)), 2, 0.5),
                 percent(row.get("hidden", nan), 2),
                 count(row.get("frames_per_second", nan)),
             ]
-            for row in rows
+            for row, name in zip(rows, names, strict=True)
         ],
+        left=2 if judged else 1,
+        opens=True,
     )
 
 
-def _against_truth(shown: LabelledRecording, truth: Ints) -> Section:
-    given, visible = shown.given, truth >= 0
-    right = given & (shown.labelling.indices == truth)
-    false_labels = given & ~visible
+def _verdict(row: Mapping[str, Any]) -> Cell:
+    verdict = str(row.get("verdict") or NOTHING)
+    return Cell(verdict, 0.0 if verdict in (NOTHING, FITS) else 1.0, "bad" if verdict == OTHER_BODY else "warn")
+
+
+def _short_names(files: Sequence[str]) -> list[str]:
+    """What to call each file: its name, with its folder where another file has the same name."""
+    names = [Path(file).name for file in files]
+    return [name if names.count(name) == 1 else "/".join(Path(file).parts[-2:]) for file, name in zip(files, names, strict=True)]
+
+
+def _against_truth(recordings: Sequence[LabelledRecording]) -> Section:
+    known = [(one, one.truth) for one in recordings if one.truth is not None]
+    hits, frames_right, frames = np.zeros(5, dtype=np.int64), 0, 0
+    visible_markers, hidden_markers = 0, 0
+    for one, truth in known:
+        given, visible = one.given, truth >= 0
+        right = given & (one.labelling.indices == truth)
+        false_labels = given & ~visible
+        hits += [int(part.sum()) for part in (right, given & visible & ~right, ~given & visible, false_labels, ~given & ~visible)]
+        visible_markers, hidden_markers = visible_markers + int(visible.sum()), hidden_markers + int((~visible).sum())
+        frames_right += int(((right == visible).all(axis=1) & ~false_labels.any(axis=1)).sum())
+        frames += len(truth)
     outcomes = [
-        ("right label", right, visible, "of the visible markers"),
-        ("wrong label: the marker is at another point", given & visible & ~right, visible, "of the visible markers"),
-        ("missed: visible, but no label", ~given & visible, visible, "of the visible markers"),
-        ("wrong label: the marker was hidden", false_labels, ~visible, "of the hidden markers"),
-        ("hidden, and no label: right", ~given & ~visible, ~visible, "of the hidden markers"),
+        ("right label", visible_markers, "of the visible markers"),
+        ("wrong label: the marker is at another point", visible_markers, "of the visible markers"),
+        ("missed: visible, but no label", visible_markers, "of the visible markers"),
+        ("wrong label: the marker was hidden", hidden_markers, "of the hidden markers"),
+        ("hidden, and no label: right", hidden_markers, "of the hidden markers"),
     ]
     rows: list[list[str | Cell]] = [
-        [name, count(int(hit.sum())), f"{percent(hit.sum() / of.sum() if of.any() else float('nan'), 3)} {what}"]
-        for name, hit, of, what in outcomes
+        [name, count(int(hit)), f"{percent(hit / of if of else float('nan'), 3)} {what}"]
+        for (name, of, what), hit in zip(outcomes, hits, strict=True)
     ]
-    perfect = _mean((right == visible).all(axis=1) & ~false_labels.any(axis=1))
-    rows.append(["frames with every marker right", count(perfect * len(truth)), f"{percent(perfect, 2)} of the frames"])
+    nan = float("nan")
+    perfect = percent(frames_right / frames if frames else nan, 2)
+    rows.append(["frames with every marker right", count(frames_right if frames else nan), f"{perfect} of the frames"])
     return Section("Against the truth", "The true place of every marker is known here.", table=Table(["", "number", "share"], rows))
 
 
-def _markers(shown: LabelledRecording) -> Table:
-    labelling, given, truth = shown.labelling, shown.given, shown.truth
-    head = ["marker", "labelled", "unsure", "hidden", "mean confidence", "lowest confidence"]
-    head += [] if truth is None else ["right", "wrong", "missed"]
-    rows: list[list[str | Cell]] = []
-    for m, name in enumerate(labelling.names):
-        confidence = labelling.confidence[given[:, m], m]
-        row: list[str | Cell] = [
-            name,
-            percent(_mean(given[:, m]), 2),
-            tinted(_mean(shown.unsure[:, m]), 2, 0.5),
-            percent(_mean(shown.hidden[:, m]), 2),
-            percent(_mean(confidence), 2),
-            percent(float(confidence.min()) if len(confidence) else float("nan"), 2),
-        ]
-        if truth is not None:
-            right, visible = given[:, m] & (labelling.indices[:, m] == truth[:, m]), truth[:, m] >= 0
-            wrong = int((given[:, m] & ~right).sum())
-            row += [count(int(right.sum())), Cell(count(wrong), min(wrong / 10, 1.0), "bad"), count(int((visible & ~given[:, m]).sum()))]
-        rows.append(row)
-    return Table(head, rows)
+def _markers(recordings: Sequence[LabelledRecording], files: Sequence[str]) -> Table:
+    """A row per marker, over all recordings that have it; of several, the last column names the file with its lowest confidence."""
+    known = any(one.truth is not None for one in recordings)
+    head = ["marker", "labelled", "likely", "unsure", "hidden", "mean confidence", "lowest confidence"]
+    head += ["right", "wrong", "missed"] if known else []
+    head += ["lowest in"] if len(recordings) > 1 else []
+    names = dict.fromkeys(name for one in recordings for name in one.labelling.names)
+    return Table(head, [_marker_row(name, recordings, files, known) for name in names])
+
+
+def _marker_row(name: str, recordings: Sequence[LabelledRecording], files: Sequence[str], known: bool) -> list[str | Cell]:
+    having = [
+        (one, one.labelling.names.index(name), file) for one, file in zip(recordings, files, strict=False) if name in one.labelling.names
+    ]
+
+    def column(part: str) -> NDArray[np.bool_]:
+        return np.concatenate([getattr(one, part)[:, m] for one, m, _ in having])
+
+    given = [one.labelling.confidence[one.given[:, m], m] for one, m, _ in having]
+    confidence = np.concatenate(given)
+    lowest = [float(part.min()) if len(part) else float("inf") for part in given]
+    row: list[str | Cell] = [
+        name,
+        percent(_mean(column("given") & ~column("likely")), 2),
+        percent(_mean(column("likely")), 2),
+        tinted(_mean(column("unsure")), 2, 0.5),
+        percent(_mean(column("hidden")), 2),
+        percent(_mean(confidence), 2),
+        percent(float(confidence.min()) if len(confidence) else float("nan"), 2),
+    ]
+    if known:
+        counts = np.zeros(3, dtype=np.int64)
+        for one, m, _ in having:
+            if one.truth is not None:
+                right, visible = one.given[:, m] & (one.labelling.indices[:, m] == one.truth[:, m]), one.truth[:, m] >= 0
+                counts += [int(part.sum()) for part in (right, one.given[:, m] & ~right, visible & ~one.given[:, m])]
+        row += [count(int(counts[0])), Cell(count(int(counts[1])), min(counts[1] / 10, 1.0), "bad"), count(int(counts[2]))]
+    if len(recordings) > 1:
+        row.append(having[int(np.argmin(lowest))][2] if min(lowest) < _SURE else NOTHING)
+    return row
 
 
 def _mean(values: NDArray[np.bool_] | Floats) -> float:

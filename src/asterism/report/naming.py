@@ -8,18 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from asterism.recording import Clouds, Floats
-from asterism.report import figures
+from asterism.recording import NULL, Clouds, Labelling
 from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, write_page
-from asterism.report.projection import Dots, travel, two_views
+from asterism.report.player import ShownRecording, pack_recordings
 
 if TYPE_CHECKING:
     from asterism.labelling.naming import GroupPlace, MarkerGroups
 
 _MIDDLE = 0.03
 """m from the middle of the body up to which a group is called middle."""
-_PICTURES = 4
-_LEFT, _RIGHT, _BETWEEN, _SMALL = "#2563c9", "#d1495b", "#23304d", "#9aa4b5"
 
 
 def naming_report(
@@ -39,17 +36,17 @@ def naming_report(
     names        {group from 0: marker}, as far as they are known
     first_frame  the number that the file gives its first frame
 
-    Up to four frames are drawn, so that every frequent group is seen in one of them. Raises AsterismError where the file cannot be written.
+    The recording is shown in 3D, with the number of each frequent group beside it. Raises AsterismError where the file cannot be written.
     """
     names = names or {}
     share = float(groups.frames[: groups.frequent].sum() / max(1, groups.frames.sum()))
     sections = [
         Section(
-            f"Frame {frame + first_frame}",
-            "Left and right are those of the subject, if it walks forwards. Small grey points are groups that are rarely seen.",
-            figure=_picture(clouds, groups, places, names, frame),
+            "The groups in 3D",
+            "Left and right are those of the subject, if it walks forwards. Small grey points are groups that are rarely seen. "
+            "Drag to turn; with the picture in focus, space plays and the arrow keys step.",
+            player=pack_recordings([_shown(clouds, groups, places, names, first_frame)]),
         )
-        for frame in _frames_to_draw(clouds, groups)
     ]
     sections.append(
         Section(
@@ -82,38 +79,30 @@ def neighbours_text(place: GroupPlace) -> str:
     return ", ".join(f"{group + 1} ({100 * distance:.0f} cm)" for group, distance in place.nearest)
 
 
-def _frames_to_draw(clouds: Clouds, groups: MarkerGroups) -> list[int]:
-    """Frames that together show all frequent groups: each shows as many as possible that no frame before it shows."""
-    frame_of = clouds.frame_of
-    shown = np.zeros((len(clouds), len(groups)), dtype=np.bool_)
-    shown[frame_of, groups.of_point] = True
-    missing, frames = set(range(groups.frequent)), list[int]()
-    while missing and len(frames) < _PICTURES:
-        new = shown[:, sorted(missing)].sum(axis=1)
-        best = np.nonzero(new == new.max())[0]
-        frame = int(best[np.argmin(np.abs(best - len(clouds) // 2))])
-        frames.append(frame)
-        missing -= set(np.nonzero(shown[frame])[0].tolist())
-    return frames
-
-
-def _picture(clouds: Clouds, groups: MarkerGroups, places: Sequence[GroupPlace], names: Mapping[int, str], frame: int) -> figures.Figure:
-    points = clouds[frame]
-    group_of = groups.of_point[clouds.offsets[frame] : clouds.offsets[frame + 1]]
-    styles = {"left": (_LEFT, 9), "right": (_RIGHT, 9), "middle": (_BETWEEN, 9), "rarely seen": (_SMALL, 6)}
-    kinds: dict[str, list[int]] = {kind: [] for kind in styles}
-    for at, group in enumerate(group_of):
-        rare = group >= groups.frequent
-        where = side(places[int(group)])
-        kinds["rarely seen" if rare else "middle" if where == NOTHING else where].append(at)
-    dots = [
-        Dots(kind, _rows(points, ats), [_group_text(int(group_of[at]), names) for at in ats], *styles[kind]) for kind, ats in kinds.items()
-    ]
-    return two_views(dots, clouds.vertical, travel(clouds, frame), height=500)
-
-
-def _rows(points: Floats, rows: Sequence[int]) -> Floats:
-    return points[list(rows)] if rows else np.zeros((0, 3))
+def _shown(
+    clouds: Clouds, groups: MarkerGroups, places: Sequence[GroupPlace], names: Mapping[int, str], first_frame: int
+) -> ShownRecording:
+    """The recording with its frequent and its named groups as markers; it starts where most of them are seen."""
+    shown = sorted({*range(groups.frequent), *(group for group in names if group < len(groups))})
+    column = np.full(len(groups), NULL)
+    column[shown] = np.arange(len(shown))
+    points = np.nonzero(column[groups.of_point] >= 0)[0]
+    frames = clouds.frame_of[points]
+    indices = np.full((len(clouds), len(shown)), NULL)
+    indices[frames, column[groups.of_point[points]]] = points - clouds.offsets[frames]
+    seen = indices >= 0
+    labelling = Labelling(indices, np.where(seen, 1.0, 0.0), tuple(_group_text(group, names) for group in shown))
+    sides = [side(places[group]) for group in shown]
+    return ShownRecording(
+        "",
+        labelling,
+        clouds,
+        first_frame,
+        unsure=np.zeros(seen.shape, dtype=np.bool_),
+        start=int(np.argmax(seen.sum(axis=1))) if seen.size else 0,
+        sides=["middle" if where == NOTHING else where for where in sides],
+        names_shown="all",
+    )
 
 
 def _group_text(group: int, names: Mapping[int, str]) -> str:

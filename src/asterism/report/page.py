@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from asterism.errors import AsterismError
+from asterism.report.player import deflated, player_script, player_style
 
 NOTHING = "–"
 
@@ -32,21 +34,25 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """A table: the first `left` columns are text, the others numbers."""
+    """A table: the first `left` columns are text, the others numbers. Where it `opens`, row i shows the player's recording i."""
 
     head: Sequence[str]
     rows: Sequence[Sequence[str | Cell]]
     left: int = 1
+    opens: bool = False
 
 
 @dataclass(frozen=True)
 class Section:
-    """One block of a page, shown in this order: heading, text, figure (a Plotly figure as a plain dict) or scene, table, note."""
+    """One block of a page, shown in this order: heading, text, figure (a Plotly figure as a plain dict), player, table, note.
+
+    player  recordings, as `report.player.pack_recordings` gives them, of which the player shows one at a time
+    """
 
     heading: str
     text: str = ""
     figure: Mapping[str, Any] | None = None
-    scene: Mapping[str, Any] | None = None
+    player: Sequence[Mapping[str, Any]] | None = None
     table: Table | None = None
     note: str = ""
     folded: bool = False
@@ -67,24 +73,37 @@ def write_page(path: str | Path, page: Page) -> None:
     """Render the page and write it to `path`, completely or not at all. Raises AsterismError where the file cannot be written."""
     target = Path(path)
     figures = {f"figure-{i}": s.figure for i, s in enumerate(page.sections) if s.figure is not None}
-    scenes = {f"scene-{i}": s.scene for i, s in enumerate(page.sections) if s.scene is not None}
+    players = {f"player-{i}": s.player for i, s in enumerate(page.sections) if s.player}
     environment = Environment(
-        loader=PackageLoader("asterism.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=PackageLoader("asterism.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=visible_text,
     )
     facts = {"Asterism": _version(), **page.facts, "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")}
     html = environment.get_template("page.html").render(
         page=page,
         facts={name: _fact_text(value) for name, value in facts.items() if value is not None},
-        style=_template("page.css"),
-        script=_template("page.js"),
-        plotly=_plotly() if figures or scenes else "",
-        data=_as_script({"figures": figures, "scenes": scenes}),
+        style=_template("page.css") + player_style(),
+        script=player_script() + _template("page.js") if figures or players else "",
+        plotly=_plotly() if figures else "",
+        data=_as_script({"figures": figures, "players": players}),
         is_cell=lambda cell: isinstance(cell, Cell),
     )
     try:
         _replace(target, html)
     except OSError as problem:
         raise AsterismError(f"{target}: the report cannot be written ({problem.strerror}); choose another place.") from problem
+
+
+_UNSEEN = re.compile("[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u061c\\u200b-\\u200f\\u2028-\\u202e\\u2060-\\u2069\\ufeff]")
+
+
+def visible_text(value: Any) -> Any:
+    """A text with a sign in place of each character that cannot be seen, such as marks that turn the direction of writing."""
+    return _UNSEEN.sub("\ufffd", value) if type(value) is str else value
 
 
 def percent(share: float, digits: int = 1) -> str:
@@ -128,10 +147,11 @@ def _as_script(value: Any) -> str:
 
 
 def _plotly() -> str:
+    """Plotly's script, deflated: 2 MB of a page instead of 5."""
     from plotly.offline import get_plotlyjs
 
     load: Callable[[], str] = get_plotlyjs
-    return load()
+    return deflated(np.frombuffer(load().encode("utf-8"), dtype=np.uint8))
 
 
 def _template(name: str) -> str:

@@ -1,4 +1,4 @@
-"""Pieces of tracks to check in; a page with the list, and pictures of the frames to look at, out."""
+"""Pieces of tracks to check in; a page with the list, and the seconds around the frames to look at in 3D, out."""
 
 from __future__ import annotations
 
@@ -9,18 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from asterism.recording import Clouds, Floats, Labelling, MarkerSet
-from asterism.report import figures
+from asterism.recording import Clouds, Labelling, MarkerSet
 from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, write_page
-from asterism.report.projection import Dots, travel, two_views
-from asterism.report.scene import known_set
+from asterism.report.player import IN_QUESTION, ShownRecording, pack_recordings
 
 if TYPE_CHECKING:
     from asterism.labelling import ReviewItem
 
-_LEFT, _RIGHT, _MIDDLE, _UNLABELLED, _IN_QUESTION = "#2563c9", "#d1495b", "#23304d", "#9aa4b5", "#f08c00"
-_NAMED = 20
-"""Up to so many markers, a picture names all points; with more, only those near the point in question."""
+_SECONDS_AROUND = 1.5
+"""s before and after the frame to look at that the page shows."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +26,7 @@ class ReviewEntry:
 
     file         the recording's file
     item         one that `asterism.labelling.review` gave
-    labelling    of the recording, with its clouds; without them the item has no picture
+    labelling    of the recording, with its clouds; without them the item is not shown in 3D
     clouds       the clouds that were labelled
     first_frame  the number that the file gives its first frame
     """
@@ -59,13 +56,13 @@ def review_report(
     totals: tuple[int, float] | None = None,
     model_info: Mapping[str, Any] | None = None,
     marker_set: MarkerSet | None = None,
-    pictures: int = 6,
+    pictures: int = 20,
 ) -> None:
     """Write an HTML page on what `review` listed.
 
-    entries     the first is the one to check first; the first `pictures` of them are drawn
+    entries     the first is the one to check first; the first `pictures` of them are shown in 3D
     totals      the number of items in the whole list, and the samples that it gains, where `entries` is only its head
-    marker_set  for the sides' colours; by default the shipped set that has the markers
+    marker_set  for sides and bones; by default the shipped set that has the markers
 
     Raises AsterismError where the file cannot be written.
     """
@@ -78,23 +75,19 @@ def review_report(
         (count(len(entries)), "listed here", ""),
         (percent(head / gain if gain else float("nan"), 1), "of the expected gain is in this list", ""),
     ]
+    drawn = [entry for entry in entries[:pictures] if entry.labelling is not None and entry.clouds is not None]
+    shown = [_shown(place, entry, names[entry.file], marker_set) for place, entry in enumerate(drawn, 1)]
     sections = [
         Section(
             "The list",
             "Each line is a piece of a track between two gaps. One name for the piece corrects all its frames. "
             "The gain is the expected number of its samples whose label is wrong or missing.",
-            table=_table(entries, names),
+            table=_table(entries, names, drawn == list(entries[: len(drawn)])),
         )
     ]
-    for place, entry in enumerate(entries[:pictures], 1):
-        if entry.labelling is not None and entry.clouds is not None:
-            sections.append(
-                Section(
-                    f"{place}. {names[entry.file]}, frame {entry.frame}: {label_text(entry.item)}",
-                    f"The ringed point, frames {entry.frames}. The line is its path. {_advice(entry.item)}",
-                    figure=_picture(entry.item, entry.labelling, entry.clouds, marker_set),
-                )
-            )
+    if shown:
+        text = "The ringed point is in question; the list opens each of them. Drag to turn; with the picture in focus, space plays and "
+        sections.append(Section("In 3D", text + "the arrow keys step.", player=pack_recordings(shown)))
     lead = f"{len(entries)} of {number:,} pieces of tracks, by the number of samples that a check corrects."
     write_page(path, Page(title, lead if entries else "No label needs a check.", model_info or {}, merits, sections))
 
@@ -121,7 +114,7 @@ def _short_names(files: Sequence[str]) -> dict[str, str]:
     return {file: Path(file).name if names.count(Path(file).name) == 1 else "/".join(Path(file).parts[-2:]) for file in files}
 
 
-def _table(entries: Sequence[ReviewEntry], names: Mapping[str, str]) -> Table:
+def _table(entries: Sequence[ReviewEntry], names: Mapping[str, str], opens: bool) -> Table:
     most = max((entry.item.gain for entry in entries), default=1.0)
     rows: list[list[str | Cell]] = [
         [
@@ -135,39 +128,24 @@ def _table(entries: Sequence[ReviewEntry], names: Mapping[str, str]) -> Table:
         ]
         for place, entry in enumerate(entries, 1)
     ]
-    return Table(["file", "label", "alternatives", "frames", "look at", "samples", "gain"], rows, left=3)
+    return Table(["file", "label", "alternatives", "frames", "look at", "samples", "gain"], rows, left=3, opens=opens)
 
 
-def _picture(item: ReviewItem, labelling: Labelling, clouds: Clouds, marker_set: MarkerSet | None) -> figures.Figure:
-    """The frame to look at, from the side and from the front."""
-    marker_set = marker_set if marker_set and marker_set.pairs else known_set(labelling.names)
-    t = item.frame
-    points = clouds[t]
-    ringed = item.points[np.searchsorted(item.points, clouds.offsets[t])] - clouds.offsets[t]
-    name_of = {int(place): name for name, place in zip(labelling.names, labelling.indices[t], strict=True) if place >= 0}
-    near = np.argsort(np.linalg.norm(points - points[ringed], axis=1), kind="stable")[: _NAMED // 2]
-    named = set(range(len(points))) if len(labelling.names) <= _NAMED else {int(place) for place in near}
-    left, right = (set(side) for side in zip(*marker_set.pairs, strict=True)) if marker_set and marker_set.pairs else (set(), set())
-    sides: dict[str, list[int]] = {_LEFT: [], _RIGHT: [], _MIDDLE: [], _UNLABELLED: []}
-    for place in range(len(points)):
-        name = name_of.get(place)
-        sides[_UNLABELLED if name is None else _LEFT if name in left else _RIGHT if name in right else _MIDDLE].append(place)
-    legend = {_LEFT: "left", _RIGHT: "right", _MIDDLE: "middle", _UNLABELLED: "no label"}
-    dots = [Dots("", _path(item, clouds, t), [], _IN_QUESTION, path=True)]
-    dots += [
-        Dots(legend[color], points[places], [name_of.get(p, "") if p in named else "" for p in places], color)
-        for color, places in sides.items()
-    ]
-    dots.append(Dots("in question", points[[ringed]], [""], _IN_QUESTION, 18, ring=True))
-    return two_views(dots, clouds.vertical, travel(clouds, t))
-
-
-def _path(item: ReviewItem, clouds: Clouds, frame: int) -> Floats:
-    """(N, 3) m, the piece's path within a quarter of a second of a frame, less the mean motion of the cloud."""
-    reach = max(1, round(0.25 * clouds.rate))
-    frames = np.searchsorted(clouds.offsets, item.points, side="right") - 1
-    near = np.abs(frames - frame) <= reach
-    times = frames[near] - frame
-    middles = np.array([np.median(clouds[int(t)], axis=0) for t in frames[near]])
-    drift = np.polyfit(times, middles, 1)[0] if len(times) > 1 else np.zeros(3)
-    return np.asarray(clouds.xyz[item.points[near]] - times[:, None] * drift)
+def _shown(place: int, entry: ReviewEntry, file: str, marker_set: MarkerSet | None) -> ShownRecording:
+    """The seconds around the frame to look at, with the item's points in question."""
+    item, labelling, clouds = entry.item, entry.labelling, entry.clouds
+    assert labelling is not None and clouds is not None
+    reach = max(1, round(_SECONDS_AROUND * clouds.rate))
+    marks = np.zeros(len(clouds.xyz), dtype=np.int64)
+    marks[item.points] = IN_QUESTION
+    return ShownRecording(
+        f"{place}. {file}, frame {entry.frame}: {label_text(item)}",
+        labelling,
+        clouds,
+        entry.first_frame,
+        marks=marks,
+        marker_set=marker_set,
+        note=f"The ringed point, frames {entry.frames}. {_advice(item)}",
+        start=item.frame,
+        chosen=(max(0, item.frame - reach), min(len(clouds), item.frame + reach + 1)),
+    )

@@ -1,90 +1,104 @@
 (function () {
   "use strict";
   const data = JSON.parse(document.getElementById("data").textContent);
-  const config = { displaylogo: false, displayModeBar: false };
+  const { make, plainText } = Asterism;
+  const told = problem => make("p", { className: "noscript", textContent: problem });
 
-  function draw(box, traces, layout, more) {
-    Plotly.newPlot(box, traces, layout, { ...config, ...more }).then(() => {
-      new ResizeObserver(() => Plotly.Plots.resize(box)).observe(box);
-    });
-  }
+  // Figures: Plotly, which the page holds deflated.
 
-  for (const [id, figure] of Object.entries(data.figures)) draw(document.getElementById(id), figure.data, figure.layout);
-
-  function startScene(box, scene) {
-    const view = box.querySelector(".view"), slider = box.querySelector("input[type=range]"), position = box.querySelector("output");
-    const play = box.querySelector(".play"), names = box.querySelector(".names");
-    const groups = ["left", "right", "middle", "wrong", "rest"];
-    let timer = null;
-
-    function column(points, axis) { return points.map(p => p === null ? null : p[axis] / 1000); }
-
-    function traces(f) {
-      const points = scene.points[f], wrong = new Set(scene.wrong[f]);
-      const ends = [];
-      for (const [a, b] of scene.bones) {
-        if (points[a] && points[b]) ends.push(points[a], points[b], null);
-      }
-      const out = [{ points: ends, text: [] }];
-      for (const group of groups) {
-        if (group === "rest") { out.push({ points: scene.rest[f], text: scene.rest[f].map(() => "") }); continue; }
-        const own = points.map((_, m) => m).filter(m => points[m] && (wrong.has(m) ? "wrong" : scene.side[m]) === group);
-        out.push({ points: own.map(m => points[m]), text: own.map(m => scene.names[m]) });
-      }
-      return out;
-    }
-
-    const look = {
-      left: ["#2563c9", "left", 5], right: ["#d1495b", "right", 5], middle: ["#23304d", "middle", 5],
-      wrong: ["#ff2d1a", "wrong label", 8], rest: ["#9aa4b5", "no label", 4]
-    };
-    const first = traces(0);
-    const drawn = first.map((trace, i) => {
-      const xyz = { x: column(trace.points, 0), y: column(trace.points, 1), z: column(trace.points, 2) };
-      if (i === 0) {
-        return { type: "scatter3d", mode: "lines", line: { color: "#b9c4d4", width: 5 }, hoverinfo: "skip", showlegend: false, ...xyz };
-      }
-      const [color, name, size] = look[groups[i - 1]];
-      return {
-        type: "scatter3d", mode: i === 5 || !scene.named ? "markers" : "markers+text", name, text: trace.text, textposition: "top center",
-        textfont: { size: 11, color: "#33415c" }, marker: { size, color, symbol: i === 4 ? "diamond" : "circle", line: { width: 0 } },
-        hovertemplate: "%{text}<br>%{x:.3f}, %{y:.3f}, %{z:.3f} m<extra></extra>", showlegend: scene.shown.includes(groups[i - 1]), ...xyz
-      };
-    });
-    const axis = range => ({ range, title: { text: "" }, showspikes: false, backgroundcolor: "#f7f9fc", gridcolor: "#dfe5ee",
-      showbackground: true, zeroline: false, tickfont: { size: 10, color: "#7a869c" }, ticksuffix: " m", nticks: 5 });
-    const layout = {
-      margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "#fff", uirevision: "kept", legend: { orientation: "h", x: 0, y: 1, itemsizing: "constant" },
-      font: { family: "system-ui, sans-serif", color: "#16213a" },
-      scene: { aspectmode: "manual", aspectratio: { x: scene.aspect[0], y: scene.aspect[1], z: scene.aspect[2] }, dragmode: "orbit", xaxis: axis(scene.ranges[0]), yaxis: axis(scene.ranges[1]), zaxis: axis(scene.ranges[2]),
-        camera: { eye: scene.eye, center: { x: 0, y: 0, z: -0.03 }, up: { x: 0, y: 0, z: 1 } } }
-    };
-    draw(view, drawn, layout, { scrollZoom: false });
-
-    function show(f) {
-      const now = traces(f);
-      Plotly.restyle(view, {
-        x: now.map(t => column(t.points, 0)), y: now.map(t => column(t.points, 1)), z: now.map(t => column(t.points, 2)), text: now.map(t => t.text)
+  async function drawFigures() {
+    const packed = document.getElementById("plotly");
+    if (!packed) return;
+    const script = new TextDecoder().decode(await Asterism.inflate(packed.textContent));
+    document.head.append(make("script", { textContent: script }));
+    for (const [id, figure] of Object.entries(data.figures)) {
+      const box = document.getElementById(id);
+      Plotly.newPlot(box, figure.data, figure.layout, { displaylogo: false, displayModeBar: false }).then(() => {
+        new ResizeObserver(() => Plotly.Plots.resize(box)).observe(box);
       });
-      position.textContent = "frame " + scene.frames[f] + ", " + scene.seconds[f].toFixed(2) + " s";
     }
-    function stop() { clearInterval(timer); timer = null; play.textContent = "Play"; }
-
-    names.checked = scene.named;
-    slider.max = scene.points.length - 1;
-    slider.addEventListener("input", () => { stop(); show(+slider.value); });
-    names.addEventListener("change", () => {
-      Plotly.restyle(view, { mode: names.checked ? "markers+text" : "markers" }, [1, 2, 3, 4]);
-    });
-    play.addEventListener("click", () => {
-      if (timer !== null) { stop(); return; }
-      play.textContent = "Pause";
-      timer = setInterval(() => {
-        slider.value = (+slider.value + 1) % scene.points.length;
-        show(+slider.value);
-      }, Math.max(40, scene.step_ms));
-    });
-    position.textContent = "frame " + scene.frames[0] + ", " + scene.seconds[0].toFixed(2) + " s";
   }
-  for (const [id, scene] of Object.entries(data.scenes)) startScene(document.getElementById(id), scene);
+
+  // Recordings: a list, the player, and the timeline of the one that is shown.
+
+  class Recordings {
+    constructor(host, recordings) {
+      Object.assign(this, { host, recordings, current: -1, player: null });
+      this.choice = make("select", { attributes: { "aria-label": "recording" } },
+        ...recordings.map((one, i) => make("option", { value: i, textContent: plainText(one.name, 90) })));
+      const step = by => this.open((this.current + by + recordings.length) % recordings.length);
+      const many = recordings.length > 1;
+      this.note = make("p", { className: "note" });
+      this.view = make("div");
+      this.rows = make("div");
+      this.choice.addEventListener("change", () => this.open(+this.choice.value));
+      host.append(
+        ...(many ? [make("div", { className: "choice" }, make("button", { type: "button", textContent: "‹", title: "previous", onclick: () => step(-1) }), this.choice,
+          make("button", { type: "button", textContent: "›", title: "next", onclick: () => step(1) }))] : []),
+        this.note, this.view, this.rows,
+      );
+      this.open(0);
+    }
+
+    async open(number) {
+      if (number === this.current) return;
+      this.current = number;
+      this.choice.value = number;
+      const packed = this.recordings[number];
+      this.note.textContent = plainText(packed.note || "", 400);
+      this.note.hidden = !packed.note;
+      const unpacked = packed.points ? await Asterism.unpack(packed) : null;
+      const codes = packed.timeline ? await Asterism.inflate(packed.timeline.data) : null;
+      if (this.current !== number) return;
+      this.view.hidden = !unpacked;
+      if (unpacked && this.player) this.player.take(unpacked, packed.start);
+      else if (unpacked) this.player = new Asterism.Player(this.view, unpacked, { start: packed.start, names: packed.namesShown, onFrame: () => this.moved() });
+      if (!unpacked) this.note.append(" It has too many points for a page with so many files; a report of it alone shows it.");
+      this.note.hidden = !this.note.textContent;
+      this.showTimeline(packed, codes);
+    }
+
+    showTimeline(packed, codes) {
+      this.rows.hidden = !codes;
+      if (!codes) return;
+      const { block, columns, frames, labelled } = packed.timeline;
+      this.timeline = this.timeline || new Asterism.Timeline(this.rows, { seek: frame => this.seek(frame) });
+      this.timeline.set({ codes, columns, block, frames, number: frame => packed.firstFrame + frame, rows: packed.markers.map((name, m) => ({ name, share: labelled[m] })) });
+      this.moved();
+    }
+
+    seek(frame) {
+      const packed = this.recordings[this.current];
+      if (!packed.points) return;
+      this.player.pause();
+      this.player.seek(Math.round((frame - packed.firstShown) / packed.step));
+    }
+
+    moved() {
+      const packed = this.recordings[this.current];
+      if (this.timeline && this.player) this.timeline.at(packed.firstShown + this.player.frame * packed.step);
+    }
+  }
+
+  function openByTable(shown) {
+    for (const row of document.querySelectorAll("tr[data-opens]")) {
+      if (!shown.recordings[+row.dataset.opens]) continue;
+      const cell = row.cells[0], button = make("button", { type: "button", className: "opens", title: "show it in 3D" }, ...cell.childNodes);
+      cell.replaceChildren(button);
+      button.addEventListener("click", () => {
+        shown.open(+row.dataset.opens);
+        shown.host.scrollIntoView({ behavior: "smooth", block: "start" });
+      });
+    }
+  }
+
+  if (typeof DecompressionStream === "undefined") {
+    document.querySelector("main").prepend(told("This browser is too old to draw the pictures. All tables are complete."));
+    return;
+  }
+  for (const [id, recordings] of Object.entries(data.players)) {
+    const shown = new Recordings(document.getElementById(id), recordings);
+    openByTable(shown);
+  }
+  drawFigures();
 })();
