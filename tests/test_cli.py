@@ -23,6 +23,7 @@ VERBS = (
     "demo",
     "name",
     "audit",
+    "mend",
     "train",
     "label",
     "review",

@@ -45,6 +45,7 @@ _EXAMPLES = {
     "learn": "asterism learn gait.model corrected/*.c3d -o better.model",
     "evaluate": "asterism evaluate --leave-one-subject-out labelled/*.c3d --markers helen-hayes --occlusions 0 2 4",
     "audit": "asterism audit labelled/*.c3d --markers helen-hayes",
+    "mend": "asterism mend labelled/*.c3d --markers helen-hayes -o mended",
     "capturability": "asterism capturability labelled/*.c3d --markers helen-hayes --report capturability.html",
     "info": "asterism info walk.c3d",
     "convert": "asterism convert walk.c3d walk.trc",

@@ -2,5 +2,6 @@
 
 from asterism.labelling.audit.damage import AuditRules, audit, remove_errors
 from asterism.labelling.audit.errors import LabelError
+from asterism.labelling.audit.mend import mend_errors
 
-__all__ = ["AuditRules", "LabelError", "audit", "remove_errors"]
+__all__ = ["AuditRules", "LabelError", "audit", "mend_errors", "remove_errors"]

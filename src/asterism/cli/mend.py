@@ -1,0 +1,148 @@
+"""`asterism mend`: labelled files in; copies with their wrong labels put right out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from asterism.cli import _console
+from asterism.cli._command import takes
+from asterism.cli._options import Files, Json, Markers, Overwrite, Seed, Vertical
+from asterism.cli.audit import as_numbered, show
+from asterism.errors import AsterismError
+from asterism.findings import exit_status
+
+if TYPE_CHECKING:
+    from asterism.labelling.audit import LabelError
+    from asterism.recording import MarkerSet, Recording
+
+
+@dataclass(frozen=True)
+class MendOptions:
+    """What `asterism mend` is asked to do."""
+
+    files: Files
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where the mended files go.", show_default=False)]
+    markers: Markers = None
+    subject: Annotated[
+        str | None,
+        typer.Option(
+            "--subject", metavar="NAME", help="All files are of this person. Else as they say, or their folder.", show_default=False
+        ),
+    ] = None
+    seed: Seed = 0
+    vertical: Vertical = None
+    overwrite: Overwrite = False
+    json: Json = None
+
+
+@takes(MendOptions)
+def mend(options: MendOptions) -> None:
+    """Put right the wrong labels that `asterism audit` finds, in copies of the files.
+
+    Labels that are exchanged are exchanged back, and a label that jumps off its marker is taken back there. Everything else in a file stays
+    as it is. Only files with a wrong label are written, to FOLDER. The result is audited again: what is still wrong is named, and the
+    exit status is then 1.
+    """
+    from asterism.cli._recordings import marker_set_of
+    from asterism.labelling import audit as find_errors
+
+    _console.check_new(options.json, options.overwrite)
+    batch, marker_set = _console.Batch("audited"), marker_set_of(options.markers)
+    files = _read(options, marker_set, batch)
+
+    def found_in(recordings: Sequence[Recording], what: str) -> list[LabelError]:
+        subjects = None if options.subject is None else [options.subject] * len(recordings)
+        with _console.progress(what) as progress:
+            return find_errors(recordings, subjects=subjects, seed=options.seed, progress=progress)
+
+    before = [file.audited for file in files]
+    errors = found_in(before, "auditing")
+    after = [_mended(file, [error for error in errors if error.recording == i], batch) for i, file in enumerate(files)]
+    left = found_in(after, "auditing again") if errors else []
+    mended, left = [as_numbered(error, before) for error in errors], [as_numbered(error, after) for error in left]
+    written = [file for file, one, other in zip(files, before, after, strict=True) if one is not other]
+    if options.json != "-":
+        show(mended, batch.done)
+        for file in written:
+            _console.result(f"{file.path}: mended, {file.target}")
+    for error in left:
+        if error.damage:
+            _console.report(replace(error.finding, mend="Correct it by hand, for instance with asterism review."))
+    _console.write_json(
+        options.json,
+        {
+            "command": "mend",
+            "files": batch.done,
+            "failed": batch.failed,
+            "written": [{"file": file.path, "output": file.target} for file in written],
+            "errors": [{**asdict(error), "file": str(batch.done[error.recording])} for error in mended],
+            "left": [{**asdict(error), "file": str(batch.done[error.recording])} for error in left],
+            "findings": [finding.to_dict() for finding in batch.findings],
+        },
+    )
+    raise typer.Exit(batch.close() or exit_status(error.finding for error in left))
+
+
+@dataclass(frozen=True)
+class _File:
+    """A file, where its mended copy goes, all that is in it, and the markers that are audited; columns: of these in the whole."""
+
+    path: Path
+    target: Path
+    whole: Recording
+    audited: Recording
+    columns: dict[str, int]
+
+
+def _read(options: MendOptions, marker_set: MarkerSet | None, batch: _console.Batch) -> list[_File]:
+    """The files that can be read. Raises AsterismError where two would be written to one place, or none is left."""
+    from asterism import formats
+    from asterism.cli._options import vertical_axis
+    from asterism.cli._recordings import report_warnings
+    from asterism.labelling.training.markers import named_markers
+
+    axis, files = vertical_axis(options.vertical), list[_File]()
+    for path in options.files:
+        with batch.file(path):
+            target = options.output / path.name
+            if any(target == other.target for other in files):
+                raise AsterismError(f"{path} would become {target}, as another file does; mend them into two folders.")
+            if target.exists() and (target.samefile(path) or not options.overwrite):
+                raise AsterismError(f"{path}: {target} exists; choose another folder with -o, or replace it with --overwrite.")
+            whole = formats.read(path, vertical=axis)
+            report_warnings(whole, batch)
+            if marker_set is None:
+                audited = whole.select(named_markers(whole))
+                columns = {name: whole.labels.index(name) for name in audited.labels}
+            else:
+                audited = formats.read(path, markers=marker_set, vertical=axis)
+                columns = dict(zip(marker_set.names, marker_set.columns_of(whole.labels).tolist(), strict=True))
+            files.append(_File(path, target, whole, audited, columns))
+    if not files:
+        raise AsterismError("none of the files can be used; the reasons are above.")
+    return files
+
+
+def _mended(file: _File, errors: Sequence[LabelError], batch: _console.Batch) -> Recording:
+    """The audited markers with the labels put right; a file in which a label was wrong is written."""
+    from asterism import __version__, formats
+    from asterism.cli._recordings import not_carried
+    from asterism.labelling.audit import mend_errors
+
+    result, mended = mend_errors(file.whole, errors, file.columns)
+    if not mended:
+        return file.audited
+    file.target.parent.mkdir(parents=True, exist_ok=True)
+    logged = result.logged("mended", f"asterism {__version__}", errors=[error.description for error in mended])
+    for finding in not_carried(file.target, formats.write(file.target, logged)):
+        batch.found(finding)
+    positions = file.audited.positions.copy()
+    for place, name in enumerate(file.audited.labels):
+        if file.columns[name] >= 0:
+            positions[:, place] = result.positions[:, file.columns[name]]
+    return replace(file.audited, positions=positions)
