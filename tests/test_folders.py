@@ -154,7 +154,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("lab")
     walks, standing = simulate_walks(5, 60, 50.0, markers=MARKERS, seed=3), simulate_standing(5, 30, 50.0, seed=3)
     trained(walks[:3], miner=None).save(place / "walks.model")
-    for person, static in ((3, "static.c3d"), (4, "trial07.c3d")):
+    for person, static in ((3, "trial07.c3d"), (4, "static.c3d")):
         folder = place / "lab" / f"s{person}"
         folder.mkdir(parents=True)
         formats.write(folder / "walk.c3d", Recording.from_clouds(walks[person].clouds()))
@@ -172,9 +172,9 @@ def test_a_laboratorys_folder_is_labelled_as_it_is(lab: Path, tmp_path: Path, ca
     assert run(*words) == 1
     shown = capsys.readouterr()
     assert sorted(path.relative_to(out).as_posix() for path in out.rglob("*.c3d")) == [
-        "s3/static.c3d",
+        "s3/trial07.c3d",
         "s3/walk.c3d",
-        "s4/trial07.c3d",
+        "s4/static.c3d",
         "s4/walk.c3d",
     ]
     assert "broken.c3d is not a C3D file" in shown.err and "5 files: 4 labelled, 1 failed" in shown.err
@@ -182,7 +182,9 @@ def test_a_laboratorys_folder_is_labelled_as_it_is(lab: Path, tmp_path: Path, ca
     assert "4 recordings" in shown.out
     content = json.loads(told.read_text(encoding="utf-8"))
     used = {Path(row["output"]).relative_to(out).as_posix(): row["subject"] and Path(row["subject"]).name for row in content["files"]}
-    assert used == {"s3/static.c3d": None, "s3/walk.c3d": "static.c3d", "s4/trial07.c3d": None, "s4/walk.c3d": "trial07.c3d"}
+    assert used == {"s3/trial07.c3d": None, "s3/walk.c3d": None, "s4/static.c3d": None, "s4/walk.c3d": "static.c3d"}
+    [other] = [finding for finding in content["findings"] if finding["code"] == "label-other-subject"]
+    assert "trial07.c3d is not of this body" in other["sentence"] and other["severity"] == "note", "found by posture, and refused"
     assert [Path(name).name for name in content["passed_over"]] == ["angles.mot"]
     for row in content["files"]:
         assert np.mean([marker["labelled"] for marker in row["markers"].values()]) == pytest.approx(row["labelled"])

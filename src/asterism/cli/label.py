@@ -99,8 +99,8 @@ def label(options: LabelOptions) -> None:
     *1, *2, ... A line per file says which share of all markers in all frames is labelled (confidence 99 % or more), likely (less) and
     unsure (not labelled in a frame with points left over). The rules whole-body label a recording as a whole, by its tracks;
     --frame-wise turns that off.
-    Of a folder, all recordings below it are labelled, and keep their places below FOLDER, with a page on all of them. A trial in which the person stands, found by its
-    name or by what it shows, narrows the model to the person. A run that was stopped goes on where it was.
+    Of a folder, all recordings below it are labelled, and keep their places below FOLDER, with a page on all of them. A trial in which the
+    person stands, found by its name or by what it shows, narrows the model to the person. A run that was stopped goes on where it was.
     With several people or objects in the volume, give --model once for each of them; names that two of them share become 1:LASI and
     2:LASI. The trial given as --subject may be labelled or not.
     """
