@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from asterism import formats
 from asterism.cli import _console
 from asterism.errors import AsterismError
 
@@ -79,6 +78,8 @@ def _clash(places: Sequence[Path]) -> tuple[int, int] | None:
 
 def _recordings_in(folder: Path, without: Path | None, batch: _console.Batch) -> Iterator[Path]:
     """The files of a folder and those below it that have a recording's suffix. Links are followed; each folder is entered once."""
+    from asterism import formats
+
     seen = set() if without is None else {without.resolve()}
 
     def cannot_open(problem: OSError) -> None:
