@@ -1,4 +1,4 @@
-"""The one exception that a user of Asterism is meant to read, and the guard that makes it of whatever reading a file raises."""
+"""The exceptions that a user of Asterism is meant to read, and the guard that makes one of whatever reading a file raises."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 
-__all__ = ["AsterismError", "guarded_reading"]
+__all__ = ["AsterismError", "NoMarkers", "guarded_reading"]
 
 _LONGEST_CAUSE = 160
 
@@ -18,6 +18,10 @@ class AsterismError(Exception):
     The message is one sentence: which file or argument, what is wrong with it, and how to mend it.
     The command line prints it and leaves with status 2 (or goes on with the next file of a batch).
     """
+
+
+class NoMarkers(AsterismError):
+    """A file that holds something else than markers: forces, joint angles, points of cameras. In a folder of files it is passed over."""
 
 
 @contextmanager
@@ -32,7 +36,7 @@ def guarded_reading(path: str | PathLike[str], mend: str = "export it again, or 
     except AsterismError as problem:
         if Path(path).name in str(problem):
             raise
-        raise AsterismError(f"{path}: {problem}") from problem
+        raise type(problem)(f"{path}: {problem}") from problem
     except FileNotFoundError as problem:
         raise AsterismError(f"{path} does not exist; check its name and folder.") from problem
     except OSError as problem:

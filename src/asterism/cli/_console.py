@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from asterism.cli._printable import printable
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, NoMarkers
 from asterism.findings import Finding, exit_status
 from asterism.progress import Progress
 
@@ -153,13 +153,18 @@ class Batch:
 
     def __init__(self, verb: str) -> None:
         self.verb = verb
+        self.in_folders: frozenset[Path] = frozenset()
+        self.passed_over: list[Path] = []
         self.done: list[Path] = []
         self.failed: list[Path] = []
         self.findings: list[Finding] = []
 
     @contextmanager
     def file(self, path: Path) -> Iterator[None]:
-        """Work on one file; whatever it raises costs this file only and becomes one line on standard error."""
+        """Work on one file; whatever it raises costs this file only and becomes one line on standard error.
+
+        A file that was found in a folder (`in_folders`) and holds no markers is passed over.
+        """
         try:
             yield
         except BrokenPipeError:
@@ -167,6 +172,9 @@ class Batch:
         except Exception as problem:
             if type(problem).__module__.startswith(("typer", "click")):
                 raise
+            if isinstance(problem, NoMarkers) and path in self.in_folders:
+                self.passed_over.append(path)
+                return
             sentence = reason(problem)
             error(sentence if path.name in sentence else f"{path}: {sentence}")
             self.failed.append(path)
@@ -181,11 +189,19 @@ class Batch:
     @property
     def status(self) -> int:
         """0: all files done, without warnings. 1: some files failed, or a warning or error was found. 2: no file done."""
-        return 2 if self.failed and not self.done else 1 if self.failed else exit_status(self.findings)
+        return 2 if (self.failed or self.passed_over) and not self.done else 1 if self.failed else exit_status(self.findings)
+
+    def tell_passed_over(self) -> None:
+        """Name the files in folders that hold no markers."""
+        if self.passed_over:
+            holds = "1 file in the folders holds" if len(self.passed_over) == 1 else f"{len(self.passed_over)} files in the folders hold"
+            few = ", ".join(map(str, self.passed_over[:8])) + (", ..." if len(self.passed_over) > 8 else "")
+            notice(f"{holds} no markers and {'was' if len(self.passed_over) == 1 else 'were'} passed over: {few}")
 
     def close(self) -> int:
         """Name the failed files once more where the batch had several files; returns the status."""
         total = len(self.done) + len(self.failed)
+        self.tell_passed_over()
         if self.failed and total > 1:
             error(f"{total} files: {len(self.done)} {self.verb}, {len(self.failed)} failed: {', '.join(map(str, self.failed))}")
         return self.status
@@ -234,7 +250,7 @@ def write_json(where: str | None, content: Mapping[str, Any]) -> None:
         return
     import json
 
-    text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(as_json(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     if where == "-":
         sys.stdout.write(text)
         sys.stdout.flush()
@@ -244,13 +260,14 @@ def write_json(where: str | None, content: Mapping[str, Any]) -> None:
     write_atomically(Path(where), text.encode("utf-8", "backslashreplace"))  # as JSON writes what is no character
 
 
-def _plain(value: Any) -> Any:
+def as_json(value: Any) -> Any:
+    """Values as JSON keeps them: arrays and sequences as lists, numbers that are not finite as None, all else as text."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): as_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
-        return [_plain(item) for item in value]
+        return [as_json(item) for item in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value if value is None or isinstance(value, bool | int | str) else str(value)

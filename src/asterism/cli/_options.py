@@ -20,6 +20,14 @@ class Miner(StrEnum):
     GENETIC_ALL = "genetic-all"
 
 
+class KnownLabels(StrEnum):
+    """What the names are worth that points of a file have already."""
+
+    KEEP = "keep"
+    CHECK = "check"
+    IGNORE = "ignore"
+
+
 class Rules(StrEnum):
     """How a frame is labelled: by the whole body, by the partial solvers' votes and the whole model, or by the thesis' rules."""
 
@@ -28,7 +36,10 @@ class Rules(StrEnum):
     THESIS = "thesis"
 
 
-Files = Annotated[list[Path], typer.Argument(metavar="FILES", help="Recordings: C3D, TRC, CSV, TSV, MAT or NPZ.", show_default=False)]
+Files = Annotated[
+    list[Path],
+    typer.Argument(metavar="FILES", help="Recordings, or folders of them: C3D, TRC, CSV, TSV, MAT or NPZ.", show_default=False),
+]
 Model = Annotated[Path, typer.Option("--model", "-m", metavar="FILE", help="The model that `asterism train` wrote.", show_default=False)]
 Models = Annotated[
     list[Path],
@@ -75,15 +86,27 @@ Features = Annotated[
 ]
 RulesOption = Annotated[Rules, typer.Option("--rules", help="How a frame is labelled: by the whole body, or by solvers' votes.")]
 FrameWise = Annotated[bool, typer.Option("--frame-wise", "--frames", help="Each frame by itself, without time and tracks.")]
-KeepLabels = Annotated[
-    bool, typer.Option("--keep-labels", help="Labels that a file already has stay; only points without a name get a label.")
-]
-Subject = Annotated[
-    Path | None,
+KeepLabels = Annotated[bool, typer.Option("--keep-labels", help="The same as --known-labels keep.")]
+KnownLabelsOption = Annotated[
+    KnownLabels | None,
     typer.Option(
-        "--subject", metavar="FILE", help="A trial of the person, best standing: narrows the model to this body.", show_default=False
+        "--known-labels",
+        help="Names that points already have: keep them, check them against the model's labels, or ignore them. Else check, "
+        "where a file has points with the model's names and points without a name.",
+        show_default=False,
     ),
 ]
+Subjects = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--subject",
+        metavar="FILE",
+        help="A trial of the person, best standing: narrows the model to this body. Of several, the nearest by folder counts.",
+        show_default=False,
+    ),
+]
+NoStatic = Annotated[bool, typer.Option("--no-static", help="Look for no standing trials among the files.")]
+DropComputed = Annotated[bool, typer.Option("--drop-computed", help="Leave out the points and angles that a model computed.")]
 MarkerTargets = Annotated[
     list[str] | None,
     typer.Option(

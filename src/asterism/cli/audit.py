@@ -11,6 +11,7 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
+from asterism.cli._folders import recordings_of
 from asterism.cli._options import Files, Json, Markers, Overwrite, Seed, Vertical
 from asterism.findings import exit_status
 
@@ -49,7 +50,7 @@ def audit(options: AuditOptions) -> None:
 
     _console.check_new(options.json, options.overwrite)
     batch = _console.Batch("audited")
-    recordings = read_some(options.files, marker_set_of(options.markers), options.vertical, batch)
+    recordings = read_some(recordings_of(options.files, batch), marker_set_of(options.markers), options.vertical, batch)
     subjects = None if options.subject is None else [options.subject] * len(recordings)
     with _console.progress("auditing") as progress:
         errors = find_errors(recordings, subjects=subjects, seed=options.seed, progress=progress)

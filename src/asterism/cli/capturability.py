@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from asterism.cli import _console
+from asterism.cli._folders import recordings_of
 from asterism.cli._options import Files, Json, Markers, Overwrite, Report, Seed, Vertical
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def capturability(
     from asterism.cli._recordings import read_labelled
 
     batch = _console.Batch("read")
-    recordings = read_labelled(files, markers, vertical, batch)
+    recordings = read_labelled(recordings_of(files, batch), markers, vertical, batch)
     with _console.progress("capturability") as progress:
         result = labelling.capturability(recordings, seed=seed, progress=progress)
     if json != "-":

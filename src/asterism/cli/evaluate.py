@@ -10,6 +10,7 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
+from asterism.cli._folders import recordings_of
 from asterism.cli._options import (
     Files,
     FrameWise,
@@ -79,7 +80,9 @@ def evaluate(options: EvaluateOptions) -> None:
 
     ensemble = None if options.model is None else labelling.SolverEnsemble.load(options.model)
     batch = _console.Batch("read")
-    recordings = read_labelled(options.files, options.markers if ensemble is None else ensemble.marker_set, options.vertical, batch)
+    recordings = read_labelled(
+        recordings_of(options.files, batch), options.markers if ensemble is None else ensemble.marker_set, options.vertical, batch
+    )
     count, hidden = len(recordings[0].labels), max(settings["occlusions"])
     if hidden > count:
         raise AsterismError(f"--occlusions {hidden} hides more than the {count} markers that there are; give smaller numbers.")

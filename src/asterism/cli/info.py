@@ -42,11 +42,19 @@ def info(options: InfoOptions) -> None:
     _console.check_new(options.json, options.overwrite)
     batch = _console.Batch("shown")
     contents: list[dict[str, Any]] = []
-    for path in options.files:
+    for path in _shown(options.files, batch):
         with batch.file(path):
             contents.append({"file": path, **_content(path, batch, show=options.json != "-")})
     _console.write_json(options.json, {"command": "info", "files": contents, "failed": batch.failed})
     raise typer.Exit(batch.close())
+
+
+def _shown(given: Sequence[Path], batch: _console.Batch) -> list[Path]:
+    """The files named, those in the folders named, and folders that are rigs."""
+    from asterism.cli._folders import recordings_of
+    from asterism.cli._recordings import is_rig
+
+    return [path for one in given for path in (recordings_of([one], batch) if one.is_dir() and not is_rig(one) else [one])]
 
 
 def _content(path: Path, batch: _console.Batch, *, show: bool) -> dict[str, Any]:

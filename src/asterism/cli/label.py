@@ -12,28 +12,39 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
+from asterism.cli._folders import Trial, trials
 from asterism.cli._options import (
+    DropComputed,
     Files,
     FrameWise,
     Json,
     KeepLabels,
+    KnownLabels,
+    KnownLabelsOption,
     Models,
+    NoStatic,
     Overwrite,
     Report,
     Rules,
     RulesOption,
-    Subject,
+    Subjects,
     Vertical,
     Workers,
     vertical_axis,
 )
 from asterism.errors import AsterismError
-from asterism.findings import Finding, Severity
 
 if TYPE_CHECKING:
-    from asterism.labelling import SolverEnsemble
+    from asterism.cli._finished import Finished
+    from asterism.cli._labelling import Labeller
     from asterism.progress import Progress
-    from asterism.recording import Clouds, Labelling, MarkerSet, Recording
+    from asterism.recording import Clouds, Labelling, Recording
+    from asterism.report import LabelledRecording
+
+PAGE = "asterism-label.html"
+"""The page on a folder of recordings, among the outputs, where --report names none."""
+_MOST_SHOWN = 100
+"""Recordings that the page shows frame by frame; its table has all. More would not fit into the memory of a small computer."""
 
 
 @dataclass(frozen=True)
@@ -43,10 +54,13 @@ class LabelOptions:
     files: Files
     model: Models
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where the labelled files go.", show_default=False)]
+    known_labels: KnownLabelsOption = None
     keep_labels: KeepLabels = False
+    drop_computed: DropComputed = False
     rules: RulesOption = Rules.WHOLE_BODY
     frame_wise: FrameWise = False
-    subject: Subject = None
+    subject: Subjects = None
+    no_static: NoStatic = False
     workers: Workers = 1
     vertical: Vertical = None
     overwrite: Overwrite = False
@@ -58,6 +72,24 @@ class LabelOptions:
         """Whether recordings are labelled as a whole, by their tracks."""
         return self.rules is Rules.WHOLE_BODY and not self.frame_wise
 
+    @property
+    def known(self) -> KnownLabels | None:
+        """What becomes of the names that points have already; None where each file decides."""
+        return KnownLabels.KEEP if self.keep_labels else self.known_labels
+
+    @property
+    def how(self) -> dict[str, Any]:
+        """The options that an output depends on, as plain values."""
+        return {
+            "known_labels": None if self.known is None else self.known.value,
+            "drop_computed": self.drop_computed,
+            "rules": self.rules.value,
+            "frame_wise": self.frame_wise,
+            "subject": self.subject,
+            "no_static": self.no_static,
+            "vertical": self.vertical,
+        }
+
 
 @takes(LabelOptions)
 def label(options: LabelOptions) -> None:
@@ -67,32 +99,38 @@ def label(options: LabelOptions) -> None:
     *1, *2, ... A line per file says which share of all markers in all frames is labelled (confidence 99 % or more), likely (less) and
     unsure (not labelled in a frame with points left over). The rules whole-body label a recording as a whole, by its tracks;
     --frame-wise turns that off.
+    Of a folder, all recordings below it are labelled, and keep their places below FOLDER, with a page on all of them. A trial in which the
+    person stands, found by its name or by what it shows, narrows the model to the person. A run that was stopped goes on where it was.
     With several people or objects in the volume, give --model once for each of them; names that two of them share become 1:LASI and
     2:LASI. The trial given as --subject may be labelled or not.
     """
     _check(options)
-    targets = _targets(options.files, options.output)
-    labeller = _Labeller.of(options)
     batch, results = _console.Batch("labelled"), list[_Result]()
+    files = trials(options.files, batch, without=options.output)
+    run = _Run.of(options, files, batch)
     with _console.progress("labelling") as progress:
-        for path, target in zip(options.files, targets, strict=True):
-            with batch.file(path):
-                _check_target(path, target, options.overwrite)
-                result = _labelled(labeller, batch, path, target, progress)
+        for trial in files:
+            with batch.file(trial.path):
+                result = run.result(trial, progress)
                 results.append(result)
                 if options.json != "-":
                     _console.result(_line(result.row))
-    if options.report is not None and results:
-        _report(options, labeller, results)
+    rows = [result.row for result in results]
+    if len(rows) > 1 and options.json != "-":
+        _table(rows)
+    page = run.page
+    if page is not None and results:
+        _report(page, options, run.labeller, results)
     _console.write_json(
         options.json,
         {
             "command": "label",
             "model": options.model if len(options.model) > 1 else options.model[0],
-            "subject": options.subject,
-            "rules": options.rules.value,
-            "keep_labels": options.keep_labels,
-            "files": [result.row for result in results],
+            **options.how,
+            "subject": options.subject[0] if options.subject and len(options.subject) == 1 else options.subject,
+            "keep_labels": options.known is KnownLabels.KEEP,
+            "files": rows,
+            "passed_over": batch.passed_over,
             "failed": batch.failed,
             "findings": [finding.to_dict() for finding in batch.findings],
         },
@@ -101,48 +139,94 @@ def label(options: LabelOptions) -> None:
 
 
 @dataclass(frozen=True)
-class _Labeller:
-    """The models and their names; `general` is the first model before a trial of the subject narrowed it."""
+class _Result:
+    """One labelled file: its row of the table and the JSON; and what the page shows, where there is one and the file was not finished."""
 
-    options: LabelOptions
-    ensembles: Sequence[SolverEnsemble]
-    names: Sequence[str]
-    general: SolverEnsemble
-
-    @classmethod
-    def of(cls, options: LabelOptions) -> _Labeller:
-        ensembles, names = _ensembles(options.model)
-        general = ensembles[0]
-        if options.subject is not None:
-            ensembles = [_adapted(general, options.subject, vertical_axis(options.vertical))]
-        return cls(options, ensembles, names, general)
-
-    def label(self, clouds: Clouds, progress: Progress | None = None, *, generally: bool = False) -> tuple[Labelling, MarkerSet, bool]:
-        """A file's labelling, its marker set, and whether it is that of one of two bodies, because one was expected."""
-        from asterism.labelling import SeveralBodies, join_labellings, label_together
-
-        ensembles, workers = [self.general] if generally else self.ensembles, self.options.workers
-        if len(ensembles) > 1:
-            found = label_together(ensembles, clouds, workers=workers, progress=progress)
-            return *join_labellings(found, [ensemble.marker_set for ensemble in ensembles], self.names), False
-        one = ensembles[0]
-        try:
-            given = one.label(clouds, time=self.options.in_time, rules=self.options.rules.value, workers=workers, progress=progress)
-            return given, one.marker_set, False
-        except SeveralBodies:
-            both = label_together([one, one], clouds, workers=workers, progress=progress)
-            return max(both, key=lambda labelling: int((labelling.indices >= 0).sum())), one.marker_set, True
+    row: dict[str, Any]
+    shown: LabelledRecording | None = None
 
 
 @dataclass(frozen=True)
-class _Result:
-    """One labelled file, for the table, the JSON and the report."""
+class _Run:
+    """What is the same for all files of a run."""
 
-    row: dict[str, Any]
-    labelling: Labelling
-    clouds: Clouds
-    marker_set: MarkerSet
-    first_frame: int
+    options: LabelOptions
+    labeller: Labeller
+    finished: Finished
+    batch: _console.Batch
+    count: int
+
+    @classmethod
+    def of(cls, options: LabelOptions, files: Sequence[Trial], batch: _console.Batch) -> _Run:
+        from asterism.cli._finished import Finished
+        from asterism.cli._labelling import Labeller
+        from asterism.cli._standing import StandingTrials
+
+        axis = vertical_axis(options.vertical)
+        standing = StandingTrials([trial.path for trial in files], options.subject or (), not options.no_static, axis)
+        labeller = Labeller.of_models(options.model, standing, rules=options.rules, in_time=options.in_time, workers=options.workers)
+        return cls(options, labeller, Finished(options.output, options.how, options.model), batch, len(files))
+
+    @property
+    def page(self) -> Path | None:
+        """The report: that which was asked for; of a folder, one beside the outputs."""
+        in_folder = self.options.output / PAGE if any(path.is_dir() for path in self.options.files) else None
+        return self.options.report or in_folder
+
+    def result(self, trial: Trial, progress: Progress | None) -> _Result:
+        """Label one file and write it, or take over what an earlier run has finished."""
+        target = self.options.output / trial.place
+        if target.exists() and not self.options.overwrite:
+            row = None if target.samefile(trial.path) else self.finished.row(trial.place, trial.path, target)
+            if row is None:
+                what = "is the input itself" if target.samefile(trial.path) else "exists"
+                raise AsterismError(f"{trial.path}: {target} {what}; choose another folder with -o, or replace it with --overwrite.")
+            return _Result({**row, "file": trial.path, "output": target, "finished_before": True})
+        return self._labelled(trial, target, progress)
+
+    def _labelled(self, trial: Trial, target: Path, progress: Progress | None) -> _Result:
+        from asterism import __version__, formats
+        from asterism.cli._labelling import labelled_file
+        from asterism.cli._recordings import not_carried, report_warnings
+        from asterism.recording import label_shares
+
+        options, path = self.options, trial.path
+        recording, clouds = _read(path, vertical_axis(options.vertical))
+        report_warnings(recording, self.batch)
+        if not self.batch.done:
+            self.labeller.warm_up(clouds)
+        started = time.perf_counter()
+        by = f"asterism {__version__}, {', '.join(model.name for model in options.model)}"
+        share = _share(progress, self.batch, self.count, path)
+        labelled = labelled_file(self.labeller, path, recording, clouds, known=options.known, by=by, progress=share)
+        seconds = time.perf_counter() - started
+        for finding in labelled.findings:
+            if not (options.drop_computed and finding.code == "label-computed-outdated"):
+                self.batch.found(finding)
+        written = formats.without_computed(labelled.recording) if options.drop_computed else labelled.recording
+        target.parent.mkdir(parents=True, exist_ok=True)
+        self.finished.begin(trial.place, path)
+        lost = formats.write(target, written, labelling=labelled.labelling, clouds=clouds)
+        for finding in not_carried(target, lost):
+            self.batch.found(finding)
+        row = {
+            "file": path,
+            "output": target,
+            "frames": len(clouds),
+            **asdict(label_shares(labelled.labelling, clouds)),
+            "markers": _by_marker(labelled.labelling, clouds),
+            "subject": labelled.subject,
+            "known_labels": None if labelled.known is None else labelled.known.value,
+            "verdict": None if labelled.labelling.verdict is None else labelled.labelling.verdict.kind,
+            "frames_per_second": len(clouds) / seconds if seconds else float("nan"),
+            "not_carried": lost,
+        }
+        self.finished.end(trial.place, target, row)
+        if self.page is None or len(self.batch.done) >= _MOST_SHOWN:
+            return _Result(row)
+        from asterism.report import LabelledRecording
+
+        return _Result(row, LabelledRecording(labelled.labelling, clouds, labelled.marker_set, None, recording.first_frame))
 
 
 def _check(options: LabelOptions) -> None:
@@ -151,98 +235,55 @@ def _check(options: LabelOptions) -> None:
         raise AsterismError(
             "several bodies are separated by their tracks over time; leave out --frame-wise and --rules, or give one --model."
         )
-    if len(options.model) > 1 and options.subject is not None:
+    if len(options.model) > 1 and options.subject:
         raise AsterismError("a trial of the subject narrows one model; leave out --subject, or give one --model.")
-    if options.subject is not None and options.rules is not Rules.WHOLE_BODY:
+    if options.subject and options.rules is not Rules.WHOLE_BODY:
         raise AsterismError(
             f"the rules {options.rules.value} do not use a body model that a trial could narrow; leave out --subject, or --rules."
         )
+    if options.keep_labels and options.known_labels not in (None, KnownLabels.KEEP):
+        raise AsterismError(f"--keep-labels contradicts --known-labels {options.known_labels.value}; give one of them.")
+    if options.output.exists() and not options.output.is_dir():
+        raise AsterismError(f"{options.output} is a file; -o takes the folder for the labelled files.")
     _console.check_new(options.report, options.overwrite)
     _console.check_new(options.json, options.overwrite)
 
 
-def _labelled(labeller: _Labeller, batch: _console.Batch, path: Path, target: Path, progress: Progress | None) -> _Result:
-    """Label one file and write it."""
-    from asterism import __version__, formats
-    from asterism.cli._recordings import labels_kept, not_carried, report_warnings
-    from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
-    from asterism.recording import label_shares
+def _by_marker(labelling: Labelling, clouds: Clouds) -> dict[str, dict[str, Any]]:
+    """The shares of each marker, and the mean confidence of its labels, for JSON."""
+    import numpy as np
 
-    options = labeller.options
-    recording, clouds = _read(path, vertical_axis(options.vertical))
-    report_warnings(recording, batch)
-    if not batch.done and len(clouds):  # compiles the kernels, so that the rate below leaves that out
-        labeller.label(clouds.frames([0]))
-    started = time.perf_counter()
-    share = _share(progress, batch, len(options.files), path)
-    labelling, marker_set, one_of_two = labeller.label(clouds, share)
-    if labeller.ensembles[0].subject_fit(clouds, labelling) < OTHER_SUBJECT_FIT:
-        batch.found(
-            Finding(
-                "label-other-subject",
-                Severity.WARNING,
-                str(path),
-                f"{options.subject} is not of this body, or its markers were placed again; the file was labelled without it.",
-                "Give a trial of the same session with --subject.",
-            )
-        )
-        labelling, marker_set, one_of_two = labeller.label(clouds, share, generally=True)
-    seconds = time.perf_counter() - started
-    if one_of_two:
-        batch.found(
-            Finding(
-                "label-two-bodies",
-                Severity.WARNING,
-                str(path),
-                "two bodies wear the model's markers, and only one of them was labelled.",
-                "Give --model once for each of them.",
-            )
-        )
-    for finding in () if labelling.verdict is None else labelling.verdict.findings(str(path)):
-        batch.found(finding)
-    if options.keep_labels:
-        labelling = labels_kept(path, labelling, recording, clouds, marker_set)
-    by = f"asterism {__version__}, {', '.join(model.name for model in options.model)}"
-    target.parent.mkdir(parents=True, exist_ok=True)
-    lost = formats.write(target, recording.with_labelling(labelling, clouds, keep_names=options.keep_labels, by=by))
-    for finding in not_carried(target, lost):
-        batch.found(finding)
-    shares = label_shares(labelling, clouds)
-    row = {
-        "file": path,
-        "output": target,
-        "frames": len(clouds),
-        **asdict(shares),
-        "verdict": None if labelling.verdict is None else labelling.verdict.kind,
-        "frames_per_second": len(clouds) / seconds if seconds else float("nan"),
-        "not_carried": lost,
-    }
-    return _Result(row, labelling, clouds, marker_set, recording.first_frame)
+    from asterism.recording import label_states
+
+    states = vars(label_states(labelling, clouds))
+    given = labelling.indices >= 0
+    found = {}
+    for m, name in enumerate(labelling.names):
+        stated = labelling.confidence[given[:, m], m]
+        stated = stated[~np.isnan(stated)]
+        shares = {state: float(held[:, m].mean()) if len(held) else float("nan") for state, held in states.items()}
+        found[name] = {**shares, "confidence": float(stated.mean()) if len(stated) else float("nan")}
+    return found
 
 
-def _report(options: LabelOptions, labeller: _Labeller, results: Sequence[_Result]) -> None:
-    from asterism.report import LabelledRecording, label_report
+def _report(path: Path, options: LabelOptions, labeller: Labeller, results: Sequence[_Result]) -> None:
+    """Write the page on all files; those that an earlier run has finished are in its table only."""
+    from asterism.report import label_report
 
-    assert options.report is not None
-    rows = [result.row for result in results]
-    about = {"model": ", ".join(map(str, options.model)), "rules": options.rules.value, "keep_labels": options.keep_labels}
+    shown = [result for result in results if result.shown is not None]
+    if not shown:
+        if options.report is not None:
+            _console.notice(f"{path} was not written, because an earlier run labelled all files; --overwrite labels them again.")
+        return
+    rows = [result.row for result in (*shown, *(result for result in results if result.shown is None))]
+    about = {"model": ", ".join(map(str, options.model)), "rules": options.rules.value, "keep_labels": options.known is KnownLabels.KEEP}
     label_report(
-        options.report,
-        [LabelledRecording(result.labelling, result.clouds, result.marker_set, None, result.first_frame) for result in results],
+        path,
+        [result.shown for result in shown if result.shown is not None],
         title=f"{len(rows)} labelled recordings" if len(rows) > 1 else f"{rows[0]['file'].name}, labelled",
         files=rows,
         model_info={**about, **labeller.ensembles[0].about},
     )
-
-
-def _ensembles(models: Sequence[Path]) -> tuple[list[SolverEnsemble], list[str]]:
-    """The model of each body, and the body's name: that of the model's file, or a number where two files have one name."""
-    from asterism.labelling import SolverEnsemble
-
-    loaded = {path: SolverEnsemble.load(path) for path in dict.fromkeys(models)}
-    names = [path.stem for path in models]
-    distinct = len(set(names)) == len(names)
-    return [loaded[path] for path in models], names if distinct else [str(i + 1) for i in range(len(names))]
 
 
 def _share(progress: Progress | None, batch: _console.Batch, files: int, path: Path) -> Progress | None:
@@ -253,24 +294,6 @@ def _share(progress: Progress | None, batch: _console.Batch, files: int, path: P
     return lambda fraction, _: progress((before + fraction) / files, path.name)
 
 
-def _targets(files: Sequence[Path], output: Path) -> list[Path]:
-    """Where each file goes. Raises AsterismError where two would go to one place, or `output` is no folder."""
-    if output.exists() and not output.is_dir():
-        raise AsterismError(f"{output} is a file; -o takes the folder for the labelled files.")
-    taken: dict[str, Path] = {}
-    for path in files:
-        other = taken.setdefault(path.name.casefold(), path)
-        if other is not path:
-            raise AsterismError(f"{other} and {path} would both become {output / path.name}; label them into two folders.")
-    return [output / path.name for path in files]
-
-
-def _check_target(path: Path, target: Path, overwrite: bool) -> None:
-    if target.exists() and not overwrite:
-        what = "is the input itself" if target.samefile(path) else "exists"
-        raise AsterismError(f"{path}: {target} {what}; choose another folder with -o, or replace it with --overwrite.")
-
-
 def _read(path: Path, axis: str | list[float] | None) -> tuple[Recording, Clouds]:
     from asterism import formats
 
@@ -278,15 +301,33 @@ def _read(path: Path, axis: str | list[float] | None) -> tuple[Recording, Clouds
     return recording, recording.clouds()
 
 
-def _adapted(ensemble: SolverEnsemble, subject: Path, axis: str | list[float] | None) -> SolverEnsemble:
-    try:
-        return ensemble.adapt(_read(subject, axis)[0])
-    except AsterismError as problem:
-        sentence = str(problem)
-        raise AsterismError(sentence if subject.name in sentence else f"{subject}: {sentence}") from problem
-
-
 def _line(row: dict[str, Any]) -> str:
     from asterism.cli._recordings import shares_text
 
-    return f"{row['file']}: {row['frames']:,} frames, {shares_text(row)}, {_console.count(row['frames_per_second'])} frames/s"
+    if row.get("finished_before"):
+        return f"{row['file']}: labelled by an earlier run{', changed since' if row.get('changed') else ''}; {row['output']} stays"
+    by = "" if row["subject"] is None else f", with {row['subject']}"
+    return f"{row['file']}: {row['frames']:,} frames, {shares_text(row)}, {_console.count(row['frames_per_second'])} frames/s{by}"
+
+
+def _table(rows: Sequence[dict[str, Any]]) -> None:
+    """All files of a run, those that an earlier run has finished among them."""
+
+    def share(row: dict[str, Any], name: str) -> str:
+        value = row.get(name)
+        return "–" if value is None else _console.percent(value)
+
+    _console.table(
+        f"{len(rows)} recordings",
+        ["file", "frames", "labelled", "likely", "unsure", "hidden", "standing trial", "the model"],
+        [
+            [
+                str(row["file"]),
+                _console.count(row.get("frames") or float("nan")),
+                *(share(row, name) for name in ("labelled", "likely", "unsure", "hidden")),
+                Path(str(row["subject"])).name if row.get("subject") else "–",
+                str(row.get("verdict") or "–"),
+            ]
+            for row in rows
+        ],
+    )

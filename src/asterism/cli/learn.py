@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from asterism.cli import _console
+from asterism.cli._folders import recordings_of
 from asterism.cli._options import Json, Overwrite, Vertical
 from asterism.errors import AsterismError
 
@@ -38,7 +39,8 @@ def learn(
     _console.check_new(json, overwrite)
     before = SolverEnsemble.load(model)
     batch = _console.Batch("read")
-    recordings = read_labelled(files, before.marker_set, vertical, batch)
+    recordings = read_labelled(recordings_of(files, batch), before.marker_set, vertical, batch)
+    batch.tell_passed_over()
     if batch.failed:
         raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; correct them or leave them out.")
     started = time.perf_counter()

@@ -11,6 +11,7 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
+from asterism.cli._folders import recordings_of
 from asterism.cli._options import Files, FrameWise, Json, Model, Overwrite, Report, Vertical, Workers, vertical_axis
 from asterism.errors import AsterismError
 
@@ -106,11 +107,12 @@ def _listed(options: ReviewOptions) -> int:
 
     ensemble = SolverEnsemble.load(options.model)
     batch, found = _console.Batch("reviewed"), _Review()
+    files = recordings_of(options.files, batch)
     with _console.progress("labelling") as progress:
-        for path in options.files:
+        for path in files:
             with batch.file(path):
                 if progress:
-                    progress((len(batch.done) + len(batch.failed)) / len(options.files), path.name)
+                    progress((len(batch.done) + len(batch.failed)) / len(files), path.name)
                 _add(found, path, ensemble, options, batch)
     if options.json != "-" and batch.done:
         _print(found)
@@ -141,7 +143,7 @@ def _listed(options: ReviewOptions) -> int:
         },
     )
     if options.csv is not None:
-        from asterism.formats._text import write_atomically
+        from asterism.formats._atomic import write_atomically
         from asterism.labelling.correction import table_text
 
         write_atomically(options.csv, table_text([line.question for line in found.lines]).encode())

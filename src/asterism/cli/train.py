@@ -12,6 +12,7 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
+from asterism.cli._folders import recordings_of
 from asterism.cli._options import (
     Features,
     Files,
@@ -126,11 +127,13 @@ def _read(files: Sequence[Path], marker_set: MarkerSet | None, vertical: str | N
     from asterism.cli._recordings import read_labelled, read_some
 
     batch = _console.Batch("read")
+    files = recordings_of(files, batch)
     read = read_some if marker_set is None else read_labelled
     recordings = read(files, marker_set, vertical, batch)
+    batch.tell_passed_over()
     if batch.failed:
         raise AsterismError(f"{len(batch.failed)} of {len(files)} files cannot be used, named above; correct them or leave them out.")
-    return recordings, [] if marker_set is None else _absent_markers(files, recordings, marker_set)
+    return recordings, [] if marker_set is None else _absent_markers(batch.done, recordings, marker_set)
 
 
 def _absent_markers(files: Sequence[Path], recordings: Sequence[Recording], marker_set: MarkerSet) -> list[Finding]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from asterism.formats._confidence import LabelConfidence
 from asterism.formats._dispatch import (
     check_suffix,
     convert,
@@ -12,26 +13,32 @@ from asterism.formats._dispatch import (
     is_recording_file,
     read,
     read_clouds,
+    read_confidence,
     read_evidence,
     write,
     write_points,
 )
 
 if TYPE_CHECKING:
+    from asterism.formats._computed import computed_labels, without_computed
     from asterism.formats.csv_blobs import read_blobs, write_blobs
     from asterism.formats.storage import Table, read_table, write_table
 
 __all__ = [
+    "LabelConfidence",
     "Table",
     "check_suffix",
+    "computed_labels",
     "convert",
     "describe",
     "is_recording_file",
     "read",
     "read_blobs",
     "read_clouds",
+    "read_confidence",
     "read_evidence",
     "read_table",
+    "without_computed",
     "write",
     "write_blobs",
     "write_points",
@@ -39,6 +46,7 @@ __all__ = [
 ]
 
 _MODULE_OF = {
+    **dict.fromkeys(("computed_labels", "without_computed"), "_computed"),
     **dict.fromkeys(("read_blobs", "write_blobs"), "csv_blobs"),
     **dict.fromkeys(("Table", "read_table", "write_table"), "storage"),
 }

@@ -11,12 +11,13 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asterism.errors import AsterismError, guarded_reading
+from asterism.errors import AsterismError, NoMarkers, guarded_reading
 from asterism.formats._columns import Points, recording_of
+from asterism.formats._confidence import LabelConfidence
 from asterism.formats._describe import described
 from asterism.formats._text import decoded, lines_of
 from asterism.formats._writing import all_points
-from asterism.recording import Clouds, Evidence, Ints, MarkerSet, Recording, as_vertical
+from asterism.recording import Clouds, Evidence, Ints, Labelling, MarkerSet, Recording, as_vertical, label_states
 
 _READERS = {
     "TRC": "trc.read_trc",
@@ -40,6 +41,8 @@ _WRITERS = {
     ".npz": "npz.write_npz",
 }
 _TABLES = (".mot", ".sto", ".csv")
+_WITH_CONFIDENCE = (".csv", ".npz")
+"""Suffixes of text and NPZ files that have a place for the confidence of labels."""
 _KNOWN = "C3D, TRC, CSV, TSV, MAT, MOT, STO and NPZ"
 
 
@@ -63,7 +66,7 @@ def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None
         if kind == "C3D":
             return read_c3d(path, wanted, up)
         if kind == "2D CSV":
-            raise AsterismError(
+            raise NoMarkers(
                 f"{path} holds 2D points of cameras and no markers in space; reconstruct them with `asterism reconstruct` first."
             )
         return recording_of(path, _function(_READERS[kind])(path), wanted, up)
@@ -82,10 +85,16 @@ def read_clouds(path: str | Path, vertical: ArrayLike | str | None = None) -> Cl
         return read(path, vertical=vertical).clouds()
 
 
-def write(path: str | Path, recording: Recording | Clouds) -> list[str]:
+def write(
+    path: str | Path, recording: Recording | Clouds, *, labelling: Labelling | None = None, clouds: Clouds | None = None
+) -> list[str]:
     """Write a recording in the format of the suffix; clouds as .npz or .csv. An existing file is replaced completely or not at all.
 
     A .csv has a row per frame, a .long.csv a row per sample (frame, time, marker, x, y, z).
+
+    labelling  what gave the recording its labels, by `Recording.with_labelling`: its confidence is written, too, in C3D, CSV and NPZ;
+               `read_confidence` reads it
+    clouds     the clouds that were labelled, by default the recording's own without its labels
 
     Returns what the format cannot carry, a phrase each; an empty list where it carries everything. A recording that was read
     from C3D and is written as C3D keeps everything else unchanged.
@@ -97,6 +106,7 @@ def write(path: str | Path, recording: Recording | Clouds) -> list[str]:
 
     path = Path(path)
     suffix = path.suffix.casefold()
+    confidence = None if labelling is None else LabelConfidence.of_labelling(labelling)
     if isinstance(recording, Clouds):
         if suffix == ".npz":
             return npz.write_npz_clouds(path, recording)
@@ -104,12 +114,30 @@ def write(path: str | Path, recording: Recording | Clouds) -> list[str]:
             return csv_long.write_clouds(path, recording)
         raise AsterismError(f"{path}: anonymous clouds are written as .npz or .csv; choose one of them.")
     if path.name.casefold().endswith(".long.csv"):
-        return csv_long.write_long(path, recording)
+        return csv_long.write_long(path, recording, confidence)
     if suffix == ".c3d":
-        write_c3d(path, _with_computed(recording))
-        return []
+        states = None if labelling is None else label_states(labelling, recording.clouds() if clouds is None else clouds)
+        return write_c3d(path, _with_computed(recording), confidence, states)
     check_suffix(path)
-    return list(_function(_WRITERS[suffix])(path, recording))
+    if confidence is None:
+        return list(_function(_WRITERS[suffix])(path, recording))
+    if suffix in _WITH_CONFIDENCE:
+        return list(_function(_WRITERS[suffix])(path, recording, confidence))
+    return [*_function(_WRITERS[suffix])(path, recording), "the confidence of the labels"]
+
+
+def read_confidence(path: str | Path) -> LabelConfidence | None:
+    """The confidence of the labels in a C3D, CSV or NPZ file; None where it has none. Raises AsterismError where it cannot be read."""
+    from asterism.formats import csv_long, csv_wide, npz
+    from asterism.formats.c3d._confidence import confidence_of
+    from asterism.formats.c3d._file import open_c3d
+
+    path = Path(path)
+    kind = _kind_of(path)
+    if kind == "C3D":
+        return confidence_of(open_c3d(path))
+    readers = {"NPZ": npz.read_npz_confidence, "CSV": csv_wide.read_wide_confidence, "CSV long": csv_long.read_long_confidence}
+    return readers[kind](path) if kind in readers else None
 
 
 def read_evidence(path: str | Path) -> Evidence | None:

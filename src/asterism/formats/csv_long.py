@@ -14,6 +14,7 @@ from asterism.findings import Finding
 from asterism.formats._atomic import utf8, write_atomically
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
+from asterism.formats._confidence import LabelConfidence
 from asterism.formats._text import (
     cell_text,
     cells_of,
@@ -27,7 +28,7 @@ from asterism.formats._text import (
     some_of,
 )
 from asterism.formats._writing import all_points
-from asterism.recording import Clouds, Floats, Recording
+from asterism.recording import Clouds, Floats, Ints, Recording
 
 _AXIS = re.compile(r"(?i)(?:pos(?:ition)?[_ .]?|coord(?:inate)?[_ .]?)?([xyz])(?:\s*[\[(_ ]\s*(mm|cm|m)\s*[\])]?)?")
 _NAME = re.compile(r"(?i)(marker|name|label|point|trajectory)([_ ]?(name|label|id))?")
@@ -101,8 +102,8 @@ def read_long(path: Path) -> Points:
     )
 
 
-def write_long(path: Path, recording: Recording) -> list[str]:
-    """Write one row per visible sample: frame, time, marker, x, y, z in metres, 17 digits."""
+def write_long(path: Path, recording: Recording, confidence: LabelConfidence | None = None) -> list[str]:
+    """Write one row per visible sample: frame, time, marker, x, y, z in metres, 17 digits; and the confidence, where it is given."""
     positions, labels, omitted = all_points(recording, "CSV", events=True)
     first, times = recording.first_frame, recording.times
     head = comment_lines(
@@ -110,15 +111,44 @@ def write_long(path: Path, recording: Recording) -> list[str]:
     )
     names = [cell_text(re.sub(r"[\s,;\"]+", " ", label)) for label in labels]
     frames, columns = np.nonzero(~np.isnan(positions[:, :, 0]))
+    ends = _confidence_cells(confidence, labels, frames, columns)
     rows = [
-        f"{first + t},{times[t]:.9g},{names[m]},{x:.17g},{y:.17g},{z:.17g}"
-        for t, m, (x, y, z) in zip(frames.tolist(), columns.tolist(), positions[frames, columns].tolist(), strict=True)
+        f"{first + t},{times[t]:.9g},{names[m]},{x:.17g},{y:.17g},{z:.17g}{end}"
+        for t, m, (x, y, z), end in zip(frames.tolist(), columns.tolist(), positions[frames, columns].tolist(), ends, strict=True)
     ]
-    write_atomically(path, utf8("\n".join([*head, "frame,time,marker,x,y,z", *rows]) + "\n"))
+    title = "frame,time,marker,x,y,z" + ("" if confidence is None else ",confidence")
+    write_atomically(path, utf8("\n".join([*head, title, *rows]) + "\n"))
     unseen = [label for m, label in enumerate(labels) if np.isnan(positions[:, m, 0]).all()]
     if unseen:
         omitted.append(f"columns without a sample: {', '.join(unseen[:5])}")
     return omitted
+
+
+def _confidence_cells(confidence: LabelConfidence | None, labels: Sequence[str], frames: Ints, columns: Ints) -> list[str]:
+    """The last cell of each row, with the comma before it: empty for a label without a confidence, nothing where none is known."""
+    if confidence is None:
+        return [""] * len(frames)
+    values = {name: confidence.values[:, m] for m, name in enumerate(confidence.names)}
+    pairs = zip(frames.tolist(), columns.tolist(), strict=True)
+    return [f",{values[labels[m]][t]:.6g}" if labels[m] in values else "," for t, m in pairs]
+
+
+def read_long_confidence(path: Path) -> LabelConfidence | None:
+    """The column `confidence` of a file that Asterism wrote, by label and frame; None where it has none."""
+    lines = lines_of(decoded(path, read_bytes(path)))
+    at = data_start(lines)
+    if at >= len(lines) or lines[at].strip() != "frame,time,marker,x,y,z,confidence":
+        return None
+    points = read_long(path)
+    index = {label: m for m, label in enumerate(points.labels)}
+    values = np.full((len(points.positions), len(index)), np.nan)
+    for line in lines[at + 1 :]:
+        cells = cells_of(line, ",")
+        if len(cells) == 7 and cells[6]:
+            number = number_of(cells[6])
+            values[int(cells[0]) - points.first_frame, index[cells[2]]] = np.nan if number is None else number
+    known = np.nonzero(~np.isnan(values).all(axis=0))[0]
+    return LabelConfidence(tuple(points.labels[m] for m in known), np.nan_to_num(values[:, known]))
 
 
 def write_clouds(path: Path, clouds: Clouds) -> list[str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, NoMarkers
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._text import cells_of, decoded, delimiter_of, frames_in_place, lines_of, number_of, read_bytes, rows_of_numbers
 from asterism.recording import Event, as_vertical
@@ -33,7 +33,7 @@ def read_nexus(path: Path) -> Points:
     bare = [line.strip(" ,;\t").casefold() for line in lines]
     at = next((i for i, line in enumerate(bare) if line == "trajectories"), None)
     if at is None:
-        raise AsterismError(f"{path} has no section Trajectories; export it from Nexus again, with trajectories.")
+        raise NoMarkers(f"{path} has no section Trajectories; export it from Nexus again, with trajectories.")
     rate = number_of(bare[at + 1]) if at + 1 < len(bare) else None
     if rate is None or not 0 < rate < 1e6:
         raise AsterismError(f"{path}, line {at + 2}: the frame rate of the trajectories is missing here; export the file again.")

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, NoMarkers
 from asterism.findings import Finding
 from asterism.formats._atomic import utf8, write_atomically
 from asterism.formats._columns import _METRES, Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
+from asterism.formats._confidence import LabelConfidence
 from asterism.formats._groups import exact_groups, marker_groups
 from asterism.formats._text import (
     cell_text,
@@ -29,6 +30,7 @@ from asterism.formats._text import (
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.recording import Recording
 
+_CONFIDENCE = "_confidence"
 _FRAME = re.compile(r"(?i)(frame|frames|frame[ _]?(no|number|id|index)?\.?#?|index|sample|#|nr|no)?")
 _TIME = re.compile(r"(?i)(time|t|timestamp|seconds)(\s*[\[(_ ]\s*(?P<unit>s|sec|secs|seconds|ms|milliseconds)\s*[\])]?)?")
 
@@ -50,11 +52,12 @@ def read_wide(path: Path) -> Points:
     delimiter = delimiter_of(lines[at])
     names, units, body_at = _header(lines, at, delimiter)
     by_asterism = comments.frames is not None and names[:2] == ["frame", "time"]
-    exact = exact_groups(names, "_", 2) if by_asterism else None
+    positions_end = _positions_end(names) if by_asterism else len(names)
+    exact = exact_groups(names[:positions_end], "_", 2) if by_asterism else None
     groups, rest = marker_groups(names) if exact is None else (exact, [0, 1])
     if not groups:
         shown = some_of([name for name in names if name])
-        raise AsterismError(f"{path} has no marker in its header ({shown}): name three columns LKNE_x, LKNE_y, LKNE_z to make one.")
+        raise NoMarkers(f"{path} has no marker in its header ({shown}): name three columns LKNE_x, LKNE_y, LKNE_z to make one.")
     values, findings = rows_of_numbers(path, _numbers_only(lines[body_at:], names, rest, delimiter), body_at + 1, delimiter, len(names))
     raw = values[:, [column for group in groups for column in group.columns]].reshape(len(values), len(groups), 3)
     unit = comments.units or units or next((group.units for group in groups if group.units), None)
@@ -87,8 +90,10 @@ def read_wide(path: Path) -> Points:
     )
 
 
-def write_wide(path: Path, recording: Recording) -> list[str]:
+def write_wide(path: Path, recording: Recording, confidence: LabelConfidence | None = None) -> list[str]:
     """Write frame, time and three columns per marker; comment lines on top carry units, rate, vertical and events.
+
+    The confidence of labels follows in a column each, such as LKNE_confidence.
 
     Units are those of the file that the recording came from where that is mm, cm or m, else metres. Returns what the format cannot carry.
     """
@@ -103,11 +108,39 @@ def write_wide(path: Path, recording: Recording) -> list[str]:
     bare = [cell_text(re.sub(r'[,;"#]', " ", label)) for label in _unrepeated(labels)]
     names = [f"{label}_{axis}" for label in bare for axis in "xyz"]
     body = spelled_numbers(dense_rows(positions / _METRES[units], decimals), ",", decimals)
+    if confidence is not None:
+        bare_of = dict(zip(reversed(labels), reversed(bare), strict=True))
+        names += [f"{bare_of.get(name, name)}{_CONFIDENCE}" for name in confidence.names]
+        body = [
+            f"{row},{','.join(f'{value:.6g}' for value in values)}" for row, values in zip(body, confidence.values.tolist(), strict=True)
+        ]
     rows = [",".join(filter(None, (str(first + t), f"{times[t]:.9g}", row))) for t, row in enumerate(body)]
     write_atomically(path, utf8("\n".join([*head, ",".join(["frame", "time", *names]), *rows]) + "\n"))
     if len(set(labels)) < len(labels):
         omitted.append("labels that occur more than once, to whose repeats a number was added")
     return omitted
+
+
+def read_wide_confidence(path: Path) -> LabelConfidence | None:
+    """The columns of confidence in a file that Asterism wrote; None where it has none."""
+    lines = lines_of(decoded(path, read_bytes(path)))
+    at = data_start(lines)
+    if comments_of(lines).frames is None or at >= len(lines):
+        return None
+    names = cells_of(lines[at], ",")
+    begin = _positions_end(names)
+    if begin == len(names):
+        return None
+    values, _ = rows_of_numbers(path, lines[at + 1 :], at + 2, ",", len(names))
+    return LabelConfidence(tuple(name.removesuffix(_CONFIDENCE) for name in names[begin:]), np.nan_to_num(values[:, begin:]))
+
+
+def _positions_end(names: list[str]) -> int:
+    """Where the columns of positions end and those of confidence begin."""
+    end = len(names)
+    while end > 2 and names[end - 1].endswith(_CONFIDENCE):
+        end -= 1
+    return end
 
 
 def _header(lines: list[str], at: int, delimiter: str | None) -> tuple[list[str], str | None, int]:

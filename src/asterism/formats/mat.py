@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, NoMarkers
 from asterism.formats._atomic import write_atomically
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._mat5 import variables_of
@@ -33,7 +33,7 @@ def read_mat(path: Path) -> Points:
         raise AsterismError(f"{path} is damaged or no MAT file ({problem}); export it from QTM again.") from problem
     take = next((value for value in variables.values() if isinstance(value, dict) and "Trajectories" in value), None)
     if take is None:
-        raise AsterismError(
+        raise NoMarkers(
             f"{path} is a MAT file, but not one that QTM exports (no Trajectories in it); export 3D data from QTM as MAT, C3D or TSV."
         )
     try:

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, NoMarkers
 from asterism.formats._atomic import write_atomically
 from asterism.formats._columns import Points
+from asterism.formats._confidence import LabelConfidence
 from asterism.formats._npz_members import arrays_of_npz, most_unpacked
 from asterism.formats._text import read_bytes
 from asterism.formats._writing import all_points
@@ -83,8 +84,8 @@ def read_npz_clouds(path: Path) -> Clouds | None:
         raise AsterismError(f"{path} is damaged ({problem}); write it again.") from problem
 
 
-def write_npz(path: Path, recording: Recording) -> list[str]:
-    """Write positions, labels, rate, vertical and events as they are. Returns what the format cannot carry."""
+def write_npz(path: Path, recording: Recording, confidence: LabelConfidence | None = None) -> list[str]:
+    """Write positions, labels, rate, vertical, events and the confidence of labels as they are. Returns what the format cannot carry."""
     positions, labels, omitted = all_points(recording, "NPZ", events=True)
     kinds = list[str]()
     if isinstance(recording.source, Points) and len(labels) > len(recording.labels):
@@ -99,9 +100,13 @@ def write_npz(path: Path, recording: Recording) -> list[str]:
     start = recording.metadata.get("first_time")
     if isinstance(start, int | float):
         notes["first_time"] = float(start)
+    certain: dict[str, Any] = {}
+    if confidence is not None:
+        certain = {"confidence": confidence.values, "confidence_labels": np.array(confidence.names, dtype=str)}
     _save(
         path,
         kind="recording",
+        **certain,
         positions=positions,
         labels=np.array(labels, dtype=str).reshape(len(labels)),
         rate=recording.rate,
@@ -109,6 +114,21 @@ def write_npz(path: Path, recording: Recording) -> list[str]:
         notes=json.dumps(notes),
     )
     return omitted
+
+
+def read_npz_confidence(path: Path) -> LabelConfidence | None:
+    """The confidence of labels in an NPZ file, or None where it has none. Raises AsterismError where it is damaged."""
+    stored = _arrays(path)
+    if "confidence" not in stored:
+        return None
+    try:
+        names = tuple(str(name) for name in stored["confidence_labels"])
+        values = np.array(stored["confidence"], dtype=np.float64)
+    except (KeyError, TypeError, ValueError) as problem:
+        raise AsterismError(f"{path} is damaged ({problem}); write it again.") from problem
+    if values.ndim != 2 or values.shape[1] != len(names) or not ((values >= 0) & (values <= 1)).all():
+        raise AsterismError(f"{path} is damaged (its labels and their confidence do not fit together); write it again.")
+    return LabelConfidence(names, values)
 
 
 def read_npz_evidence(path: Path) -> Evidence | None:
@@ -194,7 +214,7 @@ def _arrays(path: Path, only_kind: bool = False) -> dict[str, NDArray[Any]]:
         raise AsterismError(f"{path} is damaged ({type(problem).__name__}); write it again.") from problem
     version = stored.get("asterism")
     if version is None or version.shape != () or version.dtype.kind not in "iu":
-        raise AsterismError(f"{path} is an NPZ file, but none that Asterism wrote; write it with asterism.write.")
+        raise NoMarkers(f"{path} is an NPZ file, but none that Asterism wrote; write it with asterism.write.")
     if int(version) > VERSION:
         raise AsterismError(f"{path} has format version {int(version)}, this Asterism reads up to {VERSION}; install a later one.")
     return stored

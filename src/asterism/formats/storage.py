@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from asterism.errors import AsterismError, guarded_reading
+from asterism.errors import AsterismError, NoMarkers, guarded_reading
 from asterism.findings import Finding
 from asterism.formats._atomic import utf8, write_atomically
 from asterism.formats._columns import Points, as_metres, metres_per_unit
@@ -174,7 +174,7 @@ def points_of_table(path: Path, table: Table) -> Points:
     """The points in a table's columns. Raises AsterismError where they are no marker positions."""
     if not holds_markers(table):
         what = "joint angles or other values" if table.in_degrees is not None else "values"
-        raise AsterismError(
+        raise NoMarkers(
             f"{path} holds {what} ({some_of(table.names)}), no marker positions; use asterism.formats.read_table or convert it to CSV."
         )
     groups, _ = _groups_of(table)

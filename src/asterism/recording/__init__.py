@@ -3,6 +3,7 @@
 from asterism.recording.arrays import Floats, Ints, as_vertical
 from asterism.recording.blobs import Blobs
 from asterism.recording.clouds import NULL, Clouds, Evidence, Labelling
+from asterism.recording.known_labels import Disagreement, check_labels, is_partly_labelled
 from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, without_subject
 from asterism.recording.processing import ProcessingStep, log_as_text, log_from_text
 from asterism.recording.shares import SURE, LabelShares, LabelStates, label_shares, label_states
@@ -14,6 +15,7 @@ __all__ = [
     "SURE",
     "Blobs",
     "Clouds",
+    "Disagreement",
     "Event",
     "Evidence",
     "Floats",
@@ -27,6 +29,8 @@ __all__ = [
     "Verdict",
     "as_vertical",
     "canonical",
+    "check_labels",
+    "is_partly_labelled",
     "is_unnamed",
     "keep_labels",
     "label_shares",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +10,12 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.formats.c3d._file import C3DFile, numbered
 from asterism.formats.c3d._numbers import Processor
-from asterism.formats.c3d._parameters import CHARACTER, FLOAT, INTEGER, Parameters, Record, make_group, make_parameter
+from asterism.formats.c3d._parameters import CHARACTER, FLOAT, INTEGER, Parameters, Record, make_group, make_parameter, text_of
 from asterism.recording import Event, ProcessingStep, log_as_text, log_from_text
 
 MOST_STRINGS = 255
+COMPUTED_GROUPS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS", "MODELED_MARKERS", "MODELLED_MARKERS")
+"""Parameters of the group POINT that list what a model computed."""
 LOG_GROUP, LOG = "ASTERISM", "LOG"
 _WIDEST = 127
 _LOG_WIDTH = 120
@@ -85,9 +87,27 @@ def label_parameters(file: C3DFile, labels: Sequence[bytes], descriptions: Seque
     return changes
 
 
+def with_declared(parameters: Parameters, gone: Collection[str], renamed: Mapping[str, str]) -> Parameters:
+    """The parameters without labels that are gone, and with new labels, in the lists of angles, forces and the like.
+
+    A list that would be empty is left out.
+    """
+    changes: dict[tuple[str, str], Record | None] = {}
+    for name in parameters.groups.get("POINT", ()):
+        record = parameters.find("POINT", name)
+        if record is None or record.kind != CHARACTER or len(record.dimensions) != 2 or not name.startswith(COMPUTED_GROUPS):
+            continue
+        listed = parameters.raw_strings("POINT", name)
+        kept = [renamed[text_of(raw)].encode("utf-8") if text_of(raw) in renamed else raw for raw in listed if text_of(raw) not in gone]
+        if kept != listed:
+            width, processor = record.dimensions[0], parameters.processor
+            changes["POINT", name] = strings_record(name, record.group, kept, width, processor, record) if kept else None
+    return parameters.replaced(changes)
+
+
 def with_events(parameters: Parameters, events: Sequence[Event]) -> Parameters:
     """The parameters with these events in the group EVENT, in place of those that it had."""
-    parameters, group = _with_group(parameters, "EVENT")
+    parameters, group = with_group(parameters, "EVENT")
     changes: dict[tuple[str, str], Record | None] = {}
     for name in (*_EVENT_WIDTHS, "TIMES", "ICON_IDS", "GENERIC_FLAGS"):
         changes.update({("EVENT", key): None for key in numbered(parameters, "EVENT", name)})
@@ -99,7 +119,7 @@ def with_events(parameters: Parameters, events: Sequence[Event]) -> Parameters:
 
 def with_log(parameters: Parameters, log: Sequence[ProcessingStep]) -> Parameters:
     """The parameters with this processing log in the group ASTERISM, in place of the one that they had."""
-    parameters, group = _with_group(parameters, LOG_GROUP)
+    parameters, group = with_group(parameters, LOG_GROUP)
     return parameters.replaced({(LOG_GROUP, LOG): log_record(log, group, parameters.processor)})
 
 
@@ -118,7 +138,7 @@ def log_of(parameters: Parameters) -> tuple[ProcessingStep, ...]:
     return () if record is None or record.kind != CHARACTER else log_from_text(record.data.decode("ascii", "replace"))
 
 
-def _with_group(parameters: Parameters, name: str) -> tuple[Parameters, int]:
+def with_group(parameters: Parameters, name: str) -> tuple[Parameters, int]:
     """The parameters with a group of this name, and its number."""
     group = parameters.group_id(name)
     if group is not None:

@@ -8,15 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, NoMarkers
 from asterism.findings import Finding
 from asterism.formats._columns import Points, metres_per_unit, recording_of
 from asterism.formats._physical import COMPUTED, point_kinds
-from asterism.formats.c3d._edit import log_of
+from asterism.formats.c3d._edit import COMPUTED_GROUPS, log_of
 from asterism.formats.c3d._file import C3DFile, numbered, open_c3d
 from asterism.recording import Floats, Recording, as_vertical
-
-_COMPUTED_GROUPS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS", "MODELED_MARKERS", "MODELLED_MARKERS")
 
 
 def read_c3d(path: Path, markers: Any = None, vertical: ArrayLike | str | None = None) -> Recording:
@@ -36,7 +34,7 @@ def read_c3d(path: Path, markers: Any = None, vertical: ArrayLike | str | None =
     file = open_c3d(path)
     if not file.layout.points:
         analog = f", only {file.analog_channels} analog channels" if file.analog_channels else ""
-        raise AsterismError(f"{path} holds no points{analog}; choose a recording with markers.")
+        raise NoMarkers(f"{path} holds no points{analog}; choose a recording with markers.")
     if not file.layout.frames:
         raise AsterismError(f"{path} holds no frames; export it again.")
     return recording_of(path, points_of(file), markers, vertical, source=file)
@@ -87,7 +85,7 @@ def kinds_of_points(file: C3DFile, positions: Floats) -> list[str]:
 
 def declared_computed(file: C3DFile) -> set[str]:
     """Labels that the file lists as angles, forces and the like, also in the groups that it defines (POINT:TYPE_GROUPS)."""
-    groups = dict.fromkeys([*_COMPUTED_GROUPS, *(name.upper() for name in file.parameters.strings("POINT", "TYPE_GROUPS")[::2])])
+    groups = dict.fromkeys([*COMPUTED_GROUPS, *(name.upper() for name in file.parameters.strings("POINT", "TYPE_GROUPS")[::2])])
     return {
         label
         for group in groups

@@ -1,0 +1,98 @@
+"""Files and folders as a command line names them in; the recordings among them, and a place for the output of each, out."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from asterism.cli import _console
+from asterism.errors import AsterismError
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A recording of a run.
+
+    path    the file
+    place   where an output of it goes below the folder for outputs
+    folder  the folder by which it was given, or None for a file that was named itself
+    """
+
+    path: Path
+    place: Path
+    folder: Path | None = None
+
+
+def trials(given: Sequence[Path], batch: _console.Batch, *, without: Path | None = None) -> list[Trial]:
+    """The recordings that files and folders name, each once, in order; those of a folder by their paths.
+
+    Of a folder, all files count whose suffix is that of a recording, at any depth. Names that begin with a dot are left out, and so is
+    the folder `without`, where the outputs go. `batch` learns which files were found in folders, and which folders cannot be opened.
+
+    A file that was named itself goes to the top of the folder for outputs; what was found in a single folder keeps its path below that
+    folder. With several folders, or where two files would go to one place, all keep their path below the folder that they share.
+    Raises AsterismError where a folder holds no recording, or two files still would go to one place (on a system that does not
+    distinguish capital letters).
+    """
+    found: dict[Path, tuple[Path, Path | None]] = {}
+    for path in given:
+        if path.is_dir():
+            inside = list(_recordings_in(path, without, batch))
+            if not inside:
+                raise AsterismError(f"{path} holds no recording (C3D, TRC, CSV, TSV, MAT, MOT, STO or NPZ); name another folder.")
+            for file in inside:
+                found.setdefault(file.resolve(), (file, path))
+        else:
+            found.setdefault(path.resolve(), (path, None))
+    batch.in_folders |= frozenset(file for file, folder in found.values() if folder is not None)
+    files = list(found.values())
+    several = sum(path.is_dir() for path in given) > 1 or len({path.is_dir() for path in given}) > 1
+    places = [Path(file.name) if folder is None else file.relative_to(folder) for file, folder in files]
+    if several or _clash(places) is not None:
+        absolute = [Path(os.path.abspath(file)) for file, _ in files]
+        shared = os.path.commonpath([str(file.parent) for file in absolute])
+        places = [file.relative_to(shared) for file in absolute]
+    clash = _clash(places)
+    if clash is not None:
+        first, second = (files[at][0] for at in clash)
+        raise AsterismError(f"{first} and {second} would both become {places[clash[1]]}; label them into two folders.")
+    return [Trial(file, place, folder) for (file, folder), place in zip(files, places, strict=True)]
+
+
+def recordings_of(given: Sequence[Path], batch: _console.Batch) -> list[Path]:
+    """The files that a command reads: those named, and those in the folders named; see `trials`."""
+    return [trial.path for trial in trials(given, batch)]
+
+
+def _clash(places: Sequence[Path]) -> tuple[int, int] | None:
+    """Two of the places that are one where capital letters do not count."""
+    taken: dict[str, int] = {}
+    for at, place in enumerate(places):
+        other = taken.setdefault(place.as_posix().casefold(), at)
+        if other != at:
+            return other, at
+    return None
+
+
+def _recordings_in(folder: Path, without: Path | None, batch: _console.Batch) -> Iterator[Path]:
+    """The files of a folder and those below it that have a recording's suffix. Links are followed; each folder is entered once."""
+    from asterism import formats
+
+    seen = set() if without is None else {without.resolve()}
+
+    def cannot_open(problem: OSError) -> None:
+        with batch.file(Path(str(problem.filename))):
+            raise problem
+
+    for at, folders, files in os.walk(folder, onerror=cannot_open, followlinks=True):
+        real = Path(at).resolve()
+        if real in seen:
+            folders.clear()
+            continue
+        seen.add(real)
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        for name in sorted(files):
+            if not name.startswith(".") and formats.is_recording_file(name):
+                yield Path(at) / name

@@ -1,0 +1,172 @@
+"""The confidence of labels in a C3D file: an analog channel for each label, and the means in the group ASTERISM; in and out.
+
+An analog channel is what other programs carry along and draw over time, whatever it holds. A point's residual would be the other place;
+it has 8 bits, is the only record of how well the cameras saw the point, and programs drop points by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.formats._confidence import LabelConfidence
+from asterism.formats.c3d._edit import LOG_GROUP, MOST_STRINGS, floats_record, integers_record, strings_record, with_group, with_number
+from asterism.formats.c3d._file import C3DFile, numbered
+from asterism.formats.c3d._numbers import Words
+from asterism.formats.c3d._parameters import BYTE, CHARACTER, FLOAT, INTEGER, Parameters, Record, make_parameter
+from asterism.formats.c3d._writer import assembled
+from asterism.recording import Floats, LabelStates
+
+ENDING = " confidence"
+"""What follows a label in the name of its channel."""
+_CHANNELS = "CONFIDENCE_CHANNELS"
+_STEPS = 10_000
+"""Integers of a confidence of 1 in files of integers."""
+_MOST_SAMPLES = 65535
+_PER_CHANNEL = ("LABELS", "DESCRIPTIONS", "SCALE", "OFFSET", "UNITS", "GAIN")
+
+
+def with_confidence(file: C3DFile, confidence: LabelConfidence, states: LabelStates) -> bytes:
+    """The bytes of a file with the confidence of its labels, in place of one that it had.
+
+    confidence  names (M,) and values (T, M) in [0, 1]; states: theirs. Other channels keep their samples, numbers and order.
+    Raises AsterismError where a frame would hold more analog samples than a C3D file can, or the general scale of its channels is zero.
+    """
+    general = file.parameters.number("ANALOG", "GEN_SCALE")
+    if general == 0.0:
+        raise AsterismError(f"{file.path} scales all analog channels by zero (ANALOG:GEN_SCALE); correct it there.")
+    names, kept = confidence.names, _kept_channels(file)
+    samples = max(1, file.layout.analog // file.analog_channels if file.analog_channels else 1)
+    if samples * (len(kept) + len(names)) > _MOST_SAMPLES:
+        raise AsterismError(f"{file.path}: {len(kept) + len(names)} analog channels are more than a C3D file can hold at this rate.")
+    frames = file.layout.frames
+    old = file.words[:, 4 * file.layout.points :].reshape(frames, samples, -1)[:, :, kept] if file.analog_channels else None
+    new = np.repeat(_encoded(file, confidence.values)[:, None], samples, axis=1)
+    analog = new if old is None else np.concatenate([old, new], axis=2)
+    words = np.concatenate([file.words[:, : 4 * file.layout.points], analog.reshape(frames, -1)], axis=1)
+    parameters = _with_channels(file, kept, names, samples, 1.0 if general is None else general)
+    parameters = _with_summary(parameters, confidence, states, len(kept))
+    raw = bytearray(assembled(file, parameters, words, file.layout.points, None))
+    raw[4:6] = file.processor.bytes_of_unsigned(samples * analog.shape[2])
+    raw[18:20] = file.processor.bytes_of_unsigned(samples)
+    return bytes(raw)
+
+
+def confidence_of(file: C3DFile) -> LabelConfidence | None:
+    """The confidence of the labels in a file; None where it has none."""
+    channels = _own_channels(file)
+    if not channels:
+        return None
+    labels = [text for key in numbered(file.parameters, "ANALOG", "LABELS") for text in file.parameters.strings("ANALOG", key)]
+    samples = max(1, file.layout.analog // file.analog_channels)
+    values = np.clip(file.analog[::samples][: file.layout.frames, channels], 0.0, 1.0)
+    return LabelConfidence(tuple(labels[channel].removesuffix(ENDING) for channel in channels), values)
+
+
+def _own_channels(file: C3DFile) -> list[int]:
+    """The channels that hold the confidence of labels, as the file says."""
+    said = file.parameters.counts(LOG_GROUP, _CHANNELS)
+    labels = sum(len(file.parameters.strings("ANALOG", key)) for key in numbered(file.parameters, "ANALOG", "LABELS"))
+    if len(said) != 2 or said[0] < 1 or said[0] - 1 + said[1] > min(file.analog_channels, labels):
+        return []
+    return list(range(said[0] - 1, said[0] - 1 + said[1]))
+
+
+def _kept_channels(file: C3DFile) -> list[int]:
+    own = set(_own_channels(file))
+    return [channel for channel in range(file.analog_channels) if channel not in own]
+
+
+def _encoded(file: C3DFile, values: Floats) -> Words:
+    """(T, M) words of a confidence; 0 for one that is not known."""
+    known = np.nan_to_num(np.clip(values, 0.0, 1.0))
+    if file.layout.real:
+        return file.processor.words_of_floats(known)
+    return file.processor.words_of_integers(np.floor(known * _STEPS + 1e-9).astype(np.int16))
+
+
+def _with_channels(file: C3DFile, kept: Sequence[int], names: Sequence[str], samples: int, general: float) -> Parameters:
+    """The group ANALOG with the channels that are kept, and one for each label."""
+    parameters, group = with_group(file.parameters, "ANALOG")
+    processor, many = file.processor, len(kept) + len(names)
+    scale = (1.0 if file.layout.real else 1.0 / _STEPS) / general
+    new: dict[str, list[bytes] | list[float]] = {
+        "LABELS": [(name + ENDING).encode("utf-8") for name in names],
+        "DESCRIPTIONS": [b"probability that the label is right"] * len(names),
+        "UNITS": [b""] * len(names),
+        "SCALE": [scale] * len(names),
+        "OFFSET": [0.0] * len(names),
+        "GAIN": [0.0] * len(names),
+    }
+    changes: dict[tuple[str, str], Record | None] = {}
+    for name in _PER_CHANNEL:
+        keys = numbered(file.parameters, "ANALOG", name)
+        first = file.parameters.find("ANALOG", name)
+        if first is None and name == "GAIN":
+            continue
+        default: bytes | float = b"" if isinstance(new[name][0], bytes) else float(name == "SCALE")
+        old = _values_of(file.parameters, keys, isinstance(default, bytes))
+        listed = [old[channel] if channel < len(old) else default for channel in kept] + list(new[name])
+        changes.update({("ANALOG", key): None for key in keys})
+        for page, at in enumerate(range(0, many, MOST_STRINGS)):
+            key = f"{name}{page + 1}" if page else name
+            changes["ANALOG", key] = _record(key, group, listed[at : at + MOST_STRINGS], first, file)
+    for name, value, kind in (("USED", many, int), ("RATE", file.rate * samples, float), ("GEN_SCALE", general, float)):
+        if file.parameters.find("ANALOG", name) is not None:
+            changes["ANALOG", name] = with_number(file.parameters, "ANALOG", name, value)
+        elif kind is int:
+            changes["ANALOG", name] = integers_record(name, group, [int(value)], (), processor)
+        else:
+            changes["ANALOG", name] = floats_record(name, group, [float(value)], (), processor)
+    return parameters.replaced(changes)
+
+
+def _values_of(parameters: Parameters, keys: Sequence[str], texts: bool) -> list[bytes | float]:
+    if texts:
+        return [text for key in keys for text in parameters.raw_strings("ANALOG", key)]
+    return [float(value) for key in keys for value in parameters.values("ANALOG", key)]
+
+
+def _record(name: str, group: int, values: Sequence[bytes | float], like: Record | None, file: C3DFile) -> Record:
+    """A parameter of one value for each channel, in the type that the file had; whole offsets as integers, which others need."""
+    texts = [value for value in values if isinstance(value, bytes)]
+    if texts or (like is not None and like.kind == CHARACTER):
+        width = like.dimensions[0] if like is not None and len(like.dimensions) > 1 else 4
+        return strings_record(name, group, texts, width, file.processor, like)
+    numbers = [float(value) for value in values if not isinstance(value, bytes)]
+    whole = all(number == int(number) and abs(number) < 2**15 for number in numbers)
+    kind = INTEGER if name.startswith(("OFFSET", "GAIN")) else FLOAT
+    if like is not None and (like.kind != FLOAT or not whole):
+        kind = like.kind
+    if kind == FLOAT:
+        return floats_record(name, group, numbers, (len(numbers),), file.processor)
+    if kind == BYTE:
+        data = bytes(int(number) & 0xFF for number in numbers)
+        return make_parameter(name, group, BYTE, (len(numbers),), data, processor=file.processor)
+    return integers_record(name, group, [int(number) for number in numbers], (len(numbers),), file.processor)
+
+
+def _with_summary(parameters: Parameters, confidence: LabelConfidence, states: LabelStates, first: int) -> Parameters:
+    """The group ASTERISM with the labels, their mean confidence where they are given, and in how many frames each is what."""
+    parameters, group = with_group(parameters, LOG_GROUP)
+    processor, names = parameters.processor, confidence.names
+    given = states.labelled | states.likely
+    total = np.where(given, np.nan_to_num(confidence.values), 0.0).sum(axis=0)
+    columns: dict[str, Sequence[float]] = {"CONFIDENCE": (total / np.maximum(given.sum(axis=0), 1)).tolist()}
+    columns |= {name.upper(): state.sum(axis=0).astype(float).tolist() for name, state in vars(states).items()}
+    changes: dict[tuple[str, str], Record | None] = {
+        (LOG_GROUP, key): None for name in ("LABELS", *columns) for key in numbered(parameters, LOG_GROUP, name)
+    }
+    for page, at in enumerate(range(0, len(names), MOST_STRINGS)):
+        number = str(page + 1) if page else ""
+        some = slice(at, at + MOST_STRINGS)
+        changes[LOG_GROUP, "LABELS" + number] = strings_record(
+            "LABELS" + number, group, [name.encode("utf-8") for name in names[some]], 4, processor
+        )
+        for name, values in columns.items():
+            part = values[some]
+            changes[LOG_GROUP, name + number] = floats_record(name + number, group, part, (len(part),), processor)
+    changes[LOG_GROUP, _CHANNELS] = integers_record(_CHANNELS, group, [first + 1, len(names)], (2,), processor)
+    return parameters.replaced(changes)
