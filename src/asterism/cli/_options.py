@@ -51,7 +51,7 @@ Markers = Annotated[
     str | None,
     typer.Option(
         metavar="SET",
-        help="helen-hayes, plug-in-gait, oxford-foot, a TOML file, or names with commas. Else the physical points of the files.",
+        help="A shipped set such as helen-hayes, a TOML file, or names with commas. Else the physical points of the files.",
         show_default=False,
     ),
 ]
