@@ -109,11 +109,11 @@ def _rows(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, s
         elif isinstance(value, Mapping) and key == "partial_solvers":
             for rules, ensemble in value.items():
                 yield f"partial solvers, {rules}", _solvers_text(ensemble)
-        elif key == "marker_sets":
+        elif key == "marker_sets" and content["points"]["physical"]:
             yield from _marker_set_rows(value)
         elif key == "missing" and isinstance(value, float):
             yield name, _console.percent(value)
-        else:
+        elif key != "marker_sets":
             yield name, _text(value, _LONGEST_LIST.get(key, _LONG_ENOUGH)) + _UNITS.get(key, "")
 
 
