@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,6 +16,14 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding
 
 
+class Program(StrEnum):
+    """The next program, whose files differ in axes and in what is in their way."""
+
+    OPENSIM = "opensim"
+    VISUAL3D = "visual3d"
+    BLENDER = "blender"
+
+
 @dataclass(frozen=True)
 class ConvertOptions:
     """What `asterism convert` is asked to do."""
@@ -23,6 +32,12 @@ class ConvertOptions:
     target: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write; its suffix says the format.", show_default=False)]
     markers: Markers = None
     vertical: Vertical = None
+    program: Annotated[
+        Program | None,
+        typer.Option(
+            "--for", help="Write what this program reads: its axis up, millimetres, and only the points that it needs.", show_default=False
+        ),
+    ] = None
     overwrite: Overwrite = False
     json: Json = None
 
@@ -34,6 +49,7 @@ def convert(options: ConvertOptions) -> None:
     The suffix of OUT says which: C3D, TRC, CSV, TSV, MAT or NPZ; tables of numbers are MOT, STO or CSV.
     Rigs become .toml (Asterism's), *anipose.toml, camera_array.toml, .yml, .xml, .xcp, .qca.txt or .ori.
     What the other format cannot carry is named on standard error.
+    --for turns the recording as the next program takes it: opensim TRC with y up, visual3d and blender C3D with z up.
     """
     from asterism import formats
     from asterism.cli._recordings import is_rig, not_carried
@@ -44,7 +60,10 @@ def convert(options: ConvertOptions) -> None:
     axis, wanted = vertical_axis(options.vertical), marker_names(options.markers)
     findings: list[Finding] = []
     if is_rig(source):
-        findings, lost = _convert_rig(source, target, axis, wanted)
+        findings, lost = _convert_rig(source, target, axis, wanted if options.program is None else options.program)
+    elif options.program is not None:
+        recording, left = formats.for_program(formats.read(source, wanted, axis), options.program.value, target)
+        lost = [*left, *formats.write(target, recording)]
     elif wanted is None:
         lost = formats.convert(source, target, axis)
     else:
@@ -60,6 +79,7 @@ def convert(options: ConvertOptions) -> None:
             "command": "convert",
             "file": source,
             "output": target,
+            "for": options.program,
             "not_carried": lost,
             "findings": [finding.to_dict() for finding in findings],
         },
@@ -73,7 +93,7 @@ def _convert_rig(source: Path, target: Path, vertical: Any, markers: Any) -> tup
     from asterism.recording import as_vertical
 
     if markers is not None:
-        raise AsterismError(f"{source} is a rig and has no markers; leave out --markers.")
+        raise AsterismError(f"{source} is a rig and has no markers; leave out --markers and --for.")
     rig = read_rig(source)
     findings = assumptions(source, rig)
     return findings, write_rig(rig if vertical is None else replace(rig, vertical=as_vertical(vertical)), target)

@@ -41,6 +41,8 @@ _WRITERS = {
     ".npz": "npz.write_npz",
 }
 _TABLES = (".mot", ".sto", ".csv")
+_FORMS_NOT_WRITTEN = ("Motive CSV", "Nexus CSV")
+"""Other programs' CSV files that are read; a CSV that is written has Asterism's own columns."""
 _WITH_CONFIDENCE = (".csv", ".npz")
 """Suffixes of text and NPZ files that have a place for the confidence of labels."""
 _KNOWN = "C3D, TRC, CSV, TSV, MAT, MOT, STO and NPZ"
@@ -100,6 +102,10 @@ def write(
 
     path = Path(path)
     suffix = path.suffix.casefold()
+    own_form = str(recording.metadata.get("format", "")) if isinstance(recording, Recording) else ""
+    if suffix == ".csv" and own_form in _FORMS_NOT_WRITTEN:
+        lost = write(path, replace(recording, metadata={**recording.metadata, "format": "CSV"}), labelling=labelling, clouds=clouds)
+        return [f"the form of a {own_form}, and is a CSV of Asterism's instead", *lost]
     confidence = None if labelling is None else LabelConfidence.of_labelling(labelling)
     if isinstance(recording, Clouds):
         if suffix == ".npz":
