@@ -102,10 +102,6 @@ def write(
 
     path = Path(path)
     suffix = path.suffix.casefold()
-    own_form = str(recording.metadata.get("format", "")) if isinstance(recording, Recording) else ""
-    if suffix == ".csv" and own_form in _FORMS_NOT_WRITTEN:
-        lost = write(path, replace(recording, metadata={**recording.metadata, "format": "CSV"}), labelling=labelling, clouds=clouds)
-        return [f"the form of a {own_form}, and is a CSV of Asterism's instead", *lost]
     confidence = None if labelling is None else LabelConfidence.of_labelling(labelling)
     if isinstance(recording, Clouds):
         if suffix == ".npz":
@@ -113,6 +109,10 @@ def write(
         if suffix == ".csv":
             return csv_long.write_clouds(path, recording)
         raise AsterismError(f"{path}: anonymous clouds are written as .npz or .csv; choose one of them.")
+    own_form = str(recording.metadata.get("format", ""))
+    if suffix == ".csv" and own_form in _FORMS_NOT_WRITTEN:
+        lost = write(path, replace(recording, metadata={**recording.metadata, "format": "CSV"}), labelling=labelling, clouds=clouds)
+        return [f"the form of a {own_form}, and is a CSV of Asterism's instead", *lost]
     if path.name.casefold().endswith(".long.csv"):
         return csv_long.write_long(path, recording, confidence)
     if suffix == ".c3d":
