@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,17 +10,9 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
-from asterism.cli._options import Json, Markers, Overwrite, Vertical, marker_names, vertical_axis
+from asterism.cli._options import ForProgram, Json, Markers, Overwrite, Vertical, marker_names, vertical_axis
 from asterism.errors import AsterismError
 from asterism.findings import Finding
-
-
-class Program(StrEnum):
-    """The next program, whose files differ in axes and in what is in their way."""
-
-    OPENSIM = "opensim"
-    VISUAL3D = "visual3d"
-    BLENDER = "blender"
 
 
 @dataclass(frozen=True)
@@ -32,12 +23,7 @@ class ConvertOptions:
     target: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write; its suffix says the format.", show_default=False)]
     markers: Markers = None
     vertical: Vertical = None
-    program: Annotated[
-        Program | None,
-        typer.Option(
-            "--for", help="Write what this program reads: its axis up, millimetres, and only the points that it needs.", show_default=False
-        ),
-    ] = None
+    program: ForProgram = None
     overwrite: Overwrite = False
     json: Json = None
 
