@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import c3d
@@ -130,3 +131,32 @@ def test_points_and_analog_samples_of_real_files_stay(name: str, data: Path, tmp
     assert read is not None
     np.testing.assert_allclose(read.values, labelling.confidence, atol=1.01e-4)
     assert not after.findings or {f.code for f in after.findings} <= {f.code for f in before.findings}
+
+
+def test_a_marker_may_take_the_label_of_a_computed_point(data: Path, tmp_path: Path) -> None:
+    source = data / "movement" / "clinical-lower" / "sydney_static.c3d"
+    recording = formats.read(source)
+    before = open_c3d(source)
+    assert "RKNE" in formats.computed_labels(recording) and "RKNE" not in recording.labels, "a static trial with a knee alignment device"
+    column = recording.labels.index(next(label for label in recording.labels if label.startswith("*")))
+    named = replace(recording, labels=tuple("RKNE" if m == column else label for m, label in enumerate(recording.labels)))
+    [lost] = formats.write(tmp_path / "out.c3d", named)
+    assert "RKNE_computed" in lost
+    after = open_c3d(tmp_path / "out.c3d")
+    computed = after.labels.index("RKNE_computed")
+    np.testing.assert_array_equal(after.point_words[:, computed], before.point_words[:, before.labels.index("RKNE")])
+    again = formats.read(tmp_path / "out.c3d")
+    assert "RKNE" in again.labels and "RKNE_computed" in formats.computed_labels(again)
+
+
+def test_computed_points_are_left_out_with_their_declaration(data: Path, tmp_path: Path) -> None:
+    recording = formats.read(data / "gait" / "HC030" / "straight.c3d")
+    assert {"LKneeAngles", "CentreOfMass"} <= set(formats.computed_labels(recording))
+    formats.write(tmp_path / "out.c3d", formats.without_computed(recording))
+    after = open_c3d(tmp_path / "out.c3d")
+    assert set(after.labels) == set(recording.labels)
+    lists = [name for name in after.parameters.groups["POINT"] if name.startswith("ANGLES")]
+    declared = {label for name in lists for label in after.parameters.strings("POINT", name)}
+    assert not declared - set(after.labels) - {""}
+    np.testing.assert_array_equal(formats.read(tmp_path / "out.c3d").positions, recording.positions)
+    np.testing.assert_array_equal(after.analog, open_c3d(data / "gait" / "HC030" / "straight.c3d").analog)

@@ -35,7 +35,7 @@ _COMPUTED_NAME = re.compile(
     r"|.*(?:centreof|centerof)(?:mass|pressure|gravity).*|(?:whole)?body?com|com|com[xyz]|cop|[lr]cop|cop[12lr]"
     rf"|(?:left|right|l|r)?{_JOINT}?joint(?:centre|center)\w*|(?:left|right|l|r)?{_JOINT}jc\w{{0,4}}|jc{_JOINT}?[lr]?|{_JOINT}jc(?:left|right|l|r)"
     r"|(?:left|right|l|r)?(?:hip|knee|ankle|shoulder|elbow|wrist)(?:centre|center)"
-    r"|proj[lr]\w+|virtual.*|[lr]?(?:prox|dist)(?:ff|hf)|[lr]?[fh]fplantar"
+    r"|proj[lr]\w+|virtual.*|.*computed|[lr]?(?:prox|dist)(?:ff|hf)|[lr]?[fh]fplantar"
     r"|v(?:mid|pel|[lr](?:hi|kn|an|to|he|ha|sh|el|wr))"
 )
 _VIRTUAL = re.compile(r"v[._ -](?!.*sac).+", re.IGNORECASE)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -87,16 +87,19 @@ def label_parameters(file: C3DFile, labels: Sequence[bytes], descriptions: Seque
     return changes
 
 
-def without_declared(parameters: Parameters, gone: Collection[str]) -> Parameters:
-    """The parameters without these labels in the lists of angles, forces and the like; a list that would be empty is left out."""
+def with_declared(parameters: Parameters, gone: Collection[str], renamed: Mapping[str, str]) -> Parameters:
+    """The parameters without labels that are gone, and with new labels, in the lists of angles, forces and the like.
+
+    A list that would be empty is left out.
+    """
     changes: dict[tuple[str, str], Record | None] = {}
     for name in parameters.groups.get("POINT", ()):
         record = parameters.find("POINT", name)
         if record is None or record.kind != CHARACTER or len(record.dimensions) != 2 or not name.startswith(COMPUTED_GROUPS):
             continue
         listed = parameters.raw_strings("POINT", name)
-        kept = [raw for raw in listed if text_of(raw) not in gone]
-        if len(kept) < len(listed):
+        kept = [renamed[text_of(raw)].encode("utf-8") if text_of(raw) in renamed else raw for raw in listed if text_of(raw) not in gone]
+        if kept != listed:
             width, processor = record.dimensions[0], parameters.processor
             changes["POINT", name] = strings_record(name, record.group, kept, width, processor, record) if kept else None
     return parameters.replaced(changes)

@@ -6,7 +6,7 @@ the bits that they came from; everything else in the file stays. Any other recor
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from asterism.formats._columns import without_common_subject
 from asterism.formats._confidence import LabelConfidence
 from asterism.formats._physical import is_unnamed
 from asterism.formats._text import write_atomically
-from asterism.formats.c3d._edit import label_parameters, log_of, with_events, with_log, with_number, without_declared
+from asterism.formats.c3d._edit import label_parameters, log_of, with_declared, with_events, with_log, with_number
 from asterism.formats.c3d._file import BLOCK, C3DFile, parse_c3d
 from asterism.formats.c3d._fresh import fresh_c3d
 from asterism.formats.c3d._numbers import Words
@@ -27,6 +27,8 @@ from asterism.formats.c3d._reader import in_metres
 from asterism.recording import Floats, Ints, LabelStates, Recording
 
 _MOST_POINTS = 65535
+COMPUTED_ENDING = b"_computed"
+"""What follows the label of a computed point where a marker of the recording has the same label."""
 
 
 def write_c3d(path: Path, recording: Recording, confidence: LabelConfidence | None = None, states: LabelStates | None = None) -> list[str]:
@@ -49,6 +51,9 @@ def write_c3d(path: Path, recording: Recording, confidence: LabelConfidence | No
     of_c3d = isinstance(recording.source, C3DFile)
     data = rewritten(recording.source, recording, str(path)) if of_c3d else fresh_c3d(recording, str(path))
     lost = []
+    if isinstance(recording.source, C3DFile):
+        renamed = renamed_computed(parse_c3d(data, str(path)), recording.source)
+        lost += [f"the label of the computed point {label}, which a marker has now; the point is {label}_computed" for label in renamed]
     if confidence is not None and states is not None:
         from asterism.formats.c3d._confidence import with_confidence
 
@@ -98,7 +103,8 @@ def rewritten(file: C3DFile, recording: Recording, target: str) -> bytes:
             f"{target}: {len(slots)} points are more than the {_MOST_POINTS} that a C3D file can hold; write fewer columns."
         )
     words = _data(file, recording, origin, slots, target)
-    labels = _labels(file, seen, recording, slots, target)
+    renamed = _renamed_computed(file, seen, recording, slots)
+    labels = _labels(file, seen, recording, slots, renamed, target)
     same_columns = [slot.place for slot in slots] == list(range(file.layout.points)) and labels == file.raw_labels
     parameters = file.parameters
     if not same_columns:
@@ -107,7 +113,8 @@ def rewritten(file: C3DFile, recording: Recording, target: str) -> bytes:
             for slot, label in zip(slots, labels, strict=True)
         ]
         parameters = parameters.replaced(label_parameters(file, labels, descriptions))
-        parameters = without_declared(parameters, {text_of(raw) for raw in file.raw_labels} - {text_of(raw) for raw in labels})
+        gone = {text_of(raw) for raw in file.raw_labels} - {text_of(raw) for raw in labels}
+        parameters = with_declared(parameters, gone, {text_of(file.raw_labels[place]): text_of(raw) for place, raw in renamed.items()})
     if recording.events != file.events:
         parameters = with_events(parameters, recording.events)
     if recording.log != log_of(file.parameters):
@@ -199,16 +206,37 @@ def _encoded(file: C3DFile, positions: Floats, scale: float, label: str, target:
     return file.processor.words_of_integers(np.concatenate([steps, residual], axis=1).astype(np.int16))
 
 
-def _labels(file: C3DFile, seen: Sequence[str], recording: Recording, slots: Sequence[_Slot], target: str) -> list[bytes]:
+def renamed_computed(after: C3DFile, before: C3DFile) -> list[str]:
+    """The labels of computed points that writing changed."""
+    ending = COMPUTED_ENDING.decode()
+    return [label.removesuffix(ending) for label in after.labels if label.endswith(ending) and label not in before.labels]
+
+
+def _renamed_computed(file: C3DFile, seen: Sequence[str], recording: Recording, slots: Sequence[_Slot]) -> dict[int, bytes]:
+    """New labels for the computed points of the file, by place, whose own is that of a marker of the recording."""
+    from asterism.formats._physical import COMPUTED
+    from asterism.formats.c3d._reader import kinds_of_points
+
+    wanted = {label.casefold() for label in recording.labels}
+    clashes = [slot.place for slot in slots if slot.column is None and slot.place is not None and seen[slot.place].casefold() in wanted]
+    if not clashes:
+        return {}
+    kinds = kinds_of_points(file, in_metres(file)[0])
+    return {place: text_of(file.raw_labels[place]).encode("utf-8") + COMPUTED_ENDING for place in clashes if kinds[place] == COMPUTED}
+
+
+def _labels(
+    file: C3DFile, seen: Sequence[str], recording: Recording, slots: Sequence[_Slot], renamed: Mapping[int, bytes], target: str
+) -> list[bytes]:
     """The labels of the new file as bytes: old ones untouched, new ones with the file's subject prefix, unnamed ones unique."""
     prefix = next((full[: -len(short)] for full, short in zip(file.labels, seen, strict=True) if full != short), "")
-    kept = {seen[slot.place].casefold() for slot in slots if slot.column is None and slot.place is not None}
+    kept = {seen[slot.place].casefold() for slot in slots if slot.column is None and slot.place is not None and slot.place not in renamed}
     wanted = {label.casefold() for label in recording.labels}
     labels, number = [], 0
     for slot in slots:
         label = "" if slot.column is None else recording.labels[slot.column]
         if slot.place is not None and (slot.column is None or seen[slot.place] == label):
-            labels.append(file.raw_labels[slot.place])
+            labels.append(renamed.get(slot.place, file.raw_labels[slot.place]))
             continue
         if is_unnamed(label):
             while label.casefold() in kept:
