@@ -16,7 +16,7 @@ from asterism.cli import _console, main
 from asterism.cli._folders import trials
 from asterism.cli._standing import StandingTrials, is_standing_name, stands
 from asterism.errors import AsterismError
-from asterism.recording import Recording
+from asterism.recording import MarkerSet, Recording
 from asterism.simulation import simulate_standing, simulate_walks
 
 MARKERS = "helen-hayes"
@@ -256,3 +256,16 @@ def test_other_commands_take_folders_too(verb: str, lab: Path, capsys: pytest.Ca
     files = [Path(entry["file"] if isinstance(entry, dict) else entry).name for entry in json.loads(shown.out)["files"]]
     assert {"static.c3d", "trial07.c3d"} <= set(files), shown.err
     assert "broken.c3d" in shown.err
+
+
+def test_labelled_files_are_written_for_the_next_program(lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("label", lab / "lab" / "s3" / "walk.c3d", "-m", lab / "walks.model", "-o", tmp_path / "out", "--for", "opensim")
+    assert run(*words) == 0
+    [written] = (tmp_path / "out").glob("*.trc")
+    recording = formats.read(written, vertical="y")
+    truth = formats.read(lab / "lab" / "s3" / "walk.c3d")
+    heights = [np.nanmax(each.positions @ each.vertical) for each in (recording, truth)]
+    assert set(recording.labels) == set(MarkerSet.load(MARKERS).names) and heights[0] == pytest.approx(heights[1], abs=1e-4)
+    capsys.readouterr()
+    assert run(*words) == 0
+    assert "labelled by an earlier run" in capsys.readouterr().out

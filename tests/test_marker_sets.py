@@ -5,32 +5,52 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asterism.formats import read
-from asterism.recording import MarkerSet, canonical, shipped_marker_sets
+from asterism.formats import describe, read
+from asterism.recording import MarkerSet, canonical, shipped_marker_sets, worn_marker_sets
 
 HELEN_HAYES = ["RASI", "LASI", "SACR", "RTHI", "LTHI", "RKNE", "LKNE", "RTIB", "LTIB", "RANK", "LANK", "RHEE", "LHEE", "RTOE", "LTOE"]
 
 
-def test_three_sets_are_shipped_with_their_counts():
-    assert {name: len(MarkerSet.load(name)) for name in shipped_marker_sets()} == {"helen-hayes": 15, "oxford-foot": 37, "plug-in-gait": 39}
+COUNTS = {
+    "cast": 32,
+    "helen-hayes": 15,
+    "helen-hayes-medial": 19,
+    "ior-gait": 22,
+    "optitrack-baseline": 41,
+    "optitrack-baseline-lower": 20,
+    "oxford-foot": 37,
+    "plug-in-gait": 39,
+    "plug-in-gait-lower": 16,
+    "qtm-sports": 41,
+    "rizzoli-foot": 30,
+}
+
+
+def test_the_sets_of_the_field_are_shipped_with_their_counts():
+    assert {name: len(MarkerSet.load(name)) for name in shipped_marker_sets()} == COUNTS
+
+
+MIDDLE = {"SACR", "C7", "T10", "CLAV", "STRN", "RBAK", "Chest", "BackTop", "HeadTop", "HeadFront", "HeadSide", "WaistBack"}
+MIDDLE |= {"SpineThoracic2", "SpineThoracic12"}
+MIRRORED = {"WaistRFront": "WaistLFront", "WaistRBack": "WaistLBack", "WaistR": "WaistL", "BackRight": "BackLeft", "HeadR": "HeadL"}
 
 
 def test_helen_hayes_has_the_order_of_the_thesis():
     assert list(MarkerSet.load("helen-hayes").names) == HELEN_HAYES
 
 
-@pytest.mark.parametrize("name", ["helen-hayes", "oxford-foot", "plug-in-gait"])
+@pytest.mark.parametrize("name", COUNTS)
 def test_every_side_has_its_mirror_with_mirrored_aliases(name):
     markers = MarkerSet.load(name)
     paired = {marker for pair in markers.pairs for marker in pair}
     middle = set(markers.names) - paired
-    assert middle <= {"SACR", "C7", "T10", "CLAV", "STRN", "RBAK"}
+    assert middle <= MIDDLE
     for left, right in markers.pairs:
-        assert left == "L" + right[1:]
+        assert left == MIRRORED.get(right, "L" + right[1:])
         assert len(markers.aliases.get(left, ())) == len(markers.aliases.get(right, ()))
 
 
-@pytest.mark.parametrize("name", ["helen-hayes", "oxford-foot", "plug-in-gait"])
+@pytest.mark.parametrize("name", COUNTS)
 def test_every_marker_lies_on_one_segment(name):
     markers = MarkerSet.load(name)
     on = [marker for members in markers.segments.values() for marker in members]
@@ -121,3 +141,53 @@ def test_left_and_right_are_not_mixed_up_in_real_files(data):
         for core in ("ASI", "THI", "KNE", "ANK", "HEE"):
             side = ((column["L" + core] - column["R" + core]) * left).sum(axis=1)
             assert np.nanmedian(side) > 0, f"{file}: {core}"
+
+
+@pytest.mark.parametrize("name", COUNTS)
+def test_a_file_with_a_sets_own_names_wears_this_set(name):
+    markers = MarkerSet.load(name)
+    best = worn_marker_sets([f"Ann:{marker}" for marker in reversed(markers.names)])[0]
+    assert (best.name, best.found, best.missing, best.extra) == (name, markers.names, (), ())
+
+
+def test_what_is_missing_and_extra_is_told():
+    labels = [label for label in HELEN_HAYES if label not in ("LTHI", "RTHI")] + ["C7", "*12", "R.Knee.Medial"]
+    [best] = worn_marker_sets(labels)
+    assert (best.name, best.missing, best.extra) == ("helen-hayes", ("RTHI", "LTHI"), ("C7", "R.Knee.Medial"))
+    assert worn_marker_sets(["LKNE", "RKNE", "*1"]) == () == worn_marker_sets([])
+
+
+@pytest.mark.parametrize(
+    "file, name, missing",
+    [
+        ("gait/HC002/straight.c3d", "oxford-foot", 0),
+        ("movement/pig39/test_movement.c3d", "plug-in-gait", 0),
+        ("movement/cmu41/02_01_walk.c3d", "plug-in-gait", 2),
+        ("movement/clinical-lower/sydney_gait03.c3d", "plug-in-gait-lower", 0),
+        ("movement/clinical-lower/auc_dynamic.c3d", "helen-hayes", 0),
+        ("movement/clinical-lower/auc_static.c3d", "helen-hayes-medial", 0),
+        ("gait-events/parkinson/SUB01_off_walk_12b.c3d", "ior-gait", 0),
+        ("movement/optitrack-lower/rizzoli24/jog_001.c3d", "ior-gait", 2),
+        ("movement/optitrack-lower/skeleton20/jog_001.c3d", "optitrack-baseline-lower", 0),
+        ("conformance/trc/dataWithBlanksForMissingMarkers.trc", "cast", 6),
+        ("movement/vicon53/nick_freeform_001.c3d", None, 0),
+        ("movement/mouse-qtm/MOS1aD_S2_M5_MC2_T2_TRM_5MMIN_E.mat", None, 0),
+    ],
+)
+def test_real_files_wear_the_set_of_their_laboratory(data, file, name, missing):
+    worn = describe(data / file)["marker_sets"]
+    assert [each["name"] for each in worn[:1]] == [name] * (name is not None)
+    assert [len(each["missing"]) for each in worn[:1]] == [missing] * (name is not None)
+
+
+@pytest.mark.parametrize("name", ["ior-gait", "cast", "plug-in-gait-lower"])
+def test_the_sides_of_sets_on_landmarks_are_not_mixed_up_in_real_files(data, name):
+    file = {"ior-gait": "gait-events/parkinson/SUB01_off_walk_12b.c3d", "cast": "conformance/trc/dataWithBlanksForMissingMarkers.trc"}
+    recording = read(data / file.get(name, "movement/clinical-lower/sydney_gait03.c3d"), markers=name)
+    markers, column = MarkerSet.load(name), {label: recording.positions[:, i] for i, label in enumerate(recording.labels)}
+    front = [column[label] for label in markers.segments["pelvis"][:2]]
+    ahead = sum(front) - sum(column[label] for label in markers.segments["pelvis"][2:])
+    left = np.cross(np.broadcast_to(recording.vertical, ahead.shape), ahead)
+    for one, other in markers.pairs:
+        side = ((column[one] - column[other]) * left).sum(axis=1)
+        assert np.isnan(side).all() or np.nanmedian(side) > 0, f"{one} lies right of {other}"

@@ -1,6 +1,7 @@
 """Asterism: which point of an optical motion-capture cloud is which marker, in every frame, with a calibrated confidence.
 
-The names below are the front door; every room has more (`asterism.labelling`, `asterism.simulation`, `asterism.report`, ...).
+The names below are the front door; every room has more (`asterism.labelling`, `asterism.simulation`, `asterism.report`, ...)
+and is imported when it is first named: after `import asterism`, `asterism.labelling.audit(...)` works as it stands.
 """
 
 from __future__ import annotations
@@ -31,6 +32,23 @@ __all__ = [
     "write",
 ]
 
+_ROOMS = (
+    "calibration",
+    "cameras",
+    "detection",
+    "errors",
+    "findings",
+    "formats",
+    "geometry",
+    "labelling",
+    "motion",
+    "reconstruction",
+    "recording",
+    "report",
+    "simulation",
+    "synchronization",
+    "tracking",
+)
 _ROOM_OF = {
     "read": "formats",
     "write": "formats",
@@ -40,9 +58,11 @@ _ROOM_OF = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a name when it is first used, so that commands which need no NumPy or Numba start at once."""
+    """Import a name, or a room, when it is first used, so that commands which need no NumPy or Numba start at once."""
     if name in _ROOM_OF:
         value = getattr(import_module(f"asterism.{_ROOM_OF[name]}"), name)
+    elif name in _ROOMS:
+        return import_module(f"asterism.{name}")
     elif name == "__version__":
         value = _version()
     else:
@@ -52,7 +72,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, *_ROOMS})
 
 
 def _version() -> str:

@@ -1,7 +1,20 @@
-"""`python -m asterism`: the command line where the `asterism` script is not on the path."""
+"""`asterism` and `python -m asterism`: the command line; an interruption while it is still being imported leaves no traceback."""
+
+from __future__ import annotations
 
 import sys
 
-from asterism.cli import main
 
-sys.exit(main())
+def run() -> int:
+    """Import and run the command line; returns its exit status, 130 where it is interrupted."""
+    try:
+        from asterism.cli import main
+
+        return main()
+    except KeyboardInterrupt:
+        print("asterism: interrupted; nothing was begun.", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(run())

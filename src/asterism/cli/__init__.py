@@ -68,7 +68,7 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
     app = typer.Typer(
         name="asterism",
         cls=PlainValuesGroup,
-        add_completion=False,
+        add_completion="_ASTERISM_COMPLETE" in os.environ,  # the options to install it would need the shell to be guessed
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -129,11 +129,17 @@ def main(args: Sequence[str] | None = None) -> int:
             traceback.print_exc()
             _console.error(_console.reason(problem))
             return 2
-        _console.error(f"{problem.format_message().rstrip('.')}; `asterism COMMAND --help` shows what it takes.")
+        _console.error(f"{problem.format_message().rstrip('.')}; `{_command_of(problem)} --help` shows what it takes.")
         return 2
     if status == 130:
         _console.error("interrupted; finished files stay, and no half-written file is left.")
     return status if isinstance(status, int) else 0
+
+
+def _command_of(problem: Exception) -> str:
+    """The command whose words were not understood: `asterism label`."""
+    path = getattr(getattr(problem, "ctx", None), "command_path", "")
+    return path or "asterism"
 
 
 def _respelled(args: Sequence[str]) -> list[str]:

@@ -110,15 +110,17 @@ def count(number: float) -> str:
     return "–" if math.isnan(number) else f"{number:,.0f}"
 
 
+_PROGRESS_INTERVAL = 60.0
+"""s between two lines of progress where standard error is no terminal."""
 _bars: list[Callable[[str], None]] = []
 """The progress bar that is on the terminal: sets its description."""
 
 
 @contextmanager
 def progress(what: str) -> Iterator[Progress | None]:
-    """A bar with the remaining time on standard error, where that is a terminal; None elsewhere."""
+    """A bar with the remaining time on standard error, where that is a terminal; elsewhere a line each minute."""
     if not sys.stderr.isatty():
-        yield None
+        yield _each_minute(what)
         return
     from rich.console import Console
     from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
@@ -132,6 +134,22 @@ def progress(what: str) -> Iterator[Progress | None]:
             yield lambda fraction, doing: bar.update(task, completed=fraction, description=printable(doing or what))
         finally:
             _bars.pop()
+
+
+def _each_minute(what: str) -> Progress:
+    """Progress for a file or another program that reads standard error: one line each minute, none in the first."""
+    import time
+
+    last = time.monotonic()
+
+    def tell(fraction: float, doing: str = "") -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= _PROGRESS_INTERVAL:
+            last = now
+            print(f"{what}: {100 * fraction:.0f} %{f', {doing}' if doing else ''}", file=sys.stderr, flush=True)
+
+    return tell
 
 
 def notice(sentence: str, *, in_progress_line: bool = False) -> None:

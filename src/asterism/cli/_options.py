@@ -28,6 +28,14 @@ class KnownLabels(StrEnum):
     IGNORE = "ignore"
 
 
+class Program(StrEnum):
+    """The next program, whose files differ in axes and in what is in their way."""
+
+    OPENSIM = "opensim"
+    VISUAL3D = "visual3d"
+    BLENDER = "blender"
+
+
 class Rules(StrEnum):
     """How a frame is labelled: by the whole body, by the partial solvers' votes and the whole model, or by the thesis' rules."""
 
@@ -51,7 +59,7 @@ Markers = Annotated[
     str | None,
     typer.Option(
         metavar="SET",
-        help="helen-hayes, plug-in-gait, oxford-foot, a TOML file, or names with commas. Else the physical points of the files.",
+        help="A shipped set such as helen-hayes, a TOML file, or names with commas. Else the physical points of the files.",
         show_default=False,
     ),
 ]
@@ -103,6 +111,12 @@ Subjects = Annotated[
         metavar="FILE",
         help="A trial of the person, best standing: narrows the model to this body. Of several, the nearest by folder counts.",
         show_default=False,
+    ),
+]
+ForProgram = Annotated[
+    Program | None,
+    typer.Option(
+        "--for", help="Write what this program reads: its axis up, millimetres, and only the points that it needs.", show_default=False
     ),
 ]
 NoStatic = Annotated[bool, typer.Option("--no-static", help="Look for no standing trials among the files.")]

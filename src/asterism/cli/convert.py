@@ -10,7 +10,7 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
-from asterism.cli._options import Json, Markers, Overwrite, Vertical, marker_names, vertical_axis
+from asterism.cli._options import ForProgram, Json, Markers, Overwrite, Vertical, marker_names, vertical_axis
 from asterism.errors import AsterismError
 from asterism.findings import Finding
 
@@ -23,6 +23,7 @@ class ConvertOptions:
     target: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write; its suffix says the format.", show_default=False)]
     markers: Markers = None
     vertical: Vertical = None
+    program: ForProgram = None
     overwrite: Overwrite = False
     json: Json = None
 
@@ -34,6 +35,7 @@ def convert(options: ConvertOptions) -> None:
     The suffix of OUT says which: C3D, TRC, CSV, TSV, MAT or NPZ; tables of numbers are MOT, STO or CSV.
     Rigs become .toml (Asterism's), *anipose.toml, camera_array.toml, .yml, .xml, .xcp, .qca.txt or .ori.
     What the other format cannot carry is named on standard error.
+    --for turns the recording as the next program takes it: opensim TRC with y up, visual3d and blender C3D with z up.
     """
     from asterism import formats
     from asterism.cli._recordings import is_rig, not_carried
@@ -44,7 +46,10 @@ def convert(options: ConvertOptions) -> None:
     axis, wanted = vertical_axis(options.vertical), marker_names(options.markers)
     findings: list[Finding] = []
     if is_rig(source):
-        findings, lost = _convert_rig(source, target, axis, wanted)
+        findings, lost = _convert_rig(source, target, axis, wanted if options.program is None else options.program)
+    elif options.program is not None:
+        recording, left = formats.for_program(formats.read(source, wanted, axis), options.program.value, target)
+        lost = [*left, *formats.write(target, recording)]
     elif wanted is None:
         lost = formats.convert(source, target, axis)
     else:
@@ -60,6 +65,7 @@ def convert(options: ConvertOptions) -> None:
             "command": "convert",
             "file": source,
             "output": target,
+            "for": options.program,
             "not_carried": lost,
             "findings": [finding.to_dict() for finding in findings],
         },
@@ -73,7 +79,7 @@ def _convert_rig(source: Path, target: Path, vertical: Any, markers: Any) -> tup
     from asterism.recording import as_vertical
 
     if markers is not None:
-        raise AsterismError(f"{source} is a rig and has no markers; leave out --markers.")
+        raise AsterismError(f"{source} is a rig and has no markers; leave out --markers and --for.")
     rig = read_rig(source)
     findings = assumptions(source, rig)
     return findings, write_rig(rig if vertical is None else replace(rig, vertical=as_vertical(vertical)), target)

@@ -109,10 +109,31 @@ def _rows(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, s
         elif isinstance(value, Mapping) and key == "partial_solvers":
             for rules, ensemble in value.items():
                 yield f"partial solvers, {rules}", _solvers_text(ensemble)
+        elif key == "marker_sets" and content["points"]["physical"]:
+            yield from _marker_set_rows(value)
         elif key == "missing" and isinstance(value, float):
             yield name, _console.percent(value)
-        else:
+        elif key != "marker_sets":
             yield name, _text(value, _LONGEST_LIST.get(key, _LONG_ENOUGH)) + _UNITS.get(key, "")
+
+
+def _marker_set_rows(sets: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
+    """The best of the shipped marker sets, what the file lacks of it and has beside it; and the other sets that it has."""
+
+    def told(worn: Mapping[str, Any]) -> str:
+        return f"{worn['name']}, {len(worn['found'])} of {len(worn['found']) + len(worn['missing'])} markers"
+
+    if not sets:
+        yield "marker set", "none that is shipped"
+        return
+    best = sets[0]
+    yield "marker set", told(best)
+    if best["missing"]:
+        yield "marker set, missing", _text(best["missing"])
+    if best["extra"]:
+        yield "marker set, extra", _text(best["extra"])
+    if len(sets) > 1:
+        yield "marker set, also", "; ".join(told(worn) for worn in sets[1:])
 
 
 def _solvers_text(ensemble: Mapping[str, Any]) -> str:

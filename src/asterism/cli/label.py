@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +16,7 @@ from asterism.cli._folders import Trial, trials
 from asterism.cli._options import (
     DropComputed,
     Files,
+    ForProgram,
     FrameWise,
     Json,
     KeepLabels,
@@ -57,6 +58,7 @@ class LabelOptions:
     known_labels: KnownLabelsOption = None
     keep_labels: KeepLabels = False
     drop_computed: DropComputed = False
+    program: ForProgram = None
     rules: RulesOption = Rules.WHOLE_BODY
     frame_wise: FrameWise = False
     subject: Subjects = None
@@ -83,6 +85,7 @@ class LabelOptions:
         return {
             "known_labels": None if self.known is None else self.known.value,
             "drop_computed": self.drop_computed,
+            "for": None if self.program is None else self.program.value,
             "rules": self.rules.value,
             "frame_wise": self.frame_wise,
             "subject": self.subject,
@@ -175,6 +178,7 @@ class _Run:
 
     def result(self, trial: Trial, progress: Progress | None) -> _Result:
         """Label one file and write it, or take over what an earlier run has finished."""
+        trial = self._as_program_reads(trial)
         target = self.options.output / trial.place
         if target.exists() and not self.options.overwrite:
             row = None if target.samefile(trial.path) else self.finished.row(trial.place, trial.path, target)
@@ -183,6 +187,13 @@ class _Run:
                 raise AsterismError(f"{trial.path}: {target} {what}; choose another folder with -o, or replace it with --overwrite.")
             return _Result({**row, "file": trial.path, "output": target, "finished_before": True})
         return self._labelled(trial, target, progress)
+
+    def _as_program_reads(self, trial: Trial) -> Trial:
+        """The trial with a place of the suffix that the next program reads, where one is named."""
+        from asterism.formats import PROGRAMS
+
+        program = self.options.program
+        return trial if program is None else replace(trial, place=trial.place.with_suffix(PROGRAMS[program.value].suffix))
 
     def _labelled(self, trial: Trial, target: Path, progress: Progress | None) -> _Result:
         from asterism import __version__, formats
@@ -204,9 +215,12 @@ class _Run:
             if not (options.drop_computed and finding.code == "label-computed-outdated"):
                 self.batch.found(finding)
         written = formats.without_computed(labelled.recording) if options.drop_computed else labelled.recording
+        left = list[str]()
+        if options.program is not None:
+            written, left = formats.for_program(written, options.program.value, target)
         target.parent.mkdir(parents=True, exist_ok=True)
         self.finished.begin(trial.place, path)
-        lost = formats.write(target, written, labelling=labelled.labelling, clouds=clouds)
+        lost = [*left, *formats.write(target, written, labelling=labelled.labelling, clouds=clouds)]
         for finding in not_carried(target, lost):
             self.batch.found(finding)
         row = {

@@ -21,16 +21,19 @@ from asterism.formats._dispatch import (
 
 if TYPE_CHECKING:
     from asterism.formats._computed import computed_labels, without_computed
+    from asterism.formats._programs import PROGRAMS, for_program
     from asterism.formats.csv_blobs import read_blobs, write_blobs
     from asterism.formats.storage import Table, read_table, write_table
 
 __all__ = [
+    "PROGRAMS",
     "LabelConfidence",
     "Table",
     "check_suffix",
     "computed_labels",
     "convert",
     "describe",
+    "for_program",
     "is_recording_file",
     "read",
     "read_blobs",
@@ -47,6 +50,7 @@ __all__ = [
 
 _MODULE_OF = {
     **dict.fromkeys(("computed_labels", "without_computed"), "_computed"),
+    **dict.fromkeys(("PROGRAMS", "for_program"), "_programs"),
     **dict.fromkeys(("read_blobs", "write_blobs"), "csv_blobs"),
     **dict.fromkeys(("Table", "read_table", "write_table"), "storage"),
 }

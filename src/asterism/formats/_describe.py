@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +14,17 @@ from asterism.findings import Finding
 from asterism.formats._columns import Points, settle_vertical, without_common_subject
 from asterism.formats._findings import located, point_names
 from asterism.formats._physical import COMPUTED, MARKER, UNNAMED
-from asterism.recording import Floats
+from asterism.recording import Floats, worn_marker_sets
 
 _MANY_LABELS = 2000
 
 
 def described(path: Path, points: Points) -> dict[str, Any]:
-    """Format, frames, rate, duration (s), units, vertical and where it comes from, points by kind, missing, gaps, events, log, findings.
+    """Format, frames, rate, duration (s), units, vertical and where it comes from, points by kind, marker sets, missing, gaps, events,
+    log, findings.
 
-    Missing and gaps count the physical named points; a gap is a run of missing frames between two seen ones.
+    Marker sets are the shipped ones whose markers the file has, the best first (`asterism.recording.worn_marker_sets`). Missing and gaps
+    count the physical named points; a gap is a run of missing frames between two seen ones.
     """
     labels, subject = without_common_subject(points.labels)
     kinds = np.array(points.kind_of_points, dtype=object)
@@ -51,6 +54,7 @@ def described(path: Path, points: Points) -> dict[str, Any]:
             "computed": [labels[c] for c in np.nonzero(kinds == COMPUTED)[0]],
             "unnamed": [labels[c] for c in np.nonzero(kinds == UNNAMED)[0]],
         },
+        "marker_sets": [asdict(worn) for worn in worn_marker_sets([labels[c] for c in physical])],
         "missing": float(1 - seen.mean()) if seen.size else 0.0,
         "gaps": gaps(seen),
         "events": [{"label": e.label, "context": e.context, "time": e.time} for e in points.events],

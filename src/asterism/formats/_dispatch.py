@@ -41,6 +41,8 @@ _WRITERS = {
     ".npz": "npz.write_npz",
 }
 _TABLES = (".mot", ".sto", ".csv")
+_FORMS_NOT_WRITTEN = ("Motive CSV", "Nexus CSV")
+"""Other programs' CSV files that are read; a CSV that is written has Asterism's own columns."""
 _WITH_CONFIDENCE = (".csv", ".npz")
 """Suffixes of text and NPZ files that have a place for the confidence of labels."""
 _KNOWN = "C3D, TRC, CSV, TSV, MAT, MOT, STO and NPZ"
@@ -113,6 +115,10 @@ def write(
         if suffix == ".csv":
             return csv_long.write_clouds(path, recording)
         raise AsterismError(f"{path}: anonymous clouds are written as .npz or .csv; choose one of them.")
+    own_form = str(recording.metadata.get("format", ""))
+    if suffix == ".csv" and own_form in _FORMS_NOT_WRITTEN:
+        lost = write(path, replace(recording, metadata={**recording.metadata, "format": "CSV"}), labelling=labelling, clouds=clouds)
+        return [f"the form of a {own_form}, and is a CSV of Asterism's instead", *lost]
     if path.name.casefold().endswith(".long.csv"):
         return csv_long.write_long(path, recording, confidence)
     if suffix == ".c3d":

@@ -14,6 +14,7 @@ from asterism.formats._findings import frame_numbers, rate_conflict, short_rows
 from asterism.recording import Floats
 
 _MISSING = {"", "na", "n/a", "#n/a", "null", "none", "-", "--", "nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#ind", "1.#ind"}
+_EXCEL_SEPARATOR = re.compile(r'(?i)"?sep=."?[;,]*\s*')
 _LONGEST_CELL = 1000
 _FORMULA = ("=", "+", "-", "@")
 """How a cell begins that spreadsheets run."""
@@ -49,8 +50,9 @@ def decoded(path: Path, data: bytes) -> str:
 
 
 def lines_of(text: str) -> list[str]:
-    """Lines without their ends, whichever of CRLF, LF and CR the file uses."""
-    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    """Lines without their ends, whichever of CRLF, LF and CR the file uses. A first line `sep=;`, by which Excel reads, becomes empty."""
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    return ["", *lines[1:]] if _EXCEL_SEPARATOR.fullmatch(lines[0]) else lines
 
 
 def delimiter_of(line: str) -> str | None:

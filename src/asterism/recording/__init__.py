@@ -9,6 +9,7 @@ from asterism.recording.processing import ProcessingStep, log_as_text, log_from_
 from asterism.recording.shares import SURE, LabelShares, LabelStates, label_shares, label_states
 from asterism.recording.trajectories import Event, Recording, keep_labels
 from asterism.recording.verdict import Verdict
+from asterism.recording.worn_set import WornSet, worn_marker_sets
 
 __all__ = [
     "NULL",
@@ -27,6 +28,7 @@ __all__ = [
     "ProcessingStep",
     "Recording",
     "Verdict",
+    "WornSet",
     "as_vertical",
     "canonical",
     "check_labels",
@@ -39,4 +41,5 @@ __all__ = [
     "log_from_text",
     "shipped_marker_sets",
     "without_subject",
+    "worn_marker_sets",
 ]

@@ -1,0 +1,79 @@
+"""A recording in; the same recording as the next program takes it out: the axis that is up, the unit, and which points come along."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.formats.c3d._file import C3DFile
+from asterism.recording import Floats, Recording, as_vertical, is_unnamed
+
+
+@dataclass(frozen=True)
+class ProgramInput:
+    """What a program reads.
+
+    suffix  of the file
+    up      the axis that it takes as vertical
+    named   whether points without a name, computed points and analog data are in its way and stay behind
+    """
+
+    suffix: str
+    up: str
+    named: bool
+
+
+PROGRAMS = {
+    "opensim": ProgramInput(".trc", "y", named=True),
+    "visual3d": ProgramInput(".c3d", "z", named=False),
+    "blender": ProgramInput(".c3d", "z", named=True),
+}
+"""OpenSim's models stand along Y, and its inverse kinematics reads TRC. Visual3D and Blender stand along Z. All are written in mm."""
+
+
+def for_program(recording: Recording, program: str, target: str | Path) -> tuple[Recording, list[str]]:
+    """The recording as a program of `PROGRAMS` takes it, and a phrase for each thing that it leaves behind.
+
+    A C3D file whose vertical and points suit the program stays as it is, with everything in it. Raises AsterismError where the program is
+    not known or reads no file like `target`.
+    """
+    if program not in PROGRAMS:
+        raise AsterismError(f"{program!r} is no program that files are written for; take one of {', '.join(PROGRAMS)}.")
+    wanted, target = PROGRAMS[program], Path(target)
+    if target.suffix.casefold() != wanted.suffix:
+        raise AsterismError(f"{target}: files for {program} are written as {wanted.suffix}; name it {target.stem}{wanted.suffix}.")
+    up, left = as_vertical(wanted.up), list[str]()
+    turned = not np.allclose(recording.vertical, up, atol=1e-6)
+    if not turned and not wanted.named:
+        return recording, left
+    if isinstance(recording.source, C3DFile):
+        why = f"which {program} does not need" if wanted.named else "whose axes are those of the file"
+        left.append(f"what {recording.metadata.get('file', 'the source')} holds besides markers and events, {why}")
+    elif recording.source is not None and len(recording.source.labels) > len(recording.taken):
+        left.append(f"{len(recording.source.labels) - len(recording.taken)} computed points")
+    positions = recording.positions @ rotation_between(recording.vertical, up).T if turned else recording.positions
+    metadata = {**recording.metadata, "units": "mm"}
+    prepared = replace(recording, positions=positions, vertical=up, metadata=metadata, source=None, origin=None, taken=())
+    if not wanted.named:
+        return prepared, left
+    named = [label for label in prepared.labels if not is_unnamed(label)]
+    if not named:
+        raise AsterismError(f"{recording.metadata.get('file', 'the recording')} has no point with a name for {program}; label it first.")
+    if len(named) < len(prepared.labels):
+        left.append(f"{len(prepared.labels) - len(named)} points without a name")
+    return prepared.select(named), left
+
+
+def rotation_between(vertical: Floats, up: Floats) -> Floats:
+    """The smallest rotation (3, 3) that brings one unit vector to another; about X where they are opposite."""
+    axis, cosine = np.cross(vertical, up), float(vertical @ up)
+    if cosine < -1 + 1e-9:
+        about = np.array([1.0, 0.0, 0.0]) if abs(vertical[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+        about = about - (about @ vertical) * vertical
+        about /= np.linalg.norm(about)
+        return 2 * np.outer(about, about) - np.eye(3)
+    cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    return np.eye(3) + cross + cross @ cross / (1 + cosine)
