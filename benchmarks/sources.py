@@ -56,8 +56,11 @@ ABOUT_FILES = {("labelling", "conformance"), ("labelling", "physical"), ("record
 
 CHAPTERS_ABOUT_FILES = ("house", "hostile")
 
-DATA_OF = {"asterism.recording.marker_set": "src/asterism/marker_sets/", "asterism.report.page": "src/asterism/report/templates/"}
-"""Files of the package that a module reads."""
+DATA_OF = {
+    "asterism.recording.marker_set": tuple(f"src/asterism/marker_sets/{name}.toml" for name in ("helen-hayes", "oxford-foot", "plug-in-gait")),
+    "asterism.report.page": ("src/asterism/report/templates/",),
+}
+"""Files of the package that a module reads. Of the marker sets those that rows name: what else is shipped changes no figure."""
 
 BEYOND_IMPORTS = {
     ("house", "structure"): ("src/",),
@@ -151,7 +154,7 @@ class Sources:
         for module, name in symbols:
             statements = self.module(module).bound[name] if name else self.module(module).loose
             found[f"{module}.{name}" if name else module] = _digest("".join(_canonical(statement) for statement in statements))
-        others = (*BEYOND_IMPORTS.get((chapter, row), ()), *(folder for name, folder in DATA_OF.items() if name in modules))
+        others = (*BEYOND_IMPORTS.get((chapter, row), ()), *(path for name, paths in DATA_OF.items() if name in modules for path in paths))
         for path, content in self.files.items():
             if path.startswith(others):
                 found[path] = _hash(content) if path.endswith(".py") else _digest(content.decode("latin-1"))
