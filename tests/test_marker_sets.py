@@ -191,3 +191,8 @@ def test_the_sides_of_sets_on_landmarks_are_not_mixed_up_in_real_files(data, nam
     for one, other in markers.pairs:
         side = ((column[one] - column[other]) * left).sum(axis=1)
         assert np.isnan(side).all() or np.nanmedian(side) > 0, f"{one} lies right of {other}"
+
+
+def test_a_set_under_its_own_names_comes_before_one_under_other_names(data):
+    worn = describe(data / "gait-events/plates/NP1002/walk_1002a07.c3d")["marker_sets"]
+    assert [each["name"] for each in worn] == ["plug-in-gait", "plug-in-gait-lower", "helen-hayes", "ior-gait"]
