@@ -57,7 +57,9 @@ ABOUT_FILES = {("labelling", "conformance"), ("labelling", "physical"), ("record
 CHAPTERS_ABOUT_FILES = ("house", "hostile")
 
 DATA_OF = {
-    "asterism.recording.marker_set": tuple(f"src/asterism/marker_sets/{name}.toml" for name in ("helen-hayes", "oxford-foot", "plug-in-gait")),
+    "asterism.recording.marker_set": tuple(
+        f"src/asterism/marker_sets/{name}.toml" for name in ("helen-hayes", "oxford-foot", "plug-in-gait")
+    ),
     "asterism.report.page": ("src/asterism/report/templates/",),
 }
 """Files of the package that a module reads. Of the marker sets those that rows name: what else is shipped changes no figure."""

@@ -228,6 +228,18 @@ def test_the_verdict_follows_the_labels() -> None:
     assert Correction(model(), stretched).verdict.kind == "do-not-use"
 
 
+def test_the_candidates_of_a_piece_have_the_chances_that_the_list_states() -> None:
+    """One piece, one chance: the page shows both beside each other."""
+    dirty, _ = corrected()
+    stated = [item for item in dirty.items() if item.alternatives]
+    assert stated
+    for item in stated:
+        piece = int(dirty.pieces.id[dirty.pieces.of_point[item.points[0]]])
+        chances = dict(dirty.candidates(piece))
+        assert {name: chances[name] for name, _ in item.alternatives} == pytest.approx(dict(item.alternatives))
+        assert sum(chances.values()) <= 1.0 + 1e-9
+
+
 def test_a_recording_without_points_is_refused() -> None:
     empty = Recording(np.full((5, 2, 3), np.nan), ("*1", "*2"), 100.0)
     with pytest.raises(AsterismError, match="no points"):

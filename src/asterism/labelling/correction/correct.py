@@ -157,15 +157,19 @@ class Correction:
         place = pieces.place_of(piece)
         points = np.nonzero(pieces.of_point == place)[0]
         chance = marker_chances(self._base, self.labelling, points)
-        marker = int(pieces.marker[place])
-        if marker != NULL:
-            chance[marker] = 0.0
-            chance *= (1.0 - pieces.confidence[place]) / max(float(chance.sum()), 1e-300)
-            chance[marker] = pieces.confidence[place]
+        # what the list says of the piece is calibrated; the body alone is too sure, and ranks the other markers
+        known = {int(pieces.marker[place]): float(pieces.confidence[place])} if pieces.marker[place] != NULL else {}
+        none = 0.0
         for item in self.items():
             if item.points[0] == points[0]:
-                for name, share in item.alternatives:
-                    chance[self.names.index(name)] = max(share, chance[self.names.index(name)])
+                known |= {self.names.index(name): share for name, share in item.alternatives}
+                none = item.confidence if item.marker is None else 0.0
+        for marker in known:
+            chance[marker] = 0.0
+        if known:
+            chance *= min(1.0, max(0.0, 1.0 - none - sum(known.values())) / max(float(chance.sum()), 1e-300))
+        for marker, share in known.items():
+            chance[marker] = share
         order = np.argsort(-chance, kind="stable")
         return [(self.names[m], float(chance[m])) for m in order]
 
