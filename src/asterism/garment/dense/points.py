@@ -43,7 +43,8 @@ class DenseRules:
     outlier     share of right points that lie beyond the bound on a point's sum of squared errors; simulated suits have ten wrong
                 centres in a thousand at worst, of which this keeps none that matters (tests/test_garment_dense.py)
     parallel    sine of the angle of two rays below which the paper's mid-point is not taken
-    least_sigma px, added to each centre's standard deviation: what lens models and print leave
+    least_sigma px, added to each centre's standard deviation (root of squares): what lens models and print leave
+    least_scale by which centres may be better than they say: circles without any error leave no other bound on outliers
     least_depth m, before a camera
     steps       of Gauss and Newton at most
     still       m, of the last step
@@ -52,6 +53,7 @@ class DenseRules:
     outlier: float = 1e-5
     parallel: float = 0.03
     least_sigma: float = 0.02
+    least_scale: float = 0.05
     least_depth: float = 0.05
     steps: int = 12
     still: float = 1e-7
@@ -204,7 +206,7 @@ def _scale_of(rig: Rig, rays: _Rays, rules: DenseRules) -> float:
     usual = np.append(np.nan, chi2.median(np.arange(1, 64)))
     ratio = cost / usual[np.minimum(2 * count - 3, 63)]
     ratio = ratio[np.isfinite(ratio)]
-    return float(np.sqrt(np.median(ratio))) if len(ratio) else 1.0
+    return max(float(np.sqrt(np.median(ratio))), rules.least_scale) if len(ratio) else 1.0
 
 
 def _fitted(rig: Rig, rays: _Rays, rules: DenseRules, scale: float) -> DensePoints:

@@ -180,7 +180,8 @@ def _expose(worn: WornGarment, mesh: Mesh, camera: Camera, settings: PhotoSettin
     triangles, piece, corners = np.ascontiguousarray(triangles[kept]), piece[kept], corners[kept]
     if not len(triangles):
         return
-    turn = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    turn = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
     low = np.clip(np.floor(corners.min(axis=(0, 1)) + 0.5), 0, (width, height)).astype(np.int64)
     high = np.clip(np.ceil(corners.max(axis=(0, 1)) + 0.5), 0, (width, height)).astype(np.int64)
     samples = settings.samples
