@@ -6,12 +6,25 @@ from functools import cache
 
 import numpy as np
 
+from asterism.calibration.coded_target import centre_offsets
 from asterism.cameras import Camera, Rig
 from asterism.cameras.aim import looking
 from asterism.errors import AsterismError
-from asterism.garment import Pattern
+from asterism.garment import Pattern, Piece
 from asterism.garment.identities import RING, identities
-from asterism.simulation.garment import Folds, Photo, PhotoSettings, Wearer, WornGarment, photograph, sheet_of, suit_masks, wear
+from asterism.simulation.garment import (
+    Folds,
+    Photo,
+    PhotoSettings,
+    SimulatedCircles,
+    WavedTarget,
+    Wearer,
+    WornGarment,
+    photograph,
+    sheet_of,
+    suit_masks,
+    wear,
+)
 
 ARM = Wearer(motion="stand", parts=("left arm",), folds=Folds(height=0.0015))
 
@@ -69,3 +82,31 @@ def true_positions(worn: WornGarment, time: float = 0.0) -> dict[int, np.ndarray
     """identity -> (3,) m."""
     ids, points = worn.pattern.ids, worn.circles(time)
     return dict(zip(ids[ids >= 0].tolist(), points[ids >= 0], strict=True))
+
+
+@cache
+def sheet(rows: int = 7, cols: int = 9) -> Pattern:
+    """A calibration target at the paper's pitch."""
+    return coded(np.ones((rows, cols), dtype=bool), (Piece("sheet", 0, 0, rows, cols),), pitch=0.068, diameter=0.038)
+
+
+def read_target(
+    scene: WavedTarget, rig: Rig, noise: float, *, rng: np.random.Generator, steepest: float = 70.0
+) -> list[list[SimulatedCircles]]:
+    """What each camera reads of a waved target in each frame: the centres of the ellipses, which are not the images of the centres."""
+    pattern, frames = scene.pattern, []
+    ids = pattern.ids[pattern.ids >= 0]
+    for t in range(len(scene)):
+        places, frame = scene.circles(t)[pattern.ids >= 0], []
+        for camera in rig:
+            turns = np.tile(camera.rotation @ scene.rotations[t], (len(places), 1, 1))
+            inside = places @ camera.rotation.T + camera.translation
+            xy = camera.project(places) + centre_offsets(camera, turns, inside, 0.5 * pattern.diameter)
+            facing = np.einsum("ni,ni->n", turns[:, :, 2], inside) / np.linalg.norm(inside, axis=1)
+            with np.errstate(invalid="ignore"):
+                there = ((xy > 3) & (xy < np.array(camera.size) - 4)).all(axis=1) & (facing > np.cos(np.radians(steepest)))
+            rows = np.flatnonzero(there)
+            covariance = np.tile(max(noise, 1e-3) ** 2 * np.eye(2), (len(rows), 1, 1))
+            frame.append(SimulatedCircles(xy[rows] + noise * rng.standard_normal((len(rows), 2)), covariance, ids[rows]))
+        frames.append(frame)
+    return frames
