@@ -17,7 +17,6 @@ from asterism.simulation.garment import (
     Photo,
     PhotoSettings,
     SimulatedCircles,
-    WavedTarget,
     Wearer,
     WornGarment,
     photograph,
@@ -25,6 +24,7 @@ from asterism.simulation.garment import (
     suit_masks,
     wear,
 )
+from asterism.simulation.garment.target import WavedTarget
 
 ARM = Wearer(motion="stand", parts=("left arm",), folds=Folds(height=0.0015))
 

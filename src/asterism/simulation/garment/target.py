@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
-from asterism.cameras import Rig
+from asterism.cameras import Camera, Rig
 from asterism.errors import AsterismError
 from asterism.garment.pattern import Pattern
 from asterism.geometry import rotation_from_vector
 from asterism.recording import Floats
-from asterism.simulation.garment.suit import Mesh
+from asterism.simulation.garment.photograph import Photo, PhotoSettings, photograph
+from asterism.simulation.garment.suit import Mesh, WornGarment
 
 _FINER = 4
 """Vertices of the mesh per pitch: a lens' distortion is linear within a triangle of 17 mm to 0.002 px."""
@@ -49,6 +51,13 @@ class WavedTarget:
         vertices = (flat @ turn.T + self.translations[int(time)]).reshape(-1, 3)
         normals = np.tile(-turn[:, 2], (len(vertices), 1))
         return Mesh(vertices, normals, sheet.reshape(-1, 2), triangles.astype(np.int32), np.zeros(len(triangles), dtype=np.int32))
+
+
+def photograph_target(
+    scene: WavedTarget, camera: Camera, pose: int, settings: PhotoSettings | None = None, *, rng: np.random.Generator
+) -> Photo:
+    """Take a picture of a waved sheet in one of its poses; see `photograph`, which needs of a scene only what a sheet has, too."""
+    return photograph(cast(WornGarment, scene), camera, float(pose), settings, rng=rng)
 
 
 def wave_target(pattern: Pattern, rig: Rig, views: int, *, reach: float = 0.5, rng: np.random.Generator) -> WavedTarget:
