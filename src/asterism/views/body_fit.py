@@ -28,6 +28,7 @@ class BodyFitRules:
     steps           tries of Levenberg-Marquardt for each frame
     frames          frames of each recording that count, evenly spread
     rounds          how often places and poses take turns
+    spread_share    standard deviation of a marker's place as a multiple of what was seen: few people show little of it
     least_spread    m, of a marker's place
     people_spread   m, of a marker's place on other people, beside what is seen, where only one person is known
     hinge_share     standard deviation of an angle as a multiple of what was seen
@@ -39,6 +40,7 @@ class BodyFitRules:
     steps: int = 30
     frames: int = 40
     rounds: int = 2
+    spread_share: float = 1.3
     least_spread: float = 0.008
     people_spread: float = 0.012
     hinge_share: float = 1.4
@@ -265,7 +267,7 @@ def _with_offsets(body: BodyModel, offsets: Sequence[Floats], rules: BodyFitRule
     within = np.nanmean(np.array([np.nanvar(part, axis=0).mean(axis=1) for part in offsets]), axis=0)
     several = len(offsets) > 2
     between = np.nanvar(means, axis=0, ddof=1).mean(axis=1) if several else np.full(len(mean), rules.people_spread**2)
-    spread = np.maximum(np.sqrt(within + between), rules.least_spread)
+    spread = np.maximum(rules.spread_share * np.sqrt(within + between), rules.least_spread)
     root = np.array(body.bones[0].pivot)
     return replace(
         body,

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from asterism.recording import Floats, Ints
-from asterism.views._fit_kernels import minimise, minimise_all, predict_visible
-from asterism.views._label_kernels import settle
-from asterism.views._pose_kernels import HINGES
-from asterism.views.arrays import Known, Observing
+from asterism.views._fit_kernels import minimise, predict_visible
+from asterism.views._label_kernels import label_globally, place_priors, unseen_cost
+from asterism.views._pose_kernels import HINGES, add_priors
+from asterism.views.arrays import BodyArrays, CameraArrays, Known, Observing
 from asterism.views.body import BodyModel
 from asterism.views.body_fit import known_of
 from asterism.views.posing import posed_points
@@ -95,10 +96,9 @@ class FrameLabeller:
         xy, offsets = self.scene.frame(t)
         rules = self.rules
         poses, rotations = starts(self.scene, self.body, xy, offsets, rules.headings, self.size)
-        costs = np.empty(len(poses))
-        coarse = np.array(rules.coarse)
-        args = (self.body.arrays, self.scene.cameras, self.known, self.observing, xy, offsets, _UNKNOWN)
-        minimise_all(*args, coarse, rules.coarse_steps, self.free, poses, rotations, costs)
+        coarse, hessian = np.array(rules.coarse), np.empty((poses.shape[1], poses.shape[1]))
+        args = (self.body.arrays, self.scene.cameras, self.known, self.observing, xy, offsets, _UNKNOWN, coarse, rules.coarse_steps)
+        costs = np.array([minimise(*args, self.free, poses[n], rotations[n], hessian) for n in range(len(poses))])
         results: list[FrameLabels] = []
         fine = tuple(blur for blur in rules.blur if blur < rules.coarse[-1])
         for n in _different(costs, poses, rotations, rules.kept):
@@ -109,22 +109,41 @@ class FrameLabeller:
         return replace(best, rival=max(others, default=float("-inf")))
 
     def _fitted(self, t: int, pose: Floats, rotation: Floats, blur: tuple[float, ...], steps: int) -> FrameLabels:
+        """Fit the pose to blobs without labels, label them by it, fit it to the labels, and label again."""
         xy, offsets = self.scene.frame(t)
-        arrays, cameras, known, observing, free = self.body.arrays, self.scene.cameras, self.known, self.observing, self.free
+        arrays, cameras, known, observing, free, rules = self._kit
         pose, rotation = pose.copy(), rotation.copy()
-        size, markers = len(pose), len(self.body.markers)
-        if len(blur):
-            hessian = np.empty((size, size))
-            minimise(arrays, cameras, known, observing, xy, offsets, _UNKNOWN, np.array(blur), steps, free, pose, rotation, hessian)
+        hessian, shares = np.empty((len(pose), len(pose))), np.empty((len(self.scene.rig), len(self.body.markers)))
         labels, worth = np.full(len(xy), -1, dtype=np.int64), np.zeros(len(xy))
-        points, covariances = np.empty((markers, 3)), np.empty((markers, 3, 3))
-        noise = np.array([self.rules.noise])
-        rules = self.rules
-        gain = settle(
-            *(arrays, cameras, known, observing, xy, offsets, noise, 5, free, rules.rounds, rules.together),
-            *(pose, rotation, labels, worth, points, covariances),
+        points, covariances = np.empty((len(arrays.bones), 3)), np.empty((len(arrays.bones), 3, 3))
+        means, priors = np.empty_like(points), np.empty_like(covariances)
+        noise = np.array([rules.noise])
+        minimise(arrays, cameras, known, observing, xy, offsets, _UNKNOWN, np.array(blur), steps, free, pose, rotation, hessian)
+        gain = 0.0
+        for turn in range(rules.turns + 1):
+            predict_visible(arrays, cameras, observing, pose, rotation, shares)
+            place_priors(arrays, pose, rotation, hessian, free, points, priors)
+            gain = label_globally(
+                *(cameras, observing, shares, points, priors, xy, offsets, rules.rounds, rules.together),
+                *(labels, worth, means, covariances),
+            )
+            if turn < rules.turns:
+                minimise(arrays, cameras, known, observing, xy, offsets, labels, noise, rules.label_steps, free, pose, rotation, hessian)
+        gain -= unseen_cost(shares) + self._pose_cost(pose, rotation)
+        return FrameLabels(labels, worth, pose, rotation, points + means, covariances, float(gain))
+
+    def _pose_cost(self, pose: Floats, rotation: Floats) -> float:
+        """nats, what a pose costs before any image."""
+        size, known, arrays = len(pose), self._kit[2], self._kit[0]
+        cost = add_priors(
+            *(pose, rotation, known.vertical, arrays.usual, arrays.precision),
+            *(known.scale_usual, known.scale_precision, known.tilt_precision, np.zeros((size, size)), np.zeros(size)),
         )
-        return FrameLabels(labels, worth, pose, rotation, points, covariances, float(gain))
+        return float(cost)
+
+    @cached_property
+    def _kit(self) -> tuple[BodyArrays, CameraArrays, Known, Observing, Ints, ViewsRules]:
+        return self.body.arrays, self.scene.cameras, self.known, self.observing, self.free, self.rules
 
 
 def _different(costs: Floats, poses: Floats, rotations: Floats, most: int) -> list[int]:

@@ -14,6 +14,7 @@ from asterism.recording import NULL, Blobs, Clouds, Floats, Ints, Labelling, Rec
 from asterism.views.body import BodyModel
 from asterism.views.body_file import load_body
 from asterism.views.frame import FrameLabeller, FrameLabels
+from asterism.views.personal import personal_body, quality_of
 from asterism.views.rules import RULES, ViewsRules
 from asterism.views.scene import scene_of
 
@@ -30,6 +31,7 @@ class ViewsLabelling:
     """Labels of blobs, and where the markers are.
 
     rig, blobs, body  what was labelled, and with which body
+    person       the body of this person, with the places at which the markers were found to sit
     labels       (P,) the marker of each blob, its place in `body.labels`; -1 for "I do not know" or no marker
     confidence   (P,) the probability that the blob is that marker; of a blob without a label that of the label that was not accepted
     positions    (T, M, 3) m: markers with a label in at least one camera; NaN for others
@@ -45,6 +47,7 @@ class ViewsLabelling:
     rig: Rig
     blobs: Blobs
     body: BodyModel
+    person: BodyModel
     labels: Ints
     confidence: Floats
     positions: Floats
@@ -121,8 +124,8 @@ def label_views(
     """Label the blobs of a recording with a body model, frame after frame, and place every marker that a camera shows.
 
     The body is sought in the first frame with any heading, size and place, and followed from frame to frame; where it is lost it is
-    sought anew. Labels that are less probable than `least_confidence` are not given. A frame whose blobs the body does not explain
-    gets no label at all.
+    sought anew. Before that some frames show where on this person the markers sit (`ViewsRules.personal`). Labels that are less probable
+    than `least_confidence` are not given. A frame whose blobs the body does not explain gets no label at all.
 
     rig     calibrated cameras with the blobs' names and a vertical
     body    a body model, the name of a shipped one, or a file
@@ -134,7 +137,9 @@ def label_views(
     body = load_body(body)
     scene = scene_of(blobs, rig)
     labeller = FrameLabeller(scene, body, rules, None if height is None else height / body.height)
-    track = _Track(labeller)
+    if rules.personal and len(blobs):
+        labeller = replace(labeller, body=personal_body(labeller), size=None)
+    track = _Track(labeller, body)
     for t in range(len(blobs)):
         track.take(t)
         if progress is not None:
@@ -153,7 +158,8 @@ class _Seen:
 class _Track:
     """Frames one after the other: predicts, follows, notices that the body is lost, and seeks it anew."""
 
-    def __init__(self, labeller: FrameLabeller) -> None:
+    def __init__(self, labeller: FrameLabeller, body: BodyModel | None = None) -> None:
+        self.body = labeller.body if body is None else body
         self.labeller = labeller
         self.seen: list[_Seen | None] = []
         self.restarts: list[int] = []
@@ -198,8 +204,7 @@ class _Track:
         return found
 
     def _judged(self, t: int, labels: FrameLabels) -> _Seen:
-        expected = self.labeller.expected(labels)
-        return _Seen(labels, labels.gain / max(float(expected.sum()), 1.0))
+        return _Seen(labels, quality_of(self.labeller, labels))
 
     def result(self, least_confidence: float) -> ViewsLabelling:
         """All frames together."""
@@ -231,6 +236,7 @@ class _Track:
         made = ViewsLabelling(
             scene.rig,
             scene.blobs,
+            self.body,
             body,
             labels,
             confidence,
