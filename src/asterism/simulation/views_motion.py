@@ -17,11 +17,12 @@ _FREE_DEGREES = {"upper arm raising": (0.0, 110.0), "upper arm abduction": (0.0,
 
 
 def simulate_motion(
-    body: BodyModel, frames: int = 180, rate: float = 60.0, *, rng: np.random.Generator, offsets: float = 0.012
+    body: BodyModel, frames: int = 180, rate: float = 60.0, *, rng: np.random.Generator, offsets: float = 1.0
 ) -> tuple[Recording, Capsules]:
     """A person of another size, with other marker places, who steps, bends, turns around and raises the arms within 0.4 m of the origin.
 
-    offsets  m, standard deviation of each marker's place per axis; sizes differ by 7 %, and each direction by 3 %
+    offsets  standard deviation of each marker's place per axis, as a multiple of the spread that the body states for it;
+             sizes differ by 7 %, and each direction by 3 %
 
     Angles are sums of three sines of 0.1 to 0.8 Hz around the hinges' usual angles. Returns the recording (z up, the lowest marker at its
     rest height) and the body's capsules in each frame. The same arguments and generator give the same motion.
@@ -31,7 +32,7 @@ def simulate_motion(
     person = replace(
         body,
         markers=tuple(
-            replace(marker, place=as_point(np.array(marker.place) + np.clip(rng.normal(0.0, offsets, 3), -2.5 * offsets, 2.5 * offsets)))
+            replace(marker, place=as_point(np.array(marker.place) + offsets * marker.spread * np.clip(rng.normal(0.0, 1.0, 3), -2.5, 2.5)))
             for marker in body.markers
         ),
     )

@@ -288,11 +288,23 @@ def _with_motion(body: BodyModel, angles: Floats, rules: BodyFitRules) -> BodyMo
         hinges = []
         for hinge in bone.hinges:
             middle = float(np.clip(usual[place], hinge.low, hinge.high))
-            hinges.append(replace(hinge, usual=middle, spread=float(spread[place])))
+            hinges.append(replace(hinge, usual=middle, spread=max(float(spread[place]), hinge.spread)))
             place += 1
         bones.append(replace(bone, hinges=tuple(hinges)))
     poses = {f"pose {i + 1}": tuple(float(x) for x in pose) for i, pose in enumerate(_apart(angles / spread, rules.poses) * spread)}
-    return replace(body, bones=tuple(bones), poses=poses)
+    return replace(body, bones=tuple(bones), poses=poses | _raised_arms(body, usual))
+
+
+def _raised_arms(body: BodyModel, usual: Floats) -> dict[str, tuple[float, ...]]:
+    """Poses with the arms ahead and aside, from which no walk starts; none for a body without arms."""
+    poses = {}
+    for name, hinge_name, degrees in (("arms ahead", "upper arm raising", 80.0), ("arms aside", "upper arm abduction", 70.0)):
+        angles = usual.copy()
+        raised = [j for j, hinge in enumerate(body.hinge_names) if hinge.endswith(hinge_name)]
+        angles[raised] = np.radians(degrees)
+        if raised:
+            poses[name] = tuple(float(x) for x in angles)
+    return poses
 
 
 def _apart(points: Floats, count: int) -> Floats:

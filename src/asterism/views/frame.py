@@ -104,9 +104,27 @@ class FrameLabeller:
         for n in _different(costs, poses, rotations, rules.kept):
             results.append(self._fitted(t, poses[n], rotations[n], fine, rules.steps))
         results.sort(key=lambda result: -result.gain)
-        best = results[0]
+        best = self.turned(t, results[0])
         others = [result.gain for result in results[1:] if not np.array_equal(result.labels, best.labels)]
         return replace(best, rival=max(others, default=float("-inf")))
+
+    def turned(self, t: int, found: FrameLabels) -> FrameLabels:
+        """The labels of frame t with each limb turned about its own length, where that explains the blobs better.
+
+        A wrist with a marker on each side looks nearly the same when the forearm is turned by half a turn, and no fit leads from one to the
+        other. O(wide hinges) labellings.
+        """
+        arrays = self.body.arrays
+        wide = np.nonzero((arrays.high - arrays.low > np.pi) & (np.abs(arrays.axes[:, 2]) > 0.9))[0] if self.rules.joints else ()
+        for j in wide:
+            angle = found.pose[HINGES + j]
+            for shift in (-2.0, 2.0):
+                pose = found.pose.copy()
+                pose[HINGES + j] = np.clip(angle + shift, arrays.low[j], arrays.high[j])
+                other = self.follow(t, pose, found.rotation)
+                if other.gain > found.gain + 1.0:
+                    found = other
+        return found
 
     def _fitted(self, t: int, pose: Floats, rotation: Floats, blur: tuple[float, ...], steps: int) -> FrameLabels:
         """Fit the pose to blobs without labels, label them by it, fit it to the labels, and label again."""

@@ -62,8 +62,10 @@ def personal_body(labeller: FrameLabeller, rules: PersonalRules = PERSONAL) -> B
 
 
 def quality_of(labeller: FrameLabeller, found: FrameLabels) -> float:
-    """nats of gain per sighting that the body lets expect."""
-    return found.gain / max(float(labeller.expected(found).sum()), 1.0)
+    """nats of gain per sighting that the body lets expect; 0 where fewer of them are there than `ViewsRules.least_shown`."""
+    expected = max(float(labeller.expected(found).sum()), 1.0)
+    shown = int((found.labels >= 0).sum())
+    return found.gain / expected if shown >= labeller.rules.least_shown * expected else 0.0
 
 
 def _spread(labeller: FrameLabeller, most: int) -> Ints:
@@ -78,7 +80,7 @@ def _labelled(labeller: FrameLabeller, frames: Ints) -> dict[int, FrameLabels]:
     out = dict[int, FrameLabels]()
     last: FrameLabels | None = None
     for t in frames.tolist():
-        found = None if last is None else labeller.from_start(t, last.pose, last.rotation)
+        found = None if last is None else labeller.turned(t, labeller.from_start(t, last.pose, last.rotation))
         if found is None or quality_of(labeller, found) < labeller.rules.lost:
             try:
                 found = labeller.from_nothing(t)

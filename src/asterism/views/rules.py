@@ -37,7 +37,9 @@ class ViewsRules:
     occlusion     whether the body hides markers (the ablation's switch)
     together      whether cameras inform each other when blobs are assigned (the ablation's switch)
     personal      whether the person's own body is learned first
+    turn_frames   frames after which limbs are tried turned about their length
     lost          nats per sighting that the body lets expect, below which it counts as lost and no label is given
+    least_shown   share of the expected sightings that must be there, or the body counts as lost too
     longest_wait  frames until a body that was not found is sought again, at most
     slope, offset  of the logistic that turns the worth of a label (nats) into its probability
     """
@@ -65,7 +67,9 @@ class ViewsRules:
     occlusion: bool = True
     together: bool = True
     personal: bool = True
+    turn_frames: int = 20
     lost: float = 3.0
+    least_shown: float = 0.65
     longest_wait: int = 32
     slope: float = 0.5
     offset: float = 1.0
