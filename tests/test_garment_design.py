@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-import twins_garment as twins
+import twins_garment_design as twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

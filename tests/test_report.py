@@ -338,6 +338,23 @@ def nothing(frames: int) -> dict[str, Any]:
     return {"clouds": clouds, "labelling": labelling, "truth": np.full((frames, 2), -1)}
 
 
+def test_a_recording_plots_itself_under_its_own_labels(tmp_path: Path, walk: Recording) -> None:
+    positions = walk.positions.copy()
+    positions[3:9, 2] = np.nan
+    recording = replace(walk, positions=positions, labels=(*walk.labels[:-1], "*1"), first_frame=41)
+    shown = recording.plot(tmp_path / "walk.html")
+    page = Reader(shown.path.read_text(encoding="utf-8"))
+    (packed,) = shown_in(page)
+    points = unpacked(packed)
+    assert packed["markers"] == list(walk.labels[:-1]) and packed["firstFrame"] == 41
+    for m in range(len(walk.labels) - 1):
+        assert (points["marker"] == m).sum() == recording.visible[:, m].sum()
+    assert (points["marker"] == -1).sum() == recording.visible[:, -1].sum()
+    assert not page.loads and "<iframe" in shown._repr_html_() and recording.plot().path.exists()
+    with pytest.raises(AsterismError, match="nothing to plot"):
+        replace(recording, positions=positions[:0]).plot()
+
+
 @pytest.mark.parametrize("frames", [0, 1, 5])
 def test_a_recording_without_points_has_a_page_too(tmp_path: Path, walk: Recording, frames: int) -> None:
     page = make_label_page(tmp_path / "page.html", walk, files=[], **nothing(frames))

@@ -12,7 +12,7 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
-from asterism.cli._folders import Trial, trials
+from asterism.cli._folders import Trial, check_output, trials
 from asterism.cli._options import (
     DropComputed,
     Files,
@@ -182,10 +182,9 @@ class _Run:
         target = self.options.output / trial.place
         if target.exists() and not self.options.overwrite:
             row = None if target.samefile(trial.path) else self.finished.row(trial.place, trial.path, target)
-            if row is None:
-                what = "is the input itself" if target.samefile(trial.path) else "exists"
-                raise AsterismError(f"{trial.path}: {target} {what}; choose another folder with -o, or replace it with --overwrite.")
-            return _Result({**row, "file": trial.path, "output": target, "finished_before": True})
+            if row is not None:
+                return _Result({**row, "file": trial.path, "output": target, "finished_before": True})
+            check_output(trial.path, target, self.options.overwrite)
         return self._labelled(trial, target, progress)
 
     def _as_program_reads(self, trial: Trial) -> Trial:

@@ -25,7 +25,7 @@ def next_word(word):
 def contexts_of(identity, members, colours, out):
     """The eight contexts in which the last cell of a block makes this identity: the centre and the seven other cells of the ring.
 
-    IN  members (rings,) the smallest ring of each class; OUT out (8,) places below colours ** 8. O(8). Twin: tests/twins_garment.py
+    IN  members (rings,) the smallest ring of each class; OUT out (8,) places below colours ** 8. O(8). Twin: tests/twins_garment_design.py
     """
     rings = members.size
     centre = identity // rings
@@ -159,7 +159,7 @@ def recolour(cell, colour, flat, is_block, around, colours, classes, rings, code
     A conflict is a block without an identity, or a pair of blocks with one identity or with two that are too like each other.
     IN  is_block (cells,), around (8,), classes (colours ** 8,), near (ids, k)
     OUT flat, codes (cells,) rings; number (cells,) identities; counts (ids,); others (ids,) exclusive or of the blocks with an identity
-    O(9 (k + 1)). Twin: tests/twins_garment.py
+    O(9 (k + 1)). Twin: tests/twins_garment_design.py
     """
     step = colour - flat[cell]
     flat[cell] = colour
