@@ -92,12 +92,11 @@ def calibrate(options: CalibrateOptions) -> None:
 
 
 def _calibrated(options: CalibrateOptions) -> BoardCalibration:
-    from asterism.garment.read import read_image
-
     from asterism.calibration.coded_target import calibrate_target
     from asterism.cameras.files import read_rig
     from asterism.garment import Pattern
     from asterism.garment.footage import colour_footage
+    from asterism.garment.read import read_image
     from asterism.garment.target_images import find_target
 
     pattern = Pattern.load(options.target)

@@ -93,15 +93,16 @@ def capture(options: CaptureOptions) -> None:
 
 
 def _captured(options: CaptureOptions, rig: Rig, pattern: Pattern) -> Capture:
-    from asterism.garment.reader import checked_reader
-
     from asterism.garment.capture import capture as capture_garment
+    from asterism.garment.first_images import check_first_images
     from asterism.garment.footage import colour_footage
+    from asterism.garment.read import read_image
 
     footage = colour_footage(options.images, rig)
+    check_first_images(footage, pattern, rig)
     with _console.progress("reading") as progress:
         return capture_garment(
-            rig, pattern, footage, checked_reader(footage, pattern, rig), rate=options.rate, workers=options.workers, progress=progress,
+            rig, pattern, footage, lambda image: read_image(image, pattern), rate=options.rate, workers=options.workers, progress=progress,
             total=len(footage),
         )  # fmt: skip
 
