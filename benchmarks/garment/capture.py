@@ -8,13 +8,13 @@ from functools import cache
 from statistics import median
 
 import numpy as np
-from asterism.garment.read import read_image
 
 from asterism.calibration.coded_target import calibrate_target
 from asterism.garment import Pattern
 from asterism.garment.capture import capture
 from asterism.garment.dense import dense_points, fused_midpoints
 from asterism.garment.design import design_pattern
+from asterism.garment.read import read_image
 from asterism.garment.surface import surface
 from asterism.garment.target_images import find_target
 from asterism.simulation import compare_rigs
