@@ -118,7 +118,7 @@ def analyse_motion(
     found = tuple(_findings(recording, limb_of, angles))
     logged = recording.logged("motion estimated", "asterism", method=rules.method, joints=rules.joint_method, limbs=len(names))
     return MotionAnalysis(
-        logged, limb_of, names, tuple(motions), skeleton, angles, centres.reshape(len(angles), -1, 3), segmentation, found
+        logged, limb_of, names, tuple(motions), skeleton, angles, centres.reshape(len(angles), len(recording), 3), segmentation, found
     )
 
 

@@ -32,9 +32,9 @@ class AnatomicalFrames:
 def leg_frames(recording: Recording, side: str = "L", *, knee_width: float = 0.10, ankle_width: float = 0.07) -> AnatomicalFrames:
     """Anatomical frames of one leg from the markers of Helen Hayes or Plug-in-Gait: ASIS, sacrum (or PSIS), THI, KNE, TIB, ANK.
 
-    side "L" or "R"; knee_width, ankle_width m. The hip centre is Bell's (1990); knee and ankle centres lie half a joint's width and a marker's
-    radius medial of their markers, in the plane of the wand (Davis et al. 1991; Kadaba et al. 1990). Wands that are turned about the limb turn
-    the frame with them: offsets of rotation are the laboratory's, as in Plug-in-Gait.
+    side "L" or "R"; knee_width, ankle_width m. The hip centre is Bell's (1990); knee and ankle centres lie half a joint's width and a
+    marker's radius medial of their markers, in the plane of the wand (Davis et al. 1991; Kadaba et al. 1990). Wands that are turned
+    about the limb turn the frame with them: offsets of rotation are the laboratory's, as in Plug-in-Gait.
     Raises AsterismError where the recording lacks a marker, or the side is neither L nor R.
     """
     if side not in ("L", "R"):
@@ -53,9 +53,7 @@ def leg_frames(recording: Recording, side: str = "L", *, knee_width: float = 0.1
     hip = spine + width * pelvis @ shares
     knee = _chord(hip, own["KNE"], own["THI"], knee_width / 2 + MARKER_RADIUS, right)
     ankle = _chord(knee, own["ANK"], own["TIB"], ankle_width / 2 + MARKER_RADIUS, right)
-    return AnatomicalFrames(
-        pelvis, _segment(hip, knee, own["KNE"], right), _segment(knee, ankle, own["ANK"], right), hip, knee, ankle
-    )
+    return AnatomicalFrames(pelvis, _segment(hip, knee, own["KNE"], right), _segment(knee, ankle, own["ANK"], right), hip, knee, ankle)
 
 
 def _marker(recording: Recording, name: str) -> Floats:

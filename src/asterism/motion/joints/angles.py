@@ -13,7 +13,12 @@ SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
 
 
 def joint_rotation(
-    parent: ArrayLike, child: ArrayLike, *, parent_axes: ArrayLike | None = None, child_axes: ArrayLike | None = None, zero: int | None = None
+    parent: ArrayLike,
+    child: ArrayLike,
+    *,
+    parent_axes: ArrayLike | None = None,
+    child_axes: ArrayLike | None = None,
+    zero: int | None = None,
 ) -> Floats:
     """(T, 3, 3): the child's axes in the parent's axes.
 
@@ -49,9 +54,7 @@ def cardan_angles(rotations: ArrayLike, sequence: str = "zxy") -> Floats:
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
     second = np.arcsin(np.clip(sign * given[:, i, k], -1.0, 1.0))
     locked = np.abs(given[:, i, k]) > 1.0 - 1e-12
-    first = np.where(
-        locked, np.arctan2(sign * given[:, k, j], given[:, j, j]), np.arctan2(-sign * given[:, j, k], given[:, k, k])
-    )
+    first = np.where(locked, np.arctan2(sign * given[:, k, j], given[:, j, j]), np.arctan2(-sign * given[:, j, k], given[:, k, k]))
     third = np.where(locked, 0.0, np.arctan2(-sign * given[:, i, j], given[:, i, i]))
     angles = np.stack([first, second, third], axis=1)
     angles[~np.isfinite(given).all(axis=(1, 2))] = np.nan
@@ -61,10 +64,10 @@ def cardan_angles(rotations: ArrayLike, sequence: str = "zxy") -> Floats:
 def grood_suntay(parent: ArrayLike, child: ArrayLike) -> Floats:
     """(T, 3) rad: flexion, adduction, internal rotation in the joint coordinate system of Grood and Suntay (1983), with ISB axes.
 
-    parent, child (T, 3, 3): anatomical axes x forward, y up, z to the right, as columns in the world. e1 is the parent's z (flexion), e3 the
-    child's y (rotation), e2 their cross product e3 x e1, about which the child adducts. For a right limb positive is extension of a knee in
-    the sense of rotation about z; signs of a left limb's second and third angles mirror. Equal to `cardan_angles(..., "zxy")`, whatever the
-    order in which the turns are made.
+    parent, child (T, 3, 3): anatomical axes x forward, y up, z to the right, as columns in the world. e1 is the parent's z (flexion), e3
+    the child's y (rotation), e2 their cross product e3 x e1, about which the child adducts. For a right limb positive is extension of a
+    knee in the sense of rotation about z; signs of a left limb's second and third angles mirror. Equal to `cardan_angles(..., "zxy")`,
+    whatever the order in which the turns are made.
     """
     p, c = np.asarray(parent, dtype=np.float64), np.asarray(child, dtype=np.float64)
     e1, e3 = p[:, :, 2], c[:, :, 1]
@@ -76,7 +79,7 @@ def grood_suntay(parent: ArrayLike, child: ArrayLike) -> Floats:
 
     flexion = np.arctan2(dot(e2, p[:, :, 1]), dot(e2, p[:, :, 0]))
     adduction = np.arcsin(np.clip(dot(e3, e1), -1.0, 1.0))
-    internal = np.arctan2(-dot(e2, c[:, :, 2]), dot(e2, c[:, :, 0]))
+    internal = np.arctan2(dot(e2, c[:, :, 2]), dot(e2, c[:, :, 0]))
     return np.stack([flexion, adduction, internal], axis=1)
 
 

@@ -13,8 +13,8 @@ from asterism.motion.rigid.rotations import relative_rotations, rotation_vectors
 from asterism.recording import Floats
 
 JOINT_METHODS = ("score", "sphere")
-"""score: the point that both limbs carry alike (Ehrig et al. 2006; symmetric). sphere: the common centre of the spheres on which the child's
-points move in the parent's axes (Gamage and Lasenby 2002)."""
+"""score: the point that both limbs carry alike (Ehrig et al. 2006; symmetric). sphere: the common centre of the spheres on which the
+child's points move in the parent's axes (Gamage and Lasenby 2002)."""
 
 
 class Motion(Protocol):
@@ -99,7 +99,7 @@ def fit_joint(
         raise AsterismError(f"{method} is no method for joints; choose from {', '.join(JOINT_METHODS)}.")
     if len(parent.rotations) != len(child.rotations):
         raise AsterismError(f"the limbs have {len(parent.rotations)} and {len(child.rotations)} frames; give motions of one recording.")
-    both = np.isfinite(parent.translations).all(axis=1) & np.isfinite(child.translations).all(axis=1)
+    both = np.asarray(np.isfinite(parent.translations).all(axis=1) & np.isfinite(child.translations).all(axis=1))
     if both.sum() < 3:
         raise AsterismError(f"the limbs are known together in {int(both.sum())} frames; a joint needs three.")
     r_p, t_p, r_c, t_c = parent.rotations[both], parent.translations[both], child.rotations[both], child.translations[both]
@@ -137,7 +137,7 @@ def _prior(
     """What is known beforehand: precision (6, 6) 1/m2 and expected (6,) m. Without a hint, hardly anything, about the limbs' origins."""
     r_p, t_p, r_c, t_c = motions
     if near is None:
-        return 1e-6 * np.eye(6), np.zeros(6)
+        return 1e-2 * np.eye(6), np.zeros(6)
     place = np.asarray(near, dtype=np.float64)
     if place.shape != (len(both), 3):
         raise AsterismError(f"near has shape {place.shape}, expected ({len(both)}, 3): a place in the world for each frame.")
@@ -164,7 +164,7 @@ def _variance(left: Floats) -> float:
     square = float((left**2).sum()) / max(3 * frames - 6, 1)
     lagged = float((left[1:] * left[:-1]).sum() / max((left**2).sum(), 1e-30)) if frames > 3 else 0.0
     lagged = min(max(lagged, 0.0), 0.98)
-    return max(square, 1e-12) * (1 + lagged) / (1 - lagged)
+    return max(square, 1e-10) * (1 + lagged) / (1 - lagged)
 
 
 def _covariance(design: Floats, left: Floats, prior: Floats) -> Floats:
@@ -191,5 +191,5 @@ def _sphere_centre(points: Floats, parent: tuple[Floats, Floats], expected: Floa
     moved = np.where(seen, filled - mean, 0.0)
     normal = 2 * np.einsum("tni,tnj->ij", moved, moved)
     right = np.einsum("tni,tn->i", moved, (square - square.sum(axis=0) / count)[:, :, 0])
-    weak = 1e-9 * np.trace(normal) if precision < 1 else 1e-4 * np.trace(normal)
+    weak = 1e-9 * np.trace(normal) if precision < 1.0 else 1e-4 * np.trace(normal)
     return np.asarray(np.linalg.solve(normal + weak * np.eye(3), right) + expected)

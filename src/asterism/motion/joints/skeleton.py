@@ -39,7 +39,9 @@ class Skeleton:
         return tuple(found)
 
 
-def find_skeleton(motions: Sequence[Motion], points: Sequence[Floats], *, method: str = "score", rules: JointRules | None = None) -> Skeleton:
+def find_skeleton(
+    motions: Sequence[Motion], points: Sequence[Floats], *, method: str = "score", rules: JointRules | None = None
+) -> Skeleton:
     """Join limbs where they turn about a common point that lies between them.
 
     motions of the limbs, and points (T, N, 3) m of each. Of all trees the one is taken whose joints together lie nearest to both limbs'
@@ -47,7 +49,9 @@ def find_skeleton(motions: Sequence[Motion], points: Sequence[Floats], *, method
     Raises AsterismError where there is no limb, or the lists differ in length. O(L^2 (T + N^2 / 100)).
     """
     if not motions or len(motions) != len(points):
-        raise AsterismError(f"{len(motions)} motions and {len(points)} sets of points; give one set of points for each of one or more limbs.")
+        raise AsterismError(
+            f"{len(motions)} motions and {len(points)} sets of points; give one set of points for each of one or more limbs."
+        )
     rules = rules or JointRules()
     joints: dict[tuple[int, int], tuple[float, Joint]] = {}
     for one in range(len(motions)):

@@ -286,3 +286,24 @@ def _as_motion(positions: Floats, fit: _Fit, weights: Floats, method: str, refer
     mean = shown.sum(axis=1, keepdims=True) / np.maximum(present.sum(axis=1, keepdims=True), 1)
     shown = shown / np.where(mean > 0, mean, 1.0)
     return LimbMotion(rotations, translations, template, shown, present & (shown < rules.rejected), residuals, method, reference)
+
+
+def refit_limb_motion(
+    positions: Floats, motion: LimbMotion, method: str | None = None, *, rounds: int = 2, rules: LimbRules = RULES
+) -> tuple[Floats, Floats]:
+    """Rotations (T, 3, 3) and translations (T, 3) m of a limb whose points have moved a little since `motion` was estimated.
+
+    positions (T, N, 3) m of the same points. Template and weights begin where they were, so that a trial of a Monte Carlo costs a few
+    passes over the points. Robust weights are estimated anew in each round; those of the other methods stay. O(rounds T N).
+    """
+    robust = (method or motion.method) in ("robust", "interval-deformation")
+    given = np.ascontiguousarray(positions)
+    weights: Floats = np.ascontiguousarray(motion.weights)
+    template = motion.template
+    rotations, translations = _fit(given, template, weights, rules)
+    for _ in range(rounds - 1):
+        template, squares = _spread(given, rotations, translations)
+        if robust:
+            weights = _robust_weights(squares, np.ones(len(squares)), _core_scale(squares, np.ones(len(squares)), rules), rules)
+        rotations, translations = _fit(given, template, weights, rules)
+    return rotations, translations

@@ -56,8 +56,8 @@ def _follow_neighbours(positions: Floats, seen: np.ndarray) -> Floats:
 
 def _principal(matrix: Floats, rank: int) -> Floats:
     """(columns, rank): the right singular vectors of the largest singular values, each with the sign of its largest entry."""
-    values, vectors = np.linalg.eigh(matrix.T @ matrix)
-    basis = vectors[:, ::-1][:, :rank]
+    basis = np.linalg.eigh(matrix.T @ matrix)[1]
+    basis = basis[:, ::-1][:, :rank]
     largest = np.argmax(np.abs(basis), axis=0)
     return np.asarray(basis * np.sign(basis[largest, np.arange(basis.shape[1])]))
 
@@ -109,8 +109,8 @@ def subspace_affinity(bases: Floats, landmarks: Ints) -> Floats:
 def spectral_clusters(affinity: Floats, clusters: int) -> tuple[Ints, Floats]:
     """Clusters of rows by their affinity to landmarks (N, M), and the singular values that tell how many there are.
 
-    The normalised affinity's left singular vectors place the rows (Dhillon 2001). Rows that point apart most begin the clusters (pivoted QR,
-    Damle et al. 2019), then Lloyd's rounds; no random start, so the same trajectories always give the same clusters.
+    The normalised affinity's left singular vectors place the rows (Dhillon 2001). Rows that point apart most begin the clusters (pivoted
+    QR, Damle et al. 2019), then Lloyd's rounds; no random start, so the same trajectories always give the same clusters.
     O(N M clusters + M^3).
     """
     rows, columns = affinity.sum(axis=1), affinity.sum(axis=0)

@@ -144,9 +144,7 @@ def _joint_rotations(plan: TrialPlan, joint: int, rng: np.random.Generator) -> R
     return Rotation.from_euler("YXZ", np.stack([peak * swing, aside, about], axis=1))
 
 
-def _bones(
-    plan: TrialPlan, anatomy: Anatomy, relative: list[Rotation], scale: float, rng: np.random.Generator
-) -> tuple[Floats, Floats]:
+def _bones(plan: TrialPlan, anatomy: Anatomy, relative: list[Rotation], scale: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """World from standing pose for each limb. The first limb sways, turns a little and drifts, as a person does who stands."""
     white = rng.standard_normal((plan.frames, 6))
     smooth = gaussian_filter1d(white, max(0.8 * plan.rate, 1.0), axis=0, mode="reflect")
@@ -172,7 +170,9 @@ def _skin_motion(
     """
     person, rng = draws
     rules, places = plan.rules, skin.places[rows]
-    slide, reach, bulge, wobble = (float(person.uniform(*limits)) for limits in (rules.slide_m, rules.reach_m, rules.bulge_m, rules.wobble_m))
+    slide, reach, bulge, wobble = (
+        float(person.uniform(*limits)) for limits in (rules.slide_m, rules.reach_m, rules.bulge_m, rules.wobble_m)
+    )
     power, lean = person.uniform(0.8, 1.5), person.uniform(0, 2 * np.pi)
     bent = angle / max(float(np.max(angle)), 1e-9)
     distance = np.linalg.norm(places - centre, axis=1)
