@@ -462,6 +462,9 @@ def test_timestamps_say_which_frames_belong_together(tmp_path: Path) -> None:
     assert other.frames.tolist() == [42, 43, 44, 45, 46]
     (tmp_path / "timestamps.csv").write_text("\n".join(rows[:-1]))
     assert "4 frames" in footage_of([tmp_path])[1].findings[0].sentence
+    (tmp_path / "timestamps.csv").write_text(rows[0] + "\n" + "1" * 200_000 + ",0,0,0\n")
+    with pytest.raises(AsterismError, match=r"timestamps\.csv"):
+        footage_of([tmp_path])
 
 
 def test_footage_as_people_have_it(tmp_path: Path) -> None:

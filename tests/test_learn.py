@@ -241,6 +241,14 @@ def recording_of(number, frames, rate=10.0):
     return Recording(positions, SET.names, rate)
 
 
+@pytest.mark.parametrize("name", ["w\udcffalk", "one\ntwo"])
+def test_a_subject_named_by_a_file_that_is_no_text_survives_saving(name):
+    sample = Sample().with_recordings([recording_of(1, 40)], [name], SET, 100, 100)
+    again = Sample.from_arrays(sample.to_arrays(), len(SET.names))
+    assert {clip.subject for clip in again.clips} == {name.replace("\udcff", "?").replace("\n", " ")}
+    assert all((a.counts == b.counts).all() for a, b in zip(sample.clips, again.clips, strict=True))
+
+
 parts = st.lists(st.tuples(st.integers(0, 8), st.integers(0, 90), st.sampled_from("xyz")), max_size=6)
 
 

@@ -148,6 +148,16 @@ def test_several_files_are_summed_up_by_their_frames(tmp_path: Path, walk: Recor
     assert re.search(r"\b80\s*frames per second", page.text)  # 400 frames in 3 s + 2 s
 
 
+def test_the_table_of_files_says_which_can_be_used(tmp_path: Path, walk: Recording) -> None:
+    shares = {"frames": 100, "labelled": 1.0, "unsure": 0.0, "hidden": 0.0, "frames_per_second": 100.0}
+    files = [
+        {"file": "a.c3d", **shares, "verdict": "fits", "readiness": "ready", "use": "ready"},
+        {"file": "b.c3d", **shares, "verdict": "other person or movement", "readiness": "look", "use": "look at 3"},
+    ]
+    rows = make_label_page(tmp_path / "page.html", walk, files=files).table("file")
+    assert rows["a.c3d"][0] == "ready" and rows["b.c3d"][0] == "look at 3, other person or movement"
+
+
 # What every page is
 
 
@@ -336,6 +346,23 @@ def nothing(frames: int) -> dict[str, Any]:
     clouds = Clouds.from_points([np.empty((0, 3))] * frames, rate=100.0)
     labelling = Labelling(np.full((frames, 2), -1), np.zeros((frames, 2)), ("A", "B"))
     return {"clouds": clouds, "labelling": labelling, "truth": np.full((frames, 2), -1)}
+
+
+def test_a_recording_plots_itself_under_its_own_labels(tmp_path: Path, walk: Recording) -> None:
+    positions = walk.positions.copy()
+    positions[3:9, 2] = np.nan
+    recording = replace(walk, positions=positions, labels=(*walk.labels[:-1], "*1"), first_frame=41)
+    shown = recording.plot(tmp_path / "walk.html")
+    page = Reader(shown.path.read_text(encoding="utf-8"))
+    (packed,) = shown_in(page)
+    points = unpacked(packed)
+    assert packed["markers"] == list(walk.labels[:-1]) and packed["firstFrame"] == 41
+    for m in range(len(walk.labels) - 1):
+        assert (points["marker"] == m).sum() == recording.visible[:, m].sum()
+    assert (points["marker"] == -1).sum() == recording.visible[:, -1].sum()
+    assert not page.loads and "<iframe" in shown._repr_html_() and recording.plot().path.exists()
+    with pytest.raises(AsterismError, match="nothing to plot"):
+        replace(recording, positions=positions[:0]).plot()
 
 
 @pytest.mark.parametrize("frames", [0, 1, 5])

@@ -116,17 +116,20 @@ def _nexus(walk: Recording) -> str:
 
 
 def _tables(folder: Path) -> list[Specimen]:
+    from asterism.detection.times import read_times
     from asterism.formats import Table, read_blobs, read_table, write_blobs, write_table
 
     rng = np.random.default_rng(1)
     angles = folder / "angles.sto"
     write_table(angles, Table(("hip", "knee"), rng.normal(0, 20, (FRAMES, 2)), np.arange(FRAMES) / 100, title="angles", in_degrees=True))
     frame, camera = np.divmod(np.arange(2 * FRAMES), 2)
-    blobs = folder / "2d.csv"
+    blobs, times = folder / "2d.csv", folder / "times.csv"
     write_blobs(Blobs.from_rows(frame, camera, rng.uniform(0, 500, (2 * FRAMES, 2)), ("left", "right"), rate=50.0), blobs)
+    times.write_text("camera,frame,time\n" + "".join(f"{c},{f},{f / 50:.3f}\n" for f, c in zip(frame, camera, strict=True)))
     return [
         _specimen(angles, "table", read_table, _describe),
         _specimen(blobs, "2D CSV", read_blobs, _describe),
+        _specimen(times, "frame times", read_times),
     ]
 
 

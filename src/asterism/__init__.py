@@ -39,6 +39,7 @@ _ROOMS = (
     "errors",
     "findings",
     "formats",
+    "garment",
     "geometry",
     "labelling",
     "motion",

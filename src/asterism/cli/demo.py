@@ -28,10 +28,11 @@ _CONDITIONS = ((0, 0), (2, 0), (4, 0), (2, 3))
 
 
 class Part(StrEnum):
-    """What the demo shows: labelling, the way from cameras to labels, or joint angles under moving skin."""
+    """What the demo shows: labelling, the way from cameras to labels, a printed garment, or joint angles under moving skin."""
 
     LABELLING = "labelling"
     CAMERAS = "cameras"
+    GARMENT = "garment"
     MOTION = "motion"
 
 
@@ -42,8 +43,8 @@ class DemoOptions:
     part: Annotated[
         Part,
         typer.Argument(
-            metavar="[cameras|motion]",
-            help="cameras: calibrate, reconstruct, label. motion: limbs, joints and angles from points on moving skin.",
+            metavar="[cameras|garment|motion]",
+            help="cameras: calibrate, reconstruct, label. garment: capture a printed suit. motion: joint angles under moving skin.",
             show_default=False,
         ),
     ] = Part.LABELLING
@@ -64,6 +65,9 @@ def demo(options: DemoOptions) -> None:
     calibrated from nothing, points are reconstructed and labelled, and everything is compared with the truth. The exit status is 1 where a
     promised figure is missed.
 
+    `asterism demo garment` designs a suit of coded circles, photographs a simulated walker in it with eight cameras, calibrates them by a
+    coded target, captures the suit, and compares with the truth; a few minutes.
+
     `asterism demo motion` simulates a knee under skin that slides and wobbles, finds its limbs from the points alone, and compares the
     joint angle and its intervals with the bones. The exit status is 1 where the angle is more than 1.5 degrees off.
     """
@@ -75,6 +79,10 @@ def demo(options: DemoOptions) -> None:
         from asterism.cli._demo_cameras import demo_cameras
 
         raise typer.Exit(demo_cameras(options.output, options.seed, options.json))
+    if options.part is Part.GARMENT:
+        from asterism.cli._demo_garment import demo_garment
+
+        raise typer.Exit(demo_garment(options.output, options.seed, options.json))
     from asterism.simulation import simulate_walks
 
     _console.check_new(options.json, overwrite=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, guarded_reading
 from asterism.formats._text import cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes, some_of
 from asterism.recording import Floats
 
@@ -66,7 +66,11 @@ def read_times(path: str | Path) -> FrameTimes:
     Raises AsterismError, naming file and line, where a column is missing, a cell is not a number, a camera has two times of one image
     or two images of one common frame, or times are not seconds.
     """
-    path = Path(path)
+    with guarded_reading(path):
+        return _times(Path(path))
+
+
+def _times(path: Path) -> FrameTimes:
     lines = [(i + 1, line) for i, line in enumerate(lines_of(decoded(path, read_bytes(path)))) if line.strip(" ,;\t") and line[0] != "#"]
     delimiter = delimiter_of(lines[0][1]) if lines else None
     head = [cell.casefold() for cell in cells_of(lines[0][1], delimiter)] if lines else []

@@ -7,7 +7,7 @@ from asterism.recording.known_labels import Disagreement, check_labels, is_partl
 from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, without_subject
 from asterism.recording.processing import ProcessingStep, log_as_text, log_from_text
 from asterism.recording.shares import SURE, LabelShares, LabelStates, label_shares, label_states
-from asterism.recording.trajectories import Event, Recording, keep_labels
+from asterism.recording.trajectories import Event, Recording, RecordingPage, keep_labels
 from asterism.recording.verdict import Verdict
 from asterism.recording.worn_set import WornSet, worn_marker_sets
 
@@ -27,6 +27,7 @@ __all__ = [
     "MarkerSet",
     "ProcessingStep",
     "Recording",
+    "RecordingPage",
     "Verdict",
     "WornSet",
     "as_vertical",

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,11 +36,29 @@ class Event:
     context: str = ""
 
 
+@dataclass(frozen=True)
+class RecordingPage:
+    """A page that shows a recording, as `Recording.plot` writes it."""
+
+    path: Path
+
+    def open(self) -> None:
+        """Show the page in the default browser."""
+        import webbrowser
+
+        webbrowser.open(self.path.absolute().as_uri())
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        return f'<iframe srcdoc="{escape(self.path.read_text(encoding="utf-8"))}" width="100%" height="640" style="border:0"></iframe>'
+
+
 @dataclass(frozen=True, repr=False, eq=False)
 class Recording:
     """Labelled positions over time, and everything that must survive until they are written again.
 
-    positions  (T, M, 3) m, NaN where missing
+    positions  (T, M, 3) m, NaN where missing; the given array itself where it needs no change
     labels     (M,) names of the columns; markers of a set, or the names in a file
     rate       frames per second
     vertical   (3,) unit vector, up
@@ -75,7 +95,11 @@ class Recording:
         if np.isinf(positions).any():
             frame = int(np.nonzero(np.isinf(positions).any(axis=(1, 2)))[0][0])
             raise AsterismError(f"frame {frame}: a coordinate is infinite; write missing samples as NaN.")
-        positions = np.where(np.isnan(positions).any(axis=2, keepdims=True), np.nan, positions)
+        missing = np.isnan(positions)
+        partly = missing.any(axis=2) & ~missing.all(axis=2)
+        if partly.any():
+            positions = positions.copy()
+            positions[partly] = np.nan
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "labels", tuple(self.labels))
         object.__setattr__(self, "rate", checked_rate(self.rate))
@@ -166,6 +190,19 @@ class Recording:
             name="position",
             attrs={"units": "m", "rate": self.rate, "vertical": self.vertical.tolist()},
         )
+
+    def plot(self, path: str | Path | None = None) -> RecordingPage:
+        """A page that plays the recording, written to `path`, by default to a temporary file.
+
+        In a notebook the page is shown; elsewhere `.open()` shows it in the browser. Raises AsterismError where there is nothing to plot,
+        or the file cannot be written.
+        """
+        if path is None:
+            from tempfile import mkdtemp
+
+            path = Path(mkdtemp(prefix="asterism-")) / "recording.html"
+        import_module("asterism.report").recording_report(path, self)  # a room below this one, which only this method needs
+        return RecordingPage(Path(path))
 
     @property
     def visible(self) -> NDArray[np.bool_]:

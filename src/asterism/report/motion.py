@@ -93,7 +93,7 @@ def _sections(name: str, analysis: MotionAnalysis, certain: UncertaintyResult | 
 def points_figure(
     recording: Recording, limb_of: np.ndarray, names: Sequence[str], rejected: np.ndarray | None = None, centres: Floats | None = None
 ) -> figures.Figure:
-    """The frame with the most points, in space, coloured by limb; rejected points hollow, joint centres as crosses."""
+    """The frame with the most points, in space, coloured by limb; rejected points hollow, joint centres as diamonds."""
     frame = int(np.argmax(recording.visible.sum(axis=1)))
     step = max(1, -(-len(limb_of) // _MOST_POINTS))
     chosen = np.arange(0, len(limb_of), step)
@@ -111,9 +111,9 @@ def points_figure(
                 }
                 data.append(_in_space(f"{name}{suffix}", recording.positions[frame, own], marker, [recording.labels[n] for n in own]))
     if centres is not None and len(centres):
-        data.append(_in_space("joint centres", centres[:, frame], {"size": 6, "color": "#16213a", "symbol": "x"}, None))
+        data.append(_in_space("joint centres", centres[:, frame], {"size": 7, "color": "#16213a", "symbol": "diamond"}, None))
     scene = {"aspectmode": "data", **{axis: {"title": {"text": f"{axis[0]} (m)"}} for axis in ("xaxis", "yaxis", "zaxis")}}
-    scene["camera"] = {"eye": {"x": 1.4, "y": -1.4, "z": 0.4}}
+    scene["camera"] = {"eye": {"x": 1.8, "y": -1.8, "z": 0.5}}
     return figures.figure(data, height=560, scene=scene)
 
 
@@ -146,13 +146,15 @@ def _angle_section(name: str, analysis: MotionAnalysis, joint: JointAngles, one:
 
 
 def band_figure(times: Floats, angle: Floats, bands: Sequence[tuple[str, Floats, Floats]]) -> figures.Figure:
-    """An angle over time (rad, drawn in degrees) over its bands (name, low, high), the widest first."""
+    """An angle over time (rad, drawn in degrees) over its bands (name, low, high), the widest first; below, the bands about the angle."""
     data: list[dict[str, object]] = []
-    for place, (label, low, high) in enumerate(bands):
-        shade = f"rgba(15, 123, 138, {0.15 + 0.2 * place})"
-        flat = {"type": "scatter", "mode": "lines", "line": {"width": 0}, "x": list(times), "hoverinfo": "skip"}
-        data.append({**flat, "y": np.round(np.degrees(low), 3), "showlegend": False})
-        data.append({**flat, "y": np.round(np.degrees(high), 3), "fill": "tonexty", "fillcolor": shade, "name": label})
+    for axis, zero in (("y", np.zeros(len(angle))), ("y2", angle)) if bands else ():
+        for place, (label, low, high) in enumerate(bands):
+            shade = f"rgba(15, 123, 138, {0.15 + 0.2 * place})"
+            flat = {"type": "scatter", "mode": "lines", "line": {"width": 0}, "x": list(times), "hoverinfo": "skip", "yaxis": axis}
+            data.append({**flat, "y": np.round(np.degrees(low - zero), 3), "showlegend": False})
+            ends = {"fill": "tonexty", "fillcolor": shade, "name": label, "showlegend": axis == "y"}
+            data.append({**flat, "y": np.round(np.degrees(high - zero), 3), **ends})
     line = {"type": "scatter", "mode": "lines", "name": "angle", "x": list(times), "y": np.round(np.degrees(angle), 3)}
     data.append({**line, "line": {"color": figures.PALETTE[0], "width": 2}, "hovertemplate": "%{x:.2f} s: %{y:.2f}°<extra></extra>"})
     return figures.figure(
@@ -172,7 +174,7 @@ def _budget_section(joint: JointAngles, one: AngleUncertainty, times: Floats) ->
     names = list(one.budget)
     rows: list[list[str | Cell]] = []
     for label, budget in (("flexion in anatomical axes", one.budget), ("angle since the first frame", one.angle_budget)):
-        rows.append([label, *(_degrees(float(np.sqrt(np.nanmean(budget[name] ** 2)))) for name in names)])
+        rows.append([label, *(_degrees(float(np.degrees(np.sqrt(np.nanmean(budget[name] ** 2))))) for name in names)])
     axes = {"xaxis": {"title": {"text": "time (s)"}}, "yaxis": {"title": {"text": "standard uncertainty (°)"}, "rangemode": "tozero"}}
     return Section(
         f"{joint.name}: what makes it uncertain",

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, guarded_reading
 from asterism.findings import Finding, Severity
 from asterism.formats._text import decoded, read_bytes
 from asterism.recording import Ints
@@ -194,7 +194,8 @@ def _video(path: Path) -> Footage:
 
 def _synchronised_frames(times: Path, video: Path) -> Ints:
     """The sync_index of each frame of a video; empty where the file does not know its camera."""
-    rows = list(csv.DictReader(decoded(times, read_bytes(times)).splitlines()))
+    with guarded_reading(times):
+        rows = list(csv.DictReader(decoded(times, read_bytes(times)).splitlines()))
     if not rows or not {"sync_index", "cam_id"} <= set(rows[0]):
         raise AsterismError(f"{times} has no columns sync_index and cam_id; remove it, or write which frames belong together.")
     number = _parts(video)[1]

@@ -122,7 +122,9 @@ class Sample:
         steps = np.concatenate([_differences(clip.counts) for clip in self.clips])
         planes = np.ascontiguousarray(steps.reshape(-1, 1)).view(np.uint8).reshape(-1, 4).T
         return {
-            "texts": np.frombuffer("\n".join(f"{clip.recording} {clip.subject}" for clip in self.clips).encode(), dtype=np.uint8),
+            "texts": np.frombuffer(
+                "\n".join(f"{clip.recording} {_one_line(clip.subject)}" for clip in self.clips).encode(), dtype=np.uint8
+            ),
             "numbers": np.stack([[clip.first for clip in self.clips], [clip.rank for clip in self.clips], lengths]),
             "rates": np.array([clip.rate for clip in self.clips]),
             "missing": np.packbits(missing),
@@ -148,6 +150,11 @@ class Sample:
             counts = np.where(missing[rows, :, None], _MISSING, _sums(steps[rows]))
             clips.append(Clip(subject, recording, int(first[i]), int(rank[i]), float(rate), counts))
         return cls(tuple(clips))
+
+
+def _one_line(name: str) -> str:
+    """A subject's name without line breaks, and with question marks for what is no character, as in file names that are not UTF-8."""
+    return " ".join(name.encode("utf-8", "replace").decode().splitlines())
 
 
 def _clips(recording: Recording, subject: str, marker_set: MarkerSet) -> list[Clip]:

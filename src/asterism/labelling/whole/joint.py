@@ -246,7 +246,7 @@ def _coordinate_ascent(
     for _ in range(rules.max_rounds):
         gain, poses = _gains(labellers, arrays, scene, label, rules)
         if fixed is not None:
-            _hold(gain, fixed)
+            hold_labels(gain, fixed)
         gain, found, total = _with_ghost_credit(gain, scene, labellers, rules)
         if np.array_equal(found, label):
             break
@@ -271,7 +271,7 @@ def _gains(
     return gain, poses
 
 
-def _hold(gain: Floats, fixed: Ints) -> None:
+def hold_labels(gain: Floats, fixed: Ints) -> None:
     """Make the known labels (J,) the only ones that gains (J, L) allow these tracklets."""
     known = np.nonzero(fixed != FREE)[0]
     gain[known] = -CERTAIN

@@ -174,7 +174,7 @@ def label_all_points(
     """The second part of `label_points`: the labels of the long tracklets as labels of points, and those of short tracklets."""
     labels, xyz = long.points(), rotate_z_up(clouds.xyz, clouds.vertical)
     if not long.kept.all():
-        labels = _with_short_points(labellers, clouds, xyz, long.kept, labels, rules)
+        labels = with_short_points(labellers, clouds, xyz, long.kept, labels, rules)
     return replace(labels, fit=_fits(labellers, clouds, xyz, long, labels))
 
 
@@ -205,7 +205,7 @@ def _label_and_split(
     return tracklets, found
 
 
-def _with_short_points(
+def with_short_points(
     labellers: Sequence[BodyLabeller],
     clouds: Clouds,
     xyz: Floats,

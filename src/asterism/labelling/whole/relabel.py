@@ -23,15 +23,15 @@ from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.certainty import overlaps_unlabelled
 from asterism.labelling.whole.fits import point_fits
 from asterism.labelling.whole.foreign import ForeignConfidence
-from asterism.labelling.whole.joint import FREE, SceneLabelling, _hold
+from asterism.labelling.whole.joint import FREE, SceneLabelling, hold_labels
 from asterism.labelling.whole.label import (
     BodyInRecording,
     LongTracklets,
     PointLabels,
-    _with_short_points,
     label_all_points,
     label_long_tracklets,
     labelling_of,
+    with_short_points,
 )
 from asterism.labelling.whole.plausibility import compare_with_training, ghost_penalty
 from asterism.labelling.whole.point_labels import TieOrder, fast_labelling
@@ -276,7 +276,7 @@ def _gain(scores: Floats, scene: Scene, fixed: Ints, before: LabelledTracklets) 
     sums, counts = np.zeros((len(scene.first), scores.shape[1])), np.zeros(len(scene.first))
     sum_scores(scene.sampled_track, scores, _SETTINGS.min_score, _SETTINGS.max_score, sums, counts)
     gain = sums * (scene.independent / np.maximum(counts, 1.0))[:, None]
-    _hold(gain, fixed)
+    hold_labels(gain, fixed)
     cost = before.body.labeller.settings.first_ghost_cost * scene.independent * _SETTINGS.frame_correlation
     costly = np.ones(len(cost), dtype=np.bool_)
     if before.ghosts:
@@ -329,7 +329,7 @@ def _point_labels(before: LabelledTracklets, long: LongTracklets, problem: _Prob
     points = np.nonzero(long.kept)[0][found.scene.order]
     left_over[points] = overlaps_unlabelled(explained, found.scene.first, found.scene.last)[found.scene.track]
     if not long.kept.all():
-        labels = _with_short_points([labeller], clouds, before.xyz, long.kept, labels, _SETTINGS)
+        labels = with_short_points([labeller], clouds, before.xyz, long.kept, labels, _SETTINGS)
     same = labels.label == before.points.label
     of_points = problem.of_points
     other = ~same & (labels.label != NULL) & ~((of_points != NULL) & (problem.fixed[of_points] != FREE))

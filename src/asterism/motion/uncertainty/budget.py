@@ -30,7 +30,7 @@ class AngleUncertainty:
     angle      (T,) since frame zero; angle_intervals {probability: (low, high)}, each (T,)
     flexion    (T,) about the joint's main axis in anatomical axes, which misplaced landmarks turn; flexion_intervals likewise
     angle_standard, flexion_standard  (T,) standard uncertainties
-    budget     {source: (T,)} standard uncertainty of the flexion from each source alone, and of "all" together
+    budget     {source: (T,)} standard uncertainty of the flexion from each source alone, and of "all" together, in the same trials
     angle_budget  the same of the angle since frame zero, which landmarks do not change
     first_order   of the angle, from the measurement noise, and where it holds
     """
@@ -65,7 +65,7 @@ def estimate_uncertainty(
     seed: int = 0,
     workers: int = 1,
     rules: MonteCarloRules | None = None,
-    budget_trials: int = 100,
+    budget_trials: int = 200,
     reassign: bool = True,
     progress: Progress | None = None,
 ) -> UncertaintyResult:
@@ -127,28 +127,29 @@ class _Chain:
         """One trial with these sources: a function of its generator that gives (J, 2, T) rad, angle since zero and flexion."""
 
         def run(rng: np.random.Generator) -> Floats:
-            positions = self._drawn(active, rng)
+            of_cameras, of_skin, of_landmarks = rng.spawn(3)  # each source draws the same alone as with the others
+            positions = self._drawn(active, of_cameras, of_skin)
             turns = [np.eye(3) for _ in self.points]
             if "placement" in active and self.sources.placement is not None:
-                turns = [self.sources.placement.draw(motion.template, rng) for motion in self.analysis.motions]
+                turns = [self.sources.placement.draw(motion.template, of_landmarks) for motion in self.analysis.motions]
             return self._angles(self._fitted(positions, active), turns)
 
         return run
 
-    def _drawn(self, active: tuple[str, ...], rng: np.random.Generator) -> Floats:
+    def _drawn(self, active: tuple[str, ...], of_cameras: np.random.Generator, of_skin: np.random.Generator) -> Floats:
         """The points with the errors of one trial: (T, N, 3) m."""
         given = self.analysis.recording.positions
         positions = given.copy()
         if "cameras" in active:
             assert self.sources.noise is not None
-            positions += self.sources.noise.draw(given.shape, rng)
+            positions += self.sources.noise.draw(given.shape, of_cameras)
             if self.field is not None:
-                positions += self.field.draw(rng)
+                positions += self.field.draw(of_cameras)
         if "soft tissue" in active and self.sources.soft_tissue is not None:
             for limb, motion in enumerate(self.analysis.motions):
                 if not self.courses[limb]:
                     continue
-                skin = self.sources.soft_tissue.draw(motion.template, self.amplitudes[limb], self.courses[limb], rng)
+                skin = self.sources.soft_tissue.draw(motion.template, self.amplitudes[limb], self.courses[limb], of_skin)
                 positions[:, self.points[limb]] += skin @ motion.rotations.swapaxes(1, 2)
         return positions
 
@@ -230,7 +231,11 @@ def _of_joint(analysis: MotionAnalysis, j: int, total: MonteCarlo, alone: dict[s
         shift = estimate - total.estimate[j, which]
         return {p: (low[j, which] + shift, high[j, which] + shift) for p, (low, high) in total.intervals.items()}
 
-    budgets = [{name: alone[name].standard[j, which] for name in SOURCES} | {"all": total.standard[j, which]} for which in (0, 1)]
+    budgets = [
+        {name: alone[name].standard[j, which] for name in SOURCES}
+        | {"all": total.values[: alone["cameras"].trials, j, which].std(axis=0, ddof=1)}
+        for which in (0, 1)
+    ]
     cameras = alone["cameras"]
     check = replace(
         cameras,

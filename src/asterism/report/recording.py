@@ -1,0 +1,42 @@
+"""A recording in; a page that plays it, with what is missing on a timeline, out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.recording import NULL, Labelling, Recording
+from asterism.recording.marker_set import is_unnamed
+from asterism.report.page import Page, Section, count, percent, write_page
+from asterism.report.player import ShownRecording, pack_recordings
+
+
+def recording_report(path: str | Path, recording: Recording) -> None:
+    """Write an HTML page that plays a recording under its own labels. `Recording.plot` calls it.
+
+    Columns without a name are drawn as points without a label. A recording that is too long for the page is shown with fewer frames per
+    second. Raises AsterismError where the recording has no frames or no columns, or the file cannot be written.
+    """
+    if not len(recording) or not recording.labels:
+        raise AsterismError("the recording has no frames or no columns, so there is nothing to plot.")
+    visible = recording.visible
+    named = [column for column, label in enumerate(recording.labels) if not is_unnamed(label)]
+    place = np.cumsum(visible, axis=1) - 1
+    shown = visible[:, named]
+    labelling = Labelling(
+        np.where(shown, place[:, named], NULL), np.where(shown, 1.0, 0.0), tuple(recording.labels[column] for column in named)
+    )
+    file = str(recording.metadata.get("file", ""))
+    name = Path(file).name if file else "recording"
+    one = ShownRecording(name, labelling, recording.clouds(), recording.first_frame, unsure=np.zeros_like(shown))
+    merits = [
+        (count(len(recording)), f"frames at {recording.rate:g} Hz", ""),
+        (count(len(named)), "named columns", ""),
+        (count(len(recording.labels) - len(named)), "columns without a name", ""),
+        (percent(1.0 - float(shown.mean()) if shown.size else float("nan"), 1), "of the samples of named columns are missing", ""),
+    ]
+    text = "Drag to turn; with the picture in focus, space plays and the arrow keys step."
+    section = Section("In 3D", text, player=pack_recordings([one]))
+    write_page(path, Page(name, "", {"file": file or None}, merits, [section]))
