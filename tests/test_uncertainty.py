@@ -95,11 +95,11 @@ def test_first_order_is_what_many_trials_give_for_noise_and_says_where_it_does_n
     late = slice(5, None)
     ratio = joint.first_order.standard[late] / joint.angle_budget["cameras"][late]
     assert 0.85 < np.median(ratio) < 1.15
-    assert joint.first_order.holds is not None and joint.first_order.holds.mean() > 0.5
+    assert joint.first_order.holds is not None and joint.first_order.holds.mean() > 0.8
     wild = estimate_uncertainty(
-        analysis, replace(NOTHING, noise=MeasurementNoise(0.2)), rules=MonteCarloRules(block=2, most=2), budget_trials=60, reassign=False
+        analysis, replace(NOTHING, noise=MeasurementNoise(0.2)), rules=MonteCarloRules(block=2, most=2), budget_trials=150, reassign=False
     )
-    assert wild.joints[0].first_order.holds is not None and wild.joints[0].first_order.holds.mean() < 0.2
+    assert wild.joints[0].first_order.holds is not None and wild.joints[0].first_order.holds.mean() < 0.6
     assert "motion-not-linear" in {finding.code for finding in wild.findings}
 
 

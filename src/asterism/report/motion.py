@@ -157,9 +157,12 @@ def band_figure(times: Floats, angle: Floats, bands: Sequence[tuple[str, Floats,
             data.append({**flat, "y": np.round(np.degrees(high - zero), 3), **ends})
     line = {"type": "scatter", "mode": "lines", "name": "angle", "x": list(times), "y": np.round(np.degrees(angle), 3)}
     data.append({**line, "line": {"color": figures.PALETTE[0], "width": 2}, "hovertemplate": "%{x:.2f} s: %{y:.2f}°<extra></extra>"})
-    return figures.figure(
-        data, height=360, xaxis={"title": {"text": "time (s)"}}, yaxis={"title": {"text": "angle (°)"}, "ticksuffix": "°"}
-    )
+    upper = {"title": {"text": "angle (°)"}, "ticksuffix": "°"}
+    if not bands:
+        return figures.figure(data, height=360, xaxis={"title": {"text": "time (s)"}}, yaxis=upper)
+    lower = {"title": {"text": "interval (°)"}, "ticksuffix": "°", "domain": [0, 0.3], "anchor": "x"}
+    across = {"title": {"text": "time (s)"}, "anchor": "y2"}
+    return figures.figure(data, height=480, xaxis=across, yaxis={**upper, "domain": [0.38, 1]}, yaxis2=lower)
 
 
 def _budget_section(joint: JointAngles, one: AngleUncertainty, times: Floats) -> Section:

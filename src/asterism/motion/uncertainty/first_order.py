@@ -23,7 +23,7 @@ class FirstOrder:
 
     standard  (T,) rad of the angle, for the measurement noise of the points
     holds     (T,) bool: where the ends of its 95 % interval are those of the Monte Carlo within half a unit of the last significant digit
-              (Supplement 1, clause 8) and three standard errors of these ends from so few trials; None where there is no Monte Carlo of this source to compare with
+              (Supplement 1, clause 8) and three standard errors of these ends; None without a Monte Carlo to compare with
     """
 
     standard: Floats
