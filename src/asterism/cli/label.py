@@ -198,6 +198,8 @@ class _Run:
         from asterism import __version__, formats
         from asterism.cli._labelling import labelled_file
         from asterism.cli._recordings import not_carried, report_warnings
+        from asterism.labelling import review
+        from asterism.labelling.correction import readiness
         from asterism.recording import label_shares
 
         options, path = self.options, trial.path
@@ -222,6 +224,7 @@ class _Run:
         lost = [*left, *formats.write(target, written, labelling=labelled.labelling, clouds=clouds)]
         for finding in not_carried(target, lost):
             self.batch.found(finding)
+        ready = readiness(labelled.labelling, clouds, review(labelled.labelling, clouds))
         row = {
             "file": path,
             "output": target,
@@ -231,6 +234,8 @@ class _Run:
             "subject": labelled.subject,
             "known_labels": None if labelled.known is None else labelled.known.value,
             "verdict": None if labelled.labelling.verdict is None else labelled.labelling.verdict.kind,
+            "readiness": ready.kind,
+            "use": ready.words,
             "frames_per_second": len(clouds) / seconds if seconds else float("nan"),
             "not_carried": lost,
         }
@@ -332,7 +337,7 @@ def _table(rows: Sequence[dict[str, Any]]) -> None:
 
     _console.table(
         f"{len(rows)} recordings",
-        ["file", "frames", "labelled", "likely", "unsure", "hidden", "standing trial", "the model"],
+        ["file", "frames", "labelled", "likely", "unsure", "hidden", "standing trial", "the model", "use"],
         [
             [
                 str(row["file"]),
@@ -340,6 +345,7 @@ def _table(rows: Sequence[dict[str, Any]]) -> None:
                 *(share(row, name) for name in ("labelled", "likely", "unsure", "hidden")),
                 Path(str(row["subject"])).name if row.get("subject") else "–",
                 str(row.get("verdict") or "–"),
+                str(row.get("use") or "–"),
             ]
             for row in rows
         ],
