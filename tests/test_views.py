@@ -16,7 +16,7 @@ from asterism.errors import AsterismError
 from asterism.formats import read, write, write_blobs
 from asterism.recording import Blobs, MarkerSet, Recording
 from asterism.simulation import simulate_standing, simulate_walks
-from asterism.simulation.views_session import ViewsSession, simulate_views
+from asterism.simulation.views_laboratory import ViewsSession, simulate_views
 from asterism.views import BodyModel, fit_body, label_views, load_body, save_body, shipped_bodies
 from asterism.views.frame import FrameLabeller
 from asterism.views.label import ViewsLabelling

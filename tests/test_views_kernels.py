@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism.errors import AsterismError
-from asterism.simulation.views_session import paper_rig
+from asterism.simulation.views_laboratory import paper_rig
 from asterism.views import load_body
 from asterism.views._fit_kernels import evaluate, minimise, project_linear, share_blobs
 from asterism.views._label_kernels import assign_best, margins

@@ -9,7 +9,7 @@ import numpy as np
 
 from asterism.cameras import Rig
 from asterism.errors import AsterismError
-from asterism.simulation.views_session import ViewsSession
+from asterism.simulation.views_laboratory import ViewsSession
 from asterism.views import BodyModel, ViewsRules, label_views, load_body
 from asterism.views.body_fit import fit_body
 from asterism.views.frame import FrameLabeller

@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 
 from asterism.recording import Ints
+from asterism.simulation.views_laboratory import ViewsSession, simulate_views
 from asterism.simulation.views_motion import simulate_motion
-from asterism.simulation.views_session import ViewsSession, simulate_views
 from asterism.views import BodyModel, ViewsLabelling, load_body
 from benchmarks import data
 from benchmarks.benchmark_run import BenchmarkRun

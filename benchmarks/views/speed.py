@@ -8,7 +8,7 @@ from statistics import median
 
 import numpy as np
 
-from asterism.simulation.views_session import ViewsSession
+from asterism.simulation.views_laboratory import ViewsSession
 from asterism.views.frame import FrameLabeller, FrameLabels
 from asterism.views.label import ViewsLabelling, label_views
 from asterism.views.plain import PlainRules, label_stepwise, minimise_plain

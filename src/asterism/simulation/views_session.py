@@ -9,7 +9,7 @@ from scipy.interpolate import interp1d
 
 from asterism.cameras import Rig
 from asterism.recording import Blobs, Floats, Ints, Recording
-from asterism.simulation.cameras import Capsules, ImagingSettings, _kernels, ring_rig, simulate_blobs, walker_capsules
+from asterism.simulation.cameras import Capsules, ImagingSettings, ring_rig, simulate_blobs, walker_capsules
 
 RATE = 60.0
 """Frames per second of the paper's cameras."""
@@ -19,8 +19,6 @@ VOLUME = (2.0, 1.8, 2.0)
 """m, along the walk, across it, and high."""
 THICKER = 1.1
 """The bodies that hide markers are thicker by this than `walker_capsules` has them."""
-_MARKER_RADIUS = 0.007
-"""m, as `ImagingSettings` has it."""
 RADIUS, HEIGHT = 3.4, 1.9
 """m, how far from the middle of the volume the cameras hang, and how high."""
 
@@ -33,27 +31,13 @@ class ViewsSession:
     recording  the truth, at the cameras' rate, markers of the body only
     blobs      what the cameras saw
     identity   (P,) the marker of each blob, -1 for a stray, -2 for several markers in one
-    hiding     the capsules that hide markers
+    shown      (T, C, M) whether a camera has a blob of its own of each marker
     """
 
     rig: Rig
     recording: Recording
     blobs: Blobs
     identity: Ints
-    hiding: Capsules
-
-    @property
-    def in_view(self) -> np.ndarray:
-        """(T, C, M) whether a marker is in a camera's image and nothing hides it; its blob may still run into another."""
-        points = self.recording.positions
-        out = np.zeros((len(points), len(self.rig), points.shape[1]), dtype=np.bool_)
-        hidden = np.empty(points.shape[:2], dtype=np.bool_)
-        for c, camera in enumerate(self.rig):
-            _kernels.hidden(camera.position, points, self.hiding.starts, self.hiding.ends, self.hiding.radii, _MARKER_RADIUS, hidden)
-            xy = camera.project(points)
-            inside = ((xy > -0.5) & (xy < np.array(camera.size) - 0.5)).all(axis=2)
-            out[:, c] = inside & ~hidden
-        return out
 
     @property
     def shown(self) -> np.ndarray:
@@ -109,22 +93,12 @@ def simulate_views(
         middle = np.nanmean(points[:, hips], axis=1)
         points = points[(np.abs(middle[:, 0]) <= VOLUME[0] / 2) & (np.abs(middle[:, 1]) <= VOLUME[1] / 2)]
     count, parts = len(recording.labels), len(hiding.radii)
-    starts, ends = (np.ascontiguousarray(points[:, at : at + parts]) for at in (count, count + parts))
-    thick = Capsules(starts, ends, THICKER * hiding.radii, hiding.names)
+    thick = Capsules(points[:, count : count + parts], points[:, count + parts :], THICKER * hiding.radii, hiding.names)
     columns = [recording.labels.index(name) for name in markers]
-    truth = replace(
-        recording,
-        positions=np.ascontiguousarray(points[:, columns]),
-        labels=markers,
-        rate=RATE,
-        events=(),
-        source=None,
-        origin=None,
-        taken=(),
-    )
+    truth = replace(recording, positions=points[:, columns], labels=markers, rate=RATE, events=(), source=None, origin=None, taken=())
     used = paper_rig(cameras) if rig is None else rig
     blobs, identity = simulate_blobs(used, truth.positions, ImagingSettings(noise=noise, strays=strays), rng=rng, body=thick, rate=RATE)
-    return ViewsSession(used, truth, blobs, identity, thick)
+    return ViewsSession(used, truth, blobs, identity)
 
 
 def _at_rate(points: Floats, rate: float, wanted: float) -> Floats:

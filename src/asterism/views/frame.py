@@ -92,21 +92,44 @@ class FrameLabeller:
         return self._fitted(t, pose, rotation, self.rules.follow, self.rules.follow_steps)
 
     def from_nothing(self, t: int) -> FrameLabels:
-        """The labels of frame t when nothing is known: any heading, size and place. Raises as `starts`."""
+        """The labels of frame t when nothing is known: any heading, size and place. Raises as `starts`.
+
+        Where the best of the starts leaves many expected sightings without a blob, more starts are tried.
+        """
+        found = self._best_start(t)
+        if (found.labels >= 0).sum() < self.rules.enough_shown * self.expected(found).sum():
+            rules = self.rules
+            more = replace(rules, headings=2 * rules.headings, kept=3 * rules.kept, going_on=1.0, coarse_steps=2 * rules.coarse_steps)
+            again = replace(self, rules=more)._best_start(t)
+            found = again if again.gain > found.gain else found
+        return found
+
+    def _best_start(self, t: int) -> FrameLabels:
+        """The labels from the best of the starts of `ViewsRules.headings`."""
         xy, offsets = self.scene.frame(t)
         rules = self.rules
         poses, rotations = starts(self.scene, self.body, xy, offsets, rules.headings, self.size)
-        coarse, hessian = np.array(rules.coarse), np.empty((poses.shape[1], poses.shape[1]))
-        args = (self.body.arrays, self.scene.cameras, self.known, self.observing, xy, offsets, _UNKNOWN, coarse, rules.coarse_steps)
-        costs = np.array([minimise(*args, self.free, poses[n], rotations[n], hessian) for n in range(len(poses))])
-        results: list[FrameLabels] = []
+        costs = self._screened(xy, offsets, poses, rotations)
         fine = tuple(blur for blur in rules.blur if blur < rules.coarse[-1])
-        for n in _different(costs, poses, rotations, rules.kept):
-            results.append(self._fitted(t, poses[n], rotations[n], fine, rules.steps))
+        results = [self._fitted(t, poses[n], rotations[n], fine, rules.steps) for n in _different(costs, poses, rotations, rules.kept)]
         results.sort(key=lambda result: -result.gain)
         best = self.turned(t, results[0])
         others = [result.gain for result in results[1:] if not np.array_equal(result.labels, best.labels)]
         return replace(best, rival=max(others, default=float("-inf")))
+
+    def _screened(self, xy: Floats, offsets: Ints, poses: Floats, rotations: Floats) -> Floats:
+        """(N,) nats, the starts' costs after the coarse stages, in each of which the worse ones stay behind; moves poses and rotations."""
+        rules, hessian = self.rules, np.empty((poses.shape[1], poses.shape[1]))
+        costs, left = np.full(len(poses), np.inf), np.arange(len(poses))
+        for stage, blur in enumerate(rules.coarse):
+            fixed = (self.body.arrays, self.scene.cameras, self.known, self.observing, xy, offsets, _UNKNOWN, np.array([blur]))
+            found = np.array([minimise(*fixed, rules.coarse_steps, self.free, poses[n], rotations[n], hessian) for n in left])
+            last = stage == len(rules.coarse) - 1
+            going = max(int(np.ceil(rules.going_on * len(left))), 2 * rules.kept)
+            best = np.argsort(found, kind="stable")[: len(left) if last else going]
+            left, found = left[best], found[best]
+        costs[left] = found
+        return costs
 
     def turned(self, t: int, found: FrameLabels) -> FrameLabels:
         """The labels of frame t with each limb turned about its own length, where that explains the blobs better.
@@ -174,8 +197,8 @@ def _different(costs: Floats, poses: Floats, rotations: Floats, most: int) -> li
             and np.abs(poses[n, HINGES:] - poses[k, HINGES:]).max(initial=0.0) < 0.2
             for k in chosen
         )
+        if len(chosen) == most or not np.isfinite(costs[n]):
+            break
         if not any(near):
             chosen.append(int(n))
-        if len(chosen) == most:
-            break
     return chosen

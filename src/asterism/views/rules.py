@@ -25,8 +25,10 @@ class ViewsRules:
     steps         tries of Levenberg-Marquardt in each stage
     coarse        px, blurs of the many starts when nothing is known
     coarse_steps  tries in each of these stages
+    going_on      share of the starts that goes on to the next coarse stage
     headings      how many directions are tried when nothing is known
     kept          how many of the starts are fitted to the end
+    enough_shown  share of the expected sightings below which more starts are tried
     follow        px, blurs with which the next frame follows
     follow_steps  tries in each of these stages
     rounds        how often each camera assigns its blobs
@@ -54,9 +56,11 @@ class ViewsRules:
     blur: tuple[float, ...] = (40.0, 20.0, 10.0, 5.0, 2.5)
     steps: int = 6
     coarse: tuple[float, ...] = (50.0, 25.0, 12.0)
-    coarse_steps: int = 4
-    headings: int = 12
-    kept: int = 4
+    coarse_steps: int = 3
+    going_on: float = 0.4
+    headings: int = 8
+    kept: int = 3
+    enough_shown: float = 0.85
     follow: tuple[float, ...] = (6.0, 2.5)
     follow_steps: int = 4
     rounds: int = 3
