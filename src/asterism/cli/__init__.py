@@ -13,7 +13,7 @@ from typing import Annotated
 
 import typer
 
-from asterism.cli import _console, _first_compile, body, calibrate, rig
+from asterism.cli import _console, _first_compile, body, calibrate, garment, rig
 from asterism.cli._plain_values import PlainValuesCommand, PlainValuesGroup
 from asterism.errors import AsterismError
 
@@ -57,6 +57,7 @@ _EXAMPLES = {
 _GROUPS: dict[str, tuple[str, Mapping[str, str]]] = {
     "calibrate": ("Make the rig of a set of cameras, and correct it.", calibrate.EXAMPLES),
     "body": ("Make the model of a body, for `label-views`.", body.EXAMPLES),
+    "garment": ("Print coded garments, and capture a body that wears one.", garment.EXAMPLES),
     "rig": ("Show how exactly a rig measures, and where to place cameras.", rig.EXAMPLES),
 }
 """The first words of commands with two words: their help, and their commands."""

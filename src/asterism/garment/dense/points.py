@@ -204,13 +204,16 @@ def _refined(rig: Rig, rays: _Rays, rules: DenseRules, scale: float, start: Floa
 
 
 _LEAST_FREEDOM = 50
+"""Degrees of freedom of all points together from which on a scale can be estimated."""
+_SCALE_ROUNDS = 2
 
 
 def _scale_of(rig: Rig, rays: _Rays, rules: DenseRules, start: Floats) -> tuple[float, Floats]:
     """By how much the centres' standard deviations are too small, or too large; and the points of all rays, where to begin again.
 
-    From the median of the points' sums of squares, each divided by the median of its own distribution, chi2 of 2 k - 3 degrees: the median
-    does not mind wrong circles.
+    First from the median of the points' sums of squares, each divided by the median of its own distribution, chi2 of 2 k - 3 degrees: it
+    does not mind wrong circles. Then from the mean of those that fit by that scale, which a few hidden edges make larger: what is stated of
+    a point is to be its mean square error.
     """
     count = np.diff(rays.starts)
     if (2 * count - 3).sum() < _LEAST_FREEDOM:
@@ -218,7 +221,18 @@ def _scale_of(rig: Rig, rays: _Rays, rules: DenseRules, start: Floats) -> tuple[
     points, _, _, cost = _refined(rig, rays, replace(rules, outlier=0.0), 1.0, start)
     ratio = cost / _medians()[np.minimum(2 * count - 3, 63)]
     ratio = ratio[np.isfinite(ratio)]
-    return (max(float(np.sqrt(np.median(ratio))), rules.least_scale) if len(ratio) else 1.0), points
+    if not len(ratio):
+        return 1.0, points
+    scale = max(float(np.sqrt(np.median(ratio))), rules.least_scale)
+    group = np.repeat(np.arange(len(count)), count)
+    for _ in range(_SCALE_ROUNDS):
+        _, used, _, cost = _refined(rig, rays, rules, scale, points)
+        freedom = 2 * np.bincount(group[used], minlength=len(count)) - 3
+        kept = (freedom > 0) & np.isfinite(cost)
+        if freedom[kept].sum() < _LEAST_FREEDOM:
+            break
+        scale = max(float(np.sqrt(cost[kept].sum() / freedom[kept].sum())), rules.least_scale)
+    return scale, points
 
 
 @lru_cache(maxsize=1)
