@@ -18,7 +18,14 @@ from asterism.formats._atomic import utf8, write_atomically
 from asterism.garment.pattern import Pattern
 from asterism.recording import Floats
 
-PAGES = {"a4": (0.210, 0.297), "a3": (0.297, 0.420), "a2": (0.420, 0.594), "a1": (0.594, 0.841), "a0": (0.841, 1.189), "letter": (0.2159, 0.2794)}
+PAGES = {
+    "a4": (0.210, 0.297),
+    "a3": (0.297, 0.420),
+    "a2": (0.420, 0.594),
+    "a1": (0.594, 0.841),
+    "a0": (0.841, 1.189),
+    "letter": (0.2159, 0.2794),
+}
 """Widths and heights (m) of pages by name."""
 _MM = 1000.0
 _POINTS = 72.0 / 0.0254
@@ -26,7 +33,7 @@ _MOST_PIXELS = 32_000
 _KAPPA = 0.5522847498
 """Of the four Bezier curves that make a circle: the largest error is 0.03 % of the radius."""
 _CLOSE = 0.14
-"""Of printed colours in shares of light: nearer ones are confused under coloured lamps. Red and yellow of four spread hues are 0.26 apart."""
+"""In shares of light: nearer printed colours are confused under coloured lamps. The four spread hues are 0.60 apart, seven 0.20."""
 _NEUGEBAUER = np.array(
     [
         [(255, 255, 255), (255, 237, 0)],
@@ -100,8 +107,8 @@ def drawing_of(pattern: Pattern, rules: SheetRules | None = None) -> Drawing:
     patches, inks = np.zeros((0, 4)), np.zeros((0, 3))
     if rules.card:
         side = min(2.0 * pattern.pitch, (width - 2 * rules.margin) / (1.5 * (len(colours) + 1)))
-        left = rules.margin + 1.5 * side * np.arange(len(colours) + 1)
-        patches = np.column_stack([left, np.full(len(left), height), np.full((len(left), 2), side)])
+        lefts = rules.margin + 1.5 * side * np.arange(len(colours) + 1)
+        patches = np.column_stack([lefts, np.full(len(lefts), height), np.full((len(lefts), 2), side)])
         inks = np.concatenate([colours, np.ones((1, 3))])
         height += side + rules.margin
     ground = colorsys.hsv_to_rgb(*rules.background)
@@ -197,7 +204,7 @@ def _page(drawing: Drawing, corner: tuple[float, float], page: tuple[float, floa
     # From here on millimetres from the sheet's upper left, y down.
     yield f"{k / _MM:.6f} 0 0 {-k / _MM:.6f} {k * (edge - corner[0]):.3f} {k * (page[1] - edge + corner[1]):.3f} cm"
     yield f"{_rgb(drawing.ground)} rg 0 0 {drawing.size[0] * _MM:.3f} {drawing.size[1] * _MM:.3f} re f"
-    low, high = np.array(corner), np.array(corner) + (width, height)
+    low, high = np.array(corner), np.add(corner, (width, height))
     near = ((drawing.circles[:, :2] + drawing.circles[:, 2:] > low) & (drawing.circles[:, :2] - drawing.circles[:, 2:] < high)).all(axis=1)
     for ink in np.unique(drawing.inks, axis=0):
         yield f"{_rgb(ink)} rg"
@@ -261,9 +268,9 @@ def _pdf_file(contents: list[str], page: tuple[float, float]) -> bytes:
 def printed_colours(hsv: Floats) -> Floats:
     """How colours (q, 3) HSV come out in cyan, magenta and yellow on coated paper, (q, 3) linear red, green, blue.
 
-    Each ink covers a share of the paper, one minus the channel that it absorbs; the light is the mean of the eight overprints, each weighted
-    by the share of the paper that shows it (Neugebauer's equations with Demichel's weights). A saturated green or blue of a screen comes out
-    darker and less pure, which brings colours nearer to each other.
+    Each ink covers a share of the paper, one minus the channel that it absorbs. The light is the mean of the eight overprints, each
+    weighted by the share of the paper that shows it (Neugebauer's equations with Demichel's weights). A saturated green or blue of a
+    screen comes out darker and less pure, which brings colours nearer to each other.
     """
     primaries = np.where(_NEUGEBAUER <= 10.3, _NEUGEBAUER / 3294.6, ((_NEUGEBAUER / 255 + 0.055) / 1.055) ** 2.4)
     light = []

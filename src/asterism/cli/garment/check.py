@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -33,8 +33,8 @@ class CheckOptions:
 def check(options: CheckOptions) -> None:
     """Show from photos alone how surely a garment is read.
 
-    Every circle is read with its eight neighbours, and a block with a misread colour is in the pattern by chance only. So the share of blocks
-    that are in it, compared with chance, bounds the rate of misreads, without any truth.
+    Every circle is read with its eight neighbours, and a block with a misread colour is in the pattern by chance only. So the share of
+    blocks that are in it, compared with chance, bounds the rate of misreads, without any truth.
     """
     _console.check_new(options.json, False)
     from asterism.garment import Pattern
@@ -57,7 +57,7 @@ def check(options: CheckOptions) -> None:
     findings = [finding for _, result in checked for finding in result.findings]
     for path, result in checked:
         for finding in result.findings:
-            _console.error(f"{path.name}: {finding}")
+            _console.report(replace(finding, where=path.name))
     content: dict[str, Any] = {"command": "garment check", "garment": options.garment, "failed": failed}
     _console.write_json(options.json, {**content, "photos": [{"file": path, **result.to_dict()} for path, result in checked]})
     raise typer.Exit(2 if not checked else 1 if failed else exit_status(findings))
@@ -76,7 +76,7 @@ def _check(path: Path, pattern: Any) -> PhotoCheck:
         image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
         if image is None:
             raise AsterismError(f"{path} is not an image that can be read; give JPEG, PNG or TIFF.")
-        return check_photo(image, pattern)  # type: ignore[arg-type]
+        return check_photo(image, pattern)
 
 
 def _cells(result: PhotoCheck) -> list[str]:

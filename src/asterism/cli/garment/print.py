@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -36,8 +37,8 @@ class PrintOptions:
         typer.Option(
             "--piece",
             metavar="NAME=SHAPE",
-            help="A piece of the garment; may be given several times. SHAPE: 60x40 (rows x circles in a row), 50x30:18 (tapered from 30 to 18), "
-            "or an image that is dark where the cloth is, a pixel for a circle.",
+            help="A piece of the garment; may be given several times. SHAPE: 60x40 (rows x circles in a row), 50x30:18 (tapered from 30 "
+            "to 18), or an image that is dark where the cloth is, a pixel for a circle.",
             show_default=False,
         ),
     ] = None
@@ -45,7 +46,9 @@ class PrintOptions:
         Path | None, typer.Option("--garment", metavar="TOML", help="Print this pattern again, in another form.", show_default=False)
     ] = None
     target: Annotated[bool, typer.Option("--target", help="A calibration target: pitch 68 mm, diameter 38 mm where not given.")] = False
-    pitch: Annotated[str | None, typer.Option(metavar="LENGTH", help="Between circles, such as 18mm. Else 18 mm.", show_default=False)] = None
+    pitch: Annotated[str | None, typer.Option(metavar="LENGTH", help="Between circles, such as 18mm. Else 18 mm.", show_default=False)] = (
+        None
+    )
     diameter: Annotated[str | None, typer.Option(metavar="LENGTH", help="Of circles. Else 5/9 of the pitch.", show_default=False)] = None
     colours: Annotated[int, typer.Option(metavar="N", min=2, max=8, help="How many colours.")] = 4
     least_difference: Annotated[
@@ -63,8 +66,9 @@ class PrintOptions:
 def print(options: PrintOptions) -> None:
     """Make a pattern of coloured circles and write it for the print shop.
 
-    Every circle but those at the edges is known by its own colour and its eight neighbours'. Beside the print stand the garment file (.toml),
-    which all other commands take, and its lookup (.npz). Print at 100 %, measure the pitch on the cloth, and correct it in the garment file.
+    Every circle but those at the edges is known by its own colour and its eight neighbours'. Beside the print stand the garment file
+    (.toml), which all other commands take, and its lookup (.npz). Print at 100 %, measure the pitch on the cloth, and correct it in the
+    garment file.
     """
     files = [options.output, options.output.with_suffix(".toml"), options.output.with_suffix(".npz")]
     if options.output.suffix.lower() not in (".svg", ".pdf", ".png"):
@@ -108,11 +112,23 @@ def _pattern(options: PrintOptions) -> Pattern:
     if options.garment is not None:
         return Pattern.load(options.garment)
     pitch = length(options.pitch, "--pitch") if options.pitch else 0.068 if options.target else 0.018
-    diameter = length(options.diameter, "--diameter") if options.diameter else 0.038 if options.target and not options.pitch else pitch / 1.8
-    outline = {"sheet": (options.rows, options.cols)} if rectangle else dict(_piece(given) for given in options.pieces or ())
+    diameter = (
+        length(options.diameter, "--diameter") if options.diameter else 0.038 if options.target and not options.pitch else pitch / 1.8
+    )
+    outline: Any = {"sheet": (options.rows, options.cols)} if rectangle else _pieces(options.pieces or ())
     rules = DesignRules(least_difference=options.least_difference, equal_neighbours=not options.unequal)
     with _console.progress("making the pattern") as progress:
         return design_pattern(outline, options.colours, seed=options.seed, rules=rules, size=(pitch, diameter), progress=progress)
+
+
+def _pieces(given: Sequence[str]) -> dict[str, object]:
+    """The shapes by name. Raises AsterismError where two pieces have one name."""
+    shapes = [_piece(piece) for piece in given]
+    names = [name for name, _ in shapes]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise AsterismError(f"two pieces are called {twice[0]}; give each a name of its own.")
+    return dict(shapes)
 
 
 def _piece(given: str) -> tuple[str, object]:
