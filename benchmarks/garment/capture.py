@@ -24,8 +24,8 @@ from asterism.simulation.garment.session import GarmentSession, compare_dense, s
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 
-PAPER_POSES = 100
-"""Images of the target that the paper takes with each camera."""
+POSES = 100
+"""Of the target: the paper takes about 100 images with each camera; of these each camera sees some 40."""
 WRONG = 0.01
 """m: a point farther from the truth has another circle's identity."""
 SIZES = {False: (1280, 960), True: (640, 480)}
@@ -43,7 +43,7 @@ def _session(quick: bool, motion: str, seed: int) -> GarmentSession:
     wearer, suit = _suit(("left arm",) if quick else ())
     wearer = Wearer(parts=wearer.parts, motion=motion, seed=seed)  # type: ignore[arg-type]
     sheet = design_pattern((9, 12), seed=1, size=(0.068, 0.038))
-    poses = 10 if quick else PAPER_POSES
+    poses = 10 if quick else POSES
     return simulate_garment_session(
         suit, sheet, wearer, seed, cameras=3 if quick else 8, size=SIZES[quick], poses=poses, settings=PhotoSettings()
     )

@@ -51,6 +51,8 @@ _EXAMPLES = {
     "convert": "asterism convert walk.c3d walk.trc",
     "detect": "asterism detect cam1.mp4 cam2.mp4 cam3.mp4 -o 2d.csv --rig rig.toml --report blobs.html",
     "reconstruct": "asterism reconstruct 2d.csv --rig rig.toml -o clouds.npz",
+    "segment": "asterism segment walk.c3d --report limbs.html",
+    "motion": "asterism motion walk.c3d --uncertainty --report motion.html",
     "label-views": "asterism label-views 2d.csv --rig rig.toml --body gait15 -o labelled.c3d",
 }
 """Each verb, which is a function in a module of its name, and its example."""

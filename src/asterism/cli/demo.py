@@ -28,11 +28,12 @@ _CONDITIONS = ((0, 0), (2, 0), (4, 0), (2, 3))
 
 
 class Part(StrEnum):
-    """What the demo shows: labelling, the way from cameras to labels, or a printed garment."""
+    """What the demo shows: labelling, the way from cameras to labels, a printed garment, or joint angles under moving skin."""
 
     LABELLING = "labelling"
     CAMERAS = "cameras"
     GARMENT = "garment"
+    MOTION = "motion"
 
 
 @dataclass(frozen=True)
@@ -42,8 +43,8 @@ class DemoOptions:
     part: Annotated[
         Part,
         typer.Argument(
-            metavar="[cameras|garment]",
-            help="cameras: calibrate, reconstruct, label. garment: capture a printed suit.",
+            metavar="[cameras|garment|motion]",
+            help="cameras: calibrate, reconstruct, label. garment: capture a printed suit. motion: joint angles under moving skin.",
             show_default=False,
         ),
     ] = Part.LABELLING
@@ -66,7 +67,14 @@ def demo(options: DemoOptions) -> None:
 
     `asterism demo garment` designs a suit of coded circles, photographs a simulated walker in it with eight cameras, calibrates them by a
     coded target, captures the suit, and compares with the truth; a few minutes.
+
+    `asterism demo motion` simulates a knee under skin that slides and wobbles, finds its limbs from the points alone, and compares the
+    joint angle and its intervals with the bones. The exit status is 1 where the angle is more than 1.5 degrees off.
     """
+    if options.part is Part.MOTION:
+        from asterism.cli._demo_motion import demo_motion
+
+        raise typer.Exit(demo_motion(options.output, options.seed, options.json))
     if options.part is Part.CAMERAS:
         from asterism.cli._demo_cameras import demo_cameras
 
