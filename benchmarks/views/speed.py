@@ -28,14 +28,14 @@ def _milliseconds(run: Callable[[], object], repeats: int = 9) -> float:
     run()
     times = []
     for _ in range(repeats):
-        begun = time.perf_counter()
+        begun = time.process_time()
         run()
-        times.append(time.perf_counter() - begun)
+        times.append(time.process_time() - begun)
     return 1e3 * median(times)
 
 
 def parts(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """One labelling, part by part, and tracking, on one core: median over frames of the median of nine."""
+    """One labelling, part by part, and tracking, on one core, in CPU time: median over frames of the median of nine."""
     for kind, sessions, most in KINDS:
         _, body, session = next(iter(sessions(benchmark)))
         labeller = FrameLabeller(scene_of(session.blobs, session.rig), body)
@@ -65,7 +65,7 @@ def _parts_of(labeller: FrameLabeller, t: int, start: tuple[np.ndarray, np.ndarr
 
 
 def _frames_per_second(session: ViewsSession, labeller: FrameLabeller) -> float:
-    """Frames that follow others, by the clock, after the first; the body is found and the person known."""
+    """Frames that follow others, of CPU time, after the first; the body is found and the person known."""
     result = label_views(session.blobs, session.rig, labeller.body)
     tracked = FrameLabeller(labeller.scene, result.person)
     there = np.nonzero(np.isfinite(result.poses[:-1, 0]))[0]
