@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from asterism.errors import AsterismError
 from asterism.findings import Finding
 from asterism.garment.pattern import Pattern
-from asterism.garment.read.circles import Circles, find_circles
+from asterism.garment.read.circles import Circles, ellipse_axes, find_circles
 from asterism.garment.read.colours import classify
 from asterism.garment.read.findings import reading_findings
 from asterism.garment.read.identify import identify
@@ -89,6 +89,5 @@ def read_image(image: NDArray[np.uint8], pattern: Pattern, rules: ReadRules | No
 
 def _axes(circles: Circles) -> Floats:
     """Semi-axes and angle (n, 3) of ellipses by their second moments."""
-    value, vector = np.linalg.eigh(circles.moments)
-    angle = np.arctan2(vector[:, 1, 1], vector[:, 0, 1])
-    return np.stack([2 * np.sqrt(value[:, 1]), 2 * np.sqrt(value[:, 0]), (angle + np.pi / 2) % np.pi - np.pi / 2], axis=1)
+    values, angle = ellipse_axes(circles.moments)
+    return np.column_stack([2 * np.sqrt(values), angle])

@@ -59,12 +59,13 @@ def identify(links: NDArray[np.int32], posterior: Floats, pattern: Pattern, rule
     order = blocks[np.argsort(-size[blocks], kind="stable")].astype(np.int32)
     likelihood = np.log(q * ((1 - rules.misread) * posterior + rules.misread / q))
     kernels.spread(links, pattern.colours, likelihood, order, cells, turns, np.empty(n, np.int32))
-    weight = np.empty((n, 8))
-    kernels.evidence(links, ring, pattern.colours, likelihood, cells, turns, _RADIUS, weight)
     kernels.groups(links, cells, turns, roots)
     there = turns >= 0
     own = np.zeros(n)
     own[there] = likelihood[there, pattern.colours[cells[there, 0], cells[there, 1]]]
+    agreed, weight = np.empty((n, 4), np.int32), np.empty((n, 8))
+    kernels.agreeing(links, cells, turns, agreed)
+    kernels.evidence(links, agreed, own, cells, turns, _RADIUS, weight)
     beyond = np.bincount(roots, own, n)[roots] - np.log(4.0 * max((pattern.colours >= 0).sum(), 1))
     side = weight[:, 1:5].min(axis=1)
     given = there & (beyond > rules.alone) & (weight[:, 0] > rules.nearby) & (side > rules.each_side)
