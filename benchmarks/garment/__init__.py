@@ -7,11 +7,14 @@ from collections.abc import Callable, Iterator
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 from benchmarks.garment.capture import calibration, dense, whole_speed
+from benchmarks.garment.reading import reading, reading_speed
 
 ISSUE = "Garment capture: thousands of colour-coded points, from printed cloth to 3D"
 
 ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
     "garment-speed": whole_speed,
+    "garment-reading-speed": reading_speed,
+    "garment-reading": reading,
     "garment-points": dense,
     "garment-calibration": calibration,
 }

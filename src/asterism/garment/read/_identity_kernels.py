@@ -131,14 +131,25 @@ def agreeing(links, cells, turns, out):
 
 
 @kernel
-def evidence(links, agreed, own, cells, turns, radius, out):
+def _is_parallelogram(centres, origin, one, other, corner, skew):
+    """Whether a corner is where the three others have it, to a share of each side. On cloth bent along or across the lattice it is."""
+    ax, ay = centres[one, 0] - centres[origin, 0], centres[one, 1] - centres[origin, 1]
+    bx, by = centres[other, 0] - centres[origin, 0], centres[other, 1] - centres[origin, 1]
+    x = centres[corner, 0] - centres[origin, 0] - ax - bx
+    y = centres[corner, 1] - centres[origin, 1] - ay - by
+    det = abs(ax * by - ay * bx)
+    return abs(x * by - y * bx) <= skew * det and abs(ax * y - ay * x) <= skew * det
+
+
+@kernel
+def evidence(centres, links, agreed, own, cells, turns, radius, skew, out):
     """What speaks for the cell of each circle: the colours around it that are the grid's, on each of its sides.
 
-    IN  links (n, 4, 2); agreed (n, 4) of `agreeing`; own (n,) nats, evidence that the colour of each circle's cell is its own;
-        cells (n, 2), turns (n,); radius in cells
+    IN  centres (n, 2); links (n, 4, 2); agreed (n, 4) of `agreeing`; own (n,) nats, evidence that the colour of each circle's cell is its
+        own; cells (n, 2), turns (n,); radius in cells; skew, of a square, as a share of its sides
     OUT out (n, 8): the sum of all circles within `radius` rows and columns to which links lead that agree; of those on its side towards
-        direction 0 to 3 of the grid, its own row or column included; squares of four circles that it closes with three others; links that
-        agree, links that contradict
+        direction 0 to 3 of the grid, its own row or column included; squares of four circles that it closes with three others, twice
+        those of half the skew; links that agree; links that contradict
 
     O(n radius^2). Twin: tests/twins_garment_read.py
     """
@@ -188,4 +199,5 @@ def evidence(links, agreed, own, cells, turns, radius, out):
             if one >= 0 and other >= 0:
                 between = agreed[one, (links[i, d, 1] + 3) % 4]
                 if between >= 0 and between == agreed[other, (links[i, (d + 1) % 4, 1] + 1) % 4]:
-                    out[i, 5] += 1.0
+                    out[i, 5] += _is_parallelogram(centres, between, one, other, i, skew)
+                    out[i, 5] += _is_parallelogram(centres, between, one, other, i, 0.5 * skew)

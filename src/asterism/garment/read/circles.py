@@ -52,7 +52,14 @@ def find_circles(image: NDArray[np.uint8], rules: ReadRules) -> Circles:
     highest = np.empty((height, width // 16 + 1), np.uint8)
     kernels.colourfulness(smooth, grey, highest)
     lowest = int(min(rules.least_colour + rules.noise_factor * left, 120))
-    sizes = (rules.least_area, rules.largest_area, rules.least_fill, rules.least_height + rules.noise_height * left, rules.longest_side, rules.bound)
+    sizes = (
+        rules.least_area,
+        rules.largest_area,
+        rules.least_fill,
+        rules.least_height + rules.noise_height * left,
+        rules.longest_side,
+        rules.bound,
+    )
     limits = np.array(sizes)
     labels, stack = np.zeros((height, width), np.int32), np.empty((height * width, 3), np.int32)
     regions = np.empty((rules.most_circles, 7), np.int32)

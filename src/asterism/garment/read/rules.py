@@ -34,7 +34,8 @@ class ReadRules:
     alone          nats, evidence that the whole map of a neighbourhood needs beyond chance
     nearby         nats, evidence within two circles of one
     each_side      nats, evidence on the side of one that has least
-    squares        of four linked circles that a circle closes, at least
+    skew           how far a square of four linked circles may be from a parallelogram, as a share of its sides
+    squares        of four linked circles that a circle closes, at least; one within half of `skew` counts twice
     astray         share of circles at the rim of a neighbourhood that are of another part of the cloth, before their colours are seen
     """
 
@@ -55,7 +56,7 @@ class ReadRules:
     reach: float = 1.9
     side: tuple[float, float] = (0.6, 1.6)
     square: float = 0.7
-    fit: float = 0.32
+    fit: float = 0.34
     length: tuple[float, float] = (0.65, 1.4)
     rise: float = 0.08
     rise_noise: float = 1.3
@@ -63,5 +64,6 @@ class ReadRules:
     alone: float = 16.0
     nearby: float = 12.0
     each_side: float = 5.0
+    skew: float = 0.2
     squares: int = 2
     astray: float = 1e-3
