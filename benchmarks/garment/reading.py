@@ -1,12 +1,10 @@
-"""Reading of images: how fast, how many circles, how many wrong; of rendered wearers and of a print that OpenCV warps."""
+"""Reading of hard images: how many circles, how many wrong; of rendered wearers and of a print that OpenCV warps."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from asterism.garment.design import design_pattern
@@ -79,7 +77,7 @@ class Tally:
         return self.right / max(self.readable, 1)
 
 
-def reading(benchmark: BenchmarkRun) -> Iterator[Figure]:
+def hard_images(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Rendered suits in three lights at three levels of noise, and warped prints."""
     photos, lights = Tally(), {name: Tally() for name in LIGHTS}
     noisy = Tally()
@@ -113,24 +111,6 @@ def reading(benchmark: BenchmarkRun) -> Iterator[Figure]:
     yield Figure(
         "read of circles of 6 px within 60 degrees, prints through OpenCV warps", ">= 0.95", prints.recall, "share", max(prints.readable, 1)
     )
-
-
-def reading_speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """One image of 1280 x 960 with 1,000 circles, on one core."""
-    rng = np.random.default_rng([SEED, 2])
-    pattern = design_pattern((27, 37), seed=4)
-    warp = warped(pattern, (1280, 960), 25.0, 0.01, 0, rng=rng)
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        seconds = []
-        for _ in range(3 if benchmark.quick else 41):
-            start = time.perf_counter()
-            read = read_image(warp.image, pattern)
-            seconds.append(time.perf_counter() - start)
-    finally:
-        cv2.setNumThreads(threads)
-    yield Figure("reading, 1280 x 960, 1,000 circles, one core", "> 40", 1.0 / float(np.median(seconds[1:])), "images/s", len(read))
 
 
 def _suit(number: int, light: str, noise: float, quick: bool) -> tuple[ReadCircles, CircleTruth]:
