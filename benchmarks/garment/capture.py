@@ -92,7 +92,7 @@ def _midpoint_error(session: GarmentSession, images: list) -> float:
 
 
 def calibration(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Forty poses of a target, where the paper takes a hundred: reprojection, the rig against the truth, its own covariance; points by that rig."""
+    """Forty poses of a target (the paper: a hundred): reprojection, the rig against the truth; points by that rig."""
     session = _session(benchmark.quick, "walk", 2)
     sheet, suit = session.target.pattern, session.worn.pattern
     target = _Moments(session, list(session.calibration(benchmark.jobs)))
