@@ -7,10 +7,15 @@ from collections.abc import Callable, Iterator
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 from benchmarks.garment.capture import calibration, dense, whole_speed
+from benchmarks.garment.pattern import check, code, reading, speed
 
 ISSUE = "Garment capture: thousands of colour-coded points, from printed cloth to 3D"
 
 ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
+    "garment-read-speed": speed,
+    "garment-check": check,
+    "garment-reading": reading,
+    "garment-code": code,
     "garment-speed": whole_speed,
     "garment-points": dense,
     "garment-calibration": calibration,

@@ -50,4 +50,4 @@ def find_target(
             if progress is not None:
                 progress(min(1.0, len(numbers) * every / len(footage)), f"looking for the target, frame {numbers[-1]}")
     views = target_views(target, seen, footage.names, [sizes.get(c, (0, 0)) for c in range(len(footage.names))])
-    return replace(views, frames=np.array(numbers, dtype=np.int64)[views.frames])
+    return replace(views, frames=np.array(numbers, dtype=np.int64)[views.frames], findings=getattr(footage, "findings", ()))

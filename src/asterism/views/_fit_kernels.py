@@ -294,14 +294,6 @@ def minimise(body, cameras, known, observing, xy, offsets, labels, sigmas, steps
 
 
 @kernel
-def minimise_all(body, cameras, known, observing, xy, offsets, labels, sigmas, steps, free, poses, rotations, costs):
-    """`minimise` from many starts. IN, OUT poses (N, D), rotations (N, 3, 3). OUT costs (N,) nats. O(N) minimisations."""
-    hessian = np.empty((poses.shape[1], poses.shape[1]))
-    for n in range(len(poses)):
-        costs[n] = minimise(body, cameras, known, observing, xy, offsets, labels, sigmas, steps, free, poses[n], rotations[n], hessian)
-
-
-@kernel
 def fit_positions(body, known, positions, noise, steps, free, pose, rotation):
     """The pose of a body whose markers' positions are known: Levenberg-Marquardt in space.
 

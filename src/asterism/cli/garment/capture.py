@@ -11,7 +11,7 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import Json, Overwrite, Report, Workers
-from asterism.findings import exit_status
+from asterism.findings import Finding, exit_status
 
 if TYPE_CHECKING:
     from asterism.cameras import Rig
@@ -61,7 +61,8 @@ def capture(options: CaptureOptions) -> None:
     from asterism.garment import Pattern
 
     rig, pattern = read_rig(options.rig), Pattern.load(options.garment)
-    made = _captured(options, rig, pattern)
+    made, problems = _captured(options, rig, pattern)
+    findings = (*problems, *made.findings)
     made.trajectories.save(options.output)
     surfaces = _surfaces(options, made, pattern)
     summary = made.summary()
@@ -71,7 +72,7 @@ def capture(options: CaptureOptions) -> None:
             f"{len(made.frames)} frames, {summary['points_per_frame']:,.0f} points per frame, "
             f"{_console.percent(summary['of_those_seen_by_two_cameras'], 1)} of the circles that two cameras saw -> {options.output}"
         )
-    for finding in made.findings:
+    for finding in findings:
         _console.report(finding)
     files = {"output": options.output, "rig": options.rig, "garment": options.garment, "surfaces": surfaces}
     if options.report is not None:
@@ -86,13 +87,14 @@ def capture(options: CaptureOptions) -> None:
             **files,
             **summary,
             "cameras": [{"name": name, "identities_per_image": float(made.read[:, c].mean())} for c, name in enumerate(rig.names)],
-            "findings": [finding.to_dict() for finding in made.findings],
+            "findings": [finding.to_dict() for finding in findings],
         },
     )
-    raise typer.Exit(exit_status(made.findings))
+    raise typer.Exit(exit_status(findings))
 
 
-def _captured(options: CaptureOptions, rig: Rig, pattern: Pattern) -> Capture:
+def _captured(options: CaptureOptions, rig: Rig, pattern: Pattern) -> tuple[Capture, tuple[Finding, ...]]:
+    """The capture, and what is wrong with the files."""
     from asterism.garment.capture import capture as capture_garment
     from asterism.garment.first_images import check_first_images
     from asterism.garment.footage import colour_footage
@@ -101,10 +103,11 @@ def _captured(options: CaptureOptions, rig: Rig, pattern: Pattern) -> Capture:
     footage = colour_footage(options.images, rig)
     check_first_images(footage, pattern, rig)
     with _console.progress("reading") as progress:
-        return capture_garment(
+        made = capture_garment(
             rig, pattern, footage, lambda image: read_image(image, pattern), rate=options.rate, workers=options.workers, progress=progress,
             total=len(footage),
         )  # fmt: skip
+    return made, footage.findings
 
 
 def _surfaces(options: CaptureOptions, made: Capture, pattern: Pattern) -> Path | None:
