@@ -15,6 +15,7 @@ from asterism.cli import main
 from asterism.errors import AsterismError
 from asterism.formats import read, write, write_blobs
 from asterism.recording import Blobs, MarkerSet, Recording
+from asterism.report.views import views_report
 from asterism.simulation import simulate_standing, simulate_walks
 from asterism.simulation.views_laboratory import ViewsSession, simulate_views
 from asterism.views import BodyModel, fit_body, label_views, load_body, save_body, shipped_bodies
@@ -269,3 +270,26 @@ def test_the_papers_algorithm_labels_a_standing_person_from_a_near_start_and_our
         ours += ((near.labels == identity) & (identity >= 0)).sum()
         shown += (identity >= 0).sum()
     assert 0.8 * shown < plain < ours, f"the paper's {plain}, ours {ours} of {shown}"
+
+
+def test_the_page_shows_each_camera_with_its_blobs_and_the_hidden_markers(tmp_path: Path) -> None:
+    result = labelled()
+    views_report(tmp_path / "views.html", result)
+    page = (tmp_path / "views.html").read_text(encoding="utf-8")
+    assert all(f"Camera {name}, frame" in page for name in session().rig.names)
+    assert "four walkers" in page and "LKNE" in page
+    nobody = replace(result, poses=np.full_like(result.poses, np.nan), labels=np.full_like(result.labels, -1))
+    views_report(tmp_path / "nobody.html", replace(nobody, views=np.zeros_like(result.views)))
+    assert "0.0 %" in (tmp_path / "nobody.html").read_text(encoding="utf-8")
+
+
+def test_the_demo_reaches_what_it_promises(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demo", "views", "-o", str(tmp_path), "--json", str(tmp_path / "demo.json")]) == 0
+    told = json.loads((tmp_path / "demo.json").read_text())
+    assert told["reached"] and told["right"] > 0.99
+    assert {path.name for path in tmp_path.iterdir()} >= {"2d.csv", "rig.toml", "body.toml", "labelled.c3d", "views.html"}
+    again = ["label-views", str(tmp_path / "2d.csv"), "--rig", str(tmp_path / "rig.toml"), "--body", str(tmp_path / "body.toml")]
+    assert main([*again, "-o", str(tmp_path / "again.c3d"), "--report", str(tmp_path / "again.html")]) == 0
+    first, second = read(tmp_path / "labelled.c3d"), read(tmp_path / "again.c3d")
+    assert np.nanmedian(np.linalg.norm(first.positions - second.positions, axis=2)) < 0.001
+    assert "asterism label-views" in capsys.readouterr().out

@@ -33,6 +33,7 @@ class Part(StrEnum):
     LABELLING = "labelling"
     CAMERAS = "cameras"
     GARMENT = "garment"
+    VIEWS = "views"
     MOTION = "motion"
 
 
@@ -68,6 +69,8 @@ def demo(options: DemoOptions) -> None:
     `asterism demo garment` designs a suit of coded circles, photographs a simulated walker in it with eight cameras, calibrates them by a
     coded target, captures the suit, and compares with the truth; a few minutes.
 
+    `asterism demo views` labels in the images: a simulated walker before four small cameras, with a model of the body that hides markers.
+
     `asterism demo motion` simulates a knee under skin that slides and wobbles, finds its limbs from the points alone, and compares the
     joint angle and its intervals with the bones. The exit status is 1 where the angle is more than 1.5 degrees off.
     """
@@ -79,6 +82,10 @@ def demo(options: DemoOptions) -> None:
         from asterism.cli._demo_cameras import demo_cameras
 
         raise typer.Exit(demo_cameras(options.output, options.seed, options.json))
+    if options.part is Part.VIEWS:
+        from asterism.cli._demo_views import demo_views
+
+        raise typer.Exit(demo_views(options.output, options.seed, options.json))
     if options.part is Part.GARMENT:
         from asterism.cli._demo_garment import demo_garment
 
