@@ -25,6 +25,7 @@ from benchmarks import (
     hostile,
     house,
     labelling,
+    motion,
     read_values,
     recordings,
     runs,
@@ -44,6 +45,7 @@ CHAPTERS = {
     "garment": garment,
     "hostile": hostile,
     "desk": desk,
+    "motion": motion,
     "house": house,
 }
 

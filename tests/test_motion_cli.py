@@ -98,3 +98,27 @@ def test_the_demo_reaches_what_it_promises(tmp_path: Path, monkeypatch: pytest.M
     assert (tmp_path / "demo" / "knee.c3d").exists()
     monkeypatch.setattr(_demo_motion, "_POINTS", 6)
     assert main(["demo", "motion", "-o", str(tmp_path / "demo"), "--seed", "3"]) in (1, 2), "six points do not make a knee"
+
+
+def test_the_covariance_of_a_rig_counts_where_it_is_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from asterism.cameras.bundle import free_parameters
+    from asterism.cameras.files import write_rig
+    from asterism.garment.rig_covariance import RigCovariance
+    from asterism.simulation.cameras import ring_rig
+
+    rig = ring_rig(5, radius=3.0, height=2.0, size=(2048, 1536), rng=np.random.default_rng(0))
+    write_rig(rig, tmp_path / "rig.toml")
+    spread = np.diag(np.tile([4e-3, 4e-3, 4e-3, 0.02, 0.02, 0.02], 5) ** 2)
+    RigCovariance(rig.names, free_parameters(5, "pose"), spread).save(tmp_path / "rig.npz")
+    knee = simulate_soft_tissue(TrialPlan("knee", points=40, frames=20), seed=1).recording
+    formats.write(tmp_path / "knee.csv", knee)
+    words = ["motion", str(tmp_path / "knee.csv"), "--vertical", "z", "--uncertainty", "--trials", "20", "--json", "-"]
+    cameras = []
+    for more in (["--rig", str(tmp_path / "rig.toml")], ["--rig", str(tmp_path / "rig.toml"), "--covariance", str(tmp_path / "rig.npz")]):
+        assert main([*words, *more]) == 0
+        told = capsys.readouterr()
+        assert ("motion-no-calibration" in told.err) == (len(more) == 2)
+        cameras.append(float(np.mean(json.loads(told.out)["files"][0]["joints"][0]["flexion_budget_deg"]["cameras"])))
+    assert cameras[1] > 1.2 * cameras[0]
+    assert main([*words, "--covariance", str(tmp_path / "rig.npz")]) == 2
+    assert "--rig" in capsys.readouterr().err

@@ -8,6 +8,7 @@ from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 from benchmarks.garment.capture import calibration, dense, whole_speed
 from benchmarks.garment.pattern import check, code, reading, speed
+from benchmarks.garment.reading import hard_images
 
 ISSUE = "Garment capture: thousands of colour-coded points, from printed cloth to 3D"
 
@@ -17,6 +18,7 @@ ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
     "garment-reading": reading,
     "garment-code": code,
     "garment-speed": whole_speed,
+    "garment-hard-images": hard_images,
     "garment-points": dense,
     "garment-calibration": calibration,
 }

@@ -53,6 +53,12 @@ class MotionOptions:
         Path | None,
         typer.Option("--rig", metavar="FILE", help="The rig that measured the points, for their noise.", show_default=False),
     ] = None
+    covariance: Annotated[
+        Path | None,
+        typer.Option(
+            "--covariance", metavar="NPZ", help="The rig's covariance, of asterism garment calibrate --covariance.", show_default=False
+        ),
+    ] = None
     soft_tissue: Annotated[
         float, typer.Option("--soft-tissue", metavar="FACTOR", min=0, help="Soft tissue by so much larger than usual; 0: none.")
     ] = 1.0
@@ -82,6 +88,8 @@ def motion(options: MotionOptions) -> None:
     from asterism.motion.analysis import MotionRules, analyse_motion
 
     _console.check_outputs([options.report, options.json, options.output], [*options.files, options.rig], options.overwrite)
+    if options.covariance is not None and options.rig is None:
+        raise AsterismError("--covariance belongs to a rig; give its file with --rig.")
     batch = _console.Batch("analysed")
     results: list[tuple[Path, MotionAnalysis, UncertaintyResult | None]] = []
     rules = MotionRules(method=options.method.value, joint_method=options.joints.value)
@@ -142,18 +150,24 @@ def _limbs(options: MotionOptions, recording: Recording) -> dict[str, list[str]]
 def _sources(options: MotionOptions, analysis: MotionAnalysis) -> ErrorSources:
     from dataclasses import replace
 
-    from asterism.motion.uncertainty import ErrorSources, PlacementErrors, SoftTissueErrors, noise_from_rig
+    from asterism.motion.uncertainty import CalibrationErrors, ErrorSources, PlacementErrors, SoftTissueErrors, noise_from_rig
 
-    noise = None
+    noise = calibration = None
     if options.rig is not None:
         from asterism.cameras.files import read_rig
 
-        noise = noise_from_rig(read_rig(options.rig), analysis.recording.positions)
+        rig = read_rig(options.rig)
+        noise = noise_from_rig(rig, analysis.recording.positions)
+        if options.covariance is not None:
+            from asterism.garment.rig_covariance import RigCovariance
+
+            known = RigCovariance.load(options.covariance)
+            calibration = CalibrationErrors(rig.select(known.names), known.free, known.matrix)
     usual = SoftTissueErrors()
     low, high = (options.soft_tissue * scale for scale in usual.scales)
     soft = replace(usual, scales=(low, high)) if options.soft_tissue > 0 else None
     placed = PlacementErrors(options.placement / 1000) if options.placement > 0 else None
-    return ErrorSources(noise=noise, soft_tissue=soft, placement=placed)
+    return ErrorSources(noise=noise, calibration=calibration, soft_tissue=soft, placement=placed)
 
 
 def _uncertainty(options: MotionOptions, analysis: MotionAnalysis, progress: Any) -> UncertaintyResult:

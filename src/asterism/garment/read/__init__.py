@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from asterism.errors import AsterismError
 from asterism.findings import Finding
 from asterism.garment.pattern import Pattern
-from asterism.garment.read.circles import Circles, find_circles
+from asterism.garment.read.circles import Circles, ellipse_axes, find_circles
 from asterism.garment.read.colours import classify
 from asterism.garment.read.findings import reading_findings
 from asterism.garment.read.identify import identify
@@ -70,7 +70,7 @@ def read_image(image: NDArray[np.uint8], pattern: Pattern, rules: ReadRules | No
     links, _ = link_circles(circles, pattern.diameter / pattern.pitch, rules)
     linked = (links[:, :, 0] >= 0).sum(axis=1) >= 3
     classes = classify(circles.light, linked, pattern.hsv)
-    found = identify(links, classes.posterior, pattern, rules)
+    found = identify(circles.centres, links, classes.posterior, pattern, rules)
     colours = np.full(len(linked), -1) if classes.grey else classes.posterior.argmax(axis=1)
     return ReadCircles(
         circles.centres,
@@ -89,6 +89,5 @@ def read_image(image: NDArray[np.uint8], pattern: Pattern, rules: ReadRules | No
 
 def _axes(circles: Circles) -> Floats:
     """Semi-axes and angle (n, 3) of ellipses by their second moments."""
-    value, vector = np.linalg.eigh(circles.moments)
-    angle = np.arctan2(vector[:, 1, 1], vector[:, 0, 1])
-    return np.stack([2 * np.sqrt(value[:, 1]), 2 * np.sqrt(value[:, 0]), (angle + np.pi / 2) % np.pi - np.pi / 2], axis=1)
+    values, angle = ellipse_axes(circles.moments)
+    return np.column_stack([2 * np.sqrt(values), angle])

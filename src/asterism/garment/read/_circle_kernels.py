@@ -9,7 +9,7 @@ from asterism._jit import kernel
 
 @kernel
 def colourfulness(image, out, highest):
-    """The difference between the largest and the smallest channel of each pixel.
+    """The difference between the largest and the smallest channel of each pixel; 0 in the outermost rows and columns.
 
     IN  image (h, w, 3) uint8
     OUT out (h, w) uint8; highest (h, w // 16 + 1) uint8, the largest value of each 16 pixels of a row
@@ -21,6 +21,10 @@ def colourfulness(image, out, highest):
         for x in range(width):
             a, b, c = image[y, x, 0], image[y, x, 1], image[y, x, 2]
             out[y, x] = max(a, b, c) - min(a, b, c)
+        out[y, 0] = 0
+        out[y, width - 1] = 0
+        if y == 0 or y == height - 1:
+            out[y] = 0
         for block in range(highest.shape[1]):
             most = np.uint8(0)
             for x in range(16 * block, min(16 * block + 16, width)):
@@ -29,47 +33,41 @@ def colourfulness(image, out, highest):
 
 
 @kernel
-def _flood(grey, labels, x, y, old, new, threshold, stack, box, sums):
+def _flood(grey, labels, width, start, old, new, threshold, stack, box, sums):
     """Give the pixels above a threshold that hang together with one another, by their sides, a new label. Returns how many and the highest.
 
-    Only pixels with the label `old` take part. Fills box (4,) with the smallest and largest x and y, sums (5,) with x, y, xx, xy, yy.
+    grey, labels and start are of the flat image, whose border is 0. Only pixels with the label `old` take part. Fills box (4,) with the
+    smallest and largest x and y, sums (5,) with x, y, xx, xy, yy from the start on.
     """
-    height, width = grey.shape
-    stack[0] = y * width + x
-    labels[y, x] = new
+    y0 = start // width
+    x0 = start - y0 * width
+    stack[0, 0], stack[0, 1], stack[0, 2] = start, 0, 0
+    labels[start] = new
     top, area, highest = 1, 0, 0
-    box[0], box[1], box[2], box[3] = x, x, y, y
-    sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0
+    left, right, above, below = 0, 0, 0, 0
+    sx, sy, sxx, sxy, syy = 0, 0, 0, 0, 0
     while top:
         top -= 1
-        place = stack[top]
-        py, px = place // width, place % width
+        place = np.int64(stack[top, 0])
+        dx, dy = np.int64(stack[top, 1]), np.int64(stack[top, 2])
         area += 1
-        highest = max(highest, np.int64(grey[py, px]))
-        box[0], box[1] = min(box[0], px), max(box[1], px)
-        box[2], box[3] = min(box[2], py), max(box[3], py)
-        dx, dy = float(px - x), float(py - y)
+        highest = max(highest, np.int64(grey[place]))
+        left, right = min(left, dx), max(right, dx)
+        above, below = min(above, dy), max(below, dy)
         sx += dx
         sy += dy
         sxx += dx * dx
         sxy += dx * dy
         syy += dy * dy
-        if px > 0 and labels[py, px - 1] == old and grey[py, px - 1] > threshold:
-            labels[py, px - 1] = new
-            stack[top] = place - 1
-            top += 1
-        if px + 1 < width and labels[py, px + 1] == old and grey[py, px + 1] > threshold:
-            labels[py, px + 1] = new
-            stack[top] = place + 1
-            top += 1
-        if py > 0 and labels[py - 1, px] == old and grey[py - 1, px] > threshold:
-            labels[py - 1, px] = new
-            stack[top] = place - width
-            top += 1
-        if py + 1 < height and labels[py + 1, px] == old and grey[py + 1, px] > threshold:
-            labels[py + 1, px] = new
-            stack[top] = place + width
-            top += 1
+        for side in range(4):
+            across = (1 - side) * ((side & 1) ^ 1)
+            down = (2 - side) * (side & 1)
+            there = place + down * width + across
+            if grey[there] > threshold and labels[there] == old:
+                labels[there] = new
+                stack[top, 0], stack[top, 1], stack[top, 2] = there, dx + across, dy + down
+                top += 1
+    box[0], box[1], box[2], box[3] = x0 + left, x0 + right, y0 + above, y0 + below
     sums[0], sums[1], sums[2], sums[3], sums[4] = sx, sy, sxx, sxy, syy
     return area, highest
 
@@ -91,12 +89,13 @@ def find_regions(grey, highest, lowest, limits, labels, stack, regions):
 
     IN   grey (h, w) uint8; highest (h, w // 16 + 1) uint8 of `colourfulness`; lowest threshold; limits (6,): smallest and largest area px2,
          smallest fill, smallest height above the threshold, longest side of the box px, threshold as a share of the highest value
-    WORK labels (h, w) int32, filled with 0; stack (h w,) int32
+    WORK labels (h, w) int32, filled with 0; stack (h w, 3) int32
     OUT  regions (most, 7) int32: smallest and largest x and y, highest value, threshold, label; labels as said there
 
     Returns their number. O(h w + pixels of regions times thresholds). Twin: tests/twins_garment_read.py
     """
     height, width = grey.shape
+    flat, marks = grey.ravel(), labels.ravel()
     box, sums = np.empty(4, np.int64), np.empty(5)
     waiting = np.empty((4096, 7), np.int64)
     count, label = 0, 0
@@ -119,11 +118,11 @@ def find_regions(grey, highest, lowest, limits, labels, stack, regions):
                             if labels[y, x] != old or grey[y, x] <= threshold:
                                 continue
                             label += 1
-                            area, most = _flood(grey, labels, x, y, old, label, threshold, stack, box, sums)
+                            area, most = _flood(flat, marks, width, y * width + x, old, label, threshold, stack, box, sums)
                             if area < limits[0] or most - threshold < limits[3]:
                                 continue
                             small = area <= limits[1] and max(box[1] - box[0], box[3] - box[2]) < limits[4]
-                            edge = box[0] == 0 or box[2] == 0 or box[1] == width - 1 or box[3] == height - 1
+                            edge = box[0] <= 1 or box[2] <= 1 or box[1] >= width - 2 or box[3] >= height - 2
                             if small and threshold >= limits[5] * most and _fill(area, sums) >= limits[2]:
                                 if count < len(regions) and not edge:
                                     regions[count, 0], regions[count, 1], regions[count, 2], regions[count, 3] = (

@@ -117,67 +117,87 @@ def spread(links, colours, likelihood, order, cells, turns, queue):
 
 
 @kernel
-def evidence(links, ring, colours, likelihood, cells, turns, radius, out):
+def agreeing(links, cells, turns, out):
+    """The neighbours to which links lead that agree with the grid.
+
+    IN  links (n, 4, 2); cells (n, 2); turns (n,)
+    OUT out (n, 4) int32, -1 where there is no link or it contradicts the grid
+
+    O(n). Twin: tests/twins_garment_read.py
+    """
+    for i in range(len(links)):
+        for d in range(4):
+            out[i, d] = links[i, d, 0] if _agree(i, d, links, cells, turns) else -1
+
+
+@kernel
+def _is_parallelogram(centres, origin, one, other, corner, skew):
+    """Whether a corner is where the three others have it, to a share of each side. On cloth bent along or across the lattice it is."""
+    ax, ay = centres[one, 0] - centres[origin, 0], centres[one, 1] - centres[origin, 1]
+    bx, by = centres[other, 0] - centres[origin, 0], centres[other, 1] - centres[origin, 1]
+    x = centres[corner, 0] - centres[origin, 0] - ax - bx
+    y = centres[corner, 1] - centres[origin, 1] - ay - by
+    det = abs(ax * by - ay * bx)
+    return abs(x * by - y * bx) <= skew * det and abs(ax * y - ay * x) <= skew * det
+
+
+@kernel
+def evidence(centres, links, agreed, own, cells, turns, radius, skew, out):
     """What speaks for the cell of each circle: the colours around it that are the grid's, on each of its sides.
 
-    IN  links (n, 4, 2); ring (n, 8); colours (rows, cols); likelihood (n, q) nats; cells (n, 2), turns (n,); radius in cells
-    OUT out (n, 8): the sum of all circles within `radius` rows and columns to which links lead; of those on its side towards
-        direction 0 to 3 of the grid, its own row or column included; squares of four circles that it closes with three others; links that
-        agree, links that contradict
+    IN  centres (n, 2); links (n, 4, 2); agreed (n, 4) of `agreeing`; own (n,) nats, evidence that the colour of each circle's cell is its
+        own; cells (n, 2), turns (n,); radius in cells; skew, of a square, as a share of its sides
+    OUT out (n, 8): the sum of all circles within `radius` rows and columns to which links lead that agree; of those on its side towards
+        direction 0 to 3 of the grid, its own row or column included; squares of four circles that it closes with three others, twice
+        those of half the skew; links that agree; links that contradict
 
     O(n radius^2). Twin: tests/twins_garment_read.py
     """
     n, width = len(links), 2 * radius + 1
-    seen = np.full((width, width), -1, np.int64)
-    queue = np.empty(width * width, np.int64)
+    seen = np.full(width * width, -1, np.int32)
+    queue = np.empty(width * width, np.int32)
     for i in range(n):
-        for k in range(8):
-            out[i, k] = 0.0
+        out[i] = 0.0
         if turns[i] < 0:
             continue
-        seen[radius, radius] = i
+        row, column = cells[i, 0], cells[i, 1]
+        seen[radius * width + radius] = i
         queue[0] = i
         first, last = 0, 1
+        total, east, south, west, north = 0.0, 0.0, 0.0, 0.0, 0.0
         while first < last:
             k = queue[first]
             first += 1
-            down, right = cells[k, 0] - cells[i, 0], cells[k, 1] - cells[i, 1]
-            value = likelihood[k, colours[cells[k, 0], cells[k, 1]]]
-            out[i, 0] += value
+            down, right = cells[k, 0] - row, cells[k, 1] - column
+            value = own[k]
+            total += value
             if right >= 0:
-                out[i, 1] += value
+                east += value
             if down >= 0:
-                out[i, 2] += value
+                south += value
             if right <= 0:
-                out[i, 3] += value
+                west += value
             if down <= 0:
-                out[i, 4] += value
+                north += value
             for d in range(4):
-                if not _agree(k, d, links, cells, turns):
+                j = agreed[k, d]
+                if j < 0:
                     continue
-                j = links[k, d, 0]
-                a, b = cells[j, 0] - cells[i, 0] + radius, cells[j, 1] - cells[i, 1] + radius
-                if a < 0 or b < 0 or a >= width or b >= width or seen[a, b] == i:
+                a, b = cells[j, 0] - row + radius, cells[j, 1] - column + radius
+                if a < 0 or b < 0 or a >= width or b >= width or seen[a * width + b] == i:
                     continue
-                seen[a, b] = i
+                seen[a * width + b] = i
                 queue[last] = j
                 last += 1
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4] = total, east, south, west, north
         for d in range(4):
-            one, between, other = ring[i, 2 * d], ring[i, 2 * d + 1], ring[i, (2 * d + 2) % 8]
-            if one >= 0 and turns[one] >= 0:
-                if _agree(i, d, links, cells, turns):
-                    out[i, 6] += 1.0
-                else:
-                    out[i, 7] += 1.0
-            if one < 0 or between < 0 or other < 0 or turns[between] < 0:
-                continue
-            if _agree(i, d, links, cells, turns) and _agree(i, (d + 1) % 4, links, cells, turns):
-                e = (links[i, d, 1] + 3) % 4
-                f = (links[i, (d + 1) % 4, 1] + 1) % 4
-                if (
-                    links[one, e, 0] == between
-                    and links[other, f, 0] == between
-                    and _agree(one, e, links, cells, turns)
-                    and _agree(other, f, links, cells, turns)
-                ):
-                    out[i, 5] += 1.0
+            one, other = agreed[i, d], agreed[i, (d + 1) % 4]
+            if one >= 0:
+                out[i, 6] += 1.0
+            elif links[i, d, 0] >= 0 and turns[links[i, d, 0]] >= 0:
+                out[i, 7] += 1.0
+            if one >= 0 and other >= 0:
+                between = agreed[one, (links[i, d, 1] + 3) % 4]
+                if between >= 0 and between == agreed[other, (links[i, (d + 1) % 4, 1] + 1) % 4]:
+                    out[i, 5] += _is_parallelogram(centres, between, one, other, i, skew)
+                    out[i, 5] += _is_parallelogram(centres, between, one, other, i, 0.5 * skew)

@@ -239,3 +239,54 @@ def refine_frames(centres, found, links, frames, fit, out):
                 if far < nearest:
                     nearest = far
                     out[i] = frames[j]
+
+
+@kernel
+def _at(grey, x, y):
+    """The value between four pixels, bilinear; the position must be inside."""
+    left, above = int(x), int(y)
+    a, b = x - left, y - above
+    upper = (1.0 - a) * grey[above, left] + a * grey[above, left + 1]
+    return (1.0 - b) * upper + b * ((1.0 - a) * grey[above + 1, left] + a * grey[above + 1, left + 1])
+
+
+@kernel
+def cut_skipping(grey, centres, whiten, side, rise, links):
+    """Cut links that lead over a circle that was not found, and those whose length is not a pitch by the ellipses at their ends.
+
+    Between two neighbours the colourfulness falls to dark cloth and rises again. If it rises and falls again before, there is a circle.
+
+    IN  grey (h, w) uint8; centres (n, 2); whiten (n, 2, 2); side (2,) shortest and longest link in pitches, the mean of both ends;
+        rise (2,) of the colourfulness that is taken for a circle: as a share of the lower end, and at least
+    IO  links (n, 4, 2)
+
+    O(n). Twin: tests/twins_garment_read.py
+    """
+    steps = 16
+    for i in range(len(links)):
+        for d in range(4):
+            j, back = links[i, d, 0], links[i, d, 1]
+            if j < i:
+                continue
+            dx, dy = centres[j, 0] - centres[i, 0], centres[j, 1] - centres[i, 1]
+            length = 0.0
+            for end in range(2):
+                k = i if end == 0 else j
+                a, b = whiten[k, 0, 0] * dx + whiten[k, 0, 1] * dy, whiten[k, 1, 0] * dx + whiten[k, 1, 1] * dy
+                length += 0.5 * np.sqrt(a * a + b * b)
+            cut = length < side[0] or length > side[1]
+            first, last = _at(grey, centres[i, 0], centres[i, 1]), _at(grey, centres[j, 0], centres[j, 1])
+            needed = max(rise[0] * min(first, last), rise[1])
+            lowest, falls, highest = first, 0.0, -1.0
+            for k in range(1, steps + 1):
+                value = _at(grey, centres[i, 0] + dx * k / steps, centres[i, 1] + dy * k / steps)
+                if highest < 0.0:
+                    lowest = min(lowest, value)
+                    if value > lowest + needed and k < steps:
+                        highest = value
+                else:
+                    highest = max(highest, value)
+                    falls = max(falls, highest - value)
+            if cut or (highest >= 0.0 and falls > needed):
+                links[i, d, 0], links[i, d, 1] = -1, -1
+                links[j, back, 0], links[j, back, 1] = -1, -1

@@ -12,6 +12,9 @@ from asterism.garment.read import _circle_kernels as kernels
 from asterism.garment.read.rules import ReadRules
 from asterism.recording import Floats
 
+_LEFT, _LEFT_OF_MORE = 0.375, 0.28
+"""What smoothing leaves of the noise: 3 x 3, and 5 x 5 pixels."""
+
 
 @dataclass(frozen=True)
 class Circles:
@@ -21,6 +24,7 @@ class Circles:
     covariance  (n, 2, 2) px2 of the centres
     moments     (n, 2, 2) px2, second moments of the filled ellipse: a quarter of its squared semi-axes
     light       (n, 3) mean light within: red, green, blue, linear, 1 is the image's highest value
+    grey        (h, w) uint8 colourfulness, smoothed
     noise       standard deviation of a pixel's value, of 255
     """
 
@@ -28,6 +32,7 @@ class Circles:
     covariance: Floats
     moments: Floats
     light: Floats
+    grey: NDArray[np.uint8]
     noise: float
 
 
@@ -39,22 +44,31 @@ def find_circles(image: NDArray[np.uint8], rules: ReadRules) -> Circles:
     within a region until its parts have the shape of an ellipse. The centre is that of the pixels' coverage.
     """
     noise = image_noise(image)
-    smooth = cv2.GaussianBlur(image, (3, 3), 0)
+    noisy = noise > rules.noisy
+    smooth = cv2.GaussianBlur(image, (5, 5), 1.0) if noisy else cv2.GaussianBlur(image, (3, 3), 0)
+    left = noise * (_LEFT_OF_MORE if noisy else _LEFT)
     height, width = image.shape[:2]
     grey = np.empty((height, width), np.uint8)
     highest = np.empty((height, width // 16 + 1), np.uint8)
     kernels.colourfulness(smooth, grey, highest)
-    lowest = int(min(rules.least_colour + rules.noise_factor * noise, 120))
-    sizes = (rules.least_area, rules.largest_area, rules.least_fill, rules.least_height + noise, rules.longest_side, rules.bound)
+    lowest = int(min(rules.least_colour + rules.noise_factor * left, 120))
+    sizes = (
+        rules.least_area,
+        rules.largest_area,
+        rules.least_fill,
+        rules.least_height + rules.noise_height * left,
+        rules.longest_side,
+        rules.bound,
+    )
     limits = np.array(sizes)
-    labels, stack = np.zeros((height, width), np.int32), np.empty(height * width, np.int32)
+    labels, stack = np.zeros((height, width), np.int32), np.empty((height * width, 3), np.int32)
     regions = np.empty((rules.most_circles, 7), np.int32)
     count = kernels.find_regions(grey, highest, lowest, limits, labels, stack, regions)
     measured = np.empty((count, 12))
     kernels.measure(image, _LINEAR, grey, labels, regions[:count], noise, measured)
     covariance = _symmetric(measured[:, 2:5]) + rules.centre_floor**2 * np.eye(2)
     moments = _symmetric(measured[:, 5:8]) - rules.blur_moment * np.eye(2)
-    return Circles(measured[:, :2].copy(), covariance, _at_least(moments, rules.least_moment), measured[:, :8:-1].copy(), noise)
+    return Circles(measured[:, :2].copy(), covariance, _at_least(moments, rules.least_moment), measured[:, :8:-1].copy(), grey, noise)
 
 
 def image_noise(image: NDArray[np.uint8]) -> float:
@@ -74,8 +88,18 @@ def _symmetric(three: Floats) -> Floats:
 
 def _at_least(moments: Floats, least: float) -> Floats:
     """Symmetric matrices (n, 2, 2) with their eigenvalues raised to a least one."""
-    value, vector = np.linalg.eigh(moments)
-    return np.einsum("nij,nj,nkj->nik", vector, np.maximum(value, least), vector)
+    values, angle = ellipse_axes(moments)
+    cos, sin = np.cos(angle), np.sin(angle)
+    long, short = np.maximum(values, least).T
+    xy = (long - short) * cos * sin
+    return np.stack([long * cos**2 + short * sin**2, xy, xy, long * sin**2 + short * cos**2], axis=1).reshape(-1, 2, 2)
+
+
+def ellipse_axes(moments: Floats) -> tuple[Floats, Floats]:
+    """The eigenvalues (n, 2) of symmetric matrices (n, 2, 2), larger first, and the angle (n,) of the larger one's vector."""
+    half, turn = 0.5 * (moments[:, 0, 0] - moments[:, 1, 1]), moments[:, 0, 1]
+    mean, apart = 0.5 * (moments[:, 0, 0] + moments[:, 1, 1]), np.hypot(half, turn)
+    return np.stack([mean + apart, mean - apart], axis=1), 0.5 * np.arctan2(turn, half)
 
 
 def linear_light(shown: Floats) -> Floats:

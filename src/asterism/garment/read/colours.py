@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from asterism.garment.read import _colour_kernels as kernels
 from asterism.garment.read.circles import linear_light
 from asterism.recording import Floats
 
@@ -73,25 +74,9 @@ def _is_one_line(shares: Floats) -> bool:
 
 def _mixture(points: Floats, chosen: NDArray[np.bool_], centres: Floats) -> tuple[Floats, float]:
     """Posteriors (n, q) of points (n, 2) in q normal distributions fitted to the chosen ones, and their spread in the mean."""
-    q = len(centres)
-    centres = centres.copy()
-    spreads = np.tile(0.1**2 * np.eye(2), (q, 1, 1))
-    known = points[chosen]
-    for _ in range(_FITTING):
-        weight = _posterior(known, centres, spreads)
-        for k in range(q):
-            share = weight[:, k]
-            if share.sum() < 3:
-                continue
-            centres[k] = share @ known / share.sum()
-            off = known - centres[k]
-            spreads[k] = (share[:, None] * off).T @ off / share.sum() + _LEAST_SPREAD**2 * np.eye(2)
-    return _posterior(points, centres, spreads), float(np.sqrt(np.trace(spreads, axis1=1, axis2=2).mean() / 2))
-
-
-def _posterior(points: Floats, centres: Floats, spreads: Floats) -> Floats:
-    off = points[:, None] - centres
-    det = spreads[:, 0, 0] * spreads[:, 1, 1] - spreads[:, 0, 1] ** 2
-    square = spreads[:, 1, 1] * off[..., 0] ** 2 - 2 * spreads[:, 0, 1] * off[..., 0] * off[..., 1] + spreads[:, 0, 0] * off[..., 1] ** 2
-    density = np.exp(-0.5 * square / det) / np.sqrt(det)
-    return np.asarray((density + _OUTLIERS) / (density + _OUTLIERS).sum(axis=1, keepdims=True))
+    q, known = len(centres), points[chosen]
+    centres, spreads = np.ascontiguousarray(centres), np.tile(0.1**2 * np.eye(2), (q, 1, 1))
+    kernels.fit_mixture(known, _LEAST_SPREAD, _OUTLIERS, _FITTING, centres, spreads, np.empty((len(known), q)))
+    posterior = np.empty((len(points), q))
+    kernels.posteriors(np.ascontiguousarray(points), centres, spreads, _OUTLIERS, posterior)
+    return posterior, float(np.sqrt(np.trace(spreads, axis1=1, axis2=2).mean() / 2))

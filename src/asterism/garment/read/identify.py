@@ -36,14 +36,15 @@ class Identified:
     shared: int
 
 
-def identify(links: NDArray[np.int32], posterior: Floats, pattern: Pattern, rules: ReadRules) -> Identified:
+def identify(centres: Floats, links: NDArray[np.int32], posterior: Floats, pattern: Pattern, rules: ReadRules) -> Identified:
     """Look blocks up in the pattern, and keep what a neighbourhood agrees on.
 
     A block of nine colours is some block of the pattern by chance in one of four to six cases, so none is believed alone. Blocks that
     are side by side in the image and on the grid form groups; a group's map to the grid is carried on to the circles around it. Each
     circle whose colour is that of its cell is evidence, log q nats, and one misread costs it. A map needs `rules.alone` nats beyond the
     number of places and turns that it could have. A circle needs `nearby` nats around it and `each_side` on its weakest side, so that
-    what is across a fold does not speak for it, and two squares of four linked circles.
+    what is across a fold does not speak for it. It needs two squares of four linked circles, or one that is nearly a parallelogram: a
+    link that leads over a circle which was not found, or to another part of the cloth, makes none.
     """
     n, q = posterior.shape
     ring = np.empty((n, 8), np.int32)
@@ -59,12 +60,13 @@ def identify(links: NDArray[np.int32], posterior: Floats, pattern: Pattern, rule
     order = blocks[np.argsort(-size[blocks], kind="stable")].astype(np.int32)
     likelihood = np.log(q * ((1 - rules.misread) * posterior + rules.misread / q))
     kernels.spread(links, pattern.colours, likelihood, order, cells, turns, np.empty(n, np.int32))
-    weight = np.empty((n, 8))
-    kernels.evidence(links, ring, pattern.colours, likelihood, cells, turns, _RADIUS, weight)
     kernels.groups(links, cells, turns, roots)
     there = turns >= 0
     own = np.zeros(n)
     own[there] = likelihood[there, pattern.colours[cells[there, 0], cells[there, 1]]]
+    agreed, weight = np.empty((n, 4), np.int32), np.empty((n, 8))
+    kernels.agreeing(links, cells, turns, agreed)
+    kernels.evidence(centres, links, agreed, own, cells, turns, _RADIUS, rules.skew, weight)
     beyond = np.bincount(roots, own, n)[roots] - np.log(4.0 * max((pattern.colours >= 0).sum(), 1))
     side = weight[:, 1:5].min(axis=1)
     given = there & (beyond > rules.alone) & (weight[:, 0] > rules.nearby) & (side > rules.each_side)

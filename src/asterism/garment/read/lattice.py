@@ -34,13 +34,16 @@ def link_circles(circles: Circles, diameter: float, rules: ReadRules) -> tuple[N
     side = max(4.0, 2.0 / diameter * 2.0 * float(np.sqrt(np.median(np.trace(circles.moments, axis1=1, axis2=2)))))
     kernels.candidates(circles.centres, whiten, rules.reach, side, found, offsets)
     kernels.first_frames(found, offsets, whiten, np.array(rules.side), rules.square, rules.fit, frames, scores)
+    ends, rise = np.array(rules.length), np.array([rules.rise, rules.rise_noise * circles.noise])
     ahead = np.empty((n, 4), np.int32)
     for _ in range(_ROUNDS):
         kernels.link(circles.centres, found, frames, rules.fit, ahead, links)
+        kernels.cut_skipping(circles.grey, circles.centres, whiten, ends, rise, links)
         refined = np.empty_like(frames)
         kernels.refine_frames(circles.centres, found, links, frames, rules.fit, refined)
         frames = refined
     kernels.link(circles.centres, found, frames, rules.fit, ahead, links)
+    kernels.cut_skipping(circles.grey, circles.centres, whiten, ends, rise, links)
     return links, frames
 
 
