@@ -138,7 +138,12 @@ def test_the_estimate_finds_the_misreads_that_were_put_in() -> None:
     for _ in range(60):
         wrong = rng.random(pattern.shape) < share
         grid = np.where(wrong, (pattern.colours + rng.integers(1, 4, pattern.shape)) % 4, pattern.colours).astype(np.int8)
-        there = pattern.identity(grid, block_rings(grid))[1:-1, 1:-1] >= 0
+        rings = block_rings(grid)
+        place = pattern.cells(pattern.identity(grid, rings))
+        same = [
+            (np.roll(block_rings(pattern.colours)[place[..., 0], place[..., 1]], 2 * k, axis=-1) == rings).all(axis=-1) for k in range(4)
+        ]
+        there = ((place[..., 0] >= 0) & np.any(same, axis=0))[1:-1, 1:-1]
         estimate, most = misread_blocks(there.size, int(there.sum()), chance_share(pattern))
         estimates.append(1 - (1 - estimate) ** (1 / 9))
         above += 1 - (1 - most) ** (1 / 9) > wrong.mean()
