@@ -50,7 +50,7 @@ def standing(hip: tuple[float, float, float], knee: tuple[float, float, float]) 
 
 
 @pytest.mark.parametrize(("hip", "knee"), [((0, 0, 0), (0, 0, 0)), ((30, 5, -8), (60, -3, 6)), ((-12, -7, 10), (4, 2, -5))])
-def test_a_leg_bent_by_known_angles_has_them_on_both_sides(hip: tuple[float, ...], knee: tuple[float, ...]) -> None:
+def test_a_leg_bent_by_known_angles_has_them_on_both_sides(hip: tuple[float, float, float], knee: tuple[float, float, float]) -> None:
     found = {joint.name: np.degrees(joint.angles[0]) for joint in clinical_angles(standing(hip, knee)).joints}
     for side in ("left", "right"):
         np.testing.assert_allclose(found[f"{side} hip"], hip, atol=0.01)

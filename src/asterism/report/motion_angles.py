@@ -111,7 +111,8 @@ def methods_section(name: str, analysis: MotionAnalysis) -> list[Section]:
 
 
 def angles_by_method(analysis: MotionAnalysis, joint: JointAngles) -> tuple[dict[str, Floats], dict[str, float]]:
-    """By method: the angle of one joint (T,) rad since the frame from which `joint` counts, and the share of its weights below half the mean.
+    """By method: the angle of one joint (T,) rad since the frame from which `joint` counts, and how many of its weights, as a share, are
+    below half the mean.
 
     Runs `estimate_limb_motion` on two limbs for each method that `analysis` did not use.
     """
