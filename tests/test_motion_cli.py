@@ -122,3 +122,35 @@ def test_the_covariance_of_a_rig_counts_where_it_is_given(tmp_path: Path, capsys
     assert cameras[1] > 1.2 * cameras[0]
     assert main([*words, "--covariance", str(tmp_path / "rig.npz")]) == 2
     assert "--rig" in capsys.readouterr().err
+
+
+def _of_limbs(points: np.ndarray, folder: Path, name: str) -> list[str]:
+    """Words that analyse points (T, 8, 3), the first four a thigh, the others a shank, by a marker set of these segments."""
+    labels = tuple(f"P{i + 1}" for i in range(8))
+    formats.write(folder / name, Recording(points, labels, 50.0))
+    segments = f"thigh = {list(labels[:4])!r}\nshank = {list(labels[4:])!r}\n"
+    (folder / "set.toml").write_text(f"markers = {list(labels)!r}\n[segments]\n{segments}")
+    return ["motion", str(folder / name), "--markers", str(folder / "set.toml"), "--vertical", "z"]
+
+
+def test_limbs_that_tell_too_little_are_named_in_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(0)
+    thigh, shank = rng.normal(0, 0.1, (2, 4, 3))
+    turns = np.linspace(0, 1, 30)
+    turned = np.array([shank @ np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]]) for a in turns])
+    good = np.concatenate([np.tile(thigh, (30, 1, 1)), turned], axis=1)
+    line, few, half = good.copy(), good.copy(), good.copy()
+    line[:, :4] = np.linspace(0, 0.3, 4)[:, None] * np.ones(3)
+    few[:, :2] = np.nan
+    half[:18, 5] = np.nan
+    still = np.tile(good[:1], (30, 1, 1))
+    cases = [
+        (line, 2, "thigh: the limb's points lie in a line"),
+        (few, 2, "at most 2 of the limb's points are present"),
+        (half, 0, "1 points are missing in more than half of the frames (P6)"),
+        (still, 1, "turns by 0.0 degrees at most"),
+    ]
+    for number, (points, status, sentence) in enumerate(cases):
+        assert main(_of_limbs(points, tmp_path, f"case{number}.csv")) == status, sentence
+        lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("asterism: ")]
+        assert sum(sentence in line for line in lines) == 1, (sentence, lines)

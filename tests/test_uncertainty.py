@@ -97,7 +97,7 @@ def test_first_order_is_what_many_trials_give_for_noise_and_says_where_it_does_n
     assert 0.85 < np.median(ratio) < 1.15
     assert joint.first_order.holds is not None and joint.first_order.holds.mean() > 0.8
     wild = estimate_uncertainty(
-        analysis, replace(NOTHING, noise=MeasurementNoise(0.2)), rules=MonteCarloRules(block=2, most=2), budget_trials=150, reassign=False
+        analysis, replace(NOTHING, noise=MeasurementNoise(0.2)), rules=MonteCarloRules(block=2, most=2), budget_trials=60, reassign=False
     )
     assert wild.joints[0].first_order.holds is not None and wild.joints[0].first_order.holds.mean() < 0.6
     assert "motion-not-linear" in {finding.code for finding in wild.findings}
@@ -113,12 +113,12 @@ def test_twice_the_noise_is_twice_the_uncertainty_to_first_order() -> None:
 
 def test_each_source_adds_to_its_part_of_the_budget_only() -> None:
     placed = replace(NOTHING, placement=PlacementErrors(0.02))
-    joint = estimate_uncertainty(analysed(), placed, rules=MonteCarloRules(block=50, most=100), budget_trials=100).joints[0]
+    joint = estimate_uncertainty(analysed(), placed, rules=MonteCarloRules(block=2, most=2), budget_trials=100).joints[0]
     assert joint.budget["placement"].min() > np.radians(1.0)
     assert np.nanmax(joint.angle_budget["placement"]) < 1e-9, "landmarks do not change the angle since a frame"
     assert np.nanmax(joint.budget["cameras"]) < 1e-9 and np.nanmax(joint.budget["soft tissue"]) < 1e-9
     soft = replace(NOTHING, soft_tissue=SoftTissueErrors())
-    joint = estimate_uncertainty(analysed(), soft, rules=MonteCarloRules(block=50, most=100), budget_trials=100).joints[0]
+    joint = estimate_uncertainty(analysed(), soft, rules=MonteCarloRules(block=2, most=2), budget_trials=100).joints[0]
     bent = joint.joint.angle > 0.7 * joint.joint.angle.max()
     assert joint.angle_budget["soft tissue"][bent].mean() > 3 * joint.angle_budget["soft tissue"][joint.joint.angle < 0.1].mean()
 

@@ -27,7 +27,7 @@ class LabelViewsOptions:
         Path, typer.Option("--output", "-o", metavar="FILE", help="The labelled trajectories: .c3d, .trc, .csv, ...", show_default=False)
     ]
     height: Annotated[float | None, typer.Option(metavar="M", help="The person's height, if known.", show_default=False)] = None
-    least_confidence: Annotated[float, typer.Option(metavar="P", min=0.0, max=1.0, help="Labels less probable are not given.")] = 0.5
+    least_confidence: Annotated[float, typer.Option(metavar="P", min=0.0, max=1.0, help="Labels less probable are not given.")] = 0.9
     min_cameras: Annotated[int, typer.Option(metavar="N", min=1, help="Cameras that must show a marker that is written.")] = 1
     most_deviation: Annotated[
         float | None, typer.Option(metavar="MM", help="Leave out places less exact than this.", show_default=False)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from asterism.cli import _console
+from asterism.cli import _clinical, _console
 from asterism.cli._command import takes
 from asterism.cli._options import Files, Json, Markers, Overwrite, Report, Seed, Vertical, Workers
 from asterism.cli.segment import LimbCount, read_points
@@ -17,8 +17,9 @@ from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
     from asterism.motion.analysis import MotionAnalysis
+    from asterism.motion.clinical import ClinicalAngles
     from asterism.motion.uncertainty import ErrorSources, UncertaintyResult
-    from asterism.recording import Recording
+    from asterism.recording import Floats, Recording
 
 
 class LimbMethod(StrEnum):
@@ -47,6 +48,14 @@ class MotionOptions:
     markers: Markers = None
     method: Annotated[LimbMethod, typer.Option("--method", help="How points are weighed: see docs/motion.md.")] = LimbMethod.ROBUST
     joints: Annotated[JointMethod, typer.Option("--joints", help="How joint centres are found.")] = JointMethod.SCORE
+    anatomy: Annotated[
+        bool | None,
+        typer.Option(
+            "--anatomy/--no-anatomy",
+            help="Clinical angles of hip, knee and ankle. By itself where Helen Hayes or Plug-in-Gait markers are there.",
+            show_default=False,
+        ),
+    ] = None
     uncertainty: Annotated[bool, typer.Option("--uncertainty", help="Also say how uncertain each angle is, by Monte Carlo.")] = False
     trials: Annotated[int, typer.Option("--trials", metavar="N", min=10, help="Monte Carlo trials at most.")] = 1000
     rig: Annotated[
@@ -76,13 +85,24 @@ class MotionOptions:
     json: Json = None
 
 
+@dataclass(frozen=True)
+class Result:
+    """What was found in one file."""
+
+    path: Path
+    analysis: MotionAnalysis
+    certain: UncertaintyResult | None
+    clinical: ClinicalAngles | None
+
+
 @takes(MotionOptions)
 def motion(options: MotionOptions) -> None:
     """Find limbs, joints and joint angles, and how certain these are.
 
     From the points' trajectories alone, or by the segments of a marker set (--markers). Angles count from the first frame in which both
     limbs are seen. With --uncertainty each angle gets intervals at 65 and 95 %, and a budget: what cameras, soft tissue and misplaced
-    landmarks add.
+    landmarks add. Where the markers of Helen Hayes or Plug-in-Gait are seen, flexion, adduction and rotation of hip, knee and ankle are
+    given too, of both sides.
     """
     from asterism.cli._folders import recordings_of
     from asterism.motion.analysis import MotionRules, analyse_motion
@@ -91,20 +111,21 @@ def motion(options: MotionOptions) -> None:
     if options.covariance is not None and options.rig is None:
         raise AsterismError("--covariance belongs to a rig; give its file with --rig.")
     batch = _console.Batch("analysed")
-    results: list[tuple[Path, MotionAnalysis, UncertaintyResult | None]] = []
+    results: list[Result] = []
     rules = MotionRules(method=options.method.value, joint_method=options.joints.value)
     for path in recordings_of(options.files, batch):
         with batch.file(path):
             recording = read_points(path, options.vertical, batch)
-            limbs = _limbs(options, recording)
+            limbs, clinical = _limbs(options, recording), _clinical.find(recording, options.anatomy)
             with _console.progress("motion") as progress:
                 analysis = analyse_motion(recording, limbs, rules=rules, progress=progress)
                 certain = _uncertainty(options, analysis, progress) if options.uncertainty else None
             for finding in [*analysis.findings, *(certain.findings if certain else ())]:
                 batch.found(finding)
-            results.append((path, analysis, certain))
+            results.append(Result(path, analysis, certain, clinical))
             if options.json != "-":
                 show(path, analysis, certain)
+                _clinical.show(path, clinical)
     if not results:
         raise typer.Exit(batch.close())
     if options.output is not None:
@@ -112,11 +133,12 @@ def motion(options: MotionOptions) -> None:
     if options.report is not None:
         from asterism.report.motion import motion_report
 
-        motion_report(options.report, [(path.name, analysis, certain) for path, analysis, certain in results])
+        shown = [(one.path.name, one.analysis, one.certain) for one in results]
+        motion_report(options.report, shown, clinical=[one.clinical for one in results])
     content = {
         "command": "motion",
         "seed": options.seed,
-        "files": [{"file": path, **as_dict(analysis, certain)} for path, analysis, certain in results],
+        "files": [{"file": one.path, **as_dict(one.analysis, one.certain), **_clinical.as_dict(one.clinical)} for one in results],
         "failed": batch.failed,
         "findings": [finding.to_dict() for finding in batch.findings],
     }
@@ -250,8 +272,8 @@ def as_dict(analysis: MotionAnalysis, certain: UncertaintyResult | None) -> dict
     return {"frames": len(analysis.recording), "limbs": limbs, "joints": joints, "log": log, **trials}
 
 
-def _write_angles(target: Path, results: list[tuple[Path, MotionAnalysis, UncertaintyResult | None]]) -> None:
-    """A CSV table, a row for each file, joint and frame."""
+def _write_angles(target: Path, results: list[Result]) -> None:
+    """A CSV table, a row for each file, joint and frame; clinical angles have no angle since a frame, but adduction and rotation."""
     import csv
     import io
 
@@ -261,16 +283,30 @@ def _write_angles(target: Path, results: list[tuple[Path, MotionAnalysis, Uncert
 
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    wide = any(certain is not None for _, _, certain in results)
+    wide = any(one.certain is not None for one in results)
     ends = ["angle_low95_deg", "angle_high95_deg", "flexion_low95_deg", "flexion_high95_deg"] if wide else []
-    rows.writerow(["file", "joint", "time_s", "angle_deg", "flexion_deg", *ends])
-    for path, analysis, certain in results:
-        for number, joint in enumerate(analysis.angles):
-            columns = [joint.angle, joint.flexion]
-            if certain is not None:
-                one = certain.joints[number]
-                columns += [*one.angle_intervals[0.95], *one.flexion_intervals[0.95]]
-            for time, *values in zip(analysis.recording.times, *columns, strict=True):
+    clinical = any(one.clinical is not None for one in results)
+    rows.writerow(["file", "joint", "time_s", "angle_deg", "flexion_deg", *ends, *(["adduction_deg", "rotation_deg"] if clinical else [])])
+    for one in results:
+        times = one.analysis.recording.times
+        nothing = np.full(len(times), np.nan)
+        blocks = [
+            (joint.name, [joint.angle, joint.flexion, *_ends(one.certain, number), *([nothing, nothing] if clinical else [])])
+            for number, joint in enumerate(one.analysis.angles)
+        ]
+        for leg in one.clinical.joints if one.clinical is not None else ():
+            flexion, *others = leg.angles.T
+            blocks.append((leg.name, [nothing, flexion, *[nothing] * len(ends), *others]))
+        for name, columns in blocks:
+            for time, *values in zip(times, *columns, strict=True):
                 shown = ["" if np.isnan(value) else f"{np.degrees(value):.4f}" for value in values]
-                rows.writerow([str(path), joint.name, f"{time:.4f}", *shown])
+                rows.writerow([str(one.path), name, f"{time:.4f}", *shown])
     write_atomically(target, text.getvalue().encode())
+
+
+def _ends(certain: UncertaintyResult | None, number: int) -> list[Floats]:
+    """The ends of the 95 % intervals of a joint's angle and flexion."""
+    if certain is None:
+        return []
+    joint = certain.joints[number]
+    return [*joint.angle_intervals[0.95], *joint.flexion_intervals[0.95]]

@@ -10,10 +10,12 @@ import numpy as np
 
 from asterism.recording import Floats, Recording
 from asterism.report import figures
+from asterism.report.motion_angles import clinical_section, methods_section
 from asterism.report.page import NOTHING, Cell, Page, Section, Table, write_page
 
 if TYPE_CHECKING:
     from asterism.motion.analysis import JointAngles, MotionAnalysis
+    from asterism.motion.clinical import ClinicalAngles
     from asterism.motion.segmentation import Segmentation
     from asterism.motion.uncertainty import AngleUncertainty, UncertaintyResult
 
@@ -57,9 +59,16 @@ def motion_report(
     results: Sequence[tuple[str, MotionAnalysis, UncertaintyResult | None]],
     *,
     title: str = "Motion: limbs, joints and angles",
+    clinical: Sequence[ClinicalAngles | None] = (),
 ) -> None:
-    """Write an HTML page on analysed recordings (name, analysis, uncertainty or None). Raises AsterismError where it cannot be written."""
-    sections = [section for name, analysis, certain in results for section in _sections(name, analysis, certain)]
+    """Write an HTML page on analysed recordings (name, analysis, uncertainty or None), and their clinical angles, if any.
+
+    Raises AsterismError where it cannot be written.
+    """
+    sections = []
+    for number, (name, analysis, certain) in enumerate(results):
+        of_legs = clinical[number] if number < len(clinical) else None
+        sections += [*([clinical_section(name, analysis.recording.times, of_legs)] if of_legs else []), *_sections(name, analysis, certain)]
     joints = sum(len(analysis.angles) for _, analysis, _ in results)
     merits = [(str(sum(len(analysis.names) for _, analysis, _ in results)), "limbs", ""), (str(joints), "joints", "")]
     widths = [float(np.degrees(np.nanmax(one.angle_standard))) for _, _, certain in results if certain for one in certain.joints]
@@ -87,7 +96,7 @@ def _sections(name: str, analysis: MotionAnalysis, certain: UncertaintyResult | 
         sections.append(_angle_section(name, analysis, joint, one))
         if one is not None:
             sections.append(_budget_section(joint, one, analysis.recording.times))
-    return sections
+    return [*sections, *methods_section(name, analysis)]
 
 
 def points_figure(

@@ -115,14 +115,16 @@ def label_views(
     *,
     height: float | None = None,
     rules: ViewsRules = RULES,
-    least_confidence: float = 0.5,
+    least_confidence: float = 0.9,
     progress: Progress | None = None,
 ) -> ViewsLabelling:
     """Label the blobs of a recording with a body model, frame after frame, and place every marker that a camera shows.
 
-    The body is sought in the first frame with any heading, size and place, and followed from frame to frame; where it is lost it is
-    sought anew. Before that some frames show where on this person the markers sit (`ViewsRules.personal`). Labels that are less probable
-    than `least_confidence` are not given. A frame whose blobs the body does not explain gets no label at all.
+    The body is sought with any heading, size and place, followed from frame to frame in both directions of time, and compared every
+    `ViewsRules.turn_frames` frames with the body that is found without a start; the better explanation of the frames wins, and the other
+    one lowers the confidence of the labels in which they differ. Where the body is lost it is sought anew. Before that some frames show
+    where on this person the markers sit (`ViewsRules.personal`). Labels that are less probable than `least_confidence` are not given. A
+    frame whose blobs the body does not explain gets no label at all.
 
     rig     calibrated cameras with the blobs' names and a vertical
     body    a body model, the name of a shipped one, or a file
@@ -136,7 +138,7 @@ def label_views(
     scene = scene_of(blobs, rig)
     labeller = FrameLabeller(scene, body, rules, None if height is None else height / body.height)
     if rules.personal and len(blobs):
-        labeller = replace(labeller, body=personal_body(labeller), size=None)
+        labeller = _for_person(labeller)
     track = _Track(labeller, body)
     track.run(progress)
     result = track.result(least_confidence)
@@ -146,6 +148,12 @@ def label_views(
     if checks.is_other_body(result):
         result = _withdrawn(result)
     return replace(result, findings=tuple(checks.findings(result, misfits)))
+
+
+def _for_person(labeller: FrameLabeller) -> FrameLabeller:
+    """The labeller with the person's own body, which has its size; as it is where nothing is learned."""
+    own = personal_body(labeller)
+    return labeller if own is labeller.body else replace(labeller, body=own, size=None)
 
 
 def _without(
@@ -159,7 +167,7 @@ def _without(
     labeller = FrameLabeller(scene, body, rules, None if height is None else height / body.height)
     enough = left >= 2 and 2 * left >= int(seeing.sum())
     if enough and rules.personal:
-        labeller = replace(labeller, body=personal_body(labeller), size=None)
+        labeller = _for_person(labeller)
     track = _Track(labeller, body)
     track.run()
     few = track.result(least_confidence)
@@ -220,7 +228,8 @@ class _Track:
             if found is None:
                 continue
             first, last = scene.blobs.offsets[t * cameras], scene.blobs.offsets[(t + 1) * cameras]
-            sure = rules.confidence(found.labels.worth, found.quality, found.leads)
+            sights = np.bincount(found.labels.labels[found.labels.labels >= 0], minlength=markers)
+            sure = rules.confidence(found.labels.worth, sights[found.labels.labels] < 2, found.leads)
             given = (found.labels.labels >= 0) & (sure >= least_confidence)
             confidence[first:last] = np.where(found.labels.labels >= 0, sure, 0.0)
             if found.quality < rules.lost:

@@ -21,7 +21,7 @@ class PersonalRules:
     """How a person's own body is learned from the blobs. Chosen on simulated walks, on none of the recordings.
 
     frames        frames that are labelled for it, evenly spread
-    least_frames  frames with a marker in two cameras that are needed to move it
+    least_frames  frames with a marker in two cameras that are needed to move it; twice as many frames with the body are needed in all
     least_found   a marker with fewer of its expected blobs is thought to sit elsewhere, and sought within
     astray        m of its place
     least_spread  m, of a marker's place on its own person, beside what is seen of it
@@ -43,13 +43,15 @@ def personal_body(labeller: FrameLabeller, rules: PersonalRules = PERSONAL) -> B
     """The body of the person whose blobs these are: the model where nothing is learned. O(frames) labellings.
 
     Places of the markers that two cameras show are medians over frames, in the axes of their bones. A marker that is hardly found where the
-    model has it is sought in a wider surrounding first: wands and clusters sit elsewhere on other people.
+    model has it is sought in a wider surrounding first: wands and clusters sit elsewhere on other people. The person's body is taken only
+    if what every second frame gives explains the other frames better than the model does, both ways round.
     """
+    general = labeller.body
     frames = _spread(labeller, rules.frames)
     found = _labelled(labeller, frames)
     good = [t for t, each in found.items() if quality_of(labeller, each) >= rules.quality]
-    if len(good) < rules.least_frames:
-        return labeller.body
+    if len(good) < 2 * rules.least_frames:
+        return general
     astray = _astray(labeller, found, good, rules)
     if astray.any():
         body = labeller.body
@@ -59,7 +61,25 @@ def personal_body(labeller: FrameLabeller, rules: PersonalRules = PERSONAL) -> B
         )
         labeller = replace(labeller, body=replace(body, markers=wider))
         found = {t: labeller.from_start(t, found[t].pose, found[t].rotation) for t in good}
-    return _with_own_places(labeller.body, [found[t] for t in good], [_views(labeller, t, found[t]) for t in good], rules)
+    for learned, unused in ((good[::2], good[1::2]), (good[1::2], good[::2])):
+        if not _is_better(labeller, _learned(labeller, found, learned, rules), [found[t] for t in unused], unused):
+            return general
+    return _learned(labeller, found, good, rules)
+
+
+def _learned(labeller: FrameLabeller, found: dict[int, FrameLabels], frames: list[int], rules: PersonalRules) -> BodyModel:
+    return _with_own_places(labeller.body, [found[t] for t in frames], [_views(labeller, t, found[t]) for t in frames], rules)
+
+
+def _is_better(labeller: FrameLabeller, own: BodyModel, found: list[FrameLabels], frames: list[int]) -> bool:
+    """Whether a person's body explains frames that were not used for it better than the model does."""
+    personal = replace(labeller, body=own, size=None)
+    gain = 0.0
+    for t, each in zip(frames, found, strict=True):
+        pose = each.pose.copy()
+        pose[:PLACE] = 1.0
+        gain += personal.from_start(t, pose, each.rotation).gain - each.gain
+    return gain > 0.0
 
 
 def quality_of(labeller: FrameLabeller, found: FrameLabels) -> float:

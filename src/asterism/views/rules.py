@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.recording import Floats
 from asterism.views.arrays import Observing
@@ -45,6 +46,13 @@ class ViewsRules:
     least_shown   share of the expected sightings that must be there, or the body counts as lost too
     longest_wait  frames until a body that was not found is sought again, at most
     slope, offset  of the logistic that turns the worth of a label (nats) into its probability
+    single        what is added to its offset where no other camera has a blob of the marker
+    lead_slope    of the logistic that turns the lead of a frame over another explanation (nats) into a probability
+
+    The last four are the most likely ones for 91371 labels, 185 of them wrong, of 72 simulated recordings: 36 people of 12 seeds, 90 frames
+    each, before two and before three cameras, with the mean body of four other simulated people. With constants from one half of the seeds
+    the labels of the other half were right as often as said: 0.916 of 369 labels at 0.90 to 0.95, 0.987 of 1424 at 0.98 to 0.99, 0.9968 of
+    6889 at 0.995 to 0.999, 0.9999 of 79335 above.
     """
 
     noise: float = 0.8
@@ -77,14 +85,20 @@ class ViewsRules:
     lost: float = 3.0
     least_shown: float = 0.65
     longest_wait: int = 32
-    slope: float = 0.5
-    offset: float = 1.0
+    slope: float = 0.75
+    offset: float = 1.4
+    single: float = -1.04
+    lead_slope: float = 0.48
 
-    def confidence(self, worth: Floats, quality: float, leads: Floats) -> Floats:
-        """(N,) the probability that labels are right, by their worth (N,) nats, the frame's quality and its lead over a rival (nats)."""
-        raw = 1.0 / (1.0 + np.exp(-np.clip(self.slope * worth + self.offset, -30.0, 30.0)))
-        whole = 1.0 / (1.0 + np.exp(-np.clip(leads, -30.0, 30.0)))
-        share: Floats = raw * whole
+    def confidence(self, worth: Floats, single: NDArray[np.bool_], leads: Floats) -> Floats:
+        """(N,) the probability that labels are right.
+
+        worth (N,) nats beyond the best change of the label; single (N,) whether no other camera has a blob of the marker; leads (N,) nats
+        beyond the best other explanation of the frame that labels the blob otherwise, inf where none does. O(N).
+        """
+        own = _logistic(self.slope * worth + self.offset + self.single * single)
+        whole = _logistic(self.lead_slope * np.minimum(leads, 1e3))
+        share: Floats = own * whole
         return share
 
     def observing(self, area: float) -> Observing:
@@ -93,6 +107,11 @@ class ViewsRules:
         return Observing(
             self.noise, max(self.strays, 0.2) / area, doubt, self.softness, self.hidden, self.shown, self.clearance, 40.0, False
         )
+
+
+def _logistic(x: Floats) -> Floats:
+    out: Floats = 1.0 / (1.0 + np.exp(-np.clip(x, -30.0, 30.0)))
+    return out
 
 
 RULES = ViewsRules()

@@ -1,0 +1,137 @@
+"""Clinical angles, and one joint by all methods; sections of the page on motion."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asterism.recording import Floats
+from asterism.report import figures
+from asterism.report.page import NOTHING, Cell, Section, Table
+
+if TYPE_CHECKING:
+    from asterism.motion.analysis import JointAngles, MotionAnalysis
+    from asterism.motion.clinical import ClinicalAngles
+
+_SIDE_COLOURS = {"left": "#d1495b", "right": "#3a9d5d"}
+"""Red and green, as gait laboratories draw them."""
+_GAPS = (0.06, 0.1)
+"""Space between the rows and between the columns of small figures, shares of the whole."""
+
+
+def clinical_section(name: str, times: Floats, clinical: ClinicalAngles) -> Section:
+    """Flexion, adduction and rotation of hip, knee and ankle over time, left and right in one small figure each."""
+    from asterism.motion.clinical import CLINICAL
+
+    joints = list(dict.fromkeys(joint.joint for joint in clinical.joints))
+    data: list[dict[str, object]] = []
+    layout: dict[str, object] = {}
+    for row, joint in enumerate(joints):
+        for column, angle in enumerate(CLINICAL):
+            cell = row * len(CLINICAL) + column + 1
+            x, y = (axis + (str(cell) if cell > 1 else "") for axis in "xy")
+            known = False
+            for one in (each for each in clinical.joints if each.joint == joint):
+                values = one.angles[:, column]
+                if not np.isfinite(values).any():
+                    continue
+                known = True
+                data.append(
+                    {
+                        "type": "scatter", "mode": "lines", "name": one.side, "legendgroup": one.side, "showlegend": cell == 1,
+                        "x": list(times), "y": np.round(np.degrees(values), 3), "xaxis": x, "yaxis": y,
+                        "line": {"color": _SIDE_COLOURS[one.side], "width": 2},
+                        "hovertemplate": one.name + " " + angle + " %{x:.2f} s: %{y:.1f}°<extra></extra>",
+                    }
+                )  # fmt: skip
+            if known:
+                last = row == len(joints) - 1 or (row == len(joints) - 2 and joints[-1] == "ankle" and angle == "adduction")
+                layout |= _axes(cell, (row, len(joints)), (column, len(CLINICAL)), f"{joint} {angle} (°)", last)
+    measured = sorted({measure for one in clinical.measures.values() for measure in one.from_file})
+    taken = f"Measures from the file: {', '.join(measured).replace('_', ' ')}." if measured else "The file has no measures: an adult's."
+    return Section(
+        f"{name}: clinical angles",
+        "Of Grood and Suntay, by the markers of Helen Hayes or Plug-in-Gait. Flexion, adduction and internal rotation are positive.",
+        figure=figures.figure(data, height=230 * len(joints) + 40, **layout),
+        note=f"{taken} The foot is a line from ankle to toe, which tells no adduction.",
+    )
+
+
+def _axes(cell: int, row: tuple[int, int], column: tuple[int, int], title: str, last: bool) -> dict[str, object]:
+    """The two axes of a small figure in a grid: row and column as (place, number of places)."""
+    number = str(cell) if cell > 1 else ""
+    high, wide = ((1 - gap * (count - 1)) / count for gap, (_, count) in zip(_GAPS, (row, column), strict=True))
+    left, top = column[0] * (wide + _GAPS[1]), 1 - row[0] * (high + _GAPS[0])
+    below = {"title": {"text": "time (s)"}} if last else {}
+    return {
+        f"xaxis{number}": {"domain": [left, left + wide], "anchor": f"y{number}", **below},
+        f"yaxis{number}": {"domain": [max(top - high, 0.0), top], "anchor": f"x{number}", "title": {"text": title}},
+    }
+
+
+def methods_section(name: str, analysis: MotionAnalysis) -> list[Section]:
+    """The angle of the joint that turns most, by every method of `estimate_limb_motion`, and how far each is from the one in use."""
+    if not analysis.angles:
+        return []
+    joint = max(analysis.angles, key=lambda one: float(np.nanmax(one.angle)))
+    angles, rejected = angles_by_method(analysis, joint)
+    used = analysis.motions[joint.parent].method
+    times = analysis.recording.times
+    data: list[dict[str, object]] = []
+    rows: list[list[str | Cell]] = []
+    for place, (method, angle) in enumerate(angles.items()):
+        line = {"color": figures.PALETTE[place], "width": 3 if method == used else 1.5}
+        flat: dict[str, object] = {
+            "type": "scatter",
+            "mode": "lines",
+            "name": method,
+            "legendgroup": method,
+            "x": list(times),
+            "line": line,
+        }
+        hover = {"hovertemplate": method + " %{x:.2f} s: %{y:.2f}°<extra></extra>"}
+        data.append({**flat, **hover, "y": np.round(np.degrees(angle), 3)})
+        apart = np.degrees(angle - angles[used])
+        if method != used:
+            data.append({**flat, **hover, "y": np.round(apart, 4), "yaxis": "y2", "showlegend": False})
+        rows.append([method, *_differences(apart, method == used), f"{100 * rejected[method]:.1f}"])
+    upper = {"title": {"text": "angle (°)"}, "ticksuffix": "°", "domain": [0.45, 1]}
+    lower = {"title": {"text": f"minus {used} (°)"}, "ticksuffix": "°", "domain": [0, 0.37], "anchor": "x"}
+    across = {"title": {"text": "time (s)"}, "anchor": "y2"}
+    return [
+        Section(
+            f"{name}: {joint.name} by each method",
+            f"The joint that turns most, its limbs' points weighed in five ways. Below: how far each is from {used}, which this page uses.",
+            figure=figures.figure(data, height=560, xaxis=across, yaxis=upper, yaxis2=lower),
+            table=Table(["method", "mean difference, °", "largest, °", "weights below half the mean, %"], rows),
+            note="Methods that agree may err together: skin that moves as one with a limb leaves no trace in any of them.",
+        )
+    ]
+
+
+def angles_by_method(analysis: MotionAnalysis, joint: JointAngles) -> tuple[dict[str, Floats], dict[str, float]]:
+    """By method: the angle of one joint (T,) rad since the frame from which `joint` counts, and how many of its weights, as a share, are
+    below half the mean.
+
+    Runs `estimate_limb_motion` on two limbs for each method that `analysis` did not use.
+    """
+    from asterism.motion.analysis import joint_angles
+    from asterism.motion.rigid import METHODS, estimate_limb_motion
+
+    pair = (joint.parent, joint.child)
+    angles, rejected = {}, {}
+    for method in METHODS:
+        one, other = [
+            own if own.method == method else estimate_limb_motion(analysis.recording.positions[:, analysis.limb_of == limb], method)
+            for limb, own in ((limb, analysis.motions[limb]) for limb in pair)
+        ]
+        angles[method] = joint_angles(one, other, pair, joint.name).angle
+        counted = [each.rejected[np.isfinite(each.residuals)] for each in (one, other)]
+        rejected[method] = float(np.concatenate(counted).mean())
+    return angles, rejected
+
+
+def _differences(apart: Floats, own: bool) -> list[str | Cell]:
+    known = np.abs(apart[np.isfinite(apart)])
+    return [NOTHING, NOTHING] if own or not len(known) else [f"{known.mean():.2f}", f"{known.max():.2f}"]
