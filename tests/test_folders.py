@@ -188,6 +188,9 @@ def test_a_laboratorys_folder_is_labelled_as_it_is(lab: Path, tmp_path: Path, ca
     assert [Path(name).name for name in content["passed_over"]] == ["angles.mot"]
     for row in content["files"]:
         assert np.mean([marker["labelled"] for marker in row["markers"].values()]) == pytest.approx(row["labelled"])
+    ready = {row["readiness"]: row["use"] for row in content["files"]}
+    assert ready["ready"] == "ready" and {"ready", "look", "do-not-use"} >= set(ready)
+    assert "use" in shown.out and " ready" in shown.out
     plain = tmp_path / "plain"
     assert run("label", lab / "lab", "-m", lab / "walks.model", "-o", plain, "--no-static", "--json", tmp_path / "plain.json") == 1
     assert {row["subject"] for row in json.loads((tmp_path / "plain.json").read_text())["files"]} == {None}

@@ -117,8 +117,10 @@ def test_clean_files_are_not_written(folder: Path, capsys: pytest.CaptureFixture
     assert not (folder / "out").exists() and "no error" in capsys.readouterr().out
 
 
-def test_two_files_of_one_name_are_refused_by_name(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (folder / "other").mkdir()
-    (folder / "other" / "Ann.c3d").write_bytes((folder / "Ann" / "Ann.c3d").read_bytes())
-    status = main(["mend", str(folder / "Ann" / "Ann.c3d"), str(folder / "other" / "Ann.c3d"), "-o", str(folder / "out")])
-    assert status == 1 and "mend them into two folders" in capsys.readouterr().err
+def test_a_tree_is_mended_into_a_tree(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for person in PEOPLE:
+        (folder / person / f"{person}.c3d").rename(folder / person / "walk.c3d")
+    assert main(["mend", str(folder), "--markers", "helen-hayes", "-o", str(folder / "out")]) == 0
+    assert [path.relative_to(folder / "out") for path in (folder / "out").rglob("*.c3d")] == [Path("Cem", "walk.c3d")]
+    assert main(["mend", str(folder), "--markers", "helen-hayes", "-o", str(folder / "out")]) == 1
+    assert "replace it with --overwrite" in capsys.readouterr().err

@@ -148,6 +148,16 @@ def test_several_files_are_summed_up_by_their_frames(tmp_path: Path, walk: Recor
     assert re.search(r"\b80\s*frames per second", page.text)  # 400 frames in 3 s + 2 s
 
 
+def test_the_table_of_files_says_which_can_be_used(tmp_path: Path, walk: Recording) -> None:
+    shares = {"frames": 100, "labelled": 1.0, "unsure": 0.0, "hidden": 0.0, "frames_per_second": 100.0}
+    files = [
+        {"file": "a.c3d", **shares, "verdict": "fits", "readiness": "ready", "use": "ready"},
+        {"file": "b.c3d", **shares, "verdict": "other person or movement", "readiness": "look", "use": "look at 3"},
+    ]
+    rows = make_label_page(tmp_path / "page.html", walk, files=files).table("file")
+    assert rows["a.c3d"][0] == "ready" and rows["b.c3d"][0] == "look at 3, other person or movement"
+
+
 # What every page is
 
 

@@ -190,3 +190,14 @@ def test_an_existing_file_is_not_replaced(tmp_path: Path, capsys: pytest.Capture
     assert answered(tmp_path, [file], table) == 2
     assert "exists; choose another folder with -o, or replace it with --overwrite" in capsys.readouterr().err
     assert answered(tmp_path, [file], table, "--overwrite") == 0
+
+
+def test_a_folder_is_corrected_into_a_tree(tmp_path: Path, walk: tuple[Recording, list[str]]) -> None:
+    [file] = written(tmp_path)
+    rows = questions(tmp_path, [file])[:1]
+    rows[0]["answer"] = walk[1][walk[0].labels.index(rows[0]["point"].lstrip("'"))]
+    table = filled(tmp_path / "answers.csv", rows)
+    (tmp_path / "lab" / "Ann").mkdir(parents=True)
+    file.rename(tmp_path / "lab" / "Ann" / file.name)
+    assert answered(tmp_path, [tmp_path / "lab"], table) == 0
+    assert (tmp_path / "out" / "Ann" / file.name).is_file()

@@ -39,8 +39,10 @@ def guarded_reading(path: str | PathLike[str], mend: str = "export it again, or 
         raise type(problem)(f"{path}: {problem}") from problem
     except FileNotFoundError as problem:
         raise AsterismError(f"{path} does not exist; check its name and folder.") from problem
+    except IsADirectoryError as problem:
+        raise AsterismError(f"{path} is a folder; name a file in it.") from problem
     except OSError as problem:
-        raise AsterismError(f"{path} cannot be read ({problem.strerror or problem}); check it and its permissions.") from problem
+        raise AsterismError(f"{path} cannot be read ({problem.strerror or problem}); check its permissions.") from problem
     except MemoryError as problem:
         raise AsterismError(f"{path} claims to hold more than fits into the memory; it is damaged, {mend}.") from problem
     except RecursionError as problem:

@@ -13,7 +13,7 @@ from typing import Annotated
 
 import typer
 
-from asterism.cli import _console, _first_compile, calibrate, rig
+from asterism.cli import _console, _first_compile, body, calibrate, rig
 from asterism.cli._plain_values import PlainValuesCommand, PlainValuesGroup
 from asterism.errors import AsterismError
 
@@ -51,10 +51,12 @@ _EXAMPLES = {
     "convert": "asterism convert walk.c3d walk.trc",
     "detect": "asterism detect cam1.mp4 cam2.mp4 cam3.mp4 -o 2d.csv --rig rig.toml --report blobs.html",
     "reconstruct": "asterism reconstruct 2d.csv --rig rig.toml -o clouds.npz",
+    "label-views": "asterism label-views 2d.csv --rig rig.toml --body gait15 -o labelled.c3d",
 }
 """Each verb, which is a function in a module of its name, and its example."""
 _GROUPS: dict[str, tuple[str, Mapping[str, str]]] = {
     "calibrate": ("Make the rig of a set of cameras, and correct it.", calibrate.EXAMPLES),
+    "body": ("Make the model of a body, for `label-views`.", body.EXAMPLES),
     "rig": ("Show how exactly a rig measures, and where to place cameras.", rig.EXAMPLES),
 }
 """The first words of commands with two words: their help, and their commands."""
@@ -93,8 +95,15 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
 def _register(group: typer.Typer, package: str, examples: Mapping[str, str], word: str) -> None:
     """Add the verb of this name to a group of commands, or all verbs of a package where it has none of this name."""
     for verb in [word] if word in examples else examples:
-        function = getattr(import_module(f"{package}.{verb}"), verb)
-        group.command(cls=PlainValuesCommand, help=_paragraphs(function.__doc__ or ""), epilog=f"Example: {examples[verb]}")(function)
+        function = getattr(import_module(f"{package}.{_python_name(verb)}"), _python_name(verb))
+        group.command(name=verb, cls=PlainValuesCommand, help=_paragraphs(function.__doc__ or ""), epilog=f"Example: {examples[verb]}")(
+            function
+        )
+
+
+def _python_name(verb: str) -> str:
+    """The name of a verb's module and function."""
+    return verb.replace("-", "_")
 
 
 def _paragraphs(text: str) -> str:

@@ -57,13 +57,27 @@ def trials(given: Sequence[Path], batch: _console.Batch, *, without: Path | None
     clash = _clash(places)
     if clash is not None:
         first, second = (files[at][0] for at in clash)
-        raise AsterismError(f"{first} and {second} would both become {places[clash[1]]}; label them into two folders.")
+        raise AsterismError(f"{first} and {second} would both become {places[clash[1]]}; give them one after the other.")
     return [Trial(file, place, folder) for (file, folder), place in zip(files, places, strict=True)]
 
 
 def recordings_of(given: Sequence[Path], batch: _console.Batch) -> list[Path]:
     """The files that a command reads: those named, and those in the folders named; see `trials`."""
     return [trial.path for trial in trials(given, batch)]
+
+
+def outputs_of(found: Sequence[Trial], folder: Path) -> list[Path]:
+    """Where the outputs of the recordings go, below `folder`. Raises AsterismError where it is a file."""
+    if folder.exists() and not folder.is_dir():
+        raise AsterismError(f"{folder} is a file; -o takes the folder for the outputs.")
+    return [folder / trial.place for trial in found]
+
+
+def check_output(path: Path, target: Path, overwrite: bool) -> None:
+    """Raise AsterismError where the output of a file is there already and must not be replaced."""
+    if target.exists() and not overwrite:
+        what = "is the input itself" if target.samefile(path) else "exists"
+        raise AsterismError(f"{path}: {target} {what}; choose another folder with -o, or replace it with --overwrite.")
 
 
 def _clash(places: Sequence[Path]) -> tuple[int, int] | None:

@@ -113,6 +113,10 @@ Subjects = Annotated[
         show_default=False,
     ),
 ]
+SubjectName = Annotated[
+    str | None,
+    typer.Option("--subject", metavar="NAME", help="All files are of this person. Else as they say, or their folder.", show_default=False),
+]
 ForProgram = Annotated[
     Program | None,
     typer.Option(

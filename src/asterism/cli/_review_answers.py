@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from asterism.cli import _console
+from asterism.cli._folders import check_output, outputs_of, trials
 from asterism.cli._options import vertical_axis
 from asterism.errors import AsterismError
 
@@ -22,14 +23,16 @@ def correct_by_answers(options: ReviewOptions) -> int:
     from asterism.labelling.correction import read_answers
 
     assert options.answers is not None and options.output is not None
-    answers = _by_file(options.answers, read_answers(options.answers), options.files)
-    targets = _targets(options.files, options.output)
-    ensemble, batch = SolverEnsemble.load(options.model), _console.Batch("corrected")
+    batch = _console.Batch("corrected")
+    found = trials(options.files, batch, without=options.output)
+    files, targets = [trial.path for trial in found], outputs_of(found, options.output)
+    answers = _by_file(options.answers, read_answers(options.answers), files)
+    ensemble = SolverEnsemble.load(options.model)
     with _console.progress("labelling") as progress:
-        for path, target in zip(options.files, targets, strict=True):
+        for path, target in zip(files, targets, strict=True):
             with batch.file(path):
                 if progress:
-                    progress((len(batch.done) + len(batch.failed)) / len(options.files), path.name)
+                    progress((len(batch.done) + len(batch.failed)) / len(files), path.name)
                 _correct(path, target, answers.get(path, ()), ensemble, options, batch)
     return batch.close()
 
@@ -41,9 +44,7 @@ def _correct(
     from asterism.cli._recordings import not_carried, report_warnings
     from asterism.labelling.correction import Correction, touches_of
 
-    if target.exists() and not options.overwrite:
-        what = "is the input itself" if target.samefile(path) else "exists"
-        raise AsterismError(f"{path}: {target} {what}; choose another folder with -o, or replace it with --overwrite.")
+    check_output(path, target, options.overwrite)
     recording = formats.read(path, vertical=vertical_axis(options.vertical))
     report_warnings(recording, batch)
     correction = Correction(ensemble, recording, workers=options.workers)
@@ -73,15 +74,3 @@ def _by_file(table: Path, answers: Sequence[Answer], files: Sequence[Path]) -> d
             raise AsterismError(f"{table}, line {answer.line}: {answer.file[:200]} {what}; name the files as when the list was written.")
         found.setdefault(same[0], []).append(answer)
     return found
-
-
-def _targets(files: Sequence[Path], output: Path) -> list[Path]:
-    """Where each file goes. Raises AsterismError where two would go to one place, or `output` is no folder."""
-    if output.exists() and not output.is_dir():
-        raise AsterismError(f"{output} is a file; -o takes the folder for the corrected files.")
-    taken: dict[str, Path] = {}
-    for path in files:
-        other = taken.setdefault(path.name.casefold(), path)
-        if other is not path:
-            raise AsterismError(f"{other} and {path} would both become {output / path.name}; correct them into two folders.")
-    return [output / path.name for path in files]

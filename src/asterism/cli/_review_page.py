@@ -5,10 +5,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from asterism.cli import _console
+from asterism.cli._folders import Trial, outputs_of, trials
 from asterism.cli._options import vertical_axis
 
 if TYPE_CHECKING:
     from asterism.cli.review import ReviewOptions
+
+
+def _is_corrected(trial: Trial) -> bool:
+    """Whether a file of a folder is what an earlier sitting saved there."""
+    from asterism.web import CORRECTED
+
+    return trial.folder is not None and trial.path.parent.name == CORRECTED
 
 
 def serve_page(options: ReviewOptions) -> None:
@@ -19,7 +27,10 @@ def serve_page(options: ReviewOptions) -> None:
     settings = SessionOptions(
         options.model, options.output, options.log_folder, options.overwrite, vertical_axis(options.vertical), options.workers
     )
-    session = Session(options.files, SolverEnsemble.load(options.model), settings)
+    batch = _console.Batch("opened")
+    found = [trial for trial in trials(options.files, batch, without=options.output) if not _is_corrected(trial)]
+    targets = None if options.output is None else outputs_of(found, options.output)
+    session = Session([trial.path for trial in found], SolverEnsemble.load(options.model), settings, targets)
     serve(session, Place(options.host, options.port, not options.no_browser), _console.result)
     unsaved = [trial.path.name for trial in session.trials if trial.has_unsaved]
     if unsaved:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._folders import recordings_of
-from asterism.cli._options import Files, Json, Markers, Overwrite, Seed, Vertical
+from asterism.cli._options import Files, Json, Markers, Overwrite, Seed, SubjectName, Vertical
 from asterism.findings import exit_status
 
 if TYPE_CHECKING:
@@ -26,12 +26,7 @@ class AuditOptions:
 
     files: Files
     markers: Markers = None
-    subject: Annotated[
-        str | None,
-        typer.Option(
-            "--subject", metavar="NAME", help="All files are of this person. Else as they say, or their folder.", show_default=False
-        ),
-    ] = None
+    subject: SubjectName = None
     seed: Seed = 0
     vertical: Vertical = None
     overwrite: Overwrite = False

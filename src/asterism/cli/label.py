@@ -12,7 +12,7 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
-from asterism.cli._folders import Trial, trials
+from asterism.cli._folders import Trial, check_output, trials
 from asterism.cli._options import (
     DropComputed,
     Files,
@@ -182,10 +182,9 @@ class _Run:
         target = self.options.output / trial.place
         if target.exists() and not self.options.overwrite:
             row = None if target.samefile(trial.path) else self.finished.row(trial.place, trial.path, target)
-            if row is None:
-                what = "is the input itself" if target.samefile(trial.path) else "exists"
-                raise AsterismError(f"{trial.path}: {target} {what}; choose another folder with -o, or replace it with --overwrite.")
-            return _Result({**row, "file": trial.path, "output": target, "finished_before": True})
+            if row is not None:
+                return _Result({**row, "file": trial.path, "output": target, "finished_before": True})
+            check_output(trial.path, target, self.options.overwrite)
         return self._labelled(trial, target, progress)
 
     def _as_program_reads(self, trial: Trial) -> Trial:
@@ -199,6 +198,8 @@ class _Run:
         from asterism import __version__, formats
         from asterism.cli._labelling import labelled_file
         from asterism.cli._recordings import not_carried, report_warnings
+        from asterism.labelling import review
+        from asterism.labelling.correction import readiness
         from asterism.recording import label_shares
 
         options, path = self.options, trial.path
@@ -223,6 +224,7 @@ class _Run:
         lost = [*left, *formats.write(target, written, labelling=labelled.labelling, clouds=clouds)]
         for finding in not_carried(target, lost):
             self.batch.found(finding)
+        ready = readiness(labelled.labelling, clouds, review(labelled.labelling, clouds))
         row = {
             "file": path,
             "output": target,
@@ -232,6 +234,8 @@ class _Run:
             "subject": labelled.subject,
             "known_labels": None if labelled.known is None else labelled.known.value,
             "verdict": None if labelled.labelling.verdict is None else labelled.labelling.verdict.kind,
+            "readiness": ready.kind,
+            "use": ready.words,
             "frames_per_second": len(clouds) / seconds if seconds else float("nan"),
             "not_carried": lost,
         }
@@ -333,7 +337,7 @@ def _table(rows: Sequence[dict[str, Any]]) -> None:
 
     _console.table(
         f"{len(rows)} recordings",
-        ["file", "frames", "labelled", "likely", "unsure", "hidden", "standing trial", "the model"],
+        ["file", "frames", "labelled", "likely", "unsure", "hidden", "standing trial", "the model", "use"],
         [
             [
                 str(row["file"]),
@@ -341,6 +345,7 @@ def _table(rows: Sequence[dict[str, Any]]) -> None:
                 *(share(row, name) for name in ("labelled", "likely", "unsure", "hidden")),
                 Path(str(row["subject"])).name if row.get("subject") else "–",
                 str(row.get("verdict") or "–"),
+                str(row.get("use") or "–"),
             ]
             for row in rows
         ],

@@ -10,7 +10,7 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._folders import recordings_of
-from asterism.cli._options import Json, Overwrite, Vertical
+from asterism.cli._options import Json, Overwrite, SubjectName, Vertical
 from asterism.errors import AsterismError
 
 
@@ -18,10 +18,7 @@ def learn(
     model: Annotated[Path, typer.Argument(metavar="MODEL", help="The model to start from.", show_default=False)],
     files: Annotated[list[Path], typer.Argument(metavar="FILES", help="Corrected recordings, points labelled.", show_default=False)],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The model to write.", show_default=False)],
-    subject: Annotated[
-        str | None,
-        typer.Option("--subject", metavar="NAME", help="Who moves in the files. Else what each says, or its folder.", show_default=False),
-    ] = None,
+    subject: SubjectName = None,
     search_again: Annotated[bool, typer.Option("--search-again", help="Search the partial solvers anew, too; takes minutes.")] = False,
     vertical: Vertical = None,
     overwrite: Overwrite = False,

@@ -11,7 +11,8 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
-from asterism.cli._options import Files, Json, Markers, Overwrite, Seed, Vertical
+from asterism.cli._folders import check_output, outputs_of, trials
+from asterism.cli._options import Files, Json, Markers, Overwrite, Seed, SubjectName, Vertical
 from asterism.cli.audit import as_numbered, show
 from asterism.errors import AsterismError
 from asterism.findings import exit_status
@@ -28,12 +29,7 @@ class MendOptions:
     files: Files
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where the mended files go.", show_default=False)]
     markers: Markers = None
-    subject: Annotated[
-        str | None,
-        typer.Option(
-            "--subject", metavar="NAME", help="All files are of this person. Else as they say, or their folder.", show_default=False
-        ),
-    ] = None
+    subject: SubjectName = None
     seed: Seed = 0
     vertical: Vertical = None
     overwrite: Overwrite = False
@@ -101,31 +97,33 @@ class _File:
 
 def _read(options: MendOptions, marker_set: MarkerSet | None, batch: _console.Batch) -> list[_File]:
     """The files that can be read. Raises AsterismError where two would be written to one place, or none is left."""
-    from asterism import formats
+    from asterism import MarkerSet, formats
     from asterism.cli._options import vertical_axis
     from asterism.cli._recordings import report_warnings
     from asterism.labelling.training.markers import named_markers
 
     axis, files = vertical_axis(options.vertical), list[_File]()
-    for path in options.files:
-        with batch.file(path):
-            target = options.output / path.name
-            if any(target == other.target for other in files):
-                raise AsterismError(f"{path} would become {target}, as another file does; mend them into two folders.")
-            if target.exists() and (target.samefile(path) or not options.overwrite):
-                raise AsterismError(f"{path}: {target} exists; choose another folder with -o, or replace it with --overwrite.")
-            whole = formats.read(path, vertical=axis)
+    found = trials(options.files, batch, without=options.output)
+    for trial, target in zip(found, outputs_of(found, options.output), strict=True):
+        with batch.file(trial.path):
+            check_output(trial.path, target, options.overwrite)
+            whole = formats.read(trial.path, vertical=axis)
             report_warnings(whole, batch)
-            if marker_set is None:
-                audited = whole.select(named_markers(whole))
-                columns = {name: whole.labels.index(name) for name in audited.labels}
-            else:
-                audited = formats.read(path, markers=marker_set, vertical=axis)
-                columns = dict(zip(marker_set.names, marker_set.columns_of(whole.labels).tolist(), strict=True))
-            files.append(_File(path, target, whole, audited, columns))
+            names = MarkerSet(named_markers(whole)) if marker_set is None else marker_set
+            audited, columns = _audited(trial.path, whole, names)
+            files.append(_File(trial.path, target, whole, audited, columns))
     if not files:
         raise AsterismError("none of the files can be used; the reasons are above.")
     return files
+
+
+def _audited(path: Path, whole: Recording, markers: MarkerSet) -> tuple[Recording, dict[str, int]]:
+    """The markers of a set that a file has, and the column of each. Raises AsterismError where it has none, or two have one name."""
+    from asterism.formats import wanted_columns
+
+    columns, names = wanted_columns(path, whole.labels, markers)
+    there = {name: int(column) for name, column in zip(names, columns, strict=True) if column >= 0}
+    return replace(whole, positions=whole.positions[:, list(there.values())], labels=tuple(there), origin=None, source=None), there
 
 
 def _mended(file: _File, errors: Sequence[LabelError], batch: _console.Batch) -> Recording:
@@ -143,6 +141,5 @@ def _mended(file: _File, errors: Sequence[LabelError], batch: _console.Batch) ->
         batch.found(finding)
     positions = file.audited.positions.copy()
     for place, name in enumerate(file.audited.labels):
-        if file.columns[name] >= 0:
-            positions[:, place] = result.positions[:, file.columns[name]]
+        positions[:, place] = result.positions[:, file.columns[name]]
     return replace(file.audited, positions=positions)

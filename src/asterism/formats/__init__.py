@@ -20,6 +20,7 @@ from asterism.formats._dispatch import (
 )
 
 if TYPE_CHECKING:
+    from asterism.formats._columns import wanted_columns
     from asterism.formats._computed import computed_labels, without_computed
     from asterism.formats._programs import PROGRAMS, for_program
     from asterism.formats.csv_blobs import read_blobs, write_blobs
@@ -41,6 +42,7 @@ __all__ = [
     "read_confidence",
     "read_evidence",
     "read_table",
+    "wanted_columns",
     "without_computed",
     "write",
     "write_blobs",
@@ -49,6 +51,7 @@ __all__ = [
 ]
 
 _MODULE_OF = {
+    "wanted_columns": "_columns",
     **dict.fromkeys(("computed_labels", "without_computed"), "_computed"),
     **dict.fromkeys(("PROGRAMS", "for_program"), "_programs"),
     **dict.fromkeys(("read_blobs", "write_blobs"), "csv_blobs"),

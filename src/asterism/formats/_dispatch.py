@@ -290,15 +290,8 @@ def _function(name: str) -> Callable[..., Any]:
 def _kind_of(path: Path) -> str:
     """Which reader a file needs: by its content, or by its suffix where the content leaves it open."""
     suffix = path.suffix.casefold()
-    try:
-        with path.open("rb") as file:
-            head = file.read(8192)
-    except FileNotFoundError as problem:
-        raise AsterismError(f"{path} does not exist; check its name and folder.") from problem
-    except IsADirectoryError as problem:
-        raise AsterismError(f"{path} is a folder; name a file in it.") from problem
-    except OSError as problem:
-        raise AsterismError(f"{path} cannot be read ({problem.strerror or problem}); check its permissions.") from problem
+    with guarded_reading(path), path.open("rb") as file:
+        head = file.read(8192)
     if not head.strip(b"\x00 \t\r\n"):
         raise AsterismError(f"{path} is empty; export it again.")
     if head[:4] == b"PK\x03\x04":

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, guarded_reading
 from asterism.findings import Finding
 from asterism.formats._findings import frame_numbers, rate_conflict, short_rows
 from asterism.recording import Floats
@@ -24,14 +24,8 @@ _NUMBER = re.compile(r"[+-]?(\d++(\.\d*+)?|\.\d++)(e[+-]?\d++)?|[+-]?inf(inity)?
 
 def read_bytes(path: Path) -> bytes:
     """The whole file. Raises AsterismError where it cannot be read or is empty."""
-    try:
+    with guarded_reading(path):
         data = path.read_bytes()
-    except FileNotFoundError as problem:
-        raise AsterismError(f"{path} does not exist; check its name and folder.") from problem
-    except IsADirectoryError as problem:
-        raise AsterismError(f"{path} is a folder; name a file in it.") from problem
-    except OSError as problem:
-        raise AsterismError(f"{path} cannot be read ({problem.strerror or problem}); check its permissions.") from problem
     if not data.strip(b"\x00 \t\r\n"):
         raise AsterismError(f"{path} is empty; export it again.")
     return data

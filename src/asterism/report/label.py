@@ -80,8 +80,8 @@ def label_report(
     """Write an HTML page on labelled files, with each of them in 3D and over time.
 
     shown       the recordings, in the order of `files`; their truth, where it is known, adds right, wrong and missed
-    files       a mapping per file: file, frames, labelled, likely, unsure, hidden (shares 0..1), verdict, frames_per_second; what is absent
-                is counted in the recording, or shows as a dash
+    files       a mapping per file: file, frames, labelled, likely, unsure, hidden (shares 0..1), verdict, readiness, use,
+                frames_per_second; what is absent is counted in the recording, or shows as a dash
     model_info  facts for the foot of the page: model, seed, rules, ...
 
     A page of many files shows some of them with fewer frames per second, so that it stays small. Raises AsterismError where the file cannot
@@ -231,8 +231,11 @@ def _files(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Table:
 
 
 def _verdict(row: Mapping[str, Any]) -> Cell:
-    verdict = str(row.get("verdict") or NOTHING)
-    return Cell(verdict, 0.0 if verdict in (NOTHING, FITS) else 1.0, "bad" if verdict == OTHER_BODY else "warn")
+    """Whether a file can be used, and what it shows where that is not what the model knows."""
+    kind, use = row.get("verdict"), row.get("use")
+    verdict = ", ".join([*([str(use)] if use else []), *([str(kind)] if kind and not (use and kind == FITS) else [])]) or NOTHING
+    fine = kind in (None, FITS) and row.get("readiness") in (None, "ready")
+    return Cell(verdict, 0.0 if fine else 1.0, "bad" if kind == OTHER_BODY or row.get("readiness") == "do-not-use" else "warn")
 
 
 def _short_names(files: Sequence[str]) -> list[str]:

@@ -10,7 +10,7 @@ from asterism.geometry import rotate_z_up
 from asterism.labelling.correction import Change, Correction, Readiness
 from asterism.recording import label_shares
 from asterism.report import marker_bones, marker_sides
-from asterism.web.session import READY, Session, Trial
+from asterism.web.session import CORRECTED, READY, Session, Trial
 
 ITEMS = 500
 """The list is cut after so many items."""
@@ -24,7 +24,7 @@ def plain_trials(session: Session) -> dict[str, Any]:
     return {
         "trials": [_plain_trial(trial) for trial in session.trials],
         "markers_of_model": list(session.ensemble.marker_set.names),
-        "out": "corrected" if out is None else str(out),
+        "out": CORRECTED if out is None else str(out),
     }
 
 

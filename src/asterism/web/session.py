@@ -26,6 +26,10 @@ class StaleRevision(AsterismError):
     """What was asked is about labels that have changed since."""
 
 
+CORRECTED = "corrected"
+"""The folder beside a file in which it is saved, where no other is named."""
+
+
 @dataclass(frozen=True)
 class SessionOptions:
     """How a sitting works.
@@ -175,12 +179,17 @@ class Trial:
 class Session:
     """The trials of a sitting, labelled one after the other."""
 
-    def __init__(self, files: Sequence[Path], ensemble: SolverEnsemble, options: SessionOptions) -> None:
-        """Raises AsterismError where two files would be saved to one place, or the output is no folder."""
+    def __init__(
+        self, files: Sequence[Path], ensemble: SolverEnsemble, options: SessionOptions, targets: Sequence[Path] | None = None
+    ) -> None:
+        """targets: where each file is saved, by default in the folder for the corrected files, under its name.
+
+        Raises AsterismError where two files would be saved to one place, or the output is no folder.
+        """
         self.ensemble, self.options = ensemble, options
         self.listeners: list[Callable[[str, int], None]] = []
         """Called with a trial's id and revision when it has changed, from any thread."""
-        targets = _targets(files, options.output)
+        targets = _targets(files, options.output) if targets is None else targets
         self.trials = [
             Trial(str(number), path, target, options, self._changed)
             for number, (path, target) in enumerate(zip(files, targets, strict=True))
@@ -257,7 +266,7 @@ def _targets(files: Sequence[Path], output: Path | None) -> list[Path]:
     """Where each file is saved."""
     if output is not None and output.exists() and not output.is_dir():
         raise AsterismError(f"{output} is a file; -o takes the folder for the corrected files.")
-    targets = [(path.parent / "corrected" if output is None else output) / path.name for path in files]
+    targets = [(path.parent / CORRECTED if output is None else output) / path.name for path in files]
     taken: dict[str, Path] = {}
     for path, target in zip(files, targets, strict=True):
         other = taken.setdefault(str(target.absolute()).casefold(), path)

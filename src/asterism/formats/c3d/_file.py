@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, guarded_reading
 from asterism.findings import Finding
 from asterism.formats._findings import cut_off, header_conflict
 from asterism.formats.c3d._numbers import PC, PROCESSORS, Processor, Words
@@ -240,10 +240,8 @@ def numbered(parameters: Parameters, group: str, name: str) -> list[str]:
 
 def open_c3d(path: Path) -> C3DFile:
     """Parse a file. Raises AsterismError where it cannot be opened or is not a C3D file."""
-    try:
+    with guarded_reading(path):
         raw = path.read_bytes()
-    except OSError as problem:
-        raise AsterismError(f"{path} cannot be opened ({problem.strerror}); check the path and its permissions.") from problem
     return parse_c3d(raw, str(path))
 
 

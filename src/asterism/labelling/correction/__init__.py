@@ -4,7 +4,7 @@ from asterism.labelling.correction.answers import Answer, question_row, read_ans
 from asterism.labelling.correction.correct import Change, Correction, PieceChange
 from asterism.labelling.correction.event_log import CorrectionLog, log_path
 from asterism.labelling.correction.pieces import Pieces
-from asterism.labelling.correction.readiness import Readiness, ReadinessRules
+from asterism.labelling.correction.readiness import Readiness, ReadinessRules, readiness
 from asterism.labelling.correction.touches import Cut, Ghost, Name, PointInFrame, Right, Swap, SwapMarkers, Touch, request_of
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "log_path",
     "question_row",
     "read_answers",
+    "readiness",
     "request_of",
     "table_text",
     "touches_of",

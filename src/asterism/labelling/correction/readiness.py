@@ -47,6 +47,13 @@ class Readiness:
     look_at: int
     error: float
 
+    @property
+    def words(self) -> str:
+        """For a column of a table: "ready", "look at 3" or "do not use"."""
+        if self.kind == LOOK:
+            return f"look at {self.look_at}" if self.look_at else "look"
+        return "ready" if self.kind == READY else "do not use"
+
 
 def to_look_at(items: Sequence[ReviewItem], rules: ReadinessRules = _RULES) -> list[ReviewItem]:
     """The items that are worth a look, in their order."""

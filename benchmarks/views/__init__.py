@@ -1,0 +1,1 @@
+"""The issue about labelling in the images of few cameras."""

@@ -1,0 +1,8 @@
+"""`asterism body`: the verbs that make body models, one file each."""
+
+from __future__ import annotations
+
+EXAMPLES = {
+    "fit": "asterism body fit static.c3d -o body.toml",
+}
+"""Each verb, which is a function in a module of its name, and its example."""

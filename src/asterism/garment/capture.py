@@ -1,0 +1,208 @@
+"""Images of a worn garment, its pattern and a rig in; the dense trajectories of its circles, and what to know about them, out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.cameras import Rig
+from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
+from asterism.garment.dense import Circles, DensePoints, DenseRules, DenseTrajectories, dense_points, dense_trajectories
+from asterism.garment.pattern import Pattern
+from asterism.garment.surface import SurfaceRules, consistent_points
+from asterism.progress import Progress
+from asterism.recording import Ints
+
+Image = NDArray[np.uint8]
+Moment = tuple[int, Sequence[Image | None]]
+Reader = Callable[[Image], Circles]
+
+
+@dataclass(frozen=True)
+class CaptureRules:
+    """How a recording of a garment becomes points, and from when on something is worth saying.
+
+    dense, surface  of a moment's points
+    scale_frames    moments from which the common factor on the centres' standard deviations is taken, by its median
+    together        moments whose images are read side by side
+    twice           share of a camera's identities that an image shows twice, from which on a second garment is in view: reflections of
+                    single circles stay below a hundredth of that in simulation
+    unfitting       share of the identities that two cameras read and whose rays do not meet, from which on the rig is in doubt
+    coarse          factor on the centres' standard deviations from which on it is, too
+    """
+
+    dense: DenseRules = field(default_factory=DenseRules)
+    surface: SurfaceRules = field(default_factory=SurfaceRules)
+    scale_frames: int = 5
+    together: int = 4
+    twice: float = 0.02
+    unfitting: float = 0.15
+    coarse: float = 5.0
+
+
+@dataclass(frozen=True)
+class Capture:
+    """A captured garment.
+
+    trajectories  of its circles
+    frames        (T,) number of each moment
+    points        (T,) points in each
+    seen          (T,) identities that two cameras or more read in each
+    read          (T, C) identities read in each image
+    scale         factor on the centres' standard deviations that the rays' misfit asked for
+    findings      what to know before using them
+    """
+
+    trajectories: DenseTrajectories
+    frames: Ints
+    points: Ints
+    seen: Ints
+    read: Ints
+    scale: float
+    findings: tuple[Finding, ...] = ()
+
+    def summary(self) -> dict[str, Any]:
+        """Plain values, for JSON and reports."""
+        sigma = np.sqrt(np.nanmedian(self.trajectories.covariance[..., [0, 3, 5]].sum(axis=-1))) if self.points.sum() else float("nan")
+        return {
+            "frames": len(self.frames),
+            "identities": len(self.trajectories.ids),
+            "points_per_frame": float(np.median(self.points)) if len(self.points) else 0.0,
+            "of_those_seen_by_two_cameras": float(self.points.sum() / self.seen.sum()) if self.seen.sum() else 0.0,
+            "identities_read_per_image": float(self.read.mean()) if self.read.size else 0.0,
+            "sigma_m": float(sigma),
+            "scale": self.scale,
+        }
+
+
+def capture(
+    rig: Rig,
+    pattern: Pattern,
+    moments: Iterable[Moment],
+    read: Reader,
+    *,
+    rate: float = 10.0,
+    rules: CaptureRules | None = None,
+    workers: int = 1,
+    progress: Progress | None = None,
+    total: int = 0,
+) -> Capture:
+    """Read the images of each moment, and reconstruct the garment's points.
+
+    moments  number and images (h, w, 3) uint8 of each, one per camera in the rig's order, None where there is none
+    read     what one image shows; called from several threads where there are several workers
+    rate     moments per second
+    total    how many moments there are, for progress; 0: not known
+
+    The result does not depend on the number of workers. Points that the cloth contradicts are left out. Memory: the images of
+    `rules.together` moments, and the points of all. Raises AsterismError where there is no moment, or where no image shows an identity.
+    """
+    rules = rules or CaptureRules()
+    frames: list[int] = []
+    found: list[DensePoints] = []
+    counts: list[list[int]] = []
+    waiting: list[list[Circles | None]] = []
+    scale: float | None = None
+    for number, circles in _readings(moments, read, rules.together, workers):
+        frames.append(number)
+        counts.append([0 if one is None else int((np.asarray(one.ids) >= 0).sum()) for one in circles])
+        waiting.append(circles)
+        if scale is None and len(waiting) < rules.scale_frames:
+            continue
+        scale = _common_scale(rig, waiting, rules) if scale is None else scale
+        found += [_points(rig, pattern, part, rules, scale) for part in waiting]
+        waiting = []
+        if progress is not None:
+            progress(min(1.0, len(found) / total) if total else 0.0, f"frame {number}: {len(found[-1])} points")
+    if waiting:
+        scale = _common_scale(rig, waiting, rules)
+        found += [_points(rig, pattern, part, rules, scale) for part in waiting]
+    if not frames:
+        raise AsterismError("there is no image to read; name videos, or folders of images, one for each camera.")
+    read_of = np.array(counts, dtype=np.int64)
+    if not read_of.any():
+        raise AsterismError(
+            f"no circle of this garment was identified in any of {len(frames)} frames of {len(rig)} cameras; try asterism garment check on "
+            "one image, which says why."
+        )
+    points = np.array([len(one) for one in found], dtype=np.int64)
+    seen = np.array([one.seen for one in found], dtype=np.int64)
+    vertical = None if rig.vertical is None else rig.vertical
+    trajectories = dense_trajectories(found, rate, vertical)
+    findings = tuple(_findings(rig, found, read_of, scale or 1.0, rules))
+    return Capture(trajectories, np.array(frames, dtype=np.int64), points, seen, read_of, scale or 1.0, findings)
+
+
+@dataclass(frozen=True)
+class _Nothing:
+    """An image that is not there."""
+
+    centres: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
+    covariance: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2, 2)))
+    ids: NDArray[np.int32] = field(default_factory=lambda: np.empty(0, dtype=np.int32))
+
+
+def _readings(moments: Iterable[Moment], read: Reader, together: int, workers: int) -> Iterator[tuple[int, list[Circles | None]]]:
+    """What was read of each moment, in order; a few moments' images at a time, shared by the workers."""
+    waiting = iter(moments)
+    with ThreadPoolExecutor(max(1, workers)) as pool:
+        while batch := list(islice(waiting, together)):
+            images = [image for _, group in batch for image in group if image is not None]
+            done = iter(pool.map(read, images) if workers > 1 else map(read, images))
+            for number, group in batch:
+                yield number, [None if image is None else next(done) for image in group]
+
+
+def _points(rig: Rig, pattern: Pattern, circles: Sequence[Circles | None], rules: CaptureRules, scale: float) -> DensePoints:
+    filled = [_Nothing() if one is None else one for one in circles]
+    return consistent_points(dense_points(rig, filled, rules.dense, scale=scale), pattern, rules.surface)
+
+
+def _common_scale(rig: Rig, moments: Sequence[Sequence[Circles | None]], rules: CaptureRules) -> float:
+    """The median over moments of the factor on the centres' standard deviations."""
+    scales = [dense_points(rig, [_Nothing() if one is None else one for one in circles], rules.dense).scale for circles in moments]
+    return float(np.median(scales)) if scales else 1.0
+
+
+def _findings(rig: Rig, found: Sequence[DensePoints], read: Ints, scale: float, rules: CaptureRules) -> Iterator[Finding]:
+    """What speaks against a capture."""
+    names = rig.names
+    used = np.zeros(len(rig), dtype=np.int64)
+    twice = np.zeros(len(rig), dtype=np.int64)
+    for one in found:
+        twice += np.bincount(one.duplicates[:, 0], minlength=len(rig))
+        used += one.by_camera
+    for c, name in enumerate(names):
+        total = int(read[:, c].sum())
+        if total == 0:
+            sentence, mend = (
+                f"camera {name} identified no circle in {len(found)} frames.",
+                "Look at one of its images with asterism garment check.",
+            )
+            yield Finding("garment-camera-blind", Severity.WARNING, name, sentence, mend)
+        elif used[c] == 0:
+            sentence = f"camera {name} identified {total} circles, none of which another camera saw and agreed on."
+            yield Finding(
+                "garment-no-shared-circles", Severity.WARNING, name, sentence, "Place cameras so that neighbours see the same cloth."
+            )
+        if twice[c] > rules.twice * max(total, 1):
+            sentence = f"camera {name} saw {100 * twice[c] / max(total, 1):.0f} % of its identities twice in one image."
+            mend = "Have one garment of this print in view, and no mirror."
+            yield Finding("garment-seen-twice", Severity.ERROR, name, sentence, mend)
+    seen, kept = sum(one.seen for one in found), sum(len(one) for one in found)
+    if seen and (seen - kept > rules.unfitting * seen or scale > rules.coarse):
+        sentence = (
+            f"rays of {100 * (seen - kept) / seen:.0f} % of the circles do not meet, and the others miss by {scale:.1f} times their noise."
+        )
+        mend = "Check that the images were taken at one moment, and that no camera has moved since the calibration."
+        yield Finding("garment-rig-misfit", Severity.ERROR, "", sentence, mend)
+    if seen == 0:
+        mend = "Place cameras so that neighbours see the same cloth, at most 60 degrees apart."
+        yield Finding("garment-no-points", Severity.ERROR, "", "no two cameras saw the same circle, so there is no point.", mend)

@@ -1,0 +1,129 @@
+"""Images and videos of synchronised cameras in; the colour images of one moment after the other out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.calibration.boards.footage import Footage, footage_of
+from asterism.cameras import Rig
+from asterism.errors import AsterismError
+from asterism.recording import Ints
+
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class ColourFootage:
+    """What several cameras filmed together.
+
+    cameras  the footage of each
+    frames   (T,) the numbers of the moments, ascending; images with the same number were taken together
+    """
+
+    cameras: tuple[Footage, ...]
+    frames: Ints
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the cameras."""
+        return tuple(camera.name for camera in self.cameras)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def sizes(self) -> list[tuple[int, int]]:
+        """(width, height) px of each camera's first image; (0, 0) where none can be read."""
+        found = []
+        for camera in self.cameras:
+            single = ColourFootage((camera,), camera.frames)
+            first = next((images[0] for _, images in single if images[0] is not None), None)
+            found.append((0, 0) if first is None else (int(first.shape[1]), int(first.shape[0])))
+        return found
+
+    def __iter__(self) -> Iterator[tuple[int, list[Image | None]]]:
+        """Each moment's number with the image (h, w, 3) uint8, blue, green, red, of each camera; None where there is none."""
+        with ExitStack() as opened:
+            films = [_Film(camera, opened) for camera in self.cameras]
+            for number in self.frames.tolist():
+                yield number, [film.at(number) for film in films]
+
+
+class _Film:
+    """One camera's images in the order of their numbers."""
+
+    def __init__(self, camera: Footage, opened: ExitStack) -> None:
+        import cv2
+
+        self._numbers = {number: i for i, number in enumerate(camera.frames.tolist())}
+        self._images = camera.images
+        self._next = 0
+        self._video: Any = None
+        if camera.video is not None:
+            self._video = cv2.VideoCapture(str(camera.video))
+            opened.callback(self._video.release)
+
+    def at(self, number: int) -> Image | None:
+        import cv2
+
+        place = self._numbers.get(number)
+        if place is None:
+            return None
+        if self._video is None:
+            return _colour(cv2.imread(str(self._images[place]), cv2.IMREAD_COLOR))
+        image = None
+        while self._next <= place:
+            there, image = self._video.read()
+            self._next += 1
+            if not there:
+                return None
+        return _colour(image)
+
+
+def _colour(image: Any) -> Image | None:
+    if image is None or image.size == 0:
+        return None
+    return np.repeat(image[:, :, None], 3, axis=2) if image.ndim == 2 else np.ascontiguousarray(image)
+
+
+def colour_footage(paths: Sequence[str | Path], rig: Rig | None = None) -> ColourFootage:
+    """The cameras in these files and folders, see `calibration.boards.footage_of`; with a rig in its order.
+
+    Images without a number in their name are one moment if each camera has one. Raises AsterismError, naming the path, where nothing can be
+    read, or where the names of cameras are not the rig's.
+    """
+    cameras = footage_of(paths)
+    if rig is not None:
+        cameras = _in_order(cameras, rig)
+    if all(len(camera) == 1 for camera in cameras):
+        return ColourFootage(
+            tuple(Footage(c.name, c.images, c.video, np.zeros(1, dtype=np.int64), c.findings) for c in cameras), np.zeros(1, int)
+        )
+    frames = np.unique(np.concatenate([camera.frames for camera in cameras]))
+    if (frames < 0).any():
+        raise AsterismError(
+            f"camera {next(c.name for c in cameras if (c.frames < 0).any())}: some of its images have no number at the end of their names, "
+            "so it is not known which were taken together; number them."
+        )
+    return ColourFootage(tuple(cameras), frames)
+
+
+def _in_order(cameras: Sequence[Footage], rig: Rig) -> list[Footage]:
+    """The footage of the rig's cameras, in its order; each must be there."""
+    by_name = {camera.name.casefold(): camera for camera in cameras}
+    missing = [name for name in rig.names if name.casefold() not in by_name]
+    if missing:
+        raise AsterismError(
+            f"the rig has a camera {missing[0]}, and the images are of {', '.join(camera.name for camera in cameras)}; name each video, "
+            "or folder of images, as its camera."
+        )
+    strangers = [camera.name for camera in cameras if camera.name.casefold() not in {name.casefold() for name in rig.names}]
+    if strangers:
+        raise AsterismError(f"there are images of {strangers[0]}, which the rig does not have; it has {', '.join(rig.names)}.")
+    return [by_name[name.casefold()] for name in rig.names]

@@ -1,0 +1,22 @@
+"""Blobs of few cameras and a body model in; labels in the images, and every marker that a camera shows in space, out."""
+
+from asterism.views.body import BodyMarker, BodyModel, Bone, Capsule, Hinge
+from asterism.views.body_file import load_body, save_body, shipped_bodies
+from asterism.views.body_fit import fit_body
+from asterism.views.label import ViewsLabelling, label_views
+from asterism.views.rules import ViewsRules
+
+__all__ = [
+    "BodyMarker",
+    "BodyModel",
+    "Bone",
+    "Capsule",
+    "Hinge",
+    "ViewsLabelling",
+    "ViewsRules",
+    "fit_body",
+    "label_views",
+    "load_body",
+    "save_body",
+    "shipped_bodies",
+]

@@ -1,0 +1,64 @@
+"""Markers, capsules and cameras in; how deep each line of sight runs through the body out. Twins: tests/twins_views.py."""
+
+from __future__ import annotations
+
+import math
+
+from asterism._jit import kernel
+
+
+@kernel(inline=True)
+def nearest_on_segments(p, q, a, b):
+    """Where the segments p q and a b are nearest: the squared distance m2 and the share along a b; points where a length is 0. O(1)."""
+    ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    vx, vy, vz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    wx, wy, wz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
+    uu, vv, uv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
+    uw, vw = ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
+    across = uu * vv - uv * uv
+    s = 0.0
+    if across > 1e-12 * uu * vv:
+        s = min(max((uv * vw - vv * uw) / across, 0.0), 1.0)
+    t = (uv * s + vw) / vv if vv > 0.0 else 0.0
+    if t < 0.0 or t > 1.0:
+        t = min(max(t, 0.0), 1.0)
+        s = min(max((uv * t - uw) / uu, 0.0), 1.0) if uu > 0.0 else 0.0
+    dx, dy, dz = wx + s * ux - t * vx, wy + s * uy - t * vy, wz + s * uz - t * vz
+    return dx * dx + dy * dy + dz * dz, t
+
+
+@kernel
+def sight_depths(eyes, points, starts, ends, radii, clearance, out):
+    """How far inside a capsule the line from each marker to each camera passes: above 0 where the body hides the marker.
+
+    A marker lies in no capsule: for each marker a capsule is as thin as it must be to leave it outside, so that the near side of the
+    segment on which a marker sits does not hide it, and the far side does.
+
+    IN  eyes (C, 3) m; points (M, 3) m; starts, ends (K, 3) m; radii (K, 2) m at start and end, linear between; clearance m
+    OUT out (C, M) m: the greatest over capsules; -1 without capsules
+    O(C M K), no allocation. The ray trace of the paper's section 4.
+    """
+    for m in range(len(points)):
+        point = points[m]
+        for c in range(len(eyes)):
+            out[c, m] = -1.0
+        for k in range(len(radii)):
+            own, _ = nearest_on_segments(point, point, starts[k], ends[k])
+            room = math.sqrt(own) - clearance
+            for c in range(len(eyes)):
+                apart, t = nearest_on_segments(eyes[c], point, starts[k], ends[k])
+                radius = min(radii[k, 0] + t * (radii[k, 1] - radii[k, 0]), room)
+                out[c, m] = max(out[c, m], radius - math.sqrt(apart))
+
+
+@kernel
+def visible_shares(depths, doubt, softness, hidden, shown, out):
+    """The probability that a camera has a blob of a marker, from how deep its line of sight runs.
+
+    IN  depths (C, M) m; doubt m: what is hidden by less counts as visible; softness m; hidden, shown: the lowest and highest probability
+    OUT out (C, M)
+    O(C M), no allocation.
+    """
+    for c in range(depths.shape[0]):
+        for m in range(depths.shape[1]):
+            out[c, m] = hidden + (shown - hidden) / (1.0 + math.exp(min((depths[c, m] - doubt) / softness, 50.0)))

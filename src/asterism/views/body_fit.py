@@ -1,0 +1,313 @@
+"""Labelled recordings in; a body model of the people in them out: segments, capsules, marker places, and how the joints move."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.geometry import fit_rigid, rotate_z_up
+from asterism.recording import Floats, MarkerSet, Recording, canonical, is_unnamed, without_subject
+from asterism.views import anatomy
+from asterism.views._fit_kernels import fit_positions
+from asterism.views._pose_kernels import HINGES, PLACE, place_bones
+from asterism.views.arrays import Known
+from asterism.views.body import BodyMarker, BodyModel, as_point
+
+_ASIS_HEIGHT = 0.555
+"""Height of the front of the pelvis as a share of stature, near the tables of Drillis and Contini (1966) for the hip (0.530)."""
+
+
+@dataclass(frozen=True)
+class BodyFitRules:
+    """How bodies are learned. Round numbers; the last three were chosen on the simulated walks of `simulation`, not on recordings.
+
+    noise           m, of measured positions
+    steps           tries of Levenberg-Marquardt for each frame
+    frames          frames of each recording that count, evenly spread
+    rounds          how often places and poses take turns
+    least_spread    m, of a marker's place
+    people_spread   m, of a marker's place on other people, beside what is seen, where only one person is known
+    hinge_share     standard deviation of an angle as a multiple of what was seen
+    least_angle     rad, smallest standard deviation of an angle
+    poses           poses from which starts begin
+    """
+
+    noise: float = 0.004
+    steps: int = 30
+    frames: int = 40
+    rounds: int = 2
+    least_spread: float = 0.008
+    people_spread: float = 0.012
+    hinge_share: float = 1.4
+    least_angle: float = 0.1
+    poses: int = 5
+
+
+RULES = BodyFitRules()
+
+
+def fit_body(
+    standing: Sequence[Recording],
+    moving: Sequence[Recording] = (),
+    *,
+    markers: MarkerSet | Sequence[str] | None = None,
+    people: Sequence[str] = (),
+    title: str = "body",
+    height: float | None = None,
+    rules: BodyFitRules = RULES,
+) -> BodyModel:
+    """A body model of one person, or the mean of several.
+
+    standing  one standing trial of each person, upright; labels by their usual names (Helen Hayes, Plug-in Gait, Oxford foot)
+    moving    trials in which these or other people move, from which hinges' usual angles, marker spreads and starting poses are
+              learned; `people` names the person of each standing and then of each moving trial. Without them hinges keep textbook ranges
+    markers   which; by default all labelled ones that every standing trial has
+    height    m, of the person or the mean one; by default from the height of the pelvis
+
+    Markers with unknown names are put on the bone whose capsule is nearest. Markers of bones that the body lacks do not count.
+    Raises AsterismError where no trial is given, or a needed marker is absent.
+    """
+    if not standing:
+        raise AsterismError("a body is fitted to a standing trial; give one.")
+    posed = [_upright(recording) for recording in standing]
+    wanted = None if markers is None else (markers if isinstance(markers, MarkerSet) else MarkerSet(tuple(markers)))
+    names = _common_names(standing, posed, wanted)
+    sizes = np.array([_asis_height(places) for places in posed])
+    mean_size = float(np.mean(sizes))
+    everything = sorted(set.intersection(*(set(places) for places in posed)))
+    mean = {
+        name: np.mean([places[name] * (mean_size / size) for places, size in zip(posed, sizes, strict=True)], axis=0) for name in everything
+    }
+    body = _rest_body(mean, names, title, mean_size / _ASIS_HEIGHT if height is None else height)
+    if wanted is not None:
+        body = replace(body, aliases={name: tuple(spelled) for name, spelled in wanted.aliases.items() if name in body.labels})
+    given = tuple(people) or tuple(str(i) for i in range(len(standing) + len(moving)))
+    if len(given) != len(standing) + len(moving):
+        raise AsterismError(f"{len(given)} people are named for {len(standing) + len(moving)} recordings; name one for each.")
+    if len(standing) == 1 and not moving:
+        spread = rules.least_spread
+        return replace(body, markers=tuple(replace(marker, spread=spread) for marker in body.markers), scale_spread=(0.03, 0.01))
+    return _learned(body, [*standing, *moving], given, bool(moving), rules)
+
+
+def _upright(recording: Recording) -> dict[str, Floats]:
+    """Mean places (3,) m of the labelled markers in the axes of a rest pose, by canonical names."""
+    points = rotate_z_up(recording.positions, recording.vertical)
+    some = np.asarray(np.isfinite(points[:, :, 0]).any(axis=0))
+    middle = np.full(points.shape[1:], np.nan)
+    middle[some] = np.nanmedian(points[:, some], axis=0)
+    places = {canonical(without_subject(label)): middle[i] for i, label in enumerate(recording.labels) if some[i] and not is_unnamed(label)}
+    front = [places.get("lasi"), places.get("rasi")]
+    backs = [places[name] for name in ("sacr", "lpsi", "rpsi") if name in places]
+    if front[0] is None or front[1] is None or not backs:
+        where = recording.metadata.get("file", "the recording")
+        raise AsterismError(f"{where}: a body needs the pelvis' markers (LASI, RASI, and SACR or LPSI and RPSI); label them.")
+    left = (front[0] - front[1]) * np.array([1.0, 1.0, 0.0])
+    left /= np.linalg.norm(left)
+    axes = np.array([[left[1], -left[0], 0.0], left, [0.0, 0.0, 1.0]])
+    origin = 0.5 * (0.5 * (front[0] + front[1]) + np.mean(backs, axis=0))
+    known = [place for name, place in places.items() if anatomy.bone_of(name) is not None]
+    origin[2] = min(place[2] for place in known) - 0.015
+    return {name: axes @ (place - origin) for name, place in places.items()}
+
+
+def _asis_height(places: Mapping[str, Floats]) -> float:
+    return float(0.5 * (places["lasi"][2] + places["rasi"][2]))
+
+
+def _common_names(standing: Sequence[Recording], posed: Sequence[Mapping[str, Floats]], wanted: MarkerSet | None) -> tuple[str, ...]:
+    """The markers that the body gets: those wanted, or the physical ones that all standing trials have. Raises AsterismError."""
+    first = [without_subject(label) for label in standing[0].labels if not is_unnamed(label)]
+    spelled = {canonical(label): label for label in first}
+    if wanted is None:
+        names = [spelled[key] for key in spelled if all(key in places for places in posed)]
+        known = [name for name in names if anatomy.bone_of(name) is not None]
+        return tuple(known if len(standing) > 1 else names)
+    for recording, places in zip(standing, posed, strict=True):
+        for name in wanted.names:
+            if canonical(name) not in places:
+                column = next((label for label in recording.labels if wanted.name_of(label) == name), None)
+                if column is None or canonical(without_subject(column)) not in places:
+                    raise AsterismError(f"{recording.metadata.get('file', 'the recording')}: there is no marker {name}; label it.")
+                places[canonical(name)] = places[canonical(without_subject(column))]  # type: ignore[index]
+    return wanted.names
+
+
+def _rest_body(mean: Mapping[str, Floats], names: Sequence[str], title: str, height: float) -> BodyModel:
+    joints = anatomy.joints_of(mean)
+    worn = {bone for name in names if (bone := anatomy.bone_of(name)) is not None}
+    bones = anatomy.bones_of(joints, worn)
+    capsules = anatomy.capsules_of(joints, bones)
+    markers = []
+    for name in names:
+        place = mean[canonical(name)]
+        bone = anatomy.bone_of(name) or min(capsules, key=lambda part: _outside(place, part.start, part.end, part.radii[0])).bone
+        markers.append(BodyMarker(name, bone, as_point(place)))
+    return BodyModel(title, height, bones, tuple(markers), capsules)
+
+
+def _outside(place: Floats, start: Sequence[float], end: Sequence[float], radius: float) -> float:
+    """How far a place is outside a capsule, m."""
+    begin, along = np.array(start), np.array(end) - np.array(start)
+    share = float(np.clip((place - begin) @ along / max(along @ along, 1e-12), 0.0, 1.0))
+    return float(np.linalg.norm(place - begin - share * along)) - radius
+
+
+@dataclass(frozen=True, eq=False)
+class PosedFrames:
+    """A body posed to known markers. poses (T, 9 + J), rotations (T, 3, 3), costs (T,) nats; world axes with z up."""
+
+    poses: Floats
+    rotations: Floats
+    costs: Floats
+
+
+def pose_recording(body: BodyModel, positions: Floats, *, scales: Floats | None = None, rules: BodyFitRules = RULES) -> PosedFrames:
+    """The poses of a body whose markers' positions (T, M, 3) m are known, z up; each frame starts at the last one's pose.
+
+    scales (3,): the person's, then fixed; by default every frame finds its own. Frames with fewer than four markers are NaN.
+    """
+    arrays = body.arrays
+    size = HINGES + len(body.hinges)
+    poses, rotations, costs = (
+        np.full((len(positions), size), np.nan),
+        np.full((len(positions), 3, 3), np.nan),
+        np.full(len(positions), np.nan),
+    )
+    known = known_of(body, np.array([0.0, 0.0, 1.0]))
+    free = np.array([i for i in range(size) if scales is None or i >= PLACE], dtype=np.int64)
+    pose, rotation = np.zeros(size), np.eye(3)
+    warm = False
+    for t, points in enumerate(positions):
+        there = np.isfinite(points[:, 0])
+        if there.sum() < 4:
+            warm = False
+            continue
+        if not warm:
+            rotation, place = fit_rigid(arrays.places[there], points[there])
+            pose = np.concatenate([np.ones(3), place, np.zeros(3), arrays.usual])
+        if scales is not None:
+            pose[:3] = scales
+        costs[t] = fit_positions(arrays, known, np.ascontiguousarray(points), rules.noise, rules.steps, free, pose, rotation)
+        poses[t], rotations[t] = pose, rotation
+        warm = True
+    return PosedFrames(poses, rotations, costs)
+
+
+def known_of(body: BodyModel, vertical: Floats, *, tilt: float = 0.25, scale: tuple[float, float] | None = None) -> Known:
+    """What is known of a body before any image: about upright (`tilt` rad), about the model's size."""
+    common, single = body.scale_spread if scale is None else scale
+    return Known(np.asarray(vertical, dtype=np.float64), np.ones(3), np.array([common**-2.0, single**-2.0]), tilt**-2.0)
+
+
+def _learned(body: BodyModel, recordings: Sequence[Recording], people: Sequence[str], moving: bool, rules: BodyFitRules) -> BodyModel:
+    """The body with mean places of the markers, their spreads, and where there are moving trials the hinges' usual angles and poses."""
+    points = [_chosen_positions(recording, body, rules.frames) for recording in recordings]
+    who = sorted(set(people))
+    for _ in range(rules.rounds):
+        offsets, angles, scales = [], [], []
+        for person in who:
+            own = [positions for positions, name in zip(points, people, strict=True) if name == person]
+            scale = np.nanmedian(np.concatenate([pose_recording(body, positions, rules=rules).poses[:, :3] for positions in own]), axis=0)
+            fits = [pose_recording(body, positions, scales=scale, rules=rules) for positions in own]
+            offsets.append(np.concatenate([rest_places(body, fit, positions) for fit, positions in zip(fits, own, strict=True)]))
+            angles.append(np.concatenate([fit.poses[:, HINGES:] for fit in fits]))
+            scales.append(scale)
+        body = _with_offsets(body, offsets, rules)
+        if moving:
+            body = _with_motion(body, np.concatenate(angles), rules)
+        body = _with_sizes(body, np.array(scales))
+    return body
+
+
+def _chosen_positions(recording: Recording, body: BodyModel, most: int) -> Floats:
+    columns = MarkerSet(body.labels, aliases=body.aliases).columns_of(recording.labels)
+    points = rotate_z_up(recording.positions, recording.vertical)
+    chosen = np.unique(np.linspace(0, len(points) - 1, min(most, len(points))).round().astype(np.int64))
+    out = np.full((len(chosen), len(columns), 3), np.nan)
+    out[:, columns >= 0] = points[chosen][:, columns[columns >= 0]]
+    return out
+
+
+def rest_places(body: BodyModel, fit: PosedFrames, positions: Floats) -> Floats:
+    """(T, M, 3) m: where each measured marker sits on its bone, in the rest pose relative to the root's pivot."""
+    arrays = body.arrays
+    out = np.full(positions.shape, np.nan)
+    turned, moved = np.empty((len(body.bones), 3, 3)), np.empty((len(body.bones), 3))
+    by_scale, axes, pivots = np.empty((len(body.bones), 3, 3)), np.empty((len(body.hinges), 3)), np.empty((len(body.hinges), 3))
+    for t in range(len(positions)):
+        if not np.isfinite(fit.poses[t, 0]):
+            continue
+        place_bones(
+            arrays.parents,
+            arrays.pivots,
+            arrays.hinge_starts,
+            arrays.axes,
+            fit.poses[t],
+            fit.rotations[t],
+            turned,
+            moved,
+            by_scale,
+            axes,
+            pivots,
+        )
+        away = positions[t] - moved[arrays.bones]
+        out[t] = np.einsum("mik,mi->mk", turned[arrays.bones], away) / fit.poses[t, :3]
+    return out
+
+
+def _with_offsets(body: BodyModel, offsets: Sequence[Floats], rules: BodyFitRules) -> BodyModel:
+    means = np.array([np.nanmean(part, axis=0) for part in offsets])
+    mean = np.nanmean(means, axis=0)
+    within = np.nanmean(np.array([np.nanvar(part, axis=0).mean(axis=1) for part in offsets]), axis=0)
+    several = len(offsets) > 2
+    between = np.nanvar(means, axis=0, ddof=1).mean(axis=1) if several else np.full(len(mean), rules.people_spread**2)
+    spread = np.maximum(np.sqrt(within + between), rules.least_spread)
+    root = np.array(body.bones[0].pivot)
+    return replace(
+        body,
+        markers=tuple(
+            replace(marker, place=as_point(place + root), spread=float(each))
+            for marker, place, each in zip(body.markers, mean, spread, strict=True)
+        ),
+    )
+
+
+def _with_motion(body: BodyModel, angles: Floats, rules: BodyFitRules) -> BodyModel:
+    angles = angles[np.isfinite(angles).all(axis=1)]
+    spread = np.maximum(rules.hinge_share * angles.std(axis=0), rules.least_angle)
+    usual = angles.mean(axis=0)
+    place = 0
+    bones = []
+    for bone in body.bones:
+        hinges = []
+        for hinge in bone.hinges:
+            middle = float(np.clip(usual[place], hinge.low, hinge.high))
+            hinges.append(replace(hinge, usual=middle, spread=float(spread[place])))
+            place += 1
+        bones.append(replace(bone, hinges=tuple(hinges)))
+    poses = {f"pose {i + 1}": tuple(float(x) for x in pose) for i, pose in enumerate(_apart(angles / spread, rules.poses) * spread)}
+    return replace(body, bones=tuple(bones), poses=poses)
+
+
+def _apart(points: Floats, count: int) -> Floats:
+    """Centres of so many groups of points (n, d): k-means, started at points far from each other. Deterministic. O(n count d)."""
+    centres = [points.mean(axis=0)]
+    for _ in range(count - 1):
+        nearest = np.min([((points - centre) ** 2).sum(axis=1) for centre in centres], axis=0)
+        centres.append(points[int(np.argmax(nearest))])
+    found = np.array(centres)
+    for _ in range(20):
+        group = np.argmin(((points[:, None] - found[None]) ** 2).sum(axis=2), axis=1)
+        found = np.array([points[group == i].mean(axis=0) if (group == i).any() else found[i] for i in range(count)])
+    return found
+
+
+def _with_sizes(body: BodyModel, scales: Floats) -> BodyModel:
+    """People's sizes among those seen; few people show little of it, so it is never below the spread of a usual group."""
+    common = scales.mean(axis=1)
+    single = (scales - common[:, None]).std() if len(scales) > 2 else 0.04
+    return replace(body, scale_spread=(max(0.12, float(common.std())), max(0.04, float(single))))

@@ -1,0 +1,284 @@
+"""Blobs of a few calibrated cameras and a body model in; the marker of each blob and the places of all markers, over time, out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from asterism.cameras import Rig
+from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
+from asterism.progress import Progress
+from asterism.recording import NULL, Blobs, Clouds, Floats, Ints, Labelling, Recording
+from asterism.views.body import BodyModel
+from asterism.views.body_file import load_body
+from asterism.views.frame import FrameLabeller, FrameLabels
+from asterism.views.rules import RULES, ViewsRules
+from asterism.views.scene import scene_of
+
+_MANY_LOST = 0.05
+"""Share of the frames without the body from which a person is told."""
+_NOT_WORN = 0.3
+"""A marker with fewer of its expected blobs than this is probably not worn."""
+_MANY_LEFT = 0.5
+"""Blobs without a label per blob with one, from which a person is told. Two strays in an image of ten markers are 0.2."""
+
+
+@dataclass(frozen=True, eq=False)
+class ViewsLabelling:
+    """Labels of blobs, and where the markers are.
+
+    rig, blobs, body  what was labelled, and with which body
+    labels       (P,) the marker of each blob, its place in `body.labels`; -1 for "I do not know" or no marker
+    confidence   (P,) the probability that the blob is that marker; of a blob without a label that of the label that was not accepted
+    positions    (T, M, 3) m: markers with a label in at least one camera; NaN for others
+    covariances  (T, M, 3, 3) m2, of one standard deviation; NaN as positions
+    views        (T, M) how many cameras show the marker
+    poses        (T, 9 + J), rotations (T, 3, 3): the body; NaN where it was not found
+    placed       (T, M, 3) m: all markers of the body as posed, also those that no camera shows
+    expected     (T, C, M) the probability that a camera has a blob of a marker, by the body
+    restarts     frames in which the body was sought anew
+    findings     what a person should know
+    """
+
+    rig: Rig
+    blobs: Blobs
+    body: BodyModel
+    labels: Ints
+    confidence: Floats
+    positions: Floats
+    covariances: Floats
+    views: Ints
+    poses: Floats
+    rotations: Floats
+    placed: Floats
+    expected: Floats
+    restarts: tuple[int, ...] = ()
+    findings: tuple[Finding, ...] = field(default=())
+
+    @property
+    def deviations(self) -> Floats:
+        """(T, M) m, standard deviation of each position along its worst direction."""
+        out = np.full(self.views.shape, np.nan)
+        there = self.views > 0
+        out[there] = np.sqrt(np.linalg.eigvalsh(self.covariances[there])[:, -1])
+        return out
+
+    @property
+    def marker_confidence(self) -> Floats:
+        """(T, M) the probability that the marker's place is of its own blobs alone: the least of its labels'; 0 without a label."""
+        out = np.ones(self.views.shape)
+        given = self.labels >= 0
+        np.minimum.at(out, (self.blobs.frame_of[given], self.labels[given]), self.confidence[given])
+        return np.where(self.views > 0, out, 0.0)
+
+    @property
+    def clouds(self) -> Clouds:
+        """The markers' positions as points without names: those that two cameras or more show, then those of one camera, in each frame."""
+        frame, marker, _ = self._points()
+        offsets = np.concatenate([[0], np.cumsum(np.bincount(frame, minlength=len(self.views)))]).astype(np.int64)
+        points = np.ascontiguousarray(self.positions[frame, marker])
+        vertical = np.array([0.0, 0.0, 1.0]) if self.rig.vertical is None else self.rig.vertical
+        return Clouds(points, offsets, self.blobs.rate, vertical, np.full(len(points), -1, dtype=np.int64))
+
+    @property
+    def labelling(self) -> Labelling:
+        """The labels of `clouds`."""
+        frame, marker, place = self._points()
+        indices = np.full(self.views.shape, NULL, dtype=np.int64)
+        indices[frame, marker] = place
+        return Labelling(indices, self.marker_confidence, self.body.labels)
+
+    def _points(self) -> tuple[Ints, Ints, Ints]:
+        """Frame and marker of each point of the clouds, and its place in its frame."""
+        order = np.argsort(np.where(self.views >= 2, 0, np.where(self.views == 1, 1, 2)), axis=1, kind="stable")
+        frame = np.repeat(np.arange(len(self.views)), (self.views > 0).sum(axis=1))
+        place = np.concatenate([np.arange(n) for n in (self.views > 0).sum(axis=1)] or [np.empty(0)]).astype(np.int64)
+        return frame, order[frame, place], place
+
+    def recording(self, *, least_views: int = 1, most_deviation: float = float("inf")) -> Recording:
+        """The labelled trajectories: markers that at least so many cameras show, and that are exact to `most_deviation` (m)."""
+        with np.errstate(invalid="ignore"):
+            kept = (self.views >= least_views) & (self.deviations <= most_deviation)
+        vertical = np.array([0.0, 0.0, 1.0]) if self.rig.vertical is None else self.rig.vertical
+        positions = np.where(kept[:, :, None], self.positions, np.nan)
+        first = self.blobs.first_frame if self.blobs.first_frame > 0 else 1
+        made = Recording(positions, self.body.labels, self.blobs.rate, vertical, first_frame=first, metadata={"units": "m"})
+        return made.logged("labelled in the images", self.body.title)
+
+
+def label_views(
+    blobs: Blobs,
+    rig: Rig,
+    body: BodyModel | str,
+    *,
+    height: float | None = None,
+    rules: ViewsRules = RULES,
+    least_confidence: float = 0.5,
+    progress: Progress | None = None,
+) -> ViewsLabelling:
+    """Label the blobs of a recording with a body model, frame after frame, and place every marker that a camera shows.
+
+    The body is sought in the first frame with any heading, size and place, and followed from frame to frame; where it is lost it is
+    sought anew. Labels that are less probable than `least_confidence` are not given. A frame whose blobs the body does not explain
+    gets no label at all.
+
+    rig     calibrated cameras with the blobs' names and a vertical
+    body    a body model, the name of a shipped one, or a file
+    height  m, of the person, where it is known
+
+    Raises AsterismError where the rig lacks a camera, a pose or a vertical. O(T (P M + M D^2)) for P blobs of a frame and D numbers of a
+    pose.
+    """
+    body = load_body(body)
+    scene = scene_of(blobs, rig)
+    labeller = FrameLabeller(scene, body, rules, None if height is None else height / body.height)
+    track = _Track(labeller)
+    for t in range(len(blobs)):
+        track.take(t)
+        if progress is not None:
+            progress((t + 1) / len(blobs), "labelling")
+    return track.result(least_confidence)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A frame's labels with what is judged of them."""
+
+    labels: FrameLabels
+    quality: float
+
+
+class _Track:
+    """Frames one after the other: predicts, follows, notices that the body is lost, and seeks it anew."""
+
+    def __init__(self, labeller: FrameLabeller) -> None:
+        self.labeller = labeller
+        self.seen: list[_Seen | None] = []
+        self.restarts: list[int] = []
+        self._wait = 0
+        self._patience = 1
+
+    def take(self, t: int) -> None:
+        """Label frame t."""
+        found = self._followed(t)
+        if found is None or found.quality < self.labeller.rules.lost:
+            found = self._sought(t, found)
+        self.seen.append(found)
+
+    def _followed(self, t: int) -> _Seen | None:
+        last = self.seen[-1] if self.seen else None
+        if last is None or last.quality < self.labeller.rules.lost:
+            return None
+        pose = last.labels.pose.copy()
+        before = self.seen[-2] if len(self.seen) > 1 else None
+        if before is not None and before.quality >= self.labeller.rules.lost:
+            pose[3:6] += pose[3:6] - before.labels.pose[3:6]
+            pose[9:] += 0.8 * (pose[9:] - before.labels.pose[9:])
+        return self._judged(t, self.labeller.follow(t, pose, last.labels.rotation))
+
+    def _sought(self, t: int, otherwise: _Seen | None) -> _Seen | None:
+        """The body found without a start; after tries without success it is tried in fewer frames."""
+        if self._wait > 0:
+            self._wait -= 1
+            return otherwise
+        try:
+            found = self._judged(t, self.labeller.from_nothing(t))
+        except AsterismError:
+            found = None
+        if found is not None and found.quality >= self.labeller.rules.lost:
+            self.restarts.append(t)
+            self._patience = 1
+        else:
+            self._wait = self._patience
+            self._patience = min(2 * self._patience, self.labeller.rules.longest_wait)
+        if otherwise is not None and (found is None or otherwise.quality >= found.quality):
+            return otherwise
+        return found
+
+    def _judged(self, t: int, labels: FrameLabels) -> _Seen:
+        expected = self.labeller.expected(labels)
+        return _Seen(labels, labels.gain / max(float(expected.sum()), 1.0))
+
+    def result(self, least_confidence: float) -> ViewsLabelling:
+        """All frames together."""
+        scene, body, rules = self.labeller.scene, self.labeller.body, self.labeller.rules
+        frames, markers, cameras = len(self.seen), len(body.markers), len(scene.rig)
+        labels, confidence = np.full(len(scene.blobs.xy), NULL, dtype=np.int64), np.zeros(len(scene.blobs.xy))
+        positions, covariances = np.full((frames, markers, 3), np.nan), np.full((frames, markers, 3, 3), np.nan)
+        poses, rotations = np.full((frames, 9 + len(body.hinges)), np.nan), np.full((frames, 3, 3), np.nan)
+        placed, expected = np.full((frames, markers, 3), np.nan), np.zeros((frames, cameras, markers))
+        views = np.zeros((frames, markers), dtype=np.int64)
+        for t, found in enumerate(self.seen):
+            if found is None:
+                continue
+            first, last = scene.blobs.offsets[t * cameras], scene.blobs.offsets[(t + 1) * cameras]
+            sure = rules.confidence(found.labels.worth, found.quality, found.labels.gain - found.labels.rival)
+            given = (found.labels.labels >= 0) & (sure >= least_confidence)
+            confidence[first:last] = np.where(found.labels.labels >= 0, sure, 0.0)
+            if found.quality < rules.lost:
+                confidence[first:last] = np.minimum(confidence[first:last], 0.3)
+                continue
+            labels[first:last] = np.where(given, found.labels.labels, NULL)
+            found_views = np.bincount(found.labels.labels[given], minlength=markers)
+            poses[t], rotations[t] = found.labels.pose, found.labels.rotation
+            expected[t] = self.labeller.expected(found.labels)
+            placed[t] = self.labeller.placed(found.labels)
+            views[t] = found_views
+            there = found_views > 0
+            positions[t, there], covariances[t, there] = found.labels.points[there], found.labels.covariances[there]
+        made = ViewsLabelling(
+            scene.rig,
+            scene.blobs,
+            body,
+            labels,
+            confidence,
+            positions,
+            covariances,
+            views,
+            poses,
+            rotations,
+            placed,
+            expected,
+            tuple(self.restarts),
+        )
+        return replace(made, findings=tuple(_findings(made)))
+
+
+def _findings(result: ViewsLabelling) -> list[Finding]:
+    """What a person should know before using the labels."""
+    blobs, body = result.blobs, result.body
+    counts = blobs.counts
+    there = np.isfinite(result.poses[:, 0])
+    worth_a_try = counts.sum(axis=1) > 0
+    found = list[Finding]()
+    for c in np.nonzero(counts.sum(axis=0) == 0)[0]:
+        name = blobs.cameras[c]
+        sentence = f"camera {name} has no blob in the whole recording."
+        found.append(
+            Finding("views-empty-camera", Severity.WARNING, name, sentence, "Check that it recorded, and that its blobs are in the file.")
+        )
+    if not there.any():
+        sentence = f"the blobs do not show the body {body.title} through these cameras; no label was given."
+        mend = "Check that the rig is of this recording, that the body has the markers that were worn, and that two cameras see the person."
+        return [*found, Finding("views-no-body", Severity.ERROR, "", sentence, mend)]
+    lost = worth_a_try & ~there
+    if lost.mean() > _MANY_LOST:
+        sentence = f"the body {body.title} was not found in {lost.sum()} of {len(lost)} frames; they have no labels."
+        mend = "Look whether the person was out of the cameras' view in them; if not, check the rig and the body."
+        found.append(Finding("views-lost", Severity.WARNING, "", sentence, mend))
+    expected = result.expected[there].sum(axis=(0, 1))
+    given = result.labels >= 0
+    seen = np.bincount(result.labels[given], minlength=len(body.markers))
+    absent = [name for name, wanted, got in zip(body.labels, expected, seen, strict=True) if wanted > 10 and got < _NOT_WORN * wanted]
+    if absent:
+        sentence = f"the cameras should show {', '.join(absent)}, and hardly do."
+        mend = "If they are not worn, give a body without them (`asterism body fit --markers`)."
+        found.append(Finding("views-markers-absent", Severity.WARNING, ", ".join(absent), sentence, mend))
+    left = float((~given[there[blobs.frame_of]]).sum()) / max(float(given.sum()), 1.0)
+    if left > _MANY_LEFT:
+        sentence = f"for every 100 blobs that got a label, {100 * left:.0f} got none."
+        mend = "Cover reflections; if more markers are worn than the body has, give a body with them."
+        found.append(Finding("views-many-unlabelled", Severity.WARNING, "", sentence, mend))
+    return found

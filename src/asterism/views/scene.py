@@ -1,0 +1,98 @@
+"""A rig and blobs in; undistorted blobs and cameras as the kernels take them out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.cameras import Camera, Rig
+from asterism.errors import AsterismError
+from asterism.recording import Blobs, Floats, Ints
+from asterism.views.arrays import CameraArrays
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Blobs of all frames before a rig.
+
+    rig       the cameras that have blobs, in their order
+    blobs     the blobs as they came
+    xy        (P, 2) px of the undistorted image, from the principal point; far outside where the lens model has no ray
+    cameras   the rig for the kernels
+    area      px2, of the mean image
+    vertical  (3,) unit vector, up
+    """
+
+    rig: Rig
+    blobs: Blobs
+    xy: Floats
+    cameras: CameraArrays
+    area: float
+    vertical: Floats
+
+    def frame(self, t: int) -> tuple[Floats, Ints]:
+        """Blobs of a frame (N, 2) px and where each camera's begin (C + 1,)."""
+        count = len(self.rig)
+        offsets = self.blobs.offsets[t * count : (t + 1) * count + 1]
+        return self.xy[offsets[0] : offsets[-1]], offsets - offsets[0]
+
+
+def scene_of(blobs: Blobs, rig: Rig) -> Scene:
+    """Blobs and a rig whose cameras have the same names, in the order of the blobs.
+
+    Raises AsterismError where a camera is not in the rig, has no pose or no image size, or the rig does not say what is up.
+    """
+    absent = [name for name in blobs.cameras if name not in rig.names]
+    if absent:
+        raise AsterismError(
+            f"the rig has no camera {absent[0]}; it has {', '.join(rig.names)}. Give the rig with which the blobs were recorded."
+        )
+    rig = rig.select(blobs.cameras)
+    if rig.vertical is None:
+        raise AsterismError("the rig does not say which way is up; calibrate it with an L-frame, or write `vertical` into its file.")
+    for camera in rig:
+        if not camera.posed:
+            raise AsterismError(f"camera {camera.name} has no pose; calibrate the rig.")
+    sizes = [_size(camera, blobs.xy[blobs.camera_of == c]) for c, camera in enumerate(rig)]
+    xy = np.empty(blobs.xy.shape)
+    for c, camera in enumerate(rig):
+        own = blobs.camera_of == c
+        xy[own] = np.nan_to_num(camera.undistort(blobs.xy[own]), nan=1e3) * np.array(camera.focal)
+    return Scene(
+        rig, blobs, xy, camera_arrays(rig, sizes), float(np.mean([width * height for width, height in sizes])), np.asarray(rig.vertical)
+    )
+
+
+def _size(camera: Camera, xy: Floats) -> tuple[float, float]:
+    """px, width and height; where the rig does not say, as far as blobs reach."""
+    if camera.size is not None:
+        return float(camera.size[0]), float(camera.size[1])
+    reach = xy.max(axis=0, initial=0.0) if len(xy) else np.zeros(2)
+    return float(max(2 * camera.centre[0], reach[0], 1.0)), float(max(2 * camera.centre[1], reach[1], 1.0))
+
+
+def camera_arrays(rig: Rig, sizes: list[tuple[float, float]]) -> CameraArrays:
+    """The rig for the kernels; sizes (C,) px, width and height of the images."""
+    limits = []
+    for camera, (width, height) in zip(rig, sizes, strict=True):
+        along, across = np.linspace(-0.5, width - 0.5, 17), np.linspace(-0.5, height - 0.5, 17)
+        border = [(x, y) for x in along for y in (-0.5, height - 0.5)] + [(x, y) for y in across for x in (-0.5, width - 0.5)]
+        flat = camera.undistort(np.array(border))
+        flat = flat[np.isfinite(flat[:, 0])] * np.array(camera.focal)
+        low, high = (flat.min(axis=0), flat.max(axis=0)) if len(flat) else (np.full(2, -1e4), np.full(2, 1e4))
+        limits.append([low[0], high[0], low[1], high[1]])
+    return CameraArrays(
+        np.ascontiguousarray([camera.rotation for camera in rig]),
+        np.ascontiguousarray([camera.translation for camera in rig]),
+        np.array([camera.focal for camera in rig], dtype=np.float64),
+        np.ascontiguousarray([camera.position for camera in rig]),
+        np.array(limits, dtype=np.float64),
+    )
+
+
+def cameras_with_blobs(offsets: Ints) -> NDArray[np.bool_]:
+    """(C,) which cameras have a blob in a frame."""
+    some: NDArray[np.bool_] = np.diff(offsets) > 0
+    return some

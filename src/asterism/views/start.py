@@ -1,0 +1,90 @@
+"""Blobs of one frame in; where a body may stand, how large it is and which way it faces, out (the paper's section 3, eqs 1 to 5)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from asterism.cameras import Rig
+from asterism.errors import AsterismError
+from asterism.geometry import z_up_rotation
+from asterism.recording import Floats, Ints
+from asterism.views._pose_kernels import HINGES
+from asterism.views.body import BodyModel
+from asterism.views.scene import Scene, cameras_with_blobs
+
+
+def place_by_centroids(rig: Rig, centroids: Floats, body_centroid: Floats) -> Floats:
+    """The translation T (3,) m that lays the body's centroid on the images' centroids (the paper's eqs 1 to 5).
+
+    centroids (C, 2) px of each camera's blobs, NaN where a camera has none; body_centroid (3,) m, of the scaled and oriented body (C_v).
+
+    The system is sum over cameras of c* P (C_v + T) = 0. In print E = c* P has four columns and T three rows: C_v is a point, whose fourth
+    coordinate is 1, and T a direction, whose fourth is 0, so E is the first three columns. B then has the minus sign of eq. 5 and all of
+    P C_v, and eq. 4 holds as printed. Rows are divided by the focal length, so that all cameras weigh the same. Raises AsterismError
+    where fewer than two cameras have a centroid, or all look along one line.
+    """
+    rows, right = list[Floats](), list[Floats]()
+    for camera, centroid in zip(rig, centroids, strict=True):
+        flat = camera.undistort(centroid)
+        if not np.isfinite(flat).all():
+            continue
+        cross: Floats = np.array([[0.0, -1.0, flat[1]], [1.0, 0.0, -flat[0]], [-flat[1], flat[0], 0.0]])
+        rows.append(cross @ camera.rotation)
+        right.append(-cross @ (camera.rotation @ body_centroid + camera.translation))
+    if len(rows) < 2:
+        raise AsterismError("a place needs blobs in two cameras at least; one image does not say how far away a body is.")
+    e: Floats = np.concatenate(rows)
+    b: Floats = np.concatenate(right)
+    normal: Floats = e.T @ e
+    if np.linalg.cond(normal) > 1e10:
+        raise AsterismError("all cameras look along one line; a place needs cameras beside each other.")
+    place = np.linalg.solve(normal, e.T @ b)
+    return np.asarray(place, dtype=np.float64)
+
+
+def middle_of_rays(scene: Scene, xy: Floats, offsets: Ints) -> Floats:
+    """(3,) m: where the middles of the images' blobs meet. Medians, because strays shift a mean. Raises as `place_by_centroids`."""
+    centroids = np.full((len(scene.rig), 2), np.nan)
+    for c, camera in enumerate(scene.rig):
+        if cameras_with_blobs(offsets)[c]:
+            flat = np.median(xy[offsets[c] : offsets[c + 1]], axis=0) / np.array(camera.focal)
+            centroids[c] = camera.project((np.append(flat, 1.0) - camera.translation) @ camera.rotation)
+    return place_by_centroids(scene.rig, centroids, np.zeros(3))
+
+
+def starts(scene: Scene, body: BodyModel, xy: Floats, offsets: Ints, headings: int, size: float | None = None) -> tuple[Floats, Floats]:
+    """Poses (N, 9 + J) and rotations (N, 3, 3) from which a frame may be fitted when nothing is known: all headings, all poses of the body.
+
+    size: the person's as a multiple of the body's, where known; else from how far blobs spread along the vertical. O(N).
+    """
+    arrays = body.arrays
+    middle = middle_of_rays(scene, xy, offsets)
+    upright = z_up_rotation(scene.vertical).T
+    scale = _size_by_spread(scene, body, xy, offsets, middle) if size is None else size
+    angles = body.start_angles
+    centre = arrays.places.mean(axis=0) * scale
+    poses = np.zeros((headings * len(angles), HINGES + angles.shape[1]))
+    rotations = np.empty((len(poses), 3, 3))
+    for n in range(len(poses)):
+        turn = 2 * np.pi * (n % headings) / headings
+        about = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+        rotations[n] = upright @ about
+        poses[n, :3] = scale
+        poses[n, 3:6] = middle - rotations[n] @ centre
+        poses[n, HINGES:] = angles[n // headings]
+    return poses, rotations
+
+
+def _size_by_spread(scene: Scene, body: BodyModel, xy: Floats, offsets: Ints, middle: Floats) -> float:
+    """The person's size as a multiple of the body's, from the middle half of the blobs along each image's vertical; within 0.6 to 1.6."""
+    own = np.diff(np.quantile(body.arrays.places[:, 2], [0.2, 0.8]))[0]
+    ratios = []
+    for c, camera in enumerate(scene.rig):
+        seen = xy[offsets[c] : offsets[c + 1]]
+        depth = float(camera.rotation[2] @ middle + camera.translation[2])
+        if len(seen) >= 4 and depth > 0.1:
+            up = (camera.rotation @ scene.vertical)[:2] * np.array(camera.focal) / depth
+            length = float(np.linalg.norm(up))
+            if length > 1e-6:
+                ratios.append(float(np.diff(np.quantile(seen @ (up / length), [0.2, 0.8]))[0]) / (length * own))
+    return float(np.clip(np.median(ratios), 0.6, 1.6)) if ratios else 1.0

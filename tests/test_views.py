@@ -1,0 +1,218 @@
+"""Labelling in the images of few cameras: simulated people before simulated cameras, with known truth."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asterism.cameras.files import write_rig
+from asterism.cli import main
+from asterism.errors import AsterismError
+from asterism.formats import read, write, write_blobs
+from asterism.recording import Blobs, MarkerSet, Recording
+from asterism.simulation import simulate_standing, simulate_walks
+from asterism.simulation.views_session import ViewsSession, simulate_views
+from asterism.views import BodyModel, fit_body, label_views, load_body, save_body, shipped_bodies
+from asterism.views.label import ViewsLabelling
+
+GAIT = MarkerSet.load("helen-hayes")
+
+
+@cache
+def body_of_four() -> BodyModel:
+    """The mean of four simulated people, none of whom is tested."""
+    standing, walking = simulate_standing(4, 20, seed=5), simulate_walks(4, 120, seed=5)
+    people = [str(trial.metadata["subject"]) for trial in (*standing, *walking)]
+    return fit_body(standing, walking, markers=GAIT, people=people, title="four walkers")
+
+
+@cache
+def session(cameras: int = 4) -> ViewsSession:
+    walk = simulate_walks(2, 160, seed=31)[1]
+    return simulate_views(walk, body_of_four().labels, rng=np.random.default_rng(3), cameras=cameras)
+
+
+@cache
+def labelled(cameras: int = 4) -> ViewsLabelling:
+    given = session(cameras)
+    return label_views(given.blobs, given.rig, body_of_four())
+
+
+def right_and_wrong(result: ViewsLabelling, truth: ViewsSession) -> tuple[float, float]:
+    """Shares of the blobs that show one marker: labelled as it, and labelled as another; strays with a label count as wrong."""
+    marker, clear = truth.identity >= 0, truth.identity != -2
+    right = (result.labels == truth.identity) & marker
+    wrong = (result.labels >= 0) & (result.labels != truth.identity) & clear
+    return right.sum() / marker.sum(), wrong.sum() / marker.sum()
+
+
+@pytest.mark.parametrize(("cameras", "least", "most"), [(4, 0.99, 0.005), (3, 0.985, 0.01), (2, 0.95, 0.02)])
+def test_blobs_of_a_walk_are_labelled_from_nothing(cameras: int, least: float, most: float) -> None:
+    right, wrong = right_and_wrong(labelled(cameras), session(cameras))
+    assert right >= least, f"{cameras} cameras: {right:.4f} of the visible markers are labelled right"
+    assert wrong <= most, f"{cameras} cameras: {wrong:.4f} of the labels are wrong"
+    assert labelled(cameras).findings == ()
+
+
+def test_a_marker_that_one_camera_shows_is_placed_within_its_stated_deviation() -> None:
+    result, truth = labelled(), session().recording.positions
+    away = np.linalg.norm(result.positions - truth, axis=2)
+    for views, most in ((1, 0.05), (2, 0.012)):
+        chosen = result.views == views
+        assert chosen.sum() > 20
+        assert np.median(away[chosen]) < most, f"{views} views: {1e3 * np.median(away[chosen]):.1f} mm"
+        inside = (away[chosen] < 3 * result.deviations[chosen]).mean()
+        assert inside > 0.9, f"{views} views: {inside:.3f} within three deviations"
+
+
+def test_labelling_and_recording_say_the_same_as_the_labels() -> None:
+    result = labelled()
+    assert np.allclose(result.labelling.positions(result.clouds), result.positions, equal_nan=True)
+    assert (result.views == _views_by_counting(result)).all()
+    exact = result.recording(least_views=2)
+    assert (np.isfinite(exact.positions[:, :, 0]) == (result.views >= 2)).all()
+    none = result.recording(most_deviation=1e-6)
+    assert np.isnan(none.positions).all()
+
+
+def _views_by_counting(result: ViewsLabelling) -> np.ndarray:
+    views = np.zeros(result.views.shape, dtype=int)
+    for frame, marker in zip(result.blobs.frame_of, result.labels, strict=True):
+        if marker >= 0:
+            views[frame, marker] += 1
+    return views
+
+
+def test_the_same_blobs_give_the_same_labels() -> None:
+    given = session()
+    again = label_views(given.blobs.frames(slice(0, 10)), given.rig, body_of_four())
+    once = label_views(given.blobs.frames(slice(0, 10)), given.rig, body_of_four())
+    assert (again.labels == once.labels).all() and (again.confidence == once.confidence).all()
+
+
+def test_a_rig_that_does_not_match_the_images_gets_no_label() -> None:
+    given = session()
+    names = given.rig.names
+    exchanged = given.rig.select((names[1], names[0], names[3], names[2]))
+    renamed = type(given.rig)(
+        tuple(type(c)(**{**c.__dict__, "name": n}) for c, n in zip(exchanged, names, strict=True)), vertical=given.rig.vertical
+    )
+    result = label_views(given.blobs.frames(slice(0, 20)), renamed, body_of_four())
+    assert (result.labels >= 0).mean() < 0.02
+    assert [finding.code for finding in result.findings] == ["views-no-body"]
+
+
+def test_a_camera_without_blobs_is_said_and_the_others_are_labelled() -> None:
+    given = session()
+    dark = given.blobs.select(given.blobs.camera_of != 1)
+    result = label_views(dark.frames(slice(0, 30)), given.rig, body_of_four())
+    assert "views-empty-camera" in [finding.code for finding in result.findings]
+    assert (result.labels >= 0).mean() > 0.75
+
+
+def test_blobs_of_one_camera_alone_are_not_labelled() -> None:
+    given = session()
+    alone = given.blobs.select(given.blobs.camera_of == 1).frames(slice(0, 10))
+    result = label_views(alone, given.rig, body_of_four())
+    assert (result.labels == -1).all() and "views-no-body" in [finding.code for finding in result.findings]
+
+
+def test_no_blobs_at_all_give_no_labels() -> None:
+    given = session()
+    empty = given.blobs.select(np.zeros(len(given.blobs.xy), dtype=bool)).frames(slice(0, 5))
+    result = label_views(empty, given.rig, body_of_four())
+    assert len(result.labels) == 0 and np.isnan(result.positions).all()
+
+
+def test_a_rig_without_the_camera_or_the_vertical_is_refused() -> None:
+    given = session()
+    with pytest.raises(AsterismError, match="no camera c4"):
+        label_views(given.blobs, given.rig.select(given.rig.names[:3]), body_of_four())
+    flat = type(given.rig)(given.rig.cameras)
+    with pytest.raises(AsterismError, match="which way is up"):
+        label_views(given.blobs, flat, body_of_four())
+
+
+def test_shipped_bodies_load_and_are_written_back(tmp_path: Path) -> None:
+    assert {name: len(load_body(name).labels) for name in shipped_bodies()} == {"body26": 26, "gait15": 15, "plug-in-gait": 34}
+    for name in shipped_bodies():
+        body = load_body(name)
+        save_body(body, tmp_path / "body.toml")
+        again = load_body(tmp_path / "body.toml")
+        assert again.labels == body.labels and again.hinge_names == body.hinge_names
+        assert np.abs(again.places - body.places).max() < 1e-4
+        assert np.abs(again.start_angles - body.start_angles).max() < np.radians(0.1)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (("version = 1", "version = 9"), "version"),
+        (('parent = "pelvis"', 'parent = "tail"'), "parent"),
+        (('bone = "pelvis"', 'bone = "wing"'), "no bone"),
+        (("[[markers]]", "[[marker]]"), "markers"),
+        (("place = [", "place = [1.0, "), "place"),
+        (("height = ", "height = nan #"), "height"),
+        (('name = "LKNE"', 'name = "RKNE"'), "twice"),
+        (("radii = [", "radii = [-"), "radius"),
+    ],
+)
+def test_a_damaged_body_is_refused_with_its_name(tmp_path: Path, change: tuple[str, str], sentence: str) -> None:
+    save_body(load_body("gait15"), tmp_path / "body.toml")
+    text = (tmp_path / "body.toml").read_text()
+    assert change[0] in text
+    (tmp_path / "body.toml").write_text(text.replace(*change))
+    with pytest.raises(AsterismError, match=sentence):
+        load_body(tmp_path / "body.toml")
+
+
+def test_a_standing_trial_becomes_a_body_with_the_markers_where_they_are(tmp_path: Path) -> None:
+    standing = simulate_standing(1, 20, seed=8)[0]
+    write(tmp_path / "static.c3d", standing)
+    assert main(["body", "fit", str(tmp_path / "static.c3d"), "-o", str(tmp_path / "body.toml")]) == 0
+    body = load_body(tmp_path / "body.toml")
+    assert body.labels == standing.labels
+    middle = np.median(standing.positions, axis=0)
+    own = np.linalg.norm(body.places[:, None] - body.places[None], axis=2)
+    assert np.abs(own - np.linalg.norm(middle[:, None] - middle[None], axis=2)).max() < 0.002
+    assert body.places[list(body.labels).index("LKNE"), 1] > 0 > body.places[list(body.labels).index("RKNE"), 1]
+
+
+def test_a_body_without_a_pelvis_is_refused() -> None:
+    standing = simulate_standing(1, 5, seed=8)[0]
+    legs = standing.select([name for name in standing.labels if name not in ("LASI", "SACR")])
+    with pytest.raises(AsterismError, match="pelvis"):
+        fit_body([legs])
+
+
+def test_the_command_labels_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    given = session()
+    write_blobs(given.blobs.frames(slice(0, 20)), tmp_path / "2d.csv")
+    write_rig(given.rig, tmp_path / "rig.toml")
+    save_body(body_of_four(), tmp_path / "body.toml")
+    words = ["label-views", str(tmp_path / "2d.csv"), "--rig", str(tmp_path / "rig.toml"), "--body", str(tmp_path / "body.toml")]
+    out = ["-o", str(tmp_path / "out.c3d"), "--labels", str(tmp_path / "labels.csv"), "--json", str(tmp_path / "out.json")]
+    assert main([*words, *out]) == 0
+    assert "blobs labelled" in capsys.readouterr().out
+    told = json.loads((tmp_path / "out.json").read_text())
+    rows = (tmp_path / "labels.csv").read_text().splitlines()
+    assert len(rows) == told["blobs"] + 1 and sum(bool(row.split(",")[4]) for row in rows[1:]) == told["labelled_blobs"]
+    written = read(tmp_path / "out.c3d")
+    apart = np.linalg.norm(written.positions - given.recording.positions[:20], axis=2)
+    assert np.nanmedian(apart) < 0.02 and np.isfinite(apart).mean() > 0.9
+    assert main([*words, *out]) == 2
+    assert "exists" in capsys.readouterr().err
+
+
+def test_blobs_and_recordings_are_left_as_they_came() -> None:
+    given: ViewsSession = session()
+    blobs: Blobs = given.blobs.frames(slice(0, 3))
+    before = blobs.xy.copy()
+    label_views(blobs, given.rig, body_of_four())
+    assert (blobs.xy == before).all()
+    walk: Recording = given.recording
+    assert np.isfinite(walk.positions).all()
