@@ -15,7 +15,23 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from asterism.errors import AsterismError
-from benchmarks import cameras, desk, dirt, docs, figures, hostile, house, labelling, read_values, recordings, runs, stale
+from benchmarks import (
+    cameras,
+    desk,
+    dirt,
+    docs,
+    figures,
+    garment,
+    hostile,
+    house,
+    labelling,
+    motion,
+    read_values,
+    recordings,
+    runs,
+    stale,
+    views,
+)
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import folder
 from benchmarks.sources import Folder, Sources, commit, hash_of
@@ -25,8 +41,11 @@ CHAPTERS = {
     "recordings": recordings,
     "dirt": dirt,
     "cameras": cameras,
+    "views": views,
+    "garment": garment,
     "hostile": hostile,
     "desk": desk,
+    "motion": motion,
     "house": house,
 }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from asterism.garment.dense import DenseRules, dense_points, fused_midpoints
 from asterism.garment.dense import _kernels as kernels
 from asterism.simulation.garment import SimulatedCircles, simulated_reading
 
-CLEAN = DenseRules(least_sigma=0.0)
+CLEAN = DenseRules(least_sigma=0.0, least_scale=0.05)
 
 
 def readings(noise: float = 0.1, wrong: float = 0.0, astray: float = 0.0, seed: int = 0) -> list[SimulatedCircles]:
@@ -54,6 +54,35 @@ def test_the_scale_of_a_readers_covariance_is_found(factor: float) -> None:
     right = dense_points(arm_rig(), readings(), CLEAN)
     np.testing.assert_array_equal(points.ids, right.ids)
     np.testing.assert_allclose(points.covariance, right.covariance, rtol=1e-6)
+
+
+def test_a_small_misfit_does_not_shrink_the_covariance() -> None:
+    stated = [replace(read, covariance=4.0 * read.covariance) for read in readings()]
+    assert dense_points(arm_rig(), stated).scale == 1.0
+
+
+def test_flat_ellipses_count_less() -> None:
+    """A reader that tells axes: the same centres, of ellipses 2 px high in one image, have a larger covariance there, and only there."""
+
+    @dataclass(frozen=True)
+    class WithAxes:
+        centres: np.ndarray
+        covariance: np.ndarray
+        ids: np.ndarray
+        axes: np.ndarray
+
+    reads = readings()
+    high, flat = (
+        [WithAxes(r.centres, r.covariance, r.ids, np.tile([3.0, half, 0.0], (len(r.ids), 1))) for r in reads] for half in (3.0, 1.0)
+    )
+    round_points, flat_points = dense_points(arm_rig(), high, scale=1.0), dense_points(arm_rig(), flat, scale=1.0)
+    common = np.isin(round_points.ids, flat_points.ids)
+    volume = np.linalg.det(flat_points.covariance[np.isin(flat_points.ids, round_points.ids)]) / np.linalg.det(
+        round_points.covariance[common]
+    )
+    assert (volume > 20).all()
+    without = dense_points(arm_rig(), reads, scale=1.0)
+    assert np.trace(without.covariance, axis1=1, axis2=2).sum() < np.trace(round_points.covariance, axis1=1, axis2=2).sum()
 
 
 def test_wrong_circles_are_left_out_where_others_tell() -> None:

@@ -31,7 +31,7 @@ def test_import_asterism_alone_imports_no_room() -> None:
 
 
 @pytest.mark.parametrize(
-    "typed, offered", [("asterism la", "label"), ("asterism label --known-l", "--known-labels"), ("asterism rig pl", "plan")]
+    "typed, offered", [("asterism label-v", "label-views"), ("asterism label --known-l", "--known-labels"), ("asterism rig pl", "plan")]
 )
 def test_the_shell_completes_commands_and_options(typed: str, offered: str) -> None:
     done = python("-m", "asterism", _ASTERISM_COMPLETE="complete_bash", COMP_WORDS=typed, COMP_CWORD=str(len(typed.split()) - 1))

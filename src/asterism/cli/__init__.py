@@ -13,7 +13,7 @@ from typing import Annotated
 
 import typer
 
-from asterism.cli import _console, _first_compile, body, calibrate, rig
+from asterism.cli import _console, _first_compile, body, calibrate, garment, rig
 from asterism.cli._plain_values import PlainValuesCommand, PlainValuesGroup
 from asterism.errors import AsterismError
 
@@ -51,12 +51,15 @@ _EXAMPLES = {
     "convert": "asterism convert walk.c3d walk.trc",
     "detect": "asterism detect cam1.mp4 cam2.mp4 cam3.mp4 -o 2d.csv --rig rig.toml --report blobs.html",
     "reconstruct": "asterism reconstruct 2d.csv --rig rig.toml -o clouds.npz",
+    "segment": "asterism segment walk.c3d --report limbs.html",
+    "motion": "asterism motion walk.c3d --uncertainty --report motion.html",
     "label-views": "asterism label-views 2d.csv --rig rig.toml --body gait15 -o labelled.c3d",
 }
 """Each verb, which is a function in a module of its name, and its example."""
 _GROUPS: dict[str, tuple[str, Mapping[str, str]]] = {
     "calibrate": ("Make the rig of a set of cameras, and correct it.", calibrate.EXAMPLES),
     "body": ("Make the model of a body, for `label-views`.", body.EXAMPLES),
+    "garment": ("Print coded garments, and capture a body that wears one.", garment.EXAMPLES),
     "rig": ("Show how exactly a rig measures, and where to place cameras.", rig.EXAMPLES),
 }
 """The first words of commands with two words: their help, and their commands."""

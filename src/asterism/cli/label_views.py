@@ -35,6 +35,9 @@ class LabelViewsOptions:
     labels: Annotated[
         Path | None, typer.Option("--labels", metavar="CSV", help="Write the label of each blob, with its confidence.", show_default=False)
     ] = None
+    report: Annotated[
+        Path | None, typer.Option("--report", metavar="FILE", help="Write an HTML page with a picture of each camera.", show_default=False)
+    ] = None
     rate: Annotated[float | None, typer.Option(metavar="HZ", help="Frames per second. Else as the file says.", show_default=False)] = None
     overwrite: Overwrite = False
     json: Json = None
@@ -55,7 +58,7 @@ def label_views(options: LabelViewsOptions) -> None:
 
     output = options.output
     check_suffix(output)
-    _console.check_outputs([output, options.labels, options.json], [options.blobs, options.rig], options.overwrite)
+    _console.check_outputs([output, options.labels, options.report, options.json], [options.blobs, options.rig], options.overwrite)
     body = views.load_body(options.body)
     rig = read_rig(options.rig)
     blobs = read_blobs(options.blobs, cameras=rig.names, rate=options.rate)
@@ -65,6 +68,10 @@ def label_views(options: LabelViewsOptions) -> None:
     lost = formats.write(output, result.recording(least_views=options.min_cameras, most_deviation=limit))
     if options.labels is not None:
         _write_labels(options.labels, result)
+    if options.report is not None:
+        from asterism.report.views import views_report
+
+        views_report(options.report, result, title=f"Labels in the images: {options.blobs.name}")
     numbers = _numbers(result)
     findings = (*assumptions(options.rig, rig), *result.findings, *not_carried(output, lost, "Write C3D to keep most."))
     for finding in findings:

@@ -14,7 +14,10 @@ QUEUED, CONFLICTS, STEPS = 1, 2, 3
 
 @kernel(inline=True)
 def next_word(word):
-    """The next 64 bits of a xorshift generator (Marsaglia, Xorshift RNGs, 2003, triple 13 7 17); word is not zero. O(1)."""
+    """The next 64 bits of a xorshift generator (Marsaglia, Xorshift RNGs, 2003, triple 13 7 17); word is not zero.
+
+    IN  word 64 bits. Returns the next word. O(1).
+    """
     word ^= word << np.uint64(13)
     word ^= word >> np.uint64(7)
     word ^= word << np.uint64(17)
@@ -142,7 +145,12 @@ def fill_in_raster_order(
 
 @kernel
 def in_conflict(block, number, counts, near):
-    """Whether a block has no identity, or shares it, or has one that is too like another's. O(k)."""
+    """Whether a block has no identity, or shares it, or has one that is too like another's.
+
+    IN  number (blocks,) identity of each block, -1 for none; counts (identities,) blocks of each; near (identities, k) those too like it,
+        -1 where there are fewer
+    Returns a bool. O(k).
+    """
     identity = number[block]
     if identity < 0 or counts[identity] > 1:
         return True

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from asterism.calibration.boards.footage import Footage, footage_of
 from asterism.cameras import Rig
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
 from asterism.recording import Ints
 
 Image = NDArray[np.uint8]
@@ -34,6 +35,11 @@ class ColourFootage:
     def names(self) -> tuple[str, ...]:
         """Of the cameras."""
         return tuple(camera.name for camera in self.cameras)
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is wrong with the files; what cannot be read is known once it was reached."""
+        return tuple(dict.fromkeys(finding for camera in self.cameras for finding in camera.findings))
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -62,7 +68,7 @@ class _Film:
         import cv2
 
         self._numbers = {number: i for i, number in enumerate(camera.frames.tolist())}
-        self._images = camera.images
+        self._images, self._camera = camera.images, camera
         self._next = 0
         self._video: Any = None
         if camera.video is not None:
@@ -76,14 +82,28 @@ class _Film:
         if place is None:
             return None
         if self._video is None:
-            return _colour(cv2.imread(str(self._images[place]), cv2.IMREAD_COLOR))
+            return self._named(_colour(cv2.imread(str(self._images[place]), cv2.IMREAD_COLOR)), number)
         image = None
         while self._next <= place:
             there, image = self._video.read()
             self._next += 1
             if not there:
-                return None
+                return self._named(None, number)
         return _colour(image)
+
+    def _named(self, image: Image | None, number: int) -> Image | None:
+        """The image; where there is none a finding says so, once for a video."""
+        if image is None:
+            what = str(self._camera.video) if self._video is not None else self._camera.image(number)
+            sentence = (
+                f"{what} cannot be read"
+                + (f" from frame {number} on" if self._video is not None else " as an image")
+                + "; it was left out."
+            )
+            known = any(finding.where == what for finding in self._camera.findings)
+            if not known:
+                self._camera.findings.append(Finding("garment-image-unreadable", Severity.WARNING, what, sentence, "Copy it again."))
+        return image
 
 
 def _colour(image: Any) -> Image | None:

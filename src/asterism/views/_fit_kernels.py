@@ -151,7 +151,10 @@ def add_sight(slope, weight, toward_u, toward_v, information, pull):
 def nearest_blobs(uv, slopes, shares, xy, offsets, sigma, observing, information, pull):
     """The paper's eq. 7: each visible marker is pulled by the blob nearest to it, where that is within `observing.reach`.
 
-    IN, OUT as `share_blobs`; a marker counts as visible from a probability of one half on. Squared distances, as Levenberg-Marquardt needs.
+    IN  as `share_blobs`; a marker counts as visible from a probability of one half on
+    OUT information (M, 3, 3) m-2, pull (M, 3) m-1, added to in place; returns half the squared distances (as Levenberg-Marquardt needs
+        them) over sigma squared
+    O(P M), no allocation.
     """
     cost, weight = 0.0, 1.0 / (sigma * sigma)
     for c in range(len(uv)):
@@ -291,14 +294,6 @@ def minimise(body, cameras, known, observing, xy, offsets, labels, sigmas, steps
                     break
     hessian[:] = current
     return cost
-
-
-@kernel
-def minimise_all(body, cameras, known, observing, xy, offsets, labels, sigmas, steps, free, poses, rotations, costs):
-    """`minimise` from many starts. IN, OUT poses (N, D), rotations (N, 3, 3). OUT costs (N,) nats. O(N) minimisations."""
-    hessian = np.empty((poses.shape[1], poses.shape[1]))
-    for n in range(len(poses)):
-        costs[n] = minimise(body, cameras, known, observing, xy, offsets, labels, sigmas, steps, free, poses[n], rotations[n], hessian)
 
 
 @kernel

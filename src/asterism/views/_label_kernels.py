@@ -7,8 +7,9 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.views._fit_kernels import add_sight, evaluate, minimise, predict_visible, project_linear
-from asterism.views._pose_kernels import add_priors, place_bones, place_points, point_jacobian, solve_damped
+from asterism.geometry._kernels import symmetric_inverse
+from asterism.views._fit_kernels import add_sight, project_linear
+from asterism.views._pose_kernels import place_bones, place_points, point_jacobian, solve_damped
 
 _NEVER = 1e6
 """nats: no gain comes near."""
@@ -103,7 +104,7 @@ def margins(gain, chosen, out):
 
 
 @kernel
-def blob_gains(body, uv, slopes, shares, means, covariances, xy, first, last, camera, observing, gain):
+def blob_gains(uv, slopes, shares, means, covariances, xy, first, last, camera, observing, gain):
     """What it gains to label a blob of one camera as a marker, against a stray and a marker without a blob.
 
     IN  uv (C, M, 2), slopes (C, M, 2, 3): of the model; shares (C, M); means (M, 3) m, covariances (M, 3, 3) m2: where the marker is
@@ -135,75 +136,94 @@ def blob_gains(body, uv, slopes, shares, means, covariances, xy, first, last, ca
 
 
 @kernel
-def combine_sights(uv, slopes, chosen, xy, offsets, without, prior, noise, mean, covariance, m):
-    """Where a marker is off its model place, by the model and the blobs that it has in other cameras.
+def invert_each(matrices, out):
+    """The inverses of symmetric 3 x 3 matrices. IN matrices (M, 3, 3). OUT out (M, 3, 3), 0 where one is not positive definite. O(M)."""
+    h = np.empty(6)
+    for m in range(len(matrices)):
+        invert_symmetric(matrices[m], h, out[m])
 
-    IN  chosen (C, M): the blob of each marker in each camera, -1 for none; without: the camera that does not count, -1 for none;
-        prior (3, 3) m2: covariance of the model's place; noise px; m: the marker
-    OUT mean (3,) m, covariance (3, 3) m2; returns how many cameras counted
-    O(C); allocates 3 x 3.
-    """
-    information, pull = np.linalg.inv(prior), np.zeros(3)
-    count = 0
-    for c in range(len(uv)):
-        k = chosen[c, m]
-        if c == without or k < 0:
-            continue
-        count += 1
-        weight = 1.0 / (noise * noise)
-        row = offsets[c] + k
-        add_sight(slopes[c, m], weight, weight * (xy[row, 0] - uv[c, m, 0]), weight * (xy[row, 1] - uv[c, m, 1]), information, pull)
-    covariance[:] = np.linalg.inv(information)
-    for i in range(3):
-        mean[i] = covariance[i, 0] * pull[0] + covariance[i, 1] * pull[1] + covariance[i, 2] * pull[2]
-    return count
+
+@kernel(inline=True)
+def invert_symmetric(matrix, h, out):
+    """The inverse of a symmetric matrix (3, 3). OUT h (6,): working memory; out (3, 3). O(1)."""
+    h[0], h[1], h[2], h[3], h[4], h[5] = matrix[0, 0], matrix[0, 1], matrix[0, 2], matrix[1, 1], matrix[1, 2], matrix[2, 2]
+    _, xx, xy, xz, yy, yz, zz = symmetric_inverse(h)
+    out[0, 0], out[1, 1], out[2, 2] = xx, yy, zz
+    out[0, 1] = out[1, 0] = xy
+    out[0, 2] = out[2, 0] = xz
+    out[1, 2] = out[2, 1] = yz
 
 
 @kernel
-def label_globally(body, cameras, observing, shares, points, priors, xy, offsets, rounds, together, labels, worth, means, covariances):
+def combine_sights(uv, slopes, chosen, xy, offsets, without, weight, information, means, covariances):
+    """Where markers are off their model places, by the model and the blobs that they have in other cameras.
+
+    IN  uv (C, M, 2), slopes (C, M, 2, 3); chosen (C, M): the blob of each marker in each camera, -1 for none; without: the camera that
+        does not count, -1 for none; weight px-2 of a blob; information (M, 3, 3) m-2: how exactly the model knows each place
+    OUT means (M, 3) m, covariances (M, 3, 3) m2
+    O(C M); allocates 3 x 3.
+    """
+    sum_of, pull, h = np.empty((3, 3)), np.empty(3), np.empty(6)
+    for m in range(len(means)):
+        sum_of[:] = information[m]
+        pull[:] = 0.0
+        for c in range(len(uv)):
+            k = chosen[c, m]
+            if c != without and k >= 0:
+                row = offsets[c] + k
+                add_sight(slopes[c, m], weight, weight * (xy[row, 0] - uv[c, m, 0]), weight * (xy[row, 1] - uv[c, m, 1]), sum_of, pull)
+        covariance = covariances[m]
+        invert_symmetric(sum_of, h, covariance)
+        for i in range(3):
+            means[m, i] = covariance[i, 0] * pull[0] + covariance[i, 1] * pull[1] + covariance[i, 2] * pull[2]
+
+
+@kernel
+def label_globally(cameras, observing, shares, points, priors, xy, offsets, rounds, together, labels, worth, means, covariances):
     """Blobs to markers in all cameras at once: each camera assigns exactly, by what the other cameras' blobs say of where a marker is.
 
     IN  shares (C, M); points (M, 3) m, priors (M, 3, 3) m2: where the posed body has its markers, and how exactly; xy (P, 2) px,
-        offsets (C + 1,); rounds: how often each camera assigns; together: whether cameras inform each other
+        offsets (C + 1,); rounds: how often each camera assigns at most; together: whether cameras inform each other
     OUT labels (P,): the marker of each blob, -1 for none; worth (P,) nats: gain beyond the best change; means (M, 3) m off `points`,
         covariances (M, 3, 3) m2: markers by all their blobs. Returns the total gain, nats
-    O(rounds C M^2 (M + K)). Coordinate ascent on the joint probability of labels and places.
+    O(rounds C M^2 (M + K)). Coordinate ascent on the joint probability of labels and places; it ends where nothing changes.
     """
     count, markers = len(cameras.eyes), len(points)
     uv, slopes = np.empty((count, markers, 2)), np.empty((count, markers, 2, 3))
     project_linear(cameras, points, uv, slopes)
-    chosen = np.full((count, markers), -1, dtype=np.int64)
+    information = np.empty((markers, 3, 3))
+    invert_each(priors, information)
+    chosen, before = np.full((count, markers), -1, dtype=np.int64), np.empty((count, markers), dtype=np.int64)
+    margin = np.empty(markers)
+    weight = 1.0 / (observing.noise * observing.noise)
     labels[:] = -1
     worth[:] = 0.0
     total = 0.0
     for turn in range(rounds + 1):
         total = 0.0
+        before[:] = chosen
         for c in range(count):
             first, last = offsets[c], offsets[c + 1]
-            for m in range(markers):
-                if together and turn > 0:
-                    combine_sights(uv, slopes, chosen, xy, offsets, c, priors[m], observing.noise, means[m], covariances[m], m)
-                else:
-                    means[m] = 0.0
-                    covariances[m] = priors[m]
+            if together and turn > 0:
+                combine_sights(uv, slopes, chosen, xy, offsets, c, weight, information, means, covariances)
+            else:
+                means[:] = 0.0
+                covariances[:] = priors
             gain = np.empty((markers, last - first))
-            blob_gains(body, uv, slopes, shares, means, covariances, xy, first, last, c, observing, gain)
+            blob_gains(uv, slopes, shares, means, covariances, xy, first, last, c, observing, gain)
             assign_best(gain, chosen[c])
+            margins(gain, chosen[c], margin)
+            for k in range(first, last):
+                labels[k] = -1
+                worth[k] = 0.0
             for m in range(markers):
                 if chosen[c, m] >= 0:
                     total += gain[m, chosen[c, m]]
-            if turn == rounds:
-                margin = np.empty(markers)
-                margins(gain, chosen[c], margin)
-                for k in range(first, last):
-                    labels[k] = -1
-                    worth[k] = 0.0
-                for m in range(markers):
-                    if chosen[c, m] >= 0:
-                        labels[first + chosen[c, m]] = m
-                        worth[first + chosen[c, m]] = margin[m]
-    for m in range(markers):
-        combine_sights(uv, slopes, chosen, xy, offsets, -1, priors[m], observing.noise, means[m], covariances[m], m)
+                    labels[first + chosen[c, m]] = m
+                    worth[first + chosen[c, m]] = margin[m]
+        if turn > 0 and (before == chosen).all():
+            break
+    combine_sights(uv, slopes, chosen, xy, offsets, -1, weight, information, means, covariances)
     return total
 
 
@@ -213,81 +233,40 @@ def place_priors(body, pose, rotation, hessian, free, points, priors):
 
     IN  hessian (D, D) lower triangle, of the pose; free (F,): which numbers were fitted
     OUT points (M, 3) m, priors (M, 3, 3) m2; returns whether the pose is determined
-    O(F^3 + M F^2); allocates (D, D).
+    O(F^3 + M F^2); allocates (F, F).
     """
-    size, bones, hinges = len(pose), len(body.parents), len(body.axes)
+    size, bones, hinges, fitted = len(pose), len(body.parents), len(body.axes), len(free)
     turned, moved, by_scale = np.empty((bones, 3, 3)), np.empty((bones, 3)), np.empty((bones, 3, 3))
     axes, pivots = np.empty((hinges, 3)), np.empty((hinges, 3))
     place_bones(body.parents, body.pivots, body.hinge_starts, body.axes, pose, rotation, turned, moved, by_scale, axes, pivots)
     place_points(body.bones, body.places, pose, turned, moved, points)
-    jacobian, factor, step, column = np.empty((3, size)), np.empty((size, size)), np.empty(size), np.zeros(size)
-    whole = True
+    jacobian, factor, step = np.empty((3, size)), np.empty((size, size)), np.empty(size)
+    known = solve_damped(hessian, step, free, 1e-9, factor, step)
+    part = np.empty((3, fitted))
     for m in range(len(points)):
         b = body.bones[m]
         point_jacobian(b, body.places[m], points[m], pose, turned, by_scale, axes, pivots, body.moves[b], jacobian)
+        # With H = L L', the covariance J inverse(H) J' is the square of inverse(L) J'.
         for i in range(3):
-            for p in range(size):
-                column[p] = jacobian[i, p]
-            known = solve_damped(hessian, column, free, 1e-9, factor, step)
-            whole = whole and known
+            for p in range(fitted):
+                total = jacobian[i, free[p]]
+                for q in range(p):
+                    total -= factor[p, q] * part[i, q]
+                part[i, p] = total / factor[p, p] if known else 0.0
+        for i in range(3):
             for k in range(3):
                 total = body.spreads[m] ** 2 if i == k else 0.0
-                for p in range(size):
-                    total += jacobian[k, p] * step[p]
+                for p in range(fitted):
+                    total += part[i, p] * part[k, p]
                 priors[m, i, k] = total
-    return whole
+    return known
 
 
 @kernel
-def settle(
-    body, cameras, known, observing, xy, offsets, sigmas, steps, free, rounds, together, pose, rotation, labels, worth, means, covariances
-):
-    """Label the blobs by a fitted pose, fit the pose to the labels, and label again.
-
-    IN  sigmas (1,) px: the blobs' noise; others: see `minimise` and `label_globally`
-    OUT pose (D,), rotation (3, 3): the start, then the result; labels (P,), worth (P,) nats; means (M, 3) m: the markers' places,
-        covariances (M, 3, 3) m2. Returns the labels' total gain less what the pose costs beforehand, nats
-    O(labellings + minimisation).
-    """
-    size, markers = len(pose), len(body.bones)
-    hessian, gradient = np.empty((size, size)), np.empty(size)
-    points, priors = np.empty((markers, 3)), np.empty((markers, 3, 3))
-    shares = np.empty((len(cameras.eyes), markers))
-    nobody = np.empty(0, dtype=np.int64)
-    gain = 0.0
-    for turn in range(2):
-        predict_visible(body, cameras, observing, pose, rotation, shares)
-        given = nobody if turn == 0 else labels
-        evaluate(body, cameras, known, observing, shares, xy, offsets, given, pose, rotation, sigmas[-1], hessian, gradient)
-        place_priors(body, pose, rotation, hessian, free, points, priors)
-        gain = label_globally(
-            body, cameras, observing, shares, points, priors, xy, offsets, rounds, together, labels, worth, means, covariances
-        )
-        minimise(body, cameras, known, observing, xy, offsets, labels, sigmas, steps, free, pose, rotation, hessian)
-    predict_visible(body, cameras, observing, pose, rotation, shares)
-    place_priors(body, pose, rotation, hessian, free, points, priors)
-    gain = label_globally(
-        body, cameras, observing, shares, points, priors, xy, offsets, rounds, together, labels, worth, means, covariances
-    )
-    for m in range(markers):
-        for i in range(3):
-            means[m, i] += points[m, i]
-    # What the scene should show and does not, and what the pose costs by itself.
-    for c in range(len(shares)):
-        for m in range(markers):
-            gain += math.log(1.0 - min(shares[c, m], 0.999))
-    hessian[:] = 0.0
-    gradient[:] = 0.0
-    gain -= add_priors(
-        pose,
-        rotation,
-        known.vertical,
-        body.usual,
-        body.precision,
-        known.scale_usual,
-        known.scale_precision,
-        known.tilt_precision,
-        hessian,
-        gradient,
-    )
-    return gain
+def unseen_cost(shares):
+    """What it costs (nats) that no camera would have a blob of any marker, the base of gains. IN shares (C, M). O(C M)."""
+    cost = 0.0
+    for c in range(shares.shape[0]):
+        for m in range(shares.shape[1]):
+            cost -= math.log(1.0 - min(shares[c, m], 0.999))
+    return cost

@@ -9,7 +9,12 @@ from asterism._jit import kernel
 
 @kernel(inline=True)
 def nearest_on_segments(p, q, a, b):
-    """Where the segments p q and a b are nearest: the squared distance m2 and the share along a b; points where a length is 0. O(1)."""
+    """Where two segments are nearest: returns the squared distance m2 and the share along the second.
+
+    IN  p, q and a, b (3,) m: their ends; a segment without length is a point
+    OUT nothing
+    O(1), no allocation.
+    """
     ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     vx, vy, vz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     wx, wy, wz = p[0] - a[0], p[1] - a[1], p[2] - a[2]

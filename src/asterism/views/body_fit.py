@@ -28,6 +28,7 @@ class BodyFitRules:
     steps           tries of Levenberg-Marquardt for each frame
     frames          frames of each recording that count, evenly spread
     rounds          how often places and poses take turns
+    spread_share    standard deviation of a marker's place as a multiple of what was seen: few people show little of it
     least_spread    m, of a marker's place
     people_spread   m, of a marker's place on other people, beside what is seen, where only one person is known
     hinge_share     standard deviation of an angle as a multiple of what was seen
@@ -39,6 +40,7 @@ class BodyFitRules:
     steps: int = 30
     frames: int = 40
     rounds: int = 2
+    spread_share: float = 1.3
     least_spread: float = 0.008
     people_spread: float = 0.012
     hinge_share: float = 1.4
@@ -265,7 +267,7 @@ def _with_offsets(body: BodyModel, offsets: Sequence[Floats], rules: BodyFitRule
     within = np.nanmean(np.array([np.nanvar(part, axis=0).mean(axis=1) for part in offsets]), axis=0)
     several = len(offsets) > 2
     between = np.nanvar(means, axis=0, ddof=1).mean(axis=1) if several else np.full(len(mean), rules.people_spread**2)
-    spread = np.maximum(np.sqrt(within + between), rules.least_spread)
+    spread = np.maximum(rules.spread_share * np.sqrt(within + between), rules.least_spread)
     root = np.array(body.bones[0].pivot)
     return replace(
         body,
@@ -286,11 +288,23 @@ def _with_motion(body: BodyModel, angles: Floats, rules: BodyFitRules) -> BodyMo
         hinges = []
         for hinge in bone.hinges:
             middle = float(np.clip(usual[place], hinge.low, hinge.high))
-            hinges.append(replace(hinge, usual=middle, spread=float(spread[place])))
+            hinges.append(replace(hinge, usual=middle, spread=max(float(spread[place]), hinge.spread)))
             place += 1
         bones.append(replace(bone, hinges=tuple(hinges)))
     poses = {f"pose {i + 1}": tuple(float(x) for x in pose) for i, pose in enumerate(_apart(angles / spread, rules.poses) * spread)}
-    return replace(body, bones=tuple(bones), poses=poses)
+    return replace(body, bones=tuple(bones), poses=poses | _raised_arms(body, usual))
+
+
+def _raised_arms(body: BodyModel, usual: Floats) -> dict[str, tuple[float, ...]]:
+    """Poses with the arms ahead and aside, from which no walk starts; none for a body without arms."""
+    poses = {}
+    for name, hinge_name, degrees in (("arms ahead", "upper arm raising", 80.0), ("arms aside", "upper arm abduction", 70.0)):
+        angles = usual.copy()
+        raised = [j for j, hinge in enumerate(body.hinge_names) if hinge.endswith(hinge_name)]
+        angles[raised] = np.radians(degrees)
+        if raised:
+            poses[name] = tuple(float(x) for x in angles)
+    return poses
 
 
 def _apart(points: Floats, count: int) -> Floats:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from asterism.recording import Floats, Ints
-from asterism.views._fit_kernels import minimise, minimise_all, predict_visible
-from asterism.views._label_kernels import settle
-from asterism.views._pose_kernels import HINGES
-from asterism.views.arrays import Known, Observing
+from asterism.views._fit_kernels import minimise, predict_visible
+from asterism.views._label_kernels import label_globally, place_priors, unseen_cost
+from asterism.views._pose_kernels import HINGES, add_priors
+from asterism.views.arrays import BodyArrays, CameraArrays, Known, Observing
 from asterism.views.body import BodyModel
 from asterism.views.body_fit import known_of
 from asterism.views.posing import posed_points
@@ -91,40 +92,99 @@ class FrameLabeller:
         return self._fitted(t, pose, rotation, self.rules.follow, self.rules.follow_steps)
 
     def from_nothing(self, t: int) -> FrameLabels:
-        """The labels of frame t when nothing is known: any heading, size and place. Raises as `starts`."""
+        """The labels of frame t when nothing is known: any heading, size and place. Raises as `starts`.
+
+        Where the best of the starts leaves many expected sightings without a blob, more starts are tried.
+        """
+        found = self._best_start(t)
+        if (found.labels >= 0).sum() < self.rules.enough_shown * self.expected(found).sum():
+            rules = self.rules
+            more = replace(rules, headings=2 * rules.headings, kept=3 * rules.kept, going_on=1.0, coarse_steps=2 * rules.coarse_steps)
+            again = replace(self, rules=more)._best_start(t)
+            found = again if again.gain > found.gain else found
+        return found
+
+    def _best_start(self, t: int) -> FrameLabels:
+        """The labels from the best of the starts of `ViewsRules.headings`."""
         xy, offsets = self.scene.frame(t)
         rules = self.rules
         poses, rotations = starts(self.scene, self.body, xy, offsets, rules.headings, self.size)
-        costs = np.empty(len(poses))
-        coarse = np.array(rules.coarse)
-        args = (self.body.arrays, self.scene.cameras, self.known, self.observing, xy, offsets, _UNKNOWN)
-        minimise_all(*args, coarse, rules.coarse_steps, self.free, poses, rotations, costs)
-        results: list[FrameLabels] = []
+        costs = self._screened(xy, offsets, poses, rotations)
         fine = tuple(blur for blur in rules.blur if blur < rules.coarse[-1])
-        for n in _different(costs, poses, rotations, rules.kept):
-            results.append(self._fitted(t, poses[n], rotations[n], fine, rules.steps))
+        results = [self._fitted(t, poses[n], rotations[n], fine, rules.steps) for n in _different(costs, poses, rotations, rules.kept)]
         results.sort(key=lambda result: -result.gain)
-        best = results[0]
+        best = self.turned(t, results[0])
         others = [result.gain for result in results[1:] if not np.array_equal(result.labels, best.labels)]
         return replace(best, rival=max(others, default=float("-inf")))
 
+    def _screened(self, xy: Floats, offsets: Ints, poses: Floats, rotations: Floats) -> Floats:
+        """(N,) nats, the starts' costs after the coarse stages, in each of which the worse ones stay behind; moves poses and rotations."""
+        rules, hessian = self.rules, np.empty((poses.shape[1], poses.shape[1]))
+        costs, left = np.full(len(poses), np.inf), np.arange(len(poses))
+        for stage, blur in enumerate(rules.coarse):
+            fixed = (self.body.arrays, self.scene.cameras, self.known, self.observing, xy, offsets, _UNKNOWN, np.array([blur]))
+            found = np.array([minimise(*fixed, rules.coarse_steps, self.free, poses[n], rotations[n], hessian) for n in left])
+            last = stage == len(rules.coarse) - 1
+            going = max(int(np.ceil(rules.going_on * len(left))), 2 * rules.kept)
+            best = np.argsort(found, kind="stable")[: len(left) if last else going]
+            left, found = left[best], found[best]
+        costs[left] = found
+        return costs
+
+    def turned(self, t: int, found: FrameLabels) -> FrameLabels:
+        """The labels of frame t with each limb turned about its own length, where that explains the blobs better.
+
+        A wrist with a marker on each side looks nearly the same when the forearm is turned by half a turn, and no fit leads from one to the
+        other. O(wide hinges) labellings.
+        """
+        arrays = self.body.arrays
+        wide = np.nonzero((arrays.high - arrays.low > np.pi) & (np.abs(arrays.axes[:, 2]) > 0.9))[0] if self.rules.joints else ()
+        for j in wide:
+            angle = found.pose[HINGES + j]
+            for shift in (-2.0, 2.0):
+                pose = found.pose.copy()
+                pose[HINGES + j] = np.clip(angle + shift, arrays.low[j], arrays.high[j])
+                other = self.follow(t, pose, found.rotation)
+                if other.gain > found.gain + 1.0:
+                    found = other
+        return found
+
     def _fitted(self, t: int, pose: Floats, rotation: Floats, blur: tuple[float, ...], steps: int) -> FrameLabels:
+        """Fit the pose to blobs without labels, label them by it, fit it to the labels, and label again."""
         xy, offsets = self.scene.frame(t)
-        arrays, cameras, known, observing, free = self.body.arrays, self.scene.cameras, self.known, self.observing, self.free
+        arrays, cameras, known, observing, free, rules = self._kit
         pose, rotation = pose.copy(), rotation.copy()
-        size, markers = len(pose), len(self.body.markers)
-        if len(blur):
-            hessian = np.empty((size, size))
-            minimise(arrays, cameras, known, observing, xy, offsets, _UNKNOWN, np.array(blur), steps, free, pose, rotation, hessian)
+        hessian, shares = np.empty((len(pose), len(pose))), np.empty((len(self.scene.rig), len(self.body.markers)))
         labels, worth = np.full(len(xy), -1, dtype=np.int64), np.zeros(len(xy))
-        points, covariances = np.empty((markers, 3)), np.empty((markers, 3, 3))
-        noise = np.array([self.rules.noise])
-        rules = self.rules
-        gain = settle(
-            *(arrays, cameras, known, observing, xy, offsets, noise, 5, free, rules.rounds, rules.together),
-            *(pose, rotation, labels, worth, points, covariances),
+        points, covariances = np.empty((len(arrays.bones), 3)), np.empty((len(arrays.bones), 3, 3))
+        means, priors = np.empty_like(points), np.empty_like(covariances)
+        noise = np.array([rules.noise])
+        minimise(arrays, cameras, known, observing, xy, offsets, _UNKNOWN, np.array(blur), steps, free, pose, rotation, hessian)
+        gain = 0.0
+        for turn in range(rules.turns + 1):
+            predict_visible(arrays, cameras, observing, pose, rotation, shares)
+            place_priors(arrays, pose, rotation, hessian, free, points, priors)
+            gain = label_globally(
+                *(cameras, observing, shares, points, priors, xy, offsets, rules.rounds, rules.together),
+                *(labels, worth, means, covariances),
+            )
+            if turn < rules.turns:
+                minimise(arrays, cameras, known, observing, xy, offsets, labels, noise, rules.label_steps, free, pose, rotation, hessian)
+        gain -= unseen_cost(shares) + self._pose_cost(pose, rotation)
+        return FrameLabels(labels, worth, pose, rotation, points + means, covariances, float(gain))
+
+    def _pose_cost(self, pose: Floats, rotation: Floats) -> float:
+        """nats, what a pose costs before any image."""
+        size, known, arrays = len(pose), self._kit[2], self._kit[0]
+        cost = add_priors(
+            *(pose, rotation, known.vertical, arrays.usual, arrays.precision),
+            *(known.scale_usual, known.scale_precision, known.tilt_precision, np.zeros((size, size)), np.zeros(size)),
         )
-        return FrameLabels(labels, worth, pose, rotation, points, covariances, float(gain))
+        return float(cost)
+
+    @cached_property
+    def _kit(self) -> tuple[BodyArrays, CameraArrays, Known, Observing, Ints, ViewsRules]:
+        return self.body.arrays, self.scene.cameras, self.known, self.observing, self.free, self.rules
 
 
 def _different(costs: Floats, poses: Floats, rotations: Floats, most: int) -> list[int]:
@@ -137,8 +197,8 @@ def _different(costs: Floats, poses: Floats, rotations: Floats, most: int) -> li
             and np.abs(poses[n, HINGES:] - poses[k, HINGES:]).max(initial=0.0) < 0.2
             for k in chosen
         )
+        if len(chosen) == most or not np.isfinite(costs[n]):
+            break
         if not any(near):
             chosen.append(int(n))
-        if len(chosen) == most:
-            break
     return chosen

@@ -8,21 +8,19 @@ import numpy as np
 
 from asterism.cameras import Rig
 from asterism.errors import AsterismError
-from asterism.findings import Finding, Severity
+from asterism.findings import Finding
 from asterism.progress import Progress
 from asterism.recording import NULL, Blobs, Clouds, Floats, Ints, Labelling, Recording
+from asterism.views import checks
 from asterism.views.body import BodyModel
 from asterism.views.body_file import load_body
 from asterism.views.frame import FrameLabeller, FrameLabels
+from asterism.views.personal import personal_body, quality_of
 from asterism.views.rules import RULES, ViewsRules
 from asterism.views.scene import scene_of
 
-_MANY_LOST = 0.05
-"""Share of the frames without the body from which a person is told."""
-_NOT_WORN = 0.3
-"""A marker with fewer of its expected blobs than this is probably not worn."""
-_MANY_LEFT = 0.5
-"""Blobs without a label per blob with one, from which a person is told. Two strays in an image of ten markers are 0.2."""
+_DOUBTFUL = 0.3
+"""The highest confidence of labels that were not given because the whole does not fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +28,7 @@ class ViewsLabelling:
     """Labels of blobs, and where the markers are.
 
     rig, blobs, body  what was labelled, and with which body
+    person       the body of this person, with the places at which the markers were found to sit
     labels       (P,) the marker of each blob, its place in `body.labels`; -1 for "I do not know" or no marker
     confidence   (P,) the probability that the blob is that marker; of a blob without a label that of the label that was not accepted
     positions    (T, M, 3) m: markers with a label in at least one camera; NaN for others
@@ -45,6 +44,7 @@ class ViewsLabelling:
     rig: Rig
     blobs: Blobs
     body: BodyModel
+    person: BodyModel
     labels: Ints
     confidence: Floats
     positions: Floats
@@ -121,25 +121,70 @@ def label_views(
     """Label the blobs of a recording with a body model, frame after frame, and place every marker that a camera shows.
 
     The body is sought in the first frame with any heading, size and place, and followed from frame to frame; where it is lost it is
-    sought anew. Labels that are less probable than `least_confidence` are not given. A frame whose blobs the body does not explain
-    gets no label at all.
+    sought anew. Before that some frames show where on this person the markers sit (`ViewsRules.personal`). Labels that are less probable
+    than `least_confidence` are not given. A frame whose blobs the body does not explain gets no label at all.
 
     rig     calibrated cameras with the blobs' names and a vertical
     body    a body model, the name of a shipped one, or a file
     height  m, of the person, where it is known
 
-    Raises AsterismError where the rig lacks a camera, a pose or a vertical. O(T (P M + M D^2)) for P blobs of a frame and D numbers of a
-    pose.
+    Raises AsterismError where the rig lacks a camera, a pose or a vertical, and where the body's left markers are on its right.
+    O(T (P M + M D^2)) for P blobs of a frame and D numbers of a pose.
     """
     body = load_body(body)
+    checks.refuse_mirrored(body)
     scene = scene_of(blobs, rig)
     labeller = FrameLabeller(scene, body, rules, None if height is None else height / body.height)
-    track = _Track(labeller)
+    if rules.personal and len(blobs):
+        labeller = replace(labeller, body=personal_body(labeller), size=None)
+    track = _Track(labeller, body)
     for t in range(len(blobs)):
         track.take(t)
         if progress is not None:
             progress((t + 1) / len(blobs), "labelling")
-    return track.result(least_confidence)
+    result = track.result(least_confidence)
+    misfits = checks.misfits(result)
+    if len(misfits):
+        result = _without(blobs, rig, misfits, body, height, rules, least_confidence)
+    if checks.is_other_body(result):
+        result = _withdrawn(result)
+    return replace(result, findings=tuple(checks.findings(result, misfits)))
+
+
+def _without(
+    blobs: Blobs, rig: Rig, cameras: Ints, body: BodyModel, height: float | None, rules: ViewsRules, least_confidence: float
+) -> ViewsLabelling:
+    """The labelling by the other cameras; without any label where fewer than two of them, or fewer than half of all, have blobs."""
+    kept = ~np.isin(blobs.camera_of, cameras)
+    seeing = blobs.counts.sum(axis=0) > 0
+    left = int(seeing.sum()) - int(seeing[cameras].sum())
+    scene = scene_of(blobs.select(kept), rig)
+    labeller = FrameLabeller(scene, body, rules, None if height is None else height / body.height)
+    enough = left >= 2 and 2 * left >= int(seeing.sum())
+    if enough and rules.personal:
+        labeller = replace(labeller, body=personal_body(labeller), size=None)
+    track = _Track(labeller, body)
+    for t in range(len(blobs)):
+        track.take(t)
+    few = track.result(least_confidence)
+    if not enough or len(checks.misfits(few)):
+        few = _withdrawn(few)
+    labels, confidence = np.full(len(blobs.xy), NULL, dtype=np.int64), np.zeros(len(blobs.xy))
+    labels[kept], confidence[kept] = few.labels, few.confidence
+    return replace(few, blobs=blobs, labels=labels, confidence=confidence)
+
+
+def _withdrawn(result: ViewsLabelling) -> ViewsLabelling:
+    """The labelling without any label: the whole does not fit."""
+    return replace(
+        result,
+        labels=np.full_like(result.labels, NULL),
+        confidence=np.minimum(result.confidence, _DOUBTFUL),
+        views=np.zeros_like(result.views),
+        positions=np.full_like(result.positions, np.nan),
+        covariances=np.full_like(result.covariances, np.nan),
+        poses=np.full_like(result.poses, np.nan),
+    )
 
 
 @dataclass(frozen=True)
@@ -153,7 +198,8 @@ class _Seen:
 class _Track:
     """Frames one after the other: predicts, follows, notices that the body is lost, and seeks it anew."""
 
-    def __init__(self, labeller: FrameLabeller) -> None:
+    def __init__(self, labeller: FrameLabeller, body: BodyModel | None = None) -> None:
+        self.body = labeller.body if body is None else body
         self.labeller = labeller
         self.seen: list[_Seen | None] = []
         self.restarts: list[int] = []
@@ -163,6 +209,8 @@ class _Track:
     def take(self, t: int) -> None:
         """Label frame t."""
         found = self._followed(t)
+        if found is not None and t % self.labeller.rules.turn_frames == 0:
+            found = self._judged(t, self.labeller.turned(t, found.labels))
         if found is None or found.quality < self.labeller.rules.lost:
             found = self._sought(t, found)
         self.seen.append(found)
@@ -198,8 +246,7 @@ class _Track:
         return found
 
     def _judged(self, t: int, labels: FrameLabels) -> _Seen:
-        expected = self.labeller.expected(labels)
-        return _Seen(labels, labels.gain / max(float(expected.sum()), 1.0))
+        return _Seen(labels, quality_of(self.labeller, labels))
 
     def result(self, least_confidence: float) -> ViewsLabelling:
         """All frames together."""
@@ -218,7 +265,7 @@ class _Track:
             given = (found.labels.labels >= 0) & (sure >= least_confidence)
             confidence[first:last] = np.where(found.labels.labels >= 0, sure, 0.0)
             if found.quality < rules.lost:
-                confidence[first:last] = np.minimum(confidence[first:last], 0.3)
+                confidence[first:last] = np.minimum(confidence[first:last], _DOUBTFUL)
                 continue
             labels[first:last] = np.where(given, found.labels.labels, NULL)
             found_views = np.bincount(found.labels.labels[given], minlength=markers)
@@ -231,6 +278,7 @@ class _Track:
         made = ViewsLabelling(
             scene.rig,
             scene.blobs,
+            self.body,
             body,
             labels,
             confidence,
@@ -243,42 +291,4 @@ class _Track:
             expected,
             tuple(self.restarts),
         )
-        return replace(made, findings=tuple(_findings(made)))
-
-
-def _findings(result: ViewsLabelling) -> list[Finding]:
-    """What a person should know before using the labels."""
-    blobs, body = result.blobs, result.body
-    counts = blobs.counts
-    there = np.isfinite(result.poses[:, 0])
-    worth_a_try = counts.sum(axis=1) > 0
-    found = list[Finding]()
-    for c in np.nonzero(counts.sum(axis=0) == 0)[0]:
-        name = blobs.cameras[c]
-        sentence = f"camera {name} has no blob in the whole recording."
-        found.append(
-            Finding("views-empty-camera", Severity.WARNING, name, sentence, "Check that it recorded, and that its blobs are in the file.")
-        )
-    if not there.any():
-        sentence = f"the blobs do not show the body {body.title} through these cameras; no label was given."
-        mend = "Check that the rig is of this recording, that the body has the markers that were worn, and that two cameras see the person."
-        return [*found, Finding("views-no-body", Severity.ERROR, "", sentence, mend)]
-    lost = worth_a_try & ~there
-    if lost.mean() > _MANY_LOST:
-        sentence = f"the body {body.title} was not found in {lost.sum()} of {len(lost)} frames; they have no labels."
-        mend = "Look whether the person was out of the cameras' view in them; if not, check the rig and the body."
-        found.append(Finding("views-lost", Severity.WARNING, "", sentence, mend))
-    expected = result.expected[there].sum(axis=(0, 1))
-    given = result.labels >= 0
-    seen = np.bincount(result.labels[given], minlength=len(body.markers))
-    absent = [name for name, wanted, got in zip(body.labels, expected, seen, strict=True) if wanted > 10 and got < _NOT_WORN * wanted]
-    if absent:
-        sentence = f"the cameras should show {', '.join(absent)}, and hardly do."
-        mend = "If they are not worn, give a body without them (`asterism body fit --markers`)."
-        found.append(Finding("views-markers-absent", Severity.WARNING, ", ".join(absent), sentence, mend))
-    left = float((~given[there[blobs.frame_of]]).sum()) / max(float(given.sum()), 1.0)
-    if left > _MANY_LEFT:
-        sentence = f"for every 100 blobs that got a label, {100 * left:.0f} got none."
-        mend = "Cover reflections; if more markers are worn than the body has, give a body with them."
-        found.append(Finding("views-many-unlabelled", Severity.WARNING, "", sentence, mend))
-    return found
+        return made

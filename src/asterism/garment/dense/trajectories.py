@@ -58,6 +58,15 @@ class DenseTrajectories:
         """(m, 3, 3) m2 of one frame, NaN where there is no position."""
         return np.asarray(self.covariance[frame], dtype=np.float64)[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
 
+    def points(self, frame: int) -> DensePoints:
+        """The points of one frame, for `garment.surface`; what they were made from is not known any more."""
+        there = np.isfinite(self.positions[frame, :, 0])
+        number, none = int(there.sum()), np.empty((0, 2), dtype=np.int64)
+        return DensePoints(
+            self.ids[there], self.positions[frame, there], self.covariances(frame)[there], self.cameras[frame, there].astype(np.int64),
+            np.full(number, np.nan), 1.0, number, none, none, np.empty(0, dtype=np.int64),
+        )  # fmt: skip
+
     def recording(self) -> Recording:
         """The same as a recording, circle 4711 with the label g4711: for everything that takes labelled trajectories."""
         return Recording(self.positions, tuple(f"g{number}" for number in self.ids.tolist()), self.rate, self.vertical)

@@ -1,0 +1,139 @@
+"""The code and the reading: how many identities a sheet can have and how fast, and what is read of pictures with known truth."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from functools import cache
+from statistics import median
+
+import numpy as np
+
+from asterism.cameras import Rig
+from asterism.errors import AsterismError
+from asterism.garment import DesignRules, Pattern, design_pattern
+from asterism.garment.check import judge_reading
+from asterism.garment.design import fill_pattern
+from asterism.garment.read import ReadCircles, read_image
+from asterism.simulation.garment import Photo, PhotoSettings, Wearer, WornGarment, garment_rig, photograph, sheet_of, suit_masks, wear
+from benchmarks.benchmark_run import BenchmarkRun
+from benchmarks.figures import Figure
+
+LIGHTS = {
+    "plain": PhotoSettings(),
+    "warm lamps": PhotoSettings(white_balance=(1.5, 1.0, 0.55)),
+    "cold, dim lamps": PhotoSettings(white_balance=(0.65, 1.0, 1.5), exposure=0.4),
+}
+SEEDS = 5
+
+
+def code(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """The largest squares: by the paper's brute force, in ten seconds of one core, in more, and where two cells must differ."""
+    sides = range(20, 30) if benchmark.quick else range(90, 161)
+    paper = 0
+    for side in sides:
+        rules = DesignRules(method="paper", raster_steps=20_000 if benchmark.quick else 5_000_000)
+        if fill_pattern(side, side, rules=rules) < side:
+            break
+        paper = (side - 2) ** 2
+    yield Figure("code, 4 colours: identities of the paper's brute force, 5,000,000 steps", "none", float(max(paper, 1)), "identities", 1)
+    side = 40 if benchmark.quick else 150
+    design_pattern((12, 12))
+    found, seconds = [], []
+    for seed in range(1 if benchmark.quick else SEEDS):
+        started = time.perf_counter()
+        found.append(len(design_pattern((side, side), seed=seed, rules=DesignRules(search_steps=0)).known))
+        seconds.append(time.perf_counter() - started)
+    yield Figure("code, 4 colours: identities in less than 10 s, one core", "> 21000", float(min(found)), "identities", len(found))
+    yield Figure("code, 4 colours: the time that this took", "< 10", median(seconds), "s", len(found))
+    largest, spent = largest_square(
+        range(41, 43) if benchmark.quick else range(151, 159), DesignRules(search_steps=0), 20 if benchmark.quick else 500
+    )
+    yield Figure("code, 4 colours: identities in less than 10 min, one core", "> 24000", float(max(largest, *found)), "identities", 1)
+    yield Figure("code, 4 colours: the time that this took, longer", "< 600", spent, "s", 1)
+    apart = DesignRules(least_difference=2, raster_steps=2_000_000, search_steps=0)
+    largest, _ = largest_square(range(20, 22) if benchmark.quick else range(30, 60), apart, 60)
+    yield Figure("code, 4 colours: identities where two cells differ, of 8,160", "none", float(max(largest, 1)), "identities", 1)
+
+
+def largest_square(sides: range, rules: DesignRules, seconds: float) -> tuple[int, float]:
+    """The most identities of a square that is found, side by side from the smallest, and the seconds spent; ends at the first not found."""
+    started, largest = time.perf_counter(), 0
+    for side in sides:
+        if time.perf_counter() - started > seconds:
+            break
+        try:
+            largest = len(design_pattern((side, side), rules=rules).known)
+        except AsterismError:
+            break
+    return largest, time.perf_counter() - started
+
+
+@cache
+def _worn(quick: bool, seed: int) -> tuple[WornGarment, Pattern]:
+    wearer = Wearer(motion="walk", seed=seed, **({"parts": ("left arm",)} if quick else {}))
+    mask, pieces = sheet_of(suit_masks(wearer))
+    pattern = design_pattern(mask, pieces=pieces, seed=seed)
+    return wear(pattern, wearer), pattern
+
+
+def _pictures(quick: bool, noise: float, lights: PhotoSettings, seed: int) -> Iterator[tuple[Photo, Pattern]]:
+    """A walker in a suit before eight cameras, one moment."""
+    worn, pattern = _worn(quick, seed)
+    rig: Rig = garment_rig()
+    for number, camera in enumerate(rig.cameras[:1] if quick else rig.cameras):
+        settings = PhotoSettings(**{**lights.__dict__, "noise": noise})
+        yield photograph(worn, camera, 0.4 * seed, settings, rng=np.random.default_rng([seed, number])), pattern
+
+
+def compared(photo: Photo, read: ReadCircles) -> tuple[int, int, int, int]:
+    """Identities given, wrong ones, circles that should be read (6 px, 60 degrees, nine tenths visible), those that are.
+
+    An identity is wrong where its circle is farther than half the distance to a neighbour: 4 px and more than its own shorter diameter.
+    """
+    truth = photo.truth
+    where = {int(number): i for i, number in enumerate(truth.ids) if number >= 0}
+    given = np.flatnonzero(read.ids >= 0)
+    place = np.array([where[int(read.ids[i])] for i in given], dtype=int)
+    off = np.hypot(*(truth.centres[place] - read.centres[given]).T) if len(given) else np.zeros(0)
+    wanted = truth.readable() & (truth.ids >= 0)
+    return len(given), int((~(off < 4.0)).sum()), int(wanted.sum()), int(np.isin(truth.ids[wanted], read.ids[given]).sum())
+
+
+def reading(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """Wrong identities and recall under three lights and 20 dB of noise; the check of photos against the truth."""
+    given = wrong = 0
+    for name, lights in LIGHTS.items():
+        for noise in (0.01, 0.1):
+            wanted = there = 0
+            for seed in range(1 if benchmark.quick else 2):
+                for photo, pattern in _pictures(benchmark.quick, noise, lights, seed):
+                    counts = compared(photo, read_image(photo.image, pattern))
+                    given, wrong, wanted, there = given + counts[0], wrong + counts[1], wanted + counts[2], there + counts[3]
+            row = f"reading, {name}, noise {'of 20 dB' if noise == 0.1 else 'of 40 dB'}: recall at 6 px and 60 degrees"
+            yield Figure(row, ">= 0.95", there / max(wanted, 1), "share", max(wanted, 1))
+    yield Figure("reading: wrong identities of those given", "< 0.000001", wrong / max(given, 1), "share", max(given, 1))
+
+
+def check(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """A photo that proves itself: the bound of misread colours, in good light."""
+    bounds, shares = [], []
+    for photo, pattern in _pictures(benchmark.quick, 0.01, LIGHTS["plain"], 0):
+        judged = judge_reading(read_image(photo.image, pattern), pattern)
+        bounds.append(judged.misread_most)
+        shares.append(judged.share)
+    yield Figure("photo check: misread colours at most, by one photo without truth (median)", "none", median(bounds), "share", len(bounds))
+    yield Figure("photo check: blocks that are in the pattern (median)", "none", median(shares), "share", len(shares))
+
+
+def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """One image of 1280 x 960 px with about 1,000 circles, one core; median of ten."""
+    photo, pattern = next(_pictures(False, 0.01, LIGHTS["plain"], 0))
+    read = read_image(photo.image, pattern)
+    seconds = []
+    for _ in range(2 if benchmark.quick else 10):
+        started = time.perf_counter()
+        read_image(photo.image, pattern)
+        seconds.append(time.perf_counter() - started)
+    yield Figure("reading one image of 1280 x 960, one core", "> 40", 1.0 / median(seconds), "images/s", len(seconds))
+    yield Figure("reading one image: circles in it", "none", float(len(read)), "circles", 1)

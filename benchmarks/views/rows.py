@@ -1,0 +1,221 @@
+"""The rows about accuracy: gait and whole body, two to four cameras, the baseline, the ablation, bad input."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from asterism.cameras import Rig
+from asterism.errors import AsterismError
+from asterism.simulation.views_laboratory import ViewsSession
+from asterism.views import BodyModel, ViewsRules, label_views, load_body
+from asterism.views.body_fit import fit_body
+from asterism.views.frame import FrameLabeller
+from asterism.views.plain import label_stepwise, minimise_plain
+from asterism.views.scene import scene_of
+from asterism.views.start import place_by_centroids
+from benchmarks.benchmark_run import BenchmarkRun
+from benchmarks.figures import Figure
+from benchmarks.views.bodies import is_standing, marker_set, trials
+from benchmarks.views.sessions import (
+    Tally,
+    chosen_frames,
+    frame_identity,
+    gait_sessions,
+    motion_sessions,
+    visibility_agreement,
+)
+
+Sessions = Iterable[tuple[str, BodyModel, ViewsSession]]
+
+
+def labelled(sessions: Sessions, rules: ViewsRules | None = None) -> tuple[Tally, list[tuple[float, float]], tuple[int, int]]:
+    """The tally of whole recordings; (error, stated deviation) in m of each marker that one camera shows; visibility predicted right."""
+    tally, single, right, all_of = Tally(), list[tuple[float, float]](), 0, 0
+    for person, body, session in sessions:
+        result = label_views(session.blobs, session.rig, body, rules=ViewsRules() if rules is None else rules)
+        tally.add(result.labels, session.identity, person)
+        one = result.views == 1
+        away = np.linalg.norm(result.positions - session.recording.positions, axis=2)
+        single += list(zip(away[one], result.deviations[one], strict=True))
+        agreed, of = visibility_agreement(result, session)
+        right, all_of = right + agreed, all_of + of
+    return tally, [pair for pair in single if np.isfinite(pair[0])], (right, all_of)
+
+
+def gait(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """Real gait recordings before simulated cameras, all subjects, bodies of the other subjects; two to four cameras."""
+    for cameras in (4, 3, 2):
+        tally, single, visible = labelled(gait_sessions(benchmark, cameras))
+        yield from _shares(f"gait, 15 markers, {cameras} cameras", tally, cameras == 4)
+        least = ">= 0.97" if cameras == 4 else "none"
+        yield Figure(
+            f"gait, 15 markers, {cameras} cameras: visibility predicted right", least, visible[0] / visible[1], "fraction", visible[1]
+        )
+        yield from _single(f"gait, 15 markers, {cameras} cameras", single)
+
+
+def whole_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """26 markers: simulated people who move everything, and the real walks; two to four cameras."""
+    for cameras in (4, 3, 2):
+        tally, single, visible = labelled(motion_sessions(benchmark, cameras))
+        name = f"whole body, 26 markers, simulated motion, {cameras} cameras"
+        yield from _shares(name, tally, cameras == 4, least=0.99)
+        yield Figure(f"{name}: visibility predicted right", "none", visible[0] / visible[1], "fraction", visible[1])
+        yield from _single(name, single)
+    tally, single, visible = labelled(gait_sessions(benchmark, 4, "body26"))
+    yield from _shares("whole body, 26 markers, gait recordings, 4 cameras", tally, True, least=0.99)
+    yield Figure(
+        "whole body, 26 markers, gait recordings, 4 cameras: visibility predicted right",
+        "none",
+        visible[0] / visible[1],
+        "fraction",
+        visible[1],
+    )
+
+
+def own_static(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """The nine subjects with a standing trial, each walk with the body of its own standing trial, and Plug-in-Gait of other people."""
+
+    def sessions() -> Sessions:
+        for person, _, session in gait_sessions(benchmark):
+            standing = [trial for trial in trials()[person] if is_standing(trial)]
+            if standing and session.recording.metadata["file"] != standing[0].metadata["file"]:
+                yield person, fit_body(standing, markers=marker_set("gait15"), title=person), session
+
+    rows = list(sessions())
+    if rows:
+        yield from _shares("gait, 15 markers, 4 cameras, own static", labelled(rows)[0], False)
+    yield from _shares("gait, plug-in-gait, 34 markers, 4 cameras", labelled(gait_sessions(benchmark, 4, "plug-in-gait"))[0], False)
+
+
+def ablation(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """Gait with one part off: the visibility test, cameras that inform each other, joints, the person's own places."""
+    plain = ViewsRules()
+    some = {cameras: list(gait_sessions(benchmark, cameras))[:: 1 if benchmark.quick else 3] for cameras in (4, 2)}
+    for name, rules in (
+        ("visibility test off", replace(plain, occlusion=False)),
+        ("global assignment off", replace(plain, together=False)),
+        ("joints fixed", replace(plain, joints=False)),
+        ("person's own marker places off", replace(plain, personal=False)),
+        ("in doubt visible (the paper's rule, 15 mm)", replace(plain, doubt=0.015)),
+        ("in doubt hidden (3 mm)", plain),
+    ):
+        for cameras in (4, 2):
+            tally, _, visible = labelled(some[cameras], rules)
+            row = f"every third trial of gait, {cameras} cameras, {name}"
+            yield from _shares(row, tally, False)
+            yield Figure(f"{row}: visibility predicted right", "none", visible[0] / visible[1], "fraction", visible[1])
+
+
+def baseline(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """The paper's plain algorithm on the same blobs, with the heading and the height that it needs: 20 degrees and 10 % off at most."""
+    for kind, sessions in (("gait, 15 markers", gait_sessions), ("whole body, 26 markers, simulated motion", motion_sessions)):
+        tally = Tally()
+        ours = Tally()
+        for person, body, session in sessions(benchmark):
+            labeller = FrameLabeller(scene_of(session.blobs, session.rig), body)
+            for t in chosen_frames(session, 12):
+                start = near_start(session, labeller, t, np.random.default_rng(t))
+                if start is None:
+                    continue
+                pose, rotation = minimise_plain(labeller, t, *start)
+                tally.add(label_stepwise(labeller, t, pose, rotation), frame_identity(session, t), person)
+                ours.add(labeller.from_start(t, *start).labels, frame_identity(session, t), person)
+        yield from _shares(f"{kind}, 4 cameras, one frame, the paper's algorithm 1", tally, False)
+        yield from _shares(f"{kind}, 4 cameras, one frame from the same start, ours", ours, False)
+
+
+def near_start(
+    session: ViewsSession, labeller: FrameLabeller, t: int, rng: np.random.Generator, turn: float = 20.0, size: float = 0.1
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """The paper's start: heading and height off by as much as it allows, place by eqs 1 to 5; None where the truth lacks the pelvis."""
+    labels = list(session.recording.labels)
+    truth = session.recording.positions[t]
+    left = truth[labels.index("LASI")] - truth[labels.index("RASI")]
+    if not np.isfinite(left).all():
+        return None
+    heading = np.arctan2(left[1], left[0]) - np.pi / 2 + np.radians(rng.uniform(-turn, turn))
+    cos, sin = np.cos(heading), np.sin(heading)
+    rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    arrays = labeller.body.arrays
+    tall = np.nanmax(truth[:, 2]) / np.max(labeller.body.places[:, 2]) * (1.0 + rng.uniform(-size, size))
+    centroids = np.array([session.blobs.of(t, c).mean(axis=0) for c in range(len(session.rig))])
+    try:
+        place = place_by_centroids(session.rig, centroids, rotation @ (tall * arrays.places.mean(axis=0)))
+    except AsterismError:
+        return None
+    return np.concatenate([np.full(3, tall), place, np.zeros(3), arrays.usual]), rotation
+
+
+def bad_input(benchmark: BenchmarkRun) -> Iterator[Figure]:
+    """What must never get a confident wrong label: another rig, other markers, a mirrored body, images mirrored, markers not worn."""
+    cases = {
+        "cameras exchanged": lambda body, session: (body, _exchanged(session.rig)),
+        "a rig turned by 20 degrees at one camera": lambda body, session: (body, _knocked(session.rig)),
+        "a body of 26 markers for 15 worn": lambda body, session: (load_body("body26"), session.rig),
+        "a mirrored body": lambda body, session: (body.mirrored(), session.rig),
+        "left and right named the wrong way round": lambda body, session: (_renamed(body), session.rig),
+    }
+    for name, change in cases.items():
+        confident = given = total = said = recordings = 0
+        for n, (_, body, session) in enumerate(gait_sessions(benchmark)):
+            if n % 3 and not benchmark.quick:
+                continue
+            wrong_body, rig = change(body, session)
+            blobs = session.blobs.frames(slice(0, 60))
+            recordings += 1
+            total += int((session.identity[: len(blobs.xy)] >= 0).sum())
+            try:
+                result = label_views(blobs, rig, wrong_body)
+            except AsterismError:
+                said += 1
+                continue
+            names = np.array([*wrong_body.labels, ""])[result.labels]
+            identity = session.identity[: len(blobs.xy)]
+            truth = np.array([*body.labels, "", ""])[identity]
+            single = identity >= 0
+            wrong = (result.labels >= 0) & (names != truth) & single
+            confident += int((wrong & (result.confidence >= 0.9)).sum())
+            given += int((result.labels >= 0).sum())
+            said += bool(result.findings)
+        yield Figure(f"bad input, {name}: wrong labels at 0.9 or more", "<= 0.003", confident / total, "fraction", total, ours=True)
+        yield Figure(f"bad input, {name}: recordings of which it is said", "none", said / recordings, "fraction", recordings)
+        yield Figure(f"bad input, {name}: labels given", "none", given / total, "fraction", total)
+
+
+def _exchanged(rig: Rig) -> Rig:
+    cameras = rig.cameras
+    order = [1, 0, *range(2, len(cameras))]
+    return replace(rig, cameras=tuple(replace(cameras[o], name=camera.name) for o, camera in zip(order, cameras, strict=True)))
+
+
+def _knocked(rig: Rig) -> Rig:
+    angle = np.radians(20.0)
+    turn = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]])
+    first = rig.cameras[0]
+    moved = replace(first, rotation=turn @ first.rotation, translation=turn @ first.translation)
+    return replace(rig, cameras=(moved, *rig.cameras[1:]))
+
+
+def _renamed(body: BodyModel) -> BodyModel:
+    other = {"L": "R", "R": "L"}
+    names = {marker.name: (other[marker.name[0]] + marker.name[1:]) if marker.name[0] in other else marker.name for marker in body.markers}
+    return replace(body, markers=tuple(replace(marker, name=names[marker.name]) for marker in body.markers), aliases={})
+
+
+def _shares(row: str, tally: Tally, asked: bool, least: float = 0.995) -> Iterator[Figure]:
+    yield Figure(f"{row}: right", f">= {least:g}" if asked else "none", tally.right / tally.shown, "fraction", tally.shown)
+    yield Figure(f"{row}: wrong", "<= 0.003" if asked and least == 0.995 else "none", tally.wrong / tally.shown, "fraction", tally.shown)
+    yield Figure(f"{row}: right, person with the least", "none", tally.worst, "fraction", len(tally.by_subject))
+
+
+def _single(row: str, single: list[tuple[float, float]]) -> Iterator[Figure]:
+    if not single:
+        return
+    away, stated = np.array(single).T
+    yield Figure(f"{row}, markers of one camera: error, median", "none", 1e3 * float(np.median(away)), "mm", len(away))
+    yield Figure(f"{row}, markers of one camera: stated deviation, median", "none", 1e3 * float(np.median(stated)), "mm", len(away))
+    yield Figure(f"{row}, markers of one camera: within three deviations", "none", float((away < 3 * stated).mean()), "fraction", len(away))

@@ -1,0 +1,133 @@
+"""`asterism garment calibrate`: images of a coded target in; a rig, and whether to trust it, out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from asterism.cli import _console
+from asterism.cli._command import takes
+from asterism.cli._options import Json, Overwrite, Report, Workers
+from asterism.cli.calibrate._calibration import Force, RigToWrite, report_findings
+from asterism.findings import Finding, Severity
+
+if TYPE_CHECKING:
+    from asterism.calibration.boards import BoardCalibration
+
+
+@dataclass(frozen=True)
+class CalibrateOptions:
+    """What `asterism garment calibrate` is asked to do."""
+
+    images: Annotated[
+        list[Path],
+        typer.Argument(metavar="IMAGES", help="A video or a folder of images for each camera, or a folder of those.", show_default=False),
+    ]
+    target: Annotated[
+        Path, typer.Option("--target", metavar="TOML", help="The sheet that `asterism garment print` wrote.", show_default=False)
+    ]
+    output: RigToWrite = None
+    rig: Annotated[
+        Path | None,
+        typer.Option("--rig", metavar="FILE", help="Cameras whose lenses are known; only poses are calibrated.", show_default=False),
+    ] = None
+    origin: Annotated[
+        int | None, typer.Option(metavar="FRAME", help="The frame in which the sheet lies on the floor, print up: the world's origin.")
+    ] = None
+    covariance: Annotated[
+        Path | None,
+        typer.Option(metavar="NPZ", help="Also write the covariance of all camera parameters.", show_default=False),
+    ] = None
+    every: Annotated[int, typer.Option(metavar="N", min=1, help="Look at each N-th moment only.")] = 1
+    force: Force = False
+    workers: Workers = 1
+    overwrite: Overwrite = False
+    report: Report = None
+    json: Json = None
+
+
+@takes(CalibrateOptions)
+def calibrate(options: CalibrateOptions) -> None:
+    """Calibrate cameras by a flat sheet of coded circles.
+
+    Move the sheet through the volume, tilted, near and far, up to the corners of each image; a part of it in view is enough. Each camera is
+    calibrated by itself, then all cameras that share views, together with the poses of the sheet. A camera that saw nothing or shares no
+    view is named.
+    """
+    outputs = options.output, options.report, options.json, options.covariance
+    _console.check_outputs(outputs, (*options.images, options.rig, options.target), options.overwrite)
+    made = _calibrated(options)
+    findings = list(made.findings)
+    written = options.output is not None and (made.usable or options.force)
+    if options.output is not None and written:
+        from asterism.cameras.files import write_rig
+
+        findings += [_lost(options.output, what) for what in write_rig(made.rig, options.output)]
+    if options.covariance is not None and (made.usable or options.force):
+        from asterism.garment.rig_covariance import RigCovariance
+
+        RigCovariance.of(made).save(options.covariance)
+    if options.report is not None:
+        from asterism.report import board_report
+
+        settings = {"images": [str(path) for path in options.images], "target": str(options.target), "known lenses": options.rig}
+        board_report(options.report, made, settings=settings)
+    _console.write_json(
+        options.json,
+        {
+            "command": "garment calibrate",
+            "files": options.images,
+            "target": options.target,
+            "rig": options.output if written else None,
+            **made.summary(),
+            "findings": [finding.to_dict() for finding in findings],
+        },
+    )
+    if options.json != "-":
+        _print(made)
+    raise typer.Exit(report_findings(findings, written=written, wanted=options.output is not None))
+
+
+def _calibrated(options: CalibrateOptions) -> BoardCalibration:
+    from asterism.calibration.coded_target import calibrate_target
+    from asterism.cameras.files import read_rig
+    from asterism.garment import Pattern
+    from asterism.garment.footage import colour_footage
+    from asterism.garment.read import read_image
+    from asterism.garment.target_images import find_target
+
+    pattern = Pattern.load(options.target)
+    known = None if options.rig is None else read_rig(options.rig)
+    footage = colour_footage(options.images)
+    with _console.progress("looking for the target") as progress:
+        views = find_target(
+            footage, pattern, lambda image: read_image(image, pattern), every=options.every, workers=options.workers, progress=progress
+        )
+    with _console.progress("calibrating") as progress:
+        return calibrate_target(views, known=known, origin=options.origin, progress=progress)
+
+
+def _lost(output: Path, what: str) -> Finding:
+    return Finding(
+        "board-format-loses", Severity.WARNING, str(output), f"{output} leaves out {what}.", "Write .toml, which keeps everything."
+    )
+
+
+def _print(made: BoardCalibration) -> None:
+    summary = made.summary()
+    rows = [
+        [
+            camera["name"],
+            f"{camera['views']} of {camera['images']}",
+            f"{camera['rms_px']:.3f}",
+            f"{camera['focal_px'][0]:.1f}",
+            f"{camera['focal_std_px']:.1f}",
+            "–" if camera["position_m"] is None else ", ".join(f"{value:.3f}" for value in camera["position_m"]),
+        ]
+        for camera in summary["cameras"]
+    ]
+    title = f"{summary['board']}: {summary['frames_used']} of {summary['frames']} frames, {summary['reprojection_rms_px']:.3f} px"
+    _console.table(title, ("camera", "views", "error, px", "focal length, px", "±", "position, m"), rows)

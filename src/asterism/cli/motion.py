@@ -1,0 +1,276 @@
+"""`asterism motion`: recordings of points in; limbs, joints and joint angles, with their uncertainty, out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from asterism.cli import _console
+from asterism.cli._command import takes
+from asterism.cli._options import Files, Json, Markers, Overwrite, Report, Seed, Vertical, Workers
+from asterism.cli.segment import LimbCount, read_points
+from asterism.errors import AsterismError
+
+if TYPE_CHECKING:
+    from asterism.motion.analysis import MotionAnalysis
+    from asterism.motion.uncertainty import ErrorSources, UncertaintyResult
+    from asterism.recording import Recording
+
+
+class LimbMethod(StrEnum):
+    """How the motion of a limb is estimated from its points."""
+
+    ROBUST = "robust"
+    SVD = "svd"
+    PCT = "pct"
+    PCT_HALF_MEAN = "pct-half-mean"
+    INTERVAL_DEFORMATION = "interval-deformation"
+
+
+class JointMethod(StrEnum):
+    """How the centre of a joint is found."""
+
+    SCORE = "score"
+    SPHERE = "sphere"
+
+
+@dataclass(frozen=True)
+class MotionOptions:
+    """What `asterism motion` is asked to do."""
+
+    files: Files
+    limbs: LimbCount = None
+    markers: Markers = None
+    method: Annotated[LimbMethod, typer.Option("--method", help="How points are weighed: see docs/motion.md.")] = LimbMethod.ROBUST
+    joints: Annotated[JointMethod, typer.Option("--joints", help="How joint centres are found.")] = JointMethod.SCORE
+    uncertainty: Annotated[bool, typer.Option("--uncertainty", help="Also say how uncertain each angle is, by Monte Carlo.")] = False
+    trials: Annotated[int, typer.Option("--trials", metavar="N", min=10, help="Monte Carlo trials at most.")] = 1000
+    rig: Annotated[
+        Path | None,
+        typer.Option("--rig", metavar="FILE", help="The rig that measured the points, for their noise.", show_default=False),
+    ] = None
+    covariance: Annotated[
+        Path | None,
+        typer.Option(
+            "--covariance", metavar="NPZ", help="The rig's covariance, of asterism garment calibrate --covariance.", show_default=False
+        ),
+    ] = None
+    soft_tissue: Annotated[
+        float, typer.Option("--soft-tissue", metavar="FACTOR", min=0, help="Soft tissue by so much larger than usual; 0: none.")
+    ] = 1.0
+    placement: Annotated[
+        float, typer.Option("--placement", metavar="MM", min=0, help="How far landmarks are misplaced, standard deviation.")
+    ] = 10.0
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the angles over time as CSV.", show_default=False)
+    ] = None
+    seed: Seed = 0
+    workers: Workers = 1
+    vertical: Vertical = None
+    overwrite: Overwrite = False
+    report: Report = None
+    json: Json = None
+
+
+@takes(MotionOptions)
+def motion(options: MotionOptions) -> None:
+    """Find limbs, joints and joint angles, and how certain these are.
+
+    From the points' trajectories alone, or by the segments of a marker set (--markers). Angles count from the first frame in which both
+    limbs are seen. With --uncertainty each angle gets intervals at 65 and 95 %, and a budget: what cameras, soft tissue and misplaced
+    landmarks add.
+    """
+    from asterism.cli._folders import recordings_of
+    from asterism.motion.analysis import MotionRules, analyse_motion
+
+    _console.check_outputs([options.report, options.json, options.output], [*options.files, options.rig], options.overwrite)
+    if options.covariance is not None and options.rig is None:
+        raise AsterismError("--covariance belongs to a rig; give its file with --rig.")
+    batch = _console.Batch("analysed")
+    results: list[tuple[Path, MotionAnalysis, UncertaintyResult | None]] = []
+    rules = MotionRules(method=options.method.value, joint_method=options.joints.value)
+    for path in recordings_of(options.files, batch):
+        with batch.file(path):
+            recording = read_points(path, options.vertical, batch)
+            limbs = _limbs(options, recording)
+            with _console.progress("motion") as progress:
+                analysis = analyse_motion(recording, limbs, rules=rules, progress=progress)
+                certain = _uncertainty(options, analysis, progress) if options.uncertainty else None
+            for finding in [*analysis.findings, *(certain.findings if certain else ())]:
+                batch.found(finding)
+            results.append((path, analysis, certain))
+            if options.json != "-":
+                show(path, analysis, certain)
+    if not results:
+        raise typer.Exit(batch.close())
+    if options.output is not None:
+        _write_angles(options.output, results)
+    if options.report is not None:
+        from asterism.report.motion import motion_report
+
+        motion_report(options.report, [(path.name, analysis, certain) for path, analysis, certain in results])
+    content = {
+        "command": "motion",
+        "seed": options.seed,
+        "files": [{"file": path, **as_dict(analysis, certain)} for path, analysis, certain in results],
+        "failed": batch.failed,
+        "findings": [finding.to_dict() for finding in batch.findings],
+    }
+    _console.write_json(options.json, content)
+    raise typer.Exit(batch.close())
+
+
+def _limbs(options: MotionOptions, recording: Recording) -> dict[str, list[str]] | int | None:
+    """The segments of the marker set that have three markers in the recording; else the number of limbs that was given."""
+    if options.markers is None:
+        return options.limbs
+    if options.limbs is not None:
+        raise AsterismError("--limbs and --markers both say what the limbs are; give one of them.")
+    from asterism.cli._recordings import marker_set_of
+
+    marker_set = marker_set_of(options.markers)
+    assert marker_set is not None
+    columns = dict(zip(marker_set.names, marker_set.columns_of(recording.labels), strict=True))
+    limbs = {
+        name: [recording.labels[columns[marker]] for marker in markers if columns[marker] >= 0]
+        for name, markers in marker_set.segments.items()
+    }
+    kept = {name: markers for name, markers in limbs.items() if len(markers) >= 3}
+    if not kept:
+        raise AsterismError(
+            f"{recording.metadata.get('file', 'recording')}: no segment of {options.markers} has three markers; let limbs be found instead."
+        )
+    return kept
+
+
+def _sources(options: MotionOptions, analysis: MotionAnalysis) -> ErrorSources:
+    from dataclasses import replace
+
+    from asterism.motion.uncertainty import CalibrationErrors, ErrorSources, PlacementErrors, SoftTissueErrors, noise_from_rig
+
+    noise = calibration = None
+    if options.rig is not None:
+        from asterism.cameras.files import read_rig
+
+        rig = read_rig(options.rig)
+        noise = noise_from_rig(rig, analysis.recording.positions)
+        if options.covariance is not None:
+            from asterism.garment.rig_covariance import RigCovariance
+
+            known = RigCovariance.load(options.covariance)
+            calibration = CalibrationErrors(rig.select(known.names), known.free, known.matrix)
+    usual = SoftTissueErrors()
+    low, high = (options.soft_tissue * scale for scale in usual.scales)
+    soft = replace(usual, scales=(low, high)) if options.soft_tissue > 0 else None
+    placed = PlacementErrors(options.placement / 1000) if options.placement > 0 else None
+    return ErrorSources(noise=noise, calibration=calibration, soft_tissue=soft, placement=placed)
+
+
+def _uncertainty(options: MotionOptions, analysis: MotionAnalysis, progress: Any) -> UncertaintyResult:
+    from asterism.motion.uncertainty import MonteCarloRules, estimate_uncertainty
+
+    rules = MonteCarloRules(most=options.trials, block=min(100, max(options.trials // 2, 2)))
+    return estimate_uncertainty(
+        analysis, _sources(options, analysis), seed=options.seed, workers=options.workers, rules=rules,
+        budget_trials=min(options.trials, 200), progress=progress,
+    )  # fmt: skip
+
+
+def show(path: Path, analysis: MotionAnalysis, certain: UncertaintyResult | None) -> None:
+    """Print a table of the joints of one file."""
+    import numpy as np
+
+    rows = []
+    for number, joint in enumerate(analysis.angles):
+        fitted = analysis.skeleton.joints[joint.child]
+        assert fitted is not None
+        row = [
+            joint.name,
+            fitted.kind,
+            f"{np.degrees(np.nanmax(joint.angle)):.1f}",
+            f"{np.degrees(np.ptp(joint.flexion[_known(joint.flexion)])):.1f}",
+        ]
+        row.append(f"{1000 * float(np.sqrt(np.trace(fitted.covariance))):.1f}")
+        if certain is not None:
+            one = certain.joints[number]
+            row += [f"{np.degrees(np.nanmax(part)):.2f}" for part in (one.angle_standard, *one.budget.values())]
+        rows.append(row)
+    head = ["joint", "kind", "largest angle (°)", "range (°)", "centre ± (mm)"]
+    head += ["angle ± (°)", "cameras", "soft tissue", "placement", "flexion ± (°)"] if certain else []
+    limbs = f"{len(analysis.names)} limbs: " + ", ".join(
+        f"{name} ({int((analysis.limb_of == k).sum())} points)" for k, name in enumerate(analysis.names)
+    )
+    _console.table(f"{path}: {limbs}", head, rows, left=2)
+    if certain is not None:
+        said = "± is the largest standard uncertainty over the frames"
+        _console.result(f"{certain.trials} trials; {said}; noise of a point {1000 * certain.noise:.2f} mm.")
+
+
+def _known(values: Any) -> Any:
+    import numpy as np
+
+    return np.isfinite(values)
+
+
+def as_dict(analysis: MotionAnalysis, certain: UncertaintyResult | None) -> dict[str, Any]:
+    """The limbs, joints and angles as JSON has them: degrees and metres."""
+    import numpy as np
+
+    joints = []
+    for number, joint in enumerate(analysis.angles):
+        fitted = analysis.skeleton.joints[joint.child]
+        assert fitted is not None
+        entry: dict[str, Any] = {
+            "parent": analysis.names[joint.parent],
+            "child": analysis.names[joint.child],
+            "kind": fitted.kind,
+            "centre_sigma_m": float(np.sqrt(np.trace(fitted.covariance))),
+            "angle_deg": np.degrees(joint.angle),
+            "flexion_deg": np.degrees(joint.flexion),
+        }
+        if certain is not None:
+            one = certain.joints[number]
+            entry["angle_standard_deg"] = np.degrees(one.angle_standard)
+            entry["angle_intervals_deg"] = {f"{p:g}": [np.degrees(low), np.degrees(high)] for p, (low, high) in one.angle_intervals.items()}
+            entry["flexion_intervals_deg"] = {
+                f"{p:g}": [np.degrees(low), np.degrees(high)] for p, (low, high) in one.flexion_intervals.items()
+            }
+            entry["flexion_budget_deg"] = {name: np.degrees(part) for name, part in one.budget.items()}
+        joints.append(entry)
+    limbs = [
+        {"name": name, "points": [analysis.recording.labels[n] for n in np.nonzero(analysis.limb_of == k)[0]]}
+        for k, name in enumerate(analysis.names)
+    ]
+    log = [str(step) for step in analysis.recording.log]
+    trials = {} if certain is None else {"trials": certain.trials, "converged": certain.converged, "noise_m": certain.noise}
+    return {"frames": len(analysis.recording), "limbs": limbs, "joints": joints, "log": log, **trials}
+
+
+def _write_angles(target: Path, results: list[tuple[Path, MotionAnalysis, UncertaintyResult | None]]) -> None:
+    """A CSV table, a row for each file, joint and frame."""
+    import csv
+    import io
+
+    import numpy as np
+
+    from asterism.formats._atomic import write_atomically
+
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    wide = any(certain is not None for _, _, certain in results)
+    ends = ["angle_low95_deg", "angle_high95_deg", "flexion_low95_deg", "flexion_high95_deg"] if wide else []
+    rows.writerow(["file", "joint", "time_s", "angle_deg", "flexion_deg", *ends])
+    for path, analysis, certain in results:
+        for number, joint in enumerate(analysis.angles):
+            columns = [joint.angle, joint.flexion]
+            if certain is not None:
+                one = certain.joints[number]
+                columns += [*one.angle_intervals[0.95], *one.flexion_intervals[0.95]]
+            for time, *values in zip(analysis.recording.times, *columns, strict=True):
+                shown = ["" if np.isnan(value) else f"{np.degrees(value):.4f}" for value in values]
+                rows.writerow([str(path), joint.name, f"{time:.4f}", *shown])
+    write_atomically(target, text.getvalue().encode())

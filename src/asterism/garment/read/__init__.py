@@ -1,0 +1,93 @@
+"""A colour image and a pattern in; the circles of the printed cloth with their identities out (GaMoCap 2.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.errors import AsterismError
+from asterism.findings import Finding
+from asterism.garment.pattern import Pattern
+from asterism.garment.read.circles import Circles, ellipse_axes, find_circles
+from asterism.garment.read.colours import classify
+from asterism.garment.read.findings import reading_findings
+from asterism.garment.read.identify import identify
+from asterism.garment.read.lattice import link_circles
+from asterism.garment.read.rules import ReadRules
+from asterism.recording import Floats
+
+__all__ = ["ReadCircles", "ReadRules", "read_image"]
+
+
+@dataclass(frozen=True)
+class ReadCircles:
+    """The circles of one image.
+
+    centres     (n, 2) px, centres of the ellipses; the image of a circle's middle is a little off (`calibration.coded_target`)
+    covariance  (n, 2, 2) px2 of the centres
+    ids         (n,) int32 identities, -1 unknown
+    confidence  (n,) probability that row and column are right; 0 where unknown
+    colours     (n,) int8 as read, of the pattern's colours; -1 where the image has no colours
+    axes        (n, 3) longer and shorter semi-axis px, and the angle rad of the longer from x towards y
+    grid        (n, 2) int32 row and column on the sheet, -1 where unknown; circles at a border of the cloth have them without an identity
+    windows     3 x 3 blocks that were read whole, whether believed or not
+    existing    of them, those that the pattern has
+    gains       (3,) factors on red, green and blue that the image needed
+    findings    what speaks against the image
+    """
+
+    centres: Floats
+    covariance: Floats
+    ids: NDArray[np.int32]
+    confidence: Floats
+    colours: NDArray[np.int8]
+    axes: Floats
+    grid: NDArray[np.int32]
+    windows: int
+    existing: int
+    gains: Floats
+    findings: tuple[Finding, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.centres)
+
+
+def read_image(image: NDArray[np.uint8], pattern: Pattern, rules: ReadRules | None = None) -> ReadCircles:
+    """Find the circles of an image (h, w, 3) uint8 blue, green, red, and say which circles of the pattern they are.
+
+    Pixel (0, 0) has its middle at (0, 0). Circles come in the order of their regions from the upper left. The result depends on the image
+    alone: no randomness, no state. Cost: O(pixels + circles); memory 10 bytes a pixel. What makes an image unreadable is in `findings`:
+    no circles, no colours, another pattern. Raises AsterismError where the image is not (h, w, 3) uint8.
+    """
+    rules = rules or ReadRules()
+    image = np.asarray(image)
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or min(image.shape[:2]) < 8:
+        size = " x ".join(map(str, image.shape))
+        raise AsterismError(f"an image of {size} {image.dtype} cannot be read; give (height, width, 3) uint8, as OpenCV loads it.")
+    circles = find_circles(np.ascontiguousarray(image), rules)
+    links, _ = link_circles(circles, pattern.diameter / pattern.pitch, rules)
+    linked = (links[:, :, 0] >= 0).sum(axis=1) >= 3
+    classes = classify(circles.light, linked, pattern.hsv)
+    found = identify(circles.centres, links, classes.posterior, pattern, rules)
+    colours = np.full(len(linked), -1) if classes.grey else classes.posterior.argmax(axis=1)
+    return ReadCircles(
+        circles.centres,
+        circles.covariance,
+        found.ids,
+        found.confidence,
+        colours.astype(np.int8),
+        _axes(circles),
+        found.grid,
+        found.windows,
+        found.existing,
+        classes.gains,
+        reading_findings(image, linked, classes.grey, found, pattern),
+    )
+
+
+def _axes(circles: Circles) -> Floats:
+    """Semi-axes and angle (n, 3) of ellipses by their second moments."""
+    values, angle = ellipse_axes(circles.moments)
+    return np.column_stack([2 * np.sqrt(values), angle])

@@ -1,0 +1,62 @@
+"""Kernels of the colour classes of one image."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from asterism._jit import kernel
+
+
+@kernel
+def posteriors(points, centres, spreads, outliers, out):
+    """Probabilities that points are of each of a few normal distributions, all equally frequent.
+
+    IN  points (n, 2); centres (q, 2); spreads (q, 2, 2); outliers, a density that every distribution has everywhere
+    OUT out (n, q)
+
+    O(n q), no allocation. Twin: tests/twins_garment_read.py
+    """
+    q = len(centres)
+    for i in range(len(points)):
+        whole = 0.0
+        for k in range(q):
+            xx, xy, yy = spreads[k, 0, 0], spreads[k, 0, 1], spreads[k, 1, 1]
+            det = xx * yy - xy * xy
+            x, y = points[i, 0] - centres[k, 0], points[i, 1] - centres[k, 1]
+            out[i, k] = np.exp(-0.5 * (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det) / np.sqrt(det) + outliers
+            whole += out[i, k]
+        for k in range(q):
+            out[i, k] /= whole
+
+
+@kernel
+def fit_mixture(points, least, outliers, rounds, centres, spreads, weights):
+    """Fit a few normal distributions to points, by expectation and maximisation from given ones.
+
+    IN   points (n, 2); least standard deviation; outliers of `posteriors`; rounds
+    IO   centres (q, 2); spreads (q, 2, 2)
+    WORK weights (n, q)
+
+    O(n q rounds), no allocation. Twin: tests/twins_garment_read.py
+    """
+    for _ in range(rounds):
+        posteriors(points, centres, spreads, outliers, weights)
+        for k in range(len(centres)):
+            whole, x, y = 0.0, 0.0, 0.0
+            for i in range(len(points)):
+                whole += weights[i, k]
+                x += weights[i, k] * points[i, 0]
+                y += weights[i, k] * points[i, 1]
+            if whole < 3.0:
+                continue
+            x, y = x / whole, y / whole
+            xx, xy, yy = 0.0, 0.0, 0.0
+            for i in range(len(points)):
+                dx, dy = points[i, 0] - x, points[i, 1] - y
+                xx += weights[i, k] * dx * dx
+                xy += weights[i, k] * dx * dy
+                yy += weights[i, k] * dy * dy
+            centres[k, 0], centres[k, 1] = x, y
+            spreads[k, 0, 0], spreads[k, 1, 1] = xx / whole + least * least, yy / whole + least * least
+            spreads[k, 0, 1] = xy / whole
+            spreads[k, 1, 0] = spreads[k, 0, 1]

@@ -1,0 +1,203 @@
+"""Kernels that carry identities along the links of circles, and weigh what speaks for each."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from asterism._jit import kernel
+
+_ROW = np.array([0, 1, 0, -1])
+_COLUMN = np.array([1, 0, -1, 0])
+
+
+@kernel
+def rings(links, out):
+    """The eight circles around each, in steps of half a direction: 0, between 0 and 1, 1, ... clockwise in the image.
+
+    A circle between two directions is reached by two ways, which must lead to one circle where both can be gone.
+
+    IN  links (n, 4, 2) of `link`
+    OUT out (n, 8) int32, -1 where it is not known
+
+    O(n). Twin: tests/twins_garment_read.py
+    """
+    for i in range(len(links)):
+        for d in range(4):
+            e = (d + 1) % 4
+            out[i, 2 * d] = links[i, d, 0]
+            one, other = -1, -1
+            j = links[i, d, 0]
+            if j >= 0:
+                one = links[j, (links[i, d, 1] + 3) % 4, 0]
+            j = links[i, e, 0]
+            if j >= 0:
+                other = links[j, (links[i, e, 1] + 1) % 4, 0]
+            if one < 0:
+                one = other
+            out[i, 2 * d + 1] = one if other < 0 or one == other else -1
+
+
+@kernel
+def _agree(i, d, links, cells, turns):
+    """Whether a link leads to the circle that the grid has there, turned alike."""
+    j = links[i, d, 0]
+    if j < 0 or turns[i] < 0 or turns[j] < 0:
+        return False
+    grid = (d + turns[i]) % 4
+    if cells[j, 0] != cells[i, 0] + _ROW[grid] or cells[j, 1] != cells[i, 1] + _COLUMN[grid]:
+        return False
+    return (links[i, d, 1] + turns[j]) % 4 == (grid + 2) % 4
+
+
+@kernel
+def groups(links, cells, turns, roots):
+    """Groups of read blocks whose identities are side by side on the grid as the circles are in the image (union-find).
+
+    IN  links (n, 4, 2); cells (n, 2) int32 row and column of the block read around each circle; turns (n,) int32, the grid's direction
+        (0 along a row, 1 down a column, ...) of a circle's direction 0, -1 where none was read
+    OUT roots (n,) int32 one circle of each group
+
+    O(n). Twin: tests/twins_garment_read.py
+    """
+    n = len(links)
+    for i in range(n):
+        roots[i] = i
+    for i in range(n):
+        for d in range(4):
+            if not _agree(i, d, links, cells, turns):
+                continue
+            a, b = i, links[i, d, 0]
+            while roots[a] != a:
+                roots[a] = roots[roots[a]]
+                a = roots[a]
+            while roots[b] != b:
+                roots[b] = roots[roots[b]]
+                b = roots[b]
+            roots[max(a, b)] = min(a, b)
+    for i in range(n):
+        while roots[i] != roots[roots[i]]:
+            roots[i] = roots[roots[i]]
+
+
+@kernel
+def spread(links, colours, likelihood, order, cells, turns, queue):
+    """Carry the grid's cells from read blocks, largest groups first, along the links to circles whose own block was not read.
+
+    Nothing is carried on from a circle whose colour is rather not that of its cell.
+
+    IN   links (n, 4, 2); colours (rows, cols) int8 of the pattern; likelihood (n, q) nats, evidence for each colour;
+         order (m,) the circles with a block, best first
+    IO   cells (n, 2), turns (n,): of read blocks in, of all that were reached out
+    WORK queue (n,) int32
+
+    O(n). Twin: tests/twins_garment_read.py
+    """
+    rows, cols = colours.shape
+    first, last = 0, 0
+    for k in range(len(order)):
+        queue[last] = order[k]
+        last += 1
+    while first < last:
+        i = queue[first]
+        first += 1
+        if likelihood[i, colours[cells[i, 0], cells[i, 1]]] < 0.0:
+            continue
+        for d in range(4):
+            j = links[i, d, 0]
+            if j < 0 or turns[j] >= 0:
+                continue
+            grid = (d + turns[i]) % 4
+            row, col = cells[i, 0] + _ROW[grid], cells[i, 1] + _COLUMN[grid]
+            if row < 0 or col < 0 or row >= rows or col >= cols or colours[row, col] < 0:
+                continue
+            cells[j, 0], cells[j, 1] = row, col
+            turns[j] = (grid + 2 - links[i, d, 1]) % 4
+            queue[last] = j
+            last += 1
+
+
+@kernel
+def agreeing(links, cells, turns, out):
+    """The neighbours to which links lead that agree with the grid.
+
+    IN  links (n, 4, 2); cells (n, 2); turns (n,)
+    OUT out (n, 4) int32, -1 where there is no link or it contradicts the grid
+
+    O(n). Twin: tests/twins_garment_read.py
+    """
+    for i in range(len(links)):
+        for d in range(4):
+            out[i, d] = links[i, d, 0] if _agree(i, d, links, cells, turns) else -1
+
+
+@kernel
+def _is_parallelogram(centres, origin, one, other, corner, skew):
+    """Whether a corner is where the three others have it, to a share of each side. On cloth bent along or across the lattice it is."""
+    ax, ay = centres[one, 0] - centres[origin, 0], centres[one, 1] - centres[origin, 1]
+    bx, by = centres[other, 0] - centres[origin, 0], centres[other, 1] - centres[origin, 1]
+    x = centres[corner, 0] - centres[origin, 0] - ax - bx
+    y = centres[corner, 1] - centres[origin, 1] - ay - by
+    det = abs(ax * by - ay * bx)
+    return abs(x * by - y * bx) <= skew * det and abs(ax * y - ay * x) <= skew * det
+
+
+@kernel
+def evidence(centres, links, agreed, own, cells, turns, radius, skew, out):
+    """What speaks for the cell of each circle: the colours around it that are the grid's, on each of its sides.
+
+    IN  centres (n, 2); links (n, 4, 2); agreed (n, 4) of `agreeing`; own (n,) nats, evidence that the colour of each circle's cell is its
+        own; cells (n, 2), turns (n,); radius in cells; skew, of a square, as a share of its sides
+    OUT out (n, 8): the sum of all circles within `radius` rows and columns to which links lead that agree; of those on its side towards
+        direction 0 to 3 of the grid, its own row or column included; squares of four circles that it closes with three others, twice
+        those of half the skew; links that agree; links that contradict
+
+    O(n radius^2). Twin: tests/twins_garment_read.py
+    """
+    n, width = len(links), 2 * radius + 1
+    seen = np.full(width * width, -1, np.int32)
+    queue = np.empty(width * width, np.int32)
+    for i in range(n):
+        out[i] = 0.0
+        if turns[i] < 0:
+            continue
+        row, column = cells[i, 0], cells[i, 1]
+        seen[radius * width + radius] = i
+        queue[0] = i
+        first, last = 0, 1
+        total, east, south, west, north = 0.0, 0.0, 0.0, 0.0, 0.0
+        while first < last:
+            k = queue[first]
+            first += 1
+            down, right = cells[k, 0] - row, cells[k, 1] - column
+            value = own[k]
+            total += value
+            if right >= 0:
+                east += value
+            if down >= 0:
+                south += value
+            if right <= 0:
+                west += value
+            if down <= 0:
+                north += value
+            for d in range(4):
+                j = agreed[k, d]
+                if j < 0:
+                    continue
+                a, b = cells[j, 0] - row + radius, cells[j, 1] - column + radius
+                if a < 0 or b < 0 or a >= width or b >= width or seen[a * width + b] == i:
+                    continue
+                seen[a * width + b] = i
+                queue[last] = j
+                last += 1
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4] = total, east, south, west, north
+        for d in range(4):
+            one, other = agreed[i, d], agreed[i, (d + 1) % 4]
+            if one >= 0:
+                out[i, 6] += 1.0
+            elif links[i, d, 0] >= 0 and turns[links[i, d, 0]] >= 0:
+                out[i, 7] += 1.0
+            if one >= 0 and other >= 0:
+                between = agreed[one, (links[i, d, 1] + 3) % 4]
+                if between >= 0 and between == agreed[other, (links[i, (d + 1) % 4, 1] + 1) % 4]:
+                    out[i, 5] += _is_parallelogram(centres, between, one, other, i, skew)
+                    out[i, 5] += _is_parallelogram(centres, between, one, other, i, 0.5 * skew)

@@ -1,0 +1,292 @@
+"""Kernels that find the square lattice of circles in an image: each circle's two lattice vectors and its four neighbours along them.
+
+Directions count 0 to 3: along the first vector, along the second, and back; a quarter turn clockwise in the image each.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from asterism._jit import kernel
+
+_STEP = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+
+
+@kernel
+def candidates(centres, whiten, reach, side, found, offsets):
+    """The nearest other circles around each within `reach` pitches, by its own ellipse.
+
+    IN  centres (n, 2) px; whiten (n, 2, 2) pitches per px; reach pitches; side px, of the square buckets that circles are sorted into
+    OUT found (n, most) int32, ascending by distance, -1 after the last; offsets (n, most, 2) pitches
+
+    O(n most buckets). Twin: tests/twins_garment_read.py
+    """
+    n, most = found.shape
+    low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
+    for i in range(n):
+        low_x, high_x = min(low_x, centres[i, 0]), max(high_x, centres[i, 0])
+        low_y, high_y = min(low_y, centres[i, 1]), max(high_y, centres[i, 1])
+    if n == 0:
+        return
+    across, down = int((high_x - low_x) / side) + 1, int((high_y - low_y) / side) + 1
+    starts = np.zeros(across * down + 1, np.int64)
+    bucket = np.empty(n, np.int64)
+    for i in range(n):
+        bucket[i] = int((centres[i, 1] - low_y) / side) * across + int((centres[i, 0] - low_x) / side)
+        starts[bucket[i] + 1] += 1
+    starts = np.cumsum(starts)
+    order, filled = np.empty(n, np.int64), starts.copy()
+    for i in range(n):
+        order[filled[bucket[i]]] = i
+        filled[bucket[i]] += 1
+    distances = np.empty(most)
+    for i in range(n):
+        a, b, c, d = whiten[i, 0, 0], whiten[i, 0, 1], whiten[i, 1, 0], whiten[i, 1, 1]
+        whole = abs(a * d - b * c)
+        wide, tall = reach * np.sqrt(b * b + d * d) / whole, reach * np.sqrt(a * a + c * c) / whole
+        x0 = max(int((centres[i, 0] - wide - low_x) / side), 0)
+        x1 = min(int((centres[i, 0] + wide - low_x) / side), across - 1)
+        y0 = max(int((centres[i, 1] - tall - low_y) / side), 0)
+        y1 = min(int((centres[i, 1] + tall - low_y) / side), down - 1)
+        count = 0
+        for row in range(y0, y1 + 1):
+            for place in range(starts[row * across + x0], starts[row * across + x1 + 1]):
+                j = order[place]
+                if j == i:
+                    continue
+                dx, dy = centres[j, 0] - centres[i, 0], centres[j, 1] - centres[i, 1]
+                px, py = a * dx + b * dy, c * dx + d * dy
+                far = px * px + py * py
+                if far > reach * reach or (count == most and far >= distances[most - 1]):
+                    continue
+                k = min(count, most - 1)
+                while k > 0 and distances[k - 1] > far:
+                    distances[k] = distances[k - 1]
+                    found[i, k] = found[i, k - 1]
+                    offsets[i, k, 0], offsets[i, k, 1] = offsets[i, k - 1, 0], offsets[i, k - 1, 1]
+                    k -= 1
+                distances[k], found[i, k] = far, j
+                offsets[i, k, 0], offsets[i, k, 1] = px, py
+                count = min(count + 1, most)
+        for k in range(count, most):
+            found[i, k] = -1
+
+
+@kernel
+def _score(offsets, count, p, q, fit):
+    """How well the offsets of candidates are explained by a lattice with the vectors p and q: neighbours present less circles astray."""
+    det = p[0] * q[1] - p[1] * q[0]
+    total = 0.0
+    for k in range(count):
+        x, y = offsets[k, 0], offsets[k, 1]
+        a, b = (x * q[1] - y * q[0]) / det, (p[0] * y - p[1] * x) / det
+        na, nb = np.rint(a), np.rint(b)
+        far = (a - na) ** 2 + (b - nb) ** 2
+        near = max(abs(na), abs(nb))
+        if near > 1.0:
+            continue
+        if near == 0.0 or far > fit * fit:
+            if abs(a) < 1.2 and abs(b) < 1.2:
+                total -= 0.5
+            continue
+        total += (1.0 if na * nb == 0.0 else 0.6) * (1.0 - 0.7 * far / (fit * fit))
+    return total
+
+
+@kernel
+def first_frames(found, offsets, whiten, side, square, fit, frames, scores):
+    """Each circle's two lattice vectors: of all pairs of candidates that may be one and the next neighbour, those that explain most others.
+
+    IN  found (n, most), offsets (n, most, 2) of `candidates`; whiten (n, 2, 2); side (2,) shortest and longest vector in pitches;
+        square, least sine of the angle between them; fit pitches
+    OUT frames (n, 2, 2) px, a vector in each column; scores (n,), -inf where there is none
+
+    O(n most^3) at worst. Twin: tests/twins_garment_read.py
+    """
+    n, most = found.shape
+    for i in range(n):
+        count = 0
+        while count < most and found[i, count] >= 0:
+            count += 1
+        best, bp, bq = -np.inf, -1, -1
+        for k in range(count):
+            p = offsets[i, k]
+            lp = np.sqrt(p[0] ** 2 + p[1] ** 2)
+            if lp < side[0] or lp > side[1]:
+                continue
+            for m in range(count):
+                q = offsets[i, m]
+                lq = np.sqrt(q[0] ** 2 + q[1] ** 2)
+                if m == k or lq < side[0] or lq > side[1]:
+                    continue
+                det = p[0] * q[1] - p[1] * q[0]
+                if det < square * lp * lq or p[0] < 0.0 or (p[0] < abs(p[1]) and q[1] > abs(q[0])):
+                    continue
+                shape = np.log(lp) ** 2 + np.log(lq) ** 2 + 1.0 - (det / (lp * lq)) ** 2
+                score = _score(offsets[i], count, p, q, fit) - 2.0 * shape
+                if score > best:
+                    best, bp, bq = score, k, m
+        scores[i] = best
+        if bp < 0:
+            frames[i] = np.nan
+            continue
+        a, b, c, d = whiten[i, 0, 0], whiten[i, 0, 1], whiten[i, 1, 0], whiten[i, 1, 1]
+        det = a * d - b * c
+        for place in range(2):
+            at = bp if place == 0 else bq
+            x, y = offsets[i, at, 0], offsets[i, at, 1]
+            frames[i, 0, place], frames[i, 1, place] = (d * x - b * y) / det, (a * y - c * x) / det
+
+
+@kernel
+def link(centres, found, frames, fit, ahead, links):
+    """Neighbours along the lattice vectors, where two circles each are the other's.
+
+    IN   centres (n, 2); found (n, most); frames (n, 2, 2), NaN where there is none; fit pitches
+    WORK ahead (n, 4) int32
+    OUT  links (n, 4, 2) int32: the neighbour in each direction, and the direction from it back; -1, -1 where there is none
+
+    O(n most). Twin: tests/twins_garment_read.py
+    """
+    n, most = found.shape
+    for i in range(n):
+        ahead[i] = -1
+        det = frames[i, 0, 0] * frames[i, 1, 1] - frames[i, 0, 1] * frames[i, 1, 0]
+        if not det > 0.0:
+            continue
+        nearest = np.full(4, fit * fit)
+        for k in range(most):
+            j = found[i, k]
+            if j < 0:
+                break
+            dx, dy = centres[j, 0] - centres[i, 0], centres[j, 1] - centres[i, 1]
+            a = (dx * frames[i, 1, 1] - dy * frames[i, 0, 1]) / det
+            b = (frames[i, 0, 0] * dy - frames[i, 1, 0] * dx) / det
+            for direction in range(4):
+                far = (a - _STEP[direction, 0]) ** 2 + (b - _STEP[direction, 1]) ** 2
+                if far < nearest[direction]:
+                    nearest[direction] = far
+                    ahead[i, direction] = j
+    for i in range(n):
+        for direction in range(4):
+            links[i, direction, 0], links[i, direction, 1] = -1, -1
+            j = ahead[i, direction]
+            if j < 0:
+                continue
+            for back in range(4):
+                if ahead[j, back] == i:
+                    links[i, direction, 0], links[i, direction, 1] = j, back
+
+
+@kernel
+def refine_frames(centres, found, links, frames, fit, out):
+    """Lattice vectors again, by least squares from the linked neighbours and, with a smaller weight, from these neighbours' own vectors.
+
+    A circle without a link takes the vectors of circles with two links or more on whose lattice it lies.
+
+    IN  centres (n, 2); found (n, most); links (n, 4, 2); frames (n, 2, 2); fit pitches
+    OUT out (n, 2, 2) px
+
+    O(n most). Twin: tests/twins_garment_read.py
+    """
+    n, most = found.shape
+    for i in range(n):
+        xx, yy = 0.0, 0.0
+        right = np.zeros((2, 2))
+        for direction in range(4):
+            j, back = links[i, direction, 0], links[i, direction, 1]
+            if j < 0:
+                continue
+            sa, sb = _STEP[direction, 0], _STEP[direction, 1]
+            xx += sa * sa
+            yy += sb * sb
+            for axis in range(2):
+                step = centres[j, axis] - centres[i, axis]
+                right[axis, 0] += sa * step
+                right[axis, 1] += sb * step
+            turn = (back + 2 - direction) % 4
+            for own in range(2):
+                there = (own + turn) % 4
+                weight = 0.2
+                if own == 0:
+                    xx += weight
+                else:
+                    yy += weight
+                for axis in range(2):
+                    vector = frames[j, axis, there % 2] * (1.0 if there < 2 else -1.0)
+                    right[axis, own] += weight * vector
+        if xx > 0.0:
+            for axis in range(2):
+                out[i, axis, 0], out[i, axis, 1] = right[axis, 0] / xx, right[axis, 1] / yy
+            continue
+        out[i] = frames[i]
+        nearest = fit
+        for k in range(most):
+            j = found[i, k]
+            if j < 0:
+                break
+            linked = 0
+            for direction in range(4):
+                linked += links[j, direction, 0] >= 0
+            det = frames[j, 0, 0] * frames[j, 1, 1] - frames[j, 0, 1] * frames[j, 1, 0]
+            if linked < 2 or not det > 0.0:
+                continue
+            dx, dy = centres[i, 0] - centres[j, 0], centres[i, 1] - centres[j, 1]
+            a = (dx * frames[j, 1, 1] - dy * frames[j, 0, 1]) / det
+            b = (frames[j, 0, 0] * dy - frames[j, 1, 0] * dx) / det
+            for direction in range(4):
+                far = np.sqrt((a - _STEP[direction, 0]) ** 2 + (b - _STEP[direction, 1]) ** 2)
+                if far < nearest:
+                    nearest = far
+                    out[i] = frames[j]
+
+
+@kernel
+def _at(grey, x, y):
+    """The value between four pixels, bilinear; the position must be inside."""
+    left, above = int(x), int(y)
+    a, b = x - left, y - above
+    upper = (1.0 - a) * grey[above, left] + a * grey[above, left + 1]
+    return (1.0 - b) * upper + b * ((1.0 - a) * grey[above + 1, left] + a * grey[above + 1, left + 1])
+
+
+@kernel
+def cut_skipping(grey, centres, whiten, side, rise, links):
+    """Cut links that lead over a circle that was not found, and those whose length is not a pitch by the ellipses at their ends.
+
+    Between two neighbours the colourfulness falls to dark cloth and rises again. If it rises and falls again before, there is a circle.
+
+    IN  grey (h, w) uint8; centres (n, 2); whiten (n, 2, 2); side (2,) shortest and longest link in pitches, the mean of both ends;
+        rise (2,) of the colourfulness that is taken for a circle: as a share of the lower end, and at least
+    IO  links (n, 4, 2)
+
+    O(n). Twin: tests/twins_garment_read.py
+    """
+    steps = 16
+    for i in range(len(links)):
+        for d in range(4):
+            j, back = links[i, d, 0], links[i, d, 1]
+            if j < i:
+                continue
+            dx, dy = centres[j, 0] - centres[i, 0], centres[j, 1] - centres[i, 1]
+            length = 0.0
+            for end in range(2):
+                k = i if end == 0 else j
+                a, b = whiten[k, 0, 0] * dx + whiten[k, 0, 1] * dy, whiten[k, 1, 0] * dx + whiten[k, 1, 1] * dy
+                length += 0.5 * np.sqrt(a * a + b * b)
+            cut = length < side[0] or length > side[1]
+            first, last = _at(grey, centres[i, 0], centres[i, 1]), _at(grey, centres[j, 0], centres[j, 1])
+            needed = max(rise[0] * min(first, last), rise[1])
+            lowest, falls, highest = first, 0.0, -1.0
+            for k in range(1, steps + 1):
+                value = _at(grey, centres[i, 0] + dx * k / steps, centres[i, 1] + dy * k / steps)
+                if highest < 0.0:
+                    lowest = min(lowest, value)
+                    if value > lowest + needed and k < steps:
+                        highest = value
+                else:
+                    highest = max(highest, value)
+                    falls = max(falls, highest - value)
+            if cut or (highest >= 0.0 and falls > needed):
+                links[i, d, 0], links[i, d, 1] = -1, -1
+                links[j, back, 0], links[j, back, 1] = -1, -1

@@ -1,0 +1,110 @@
+"""A colour image in; circles on dark cloth with their ellipses and colours out (GaMoCap 2.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from asterism.garment.read import _circle_kernels as kernels
+from asterism.garment.read.rules import ReadRules
+from asterism.recording import Floats
+
+_LEFT, _LEFT_OF_MORE = 0.375, 0.28
+"""What smoothing leaves of the noise: 3 x 3, and 5 x 5 pixels."""
+
+
+@dataclass(frozen=True)
+class Circles:
+    """Circles that were found, and what is around them is not known yet.
+
+    centres     (n, 2) px
+    covariance  (n, 2, 2) px2 of the centres
+    moments     (n, 2, 2) px2, second moments of the filled ellipse: a quarter of its squared semi-axes
+    light       (n, 3) mean light within: red, green, blue, linear, 1 is the image's highest value
+    grey        (h, w) uint8 colourfulness, smoothed
+    noise       standard deviation of a pixel's value, of 255
+    """
+
+    centres: Floats
+    covariance: Floats
+    moments: Floats
+    light: Floats
+    grey: NDArray[np.uint8]
+    noise: float
+
+
+def find_circles(image: NDArray[np.uint8], rules: ReadRules) -> Circles:
+    """The circles of an image (h, w, 3) uint8, blue, green, red.
+
+    The paper finds edges and their contours, which takes longer and loses circles that touch in the image. Here circles are regions of
+    pixels whose largest and smallest channels differ: dark cloth, grey walls and white light have little of that. A threshold rises
+    within a region until its parts have the shape of an ellipse. The centre is that of the pixels' coverage.
+    """
+    noise = image_noise(image)
+    noisy = noise > rules.noisy
+    smooth = cv2.GaussianBlur(image, (5, 5), 1.0) if noisy else cv2.GaussianBlur(image, (3, 3), 0)
+    left = noise * (_LEFT_OF_MORE if noisy else _LEFT)
+    height, width = image.shape[:2]
+    grey = np.empty((height, width), np.uint8)
+    highest = np.empty((height, width // 16 + 1), np.uint8)
+    kernels.colourfulness(smooth, grey, highest)
+    lowest = int(min(rules.least_colour + rules.noise_factor * left, 120))
+    sizes = (
+        rules.least_area,
+        rules.largest_area,
+        rules.least_fill,
+        rules.least_height + rules.noise_height * left,
+        rules.longest_side,
+        rules.bound,
+    )
+    limits = np.array(sizes)
+    labels, stack = np.zeros((height, width), np.int32), np.empty((height * width, 3), np.int32)
+    regions = np.empty((rules.most_circles, 7), np.int32)
+    count = kernels.find_regions(grey, highest, lowest, limits, labels, stack, regions)
+    measured = np.empty((count, 12))
+    kernels.measure(image, _LINEAR, grey, labels, regions[:count], noise, measured)
+    covariance = _symmetric(measured[:, 2:5]) + rules.centre_floor**2 * np.eye(2)
+    moments = _symmetric(measured[:, 5:8]) - rules.blur_moment * np.eye(2)
+    return Circles(measured[:, :2].copy(), covariance, _at_least(moments, rules.least_moment), measured[:, :8:-1].copy(), grey, noise)
+
+
+def image_noise(image: NDArray[np.uint8]) -> float:
+    """Standard deviation of a pixel's green value, of 255: from the median of second differences along every eighth row."""
+    green = image[::8, :, 1].astype(np.int16)
+    if green.shape[1] < 3:
+        return 0.5
+    bend = np.abs(2 * green[:, 1:-1] - green[:, :-2] - green[:, 2:])
+    counts = np.bincount(bend.ravel())
+    below = np.searchsorted(np.cumsum(counts), 0.5 * bend.size) + 0.5
+    return float(max(below / (0.6745 * np.sqrt(6.0)), 0.5))
+
+
+def _symmetric(three: Floats) -> Floats:
+    return np.ascontiguousarray(three[:, [0, 1, 1, 2]]).reshape(-1, 2, 2)
+
+
+def _at_least(moments: Floats, least: float) -> Floats:
+    """Symmetric matrices (n, 2, 2) with their eigenvalues raised to a least one."""
+    values, angle = ellipse_axes(moments)
+    cos, sin = np.cos(angle), np.sin(angle)
+    long, short = np.maximum(values, least).T
+    xy = (long - short) * cos * sin
+    return np.stack([long * cos**2 + short * sin**2, xy, xy, long * sin**2 + short * cos**2], axis=1).reshape(-1, 2, 2)
+
+
+def ellipse_axes(moments: Floats) -> tuple[Floats, Floats]:
+    """The eigenvalues (n, 2) of symmetric matrices (n, 2, 2), larger first, and the angle (n,) of the larger one's vector."""
+    half, turn = 0.5 * (moments[:, 0, 0] - moments[:, 1, 1]), moments[:, 0, 1]
+    mean, apart = 0.5 * (moments[:, 0, 0] + moments[:, 1, 1]), np.hypot(half, turn)
+    return np.stack([mean + apart, mean - apart], axis=1), 0.5 * np.arctan2(turn, half)
+
+
+def linear_light(shown: Floats) -> Floats:
+    """The light of values 0 to 1 by the curve of sRGB."""
+    return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+
+
+_LINEAR = linear_light(np.arange(256) / 255.0)

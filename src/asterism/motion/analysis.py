@@ -1,0 +1,180 @@
+"""A recording in; its limbs, their motion, the skeleton and the angles of its joints out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
+from asterism.motion.joints.angles import functional_flexion, joint_rotation
+from asterism.motion.joints.skeleton import Skeleton, find_skeleton
+from asterism.motion.rigid.limb import LimbMotion, LimbRules, estimate_limb_motion
+from asterism.motion.rigid.rotations import rotation_vectors
+from asterism.motion.segmentation.limbs import Segmentation, SegmentationRules, segment_limbs
+from asterism.progress import Progress
+from asterism.recording import Floats, Ints, Recording
+
+OFTEN_MISSING = 0.5
+"""Share of the frames in which a point is missing: from here on it is named."""
+STILL = np.radians(5.0)
+"""rad: a joint that never turns farther is named."""
+
+
+@dataclass(frozen=True)
+class MotionRules:
+    """How a recording's motion is analysed: `method` of `estimate_limb_motion`, and the rules of each step."""
+
+    method: str = "robust"
+    joint_method: str = "score"
+    limb: LimbRules = field(default_factory=LimbRules)
+    segmentation: SegmentationRules = field(default_factory=SegmentationRules)
+
+
+@dataclass(frozen=True)
+class JointAngles:
+    """A joint's angles over time.
+
+    parent, child  numbers of limbs; name "limb 1 / limb 2"
+    vectors        (T, 3) rad, rotation vector of the child in the parent's axes since frame `zero` (GaMoCap eq. 5, its order corrected)
+    flexion        (T,) rad, the turn about the joint's main axis, from its mean
+    axis           (3,) that axis in the parent's axes
+    zero           the frame from which the rotation vectors count: the first in which both limbs are known
+    """
+
+    parent: int
+    child: int
+    name: str
+    vectors: Floats
+    flexion: Floats
+    axis: Floats
+    zero: int
+
+    @property
+    def angle(self) -> Floats:
+        """(T,) rad, 0 to pi: how far the joint has turned since frame `zero`, which is what GaMoCap compares."""
+        return np.asarray(np.linalg.norm(self.vectors, axis=1))
+
+
+@dataclass(frozen=True)
+class MotionAnalysis:
+    """What moved how.
+
+    recording  as it was given, with the analysis in its processing log
+    limb_of    (N,) int, the limb of each point, -1 for none; names (L,) of the limbs
+    motions    (L,) of the limbs; skeleton, how they are joined; angles of each joint, from the root outwards
+    centres    (J, T, 3) m of the joints, as `angles`
+    segmentation  how the limbs were found; None where they were given
+    findings   what to know before using the result
+    """
+
+    recording: Recording
+    limb_of: Ints
+    names: tuple[str, ...]
+    motions: tuple[LimbMotion, ...]
+    skeleton: Skeleton
+    angles: tuple[JointAngles, ...]
+    centres: Floats
+    segmentation: Segmentation | None
+    findings: tuple[Finding, ...]
+
+
+def analyse_motion(
+    recording: Recording,
+    limbs: Mapping[str, Sequence[str]] | int | None = None,
+    *,
+    rules: MotionRules | None = None,
+    progress: Progress | None = None,
+) -> MotionAnalysis:
+    """Limbs, their motion, joints and angles of a recording of points, garment or markers (GaMoCap chapter 3).
+
+    limbs  which markers are on which limb, such as `MarkerSet.segments`; or how many limbs there are; or None to find them all
+
+    Raises AsterismError where a marker is absent, a limb has fewer than three points that are not in a line, or no limb is found.
+    For costs see `segment_limbs` and `estimate_limb_motion`.
+    """
+    rules = rules or MotionRules()
+    segmentation = None
+    if isinstance(limbs, Mapping):
+        names, limb_of = _given_limbs(recording, limbs)
+    else:
+        segmentation = segment_limbs(recording.positions, limbs, rules=rules.segmentation, progress=progress)
+        limb_of, names = segmentation.limb_of, tuple(f"limb {i + 1}" for i in range(segmentation.limbs))
+    points = [recording.positions[:, limb_of == limb] for limb in range(len(names))]
+    motions = []
+    for name, own in zip(names, points, strict=True):
+        try:
+            motions.append(estimate_limb_motion(own, rules.method, rules=rules.limb))
+        except AsterismError as problem:
+            raise AsterismError(f"{recording.metadata.get('file', 'recording')}, {name}: {problem}") from None
+        if progress is not None:
+            progress(len(motions) / len(names), "following limbs")
+    skeleton = find_skeleton(motions, points, method=rules.joint_method)
+    angles = tuple(joint_angles(motions[a], motions[b], (a, b), f"{names[a]} / {names[b]}") for a, b in skeleton.pairs)
+    joints = [skeleton.joints[child] for _, child in skeleton.pairs]
+    centres = np.array([joint.centres(motions[a], motions[b]) for (a, b), joint in zip(skeleton.pairs, joints, strict=True) if joint])
+    found = tuple(_findings(recording, limb_of, angles))
+    logged = recording.logged("motion estimated", "asterism", method=rules.method, joints=rules.joint_method, limbs=len(names))
+    return MotionAnalysis(
+        logged, limb_of, names, tuple(motions), skeleton, angles, centres.reshape(len(angles), len(recording), 3), segmentation, found
+    )
+
+
+def joint_angles(parent: LimbMotion, child: LimbMotion, pair: tuple[int, int] = (0, 1), name: str = "") -> JointAngles:
+    """The angles of the joint between two limbs. Raises AsterismError where they are never known in one frame."""
+    turned = joint_rotation(parent.rotations, child.rotations)
+    present = np.nonzero(np.isfinite(turned[:, 0, 0]))[0]
+    if not len(present):
+        raise AsterismError(f"{name or 'the joint'}: its two limbs are never known in one frame.")
+    zero = int(present[0])
+    since = joint_rotation(parent.rotations, child.rotations, zero=zero)
+    flexion, axis = functional_flexion(turned)
+    return JointAngles(*pair, name, rotation_vectors(since), flexion, axis, zero)
+
+
+def with_motions(analysis: MotionAnalysis, motions: Sequence[LimbMotion]) -> tuple[JointAngles, ...]:
+    """The angles that other motions of the same limbs give, as `analysis` names them."""
+    return tuple(
+        replace(joint_angles(motions[one.parent], motions[one.child]), parent=one.parent, child=one.child, name=one.name)
+        for one in analysis.angles
+    )
+
+
+def _given_limbs(recording: Recording, limbs: Mapping[str, Sequence[str]]) -> tuple[tuple[str, ...], Ints]:
+    limb_of, taken = np.full(len(recording.labels), -1), dict[str, str]()
+    file = recording.metadata.get("file", "the recording")
+    for number, (name, markers) in enumerate(limbs.items()):
+        for marker in markers:
+            if marker not in recording.labels:
+                raise AsterismError(f"{file} has no marker {marker}, which the limb {name} names; correct the limb's list.")
+            if marker in taken:
+                raise AsterismError(f"the marker {marker} is on two limbs, {taken[marker]} and {name}; give it to one.")
+            taken[marker] = name
+            limb_of[recording.labels.index(marker)] = number
+    if not limbs:
+        raise AsterismError("no limb was named; name the markers of one or more, or let them be found.")
+    return tuple(limbs), limb_of
+
+
+def _findings(recording: Recording, limb_of: Ints, angles: Sequence[JointAngles]) -> list[Finding]:
+    found = []
+    share = 1 - recording.visible.mean(axis=0)
+    often = [label for label, missing, limb in zip(recording.labels, share, limb_of, strict=True) if missing > OFTEN_MISSING and limb >= 0]
+    if often:
+        few = ", ".join(often[:6]) + (", ..." if len(often) > 6 else "")
+        sentence = f"{len(often)} points are missing in more than half of the frames ({few}); they count where they are seen."
+        found.append(Finding("motion-points-missing", Severity.NOTE, "the points", sentence, "Fill or record them anew if a limb has few."))
+    unseen = [label for label, limb in zip(recording.labels, limb_of, strict=True) if limb < 0 and label]
+    if unseen:
+        few = ", ".join(unseen[:6]) + (", ..." if len(unseen) > 6 else "")
+        sentence = f"{len(unseen)} points belong to no limb ({few})."
+        found.append(Finding("motion-points-unused", Severity.NOTE, "the points", sentence))
+    for joint in angles:
+        turned = float(np.nanmax(joint.angle))
+        if turned < STILL:
+            sentence = f"{joint.name} turns by {np.degrees(turned):.1f} degrees at most, which tells neither a centre nor an axis."
+            mend = "Record a movement in which the joint turns."
+            found.append(Finding("motion-joint-still", Severity.WARNING, joint.name, sentence, mend))
+    return found

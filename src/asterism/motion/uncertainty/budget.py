@@ -1,0 +1,267 @@
+"""A motion analysis and error sources in; each joint angle with intervals, and what each source adds to it, out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asterism.findings import Finding, Severity
+from asterism.motion.analysis import JointAngles, MotionAnalysis
+from asterism.motion.joints.angles import joint_rotation
+from asterism.motion.rigid.limb import LimbMotion, refit_limb_motion
+from asterism.motion.rigid.rotations import rotation_vectors
+from asterism.motion.segmentation._kernels import stray_from_motions
+from asterism.motion.uncertainty.first_order import FirstOrder, first_order_angles
+from asterism.motion.uncertainty.monte_carlo import MonteCarlo, MonteCarloRules, run_monte_carlo
+from asterism.motion.uncertainty.sources import CalibrationField, ErrorSources, MeasurementNoise
+from asterism.progress import Progress
+from asterism.recording import Floats
+
+SOURCES = ("cameras", "soft tissue", "placement")
+
+
+@dataclass(frozen=True)
+class AngleUncertainty:
+    """A joint's angles with their uncertainty, in rad.
+
+    joint      parent, child and angles, see `JointAngles`
+    angle      (T,) since frame zero; angle_intervals {probability: (low, high)}, each (T,)
+    flexion    (T,) about the joint's main axis in anatomical axes, which misplaced landmarks turn; flexion_intervals likewise
+    angle_standard, flexion_standard  (T,) standard uncertainties
+    budget     {source: (T,)} standard uncertainty of the flexion from each source alone, and of "all" together, in the same trials
+    angle_budget  the same of the angle since frame zero, which landmarks do not change
+    first_order   of the angle, from the measurement noise, and where it holds
+    """
+
+    joint: JointAngles
+    angle: Floats
+    angle_intervals: dict[float, tuple[Floats, Floats]]
+    angle_standard: Floats
+    flexion: Floats
+    flexion_intervals: dict[float, tuple[Floats, Floats]]
+    flexion_standard: Floats
+    budget: dict[str, Floats]
+    angle_budget: dict[str, Floats]
+    first_order: FirstOrder
+
+
+@dataclass(frozen=True)
+class UncertaintyResult:
+    """The uncertainty of all joints; how many trials were made and whether they were enough; the noise (m) that was taken."""
+
+    joints: tuple[AngleUncertainty, ...]
+    trials: int
+    converged: bool
+    noise: float
+    findings: tuple[Finding, ...]
+
+
+def estimate_uncertainty(
+    analysis: MotionAnalysis,
+    sources: ErrorSources | None = None,
+    *,
+    seed: int = 0,
+    workers: int = 1,
+    rules: MonteCarloRules | None = None,
+    budget_trials: int = 200,
+    reassign: bool = True,
+    progress: Progress | None = None,
+) -> UncertaintyResult:
+    """The uncertainty of all joint angles by Monte Carlo through the whole chain, and a budget by source.
+
+    Each trial draws the points' noise, the calibration's errors (triangulated anew), the skin's motion and the landmarks' places;
+    assigns the points to limbs again (`reassign`), fits limbs and computes the angles. The budget repeats this with one source at a
+    time, in `budget_trials` trials. Trial k has a generator of its own, so workers change nothing. Intervals are about the estimate: the
+    trials' deviations from their own mean, added to it.
+    Raises AsterismError where a calibration does not fit. O(trials T N), some 60 ms a trial for 3,000 points in 100 frames.
+    """
+    sources = sources or ErrorSources()
+    rules = rules or MonteCarloRules()
+    noise = sources.noise or MeasurementNoise(_measured_noise(analysis))
+    complete = replace(sources, noise=noise)
+    chain = _Chain.of(analysis, complete, reassign)
+    total = run_monte_carlo(chain.trial(SOURCES), seed=seed, workers=workers, rules=rules, progress=progress)
+    alone = {}
+    few = replace(rules, most=budget_trials, block=budget_trials)
+    for name in SOURCES:
+        alone[name] = run_monte_carlo(chain.trial((name,)), seed=seed, workers=workers, rules=few, progress=progress)
+    sigma = noise.sigma if noise.root is None else float(np.sqrt((noise.root**2).sum(axis=(2, 3)).mean() / 3))
+    joints = tuple(_of_joint(analysis, j, total, alone, sigma) for j in range(len(analysis.angles)))
+    return UncertaintyResult(joints, total.trials, total.converged, sigma, tuple(_findings(complete, total, joints)))
+
+
+def _measured_noise(analysis: MotionAnalysis) -> float:
+    """m per coordinate: the residual of the tenth of the points that follow their limbs best. It has some soft tissue in it, if little."""
+    best = [np.nanquantile(motion.rms, 0.1) for motion in analysis.motions]
+    frames, points = analysis.recording.positions.shape[:2]
+    lost = max(1 - 6 / max(3 * points / max(len(analysis.motions), 1), 7), 0.3)
+    return float(np.median(best) / np.sqrt(3 * lost * max(1 - 1 / frames, 0.5)))
+
+
+@dataclass(frozen=True)
+class _Chain:
+    """Everything that a trial needs: the nominal result, the sources made ready, and which points are where."""
+
+    analysis: MotionAnalysis
+    sources: ErrorSources
+    field: CalibrationField | None
+    points: tuple[np.ndarray, ...]
+    courses: tuple[tuple[Floats, ...], ...]
+    amplitudes: tuple[Floats, ...]
+    reassign: bool
+
+    @classmethod
+    def of(cls, analysis: MotionAnalysis, sources: ErrorSources, reassign: bool) -> _Chain:
+        points = tuple(np.nonzero(analysis.limb_of == limb)[0] for limb in range(len(analysis.names)))
+        courses, amplitudes = [], []
+        for limb, motion in enumerate(analysis.motions):
+            own = [_course(joint) for joint in analysis.angles if limb in (joint.parent, joint.child)]
+            courses.append(tuple(own))
+            amplitudes.append(_amplitude(motion, own, sources))
+        field = None if sources.calibration is None else sources.calibration.field(analysis.recording.positions)
+        return cls(analysis, sources, field, points, tuple(courses), tuple(amplitudes), reassign)
+
+    def trial(self, active: tuple[str, ...]) -> Callable[[np.random.Generator], Floats]:
+        """One trial with these sources: a function of its generator that gives (J, 2, T) rad, angle since zero and flexion."""
+
+        def run(rng: np.random.Generator) -> Floats:
+            of_cameras, of_skin, of_landmarks = rng.spawn(3)  # each source draws the same alone as with the others
+            positions = self._drawn(active, of_cameras, of_skin)
+            turns = [np.eye(3) for _ in self.points]
+            if "placement" in active and self.sources.placement is not None:
+                turns = [self.sources.placement.draw(motion.template, of_landmarks) for motion in self.analysis.motions]
+            return self._angles(self._fitted(positions, active), turns)
+
+        return run
+
+    def _drawn(self, active: tuple[str, ...], of_cameras: np.random.Generator, of_skin: np.random.Generator) -> Floats:
+        """The points with the errors of one trial: (T, N, 3) m."""
+        given = self.analysis.recording.positions
+        positions = given.copy()
+        if "cameras" in active:
+            assert self.sources.noise is not None
+            positions += self.sources.noise.draw(given.shape, of_cameras)
+            if self.field is not None:
+                positions += self.field.draw(of_cameras)
+        if "soft tissue" in active and self.sources.soft_tissue is not None:
+            for limb, motion in enumerate(self.analysis.motions):
+                if not self.courses[limb]:
+                    continue
+                skin = self.sources.soft_tissue.draw(motion.template, self.amplitudes[limb], self.courses[limb], of_skin)
+                positions[:, self.points[limb]] += skin @ motion.rotations.swapaxes(1, 2)
+        return positions
+
+    def _fitted(self, positions: Floats, active: tuple[str, ...]) -> list[Floats]:
+        """Rotations (T, 3, 3) of all limbs, points that now stray less on another limb left out of their own."""
+        motions = self.analysis.motions
+        moved = np.zeros(positions.shape[1], dtype=bool)
+        if self.reassign and len(motions) > 1 and self.analysis.segmentation is not None and active != ("placement",):
+            stray = np.empty((positions.shape[1], len(motions)))
+            rotations = np.stack([motion.rotations for motion in motions])
+            stray_from_motions(positions, rotations, np.stack([motion.translations for motion in motions]), stray)
+            moved = (np.argmin(stray, axis=1) != self.analysis.limb_of) & (self.analysis.limb_of >= 0)
+        fitted = []
+        for own, motion in zip(self.points, motions, strict=True):
+            points = positions[:, own]
+            if moved[own].any() and (~moved[own]).sum() >= 4:
+                points[:, moved[own]] = np.nan
+            fitted.append(refit_limb_motion(points, motion)[0])
+        return fitted
+
+    def _angles(self, rotations: list[Floats], turns: list[Floats]) -> Floats:
+        out = []
+        for joint in self.analysis.angles:
+            parent, child = rotations[joint.parent], rotations[joint.child]
+            since = rotation_vectors(joint_rotation(parent, child, zero=joint.zero))
+            out.append([signed_angle(since, joint), self._flexion(joint, parent @ turns[joint.parent], child @ turns[joint.child])])
+        return np.array(out).reshape(len(self.analysis.angles), 2, -1)
+
+    def _flexion(self, joint: JointAngles, parent: Floats, child: Floats) -> Floats:
+        """(T,) rad: the turn about the joint's axis, counted from the mean rotation of the nominal result."""
+        from asterism.geometry import best_rotation
+
+        motions = self.analysis.motions
+        nominal = joint_rotation(motions[joint.parent].rotations, motions[joint.child].rotations)
+        mean = best_rotation(nominal[np.isfinite(nominal[:, 0, 0])].sum(axis=0))
+        vectors = rotation_vectors(joint_rotation(parent, child) @ mean.T)
+        angle = np.linalg.norm(vectors, axis=1)
+        return np.asarray(2 * np.arctan2(np.sinc(angle / (2 * np.pi)) / 2 * (vectors @ joint.axis), np.cos(angle / 2)))
+
+
+def signed_angle(vectors: Floats, joint: JointAngles) -> Floats:
+    """(T,) rad: rotation vectors along the direction that the nominal result has in each frame.
+
+    To first order it is the change of the angle; unlike a length it is not folded at 0, so noise about a small angle has mean 0.
+    """
+    length = np.linalg.norm(joint.vectors, axis=1, keepdims=True)
+    axes = np.where(length > 1e-3, joint.vectors / np.maximum(length, 1e-12), joint.axis)
+    return np.asarray(np.einsum("ti,ti->t", vectors, axes))
+
+
+def _course(joint: JointAngles) -> Floats:
+    """(T,) 0 to 1: the joint's angle by its largest, 0 where it is not known."""
+    angle = np.where(np.isfinite(joint.angle), joint.angle, 0.0)
+    return np.asarray(angle / max(float(angle.max()), 1e-9))
+
+
+def _amplitude(motion: LimbMotion, courses: list[Floats], sources: ErrorSources) -> Floats:
+    """(N,) m per axis: how far each point is displaced where a joint is bent most, from what its residuals show beside the noise.
+
+    A fit takes a share of each point's displacement for motion of the limb: the share of its weight in the six freedoms (its leverage).
+    """
+    soft, noise = sources.soft_tissue, sources.noise
+    if soft is None or noise is None or not courses:
+        return np.zeros(len(motion.template))
+    rms = motion.rms
+    known = np.where(np.isfinite(rms), rms, np.nanmedian(rms))
+    sigma = noise.sigma if noise.root is None else float(np.sqrt((noise.root**2).sum(axis=(2, 3)).mean() / 3))
+    weights = motion.weights.mean(axis=0)
+    leverage = np.minimum(2 * weights / max(float(weights.sum()), 1e-9), 0.8)
+    shown = np.sqrt(np.maximum(known**2 / (1 - leverage) - 3 * sigma**2, 0.0) / 3)
+    swing = max(float(np.mean([course.std() for course in courses])), 0.1)
+    return np.asarray(soft.scale_of(len(rms)) * np.maximum(shown / swing, soft.least_m))
+
+
+def _of_joint(analysis: MotionAnalysis, j: int, total: MonteCarlo, alone: dict[str, MonteCarlo], sigma: float) -> AngleUncertainty:
+    joint = analysis.angles[j]
+
+    def about(estimate: Floats, which: int) -> dict[float, tuple[Floats, Floats]]:
+        shift = estimate - total.estimate[j, which]
+        return {p: (low[j, which] + shift, high[j, which] + shift) for p, (low, high) in total.intervals.items()}
+
+    budgets = [
+        {name: alone[name].standard[j, which] for name in SOURCES}
+        | {"all": total.values[: alone["cameras"].trials, j, which].std(axis=0, ddof=1)}
+        for which in (0, 1)
+    ]
+    cameras = alone["cameras"]
+    check = replace(
+        cameras,
+        estimate=cameras.estimate[j, 0],
+        standard=cameras.standard[j, 0],
+        intervals={p: (low[j, 0], high[j, 0]) for p, (low, high) in cameras.intervals.items()},
+    )
+    order = first_order_angles(joint, analysis.motions[joint.parent], analysis.motions[joint.child], sigma, check)
+    return AngleUncertainty(
+        joint, joint.angle, about(joint.angle, 0), total.standard[j, 0], joint.flexion, about(joint.flexion, 1), total.standard[j, 1],
+        budgets[1], budgets[0], order,
+    )  # fmt: skip
+
+
+def _findings(sources: ErrorSources, total: MonteCarlo, joints: tuple[AngleUncertainty, ...]) -> list[Finding]:
+    found = []
+    if sources.calibration is None:
+        sentence = "no covariance of the calibration was given: of the cameras only the noise of single points counts."
+        mend = "Give one, such as that of the bundle adjustment (`CalibrationErrors`)."
+        found.append(Finding("motion-no-calibration", Severity.NOTE, "the cameras", sentence, mend))
+    if not total.converged:
+        sentence = f"{total.trials} trials do not fix a significant digit of every interval's ends."
+        found.append(Finding("motion-few-trials", Severity.NOTE, "the intervals", sentence, "Ask for more with --trials."))
+    for one in joints:
+        holds = one.first_order.holds
+        if holds is not None and not holds.mean() > 0.9:
+            sentence = f"{one.joint.name}: first-order propagation does not hold in {100 * (1 - holds.mean()):.0f} % of the frames."
+            found.append(Finding("motion-not-linear", Severity.NOTE, one.joint.name, sentence, "Use the Monte Carlo intervals."))
+    return found

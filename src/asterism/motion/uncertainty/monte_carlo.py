@@ -1,0 +1,125 @@
+"""A model that draws its inputs in; the distribution of its outputs, from as many trials as these need, out (GUM Supplement 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.progress import Progress
+from asterism.recording import Floats
+
+
+@dataclass(frozen=True)
+class MonteCarloRules:
+    """How many trials are made, and what is stated of them.
+
+    block     trials between two looks at whether they are enough
+    most      trials at most; 100, as in GaMoCap, gives the ends of a 95 % interval to a tenth of its width only
+    digits    significant digits of the standard uncertainty that must be certain (Supplement 1, 7.9.2)
+    coverage  probabilities of the stated intervals
+    """
+
+    block: int = 100
+    most: int = 1000
+    digits: int = 1
+    coverage: tuple[float, ...] = (0.65, 0.95)
+
+
+RULES = MonteCarloRules()
+
+
+@dataclass(frozen=True)
+class MonteCarlo:
+    """What the trials gave.
+
+    estimate     (...) mean of the outputs; standard (...) their standard uncertainty
+    intervals    {probability: (low, high)} shortest coverage intervals, each (...)
+    trials       how many were made; tolerance (...) what counts as certain; converged whether they were enough
+    values       (trials, ...) all outputs, in the order of the trials
+    """
+
+    estimate: Floats
+    standard: Floats
+    intervals: dict[float, tuple[Floats, Floats]]
+    trials: int
+    tolerance: float
+    converged: bool
+    values: Floats
+
+
+def run_monte_carlo(
+    model: Callable[[np.random.Generator], Floats],
+    *,
+    seed: int = 0,
+    workers: int = 1,
+    rules: MonteCarloRules = RULES,
+    progress: Progress | None = None,
+) -> MonteCarlo:
+    """Run a model with drawn inputs until its outputs are known well enough.
+
+    model  takes the generator of one trial and gives an array, of the same shape each time. Trial k has the generator of (seed, k), so
+           the result does not depend on `workers`, threads that share the trials
+
+    Adaptive as in Supplement 1, 7.9.4: after each block the means over the blocks of estimate, standard uncertainty and interval ends must
+    have twice their standard deviation below the tolerance, which is half a unit of the last of `digits` digits of the standard
+    uncertainty (its median over the outputs). Blocks are smaller than the Supplement's 10,000, because a trial is a whole analysis;
+    intervals are therefore taken from all trials together. Raises AsterismError where the rules make no sense.
+    """
+    _check(rules, workers)
+    values: list[Floats] = []
+    blocks: list[Floats] = []
+    tolerance, converged = np.inf, False
+    with ThreadPoolExecutor(workers) as pool:
+        while len(values) < rules.most and not converged:
+            numbers = range(len(values), min(len(values) + rules.block, rules.most))
+            new = list(pool.map(lambda k: np.asarray(model(np.random.default_rng([seed, k]))), numbers))
+            values += new
+            blocks.append(_summary(np.array(new), rules))
+            standard = np.nanstd(np.array(values), axis=0, ddof=1)
+            tolerance = numerical_tolerance(float(np.nanmedian(standard)), rules.digits)
+            if len(blocks) > 1:
+                spread = 2 * np.std(np.array(blocks), axis=0, ddof=1) / np.sqrt(len(blocks))
+                converged = bool(np.nanmax(spread) < tolerance)
+            if progress is not None:
+                progress(len(values) / rules.most, "Monte Carlo trials")
+    every = np.array(values)
+    intervals = {p: shortest_interval(every, p) for p in rules.coverage}
+    return MonteCarlo(every.mean(axis=0), every.std(axis=0, ddof=1), intervals, len(values), tolerance, converged, every)
+
+
+def _check(rules: MonteCarloRules, workers: int) -> None:
+    if rules.block < 2 or rules.most < 2 or rules.digits < 1 or workers < 1:
+        raise AsterismError("a Monte Carlo needs two trials or more in a block and in all, a digit to be certain of, and one worker.")
+    if not all(0 < p < 1 for p in rules.coverage):
+        raise AsterismError(f"coverage probabilities {rules.coverage} are not all between 0 and 1; give for example 0.65 and 0.95.")
+
+
+def _summary(values: Floats, rules: MonteCarloRules) -> Floats:
+    ends = [end for p in rules.coverage for end in shortest_interval(values, p)]
+    return np.array([values.mean(axis=0), values.std(axis=0, ddof=1), *ends])
+
+
+def numerical_tolerance(standard: float, digits: int = 1) -> float:
+    """Half a unit of the last significant digit of a standard uncertainty (Supplement 1, 7.9.2): 0.05 for 0.4 and one digit."""
+    if not standard > 0 or not np.isfinite(standard):
+        return np.inf
+    return float(0.5 * 10.0 ** (np.floor(np.log10(standard)) - digits + 1))
+
+
+def shortest_interval(values: Floats, probability: float) -> tuple[Floats, Floats]:
+    """The shortest interval that holds this share of the values (M, ...) along the first axis (Supplement 1, 7.7.2 and note 3).
+
+    Of the M values q = pM, rounded, lie above the lower end and up to the upper one. NaN where all values are.
+    """
+    ordered = np.sort(np.asarray(values, dtype=np.float64), axis=0)
+    count = len(ordered)
+    span = min(int(np.floor(probability * count + 0.5)), count - 1)
+    widths = ordered[span:] - ordered[: count - span]
+    first = np.argmin(np.where(np.isnan(widths), np.inf, widths), axis=0)[None]
+    low = np.take_along_axis(ordered, first, axis=0)[0]
+    high = np.take_along_axis(ordered, first + span, axis=0)[0]
+    return low, high

@@ -1,0 +1,200 @@
+"""Limbs, joints and angles in; a page with points coloured by limb, angles with bands, budgets and methods side by side, out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asterism.recording import Floats, Recording
+from asterism.report import figures
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, write_page
+
+if TYPE_CHECKING:
+    from asterism.motion.analysis import JointAngles, MotionAnalysis
+    from asterism.motion.segmentation import Segmentation
+    from asterism.motion.uncertainty import AngleUncertainty, UncertaintyResult
+
+_MOST_POINTS = 4000
+REJECTED = "rejected"
+
+
+def segmentation_report(path: str | Path, results: Sequence[tuple[str, Recording, Segmentation]], *, title: str = "Limbs") -> None:
+    """Write an HTML page on the limbs of recordings (name, recording, segmentation). Raises AsterismError where it cannot be written."""
+    sections = []
+    for name, recording, found in results:
+        names = [f"limb {k + 1}" for k in range(found.limbs)]
+        rows: list[list[str | Cell]] = []
+        for k, limb in enumerate(names):
+            points = found.points(k)
+            stray = found.stray[points, k]
+            known = stray[np.isfinite(stray)]
+            rows.append(
+                [
+                    limb,
+                    _few([recording.labels[n] for n in points]),
+                    str(len(points)),
+                    _mm(float(np.median(known)) if len(known) else np.nan),
+                ]
+            )
+        sections.append(
+            Section(
+                name,
+                f"{found.limbs} limbs in {len(recording)} frames, by {found.method}. Each point has the colour of its limb.",
+                figure=points_figure(recording, found.limb_of, names),
+                table=Table(["limb", "points", "number", "median stray, mm"], rows, left=2),
+            )
+        )
+    limbs = sum(found.limbs for _, _, found in results)
+    lead = "Points that keep their places in the axes of one moving body are one limb."
+    write_page(path, Page(title, lead, {"recordings": len(results)}, [(str(limbs), "limbs", "")], sections))
+
+
+def motion_report(
+    path: str | Path,
+    results: Sequence[tuple[str, MotionAnalysis, UncertaintyResult | None]],
+    *,
+    title: str = "Motion: limbs, joints and angles",
+) -> None:
+    """Write an HTML page on analysed recordings (name, analysis, uncertainty or None). Raises AsterismError where it cannot be written."""
+    sections = [section for name, analysis, certain in results for section in _sections(name, analysis, certain)]
+    joints = sum(len(analysis.angles) for _, analysis, _ in results)
+    merits = [(str(sum(len(analysis.names) for _, analysis, _ in results)), "limbs", ""), (str(joints), "joints", "")]
+    widths = [float(np.degrees(np.nanmax(one.angle_standard))) for _, _, certain in results if certain for one in certain.joints]
+    if widths:
+        merits.append((f"{max(widths):.2f}°", "largest standard uncertainty of an angle", ""))
+    lead = "Angles count from the first frame in which both limbs are seen. Flexion is the turn about a joint's main axis, from its mean."
+    facts = {"recordings": len(results), "method": results[0][1].motions[0].method if results else None}
+    write_page(path, Page(title, lead, facts, merits, sections))
+
+
+def _sections(name: str, analysis: MotionAnalysis, certain: UncertaintyResult | None) -> list[Section]:
+    rejected = np.zeros(len(analysis.limb_of), dtype=bool)
+    for limb, motion in enumerate(analysis.motions):
+        rejected[analysis.limb_of == limb] = motion.rejected.mean(axis=0) > 0.5
+    sections = [
+        Section(
+            f"{name}: limbs",
+            "Each point has the colour of its limb; hollow points weigh less than half the mean: they move with the skin.",
+            figure=points_figure(analysis.recording, analysis.limb_of, analysis.names, rejected, analysis.centres),
+            table=_joint_table(analysis),
+        )
+    ]
+    for number, joint in enumerate(analysis.angles):
+        one = certain.joints[number] if certain else None
+        sections.append(_angle_section(name, analysis, joint, one))
+        if one is not None:
+            sections.append(_budget_section(joint, one, analysis.recording.times))
+    return sections
+
+
+def points_figure(
+    recording: Recording, limb_of: np.ndarray, names: Sequence[str], rejected: np.ndarray | None = None, centres: Floats | None = None
+) -> figures.Figure:
+    """The frame with the most points, in space, coloured by limb; rejected points hollow, joint centres as diamonds."""
+    frame = int(np.argmax(recording.visible.sum(axis=1)))
+    step = max(1, -(-len(limb_of) // _MOST_POINTS))
+    chosen = np.arange(0, len(limb_of), step)
+    hollow = np.zeros(len(limb_of), dtype=bool) if rejected is None else rejected
+    data = []
+    for limb, name in enumerate(names):
+        for open_, suffix in ((False, ""), (True, f", {REJECTED}")):
+            own = chosen[(limb_of[chosen] == limb) & (hollow[chosen] == open_)]
+            if len(own):
+                size = 3 if len(limb_of) > 200 else 6
+                marker = {
+                    "size": size,
+                    "color": figures.PALETTE[limb % len(figures.PALETTE)],
+                    "symbol": "circle-open" if open_ else "circle",
+                }
+                data.append(_in_space(f"{name}{suffix}", recording.positions[frame, own], marker, [recording.labels[n] for n in own]))
+    if centres is not None and len(centres):
+        data.append(_in_space("joint centres", centres[:, frame], {"size": 7, "color": "#16213a", "symbol": "diamond"}, None))
+    scene = {"aspectmode": "data", **{axis: {"title": {"text": f"{axis[0]} (m)"}} for axis in ("xaxis", "yaxis", "zaxis")}}
+    scene["camera"] = {"eye": {"x": 1.8, "y": -1.8, "z": 0.5}}
+    return figures.figure(data, height=560, scene=scene)
+
+
+def _in_space(name: str, points: Floats, marker: dict[str, object], labels: list[str] | None) -> dict[str, object]:
+    return {
+        "type": "scatter3d", "mode": "markers", "name": name, "marker": marker, "text": labels,
+        "x": np.round(points[:, 0], 4), "y": np.round(points[:, 1], 4), "z": np.round(points[:, 2], 4),
+        "hovertemplate": ("%{text}" if labels else name) + "<extra></extra>",
+    }  # fmt: skip
+
+
+def _joint_table(analysis: MotionAnalysis) -> Table:
+    rows: list[list[str | Cell]] = []
+    for joint in analysis.angles:
+        fitted = analysis.skeleton.joints[joint.child]
+        if fitted is not None:
+            sigma = float(np.sqrt(np.trace(fitted.covariance)))
+            turned = np.degrees(np.nanmax(joint.angle))
+            rows.append([joint.name, fitted.kind, f"{turned:.1f}", _mm(fitted.residual), _mm(sigma)])
+    return Table(["joint", "kind", "largest angle, °", "centre drifts, mm", "centre ±, mm"], rows, left=2)
+
+
+def _angle_section(name: str, analysis: MotionAnalysis, joint: JointAngles, one: AngleUncertainty | None) -> Section:
+    text = "How far the joint has turned since its first frame."
+    bands = []
+    if one is not None:
+        text += " Bands: shortest intervals that hold the angle with 65 and 95 %."
+        bands = [(f"{100 * p:.0f} %", *one.angle_intervals[p]) for p in sorted(one.angle_intervals, reverse=True)]
+    return Section(f"{name}: {joint.name}", text, figure=band_figure(analysis.recording.times, joint.angle, bands))
+
+
+def band_figure(times: Floats, angle: Floats, bands: Sequence[tuple[str, Floats, Floats]]) -> figures.Figure:
+    """An angle over time (rad, drawn in degrees) over its bands (name, low, high), the widest first; below, the bands about the angle."""
+    data: list[dict[str, object]] = []
+    for axis, zero in (("y", np.zeros(len(angle))), ("y2", angle)) if bands else ():
+        for place, (label, low, high) in enumerate(bands):
+            shade = f"rgba(15, 123, 138, {0.15 + 0.2 * place})"
+            flat = {"type": "scatter", "mode": "lines", "line": {"width": 0}, "x": list(times), "hoverinfo": "skip", "yaxis": axis}
+            data.append({**flat, "y": np.round(np.degrees(low - zero), 3), "showlegend": False})
+            ends = {"fill": "tonexty", "fillcolor": shade, "name": label, "showlegend": axis == "y"}
+            data.append({**flat, "y": np.round(np.degrees(high - zero), 3), **ends})
+    line = {"type": "scatter", "mode": "lines", "name": "angle", "x": list(times), "y": np.round(np.degrees(angle), 3)}
+    data.append({**line, "line": {"color": figures.PALETTE[0], "width": 2}, "hovertemplate": "%{x:.2f} s: %{y:.2f}°<extra></extra>"})
+    upper = {"title": {"text": "angle (°)"}, "ticksuffix": "°"}
+    if not bands:
+        return figures.figure(data, height=360, xaxis={"title": {"text": "time (s)"}}, yaxis=upper)
+    lower = {"title": {"text": "interval (°)"}, "ticksuffix": "°", "domain": [0, 0.3], "anchor": "x"}
+    across = {"title": {"text": "time (s)"}, "anchor": "y2"}
+    return figures.figure(data, height=480, xaxis=across, yaxis={**upper, "domain": [0.38, 1]}, yaxis2=lower)
+
+
+def _budget_section(joint: JointAngles, one: AngleUncertainty, times: Floats) -> Section:
+    data = [
+        {
+            "type": "scatter", "mode": "lines", "name": source, "x": list(times), "y": np.round(np.degrees(part), 4),
+            "line": {"width": 3 if source == "all" else 2, "color": "#16213a" if source == "all" else figures.PALETTE[place]},
+            "hovertemplate": source + " %{x:.2f} s: %{y:.2f}°<extra></extra>",
+        }
+        for place, (source, part) in enumerate(one.budget.items())
+    ]  # fmt: skip
+    names = list(one.budget)
+    rows: list[list[str | Cell]] = []
+    for label, budget in (("flexion in anatomical axes", one.budget), ("angle since the first frame", one.angle_budget)):
+        rows.append([label, *(_degrees(float(np.degrees(np.sqrt(np.nanmean(budget[name] ** 2))))) for name in names)])
+    axes = {"xaxis": {"title": {"text": "time (s)"}}, "yaxis": {"title": {"text": "standard uncertainty (°)"}, "rangemode": "tozero"}}
+    return Section(
+        f"{joint.name}: what makes it uncertain",
+        "The standard uncertainty of the flexion from each source alone, and from all together.",
+        figure=figures.figure(data, height=320, **axes),
+        table=Table(["root mean square over the frames, °", *names], rows),
+        note="Misplaced landmarks shift the flexion by one angle in all frames. They leave the angle since a frame as it is.",
+    )
+
+
+def _few(labels: Sequence[str]) -> str:
+    return ", ".join(labels[:10]) + (", ..." if len(labels) > 10 else "")
+
+
+def _mm(metres: float) -> str:
+    return NOTHING if np.isnan(metres) else f"{1000 * metres:.1f}"
+
+
+def _degrees(value: float) -> str:
+    return NOTHING if np.isnan(value) else f"{value:.2f}"

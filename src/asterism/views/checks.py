@@ -1,0 +1,140 @@
+"""A labelling of blobs in; what speaks against it, and which cameras do not fit the others, out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
+from asterism.recording import Floats, Ints, canonical
+from asterism.views.body import BodyModel
+
+if TYPE_CHECKING:
+    from asterism.views.label import ViewsLabelling
+
+_MANY_LOST = 0.05
+"""Share of the frames without the body from which a person is told."""
+_NOT_WORN = 0.3
+"""A marker with fewer of its expected blobs than this is probably not worn."""
+_OTHER_BODY = 0.25
+"""Share of the body's markers that are hardly seen from which the body is another."""
+_MANY_LEFT = 0.5
+"""Blobs without a label per blob with one, from which a person is told. Two strays in an image of ten markers are 0.2."""
+_MISFIT = 3.0
+"""px, the median distance of a camera's blobs from where the other cameras have their markers, above which it does not fit them."""
+_HARDLY_SEEN = 0.4
+"""A camera that shows fewer of the sightings that the body lets expect does not fit either."""
+_JUDGED_FRAMES = 60
+
+
+def refuse_mirrored(body: BodyModel) -> None:
+    """Raise AsterismError where most left markers of a body are right of their partners: x is ahead, y left, z up."""
+    places = {canonical(marker.name): marker.place[1] for marker in body.markers}
+    pairs = body.marker_set.pairs
+    wrong = sum(places[canonical(left)] < places[canonical(right)] for left, right in pairs)
+    if len(pairs) >= 2 and 2 * wrong > len(pairs):
+        raise AsterismError(
+            f"body {body.title}: {wrong} of {len(pairs)} left markers are on its right side; it is mirrored, or its names are exchanged. "
+            "Make it anew with `asterism body fit`, from a recording with x, y and z right-handed."
+        )
+
+
+def is_other_body(result: ViewsLabelling) -> bool:
+    """Whether so many of the body's markers are hardly seen where the cameras should show them that others are worn."""
+    return len(_absent(result)) > _OTHER_BODY * len(result.body.markers)
+
+
+def _absent(result: ViewsLabelling) -> list[str]:
+    """Markers with fewer blobs than `_NOT_WORN` of those that the cameras should show."""
+    there = np.isfinite(result.poses[:, 0])
+    expected = result.expected[there].sum(axis=(0, 1))
+    seen = np.bincount(result.labels[result.labels >= 0], minlength=len(expected))
+    return [name for name, wanted, got in zip(result.body.labels, expected, seen, strict=True) if wanted > 10 and got < _NOT_WORN * wanted]
+
+
+def misfits(result: ViewsLabelling) -> Ints:
+    """The cameras whose blobs are not where the other cameras have their markers, worst first; judged by up to 60 frames.
+
+    Where two cameras alone have blobs nothing is known. O(frames C M).
+    """
+    blobs, rig = result.blobs, result.rig
+    frames = np.nonzero((result.views > 0).any(axis=1))[0]
+    frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _JUDGED_FRAMES)).round().astype(np.int64))]
+    count, markers = len(rig), len(result.body.markers)
+    xy = np.full((len(frames), count, markers, 2), np.nan)
+    row_of = np.full(len(blobs), -1, dtype=np.int64)
+    row_of[frames] = np.arange(len(frames))
+    given = (result.labels >= 0) & (row_of[blobs.frame_of] >= 0)
+    xy[row_of[blobs.frame_of[given]], blobs.camera_of[given], result.labels[given]] = blobs.xy[given]
+    rays = np.stack([camera.rays(xy[:, c]) for c, camera in enumerate(rig)], axis=1)
+    eyes = np.stack([camera.position for camera in rig])
+    expected, there = result.expected[frames].sum(axis=(0, 2)), np.isfinite(xy[..., 0]).sum(axis=(0, 2))
+    some = blobs.counts.sum(axis=0) > 0
+    out = [c for c in range(count) if some[c] and expected[c] > 20 and there[c] < _HARDLY_SEEN * expected[c]]
+    while count - len(out) > 2:
+        off = _medians(result, xy, rays, eyes, [c for c in range(count) if c not in out])
+        worst = int(np.nanargmax(off)) if np.isfinite(off).any() else -1
+        if worst < 0 or off[worst] <= _MISFIT:
+            break
+        out.append(worst)
+    return np.array(out, dtype=np.int64)
+
+
+def _medians(result: ViewsLabelling, xy: Floats, rays: Floats, eyes: Floats, used: list[int]) -> Floats:
+    """(C,) px: the median distance of each camera's blobs from the points of two or more of the other cameras."""
+    off = np.full(len(result.rig), np.nan)
+    for c in used:
+        others = [o for o in used if o != c]
+        along = rays[:, others]
+        shown = np.isfinite(along[..., 0])
+        across = np.where(shown[..., None, None], np.eye(3) - along[..., :, None] * along[..., None, :], 0.0)
+        total, right = across.sum(axis=1), np.einsum("tomij,oj->tmi", across, eyes[others])
+        enough = (shown.sum(axis=1) >= 2) & np.isfinite(xy[:, c, :, 0])
+        if enough.sum() < 20:
+            continue
+        points = np.linalg.solve(total[enough], right[enough][..., None])[..., 0]
+        off[c] = float(np.nanmedian(np.linalg.norm(result.rig.cameras[c].project(points) - xy[:, c][enough], axis=1)))
+    return off
+
+
+def findings(result: ViewsLabelling, misfitting: Ints) -> list[Finding]:
+    """What a person should know before using the labels."""
+    blobs, body = result.blobs, result.body
+    counts = blobs.counts
+    there = np.isfinite(result.poses[:, 0])
+    worth_a_try = counts.sum(axis=1) > 0
+    found = list[Finding]()
+    for c in np.nonzero(counts.sum(axis=0) == 0)[0]:
+        name = blobs.cameras[c]
+        sentence = f"camera {name} has no blob in the whole recording."
+        found.append(
+            Finding("views-empty-camera", Severity.WARNING, name, sentence, "Check that it recorded, and that its blobs are in the file.")
+        )
+    for c in misfitting:
+        name = blobs.cameras[c]
+        sentence = f"camera {name} does not fit the others: its blobs are not where they have the markers; it got no labels."
+        mend = "Give the rig of this recording; find moved cameras with `asterism calibrate refine`."
+        found.append(Finding("views-camera-misfit", Severity.ERROR, name, sentence, mend))
+    if not there.any():
+        sentence = f"the blobs do not show the body {body.title} through these cameras; no label was given."
+        mend = "Check that the rig is of this recording, that the body has the markers that were worn, and that two cameras see the person."
+        return [*found, Finding("views-no-body", Severity.ERROR, "", sentence, mend)]
+    lost = worth_a_try & ~there
+    if lost.mean() > _MANY_LOST:
+        sentence = f"the body {body.title} was not found in {lost.sum()} of {len(lost)} frames; they have no labels."
+        mend = "Look whether the person was out of the cameras' view in them; if not, check the rig and the body."
+        found.append(Finding("views-lost", Severity.WARNING, "", sentence, mend))
+    given = result.labels >= 0
+    absent = _absent(result)
+    if absent:
+        sentence = f"the cameras should show {', '.join(absent)}, and hardly do."
+        mend = "If they are not worn, give a body without them (`asterism body fit --markers`)."
+        found.append(Finding("views-markers-absent", Severity.WARNING, ", ".join(absent), sentence, mend))
+    left = float((~given[there[blobs.frame_of]]).sum()) / max(float(given.sum()), 1.0)
+    if left > _MANY_LEFT:
+        sentence = f"for every 100 blobs that got a label, {100 * left:.0f} got none."
+        mend = "Cover reflections; if more markers are worn than the body has, give a body with them."
+        found.append(Finding("views-many-unlabelled", Severity.WARNING, "", sentence, mend))
+    return found

@@ -1,0 +1,143 @@
+"""A body model and some frames of a person's blobs in; the person's own body out: sizes, and where the markers really sit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.recording import Floats, Ints
+from asterism.views._pose_kernels import PLACE
+from asterism.views.body import BodyModel, as_point
+from asterism.views.body_fit import PosedFrames, rest_places
+from asterism.views.frame import FrameLabeller, FrameLabels
+from asterism.views.scene import cameras_with_blobs
+
+
+@dataclass(frozen=True)
+class PersonalRules:
+    """How a person's own body is learned from the blobs. Chosen on simulated walks, on none of the recordings.
+
+    frames        frames that are labelled for it, evenly spread
+    least_frames  frames with a marker in two cameras that are needed to move it
+    least_found   a marker with fewer of its expected blobs is thought to sit elsewhere, and sought within
+    astray        m of its place
+    least_spread  m, of a marker's place on its own person, beside what is seen of it
+    quality       nats per sighting, of frames that count
+    """
+
+    frames: int = 24
+    least_frames: int = 4
+    least_found: float = 0.85
+    astray: float = 0.04
+    least_spread: float = 0.005
+    quality: float = 3.0
+
+
+PERSONAL = PersonalRules()
+
+
+def personal_body(labeller: FrameLabeller, rules: PersonalRules = PERSONAL) -> BodyModel:
+    """The body of the person whose blobs these are: the model where nothing is learned. O(frames) labellings.
+
+    Places of the markers that two cameras show are medians over frames, in the axes of their bones. A marker that is hardly found where the
+    model has it is sought in a wider surrounding first: wands and clusters sit elsewhere on other people.
+    """
+    frames = _spread(labeller, rules.frames)
+    found = _labelled(labeller, frames)
+    good = [t for t, each in found.items() if quality_of(labeller, each) >= rules.quality]
+    if len(good) < rules.least_frames:
+        return labeller.body
+    astray = _astray(labeller, found, good, rules)
+    if astray.any():
+        body = labeller.body
+        wider = tuple(
+            replace(marker, spread=max(marker.spread, rules.astray)) if away else marker
+            for marker, away in zip(body.markers, astray, strict=True)
+        )
+        labeller = replace(labeller, body=replace(body, markers=wider))
+        found = {t: labeller.from_start(t, found[t].pose, found[t].rotation) for t in good}
+    return _with_own_places(labeller.body, [found[t] for t in good], [_views(labeller, t, found[t]) for t in good], rules)
+
+
+def quality_of(labeller: FrameLabeller, found: FrameLabels) -> float:
+    """nats of gain per sighting that the body lets expect; 0 where fewer of them are there than `ViewsRules.least_shown`."""
+    expected = max(float(labeller.expected(found).sum()), 1.0)
+    shown = int((found.labels >= 0).sum())
+    return found.gain / expected if shown >= labeller.rules.least_shown * expected else 0.0
+
+
+def _spread(labeller: FrameLabeller, most: int) -> Ints:
+    """Frames in which two cameras have blobs, evenly spread."""
+    total = len(labeller.scene.blobs)
+    some = [t for t in range(total) if cameras_with_blobs(labeller.scene.frame(t)[1]).sum() >= 2]
+    return np.array(some, dtype=np.int64)[np.unique(np.linspace(0, len(some) - 1, min(most, len(some))).round().astype(np.int64))]
+
+
+def _labelled(labeller: FrameLabeller, frames: Ints) -> dict[int, FrameLabels]:
+    """These frames labelled, each from the pose of the last where that works."""
+    out = dict[int, FrameLabels]()
+    last: FrameLabels | None = None
+    for t in frames.tolist():
+        found = None if last is None else labeller.turned(t, labeller.from_start(t, last.pose, last.rotation))
+        if found is None or quality_of(labeller, found) < labeller.rules.lost:
+            try:
+                found = labeller.from_nothing(t)
+            except AsterismError:
+                continue
+        out[t] = found
+        last = found if quality_of(labeller, found) >= labeller.rules.lost else None
+    return out
+
+
+def _astray(labeller: FrameLabeller, found: dict[int, FrameLabels], good: list[int], rules: PersonalRules) -> np.ndarray:
+    markers = len(labeller.body.markers)
+    expected, seen = np.zeros(markers), np.zeros(markers)
+    for t in good:
+        expected += labeller.expected(found[t]).sum(axis=0)
+        seen += np.bincount(found[t].labels[found[t].labels >= 0], minlength=markers)
+    return np.asarray((seen < rules.least_found * expected) & (expected > 1.0))
+
+
+def _views(labeller: FrameLabeller, t: int, found: FrameLabels) -> Ints:
+    """(M,) how many cameras show each marker."""
+    return np.bincount(found.labels[found.labels >= 0], minlength=len(labeller.body.markers))
+
+
+def _with_own_places(body: BodyModel, found: list[FrameLabels], views: list[Ints], rules: PersonalRules) -> BodyModel:
+    poses = np.array([each.pose for each in found])
+    scale: Floats = np.median(poses[:, :PLACE], axis=0)
+    positions = np.array([np.where(seen[:, None] >= 2, each.points, np.nan) for each, seen in zip(found, views, strict=True)])
+    rest = rest_places(body, PosedFrames(poses, np.array([each.rotation for each in found]), np.zeros(len(found))), positions)
+    root = np.array(body.bones[0].pivot)
+    markers = []
+    for m, marker in enumerate(body.markers):
+        own = rest[np.isfinite(rest[:, m, 0]), m]
+        if len(own) < rules.least_frames:
+            markers.append(marker)
+            continue
+        middle = np.median(own, axis=0)
+        scatter = 1.4826 * float(np.sqrt(np.mean(np.median(np.abs(own - middle), axis=0) ** 2)))
+        markers.append(replace(marker, place=as_point(middle + root), spread=min(marker.spread, max(scatter, rules.least_spread))))
+    return _scaled(replace(body, markers=tuple(markers)), scale)
+
+
+def _scaled(body: BodyModel, scale: Floats) -> BodyModel:
+    """The body with the person's scales in it, which then hardly vary."""
+
+    def grown(place: tuple[float, float, float]) -> tuple[float, float, float]:
+        return as_point(np.array(place) * scale)
+
+    girth = float(scale.mean())
+    return replace(
+        body,
+        height=body.height * float(scale[2]),
+        bones=tuple(replace(bone, pivot=grown(bone.pivot)) for bone in body.bones),
+        markers=tuple(replace(marker, place=grown(marker.place)) for marker in body.markers),
+        capsules=tuple(
+            replace(part, start=grown(part.start), end=grown(part.end), radii=(girth * part.radii[0], girth * part.radii[1]))
+            for part in body.capsules
+        ),
+        scale_spread=(0.015, 0.01),
+    )

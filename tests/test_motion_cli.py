@@ -1,0 +1,124 @@
+"""`asterism segment`, `asterism motion` and their pages, on simulated limbs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asterism import Recording, formats
+from asterism.cli import main
+from asterism.simulation.soft_tissue import TrialPlan, simulate_soft_tissue
+
+
+@pytest.fixture(scope="module")
+def knee(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("motion") / "knee.c3d"
+    formats.write(path, simulate_soft_tissue(TrialPlan("knee", points=60, frames=40), seed=1).recording)
+    return path
+
+
+def test_segment_tells_limbs_on_a_page_and_as_json(knee: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page, found = tmp_path / "limbs.html", tmp_path / "limbs.json"
+    assert main(["segment", str(knee), "--vertical", "z", "--report", str(page), "--json", str(found)]) == 0
+    assert "2 limbs" in capsys.readouterr().out
+    file = json.loads(found.read_text())["files"][0]
+    assert len(file["limbs"]) == 2 and sum(len(limb["points"]) for limb in file["limbs"]) == 60
+    assert "scatter3d" in page.read_text()
+
+
+def test_motion_tells_angles_their_uncertainty_and_a_budget(knee: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page, table = tmp_path / "motion.html", tmp_path / "angles.csv"
+    words = ["motion", str(knee), "--vertical", "z", "--uncertainty", "--trials", "20", "--report", str(page), "-o", str(table)]
+    assert main([*words, "--json", str(tmp_path / "a.json")]) == 0
+    told = capsys.readouterr()
+    assert "limb 1 / limb 2" in told.out and "motion-no-calibration" in told.err
+    result = json.loads((tmp_path / "a.json").read_text())["files"][0]
+    joint = result["joints"][0]
+    assert set(joint["flexion_budget_deg"]) == {"cameras", "soft tissue", "placement", "all"}
+    low, high = joint["angle_intervals_deg"]["0.95"]
+    assert len(low) == 40 and (np.array(low) <= np.array(high)).all()
+    assert "motion estimated" in result["log"][-1]
+    lines = table.read_text().splitlines()
+    assert len(lines) == 41 and lines[0].startswith("file,joint,time_s,angle_deg,flexion_deg,angle_low95_deg")
+    assert "what makes it uncertain" in page.read_text()
+    assert main([*words, "--json", str(tmp_path / "b.json"), "--overwrite", "--workers", "2"]) == 0
+    assert json.loads((tmp_path / "b.json").read_text())["files"] == json.loads((tmp_path / "a.json").read_text())["files"]
+
+
+def test_existing_files_are_not_replaced(knee: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = tmp_path / "page.html"
+    page.write_text("mine")
+    for verb in ("segment", "motion"):
+        assert main([verb, str(knee), "--report", str(page)]) == 2
+        assert "--overwrite" in capsys.readouterr().err
+    assert page.read_text() == "mine"
+
+
+def test_a_bad_file_of_several_is_named_and_the_others_are_done(knee: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    two = tmp_path / "two.csv"
+    formats.write(two, Recording(np.random.default_rng(0).normal(size=(5, 2, 3)), ("a", "b"), 10.0))
+    for verb in ("segment", "motion"):
+        assert main([verb, str(knee), str(two), "--vertical", "z"]) == 1
+        told = capsys.readouterr()
+        assert "two.csv" in told.err and "three" in told.err and "2 limbs" in told.out
+        assert main([verb, str(two), "--vertical", "z"]) == 2
+
+
+def test_words_that_exclude_each_other_are_refused(knee: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["motion", str(knee), "--vertical", "z", "--limbs", "2", "--markers", "helen-hayes"]) == 2
+    assert "one of them" in capsys.readouterr().err
+    assert main(["motion", str(knee), "--vertical", "z", "--markers", "helen-hayes"]) == 2
+    assert "three markers" in capsys.readouterr().err
+    assert main(["motion", str(knee), "--method", "magic"]) == 2
+
+
+def test_a_marker_sets_segments_are_the_limbs(tmp_path: Path) -> None:
+    trial = simulate_soft_tissue(TrialPlan("knee", points=5, sparse=True, frames=30), seed=1)
+    path, wanted = tmp_path / "legs.toml", {"thigh": ["P1", "P2", "P3", "P4"], "shank": ["P6", "P7", "P8"], "foot": ["P9", "P10"]}
+    segments = "\n".join(f"{name} = {markers!r}" for name, markers in wanted.items())
+    path.write_text(f"markers = {[f'P{i + 1}' for i in range(10)]!r}\n[segments]\n{segments}\n")
+    formats.write(tmp_path / "knee.csv", trial.recording)
+    words = ["motion", str(tmp_path / "knee.csv"), "--markers", str(path), "--vertical", "z", "--json", str(tmp_path / "out.json")]
+    assert main(words) == 0
+    limbs = json.loads((tmp_path / "out.json").read_text())["files"][0]["limbs"]
+    assert {limb["name"]: limb["points"] for limb in limbs} == {"thigh": wanted["thigh"], "shank": wanted["shank"]}
+
+
+def test_the_demo_reaches_what_it_promises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from asterism.cli import _demo_motion
+
+    monkeypatch.setattr(_demo_motion, "_POINTS", 120)
+    monkeypatch.setattr(_demo_motion, "_TRIALS", 20)
+    assert main(["demo", "motion", "-o", str(tmp_path / "demo"), "--json", str(tmp_path / "demo.json")]) == 0
+    told = json.loads((tmp_path / "demo.json").read_text())
+    assert told["limbs"] == 2 and told["mean_error_deg"]["robust"] < 1.5
+    assert (tmp_path / "demo" / "knee.c3d").exists()
+    monkeypatch.setattr(_demo_motion, "_POINTS", 6)
+    assert main(["demo", "motion", "-o", str(tmp_path / "demo"), "--seed", "3"]) in (1, 2), "six points do not make a knee"
+
+
+def test_the_covariance_of_a_rig_counts_where_it_is_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from asterism.cameras.bundle import free_parameters
+    from asterism.cameras.files import write_rig
+    from asterism.garment.rig_covariance import RigCovariance
+    from asterism.simulation.cameras import ring_rig
+
+    rig = ring_rig(5, radius=3.0, height=2.0, size=(2048, 1536), rng=np.random.default_rng(0))
+    write_rig(rig, tmp_path / "rig.toml")
+    spread = np.diag(np.tile([4e-3, 4e-3, 4e-3, 0.02, 0.02, 0.02], 5) ** 2)
+    RigCovariance(rig.names, free_parameters(5, "pose"), spread).save(tmp_path / "rig.npz")
+    knee = simulate_soft_tissue(TrialPlan("knee", points=40, frames=20), seed=1).recording
+    formats.write(tmp_path / "knee.csv", knee)
+    words = ["motion", str(tmp_path / "knee.csv"), "--vertical", "z", "--uncertainty", "--trials", "20", "--json", "-"]
+    cameras = []
+    for more in (["--rig", str(tmp_path / "rig.toml")], ["--rig", str(tmp_path / "rig.toml"), "--covariance", str(tmp_path / "rig.npz")]):
+        assert main([*words, *more]) == 0
+        told = capsys.readouterr()
+        assert ("motion-no-calibration" in told.err) == (len(more) == 2)
+        cameras.append(float(np.mean(json.loads(told.out)["files"][0]["joints"][0]["flexion_budget_deg"]["cameras"])))
+    assert cameras[1] > 1.2 * cameras[0]
+    assert main([*words, "--covariance", str(tmp_path / "rig.npz")]) == 2
+    assert "--rig" in capsys.readouterr().err

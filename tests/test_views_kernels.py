@@ -1,0 +1,208 @@
+"""The kernels of labelling in images against their twins, their derivatives against differences, and the paper's own way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import twins_views as twins
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from asterism.errors import AsterismError
+from asterism.simulation.views_laboratory import paper_rig
+from asterism.views import load_body
+from asterism.views._fit_kernels import evaluate, minimise, project_linear, share_blobs
+from asterism.views._label_kernels import assign_best, margins
+from asterism.views._pose_kernels import place_bones, point_jacobian, take_step
+from asterism.views._visibility_kernels import sight_depths, visible_shares
+from asterism.views.body_fit import known_of, pose_recording
+from asterism.views.posing import posed_points
+from asterism.views.rules import ViewsRules
+from asterism.views.scene import camera_arrays
+from asterism.views.start import place_by_centroids
+
+BODY = load_body("gait15")
+RIG = paper_rig()
+CAMERAS = camera_arrays(RIG, [(656.0, 491.0)] * 4)
+OBSERVING = ViewsRules().observing(656.0 * 491.0)
+UP = np.array([0.0, 0.0, 1.0])
+NOBODY = np.empty(0, dtype=np.int64)
+
+
+def random_pose(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    hinges = np.clip(rng.normal(0.0, 0.4, len(BODY.hinges)), BODY.arrays.low, BODY.arrays.high)
+    pose = np.concatenate([rng.uniform(0.8, 1.2, 3), rng.uniform(-0.3, 0.3, 3) + 0.8 * UP, np.zeros(3), hinges])
+    return pose, twins.rotation_about(UP, rng.uniform(-3, 3)) @ twins.rotation_about(np.array([1.0, 0.0, 0.0]), rng.normal(0, 0.1))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_markers_of_a_posed_body_are_where_the_chain_of_joints_puts_them(seed: int) -> None:
+    pose, rotation = random_pose(seed)
+    assert np.allclose(posed_points(BODY, pose, rotation)[0], twins.posed_markers(BODY, pose, rotation), atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_jacobian_is_the_slope_of_the_positions(seed: int) -> None:
+    pose, rotation = random_pose(seed)
+    arrays, size = BODY.arrays, len(pose)
+    bones, hinges = len(BODY.bones), len(BODY.hinges)
+    turned, moved, by_scale = np.empty((bones, 3, 3)), np.empty((bones, 3)), np.empty((bones, 3, 3))
+    axes, pivots = np.empty((hinges, 3)), np.empty((hinges, 3))
+    place_bones(arrays.parents, arrays.pivots, arrays.hinge_starts, arrays.axes, pose, rotation, turned, moved, by_scale, axes, pivots)
+    points = posed_points(BODY, pose, rotation)[0]
+    free = np.full(hinges, 10.0)
+    for p in range(size):
+        step = np.zeros(size)
+        step[p] = 1e-6
+        there, turn = np.empty(size), np.empty((3, 3))
+        take_step(pose, rotation, step, 0.1, -free, free, there, turn)
+        slope = (posed_points(BODY, there, turn)[0] - points) / 1e-6
+        for m in range(len(points)):
+            out = np.empty((3, size))
+            b = arrays.bones[m]
+            point_jacobian(b, arrays.places[m], points[m], pose, turned, by_scale, axes, pivots, arrays.moves[b], out)
+            assert np.allclose(out[:, p], slope[m], atol=1e-5), (p, m)
+
+
+def test_the_gradient_of_the_cost_points_downhill_by_as_much_as_it_says() -> None:
+    pose, rotation = random_pose(1)
+    rng = np.random.default_rng(0)
+    truth = posed_points(BODY, pose, rotation)[0]
+    blobs = [camera.undistort(camera.project(truth) + rng.normal(0, 3, (15, 2))) * camera.focal for camera in RIG]
+    offsets = np.concatenate([[0], np.cumsum([len(each) for each in blobs])]).astype(np.int64)
+    xy, shares = np.concatenate(blobs), rng.uniform(0.2, 0.9, (4, 15))
+    known = known_of(BODY, UP)
+    size = len(pose)
+    tight = BODY.arrays._replace(spreads=np.full(15, 1e-9))  # else the blur would change with the distance, which the step leaves out
+
+    def cost(at: np.ndarray, turn: np.ndarray) -> tuple[float, np.ndarray]:
+        hessian, gradient = np.empty((size, size)), np.empty(size)
+        value = evaluate(tight, CAMERAS, known, OBSERVING, shares, xy, offsets, NOBODY, at, turn, 8.0, hessian, gradient)
+        return value, gradient
+
+    _, gradient = cost(pose, rotation)
+    wide = np.full(len(BODY.hinges), 10.0)
+    for p in range(size):
+        values = []
+        for sign in (1.0, -1.0):
+            step = np.zeros(size)
+            step[p] = sign * 1e-6
+            there, turn = np.empty(size), np.empty((3, 3))
+            take_step(pose, rotation, step, 0.1, -wide, wide, there, turn)
+            values.append(cost(there, turn)[0])
+        slope = (values[0] - values[1]) / 2e-6
+        assert abs(gradient[p] + slope) < 1e-3 * (1.0 + abs(slope)), f"number {p}: {-gradient[p]:.4f}, by differences {slope:.4f}"
+
+
+def test_sharing_blobs_costs_what_the_mixture_says() -> None:
+    rng = np.random.default_rng(4)
+    points = posed_points(BODY, *random_pose(2))[0]
+    uv, slopes = np.empty((4, 15, 2)), np.empty((4, 15, 2, 3))
+    project_linear(CAMERAS, points, uv, slopes)
+    blobs = [uv[c][rng.permutation(15)[:9]] + rng.normal(0, 4, (9, 2)) for c in range(4)]
+    shares = rng.uniform(0.1, 0.95, (4, 15))
+    offsets = np.array([0, 9, 18, 27, 36])
+    cost = share_blobs(
+        uv, slopes, shares, BODY.arrays.spreads, np.concatenate(blobs), offsets, 5.0, OBSERVING, np.zeros((15, 3, 3)), np.zeros((15, 3))
+    )
+    variances = 25.0 + 0.5 * (slopes**2).sum(axis=(2, 3)) * BODY.arrays.spreads**2
+    assert cost == pytest.approx(twins.shared_cost(uv, variances, shares, blobs, OBSERVING.strays), rel=1e-9)
+
+
+def test_linear_projection_is_that_of_the_cameras_without_their_lenses() -> None:
+    points = posed_points(BODY, *random_pose(3))[0]
+    uv, slopes = np.empty((4, 15, 2)), np.empty((4, 15, 2, 3))
+    project_linear(CAMERAS, points, uv, slopes)
+    for c, camera in enumerate(RIG):
+        flat = camera.undistort(camera.project(points)) * np.array(camera.focal)
+        assert np.allclose(uv[c], flat, atol=1e-6)
+    moved = np.empty((4, 15, 2))
+    project_linear(CAMERAS, points + np.array([0.0, 1e-7, 0.0]), moved, np.empty((4, 15, 2, 3)))
+    assert np.allclose((moved - uv) / 1e-7, slopes[..., 1], atol=1e-2)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000))
+def test_depths_of_sights_are_those_of_many_places_along_them(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    eye, point, start, end = rng.uniform(-1, 1, (4, 3)) + np.array([[3.0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]])
+    radii = rng.uniform(0.03, 0.3, 2)
+    out = np.empty((1, 1))
+    sight_depths(eye[None], point[None], start[None], end[None], radii[None], 0.007, out)
+    told = max(twins.sight_depth(eye, point, start, end, radii, 0.007), -1.0)  # -1: far from every capsule
+    assert out[0, 0] == pytest.approx(told, abs=2e-3)
+
+
+def test_a_marker_on_the_far_side_is_hidden_and_on_the_near_side_is_not() -> None:
+    start, end, radii = np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([[0.1, 0.1]])
+    points = np.array([[0.105, 0.0, 0.5], [-0.105, 0.0, 0.5]])
+    out, shares = np.empty((1, 2)), np.empty((1, 2))
+    sight_depths(np.array([[3.0, 0.0, 0.5]]), points, start, end, radii, 0.007, out)
+    visible_shares(out, 0.002, 0.004, 0.05, 0.95, shares)
+    assert out[0, 0] < 0 < 0.09 < out[0, 1]
+    assert shares[0, 0] > 0.8 and shares[0, 1] < 0.06
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 4), st.integers(0, 4))
+def test_assignments_and_their_margins_are_those_of_trying_all(seed: int, rows: int, columns: int) -> None:
+    gain = np.random.default_rng(seed).normal(0.0, 3.0, (rows, columns))
+    chosen, margin = np.empty(rows, dtype=np.int64), np.empty(rows)
+    assign_best(gain, chosen)
+    used = chosen[chosen >= 0]
+    assert len(set(used.tolist())) == len(used)
+    assert sum(gain[i, k] for i, k in enumerate(chosen) if k >= 0) == pytest.approx(twins.best_total(gain))
+    margins(gain, chosen, margin)
+    for m in np.nonzero(chosen >= 0)[0]:
+        assert margin[m] >= twins.margin_by_trying(gain, chosen, m) - 1e-9
+
+
+def test_the_minimum_from_a_start_that_is_off_is_the_pose_itself() -> None:
+    pose, rotation = random_pose(1)
+    pose[9:] = BODY.arrays.usual
+    truth = posed_points(BODY, pose, rotation)[0]
+    blobs = [camera.undistort(camera.project(truth)) * camera.focal for camera in RIG]
+    offsets = np.arange(0, 61, 15).astype(np.int64)
+    everything = OBSERVING._replace(doubt=np.inf)
+    start = pose.copy()
+    start[:6] += np.array([0.1, 0.1, -0.1, 0.1, -0.1, 0.1])
+    turn = twins.rotation_about(UP, np.radians(20)) @ rotation
+    free = np.arange(len(pose))
+    minimise(
+        BODY.arrays,
+        CAMERAS,
+        known_of(BODY, UP, scale=(10.0, 10.0), tilt=10.0),
+        everything,
+        np.concatenate(blobs),
+        offsets,
+        NOBODY,
+        np.array([40.0, 20.0, 10.0, 5.0, 2.0]),
+        8,
+        free,
+        start,
+        turn,
+        np.empty((len(pose), len(pose))),
+    )
+    away = np.linalg.norm(posed_points(BODY, start, turn)[0] - truth, axis=1)
+    assert away.max() < 0.004, f"{1e3 * away.max():.1f} mm"
+
+
+def test_known_positions_give_the_pose_back() -> None:
+    pose, rotation = random_pose(2)
+    pose[:3] = 1.05
+    pose[9:] = BODY.arrays.usual + 0.3 * np.sign(pose[9:]) * BODY.arrays.precision**-0.5
+    truth = posed_points(BODY, pose, rotation)[0]
+    fitted = pose_recording(BODY, truth[None])
+    again = posed_points(BODY, fitted.poses[0], fitted.rotations[0])[0]
+    assert np.linalg.norm(again - truth, axis=1).max() < 0.01
+    assert np.isnan(pose_recording(BODY, np.full((1, 15, 3), np.nan)).poses).all()
+
+
+def test_the_centroids_place_the_body_by_the_equations_of_the_paper() -> None:
+    centre, place = np.array([0.1, -0.2, 0.3]), np.array([0.2, 0.1, 0.5])
+    seen = np.array([camera.project(centre + place) for camera in RIG])
+    assert np.allclose(place_by_centroids(RIG, seen, centre), place, atol=1e-6)
+    seen[1:] = np.nan
+    with pytest.raises(AsterismError, match="two cameras"):
+        place_by_centroids(RIG, seen, centre)
