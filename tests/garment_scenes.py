@@ -110,3 +110,16 @@ def read_target(
             frame.append(SimulatedCircles(xy[rows] + noise * rng.standard_normal((len(rows), 2)), covariance, ids[rows]))
         frames.append(frame)
     return frames
+
+
+def grid_links(rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+    """Links of a whole grid, each circle's directions turned by any quarter, and centres 10 px apart."""
+    turn = np.random.default_rng(8).integers(0, 4, (rows, cols))
+    links = np.full((rows, cols, 4, 2), -1, np.int32)
+    for row, col in np.ndindex(rows, cols):
+        for d, (down, right) in enumerate(((0, 1), (1, 0), (0, -1), (-1, 0))):
+            r, c = row + down, col + right
+            if 0 <= r < rows and 0 <= c < cols:
+                links[row, col, (d + turn[row, col]) % 4] = r * cols + c, (d + 2 + turn[r, c]) % 4
+    y, x = np.mgrid[0:rows, 0:cols]
+    return links.reshape(-1, 4, 2), np.stack([x, y], axis=-1).reshape(-1, 2) * 10.0

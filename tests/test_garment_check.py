@@ -91,11 +91,15 @@ def creases(image: np.ndarray) -> np.ndarray:
     return cv2.remap(image, x + 6 * np.sin(y / 23), y + 5 * np.sin(x / 31), cv2.INTER_LINEAR, borderValue=(15, 15, 15))
 
 
-@pytest.mark.parametrize("harm", [gamma, colour_cast, jpeg, motion_blur, shade, noise], ids=lambda harm: harm.__name__)
-def test_no_identity_is_wrong_under_what_the_renderer_does_not_know(harm) -> None:
+@pytest.mark.parametrize(
+    ("harm", "least"),
+    [(gamma, 0.9), (colour_cast, 0.9), (jpeg, 0.75), (motion_blur, 0.9), (shade, 0.9), (noise, 0.9)],  # JPEG halves the colours' resolution
+    ids=lambda given: getattr(given, "__name__", ""),
+)
+def test_no_identity_is_wrong_under_what_the_renderer_does_not_know(harm, least) -> None:
     seen, true = warped(0.05, 3)
     right, wrong, _ = judged(read_image(harm(seen), printed()[0]), printed()[0], true)
-    assert wrong == 0 and right > 0.9 * 12 * 16
+    assert wrong == 0 and right > least * 12 * 16
 
 
 def test_creased_prints_are_read() -> None:
@@ -138,7 +142,12 @@ def test_the_estimate_finds_the_misreads_that_were_put_in() -> None:
     for _ in range(60):
         wrong = rng.random(pattern.shape) < share
         grid = np.where(wrong, (pattern.colours + rng.integers(1, 4, pattern.shape)) % 4, pattern.colours).astype(np.int8)
-        there = pattern.identity(grid, block_rings(grid))[1:-1, 1:-1] >= 0
+        rings = block_rings(grid)
+        place = pattern.cells(pattern.identity(grid, rings))
+        same = [
+            (np.roll(block_rings(pattern.colours)[place[..., 0], place[..., 1]], 2 * k, axis=-1) == rings).all(axis=-1) for k in range(4)
+        ]
+        there = ((place[..., 0] >= 0) & np.any(same, axis=0))[1:-1, 1:-1]
         estimate, most = misread_blocks(there.size, int(there.sum()), chance_share(pattern))
         estimates.append(1 - (1 - estimate) ** (1 / 9))
         above += 1 - (1 - most) ** (1 / 9) > wrong.mean()

@@ -7,16 +7,11 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-import twins_garment_read as twins
-from garment_scenes import coded, photos, sleeve
+from garment_scenes import coded, grid_links, photos, sleeve
 
 from asterism.errors import AsterismError
 from asterism.garment import Pattern, Piece
 from asterism.garment.read import ReadCircles, ReadRules, read_image
-from asterism.garment.read import _circle_kernels as circle_kernels
-from asterism.garment.read import _colour_kernels as colour_kernels
-from asterism.garment.read import _identity_kernels as identity_kernels
-from asterism.garment.read import _lattice_kernels as lattice_kernels
 from asterism.garment.read.findings import chance_share
 from asterism.garment.read.identify import identify
 from asterism.simulation.garment import Photo
@@ -129,48 +124,6 @@ def test_chance_is_not_believed() -> None:
     assert abs(existing / windows - chance_share(sheet())) < 0.004
 
 
-def grid_links(rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-    """Links of a whole grid, each circle's directions turned by any quarter, and centres 10 px apart."""
-    turn = np.random.default_rng(8).integers(0, 4, (rows, cols))
-    links = np.full((rows, cols, 4, 2), -1, np.int32)
-    for row, col in np.ndindex(rows, cols):
-        for d, (down, right) in enumerate(((0, 1), (1, 0), (0, -1), (-1, 0))):
-            r, c = row + down, col + right
-            if 0 <= r < rows and 0 <= c < cols:
-                links[row, col, (d + turn[row, col]) % 4] = r * cols + c, (d + 2 + turn[r, c]) % 4
-    y, x = np.mgrid[0:rows, 0:cols]
-    return links.reshape(-1, 4, 2), np.stack([x, y], axis=-1).reshape(-1, 2) * 10.0
-
-
-def test_kernels_and_their_twins_agree() -> None:
-    image = photos()[0].image[150:330, 200:420].copy()
-    grey, highest = np.empty(image.shape[:2], np.uint8), np.empty((len(image), image.shape[1] // 16 + 1), np.uint8)
-    circle_kernels.colourfulness(image, grey, highest)
-    expected = twins.colourfulness(image)
-    np.testing.assert_array_equal(grey, expected[0])
-    np.testing.assert_array_equal(highest, expected[1])
-    limits = np.array([4.0, 6000.0, 0.8, 12.0, 120.0, 0.0])
-    labels, regions = np.zeros(grey.shape, np.int32), np.empty((5000, 7), np.int32)
-    count = circle_kernels.find_regions(grey, highest, 60, limits, labels, np.empty((grey.size, 3), np.int32), regions)
-    whole = {tuple(r[:5].tolist()) for r in regions[:count] if r[5] == 60}
-    assert whole == twins.first_regions(grey, 60, limits) and len(whole) > 20
-    rng = np.random.default_rng(2)
-    centres = rng.uniform(0, 200, (300, 2))
-    shape = rng.normal(size=(300, 2, 2)) * 0.02 + 0.06 * np.eye(2)
-    found, offsets = np.empty((300, 12), np.int32), np.zeros((300, 12, 2))
-    lattice_kernels.candidates(centres, shape, 1.9, 17.0, found, offsets)
-    np.testing.assert_array_equal(found, twins.candidates(centres, shape, 1.9, 12))
-    links = grid_links(6, 7)[0]
-    links[rng.integers(0, 42, 10), rng.integers(0, 4, 10)] = -1
-    ring = np.empty((42, 8), np.int32)
-    identity_kernels.rings(links, ring)
-    np.testing.assert_array_equal(ring, twins.rings(links))
-    points, spreads = rng.uniform(0, 1, (50, 2)), np.tile([[0.02, 0.005], [0.005, 0.01]], (4, 1, 1))
-    out = np.empty((50, 4))
-    colour_kernels.posteriors(points, points[:4].copy(), spreads, 1e-3, out)
-    np.testing.assert_allclose(out, twins.posteriors(points, points[:4], spreads, 1e-3), rtol=1e-10)
-
-
 def test_a_coloured_lamp_does_not_change_what_is_read() -> None:
     image = photos()[0].image
     plain = read_image(image, sleeve().pattern)
@@ -180,3 +133,46 @@ def test_a_coloured_lamp_does_not_change_what_is_read() -> None:
     at = [np.array([np.flatnonzero(r.ids == k)[0] for k in both]) for r in (plain, tinted)]
     assert np.abs(plain.centres[at[0]] - tinted.centres[at[1]]).max() < 0.5
     assert tinted.gains[2] > 1.5 * plain.gains[2]
+
+
+def test_a_saturated_lamp_hides_circles_and_makes_none() -> None:
+    """A lamp near the cloth drives one side to white: what is left there of colours gives no wrong identity, and the other side is read."""
+    warp = warped(sheet(), (480, 360), 15.0, 0.01, 0, rng=np.random.default_rng(5))
+    x, y = np.meshgrid(np.arange(480.0), np.arange(360.0))
+    seen = 0
+    for strength in (0.0, 300.0, 900.0, 2000.0):
+        glare = strength * np.exp(-((x - 60) ** 2 + (y - 180) ** 2) / (2 * 110.0**2))
+        read = read_image(np.clip(warp.image + glare[..., None], 0, 255).astype(np.uint8), sheet())
+        given = np.flatnonzero(read.grid[:, 0] >= 0)
+        off = np.linalg.norm(warp.centres[tuple(read.grid[given].T)] - read.centres[given], axis=1)
+        assert off.max(initial=0) < 2.0, strength
+        assert strength == 0 or 0 < len(given) < seen, "each circle that is lost was in the glare"
+        seen = len(given)
+        assert ("garment-overexposed" in [f.code for f in read.findings]) == (strength > 800)
+
+
+def test_an_exposure_that_is_too_long_is_said() -> None:
+    """Inks burn out to white one channel after the other: colours are misread, identities are not given, and the image says why."""
+    warp = warped(sheet(), (480, 360), 15.0, 0.01, 0, rng=np.random.default_rng(5))
+    counts = []
+    for factor in (1.0, 2.0, 8.0, 60.0):
+        read = read_image(np.clip(warp.image * factor, 0, 255).astype(np.uint8), sheet())
+        given = np.flatnonzero(read.grid[:, 0] >= 0)
+        off = np.linalg.norm(warp.centres[tuple(read.grid[given].T)] - read.centres[given], axis=1)
+        assert off.max(initial=0) < 3.0
+        counts.append(len(given))
+    assert counts[0] > 250 and counts[2:] == [0, 0] and read.findings[0].code == "garment-overexposed"
+
+
+@pytest.mark.parametrize(("tilt", "least"), [(60.0, 800), (70.0, 400), (80.0, 0), (88.0, 0)])
+def test_a_sheet_seen_from_its_edge_gives_no_wrong_identity(tilt: float, least: int) -> None:
+    """Of three times 320 circles. At 80 degrees circles of 9 px are 1.5 px wide, and the image says that it shows none."""
+    counts, wrong = 0, 0
+    for seed in range(3):
+        warp = warped(sheet(), (480, 360), tilt, 0.01, 0, rng=np.random.default_rng([7, seed]))
+        read = read_image(warp.image, sheet())
+        given = np.flatnonzero(read.grid[:, 0] >= 0)
+        off = np.linalg.norm(warp.centres[tuple(read.grid[given].T)] - read.centres[given], axis=1)
+        counts, wrong = counts + len(given), wrong + int((off > 2.5).sum())
+    assert wrong == 0 and counts >= least
+    assert (counts == 0) == bool(read.findings) and [f.code for f in read.findings] in ([], ["garment-no-circles"])

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
+from itertools import permutations
+
 import cv2
 import numpy as np
+from scipy.ndimage import map_coordinates
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 
 def colourfulness(image):
@@ -16,20 +22,56 @@ def colourfulness(image):
     return out, padded.reshape(len(out), blocks, 16).max(axis=2)
 
 
-def first_regions(grey, lowest, limits):
-    """Regions above the lowest threshold that are ellipses as they are: their boxes and highest values."""
-    count, labels, stats, _ = cv2.connectedComponentsWithStats((grey > lowest).astype(np.uint8), connectivity=4)
-    found = set()
-    for k in range(1, count):
-        x, y, w, h, area = stats[k]
-        rows, cols = np.nonzero(labels == k)
-        most = int(grey[rows, cols].max())
-        moments = np.cov(np.stack([cols, rows]), bias=True) + np.eye(2) / 12
-        fill = area / (4 * np.pi * np.sqrt(np.linalg.det(moments)))
-        inside = x > 1 and y > 1 and x + w < grey.shape[1] - 1 and y + h < grey.shape[0] - 1
-        if area >= limits[0] and area <= limits[1] and most - lowest >= limits[3] and fill >= limits[2] and inside:
-            found.add((x, x + w - 1, y, y + h - 1, most))
+def regions(grey, lowest, limits):
+    """Regions of an ellipse's shape, above a threshold that rises until they have it: boxes, highest value and threshold."""
+    found, waiting = set(), [(grey > -1, lowest, 0)]
+    while waiting:
+        within, threshold, depth = waiting.pop()
+        parts, labels, stats, _ = cv2.connectedComponentsWithStats((within & (grey > threshold)).astype(np.uint8), connectivity=4)
+        for k in range(1, parts):
+            x, y, w, h, area = (int(v) for v in stats[k])
+            most = int(grey[labels == k].max()) if area >= limits[0] else 0
+            if most - threshold < limits[3]:
+                continue
+            small = area <= limits[1] and max(w, h) - 1 < limits[4]
+            if small and threshold >= limits[5] * most and fill(labels == k) >= limits[2]:
+                if x > 1 and y > 1 and x + w < grey.shape[1] - 1 and y + h < grey.shape[0] - 1:
+                    found.add((x, x + w - 1, y, y + h - 1, most, threshold))
+            elif depth < 8 and area > 2 * limits[0]:
+                step = threshold + max(limits[3], (most - threshold) // 4)
+                waiting.append((labels == k, int(max(step, limits[5] * most) if small else step), depth + 1))
     return found
+
+
+def fill(part):
+    """Area as a share of that of the ellipse with the same second moments."""
+    moments = np.cov(np.stack(np.nonzero(part)), bias=True) + np.eye(2) / 12
+    return part.sum() / (4 * np.pi * np.sqrt(np.linalg.det(moments)))
+
+
+def measure(image, linear, grey, labels, regions, noise):
+    """Weighted means over the pixels of a region and those two pixels around it that are no other's."""
+    out = np.empty((len(regions), 12))
+    for i, (left, right, above, below, most, threshold, label) in enumerate(regions):
+        y, x = np.mgrid[max(above - 2, 0) : min(below + 3, len(grey)), max(left - 2, 0) : min(right + 3, grey.shape[1])]
+        value, mine = grey[y, x].astype(float), labels[y, x] == label
+        half = 0.5 * (most + threshold)
+        ground = min(value.min() + 0.6 * noise, 0.5 * half)
+        span = max(value[mine & (value >= half)].mean() - ground, 1.0)
+        part = mine | (value <= threshold)
+        share = np.clip((value - ground) / span, 0, 1)
+        cover, weight = np.where(part, share**2, 0), np.where(part, np.where(share < 1, 4 * share**2, 1), 0)
+        places = np.stack([x, y], axis=-1).reshape(-1, 2)
+        area = cover.sum()
+        centre = np.average(places, axis=0, weights=cover.ravel())
+        moments = np.cov(places.T, aweights=cover.ravel(), bias=True)
+        off = places - 0.5 * np.array([left + right, above + below])
+        covariance = 2 * (noise / (span * area)) ** 2 * np.einsum("n,ni,nj->ij", weight.ravel(), off, off)
+        inner = image[y, x][mine & part & (cover > 0.4)]
+        light = linear[inner].mean(axis=0) if len(inner) else np.zeros(3)
+        three = [0, 0, 1], [0, 1, 1]
+        out[i] = [*centre, *covariance[three], *moments[three], area, *light]
+    return out
 
 
 def candidates(centres, whiten, reach, most):
@@ -40,6 +82,117 @@ def candidates(centres, whiten, reach, most):
         order = [j for j in np.argsort(far, kind="stable") if j != i and far[j] <= reach][:most]
         out[i, : len(order)] = order
     return out
+
+
+def first_frames(found, offsets, whiten, side, square, fit):
+    """Every pair of candidates as lattice vectors, scored by how the others lie on their lattice."""
+    frames, scores = np.full((len(found), 2, 2), np.nan), np.full(len(found), -np.inf)
+    for i in range(len(found)):
+        around = offsets[i, found[i] >= 0]
+        for p, q in permutations(around, 2):
+            lengths, det = np.linalg.norm([p, q], axis=1), np.linalg.det([p, q])
+            if (lengths < side[0]).any() or (lengths > side[1]).any() or det < square * lengths.prod():
+                continue
+            # Of the four quarter turns of a pair one is taken: the first vector points right, and more so than the second one down.
+            if p[0] < 0 or (p[0] < abs(p[1]) and q[1] > abs(q[0])):
+                continue
+            score = lattice_score(around, p, q, fit) - 2 * ((np.log(lengths) ** 2).sum() + 1 - (det / lengths.prod()) ** 2)
+            if score > scores[i]:
+                scores[i], frames[i] = score, np.linalg.solve(whiten[i], np.column_stack([p, q]))
+    return frames, scores
+
+
+def lattice_score(around, p, q, fit):
+    """Points for circles near the eight places around, half a point less for each in between."""
+    total = 0.0
+    for place in np.linalg.solve(np.column_stack([p, q]), around.T).T:
+        node = np.rint(place)
+        far = ((place - node) ** 2).sum()
+        if np.abs(node).max() > 1:
+            continue
+        if node.any() and far <= fit**2:
+            total += (0.6 if node.all() else 1.0) * (1 - 0.7 * far / fit**2)
+        elif np.abs(place).max() < 1.2:
+            total -= 0.5
+    return total
+
+
+def is_right_handed(frame):
+    """Whether there is a lattice: two vectors, the second a quarter turn clockwise of the first or nearly so."""
+    return np.isfinite(frame).all() and np.linalg.det(frame) > 0
+
+
+STEPS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
+
+
+def link(centres, found, frames, fit):
+    """The candidate nearest to each place one step away, where that is mutual."""
+    n = len(found)
+    ahead, links = np.full((n, 4), -1), np.full((n, 4, 2), -1)
+    for i in range(n):
+        near = found[i][found[i] >= 0]
+        if not len(near) or not is_right_handed(frames[i]):
+            continue
+        places = np.linalg.solve(frames[i], (centres[near] - centres[i]).T).T
+        for d in range(4):
+            far = np.linalg.norm(places - STEPS[d], axis=1)
+            if far.min() < fit:
+                ahead[i, d] = near[far.argmin()]
+    for i, d in np.ndindex(n, 4):
+        back = np.flatnonzero(ahead[ahead[i, d]] == i) if ahead[i, d] >= 0 else []
+        if len(back):
+            links[i, d] = ahead[i, d], back[-1]
+    return links
+
+
+def refine_frames(centres, found, links, frames, fit):
+    """Weighted means of the steps to linked neighbours and of the neighbours' own vectors; else the vectors of a linked circle nearby."""
+    out = frames.copy()
+    for i in range(len(found)):
+        steps, weights = [[], []], [[], []]
+        for d in range(4):
+            j, back = links[i, d]
+            if j < 0:
+                continue
+            steps[d % 2].append((centres[j] - centres[i]) * STEPS[d].sum())
+            weights[d % 2].append(1.0)
+            for own in range(2):
+                # The neighbour's direction `back` points to where ours, d, comes from.
+                there = (own + back + 2 - d) % 4
+                steps[own].append(frames[j, :, there % 2] * (1 if there < 2 else -1))
+                weights[own].append(0.2)
+        if steps[0]:
+            out[i] = np.column_stack([np.average(s, axis=0, weights=w) for s, w in zip(steps, weights, strict=True)])
+            continue
+        nearest = fit
+        for j in found[i][found[i] >= 0]:
+            if (links[j, :, 0] >= 0).sum() < 2 or not is_right_handed(frames[j]):
+                continue
+            far = np.linalg.norm(np.linalg.solve(frames[j], centres[i] - centres[j]) - STEPS, axis=1).min()
+            if far < nearest - 1e-9:
+                nearest, out[i] = far, frames[j]
+    return out
+
+
+def cut_skipping(grey, centres, whiten, side, rise, links):
+    """Links without those of a wrong length and those along which the colourfulness rises and falls again before the end."""
+    links = links.copy()
+    for i, d in np.ndindex(links.shape[:2]):
+        j, back = links[i, d]
+        if j < i:
+            continue
+        step = centres[j] - centres[i]
+        length = np.mean([np.linalg.norm(whiten[k] @ step) for k in (i, j)])
+        x, y = (centres[i] + step * np.linspace(0, 1, 17)[:, None]).T
+        values = map_coordinates(grey.astype(float), [y, x], order=1)
+        needed = max(rise[0] * min(values[0], values[-1]), rise[1])
+        rises = values - np.minimum.accumulate(values) > needed
+        begin = np.flatnonzero(rises[1:-1])
+        after = values[begin[0] + 1 :] if len(begin) else values[:1]
+        falls = (np.maximum.accumulate(after) - after).max()
+        if not side[0] <= length <= side[1] or falls > needed:
+            links[i, d] = links[j, back] = -1
+    return links
 
 
 def rings(links):
@@ -65,3 +218,83 @@ def posteriors(points, centres, spreads, outliers):
         off = points - centre
         density[:, k] = np.exp(-0.5 * np.einsum("ni,ij,nj->n", off, np.linalg.inv(spread), off)) / np.sqrt(np.linalg.det(spread)) + outliers
     return density / density.sum(axis=1, keepdims=True)
+
+
+def fit_mixture(points, least, outliers, rounds, centres, spreads):
+    """Expectation and maximisation; a distribution with fewer than three points stays."""
+    centres, spreads = centres.copy(), spreads.copy()
+    for _ in range(rounds):
+        weights = posteriors(points, centres, spreads, outliers) if len(points) else np.empty((0, len(centres)))
+        for k in np.flatnonzero(weights.sum(axis=0) >= 3):
+            centres[k] = np.average(points, axis=0, weights=weights[:, k])
+            spreads[k] = np.cov(points.T, aweights=weights[:, k], bias=True) + least**2 * np.eye(2)
+    return centres, spreads
+
+
+def agreeing(links, cells, turns):
+    """The neighbours that are where the grid has them and turned as it says."""
+    out = np.full((len(links), 4), -1)
+    for i, d in np.ndindex(len(links), 4):
+        j, back = links[i, d]
+        if j < 0 or turns[i] < 0 or turns[j] < 0:
+            continue
+        there = STEPS[(d + turns[i]) % 4]
+        step = cells[j] - cells[i]
+        if (step == there[::-1]).all() and (STEPS[(back + turns[j]) % 4] == -there).all():
+            out[i, d] = j
+    return out
+
+
+def groups(links, cells, turns):
+    """The first circle of each connected part of the graph of agreeing links."""
+    out, agreed = np.arange(len(links)), agreeing(links, cells, turns)
+    if not len(links):
+        return out
+    i, d = np.nonzero(agreed >= 0)
+    graph = coo_array((np.ones(len(i)), (i, agreed[i, d])), shape=(len(links), len(links)))
+    part = connected_components(graph, directed=False)[1]
+    return np.array([np.flatnonzero(part == k)[0] for k in part])
+
+
+def spread(links, colours, likelihood, order, cells, turns):
+    """Breadth first from blocks that were read; nothing goes on from a circle whose colour speaks against its cell, or off the cloth."""
+    cells, turns, waiting = cells.copy(), turns.copy(), deque(order)
+    while waiting:
+        i = waiting.popleft()
+        if likelihood[i, colours[tuple(cells[i])]] < 0:
+            continue
+        for d, (j, back) in enumerate(links[i]):
+            cell = cells[i] + STEPS[(d + turns[i]) % 4][::-1]
+            if j >= 0 and turns[j] < 0 and (cell >= 0).all() and (cell < colours.shape).all() and colours[tuple(cell)] >= 0:
+                cells[j], turns[j] = cell, (d + turns[i] + 2 - back) % 4
+                waiting.append(j)
+    return cells, turns
+
+
+def evidence(centres, links, agreed, own, cells, turns, radius, skew):
+    """Of each circle: sums over the cells around that can be reached in a window, whole and by sides; squares; links for and against."""
+    out = np.zeros((len(links), 8))
+    for i in np.flatnonzero(turns >= 0):
+        reached, waiting = {(0, 0): i}, deque([i])
+        while waiting:
+            for j in agreed[waiting.popleft()]:
+                place = tuple((cells[j] - cells[i]).tolist())
+                if j >= 0 and max(map(abs, place)) <= radius and place not in reached:
+                    reached[place] = j
+                    waiting.append(j)
+        places, value = np.array(list(reached)), own[list(reached.values())]
+        sides = [places[:, 1] >= 0, places[:, 0] >= 0, places[:, 1] <= 0, places[:, 0] <= 0]
+        out[i, :5] = value.sum(), *(value[side].sum() for side in sides)
+        out[i, 6] = (agreed[i] >= 0).sum()
+        linked = links[i, :, 0]
+        out[i, 7] = ((agreed[i] < 0) & (linked >= 0) & (turns[linked] >= 0)).sum()
+        for d in range(4):
+            one, other = agreed[i, d], agreed[i, (d + 1) % 4]
+            if one < 0 or other < 0:
+                continue
+            across, down = agreed[one, (links[i, d, 1] + 3) % 4], agreed[other, (links[i, (d + 1) % 4, 1] + 1) % 4]
+            if across >= 0 and across == down:
+                sides = np.column_stack([centres[one] - centres[across], centres[other] - centres[across]])
+                off = np.abs(np.linalg.solve(sides, centres[i] - centres[across]) - 1).max()
+                out[i, 5] += int(off <= skew) + int(off <= 0.5 * skew)
+    return out

@@ -33,6 +33,7 @@ class FrameLabels:
     covariances  (M, 3, 3) m2
     gain         nats, of the whole against no body at all: all blobs strays
     rival        nats, the gain of the best other start whose labels differ; -inf where there is none
+    rival_labels  (N,) its labels
     """
 
     labels: Ints
@@ -43,6 +44,7 @@ class FrameLabels:
     covariances: Floats
     gain: float
     rival: float = float("-inf")
+    rival_labels: Ints | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +116,24 @@ class FrameLabeller:
         results = [self._fitted(t, poses[n], rotations[n], fine, rules.steps) for n in _different(costs, poses, rotations, rules.kept)]
         results.sort(key=lambda result: -result.gain)
         best = self.turned(t, results[0])
-        others = [result.gain for result in results[1:] if not np.array_equal(result.labels, best.labels)]
-        return replace(best, rival=max(others, default=float("-inf")))
+        about = self.from_start(t, *self._about(best))
+        if about.gain > best.gain:
+            best, about = self.turned(t, about), best
+        others = [result for result in (*results, about) if not np.array_equal(result.labels, best.labels)]
+        if not others:
+            return best
+        rival = max(others, key=lambda result: result.gain)
+        return replace(best, rival=rival.gain, rival_labels=rival.labels)
+
+    def _about(self, found: FrameLabels) -> tuple[Floats, Floats]:
+        """The pose and the rotation of a body in the same place that faces the other way, its joints as usual."""
+        up = self.scene.vertical
+        half = 2.0 * np.outer(up, up) - np.eye(3)
+        middle = self.placed(found).mean(axis=0)
+        pose = found.pose.copy()
+        pose[3:6] = middle + half @ (pose[3:6] - middle)
+        pose[HINGES:] = self.body.arrays.usual
+        return pose, half @ found.rotation
 
     def _screened(self, xy: Floats, offsets: Ints, poses: Floats, rotations: Floats) -> Floats:
         """(N,) nats, the starts' costs after the coarse stages, in each of which the worse ones stay behind; moves poses and rotations."""

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from asterism.cameras import Rig
-from asterism.errors import AsterismError
 from asterism.findings import Finding
 from asterism.progress import Progress
 from asterism.recording import NULL, Blobs, Clouds, Floats, Ints, Labelling, Recording
 from asterism.views import checks
 from asterism.views.body import BodyModel
 from asterism.views.body_file import load_body
-from asterism.views.frame import FrameLabeller, FrameLabels
-from asterism.views.personal import personal_body, quality_of
+from asterism.views.frame import FrameLabeller
+from asterism.views.passes import Pass, Seen, Starts, joined
+from asterism.views.personal import personal_body
 from asterism.views.rules import RULES, ViewsRules
 from asterism.views.scene import scene_of
 
@@ -138,10 +138,7 @@ def label_views(
     if rules.personal and len(blobs):
         labeller = replace(labeller, body=personal_body(labeller), size=None)
     track = _Track(labeller, body)
-    for t in range(len(blobs)):
-        track.take(t)
-        if progress is not None:
-            progress((t + 1) / len(blobs), "labelling")
+    track.run(progress)
     result = track.result(least_confidence)
     misfits = checks.misfits(result)
     if len(misfits):
@@ -164,8 +161,7 @@ def _without(
     if enough and rules.personal:
         labeller = replace(labeller, body=personal_body(labeller), size=None)
     track = _Track(labeller, body)
-    for t in range(len(blobs)):
-        track.take(t)
+    track.run()
     few = track.result(least_confidence)
     if not enough or len(checks.misfits(few)):
         few = _withdrawn(few)
@@ -187,66 +183,29 @@ def _withdrawn(result: ViewsLabelling) -> ViewsLabelling:
     )
 
 
-@dataclass(frozen=True)
-class _Seen:
-    """A frame's labels with what is judged of them."""
-
-    labels: FrameLabels
-    quality: float
-
-
 class _Track:
-    """Frames one after the other: predicts, follows, notices that the body is lost, and seeks it anew."""
+    """All frames in both directions of time, and the result."""
 
-    def __init__(self, labeller: FrameLabeller, body: BodyModel | None = None) -> None:
-        self.body = labeller.body if body is None else body
+    def __init__(self, labeller: FrameLabeller, body: BodyModel) -> None:
+        self.body = body
         self.labeller = labeller
-        self.seen: list[_Seen | None] = []
+        self.seen: list[Seen | None] = []
         self.restarts: list[int] = []
-        self._wait = 0
-        self._patience = 1
 
-    def take(self, t: int) -> None:
-        """Label frame t."""
-        found = self._followed(t)
-        if found is not None and t % self.labeller.rules.turn_frames == 0:
-            found = self._judged(t, self.labeller.turned(t, found.labels))
-        if found is None or found.quality < self.labeller.rules.lost:
-            found = self._sought(t, found)
-        self.seen.append(found)
-
-    def _followed(self, t: int) -> _Seen | None:
-        last = self.seen[-1] if self.seen else None
-        if last is None or last.quality < self.labeller.rules.lost:
-            return None
-        pose = last.labels.pose.copy()
-        before = self.seen[-2] if len(self.seen) > 1 else None
-        if before is not None and before.quality >= self.labeller.rules.lost:
-            pose[3:6] += pose[3:6] - before.labels.pose[3:6]
-            pose[9:] += 0.8 * (pose[9:] - before.labels.pose[9:])
-        return self._judged(t, self.labeller.follow(t, pose, last.labels.rotation))
-
-    def _sought(self, t: int, otherwise: _Seen | None) -> _Seen | None:
-        """The body found without a start; after tries without success it is tried in fewer frames."""
-        if self._wait > 0:
-            self._wait -= 1
-            return otherwise
-        try:
-            found = self._judged(t, self.labeller.from_nothing(t))
-        except AsterismError:
-            found = None
-        if found is not None and found.quality >= self.labeller.rules.lost:
-            self.restarts.append(t)
-            self._patience = 1
-        else:
-            self._wait = self._patience
-            self._patience = min(2 * self._patience, self.labeller.rules.longest_wait)
-        if otherwise is not None and (found is None or otherwise.quality >= found.quality):
-            return otherwise
-        return found
-
-    def _judged(self, t: int, labels: FrameLabels) -> _Seen:
-        return _Seen(labels, quality_of(self.labeller, labels))
+    def run(self, progress: Progress | None = None) -> None:
+        """Label all frames."""
+        frames = len(self.labeller.scene.blobs)
+        starts = Starts(self.labeller)
+        forward, backward = Pass(self.labeller, starts, 1), Pass(self.labeller, starts, -1)
+        for n in range(2 * frames):
+            if n < frames:
+                forward.take(n)
+            else:
+                backward.take(2 * frames - 1 - n)
+            if progress is not None:
+                progress((n + 1) / (2 * frames), "labelling")
+        self.seen = joined(forward, backward)
+        self.restarts = sorted({*forward.restarts, *backward.restarts})
 
     def result(self, least_confidence: float) -> ViewsLabelling:
         """All frames together."""
@@ -261,7 +220,7 @@ class _Track:
             if found is None:
                 continue
             first, last = scene.blobs.offsets[t * cameras], scene.blobs.offsets[(t + 1) * cameras]
-            sure = rules.confidence(found.labels.worth, found.quality, found.labels.gain - found.labels.rival)
+            sure = rules.confidence(found.labels.worth, found.quality, found.leads)
             given = (found.labels.labels >= 0) & (sure >= least_confidence)
             confidence[first:last] = np.where(found.labels.labels >= 0, sure, 0.0)
             if found.quality < rules.lost:

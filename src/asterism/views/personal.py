@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -76,18 +77,26 @@ def _spread(labeller: FrameLabeller, most: int) -> Ints:
 
 
 def _labelled(labeller: FrameLabeller, frames: Ints) -> dict[int, FrameLabels]:
-    """These frames labelled, each from the pose of the last where that works."""
+    """These frames labelled, each from nothing, and then from the poses of its neighbours where those explain it better.
+
+    No frame depends on one start: a wrong one is a minority, and its neighbours mend it. Where the body is in none of every third frame,
+    the others are not tried.
+    """
     out = dict[int, FrameLabels]()
-    last: FrameLabels | None = None
-    for t in frames.tolist():
-        found = None if last is None else labeller.turned(t, labeller.from_start(t, last.pose, last.rotation))
-        if found is None or quality_of(labeller, found) < labeller.rules.lost:
+    for part in (frames[::3], frames[1::3], frames[2::3]):
+        for t in part.tolist():
             try:
-                found = labeller.from_nothing(t)
+                out[t] = labeller.from_nothing(t)
             except AsterismError:
                 continue
-        out[t] = found
-        last = found if quality_of(labeller, found) >= labeller.rules.lost else None
+        if not any(quality_of(labeller, each) >= labeller.rules.lost for each in out.values()):
+            return out
+    known = sorted(out)
+    for order in (known, known[::-1]):
+        for before, t in pairwise(order):
+            other = labeller.from_start(t, out[before].pose, out[before].rotation)
+            if other.gain > out[t].gain + 1.0:
+                out[t] = labeller.turned(t, other)
     return out
 
 

@@ -39,7 +39,8 @@ class ViewsRules:
     occlusion     whether the body hides markers (the ablation's switch)
     together      whether cameras inform each other when blobs are assigned (the ablation's switch)
     personal      whether the person's own body is learned first
-    turn_frames   frames after which limbs are tried turned about their length
+    turn_frames   frames after which the followed body is compared with one that is found without a start
+    window        frames on both sides whose gains decide together between the two directions of time
     lost          nats per sighting that the body lets expect, below which it counts as lost and no label is given
     least_shown   share of the expected sightings that must be there, or the body counts as lost too
     longest_wait  frames until a body that was not found is sought again, at most
@@ -72,16 +73,17 @@ class ViewsRules:
     together: bool = True
     personal: bool = True
     turn_frames: int = 20
+    window: int = 5
     lost: float = 3.0
     least_shown: float = 0.65
     longest_wait: int = 32
     slope: float = 0.5
     offset: float = 1.0
 
-    def confidence(self, worth: Floats, quality: float, lead: float) -> Floats:
+    def confidence(self, worth: Floats, quality: float, leads: Floats) -> Floats:
         """(N,) the probability that labels are right, by their worth (N,) nats, the frame's quality and its lead over a rival (nats)."""
         raw = 1.0 / (1.0 + np.exp(-np.clip(self.slope * worth + self.offset, -30.0, 30.0)))
-        whole = 1.0 / (1.0 + np.exp(-np.clip(lead, -30.0, 30.0)))
+        whole = 1.0 / (1.0 + np.exp(-np.clip(leads, -30.0, 30.0)))
         share: Floats = raw * whole
         return share
 

@@ -10,6 +10,8 @@ import numpy as np
 from asterism._jit import kernel
 
 _STEP = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+_ROUNDING = 1e-9
+"""Pitches: first vectors end at circles, so several may fit without any error, and rounding must not choose among them."""
 
 
 @kernel
@@ -182,7 +184,7 @@ def link(centres, found, frames, fit, ahead, links):
 def refine_frames(centres, found, links, frames, fit, out):
     """Lattice vectors again, by least squares from the linked neighbours and, with a smaller weight, from these neighbours' own vectors.
 
-    A circle without a link takes the vectors of circles with two links or more on whose lattice it lies.
+    A circle without a link takes the vectors of the circle with two links or more on whose lattice it lies best; of equals, the nearest.
 
     IN  centres (n, 2); found (n, most); links (n, 4, 2); frames (n, 2, 2); fit pitches
     OUT out (n, 2, 2) px
@@ -236,7 +238,7 @@ def refine_frames(centres, found, links, frames, fit, out):
             b = (frames[j, 0, 0] * dy - frames[j, 1, 0] * dx) / det
             for direction in range(4):
                 far = np.sqrt((a - _STEP[direction, 0]) ** 2 + (b - _STEP[direction, 1]) ** 2)
-                if far < nearest:
+                if far < nearest - _ROUNDING:
                     nearest = far
                     out[i] = frames[j]
 

@@ -73,5 +73,8 @@ def _identities(linked: NDArray[np.bool_], found: Identified, pattern: Pattern) 
 
 
 def chance_share(pattern: Pattern) -> float:
-    """The share of blocks of nine colours by chance that the pattern has: each identity can be read from eight shifts of its ring."""
-    return float(8 * len(pattern.known) / pattern.q**9)
+    """The share of blocks of nine colours by chance that the pattern has.
+
+    An identity's ring has eight shifts (GaMoCap 2.1), of which a square grid makes four: the reader knows which circles are at the corners.
+    """
+    return float(4 * len(pattern.known) / pattern.q**9)

@@ -39,7 +39,7 @@ class Identified:
 def identify(centres: Floats, links: NDArray[np.int32], posterior: Floats, pattern: Pattern, rules: ReadRules) -> Identified:
     """Look blocks up in the pattern, and keep what a neighbourhood agrees on.
 
-    A block of nine colours is some block of the pattern by chance in one of four to six cases, so none is believed alone. Blocks that
+    A block of nine colours is some block of a suit's pattern by chance in one of ten cases, so none is believed alone. Blocks that
     are side by side in the image and on the grid form groups; a group's map to the grid is carried on to the circles around it. Each
     circle whose colour is that of its cell is evidence, log q nats, and one misread costs it. A map needs `rules.alone` nats beyond the
     number of places and turns that it could have. A circle needs `nearby` nats around it and `each_side` on its weakest side, so that
@@ -80,7 +80,10 @@ def identify(centres: Floats, links: NDArray[np.int32], posterior: Floats, patte
 
 
 def _look_up(ring: NDArray[np.int32], read: NDArray[np.int64], pattern: Pattern) -> tuple[NDArray[np.int32], NDArray[np.int32], int, int]:
-    """Cells (n, 2) and turns (n,) of the blocks around circles, -1 where none was read or the pattern has none such; counts of both."""
+    """Cells (n, 2) and turns (n,) of the blocks around circles, -1 where none was read or the pattern has none such; counts of both.
+
+    A ring that fits only by an odd shift, its corners at the sides, is none of the pattern's: no turn of the grid makes that.
+    """
     n = len(ring)
     cells, turns = np.full((n, 2), -1, np.int32), np.full(n, -1, np.int32)
     whole = np.flatnonzero((ring >= 0).all(axis=1))
@@ -95,7 +98,7 @@ def _look_up(ring: NDArray[np.int32], read: NDArray[np.int64], pattern: Pattern)
         same = (np.roll(printed, -2 * turn, axis=1) == seen).all(axis=1)
         turns[rows[same]] = turn
         cells[rows[same]] = place[same]
-    return cells, turns, len(whole), len(rows)
+    return cells, turns, len(whole), int((turns >= 0).sum())
 
 
 def _twice(cells: NDArray[np.int32], given: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:

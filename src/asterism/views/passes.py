@@ -1,0 +1,147 @@
+"""A labeller of frames in; the labels of all frames, sought in both directions of time, with what speaks against each, out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asterism.errors import AsterismError
+from asterism.recording import Floats, Ints
+from asterism.views.frame import FrameLabeller, FrameLabels
+from asterism.views.personal import quality_of
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A frame's labels with what is judged of them.
+
+    labels   the labels and the pose
+    quality  nats per expected sighting, see `quality_of`
+    leads    (N,) nats, by how much the frame's gain exceeds that of the best other explanation that labels the blob otherwise; inf
+             where none does
+    """
+
+    labels: FrameLabels
+    quality: float
+    leads: Floats
+
+
+class Starts:
+    """The body found without a start in some frames, once for both directions."""
+
+    def __init__(self, labeller: FrameLabeller) -> None:
+        self._labeller = labeller
+        self._known: dict[int, Seen | None] = {}
+
+    def at(self, t: int) -> Seen | None:
+        """Frame t labelled from nothing; None where fewer than two cameras have blobs."""
+        if t not in self._known:
+            try:
+                self._known[t] = seen(self._labeller, self._labeller.from_nothing(t))
+            except AsterismError:
+                self._known[t] = None
+        return self._known[t]
+
+
+def seen(labeller: FrameLabeller, labels: FrameLabels) -> Seen:
+    """A frame's labels, judged; its only rival is that of its start."""
+    leads = np.full(len(labels.labels), np.inf)
+    if labels.rival_labels is not None:
+        leads[labels.rival_labels != labels.labels] = labels.gain - labels.rival
+    return Seen(labels, quality_of(labeller, labels), leads)
+
+
+class Pass:
+    """Frames one after the other, in one direction: predicts, follows, notices that the body is lost, and seeks it anew.
+
+    Every `ViewsRules.turn_frames` frames, and in the first and the last, the followed body is compared with the one that is found without
+    a start; the better explanation goes on, and the other one is its rival.
+    """
+
+    def __init__(self, labeller: FrameLabeller, starts: Starts, step: int) -> None:
+        self.labeller = labeller
+        self.seen: dict[int, Seen | None] = {}
+        self.restarts: list[int] = []
+        self._starts = starts
+        self._step = step
+        self._wait = 0
+        self._patience = 1
+
+    def take(self, t: int) -> None:
+        """Label frame t; the frame before in the pass's direction was taken before."""
+        rules = self.labeller.rules
+        found = self._followed(t)
+        checked = t % rules.turn_frames == 0 or t in (0, len(self.labeller.scene.blobs) - 1)
+        if found is not None and checked:
+            found = self._compared(t, seen(self.labeller, self.labeller.turned(t, found.labels)))
+        if found is None or found.quality < rules.lost:
+            found = self._sought(t, found)
+        self.seen[t] = found
+
+    def _followed(self, t: int) -> Seen | None:
+        last, lost = self.seen.get(t - self._step), self.labeller.rules.lost
+        if last is None or last.quality < lost:
+            return None
+        pose = last.labels.pose.copy()
+        before = self.seen.get(t - 2 * self._step)
+        if before is not None and before.quality >= lost:
+            pose[3:6] += pose[3:6] - before.labels.pose[3:6]
+            pose[9:] += 0.8 * (pose[9:] - before.labels.pose[9:])
+        return seen(self.labeller, self.labeller.follow(t, pose, last.labels.rotation))
+
+    def _compared(self, t: int, followed: Seen) -> Seen:
+        """The better one of the followed body and the one found without a start."""
+        fresh = self._starts.at(t)
+        if fresh is None:
+            return followed
+        better, other = (fresh, followed) if fresh.labels.gain > followed.labels.gain + 1.0 else (followed, fresh)
+        return _against(better, other.labels.labels, better.labels.gain - other.labels.gain)
+
+    def _sought(self, t: int, otherwise: Seen | None) -> Seen | None:
+        """The body found without a start; after tries without success it is tried in fewer frames."""
+        if self._wait > 0:
+            self._wait -= 1
+            return otherwise
+        found = self._starts.at(t)
+        if found is not None and found.quality >= self.labeller.rules.lost:
+            self.restarts.append(t)
+            self._patience = 1
+        else:
+            self._wait = self._patience
+            self._patience = min(2 * self._patience, self.labeller.rules.longest_wait)
+        if otherwise is not None and (found is None or otherwise.quality >= found.quality):
+            return otherwise
+        return found
+
+
+def _against(one: Seen, labels: Ints, lead: float) -> Seen:
+    """A frame's labels with one more explanation that it leads by so many nats."""
+    leads = np.where(labels == one.labels.labels, one.leads, np.minimum(one.leads, lead))
+    return Seen(one.labels, one.quality, leads)
+
+
+def joined(forward: Pass, backward: Pass) -> list[Seen | None]:
+    """The better one of both directions in each frame, with the other one as its rival.
+
+    Where they differ, the gains of the frames around decide together, `ViewsRules.window` on both sides. O(T window).
+    """
+    rules = forward.labeller.rules
+    frames = len(forward.seen)
+    pairs = [(forward.seen[t], backward.seen[t]) for t in range(frames)]
+    ahead, differ = np.zeros(frames), np.zeros(frames)
+    for t, (one, other) in enumerate(pairs):
+        if one is not None and other is not None and not np.array_equal(one.labels.labels, other.labels.labels):
+            ahead[t], differ[t] = one.labels.gain - other.labels.gain, 1.0
+    around = np.ones(2 * rules.window + 1)
+    lead = np.convolve(ahead, around)[rules.window : rules.window + frames]
+    lead /= np.maximum(np.convolve(differ, around)[rules.window : rules.window + frames], 1.0)
+    return [_better(one, other, float(lead[t]), rules.lost) for t, (one, other) in enumerate(pairs)]
+
+
+def _better(one: Seen | None, other: Seen | None, lead: float, lost: float) -> Seen | None:
+    if one is None or other is None:
+        return one if other is None else other
+    if (one.quality < lost) != (other.quality < lost):
+        return one if one.quality >= lost else other
+    return _against(one, other.labels.labels, lead) if lead >= 0 else _against(other, one.labels.labels, -lead)

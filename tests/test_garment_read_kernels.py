@@ -1,0 +1,171 @@
+"""The kernels of the reading equal their slow twins, on few circles and on none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import twins_garment_read as twins
+from garment_scenes import grid_links, photos
+
+from asterism.garment.read import _circle_kernels as circle_kernels
+from asterism.garment.read import _colour_kernels as colour_kernels
+from asterism.garment.read import _identity_kernels as identity_kernels
+from asterism.garment.read import _lattice_kernels as lattice_kernels
+from asterism.garment.read.circles import linear_light
+
+LIMITS = np.array([4.0, 6000.0, 0.88, 12.0, 120.0, 0.45])
+SIDE, SQUARE, FIT = np.array([0.6, 1.6]), 0.7, 0.34
+
+
+def found_regions(image: np.ndarray, lowest: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Colourfulness, labels and regions of an image by the kernels."""
+    grey, highest = np.empty(image.shape[:2], np.uint8), np.empty((len(image), image.shape[1] // 16 + 1), np.uint8)
+    circle_kernels.colourfulness(image, grey, highest)
+    expected = twins.colourfulness(image)
+    np.testing.assert_array_equal(grey, expected[0])
+    np.testing.assert_array_equal(highest, expected[1])
+    labels, regions = np.zeros(grey.shape, np.int32), np.empty((5000, 7), np.int32)
+    count = circle_kernels.find_regions(grey, highest, lowest, LIMITS, labels, np.empty((grey.size, 3), np.int32), regions)
+    return grey, labels, regions[:count]
+
+
+@pytest.mark.parametrize(("noise", "lowest"), [(0.005, 20), (0.1, 45)])
+def test_regions_and_what_is_measured_of_them(noise: float, lowest: int) -> None:
+    image = photos(noise=noise)[0].image[170:290, 220:360].copy()
+    grey, labels, regions = found_regions(image, lowest)
+    assert {tuple(r[:6].tolist()) for r in regions} == twins.regions(grey, lowest, LIMITS) and len(regions) > 20
+    assert len(set(regions[:, 5].tolist())) > 3, "thresholds that had to rise"
+    linear, measured = linear_light(np.arange(256) / 255.0), np.empty((len(regions), 12))
+    circle_kernels.measure(image, linear, grey, labels, regions, 255 * noise, measured)
+    np.testing.assert_allclose(measured, twins.measure(image, linear, grey, labels, regions, 255 * noise), rtol=1e-9, atol=1e-9)
+
+
+def test_an_image_without_circles_has_no_regions() -> None:
+    image = np.zeros((20, 30, 3), np.uint8)
+    grey, labels, regions = found_regions(image, 20)
+    assert len(regions) == 0 == len(twins.regions(grey, 20, LIMITS))
+    circle_kernels.measure(image, np.zeros(256), grey, labels, regions, 1.0, np.empty((0, 12)))
+
+
+def lattice(seed: int, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Circles on a bent lattice with gaps and strays: centres, whitening matrices, candidates and their offsets."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[0:9, 0:9]
+    bent = np.stack([20 * x + 3 * y + 2 * np.sin(y), 17 * y - 2 * x], axis=-1).reshape(-1, 2) + rng.normal(0, 1.2, (81, 2)) + 20
+    centres = np.concatenate([bent[rng.random(81) < 0.85], rng.uniform(20, 180, (12, 2))])[:n]
+    whiten = np.tile(np.linalg.inv([[20.0, 3], [-2, 17]]), (len(centres), 1, 1)) + rng.normal(0, 0.003, (len(centres), 2, 2))
+    found, offsets = np.empty((len(centres), 12), np.int32), np.zeros((len(centres), 12, 2))
+    lattice_kernels.candidates(centres, whiten, 1.9, 17.0, found, offsets)
+    return centres, whiten, found, offsets
+
+
+@pytest.mark.parametrize(("seed", "n"), [(0, 99), (1, 99), (2, 99), (3, 1), (4, 2), (5, 0)])
+def test_lattices(seed: int, n: int) -> None:
+    centres, whiten, found, offsets = lattice(seed, n)
+    np.testing.assert_array_equal(found, twins.candidates(centres, whiten, 1.9, 12))
+    count = len(centres)
+    frames, scores = np.empty((count, 2, 2)), np.empty(count)
+    lattice_kernels.first_frames(found, offsets, whiten, SIDE, SQUARE, FIT, frames, scores)
+    expected = twins.first_frames(found, offsets, whiten, SIDE, SQUARE, FIT)
+    np.testing.assert_allclose(scores, expected[1], rtol=1e-9)
+    np.testing.assert_allclose(frames, expected[0], rtol=1e-9, atol=1e-9)
+    links = np.empty((count, 4, 2), np.int32)
+    lattice_kernels.link(centres, found, frames, FIT, np.empty((count, 4), np.int32), links)
+    np.testing.assert_array_equal(links, twins.link(centres, found, frames, FIT))
+    refined = np.empty_like(frames)
+    lattice_kernels.refine_frames(centres, found, links, frames, FIT, refined)
+    np.testing.assert_allclose(refined, twins.refine_frames(centres, found, links, frames, FIT), rtol=1e-9, atol=1e-9)
+    if n == 99:
+        linked = links[:, :, 0] >= 0
+        assert linked.sum() > 100 and (~linked.any(axis=1) & np.isfinite(refined[:, 0, 0])).any()
+    ends, rise = np.array([0.65, 1.25]), np.array([0.08, 20.0])
+    y, x = np.mgrid[0:220, 0:240]
+    grey = (120 + 60 * np.cos(x / 4.0 + seed) * np.cos(y / 5.0)).astype(np.uint8)
+    cut = links.copy()
+    lattice_kernels.cut_skipping(grey, centres, whiten, ends, rise, cut)
+    np.testing.assert_array_equal(cut, twins.cut_skipping(grey, centres, whiten, ends, rise, links))
+    if n == 99:
+        assert 0 < (cut != links).any(axis=2).sum() < linked.sum()
+
+
+@pytest.mark.parametrize("n", [300, 0])
+def test_scattered_circles_have_the_nearest_candidates(n: int) -> None:
+    rng = np.random.default_rng(2)
+    centres, shape = rng.uniform(0, 200, (n, 2)), rng.normal(size=(n, 2, 2)) * 0.02 + 0.06 * np.eye(2)
+    found, offsets = np.empty((n, 12), np.int32), np.zeros((n, 12, 2))
+    lattice_kernels.candidates(centres, shape, 1.9, 17.0, found, offsets)
+    np.testing.assert_array_equal(found, twins.candidates(centres, shape, 1.9, 12))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_identities_are_carried_on_and_weighed(seed: int) -> None:
+    """A grid with cut links and turned circles, of whose blocks some were read wrongly and some not at all."""
+    rng = np.random.default_rng(seed)
+    links, centres = grid_links(9, 11)
+    n = len(links)
+    for i, d in zip(rng.integers(0, n, 25), rng.integers(0, 4, 25), strict=True):
+        j, back = links[i, d]
+        links[i, d] = -1
+        if j >= 0:
+            links[j, back] = -1
+    ring = np.empty((n, 8), np.int32)
+    identity_kernels.rings(links, ring)
+    np.testing.assert_array_equal(ring, twins.rings(links))
+    colours = rng.integers(0, 4, (9, 11)).astype(np.int8)
+    colours[rng.random((9, 11)) < 0.05] = -1
+    cells = np.stack(np.mgrid[0:9, 0:11], axis=-1).reshape(-1, 2).astype(np.int32)
+    turns = (-np.random.default_rng(8).integers(0, 4, (9, 11)).ravel() % 4).astype(np.int32)
+    assert (twins.agreeing(links, cells, turns) == links[:, :, 0]).all(), "the truth agrees everywhere"
+    wrong = rng.choice(n, 12, replace=False)
+    cells[wrong[:6]], turns[wrong[6:]] = cells[wrong[:6]][::-1], (turns[wrong[6:]] + 1) % 4
+    unread = (rng.random(n) < 0.3) | (colours[cells[:, 0], cells[:, 1]] < 0)
+    cells[unread], turns[unread] = -1, -1
+    agree_on_cells(links, centres + rng.normal(0, 1.0, (n, 2)), colours, cells, turns, rng)
+
+
+def agree_on_cells(links, centres, colours, cells, turns, rng) -> None:
+    """Every kernel that follows the look-up, and its twin, on the same circles."""
+    n = len(links)
+    roots, agreed, weight = np.empty(n, np.int32), np.empty((n, 4), np.int32), np.empty((n, 8))
+    identity_kernels.groups(links, cells, turns, roots)
+    np.testing.assert_array_equal(roots, twins.groups(links, cells, turns))
+    likelihood = rng.normal(0.7, 1.0, (n, 4))
+    order = rng.permutation(np.flatnonzero(turns >= 0)).astype(np.int32)
+    expected = twins.spread(links, colours, likelihood, order, cells, turns)
+    before = (turns >= 0).sum()
+    identity_kernels.spread(links, colours, likelihood, order, cells, turns, np.empty(n, np.int32))
+    np.testing.assert_array_equal(cells, expected[0])
+    np.testing.assert_array_equal(turns, expected[1])
+    identity_kernels.agreeing(links, cells, turns, agreed)
+    np.testing.assert_array_equal(agreed, twins.agreeing(links, cells, turns))
+    own = rng.normal(1.0, 1.0, n)
+    identity_kernels.evidence(centres, links, agreed, own, cells, turns, 2, 0.2, weight)
+    np.testing.assert_allclose(weight, twins.evidence(centres, links, agreed, own, cells, turns, 2, 0.2), atol=1e-9)
+    if n:
+        assert (turns >= 0).sum() > before and 0 < (weight[:, 7] > 0).sum() < n and len(set(weight[:, 5].tolist())) > 3
+
+
+def test_no_circles_no_identities() -> None:
+    none = np.empty((0, 4, 2), np.int32)
+    ring = np.empty((0, 8), np.int32)
+    identity_kernels.rings(none, ring)
+    assert len(twins.rings(none)) == 0
+    cells, turns = np.empty((0, 2), np.int32), np.empty(0, np.int32)
+    agree_on_cells(none, np.empty((0, 2)), np.zeros((3, 3), np.int8), cells, turns, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("n", [400, 5, 0])
+def test_colours_of_a_mixture(n: int) -> None:
+    rng = np.random.default_rng(5)
+    places = np.array([[0.2, 0.2], [0.7, 0.1], [0.1, 0.7], [5.0, 5.0]])
+    points = places[rng.integers(0, 3, n)] + rng.multivariate_normal([0, 0], [[0.004, 0.001], [0.001, 0.002]], n)
+    spreads = np.tile([[0.02, 0.005], [0.005, 0.01]], (4, 1, 1))
+    out = np.empty((n, 4))
+    colour_kernels.posteriors(points, places, spreads, 1e-3, out)
+    np.testing.assert_allclose(out, twins.posteriors(points, places, spreads, 1e-3), rtol=1e-10)
+    fitted = places.copy(), spreads.copy()
+    colour_kernels.fit_mixture(points, 0.02, 1e-3, 6, *fitted, np.empty((n, 4)))
+    expected = twins.fit_mixture(points, 0.02, 1e-3, 6, places, spreads)
+    for mine, twin in zip(fitted, expected, strict=True):
+        np.testing.assert_allclose(mine, twin, rtol=1e-8)
+    assert n != 400 or (np.abs(fitted[0] - places).max() > 1e-3 and (fitted[0][3] == places[3]).all())
