@@ -176,3 +176,16 @@ def test_a_sheet_seen_from_its_edge_gives_no_wrong_identity(tilt: float, least: 
         counts, wrong = counts + len(given), wrong + int((off > 2.5).sum())
     assert wrong == 0 and counts >= least
     assert (counts == 0) == bool(read.findings) and [f.code for f in read.findings] in ([], ["garment-no-circles"])
+
+
+def test_no_confidence_is_above_what_was_measured() -> None:
+    """A whole sheet without noise: circles inside have the rule of three's doubt, those at its corners that of few squares."""
+    links, centres = grid_links(*sheet().shape)
+    colours = np.eye(4)[sheet().colours.ravel()]
+    plain = identify(centres, links, colours, sheet(), ReadRules()).confidence.reshape(sheet().shape)
+    assert 1 - plain[8, 10] == pytest.approx(3.0 / 93_827, rel=0.01)
+    few = identify(centres, links, colours, sheet(), ReadRules(shown_more=(1000, 0))).confidence.reshape(sheet().shape)
+    assert 1 - few[8, 10] == pytest.approx(3.0 / 1000, rel=0.01)
+    corner = plain[0, 0]
+    assert corner == few[0, 0] and 2 / 8_839 < 1 - corner < 1e-2
+    assert (plain[plain > 0] < 1 - 3e-5).all() and (plain > 0).mean() > 0.9
