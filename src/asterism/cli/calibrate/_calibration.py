@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from asterism.cli import _console
 from asterism.findings import Finding, Severity, exit_status, worst
+
+if TYPE_CHECKING:
+    from asterism.calibration.boards import BoardCalibration
 
 RigToWrite = Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="The rig to write.", show_default=False)]
 Force = Annotated[bool, typer.Option("--force", help="Write the rig even where it should not be used.")]
@@ -35,3 +38,30 @@ def report_findings(findings: Sequence[Finding], *, written: bool, wanted: bool)
         return exit_status(findings)
     _console.error("do not use this calibration" + ("; it was not written (--force writes it)." if wanted and not written else "."))
     return exit_status(findings) if written else 2
+
+
+def format_loses(output: Path, what: str) -> Finding:
+    """The finding that a rig's file leaves something out."""
+    return Finding(
+        "board-format-loses", Severity.WARNING, str(output), f"{output} leaves out {what}.", "Write .toml, which keeps everything."
+    )
+
+
+def show_cameras(made: BoardCalibration, *, alone: bool) -> None:
+    """Print a calibration's cameras as a table; alone: with the error of each camera calibrated by itself."""
+    summary = made.summary()
+    rows = [
+        [
+            camera["name"],
+            f"{camera['views']} of {camera['images']}",
+            *([f"{camera['rms_alone_px']:.3f}"] if alone else []),
+            f"{camera['rms_px']:.3f}",
+            f"{camera['focal_px'][0]:.1f}",
+            f"{camera['focal_std_px']:.1f}",
+            "–" if camera["position_m"] is None else ", ".join(f"{value:.3f}" for value in camera["position_m"]),
+        ]
+        for camera in summary["cameras"]
+    ]
+    errors = ("error alone, px", "together, px") if alone else ("error, px",)
+    title = f"{summary['board']}: {summary['frames_used']} of {summary['frames']} frames, {summary['reprojection_rms_px']:.3f} px"
+    _console.table(title, ("camera", "views", *errors, "focal length, px", "±", "position, m"), rows)

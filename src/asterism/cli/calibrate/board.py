@@ -11,9 +11,8 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import Json, Overwrite, Report
-from asterism.cli.calibrate._calibration import Force, RigToWrite, report_findings
+from asterism.cli.calibrate._calibration import Force, RigToWrite, format_loses, report_findings, show_cameras
 from asterism.errors import AsterismError
-from asterism.findings import Finding, Severity
 
 if TYPE_CHECKING:
     from asterism.calibration.boards import Board, BoardCalibration
@@ -79,7 +78,7 @@ def board(options: BoardOptions) -> None:
     if options.output is not None and written:
         from asterism.cameras.files import write_rig
 
-        findings += [_lost(options.output, what) for what in write_rig(made.rig, options.output)]
+        findings += [format_loses(options.output, what) for what in write_rig(made.rig, options.output)]
     if options.report is not None:
         from asterism.report import board_report
 
@@ -96,7 +95,7 @@ def board(options: BoardOptions) -> None:
         },
     )
     if options.json != "-":
-        _print(made)
+        show_cameras(made, alone=True)
     raise typer.Exit(report_findings(findings, written=written, wanted=options.output is not None))
 
 
@@ -109,12 +108,6 @@ def _calibrated(options: BoardOptions, chosen: Board) -> BoardCalibration:
         views = find_board(footage_of(options.paths), chosen, every=options.every, progress=progress)
     with _console.progress("calibrating") as progress:
         return calibrate_board(views, known=known, origin=options.origin, progress=progress)
-
-
-def _lost(output: Path, what: str) -> Finding:
-    return Finding(
-        "board-format-loses", Severity.WARNING, str(output), f"{output} leaves out {what}.", "Write .toml, which keeps everything."
-    )
 
 
 def _board(options: BoardOptions) -> Board:
@@ -136,22 +129,3 @@ def _board(options: BoardOptions) -> Board:
     if options.chessboard is not None:
         return Board("chessboard", columns, rows, options.square, inverted=options.inverted)
     return Board("asymmetric circles" if options.asymmetric else "circles", columns, rows, options.square, inverted=options.inverted)
-
-
-def _print(made: BoardCalibration) -> None:
-    summary = made.summary()
-    rows = [
-        [
-            camera["name"],
-            f"{camera['views']} of {camera['images']}",
-            f"{camera['rms_alone_px']:.3f}",
-            f"{camera['rms_px']:.3f}",
-            f"{camera['focal_px'][0]:.1f}",
-            f"{camera['focal_std_px']:.1f}",
-            "–" if camera["position_m"] is None else ", ".join(f"{value:.3f}" for value in camera["position_m"]),
-        ]
-        for camera in summary["cameras"]
-    ]
-    head = ("camera", "views", "error alone, px", "together, px", "focal length, px", "±", "position, m")
-    title = f"{summary['board']}: {summary['frames_used']} of {summary['frames']} frames, {summary['reprojection_rms_px']:.3f} px"
-    _console.table(title, head, rows)

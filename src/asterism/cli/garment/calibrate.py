@@ -11,8 +11,7 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._options import Json, Overwrite, Report, Workers
-from asterism.cli.calibrate._calibration import Force, RigToWrite, report_findings
-from asterism.findings import Finding, Severity
+from asterism.cli.calibrate._calibration import Force, RigToWrite, format_loses, report_findings, show_cameras
 
 if TYPE_CHECKING:
     from asterism.calibration.boards import BoardCalibration
@@ -65,7 +64,7 @@ def calibrate(options: CalibrateOptions) -> None:
     if options.output is not None and written:
         from asterism.cameras.files import write_rig
 
-        findings += [_lost(options.output, what) for what in write_rig(made.rig, options.output)]
+        findings += [format_loses(options.output, what) for what in write_rig(made.rig, options.output)]
     if options.covariance is not None and (made.usable or options.force):
         from asterism.garment.rig_covariance import RigCovariance
 
@@ -87,7 +86,7 @@ def calibrate(options: CalibrateOptions) -> None:
         },
     )
     if options.json != "-":
-        _print(made)
+        show_cameras(made, alone=False)
     raise typer.Exit(report_findings(findings, written=written, wanted=options.output is not None))
 
 
@@ -108,26 +107,3 @@ def _calibrated(options: CalibrateOptions) -> BoardCalibration:
         )
     with _console.progress("calibrating") as progress:
         return calibrate_target(views, known=known, origin=options.origin, progress=progress)
-
-
-def _lost(output: Path, what: str) -> Finding:
-    return Finding(
-        "board-format-loses", Severity.WARNING, str(output), f"{output} leaves out {what}.", "Write .toml, which keeps everything."
-    )
-
-
-def _print(made: BoardCalibration) -> None:
-    summary = made.summary()
-    rows = [
-        [
-            camera["name"],
-            f"{camera['views']} of {camera['images']}",
-            f"{camera['rms_px']:.3f}",
-            f"{camera['focal_px'][0]:.1f}",
-            f"{camera['focal_std_px']:.1f}",
-            "–" if camera["position_m"] is None else ", ".join(f"{value:.3f}" for value in camera["position_m"]),
-        ]
-        for camera in summary["cameras"]
-    ]
-    title = f"{summary['board']}: {summary['frames_used']} of {summary['frames']} frames, {summary['reprojection_rms_px']:.3f} px"
-    _console.table(title, ("camera", "views", "error, px", "focal length, px", "±", "position, m"), rows)
