@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 
 from asterism.labelling.correction.pieces import cut_before
 from asterism.labelling.review import labels_of_points
-from asterism.labelling.whole.joint import FREE
 from asterism.labelling.whole.label import label_all_points, labelling_of
 from asterism.labelling.whole.point_labels import TieOrder, fast_labelling
-from asterism.labelling.whole.relabel import LabelledTracklets, label_tracklets, marker_chances, relabel_tracklets
+from asterism.labelling.whole.relabel import FREE, LabelledTracklets, label_tracklets, marker_chances, relabel_tracklets
 from asterism.labelling.whole.scene import RecordingLabellingSettings
 from asterism.recording import Clouds, Ints, Labelling
 from asterism.tracking.linking import Tracklets

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from asterism.cli import _console
+from asterism.cli._criteria import missed_criteria, print_criteria
 from asterism.cli._demo_training import MARKERS, train_on_walkers
-from asterism.findings import Finding, Severity, exit_status
+from asterism.findings import exit_status
 
 if TYPE_CHECKING:
-    from asterism.simulation.pipeline import Criterion, PipelineResult
+    from asterism.simulation.pipeline import PipelineResult
     from asterism.simulation.session import Session
 
 _WALKERS, _FRAMES, _RATE = 9, 300, 100.0
@@ -44,27 +45,14 @@ def demo_cameras(output: Path, seed: int, json: str | None) -> int:
     files = {**_written(output, session, result), "model": model}
     criteria = result.criteria()
     if json != "-":
-        _print(criteria, seconds)
+        print_criteria(criteria, seconds)
     _say_by_hand(say, output, files)
-    findings = [_missed(criterion) for criterion in criteria if not criterion.met]
+    findings = missed_criteria(criteria)
     for finding in findings:
         _console.report(finding)
     content = {**_facts(result), "findings": [finding.to_dict() for finding in findings]}
     _console.write_json(json, {"command": "demo cameras", "seed": seed, "seconds": seconds, **content, **files})
     return exit_status(findings)
-
-
-def _print(criteria: list[Criterion], seconds: float) -> None:
-    rows = [
-        [
-            criterion.name,
-            _value(criterion.measured, criterion.unit),
-            f"{'≥' if criterion.at_least else '≤'} {_value(criterion.limit, criterion.unit)}",
-            "kept" if criterion.met else "MISSED",
-        ]
-        for criterion in criteria
-    ]
-    _console.table(f"Results against the truth ({seconds:.0f} s)", ["", "measured", "promised", ""], rows)
 
 
 def _say_by_hand(say: Callable[[str], None], output: Path, files: dict[str, Path]) -> None:
@@ -80,21 +68,6 @@ def _say_by_hand(say: Callable[[str], None], output: Path, files: dict[str, Path
     )
     say(f"  asterism reconstruct {files['blobs']} --rig {rig} -o {points}")
     say(f"  asterism label {points} --model {files['model']} -o {output / 'labelled'}")
-
-
-def _missed(criterion: Criterion) -> Finding:
-    measured, limit = _value(criterion.measured, criterion.unit), _value(criterion.limit, criterion.unit)
-    return Finding(
-        "demo-criterion-missed",
-        Severity.WARNING,
-        criterion.name,
-        f"{criterion.name}: {measured}, promised {limit}.",
-        "Run another --seed; where that misses too, report it as a defect.",
-    )
-
-
-def _value(value: float, unit: str) -> str:
-    return f"{value:.3g} {unit}".strip()
 
 
 def _facts(result: PipelineResult) -> dict[str, Any]:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from asterism.cli import _console
-from asterism.findings import Finding, Severity, exit_status
+from asterism.cli._criteria import criterion_row, missed_criteria, print_criteria
+from asterism.findings import exit_status
 
 if TYPE_CHECKING:
     import numpy as np
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from asterism.report.garment import Picture
     from asterism.simulation.garment.pipeline import GarmentResult, Views
     from asterism.simulation.garment.session import GarmentSession
-    from asterism.simulation.pipeline import Criterion
 
 _POSES, _FRAMES = 24, 6
 _TARGET_ROWS, _TARGET_COLUMNS, _TARGET_PITCH, _TARGET_DIAMETER = 9, 12, 0.068, 0.038
@@ -46,11 +46,11 @@ def demo_garment(output: Path, seed: int, json: str | None) -> int:
     files |= _written(output, session, result, pictures)
     criteria = result.criteria()
     if json != "-":
-        _print(criteria, seconds)
+        print_criteria(criteria, seconds)
     say(f"Look at {files['report']} and {files['rig_report']} in a browser, and at {files['surface']} in any 3D viewer. The same by hand:")
     say(f"  asterism garment calibrate {output / 'target'} --target {files['target']} -o {output / 'my-rig.toml'}")
     say(f"  asterism garment capture {output / 'walk'} --rig {files['rig']} --garment {files['garment']} -o {output / 'my-dense.npz'}")
-    findings = [_missed(criterion) for criterion in criteria if not criterion.met]
+    findings = missed_criteria(criteria)
     for finding in findings:
         _console.report(finding)
     content = {
@@ -154,34 +154,10 @@ def _written(output: Path, session: GarmentSession, result: GarmentResult, pictu
     made.trajectories.save(files["dense"])
     write_surface(files["surface"], surface(made.trajectories.points(0), pattern), pattern)
     rows: list[list[str | Cell]] = [
-        [name, value, limit, Cell(kept, 0.0 if kept == "kept" else 1.0, "bad")] for name, value, limit, kept in map(_row, result.criteria())
+        [name, value, limit, Cell(kept, 0.0 if kept == "kept" else 1.0, "bad")]
+        for name, value, limit, kept in map(criterion_row, result.criteria())
     ]
     table = Table(["", "measured", "promised", ""], rows)
     settings: dict[str, Any] = {"garment": "suit.toml", "rig": "rig.toml", "cameras": len(session.rig), "seed": session.seed}
     garment_report(files["report"], made, pattern, result.calibration.rig, pictures=pictures, criteria=table, settings=settings)
     return files
-
-
-def _row(criterion: Criterion) -> tuple[str, str, str, str]:
-    limit = f"{'≥' if criterion.at_least else '≤'} {_value(criterion.limit, criterion.unit)}"
-    return criterion.name, _value(criterion.measured, criterion.unit), limit, "kept" if criterion.met else "MISSED"
-
-
-def _print(criteria: list[Criterion], seconds: float) -> None:
-    rows = [list(_row(criterion)) for criterion in criteria]
-    _console.table(f"Results against the truth ({seconds:.0f} s)", ["", "measured", "promised", ""], rows)
-
-
-def _missed(criterion: Criterion) -> Finding:
-    measured, limit = _value(criterion.measured, criterion.unit), _value(criterion.limit, criterion.unit)
-    return Finding(
-        "demo-criterion-missed",
-        Severity.WARNING,
-        criterion.name,
-        f"{criterion.name}: {measured}, promised {limit}.",
-        "Run another --seed; where that misses too, report it as a defect.",
-    )
-
-
-def _value(value: float, unit: str) -> str:
-    return f"{value:,.4g} {unit}".strip()

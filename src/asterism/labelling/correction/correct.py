@@ -23,8 +23,7 @@ from asterism.labelling.correction.pieces import (
 from asterism.labelling.correction.readiness import Readiness, readiness
 from asterism.labelling.correction.touches import Cut, Ghost, Name, PointInFrame, Request, Right, Swap, SwapMarkers, Touch
 from asterism.labelling.review import ReviewItem, review
-from asterism.labelling.whole.joint import FREE
-from asterism.labelling.whole.relabel import label_tracklets, marker_chances, relabel_tracklets
+from asterism.labelling.whole.relabel import FREE, label_tracklets, marker_chances, relabel_tracklets
 from asterism.progress import Progress
 from asterism.recording import NULL, Ints, Labelling, Recording
 from asterism.tracking.linking import Tracklets

@@ -35,12 +35,6 @@ CROWDED_SEARCH = {"max_evaluations": 50_000, "votes_needed": 1, "max_votes_neede
 """The search for the first votes where frames show many ghosts (`RecordingLabellingSettings.crowded`): many frames vote, and labelling them
 together corrects what a short search of one misses. Chosen on six gait subjects in clutter."""
 
-FREE = -2
-"""Instead of a known label: the tracklet is to be labelled."""
-
-CERTAIN = 1e6
-"""nats, the gain of a label that is known: more than all others of a recording together."""
-
 
 @dataclass(frozen=True)
 class SceneLabelling:
@@ -90,7 +84,13 @@ def label_scene(
         label = assign_tracklets(_votes_of_one(labellers[0], scene, rules, workers, report), scene.first, scene.last)
     else:
         label = assign_tracklets(_votes_of_several(labellers, scene, rules, workers, report), scene.first, scene.last)
-    upright, state, turns, stages = _ascent_and_turns(labellers, bodies, scene, label, rules, None)
+    upright, state = scene, _coordinate_ascent(labellers, bodies, scene, label, rules)
+    stages = {"votes": label, "tracks": state.label}
+    turns = upright_turns(labellers[0], scene, state.label, rules) if len(labellers) == 1 else None
+    if turns is not None:
+        upright = replace(scene, sampled_xyz=turned(scene.sampled_xyz, scene.sampled_frame, turns))
+        state = _coordinate_ascent(labellers, bodies, upright, state.label, rules)
+        stages["upright"] = state.label
     for turn in range(rules.adapt_rounds):
         if ((state.label != NULL) & (state.margin > rules.no_adapt_margin)).all():
             break
@@ -98,7 +98,7 @@ def label_scene(
         adapted = [
             _adapted_body(labeller, number, upright, state, rules, subject_rules, body_rules) for number, labeller in enumerate(labellers)
         ]
-        trial = _coordinate_ascent(labellers, adapted, upright, state.label, rules, None)
+        trial = _coordinate_ascent(labellers, adapted, upright, state.label, rules)
         firm = (state.label != NULL) & (state.margin >= rules.adapt_margin)
         if trial.total < state.total or not np.array_equal(trial.label[firm], state.label[firm]):
             break
@@ -107,45 +107,6 @@ def label_scene(
     report(1.0, "labelled")
     found = _judged(labellers, bodies, upright, state, rules, body_rules)
     return replace(found, scene=scene, stages=stages, turns=turns)
-
-
-def relabel_scene(
-    labellers: Sequence[BodyLabeller],
-    scene: Scene,
-    bodies: Sequence[BodyModel],
-    start: Ints,
-    fixed: Ints,
-    rules: RecordingLabellingSettings,
-    body_rules: BodyRules,
-) -> SceneLabelling:
-    """Label tracklets again by bodies that are adapted already, some labels being known: no frame is labelled singly.
-
-    start: labels (J,) to begin with; fixed: known labels (J,), -1 for a tracklet that is no marker, `FREE` for one to be labelled. Of two
-    known labels of one marker at the same time, one is taken. O(Q M) for Q sampled points, in each of a few rounds.
-    """
-    label = np.where(fixed == FREE, start, fixed)
-    upright, state, turns, stages = _ascent_and_turns(labellers, bodies, scene, label, rules, fixed)
-    found = _judged(labellers, bodies, upright, state, rules, body_rules)
-    return replace(found, scene=scene, stages=stages, turns=turns)
-
-
-def _ascent_and_turns(
-    labellers: Sequence[BodyLabeller],
-    bodies: Sequence[BodyModel],
-    scene: Scene,
-    label: Ints,
-    rules: RecordingLabellingSettings,
-    fixed: Ints | None,
-) -> tuple[Scene, _State, Floats | None, dict[str, Ints]]:
-    """Labels that no longer change, with the body upright in every sampled frame: that scene, the labels, the rotations, and the stages."""
-    state = _coordinate_ascent(labellers, bodies, scene, label, rules, fixed)
-    stages = {"votes": label, "tracks": state.label}
-    turns = upright_turns(labellers[0], scene, state.label, rules) if len(labellers) == 1 else None
-    if turns is not None:
-        scene = replace(scene, sampled_xyz=turned(scene.sampled_xyz, scene.sampled_frame, turns))
-        state = _coordinate_ascent(labellers, bodies, scene, state.label, rules, fixed)
-        stages["upright"] = state.label
-    return scene, state, turns, stages
 
 
 def _judged(
@@ -239,14 +200,11 @@ def _coordinate_ascent(
     scene: Scene,
     label: Ints,
     rules: RecordingLabellingSettings,
-    fixed: Ints | None,
 ) -> _State:
-    """Relabel until nothing changes; fixed: see `relabel_scene`."""
+    """Relabel until nothing changes."""
     arrays = [labeller.body if body is labeller.model else body.arrays() for labeller, body in zip(labellers, bodies, strict=True)]
     for _ in range(rules.max_rounds):
         gain, poses = _gains(labellers, arrays, scene, label, rules)
-        if fixed is not None:
-            hold_labels(gain, fixed)
         gain, found, total = _with_ghost_credit(gain, scene, labellers, rules)
         if np.array_equal(found, label):
             break
@@ -269,14 +227,6 @@ def _gains(
         gain[:, offsets[number] : offsets[number + 1]] = sums * (scene.independent / np.maximum(counts, 1.0))[:, None]
         poses.append(scored.poses)
     return gain, poses
-
-
-def hold_labels(gain: Floats, fixed: Ints) -> None:
-    """Make the known labels (J,) the only ones that gains (J, L) allow these tracklets."""
-    known = np.nonzero(fixed != FREE)[0]
-    gain[known] = -CERTAIN
-    named = known[fixed[known] != NULL]
-    gain[named, fixed[named]] = CERTAIN
 
 
 def _with_ghost_credit(

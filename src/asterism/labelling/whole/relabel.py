@@ -23,7 +23,7 @@ from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.certainty import overlaps_unlabelled
 from asterism.labelling.whole.fits import point_fits
 from asterism.labelling.whole.foreign import ForeignConfidence
-from asterism.labelling.whole.joint import FREE, SceneLabelling, hold_labels
+from asterism.labelling.whole.joint import SceneLabelling
 from asterism.labelling.whole.label import (
     BodyInRecording,
     LongTracklets,
@@ -43,6 +43,12 @@ from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 from asterism.tracking.linking import Tracklets
 
 _SETTINGS = RecordingLabellingSettings()
+
+FREE = -2
+"""Instead of a known label: the tracklet is to be labelled."""
+
+CERTAIN = 1e6
+"""nats, the gain of a label that is known: more than all others of a recording together."""
 
 
 @dataclass(frozen=True)
@@ -276,12 +282,20 @@ def _gain(scores: Floats, scene: Scene, fixed: Ints, before: LabelledTracklets) 
     sums, counts = np.zeros((len(scene.first), scores.shape[1])), np.zeros(len(scene.first))
     sum_scores(scene.sampled_track, scores, _SETTINGS.min_score, _SETTINGS.max_score, sums, counts)
     gain = sums * (scene.independent / np.maximum(counts, 1.0))[:, None]
-    hold_labels(gain, fixed)
+    _hold_labels(gain, fixed)
     cost = before.body.labeller.settings.first_ghost_cost * scene.independent * _SETTINGS.frame_correlation
     costly = np.ones(len(cost), dtype=np.bool_)
     if before.ghosts:
         costly = (scene.last - scene.first + 1) / scene.rate >= _SETTINGS.long_track if before.ghosts == 1 else ~costly
     return np.asarray(gain + (cost * costly)[:, None])
+
+
+def _hold_labels(gain: Floats, fixed: Ints) -> None:
+    """Make the known labels (J,) the only ones that gains (J, L) allow these tracklets."""
+    known = np.nonzero(fixed != FREE)[0]
+    gain[known] = -CERTAIN
+    named = known[fixed[known] != NULL]
+    gain[named, fixed[named]] = CERTAIN
 
 
 def _lost_margin(before: LabelledTracklets, problem: _Problem, label: Ints) -> tuple[Floats, NDArray[np.bool_]]:

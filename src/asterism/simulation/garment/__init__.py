@@ -4,6 +4,7 @@ from asterism.simulation.garment.photograph import CircleTruth, Lamp, Photo, Pho
 from asterism.simulation.garment.reading import SimulatedCircles, simulated_reading
 from asterism.simulation.garment.rigs import garment_rig
 from asterism.simulation.garment.suit import Mesh, Wearer, WornGarment, sheet_of, suit_masks, wear
+from asterism.simulation.garment.target import WavedTarget, wave_target
 from asterism.simulation.garment.tubes import Folds
 
 __all__ = [
@@ -14,6 +15,7 @@ __all__ = [
     "Photo",
     "PhotoSettings",
     "SimulatedCircles",
+    "WavedTarget",
     "Wearer",
     "WornGarment",
     "garment_rig",
@@ -22,5 +24,6 @@ __all__ = [
     "sheet_of",
     "simulated_reading",
     "suit_masks",
+    "wave_target",
     "wear",
 ]

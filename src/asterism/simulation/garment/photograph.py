@@ -5,16 +5,17 @@ from __future__ import annotations
 import colorsys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from asterism.cameras import Camera
 from asterism.errors import AsterismError
+from asterism.garment.pattern import Pattern
 from asterism.recording import Floats
 from asterism.simulation.garment import _raster_kernels as kernels
-from asterism.simulation.garment.suit import Mesh, WornGarment
+from asterism.simulation.garment.suit import Mesh
 
 Image = NDArray[np.uint8]
 
@@ -22,6 +23,20 @@ _LEAST_DEPTH = 0.05
 """m: what is nearer to a camera than this is not drawn."""
 _STEP = 1e-4
 """m, by which a circle's middle is moved to measure its ellipse in the image."""
+
+
+class Scene(Protocol):
+    """What can be photographed: a garment on a wearer, a sheet in somebody's hands."""
+
+    @property
+    def pattern(self) -> Pattern:
+        """What is printed on it."""
+
+    def mesh(self, time: float) -> Mesh:
+        """Its surface at a moment."""
+
+    def circles(self, time: float) -> Floats:
+        """(rows, cols, 3) m, the middle of each circle at a moment."""
 
 
 @dataclass(frozen=True)
@@ -131,10 +146,8 @@ class Photo:
     truth: CircleTruth
 
 
-def photograph(
-    worn: WornGarment, camera: Camera, time: float = 0.0, settings: PhotoSettings | None = None, *, rng: np.random.Generator
-) -> Photo:
-    """Take a picture of a dressed wearer.
+def photograph(worn: Scene, camera: Camera, time: float = 0.0, settings: PhotoSettings | None = None, *, rng: np.random.Generator) -> Photo:
+    """Take a picture of a dressed wearer, or of a waved sheet.
 
     time  s; the truth is that of the middle of the shutter's open time, which ends half of it later
     rng   the noise, and the room's background
@@ -166,7 +179,7 @@ def ink_colours(hsv: Floats, settings: PhotoSettings) -> Floats:
     return np.concatenate([inks, np.full((1, 3), settings.black), np.array([[0.45, 0.27, 0.20]])])
 
 
-def _expose(worn: WornGarment, mesh: Mesh, camera: Camera, settings: PhotoSettings, light: Floats, seen: NDArray[Any]) -> None:
+def _expose(worn: Scene, mesh: Mesh, camera: Camera, settings: PhotoSettings, light: Floats, seen: NDArray[Any]) -> None:
     """Add the light of one moment to an image (h, w, 4), and the samples of each circle to `seen`."""
     height, width = light.shape[:2]
     xy = camera.project(mesh.vertices)
@@ -250,7 +263,7 @@ def _linear(shown: Floats) -> Floats:
     return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
 
 
-def _truth(worn: WornGarment, camera: Camera, time: float, seen: Floats) -> CircleTruth:
+def _truth(worn: Scene, camera: Camera, time: float, seen: Floats) -> CircleTruth:
     """The truth of each circle; seen: (rows, cols) px2 that it covers in the image."""
     cells = np.argwhere(worn.pattern.colours >= 0)
     at = (cells[:, 0], cells[:, 1])
