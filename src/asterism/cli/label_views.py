@@ -32,6 +32,9 @@ class LabelViewsOptions:
     most_deviation: Annotated[
         float | None, typer.Option(metavar="MM", help="Leave out places less exact than this.", show_default=False)
     ] = None
+    quick: Annotated[bool, typer.Option("--quick", help="One direction of time, without this person's own body: faster, less right.")] = (
+        False
+    )
     labels: Annotated[
         Path | None, typer.Option("--labels", metavar="CSV", help="Write the label of each blob, with its confidence.", show_default=False)
     ] = None
@@ -55,6 +58,7 @@ def label_views(options: LabelViewsOptions) -> None:
     from asterism.cli._recordings import assumptions, not_carried
     from asterism.findings import exit_status
     from asterism.formats import check_suffix, read_blobs
+    from asterism.views.rules import QUICK, RULES
 
     output = options.output
     check_suffix(output)
@@ -63,7 +67,15 @@ def label_views(options: LabelViewsOptions) -> None:
     rig = read_rig(options.rig)
     blobs = read_blobs(options.blobs, cameras=rig.names, rate=options.rate)
     with _console.progress("labelling") as progress:
-        result = views.label_views(blobs, rig, body, height=options.height, least_confidence=options.least_confidence, progress=progress)
+        result = views.label_views(
+            blobs,
+            rig,
+            body,
+            height=options.height,
+            rules=QUICK if options.quick else RULES,
+            least_confidence=options.least_confidence,
+            progress=progress,
+        )
     limit = float("inf") if options.most_deviation is None else 1e-3 * options.most_deviation
     lost = formats.write(output, result.recording(least_views=options.min_cameras, most_deviation=limit))
     if options.labels is not None:
