@@ -55,10 +55,10 @@ class ViewsRules:
     lead_slope    of the logistic that turns the lead of a frame over another explanation (nats) into a probability
 
     jump, carry, drop and taken_over were chosen on simulated motion of 26 markers. The last four were the most likely ones for 91371
-    labels, 185 of them wrong, of 72 simulated recordings before the labels of a frame were carried to the next: 36 people of 12 seeds,
-    90 frames each, before two and before three cameras, with the mean body of four other simulated people. With constants from one half of the seeds
-    the labels of the other half were right as often as said: 0.916 of 369 labels at 0.90 to 0.95, 0.987 of 1424 at 0.98 to 0.99, 0.9968 of
-    6889 at 0.995 to 0.999, 0.9999 of 79335 above.
+    labels, 185 of them wrong, of 72 simulated recordings before the labels of a frame were carried to the next: 36 people of 12 seeds, 90
+    frames each, before two and before three cameras, with the mean body of four other simulated people. With constants from one half of
+    the seeds the labels of the other half were right as often as said: 0.916 of 369 labels at 0.90 to 0.95, 0.987 of 1424 at 0.98 to
+    0.99, 0.9968 of 6889 at 0.995 to 0.999, 0.9999 of 79335 above.
     """
 
     noise: float = 0.8
