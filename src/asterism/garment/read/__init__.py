@@ -71,7 +71,7 @@ def read_image(image: NDArray[np.uint8], pattern: Pattern, rules: ReadRules | No
     links, _ = link_circles(circles, pattern.diameter / pattern.pitch, rules)
     linked = (links[:, :, 0] >= 0).sum(axis=1) >= 3
     classes = classify(circles.light, linked, pattern.hsv)
-    found = identify(circles.centres, links, classes.posterior, pattern, rules)
+    found = identify(circles, links, classes.posterior, pattern, rules)
     colours = np.full(len(linked), -1) if classes.grey else classes.posterior.argmax(axis=1)
     return ReadCircles(
         circles.centres,
