@@ -168,6 +168,17 @@ def grow(centres, likelihood, colours, heads, following, side, gate, cells, at, 
 
 
 @kernel
+def _beside(at, row, col):
+    """Whether a circle is at one of the four cells beside. O(1)."""
+    found = False
+    for d in range(4):
+        r, c = row + _DOWN[d], col + _RIGHT[d]
+        if 0 <= r < at.shape[0] and 0 <= c < at.shape[1]:
+            found = found or at[r, c] >= 0
+    return found
+
+
+@kernel
 def rivals(centres, colours, heads, following, side, cells, at, fits, out):
     """How far each circle is, at least, from where an empty cell beside others is expected, which may be the cell that it really has.
 
@@ -180,7 +191,9 @@ def rivals(centres, colours, heads, following, side, cells, at, fits, out):
     out[:] = 1.0
     for row in range(at.shape[0]):
         for col in range(at.shape[1]):
-            if at[row, col] != -1 or colours[row, col] < 0 or expect(centres, at, fits, row, col, expected) == 0:
+            if at[row, col] != -1 or colours[row, col] < 0 or not _beside(at, row, col):
+                continue
+            if expect(centres, at, fits, row, col, expected) == 0:
                 continue
             reach = max(abs(expected[2]) + abs(expected[4]), abs(expected[3]) + abs(expected[5]))
             x0, x1 = max(int((expected[0] - reach) / side), 0), min(int((expected[0] + reach) / side), heads.shape[1] - 1)

@@ -45,12 +45,12 @@ def find_circles(image: NDArray[np.uint8], rules: ReadRules) -> Circles:
     """
     noise = image_noise(image)
     noisy = noise > rules.noisy
-    smooth = cv2.GaussianBlur(image, (5, 5), 1.0) if noisy else cv2.GaussianBlur(image, (3, 3), 0)
+    smooth = cv2.GaussianBlur(image, (5, 5), 1.0) if noisy else image
     left = noise * (_LEFT_OF_MORE if noisy else _LEFT)
     height, width = image.shape[:2]
     grey = np.empty((height, width), np.uint8)
     highest = np.empty((height, width // 16 + 1), np.uint8)
-    kernels.colourfulness(smooth, grey, highest)
+    kernels.colourfulness(smooth, not noisy, grey, highest)
     lowest = int(min(rules.least_colour + rules.noise_factor * left, 120))
     sizes = (
         rules.least_area,

@@ -46,7 +46,7 @@ class ReadRules:
     least_colour: float = 18.0
     noisy: float = 12.0
     noise_factor: float = 3.4
-    noise_height: float = 2.5
+    noise_height: float = 1.3
     least_area: float = 4.0
     largest_area: float = 6000.0
     longest_side: float = 120.0
