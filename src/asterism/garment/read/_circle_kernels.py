@@ -8,41 +8,39 @@ from asterism._jit import kernel
 
 
 @kernel
-def _smooth_row(image, y, sums, out):
-    """Row y of an image, each channel smoothed over 3 x 3 pixels by 1-2-1 both ways and rounded; the ends are left. O(w)."""
-    above, row, below = image[y - 1].ravel(), image[y].ravel(), image[y + 1].ravel()
-    for k in range(len(row)):
-        sums[k] = np.uint16(above[k]) + np.uint16(2) * np.uint16(row[k]) + np.uint16(below[k])
-    for k in range(3, len(row) - 3):
-        out[k] = (sums[k - 3] + np.uint16(2) * sums[k] + sums[k + 3] + np.uint16(8)) >> 4
+def channels(image, out):
+    """The channels of an image one after another.
+
+    IN  image (h, w, 3) uint8
+    OUT out (3, h, w) uint8
+
+    O(h w), no allocation. Twin: tests/twins_garment_read.py
+    """
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            out[0, y, x] = image[y, x, 0]
+            out[1, y, x] = image[y, x, 1]
+            out[2, y, x] = image[y, x, 2]
 
 
 @kernel
-def colourfulness(image, smooth, out, highest):
+def colourfulness(blue, green, red, out, highest):
     """The difference between the largest and the smallest channel of each pixel; 0 in the outermost rows and columns.
 
-    IN  image (h, w, 3) uint8; smooth, whether each channel is smoothed over 3 x 3 pixels before
+    IN  blue, green, red (h, w) uint8
     OUT out (h, w) uint8; highest (h, w // 16 + 1) uint8, the largest value of each 16 pixels of a row
 
-    O(h w); memory 12 bytes for each pixel of a row. Twin: tests/twins_garment_read.py
+    O(h w), no allocation. Twin: tests/twins_garment_read.py
     """
     height, width = out.shape
-    sums, row, apart = np.empty(3 * width, np.uint16), np.zeros(3 * width, np.uint8), np.zeros(3 * width, np.uint8)
-    out[0] = 0
-    out[height - 1] = 0
-    highest[0] = 0
-    highest[height - 1] = 0
-    for y in range(1, height - 1):
-        if smooth:
-            _smooth_row(image, y, sums, row)
-        else:
-            row[:] = image[y].ravel()
-        for k in range(3 * width - 2):
-            apart[k] = max(row[k], row[k + 1], row[k + 2]) - min(row[k], row[k + 1], row[k + 2])
+    for y in range(height):
         for x in range(width):
-            out[y, x] = apart[3 * x]
+            a, b, c = blue[y, x], green[y, x], red[y, x]
+            out[y, x] = max(max(a, b), c) - min(min(a, b), c)
         out[y, 0] = 0
         out[y, width - 1] = 0
+        if y == 0 or y == height - 1:
+            out[y] = 0
         for block in range(highest.shape[1]):
             most = np.uint8(0)
             for x in range(16 * block, min(16 * block + 16, width)):

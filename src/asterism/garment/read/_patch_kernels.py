@@ -108,8 +108,9 @@ def place_patches(links, read, colours, least, misses, cells, turns, placed, tak
         size = gather(links, turns, root, members, place, taken)
         if size < least:
             continue
-        wrong, other = locate(members, place, size, read, colours, min(misses, size - least), found)
-        if wrong > min(misses, size - least) or other < wrong + 3 and other <= misses:
+        allowed = min(misses, size - least)
+        wrong, other = locate(members, place, size, read, colours, allowed, found)
+        if wrong > allowed or other <= allowed:
             for k in range(min(size, 9)):
                 tried[members[k]] = True
             continue

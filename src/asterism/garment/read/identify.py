@@ -33,7 +33,7 @@ class Identified:
 
     ids         (n,) int32, -1 where unknown
     grid        (n, 2) int32 row and column on the sheet, -1 where unknown: also of circles at a border, which have no identity
-    confidence  (n,) that the row and column are right, 0 where unknown: never above what was measured; see `identify`
+    confidence  (n,) that the row and column are right, 0 where unknown: never above what was measured (`rules.shown`)
     windows     3 x 3 blocks that were read whole
     existing    of them, those that the pattern has
     shared      circles left out because another one would be at the same place of the sheet
@@ -113,9 +113,7 @@ def _of_cells(likelihood: Floats, cells: NDArray[np.int32], there: NDArray[np.bo
     return own
 
 
-def _odds(
-    circles: Circles, likelihood: Floats, own: Floats, pattern: Pattern, rules: ReadRules, cells: NDArray[np.int32]
-) -> Floats:
+def _odds(circles: Circles, likelihood: Floats, own: Floats, pattern: Pattern, rules: ReadRules, cells: NDArray[np.int32]) -> Floats:
     """(n,) log odds that circles are at their cells, -inf where they have none; cells (n, 2) grow in place."""
     n, centres = len(cells), circles.centres
     at, fits = np.empty(pattern.shape, np.int32), own > 0
@@ -123,9 +121,7 @@ def _odds(
     height, width = circles.grey.shape
     heads, following = np.empty((int(height / _SIDE) + 1, int(width / _SIDE) + 1), np.int32), np.empty(n, np.int32)
     growth.bucket_circles(centres, _SIDE, heads, following)
-    growth.grow(
-        centres, likelihood, pattern.colours, heads, following, _SIDE, rules.gate, cells, at, fits, np.empty(n, np.int32)
-    )
+    growth.grow(centres, likelihood, pattern.colours, heads, following, _SIDE, rules.gate, cells, at, fits, np.empty(n, np.int32))
     there = cells[:, 0] >= 0
     own = _of_cells(likelihood, cells, there, pattern)
     rival, bump, around, off = np.empty(n), np.empty(n), np.empty((n, 2)), np.empty((n, 3))
