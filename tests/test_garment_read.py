@@ -137,7 +137,7 @@ def test_a_coloured_lamp_does_not_change_what_is_read() -> None:
     plain = read_image(image, sleeve().pattern)
     tinted = read_image((image * np.array([0.45, 0.8, 1.0])).astype(np.uint8), sleeve().pattern)
     both = np.intersect1d(plain.ids[plain.ids >= 0], tinted.ids[tinted.ids >= 0])
-    assert len(both) > 0.9 * (plain.ids >= 0).sum()
+    assert len(both) > 0.85 * (plain.ids >= 0).sum(), "the lamp takes half of the blue light, and so some blue circles at the rims"
     at = [np.array([np.flatnonzero(r.ids == k)[0] for k in both]) for r in (plain, tinted)]
     assert np.abs(plain.centres[at[0]] - tinted.centres[at[1]]).max() < 0.5
     assert tinted.gains[2] > 1.5 * plain.gains[2]
@@ -214,11 +214,7 @@ def test_a_patch_without_whole_blocks_is_placed() -> None:
     given = found.grid[:, 0] >= 0
     np.testing.assert_array_equal(found.grid[given] @ [cols, 1], strip[given])
     assert given.mean() > 0.7
-    few = identify(
-        plain_circles(centres[strip[:14]]),
-        part[:14] * (part[:14, :, :1] < 14) - (part[:14, :, :1] >= 14),
-        colours[:14],
-        sheet(),
-        ReadRules(),
-    )
-    assert (few.grid < 0).all()
+    part[14:] = -1
+    part[part[..., 0] >= 14] = -1
+    few = identify(plain_circles(centres[strip]), part, colours, sheet(), ReadRules())
+    assert (few.grid < 0).all(), "fourteen colours fit in several places"
