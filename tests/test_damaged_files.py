@@ -370,6 +370,16 @@ def test_an_image_of_more_pixels_than_any_cameras_is_refused_before_it_is_decode
     assert len(list(images(open_source(path)))) == 1
 
 
+def test_a_png_with_a_chunk_of_4_gb_is_refused_at_once(tmp_path: Path) -> None:
+    """OpenCV takes half a minute to find that these bytes are not there."""
+    path = tmp_path / "chunk.png"
+    content = bytearray(_png(60, 40))
+    content[33:37] = b"\xff\x00\x00\x69"
+    path.write_bytes(content)
+    with pytest.raises(AsterismError, match=r"chunk\.png is damaged: a part of it claims 4,278,190,185 bytes"):
+        list(images(open_source(path)))
+
+
 @pytest.mark.parametrize("suffix", ["png", "jpg", "bmp", "pgm", "tif", "jp2"])
 def test_claimed_sizes_are_those_of_the_image(suffix: str) -> None:
     import cv2

@@ -16,6 +16,9 @@ MOST_PIXELS = 2**28
 
 _NO_SIZE = (0.0, 0.0)
 _HEAD = 1 << 16
+_PNG = b"\x89PNG\r\n\x1a\n"
+_SPARE = 1 << 20
+"""Bytes by which a chunk of a PNG that was cut off may go beyond its end: decoding says what it finds of such a file."""
 
 
 def check_claimed_size(file: Path, width: float, height: float) -> None:
@@ -26,6 +29,20 @@ def check_claimed_size(file: Path, width: float, height: float) -> None:
         )
 
 
+def check_claimed_chunks(file: Path, content: NDArray[np.uint8]) -> None:
+    """Raise AsterismError where a chunk of a PNG claims far more bytes than the file has left; OpenCV would ask for memory for them all."""
+    if content[:8].tobytes() != _PNG:
+        return
+    at = 8
+    while at + 8 <= len(content):
+        length = int.from_bytes(content[at : at + 4].tobytes(), "big")
+        if length > len(content) - at + _SPARE:
+            raise AsterismError(
+                f"{file} is damaged: a part of it claims {length:,} bytes, more than the file has; record or copy it again."
+            )
+        at += 12 + length
+
+
 def claimed_size(content: NDArray[np.uint8], page: int = 0) -> tuple[float, float]:
     """Width and height in the header of a PNG, JPEG, BMP, PGM, WebP, JPEG 2000 or TIFF file; zeros where it is none of these or cut off.
 
@@ -33,7 +50,7 @@ def claimed_size(content: NDArray[np.uint8], page: int = 0) -> tuple[float, floa
     """
     head = content[:_HEAD].tobytes()
     try:
-        if head[:8] == b"\x89PNG\r\n\x1a\n":
+        if head[:8] == _PNG:
             return _pair(">II", head, 16)
         if head[:2] == b"BM":
             width, height = struct.unpack_from("<ii", head, 18)

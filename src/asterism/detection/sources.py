@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.detection.claimed_sizes import check_claimed_size, claimed_size
+from asterism.detection.claimed_sizes import check_claimed_chunks, check_claimed_size, claimed_size
 from asterism.detection.grey import Grey, as_grey
 from asterism.errors import AsterismError, guarded_reading
 
@@ -236,6 +236,7 @@ def _decoded(file: Path, content: NDArray[np.uint8], page: int = 0) -> NDArray[A
     import cv2
 
     check_claimed_size(file, *claimed_size(content, page))
+    check_claimed_chunks(file, content)
     image: NDArray[Any] | None = cv2.imdecode(content, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE) if len(content) else None
     return image
 
