@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 from benchmarks.garment.capture import calibration, dense, whole_speed
-from benchmarks.garment.pattern import check, code, reading, speed
+from benchmarks.garment.pattern import check, code, speed
 from benchmarks.garment.reading import hard_images
 
 ISSUE = "Garment capture: thousands of colour-coded points, from printed cloth to 3D"
@@ -15,7 +15,6 @@ ISSUE = "Garment capture: thousands of colour-coded points, from printed cloth t
 ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
     "garment-read-speed": speed,
     "garment-check": check,
-    "garment-reading": reading,
     "garment-code": code,
     "garment-speed": whole_speed,
     "garment-hard-images": hard_images,

@@ -14,7 +14,7 @@ from asterism.errors import AsterismError
 from asterism.garment import DesignRules, Pattern, design_pattern
 from asterism.garment.check import judge_reading
 from asterism.garment.design import fill_pattern
-from asterism.garment.read import ReadCircles, read_image
+from asterism.garment.read import read_image
 from asterism.simulation.garment import Photo, PhotoSettings, Wearer, WornGarment, garment_rig, photograph, sheet_of, suit_masks, wear
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
@@ -93,35 +93,6 @@ def _pictures(quick: bool, noise: float, lights: PhotoSettings, seed: int) -> It
     for number, camera in enumerate(rig.cameras[:1] if quick else rig.cameras):
         settings = PhotoSettings(**{**lights.__dict__, "noise": noise})
         yield photograph(worn, camera, 0.4 * seed, settings, rng=np.random.default_rng([seed, number])), pattern
-
-
-def compared(photo: Photo, read: ReadCircles) -> tuple[int, int, int, int]:
-    """Identities given, wrong ones, circles that should be read (6 px, 60 degrees, nine tenths visible), those that are.
-
-    An identity is wrong where its circle is farther than half the distance to a neighbour: 4 px and more than its own shorter diameter.
-    """
-    truth = photo.truth
-    where = {int(number): i for i, number in enumerate(truth.ids) if number >= 0}
-    given = np.flatnonzero(read.ids >= 0)
-    place = np.array([where[int(read.ids[i])] for i in given], dtype=int)
-    off = np.hypot(*(truth.centres[place] - read.centres[given]).T) if len(given) else np.zeros(0)
-    wanted = truth.readable() & (truth.ids >= 0)
-    return len(given), int((~(off < 4.0)).sum()), int(wanted.sum()), int(np.isin(truth.ids[wanted], read.ids[given]).sum())
-
-
-def reading(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Wrong identities and recall under three lights and 20 dB of noise; the check of photos against the truth."""
-    given = wrong = 0
-    for name, lights in LIGHTS.items():
-        for noise in (0.01, 0.1):
-            wanted = there = 0
-            for seed in range(1 if benchmark.quick else 2):
-                for photo, pattern in _pictures(benchmark.quick, noise, lights, seed):
-                    counts = compared(photo, read_image(photo.image, pattern))
-                    given, wrong, wanted, there = given + counts[0], wrong + counts[1], wanted + counts[2], there + counts[3]
-            row = f"reading, {name}, noise {'of 20 dB' if noise == 0.1 else 'of 40 dB'}: recall at 6 px and 60 degrees"
-            yield Figure(row, ">= 0.95", there / max(wanted, 1), "share", max(wanted, 1))
-    yield Figure("reading: wrong identities of those given", "< 0.000001", wrong / max(given, 1), "share", max(given, 1))
 
 
 def check(benchmark: BenchmarkRun) -> Iterator[Figure]:
