@@ -11,12 +11,15 @@ from hypothesis import strategies as st
 from asterism.errors import AsterismError
 from asterism.simulation.views_laboratory import paper_rig
 from asterism.views import load_body
+from asterism.views._carry_kernels import carry_labels
 from asterism.views._fit_kernels import evaluate, minimise, project_linear, share_blobs
 from asterism.views._label_kernels import assign_best, margins
+from asterism.views._limb_kernels import fit_labelled, screen_limb
 from asterism.views._pose_kernels import place_bones, point_jacobian, take_step
 from asterism.views._visibility_kernels import sight_depths, visible_shares
 from asterism.views.body_fit import known_of, pose_recording
-from asterism.views.posing import posed_points
+from asterism.views.limbs import LimbScreen, evenly, limbs_of
+from asterism.views.posing import posed_bones, posed_points
 from asterism.views.rules import ViewsRules
 from asterism.views.scene import camera_arrays
 from asterism.views.start import place_by_centroids
@@ -130,8 +133,11 @@ def test_depths_of_sights_are_those_of_many_places_along_them(seed: int) -> None
     radii = rng.uniform(0.03, 0.3, 2)
     out = np.empty((1, 1))
     sight_depths(eye[None], point[None], start[None], end[None], radii[None], 0.007, out)
-    told = max(twins.sight_depth(eye, point, start, end, radii, 0.007), -1.0)  # -1: far from every capsule
-    assert out[0, 0] == pytest.approx(told, abs=2e-3)
+    told = twins.sight_depth(eye, point, start, end, radii, 0.007)
+    if told > -0.05:
+        assert out[0, 0] == pytest.approx(told, abs=2e-3)
+    else:  # a capsule that is farther off may be passed over
+        assert out[0, 0] == -1.0 or out[0, 0] == pytest.approx(told, abs=2e-3)
 
 
 def test_a_marker_on_the_far_side_is_hidden_and_on_the_near_side_is_not() -> None:
@@ -206,3 +212,98 @@ def test_the_centroids_place_the_body_by_the_equations_of_the_paper() -> None:
     seen[1:] = np.nan
     with pytest.raises(AsterismError, match="two cameras"):
         place_by_centroids(RIG, seen, centre)
+
+
+WHOLE = load_body("body26")
+LIMBS = limbs_of(WHOLE)
+
+
+def standing_whole(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    pose = np.concatenate([rng.uniform(0.9, 1.1, 3), [0.0, 0.0, 0.9], np.zeros(3), WHOLE.arrays.usual])
+    return pose, twins.rotation_about(UP, rng.uniform(-3, 3))
+
+
+def blobs_of(pose: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    uv = np.empty((4, 26, 2))
+    project_linear(CAMERAS, posed_points(WHOLE, pose, rotation)[0], uv, np.empty((4, 26, 2, 3)))
+    return uv, np.arange(0, 105, 26)
+
+
+def test_the_limbs_that_are_sought_are_the_arms() -> None:
+    assert [WHOLE.bones[limb.first].name for limb in LIMBS] == ["left upper arm", "right upper arm"]
+    assert [[WHOLE.labels[m] for m in pair] for limb in LIMBS for pair in limb.pairs] == [["LWRA", "LWRB"], ["RWRA", "RWRB"]]
+    assert limbs_of(BODY) == ()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_cost_of_a_limbs_angles_is_that_of_the_whole_body_with_them(seed: int) -> None:
+    pose, rotation = standing_whole(seed)
+    uv, offsets = blobs_of(pose, rotation)
+    xy, limb = uv.reshape(-1, 2) + np.random.default_rng(seed).normal(0, 2, (104, 2)), LIMBS[1]
+    angles, costs = limb.tried[:5], np.empty(5)
+    screen_limb(WHOLE.arrays, limb.arrays, limb.first, CAMERAS, OBSERVING, xy, offsets, 12.0, limb.rest, angles, pose, rotation, costs)
+    for n in range(5):
+        tried = pose.copy()
+        tried[9 + limb.hinges] = angles[n]
+        there, slopes = np.empty((4, 26, 2)), np.empty((4, 26, 2, 3))
+        project_linear(CAMERAS, posed_points(WHOLE, tried, rotation)[0], there, slopes)
+        variances = 144.0 + 0.5 * (slopes**2).sum(axis=(2, 3)) * WHOLE.arrays.spreads**2
+        blobs = list(xy.reshape(4, 26, 2))
+        told = twins.shared_cost(there, variances, np.full((4, 26), OBSERVING.shown), blobs, OBSERVING.strays)
+        told += float((0.5 * limb.arrays.precision * (angles[n] - limb.arrays.usual) ** 2).sum())
+        assert costs[n] == pytest.approx(told, rel=1e-3)
+
+
+def test_an_arm_that_is_raised_is_found_by_trying() -> None:
+    pose, rotation = standing_whole(1)
+    limb, raised = LIMBS[0], standing_whole(1)[0]
+    raised[9 + limb.hinges] = limb.tried[17]
+    uv, offsets = blobs_of(raised, rotation)
+    screen = LimbScreen(WHOLE, CAMERAS, OBSERVING, uv.reshape(-1, 2), offsets)
+    found = screen.poses(limb, pose, rotation, tried=64, blur=12.0)[0]
+    assert np.abs(found - raised).max() < 1e-9
+    several = screen.poses(limb, pose, rotation, tried=64, blur=12.0, kept=3, apart=0.5)
+    assert len(several) == 3 and np.abs(several[1] - several[0]).max() > 0.5
+
+
+def test_a_limb_is_fitted_to_labels_from_the_best_of_its_starts() -> None:
+    pose, rotation = standing_whole(2)
+    limb, bent = LIMBS[0], standing_whole(2)[0]
+    bent[9 + limb.hinges] += 0.5 * np.sqrt(1.0 / limb.arrays.precision)
+    uv, offsets = blobs_of(bent, rotation)
+    screen = LimbScreen(WHOLE, CAMERAS, OBSERVING, uv.reshape(-1, 2), offsets)
+    found = screen.labelled(limb, np.tile(np.arange(26), 4), pose, rotation, known_of(WHOLE, UP), tried=4, steps=20)
+    away = np.linalg.norm(posed_points(WHOLE, found, rotation)[0] - posed_points(WHOLE, bent, rotation)[0], axis=1)
+    assert away[limb.markers].max() < 0.03 and away[limb.rest].max() < 1e-9
+    turned, moved = posed_bones(WHOLE, bent, rotation)
+    above = WHOLE.arrays.parents[limb.first]
+    own = np.concatenate([bent[:3], moved[above], np.zeros(3), bent[9 + limb.hinges]])[None]
+    costs, labels = np.empty(1), np.searchsorted(limb.markers, np.tile(limb.markers, 4))
+    some = uv[:, limb.markers].reshape(-1, 2)
+    fit_labelled(
+        *(limb.arrays, CAMERAS, known_of(WHOLE, UP), OBSERVING, some, np.arange(0, 4 * len(limb.markers) + 1, len(limb.markers))),
+        *(labels, 3.0, 0, turned[above], own, costs),
+    )
+    prior = 0.5 * (limb.arrays.precision * (bent[9 + limb.hinges] - limb.arrays.usual) ** 2).sum()
+    assert costs[0] > prior - 1e-9, "blobs at the markers cost nothing beside what is known of the pose"
+
+
+def test_numbers_are_spread_evenly() -> None:
+    some = evenly(400, 3)
+    counts = np.histogramdd(some, bins=(4, 4, 4), range=[(0, 1)] * 3)[0]
+    assert counts.min() >= 3 and counts.max() <= 11, f"{counts.min()} to {counts.max()} of 6.25 in each cell"
+
+
+def test_labels_go_on_with_the_blobs_that_move_as_expected() -> None:
+    old_uv, old_xy = np.zeros((1, 3, 2)), np.array([[10.0, 10.0], [50.0, 50.0], [90.0, 10.0]])
+    new_uv = old_uv + np.array([5.0, 0.0])
+    old_labels, old_offsets, out = np.array([2, 0, 1]), np.array([0, 3]), np.empty(4, dtype=np.int64)
+    xy = np.array([[55.5, 50.0], [15.0, 10.5], [95.0, 12.0], [95.0, 13.0]])
+    carry_labels(old_uv, new_uv, old_xy, old_offsets, old_labels, xy, np.array([0, 4]), 8.0, out)
+    assert out.tolist() == [0, 2, -1, -1], "of two blobs near each other neither is taken"
+    carry_labels(old_uv, new_uv, old_xy, old_offsets, old_labels, xy + 100.0, np.array([0, 4]), 8.0, out)
+    assert (out == -1).all()
+    both = np.array([[10.0, 10.0], [10.5, 10.0]])
+    carry_labels(old_uv, old_uv, both, np.array([0, 2]), np.array([0, 1]), both[:1], np.array([0, 1]), 8.0, out)
+    assert out[0] == -1, "two labels for one blob are none"

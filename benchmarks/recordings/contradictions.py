@@ -1,4 +1,4 @@
-"""Hand labels that contradict the same person's standing trial: head and hands whose markers changed names between two files."""
+"""Hand labels that contradict the same person's standing trial or the body: head and hands whose markers have each other's names."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import asterism
-from asterism.recording import Recording
+from asterism.recording import Ints, Labelling, Recording
 from benchmarks.data import file_of
 
 GROUPS = (
@@ -22,15 +22,22 @@ CLEARLY = 0.03
 """m: so much nearer to the standing trial must other names bring the distances, all added up, and to three fifths at least."""
 
 
-def contradicted(walk: Recording) -> list[str]:
-    """Markers of a walk that under other names would keep the distances of the standing trial beside it, and under their own do not.
+HEAD = GROUPS[2][0]
+BODY = ("LASI", "RASI", "LTOE", "LHEE")
+"""Markers that tell the body's left, and where it walks."""
 
-    None where there is no standing trial. No labelling and no model takes part in it.
+
+def contradicted(walk: Recording) -> list[str]:
+    """Markers of a walk whose names cannot be: by the standing trial beside it, where there is one, and by the body.
+
+    Under other names the markers of a group would keep the distances of the standing trial, and under their own do not; or the head's left
+    points to the body's right, or its front to the heels. No labelling and no model takes part in it.
     """
     static = file_of(walk).with_name("static.c3d")
+    out = list(HEAD) if _head_turned(walk) else []
     if not Path(static).exists():
-        return []
-    standing, out = asterism.read(static), []
+        return out
+    standing = asterism.read(static)
     for names, neighbour in GROUPS:
         if not {*names, neighbour} <= {*standing.labels} & {*walk.labels}:
             continue
@@ -38,8 +45,27 @@ def contradicted(walk: Recording) -> list[str]:
         misses = {order: np.abs(_distances(walk, order, neighbour) - wanted).sum() for order in permutations(names)}
         best, own = min(misses.values()), misses[names]
         if best < 0.6 * own and own - best > CLEARLY:
-            out += names
+            out += [name for name in names if name not in out]
     return out
+
+
+def believable(labelling: Labelling, truth: Ints, walk: Recording) -> tuple[Labelling, Ints]:
+    """A labelling and the truth (T, M), of the markers whose hand labels are not `contradicted` alone."""
+    kept = np.nonzero(~np.isin(labelling.names, contradicted(walk)))[0]
+    names = tuple(np.array(labelling.names)[kept])
+    return Labelling(labelling.indices[:, kept], labelling.confidence[:, kept], names), truth[:, kept]
+
+
+def _head_turned(walk: Recording) -> bool:
+    """Whether the head's names have it look backwards, or have its left on the body's right, most of the time."""
+    if not {*HEAD, *BODY} <= {*walk.labels}:
+        return False
+    at = {name: walk.positions[:, walk.labels.index(name)] for name in (*HEAD, *BODY)}
+    left, ahead = at["LASI"] - at["RASI"], at["LTOE"] - at["LHEE"]
+    head_left = at["LFHD"] + at["LBHD"] - at["RFHD"] - at["RBHD"]
+    head_front = at["LFHD"] + at["RFHD"] - at["LBHD"] - at["RBHD"]
+    along = (np.einsum("ti,ti->t", one, other) for one, other in ((head_left, left), (head_front, ahead)))
+    return any(np.nanmedian(share) < 0 for share in along)
 
 
 def _distances(recording: Recording, names: tuple[str, ...], neighbour: str) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The clinical angles of `asterism motion`: whether to compute them, as a table, as JSON."""
+"""The clinical angles of `asterism motion`: whether to compute them, how certain they are, as tables, as columns, as JSON."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from asterism.cli import _console
 
 if TYPE_CHECKING:
-    from asterism.motion.clinical import ClinicalAngles
-    from asterism.recording import Recording
+    from asterism.motion.clinical import ClinicalAngles, ClinicalErrors, ClinicalJoint, ClinicalUncertainty, JointUncertainty
+    from asterism.recording import Floats, Recording
 
 
 def find(recording: Recording, wanted: bool | None) -> ClinicalAngles | None:
@@ -24,8 +24,23 @@ def find(recording: Recording, wanted: bool | None) -> ClinicalAngles | None:
     return clinical_angles(recording)
 
 
-def show(path: Path, clinical: ClinicalAngles | None) -> None:
-    """Print a table of the joints: the least and the largest of each angle."""
+def certain(
+    recording: Recording, clinical: ClinicalAngles | None, errors: ClinicalErrors, trials: int, seed: int, workers: int, progress: Any
+) -> ClinicalUncertainty | None:
+    """How certain the angles are, by so many trials at most."""
+    from asterism.motion.clinical import clinical_uncertainty
+    from asterism.motion.uncertainty import MonteCarloRules
+
+    if clinical is None:
+        return None
+    rules = MonteCarloRules(most=trials, block=min(100, max(trials // 2, 2)))
+    return clinical_uncertainty(
+        recording, clinical, errors, seed=seed, workers=workers, rules=rules, budget_trials=min(trials, 200), progress=progress
+    )
+
+
+def show(path: Path, clinical: ClinicalAngles | None, known: ClinicalUncertainty | None) -> None:
+    """Print a table of the joints: the least and the largest of each angle; and one of how uncertain they are."""
     import numpy as np
 
     from asterism.motion.clinical import CLINICAL
@@ -34,17 +49,44 @@ def show(path: Path, clinical: ClinicalAngles | None) -> None:
         return
 
     def span(values: Any) -> str:
-        known = np.degrees(values[np.isfinite(values)])
-        return f"{known.min():.1f} to {known.max():.1f}" if len(known) else "–"
+        seen = np.degrees(values[np.isfinite(values)])
+        return f"{seen.min():.1f} to {seen.max():.1f}" if len(seen) else "–"
+
+    def largest(values: Any) -> str:
+        seen = np.degrees(values[np.isfinite(values)])
+        return f"{seen.max():.1f}" if len(seen) else "–"
 
     rows = [[joint.name, *(span(joint.angles[:, k]) for k in range(3))] for joint in clinical.joints]
     _console.table(f"{path}: clinical angles", ["joint", *(f"{name} (°)" for name in CLINICAL)], rows)
+    if known is not None:
+        sources = [source for source in known.joints[0].budget if source != "all"]
+        head = ["joint", *(f"{name} ± (°)" for name in CLINICAL), *(f"flexion: {source}" for source in sources)]
+        rows = [
+            [one.joint.name, *(largest(one.standard[:, k]) for k in range(3)), *(largest(one.budget[source][:, 0]) for source in sources)]
+            for one in known.joints
+        ]
+        _console.table(f"{path}: largest standard uncertainties", head, rows)
     if assumed := [side for side, measures in clinical.measures.items() if not measures.from_file]:
         sides = " and ".join(assumed)
         _console.result(f"The file has no measures of the {sides} leg; an adult's widths of knee and ankle were taken.")
 
 
-def as_dict(clinical: ClinicalAngles | None) -> dict[str, Any]:
+def columns(wide: bool) -> list[str]:
+    """Names of the columns that a table of angles has for these angles beside flexion, with the ends of 95 % intervals or without."""
+    ends = [f"{name}_{end}95_deg" for name in ("adduction", "rotation") for end in ("low", "high")] if wide else []
+    return ["adduction_deg", "rotation_deg", *ends]
+
+
+def values(joint: ClinicalJoint, known: JointUncertainty | None) -> tuple[list[Floats], list[Floats]]:
+    """Flexion and, with uncertainty, the ends of its 95 % interval; and what stands in `columns`. All (T,) rad."""
+    flexion, *others = joint.angles.T
+    if known is None:
+        return [flexion], others
+    low, high = (end.T for end in known.intervals[0.95])
+    return [flexion, low[0], high[0]], [*others, low[1], high[1], low[2], high[2]]
+
+
+def as_dict(clinical: ClinicalAngles | None, known: ClinicalUncertainty | None) -> dict[str, Any]:
     """The angles as JSON has them, degrees; nothing where there are none."""
     import dataclasses
 
@@ -55,7 +97,29 @@ def as_dict(clinical: ClinicalAngles | None) -> dict[str, Any]:
     if clinical is None:
         return {}
     joints = [
-        {"joint": joint.joint, "side": joint.side, **{f"{name}_deg": np.degrees(joint.angles[:, k]) for k, name in enumerate(CLINICAL)}}
-        for joint in clinical.joints
+        {
+            "joint": joint.joint,
+            "side": joint.side,
+            **{f"{name}_deg": np.degrees(joint.angles[:, k]) for k, name in enumerate(CLINICAL)},
+            **(_certain_dict(known.joints[number]) if known is not None else {}),
+        }
+        for number, joint in enumerate(clinical.joints)
     ]
-    return {"clinical": {"joints": joints, "measures": {side: dataclasses.asdict(one) for side, one in clinical.measures.items()}}}
+    trials = {} if known is None else {"trials": known.trials, "converged": known.converged}
+    measures = {side: dataclasses.asdict(one) for side, one in clinical.measures.items()}
+    return {"clinical": {"joints": joints, "measures": measures, **trials}}
+
+
+def _certain_dict(one: JointUncertainty) -> dict[str, Any]:
+    import numpy as np
+
+    from asterism.motion.clinical import CLINICAL
+
+    content: dict[str, Any] = {}
+    for k, name in enumerate(CLINICAL):
+        content[f"{name}_standard_deg"] = np.degrees(one.standard[:, k])
+        content[f"{name}_intervals_deg"] = {
+            f"{p:g}": [np.degrees(low[:, k]), np.degrees(high[:, k])] for p, (low, high) in one.intervals.items()
+        }
+        content[f"{name}_budget_deg"] = {source: np.degrees(part[:, k]) for source, part in one.budget.items()}
+    return content

@@ -10,9 +10,10 @@ import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
-from asterism.cli._options import Json, Overwrite
+from asterism.cli._options import Json, Overwrite, Vertical, vertical_axis
 
 if TYPE_CHECKING:
+    from asterism.cameras import Rig
     from asterism.views import ViewsLabelling
 
 
@@ -20,7 +21,9 @@ if TYPE_CHECKING:
 class LabelViewsOptions:
     """What `asterism label-views` is asked to do."""
 
-    blobs: Annotated[Path, typer.Argument(metavar="BLOBS", help="2D CSV: frame, camera, x, y[, size].", show_default=False)]
+    blobs: Annotated[
+        Path, typer.Argument(metavar="BLOBS", help="2D CSV (frame, camera, x, y[, size]), or QTM's 2D series as JSON.", show_default=False)
+    ]
     rig: Annotated[Path, typer.Option("--rig", metavar="FILE", help="The calibrated rig.", show_default=False)]
     body: Annotated[str, typer.Option("--body", metavar="BODY", help="gait15, body26, plug-in-gait, or a TOML file.", show_default=False)]
     output: Annotated[
@@ -32,6 +35,15 @@ class LabelViewsOptions:
     most_deviation: Annotated[
         float | None, typer.Option(metavar="MM", help="Leave out places less exact than this.", show_default=False)
     ] = None
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MODEL", help="A trained model that names the 3D points, too; disagreement lowers confidence.", show_default=False
+        ),
+    ] = None
+    quick: Annotated[bool, typer.Option("--quick", help="One direction of time, without this person's own body: faster, less right.")] = (
+        False
+    )
     labels: Annotated[
         Path | None, typer.Option("--labels", metavar="CSV", help="Write the label of each blob, with its confidence.", show_default=False)
     ] = None
@@ -39,6 +51,7 @@ class LabelViewsOptions:
         Path | None, typer.Option("--report", metavar="FILE", help="Write an HTML page with a picture of each camera.", show_default=False)
     ] = None
     rate: Annotated[float | None, typer.Option(metavar="HZ", help="Frames per second. Else as the file says.", show_default=False)] = None
+    vertical: Vertical = None
     overwrite: Overwrite = False
     json: Json = None
 
@@ -54,16 +67,33 @@ def label_views(options: LabelViewsOptions) -> None:
     from asterism.cameras.files import read_rig
     from asterism.cli._recordings import assumptions, not_carried
     from asterism.findings import exit_status
-    from asterism.formats import check_suffix, read_blobs
+    from asterism.formats import check_suffix
+    from asterism.formats.blobs_2d import read_2d
+    from asterism.views.rules import QUICK, RULES
 
     output = options.output
     check_suffix(output)
     _console.check_outputs([output, options.labels, options.report, options.json], [options.blobs, options.rig], options.overwrite)
     body = views.load_body(options.body)
-    rig = read_rig(options.rig)
-    blobs = read_blobs(options.blobs, cameras=rig.names, rate=options.rate)
+    rig = _upright(read_rig(options.rig), options)
+    blobs = read_2d(options.blobs, cameras=rig.names, rate=options.rate)
     with _console.progress("labelling") as progress:
-        result = views.label_views(blobs, rig, body, height=options.height, least_confidence=options.least_confidence, progress=progress)
+        result = views.label_views(
+            blobs,
+            rig,
+            body,
+            height=options.height,
+            rules=QUICK if options.quick else RULES,
+            least_confidence=options.least_confidence,
+            progress=progress,
+        )
+    if options.model is not None:
+        from asterism.labelling import SolverEnsemble
+        from asterism.views.agreement import check_by_model
+
+        with _console.progress("naming the 3D points") as progress:
+            model = SolverEnsemble.load(options.model)
+            result = check_by_model(result, model, least_confidence=options.least_confidence, progress=progress)
     limit = float("inf") if options.most_deviation is None else 1e-3 * options.most_deviation
     lost = formats.write(output, result.recording(least_views=options.min_cameras, most_deviation=limit))
     if options.labels is not None:
@@ -84,6 +114,21 @@ def label_views(options: LabelViewsOptions) -> None:
         {"command": "label-views", "blobs": options.blobs, "rig": options.rig, "body": options.body, "output": output, **content},
     )
     raise typer.Exit(exit_status(findings))
+
+
+def _upright(rig: Rig, options: LabelViewsOptions) -> Rig:
+    """The rig with the vertical that is asked for. Raises AsterismError where nobody says what is up."""
+    from dataclasses import replace
+
+    from asterism.errors import AsterismError
+    from asterism.recording.arrays import as_vertical
+
+    given = vertical_axis(options.vertical)
+    if given is not None:
+        return replace(rig, vertical=as_vertical(given))
+    if rig.vertical is None:
+        raise AsterismError(f"{options.rig} does not say which way is up; give --vertical z, as QTM and Nexus have it, or another axis.")
+    return rig
 
 
 def _numbers(result: ViewsLabelling) -> dict[str, Any]:

@@ -17,8 +17,8 @@ from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
     from asterism.motion.analysis import MotionAnalysis
-    from asterism.motion.clinical import ClinicalAngles
-    from asterism.motion.uncertainty import ErrorSources, UncertaintyResult
+    from asterism.motion.clinical import ClinicalAngles, ClinicalUncertainty
+    from asterism.motion.uncertainty import CalibrationErrors, ErrorSources, MeasurementNoise, UncertaintyResult
     from asterism.recording import Floats, Recording
 
 
@@ -93,6 +93,7 @@ class Result:
     analysis: MotionAnalysis
     certain: UncertaintyResult | None
     clinical: ClinicalAngles | None
+    legs: ClinicalUncertainty | None
 
 
 @takes(MotionOptions)
@@ -120,12 +121,13 @@ def motion(options: MotionOptions) -> None:
             with _console.progress("motion") as progress:
                 analysis = analyse_motion(recording, limbs, rules=rules, progress=progress)
                 certain = _uncertainty(options, analysis, progress) if options.uncertainty else None
+                legs = _of_legs(options, recording, clinical, certain, progress) if certain else None
             for finding in [*analysis.findings, *(certain.findings if certain else ())]:
                 batch.found(finding)
-            results.append(Result(path, analysis, certain, clinical))
+            results.append(Result(path, analysis, certain, clinical, legs))
             if options.json != "-":
                 show(path, analysis, certain)
-                _clinical.show(path, clinical)
+                _clinical.show(path, clinical, legs)
     if not results:
         raise typer.Exit(batch.close())
     if options.output is not None:
@@ -134,11 +136,11 @@ def motion(options: MotionOptions) -> None:
         from asterism.report.motion import motion_report
 
         shown = [(one.path.name, one.analysis, one.certain) for one in results]
-        motion_report(options.report, shown, clinical=[one.clinical for one in results])
+        motion_report(options.report, shown, clinical=[(one.clinical, one.legs) for one in results])
     content = {
         "command": "motion",
         "seed": options.seed,
-        "files": [{"file": one.path, **as_dict(one.analysis, one.certain), **_clinical.as_dict(one.clinical)} for one in results],
+        "files": [{"file": one.path, **as_dict(one.analysis, one.certain), **_clinical.as_dict(one.clinical, one.legs)} for one in results],
         "failed": batch.failed,
         "findings": [finding.to_dict() for finding in batch.findings],
     }
@@ -169,27 +171,52 @@ def _limbs(options: MotionOptions, recording: Recording) -> dict[str, list[str]]
     return kept
 
 
+def _of_cameras(options: MotionOptions, positions: Floats) -> tuple[MeasurementNoise | None, CalibrationErrors | None]:
+    """The noise of points (T, N, 3) and the errors of the calibration, as far as the rig tells them."""
+    from asterism.motion.uncertainty import CalibrationErrors, noise_from_rig
+
+    if options.rig is None:
+        return None, None
+    from asterism.cameras.files import read_rig
+
+    rig = read_rig(options.rig)
+    noise = noise_from_rig(rig, positions)
+    if options.covariance is None:
+        return noise, None
+    from asterism.garment.rig_covariance import RigCovariance
+
+    known = RigCovariance.load(options.covariance)
+    return noise, CalibrationErrors(rig.select(known.names), known.free, known.matrix)
+
+
 def _sources(options: MotionOptions, analysis: MotionAnalysis) -> ErrorSources:
     from dataclasses import replace
 
-    from asterism.motion.uncertainty import CalibrationErrors, ErrorSources, PlacementErrors, SoftTissueErrors, noise_from_rig
+    from asterism.motion.uncertainty import ErrorSources, PlacementErrors, SoftTissueErrors
 
-    noise = calibration = None
-    if options.rig is not None:
-        from asterism.cameras.files import read_rig
-
-        rig = read_rig(options.rig)
-        noise = noise_from_rig(rig, analysis.recording.positions)
-        if options.covariance is not None:
-            from asterism.garment.rig_covariance import RigCovariance
-
-            known = RigCovariance.load(options.covariance)
-            calibration = CalibrationErrors(rig.select(known.names), known.free, known.matrix)
+    noise, calibration = _of_cameras(options, analysis.recording.positions)
     usual = SoftTissueErrors()
     low, high = (options.soft_tissue * scale for scale in usual.scales)
     soft = replace(usual, scales=(low, high)) if options.soft_tissue > 0 else None
     placed = PlacementErrors(options.placement / 1000) if options.placement > 0 else None
     return ErrorSources(noise=noise, calibration=calibration, soft_tissue=soft, placement=placed)
+
+
+def _of_legs(
+    options: MotionOptions, recording: Recording, clinical: ClinicalAngles | None, certain: UncertaintyResult, progress: Any
+) -> ClinicalUncertainty | None:
+    """How certain the clinical angles are, by the sources of `certain`."""
+    from asterism.motion.clinical import ClinicalErrors, SkinMotion
+    from asterism.motion.uncertainty import MeasurementNoise
+
+    noise, calibration = _of_cameras(options, recording.positions)
+    errors = ClinicalErrors(
+        noise=noise or MeasurementNoise(certain.noise),
+        calibration=calibration,
+        skin=SkinMotion().times(options.soft_tissue) if options.soft_tissue > 0 else None,
+        placement_m=options.placement / 1000 if options.placement > 0 else None,
+    )
+    return _clinical.certain(recording, clinical, errors, options.trials, options.seed, options.workers, progress)
 
 
 def _uncertainty(options: MotionOptions, analysis: MotionAnalysis, progress: Any) -> UncertaintyResult:
@@ -286,17 +313,18 @@ def _write_angles(target: Path, results: list[Result]) -> None:
     wide = any(one.certain is not None for one in results)
     ends = ["angle_low95_deg", "angle_high95_deg", "flexion_low95_deg", "flexion_high95_deg"] if wide else []
     clinical = any(one.clinical is not None for one in results)
-    rows.writerow(["file", "joint", "time_s", "angle_deg", "flexion_deg", *ends, *(["adduction_deg", "rotation_deg"] if clinical else [])])
+    more = _clinical.columns(wide) if clinical else []
+    rows.writerow(["file", "joint", "time_s", "angle_deg", "flexion_deg", *ends, *more])
     for one in results:
         times = one.analysis.recording.times
         nothing = np.full(len(times), np.nan)
         blocks = [
-            (joint.name, [joint.angle, joint.flexion, *_ends(one.certain, number), *([nothing, nothing] if clinical else [])])
+            (joint.name, [joint.angle, joint.flexion, *_ends(one.certain, number), *[nothing] * len(more)])
             for number, joint in enumerate(one.analysis.angles)
         ]
-        for leg in one.clinical.joints if one.clinical is not None else ():
-            flexion, *others = leg.angles.T
-            blocks.append((leg.name, [nothing, flexion, *[nothing] * len(ends), *others]))
+        for number, leg in enumerate(one.clinical.joints if one.clinical is not None else ()):
+            (flexion, *bounds), others = _clinical.values(leg, one.legs.joints[number] if one.legs is not None else None)
+            blocks.append((leg.name, [nothing, flexion, *([nothing, nothing, *bounds] if wide else []), *others]))
         for name, columns in blocks:
             for time, *values in zip(times, *columns, strict=True):
                 shown = ["" if np.isnan(value) else f"{np.degrees(value):.4f}" for value in values]

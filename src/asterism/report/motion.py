@@ -15,7 +15,7 @@ from asterism.report.page import NOTHING, Cell, Page, Section, Table, write_page
 
 if TYPE_CHECKING:
     from asterism.motion.analysis import JointAngles, MotionAnalysis
-    from asterism.motion.clinical import ClinicalAngles
+    from asterism.motion.clinical import ClinicalAngles, ClinicalUncertainty
     from asterism.motion.segmentation import Segmentation
     from asterism.motion.uncertainty import AngleUncertainty, UncertaintyResult
 
@@ -59,16 +59,19 @@ def motion_report(
     results: Sequence[tuple[str, MotionAnalysis, UncertaintyResult | None]],
     *,
     title: str = "Motion: limbs, joints and angles",
-    clinical: Sequence[ClinicalAngles | None] = (),
+    clinical: Sequence[tuple[ClinicalAngles | None, ClinicalUncertainty | None]] = (),
 ) -> None:
-    """Write an HTML page on analysed recordings (name, analysis, uncertainty or None), and their clinical angles, if any.
+    """Write an HTML page on analysed recordings (name, analysis, uncertainty or None), and on their clinical angles, if any, with
+    their uncertainty, if known.
 
     Raises AsterismError where it cannot be written.
     """
     sections = []
     for number, (name, analysis, certain) in enumerate(results):
-        of_legs = clinical[number] if number < len(clinical) else None
-        sections += [*([clinical_section(name, analysis.recording.times, of_legs)] if of_legs else []), *_sections(name, analysis, certain)]
+        of_legs, known = clinical[number] if number < len(clinical) else (None, None)
+        if of_legs is not None:
+            sections.append(clinical_section(name, analysis.recording.times, of_legs, known))
+        sections += _sections(name, analysis, certain)
     joints = sum(len(analysis.angles) for _, analysis, _ in results)
     merits = [(str(sum(len(analysis.names) for _, analysis, _ in results)), "limbs", ""), (str(joints), "joints", "")]
     widths = [float(np.degrees(np.nanmax(one.angle_standard))) for _, _, certain in results if certain for one in certain.joints]

@@ -12,7 +12,7 @@ from asterism.report.page import NOTHING, Cell, Section, Table
 
 if TYPE_CHECKING:
     from asterism.motion.analysis import JointAngles, MotionAnalysis
-    from asterism.motion.clinical import ClinicalAngles
+    from asterism.motion.clinical import ClinicalAngles, ClinicalUncertainty
 
 _SIDE_COLOURS = {"left": "#d1495b", "right": "#3a9d5d"}
 """Red and green, as gait laboratories draw them."""
@@ -20,8 +20,8 @@ _GAPS = (0.06, 0.1)
 """Space between the rows and between the columns of small figures, shares of the whole."""
 
 
-def clinical_section(name: str, times: Floats, clinical: ClinicalAngles) -> Section:
-    """Flexion, adduction and rotation of hip, knee and ankle over time, left and right in one small figure each."""
+def clinical_section(name: str, times: Floats, clinical: ClinicalAngles, known: ClinicalUncertainty | None) -> Section:
+    """Flexion, adduction and rotation of hip, knee and ankle over time, left and right in one small figure each; 95 % bands if known."""
     from asterism.motion.clinical import CLINICAL
 
     joints = list(dict.fromkeys(joint.joint for joint in clinical.joints))
@@ -31,12 +31,15 @@ def clinical_section(name: str, times: Floats, clinical: ClinicalAngles) -> Sect
         for column, angle in enumerate(CLINICAL):
             cell = row * len(CLINICAL) + column + 1
             x, y = (axis + (str(cell) if cell > 1 else "") for axis in "xy")
-            known = False
-            for one in (each for each in clinical.joints if each.joint == joint):
+            drawn = False
+            for number, one in ((number, each) for number, each in enumerate(clinical.joints) if each.joint == joint):
                 values = one.angles[:, column]
                 if not np.isfinite(values).any():
                     continue
-                known = True
+                drawn = True
+                if known is not None:
+                    low, high = (end[:, column] for end in known.joints[number].intervals[0.95])
+                    data += _band(times, low, high, {"xaxis": x, "yaxis": y, "legendgroup": one.side}, _SIDE_COLOURS[one.side])
                 data.append(
                     {
                         "type": "scatter", "mode": "lines", "name": one.side, "legendgroup": one.side, "showlegend": cell == 1,
@@ -45,17 +48,40 @@ def clinical_section(name: str, times: Floats, clinical: ClinicalAngles) -> Sect
                         "hovertemplate": one.name + " " + angle + " %{x:.2f} s: %{y:.1f}°<extra></extra>",
                     }
                 )  # fmt: skip
-            if known:
+            if drawn:
                 last = row == len(joints) - 1 or (row == len(joints) - 2 and joints[-1] == "ankle" and angle == "adduction")
                 layout |= _axes(cell, (row, len(joints)), (column, len(CLINICAL)), f"{joint} {angle} (°)", last)
     measured = sorted({measure for one in clinical.measures.values() for measure in one.from_file})
     taken = f"Measures from the file: {', '.join(measured).replace('_', ' ')}." if measured else "The file has no measures: an adult's."
+    text = "Of Grood and Suntay, by the markers of Helen Hayes or Plug-in-Gait. Flexion, adduction and internal rotation are positive."
     return Section(
         f"{name}: clinical angles",
-        "Of Grood and Suntay, by the markers of Helen Hayes or Plug-in-Gait. Flexion, adduction and internal rotation are positive.",
+        text + (" Bands: the shortest intervals that hold the angle with 95 %." if known is not None else ""),
         figure=figures.figure(data, height=230 * len(joints) + 40, **layout),
+        table=_clinical_budget(known) if known is not None else None,
         note=f"{taken} The foot is a line from ankle to toe, which tells no adduction.",
     )
+
+
+def _band(times: Floats, low: Floats, high: Floats, where: dict[str, object], colour: str) -> list[dict[str, object]]:
+    """The two edges of a band, the space between them filled."""
+    flat = {"type": "scatter", "mode": "lines", "line": {"width": 0}, "x": list(times), "hoverinfo": "skip", "showlegend": False, **where}
+    edges = [{**flat, "y": np.round(np.degrees(edge), 2)} for edge in (low, high)]
+    return [edges[0], {**edges[1], "fill": "tonexty", "fillcolor": colour + "2e"}]
+
+
+def _clinical_budget(known: ClinicalUncertainty) -> Table:
+    """Degrees by which each source makes each angle uncertain, root mean square over the frames."""
+    from asterism.motion.clinical import CLINICAL
+
+    names = list(known.joints[0].budget)
+    rows: list[list[str | Cell]] = []
+    for one in known.joints:
+        for k, angle in enumerate(CLINICAL):
+            if np.isfinite(one.standard[:, k]).any():
+                parts = (np.degrees(np.sqrt(np.nanmean(one.budget[name][:, k] ** 2))) for name in names)
+                rows.append([f"{one.joint.name} {angle}", *(f"{part:.1f}" for part in parts)])
+    return Table(["standard uncertainty, °", *names], rows)
 
 
 def _axes(cell: int, row: tuple[int, int], column: tuple[int, int], title: str, last: bool) -> dict[str, object]:

@@ -6,6 +6,9 @@ import math
 
 from asterism._jit import kernel
 
+_CLEAR = 0.05
+"""m, by which a capsule that hides nothing may be passed over: the probability that it hides is below 1e-5 there."""
+
 
 @kernel(inline=True)
 def nearest_on_segments(p, q, a, b):
@@ -32,6 +35,23 @@ def nearest_on_segments(p, q, a, b):
     return dx * dx + dy * dy + dz * dz, t
 
 
+@kernel(inline=True)
+def squared_distance(p, q):
+    """The squared distance of two points (3,) m2. O(1)."""
+    return (p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2
+
+
+@kernel(inline=True)
+def is_far(eye, point, start, end, reach):
+    """Whether the line through eye and point passes the middle of start and end at more than reach (m). IN points (3,) m. O(1)."""
+    ux, uy, uz = point[0] - eye[0], point[1] - eye[1], point[2] - eye[2]
+    wx = 0.5 * (start[0] + end[0]) - eye[0]
+    wy = 0.5 * (start[1] + end[1]) - eye[1]
+    wz = 0.5 * (start[2] + end[2]) - eye[2]
+    cx, cy, cz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+    return cx * cx + cy * cy + cz * cz > reach * reach * (ux * ux + uy * uy + uz * uz)
+
+
 @kernel
 def sight_depths(eyes, points, starts, ends, radii, clearance, out):
     """How far inside a capsule the line from each marker to each camera passes: above 0 where the body hides the marker.
@@ -40,7 +60,7 @@ def sight_depths(eyes, points, starts, ends, radii, clearance, out):
     segment on which a marker sits does not hide it, and the far side does.
 
     IN  eyes (C, 3) m; points (M, 3) m; starts, ends (K, 3) m; radii (K, 2) m at start and end, linear between; clearance m
-    OUT out (C, M) m: the greatest over capsules; -1 without capsules
+    OUT out (C, M) m: the greatest over capsules that are not farther off than `_CLEAR`; -1 where all are
     O(C M K), no allocation. The ray trace of the paper's section 4.
     """
     for m in range(len(points)):
@@ -50,7 +70,10 @@ def sight_depths(eyes, points, starts, ends, radii, clearance, out):
         for k in range(len(radii)):
             own, _ = nearest_on_segments(point, point, starts[k], ends[k])
             room = math.sqrt(own) - clearance
+            reach = 0.5 * math.sqrt(squared_distance(starts[k], ends[k])) + max(radii[k, 0], radii[k, 1]) + _CLEAR
             for c in range(len(eyes)):
+                if is_far(eyes[c], point, starts[k], ends[k], reach):
+                    continue
                 apart, t = nearest_on_segments(eyes[c], point, starts[k], ends[k])
                 radius = min(radii[k, 0] + t * (radii[k, 1] - radii[k, 0]), room)
                 out[c, m] = max(out[c, m], radius - math.sqrt(apart))

@@ -46,14 +46,15 @@ _HINGES: dict[str, tuple[tuple[str, Point, float, float, float], ...]] = {
     "thorax": (("flexion", (0, 1, 0), 12, -40, 90), ("side", (1, 0, 0), 8, -40, 40), ("twist", (0, 0, 1), 12, -60, 60)),
     "head": (("flexion", (0, 1, 0), 15, -60, 60), ("side", (1, 0, 0), 10, -40, 40), ("twist", (0, 0, 1), 20, -80, 80)),
     "upper arm": (("raising", (0, -1, 0), 35, -70, 180), ("abduction", (1, 0, 0), 25, -60, 170), ("twist", (0, 0, 1), 30, -90, 90)),
-    "forearm": (("flexion", (0, -1, 0), 35, -60, 150), ("turn", (0, 0, 1), 30, -110, 110)),
+    "forearm": (("flexion", (0, -1, 0), 35, 0, 150), ("turn", (0, 0, 1), 30, -110, 110)),
     "hand": (("flexion", (0, -1, 0), 15, -80, 80), ("side", (1, 0, 0), 12, -40, 40)),
     "thigh": (("flexion", (0, -1, 0), 25, -45, 130), ("abduction", (1, 0, 0), 8, -50, 60), ("twist", (0, 0, 1), 10, -50, 50)),
     "shank": (("flexion", (0, 1, 0), 30, -15, 150), ("twist", (0, 0, 1), 6, -30, 30)),
     "foot": (("flexion", (0, -1, 0), 15, -60, 50), ("inversion", (1, 0, 0), 8, -35, 35), ("turn", (0, 0, 1), 8, -35, 35)),
 }
 """Hinges of each bone in their order: name, axis on the left, standard deviation, range (degrees). Ranges of motion of textbooks.
-The right mirrors the left: abduction and twist there are positive outwards and to the right."""
+The right mirrors the left: abduction and twist there are positive outwards and to the right. How far an elbow extends depends on how it is
+bent in the rest pose."""
 
 
 @dataclass(frozen=True)
@@ -155,15 +156,28 @@ def bones_of(joints: Joints, worn: set[str]) -> tuple[Bone, ...]:
     bones = [Bone("pelvis", "", as_point(joints.places["pelvis"]))]
     for bone, parent in chain.items():
         if bone in needed:
-            bones.append(Bone(bone, parent, as_point(joints.places[pivots[bone]]), _hinges(bone)))
+            bones.append(Bone(bone, parent, as_point(joints.places[pivots[bone]]), _hinges(bone, joints)))
     return tuple(bones)
 
 
-def _hinges(bone: str) -> tuple[Hinge, ...]:
+_HYPEREXTENSION = 10.0
+"""Degrees that an elbow goes beyond the straight arm (textbooks: 0 to 10)."""
+
+
+def _elbow_bend(joints: Joints, side: str) -> float:
+    """Degrees that an elbow is bent in the rest pose, seen from the side."""
+    shoulder, elbow, wrist = (joints.places[f"{side} {joint}"] for joint in ("shoulder", "elbow", "wrist"))
+    upper, lower = elbow - shoulder, wrist - elbow
+    return float(np.degrees(np.arctan2(lower[0], -lower[2]) - np.arctan2(upper[0], -upper[2])))
+
+
+def _hinges(bone: str, joints: Joints) -> tuple[Hinge, ...]:
     side, _, plain = bone.partition(" ")
     plain, right = (plain, side == "right") if side in ("left", "right") else (bone, False)
     hinges = []
     for name, axis, spread, low, high in _HINGES[plain]:
+        if (plain, name) == ("forearm", "flexion"):
+            low = min(-_elbow_bend(joints, side) - _HYPEREXTENSION, -_HYPEREXTENSION)
         turned = (-axis[0], axis[1], -axis[2]) if right else axis
         unit = tuple(float(x) + 0.0 for x in turned)
         hinges.append(

@@ -140,7 +140,7 @@ class BodyModel:
         """Marker names, in order."""
         return tuple(marker.name for marker in self.markers)
 
-    @property
+    @cached_property
     def hinges(self) -> tuple[Hinge, ...]:
         """All hinges, in the order of the pose."""
         return tuple(hinge for bone in self.bones for hinge in bone.hinges)

@@ -8,12 +8,15 @@ from functools import cached_property
 import numpy as np
 
 from asterism.recording import Floats, Ints
-from asterism.views._fit_kernels import minimise, predict_visible
+from asterism.views._carry_kernels import carry_labels
+from asterism.views._fit_kernels import minimise, predict_visible, project_linear
 from asterism.views._label_kernels import label_globally, place_priors, unseen_cost
 from asterism.views._pose_kernels import HINGES, add_priors
 from asterism.views.arrays import BodyArrays, CameraArrays, Known, Observing
 from asterism.views.body import BodyModel
 from asterism.views.body_fit import known_of
+from asterism.views.limbs import RULES as LIMB_RULES
+from asterism.views.limbs import Limb, LimbRules, LimbScreen, limbs_of
 from asterism.views.posing import posed_points
 from asterism.views.rules import RULES, ViewsRules
 from asterism.views.scene import Scene
@@ -56,6 +59,7 @@ class FrameLabeller:
     rules: ViewsRules = RULES
     size: float | None = None
     """The person's size as a multiple of the body's, where it is known."""
+    limb_rules: LimbRules = LIMB_RULES
 
     @property
     def known(self) -> Known:
@@ -89,9 +93,33 @@ class FrameLabeller:
         """The labels of frame t, from a pose (9 + J,) and a rotation (3, 3) that may be far off; see `ViewsRules.blur`."""
         return self._fitted(t, pose, rotation, self.rules.blur, self.rules.steps)
 
-    def follow(self, t: int, pose: Floats, rotation: Floats) -> FrameLabels:
-        """The labels of frame t, from the pose that the last frame lets expect."""
-        return self._fitted(t, pose, rotation, self.rules.follow, self.rules.follow_steps)
+    def follow(self, t: int, pose: Floats, rotation: Floats, last: tuple[int, FrameLabels] | None = None) -> FrameLabels:
+        """The labels of frame t, from the pose that the last frames let expect.
+
+        last: a frame beside t and its labels. Then blobs that are where its blobs are expected keep their labels at first; where that
+        explains the frame much worse than the last one, the pose is fitted without labels, and the better explanation counts.
+        """
+        rules = self.rules
+        carried = None if last is None else self._carried(t, pose, rotation, *last)
+        if carried is None or last is None:
+            return self._fitted(t, pose, rotation, rules.follow, rules.follow_steps)
+        found = self._fitted(t, pose, rotation, rules.follow[-1:], rules.follow_steps, carried)
+        if found.gain < last[1].gain - rules.drop:
+            other = self._fitted(t, pose, rotation, rules.follow, rules.follow_steps)
+            found = other if other.gain > found.gain else found
+        return found
+
+    def _carried(self, t: int, pose: Floats, rotation: Floats, before: int, found: FrameLabels) -> Ints | None:
+        """The labels (N,) of the blobs that are where those of the frame before are expected; None where they are fewer than half."""
+        (old_xy, old_offsets), (xy, offsets) = self.scene.frame(before), self.scene.frame(t)
+        cameras, count = self.scene.cameras, len(self.body.markers)
+        uv = np.empty((2, len(self.scene.rig), count, 2))
+        slopes = np.empty((len(self.scene.rig), count, 2, 3))
+        project_linear(cameras, posed_points(self.body, found.pose, found.rotation)[0], uv[0], slopes)
+        project_linear(cameras, posed_points(self.body, pose, rotation)[0], uv[1], slopes)
+        labels = np.empty(len(xy), dtype=np.int64)
+        carry_labels(uv[0], uv[1], old_xy, old_offsets, found.labels, xy, offsets, self.rules.carry, labels)
+        return labels if 2 * (labels >= 0).sum() >= (found.labels >= 0).sum() > 0 else None
 
     def from_nothing(self, t: int) -> FrameLabels:
         """The labels of frame t when nothing is known: any heading, size and place. Raises as `starts`.
@@ -101,7 +129,7 @@ class FrameLabeller:
         found = self._best_start(t)
         if (found.labels >= 0).sum() < self.rules.enough_shown * self.expected(found).sum():
             rules = self.rules
-            more = replace(rules, headings=2 * rules.headings, kept=3 * rules.kept, going_on=1.0, coarse_steps=2 * rules.coarse_steps)
+            more = replace(rules, headings=2 * rules.headings, kept=2 * rules.kept, going_on=1.0, coarse_steps=2 * rules.coarse_steps)
             again = replace(self, rules=more)._best_start(t)
             found = again if again.gain > found.gain else found
         return found
@@ -111,14 +139,17 @@ class FrameLabeller:
         xy, offsets = self.scene.frame(t)
         rules = self.rules
         poses, rotations = starts(self.scene, self.body, xy, offsets, rules.headings, self.size)
-        costs = self._screened(xy, offsets, poses, rotations)
+        costs = self._screened(t, poses, rotations)
         fine = tuple(blur for blur in rules.blur if blur < rules.coarse[-1])
-        results = [self._fitted(t, poses[n], rotations[n], fine, rules.steps) for n in _different(costs, poses, rotations, rules.kept)]
+        results = [
+            self._fitted(t, self._arms_sought(t, poses[n], rotations[n], self.limb_rules.blur), rotations[n], fine, rules.steps)
+            for n in _different(costs, poses, rotations, rules.kept)
+        ]
         results.sort(key=lambda result: -result.gain)
-        best = self.turned(t, results[0])
+        best = self.turned(t, self.with_limbs_sought(t, results[0]))
         about = self.from_start(t, *self._about(best))
         if about.gain > best.gain:
-            best, about = self.turned(t, about), best
+            best, about = self.turned(t, self.with_limbs_sought(t, about)), best
         others = [result for result in (*results, about) if not np.array_equal(result.labels, best.labels)]
         if not others:
             return best
@@ -135,40 +166,80 @@ class FrameLabeller:
         pose[HINGES:] = self.body.arrays.usual
         return pose, half @ found.rotation
 
-    def _screened(self, xy: Floats, offsets: Ints, poses: Floats, rotations: Floats) -> Floats:
+    def _screened(self, t: int, poses: Floats, rotations: Floats) -> Floats:
         """(N,) nats, the starts' costs after the coarse stages, in each of which the worse ones stay behind; moves poses and rotations."""
-        rules, hessian = self.rules, np.empty((poses.shape[1], poses.shape[1]))
+        xy, offsets = self.scene.frame(t)
+        arrays, cameras, known, observing, free, rules = self._kit
+        hessian = np.empty((poses.shape[1], poses.shape[1]))
         costs, left = np.full(len(poses), np.inf), np.arange(len(poses))
         for stage, blur in enumerate(rules.coarse):
-            fixed = (self.body.arrays, self.scene.cameras, self.known, self.observing, xy, offsets, _UNKNOWN, np.array([blur]))
-            found = np.array([minimise(*fixed, rules.coarse_steps, self.free, poses[n], rotations[n], hessian) for n in left])
+            fixed = (arrays, cameras, known, observing, xy, offsets, _UNKNOWN, np.array([blur]))
+            found = np.array([minimise(*fixed, rules.coarse_steps, free, poses[n], rotations[n], hessian) for n in left])
             last = stage == len(rules.coarse) - 1
             going = max(int(np.ceil(rules.going_on * len(left))), 2 * rules.kept)
             best = np.argsort(found, kind="stable")[: len(left) if last else going]
             left, found = left[best], found[best]
+            for n in () if last else left:
+                poses[n] = self._arms_sought(t, poses[n], rotations[n], rules.coarse[stage + 1], self.limb_rules.early)
         costs[left] = found
         return costs
 
     def turned(self, t: int, found: FrameLabels) -> FrameLabels:
-        """The labels of frame t with each limb turned about its own length, where that explains the blobs better.
+        """The labels of frame t with the two markers of a bone of a limb exchanged, where that explains the blobs better.
 
         A wrist with a marker on each side looks nearly the same when the forearm is turned by half a turn, and no fit leads from one to the
-        other. O(wide hinges) labellings.
+        other: shoulder and elbow turn with it. O(limbs) labellings.
         """
-        arrays = self.body.arrays
-        wide = np.nonzero((arrays.high - arrays.low > np.pi) & (np.abs(arrays.axes[:, 2]) > 0.9))[0] if self.rules.joints else ()
-        for j in wide:
-            angle = found.pose[HINGES + j]
-            for shift in (-2.0, 2.0):
-                pose = found.pose.copy()
-                pose[HINGES + j] = np.clip(angle + shift, arrays.low[j], arrays.high[j])
-                other = self.follow(t, pose, found.rotation)
+        rules = self.limb_rules
+        for limb in self._limbs:
+            for pair in limb.pairs:
+                exchanged = _exchanged(found.labels, pair)
+                if np.array_equal(exchanged, found.labels):
+                    continue
+                pose = self._screen(t).labelled(
+                    limb, exchanged, found.pose, found.rotation, self._kit[2], tried=rules.starts, steps=rules.steps
+                )
+                other = self._fitted(t, pose, found.rotation, self.rules.follow, self.rules.follow_steps, exchanged)
                 if other.gain > found.gain + 1.0:
                     found = other
         return found
 
-    def _fitted(self, t: int, pose: Floats, rotation: Floats, blur: tuple[float, ...], steps: int) -> FrameLabels:
-        """Fit the pose to blobs without labels, label them by it, fit it to the labels, and label again."""
+    def with_limbs_sought(self, t: int, found: FrameLabels) -> FrameLabels:
+        """The labels of frame t with each loose limb sought anew over all its angles, where that explains the blobs better.
+
+        A fit of the whole body follows an arm as far as its blobs are near; raised or bent arms are not. O(limbs) labellings.
+        """
+        rules = self.limb_rules
+        for limb in self._limbs:
+            poses = self._screen(t).poses(
+                limb, found.pose, found.rotation, tried=rules.tried, blur=rules.blur, kept=rules.kept, apart=rules.apart
+            )
+            for pose in poses:
+                other = self._fitted(t, pose, found.rotation, rules.fit, self.rules.steps)
+                if other.gain > found.gain + 1.0:
+                    found = other
+        return found
+
+    def _arms_sought(self, t: int, pose: Floats, rotation: Floats, blur: float, tried: int | None = None) -> Floats:
+        """The pose with the angles of each loose limb that explain the blobs best, without a fit."""
+        for limb in self._limbs:
+            pose = self._screen(t).poses(limb, pose, rotation, tried=self.limb_rules.tried if tried is None else tried, blur=blur)[0]
+        return pose
+
+    def _screen(self, t: int) -> LimbScreen:
+        return LimbScreen(self.body, self.scene.cameras, self._kit[3], *self.scene.frame(t))
+
+    @cached_property
+    def _limbs(self) -> tuple[Limb, ...]:
+        return limbs_of(self.body, self.limb_rules) if self.rules.joints else ()
+
+    def _fitted(
+        self, t: int, pose: Floats, rotation: Floats, blur: tuple[float, ...], steps: int, thought: Ints | None = None
+    ) -> FrameLabels:
+        """Fit the pose to blobs without labels, label them by it, fit it to the labels, and label again, until the labels stay.
+
+        thought: labels (N,) to which the pose is fitted at first instead.
+        """
         xy, offsets = self.scene.frame(t)
         arrays, cameras, known, observing, free, rules = self._kit
         pose, rotation = pose.copy(), rotation.copy()
@@ -177,8 +248,11 @@ class FrameLabeller:
         points, covariances = np.empty((len(arrays.bones), 3)), np.empty((len(arrays.bones), 3, 3))
         means, priors = np.empty_like(points), np.empty_like(covariances)
         noise = np.array([rules.noise])
-        minimise(arrays, cameras, known, observing, xy, offsets, _UNKNOWN, np.array(blur), steps, free, pose, rotation, hessian)
-        gain = 0.0
+        if thought is None:
+            minimise(arrays, cameras, known, observing, xy, offsets, _UNKNOWN, np.array(blur), steps, free, pose, rotation, hessian)
+        else:
+            minimise(arrays, cameras, known, observing, xy, offsets, thought, np.array(blur), steps, free, pose, rotation, hessian)
+        gain, before = 0.0, np.full(len(xy), -2, dtype=np.int64) if thought is None else thought.copy()
         for turn in range(rules.turns + 1):
             predict_visible(arrays, cameras, observing, pose, rotation, shares)
             place_priors(arrays, pose, rotation, hessian, free, points, priors)
@@ -186,8 +260,10 @@ class FrameLabeller:
                 *(cameras, observing, shares, points, priors, xy, offsets, rules.rounds, rules.together),
                 *(labels, worth, means, covariances),
             )
-            if turn < rules.turns:
-                minimise(arrays, cameras, known, observing, xy, offsets, labels, noise, rules.label_steps, free, pose, rotation, hessian)
+            if turn == rules.turns or np.array_equal(labels, before):
+                break
+            before[:] = labels
+            minimise(arrays, cameras, known, observing, xy, offsets, labels, noise, rules.label_steps, free, pose, rotation, hessian)
         gain -= unseen_cost(shares) + self._pose_cost(pose, rotation)
         return FrameLabels(labels, worth, pose, rotation, points + means, covariances, float(gain))
 
@@ -203,6 +279,12 @@ class FrameLabeller:
     @cached_property
     def _kit(self) -> tuple[BodyArrays, CameraArrays, Known, Observing, Ints, ViewsRules]:
         return self.body.arrays, self.scene.cameras, self.known, self.observing, self.free, self.rules
+
+
+def _exchanged(labels: Ints, pair: Ints) -> Ints:
+    """Labels (N,) with two markers exchanged."""
+    out: Ints = np.where(labels == pair[0], pair[1], np.where(labels == pair[1], pair[0], labels))
+    return out
 
 
 def _different(costs: Floats, poses: Floats, rotations: Floats, most: int) -> list[int]:

@@ -202,17 +202,17 @@ class _Track:
 
     def run(self, progress: Progress | None = None) -> None:
         """Label all frames."""
-        frames = len(self.labeller.scene.blobs)
-        starts = Starts(self.labeller)
+        frames, both = len(self.labeller.scene.blobs), self.labeller.rules.both_ways
+        starts, total = Starts(self.labeller), frames * (2 if both else 1)
         forward, backward = Pass(self.labeller, starts, 1), Pass(self.labeller, starts, -1)
-        for n in range(2 * frames):
+        for n in range(total):
             if n < frames:
                 forward.take(n)
             else:
                 backward.take(2 * frames - 1 - n)
             if progress is not None:
-                progress((n + 1) / (2 * frames), "labelling")
-        self.seen = joined(forward, backward)
+                progress((n + 1) / total, "labelling")
+        self.seen = joined(forward, backward) if both else [forward.seen[t] for t in range(frames)]
         self.restarts = sorted({*forward.restarts, *backward.restarts})
 
     def result(self, least_confidence: float) -> ViewsLabelling:

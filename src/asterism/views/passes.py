@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.recording import Floats, Ints
@@ -88,14 +89,15 @@ class Pass:
         if before is not None and before.quality >= lost:
             pose[3:6] += pose[3:6] - before.labels.pose[3:6]
             pose[9:] += 0.8 * (pose[9:] - before.labels.pose[9:])
-        return seen(self.labeller, self.labeller.follow(t, pose, last.labels.rotation))
+        return seen(self.labeller, self.labeller.follow(t, pose, last.labels.rotation, (t - self._step, last.labels)))
 
     def _compared(self, t: int, followed: Seen) -> Seen:
         """The better one of the followed body and the one found without a start."""
         fresh = self._starts.at(t)
         if fresh is None:
             return followed
-        better, other = (fresh, followed) if fresh.labels.gain > followed.labels.gain + 1.0 else (followed, fresh)
+        ahead = fresh.labels.gain - followed.labels.gain
+        better, other = (fresh, followed) if ahead > self.labeller.rules.taken_over else (followed, fresh)
         return _against(better, other.labels.labels, better.labels.gain - other.labels.gain)
 
     def _sought(self, t: int, otherwise: Seen | None) -> Seen | None:
@@ -124,24 +126,48 @@ def _against(one: Seen, labels: Ints, lead: float) -> Seen:
 def joined(forward: Pass, backward: Pass) -> list[Seen | None]:
     """The better one of both directions in each frame, with the other one as its rival.
 
-    Where they differ, the gains of the frames around decide together, `ViewsRules.window` on both sides. O(T window).
+    The path through the frames with the greatest sum of gains is taken; where the directions differ, going over from one to the other
+    costs `ViewsRules.jump`, since a limb does not turn about between two frames. The lead of a frame over its rival is the mean of the
+    frames around, `ViewsRules.window` on both sides. O(T window).
     """
     rules = forward.labeller.rules
-    frames = len(forward.seen)
-    pairs = [(forward.seen[t], backward.seen[t]) for t in range(frames)]
-    ahead, differ = np.zeros(frames), np.zeros(frames)
+    pairs = [(forward.seen[t], backward.seen[t]) for t in range(len(forward.seen))]
+    ahead, differ = np.zeros(len(pairs)), np.zeros(len(pairs))
     for t, (one, other) in enumerate(pairs):
         if one is not None and other is not None and not np.array_equal(one.labels.labels, other.labels.labels):
             ahead[t], differ[t] = one.labels.gain - other.labels.gain, 1.0
     around = np.ones(2 * rules.window + 1)
-    lead = np.convolve(ahead, around)[rules.window : rules.window + frames]
-    lead /= np.maximum(np.convolve(differ, around)[rules.window : rules.window + frames], 1.0)
-    return [_better(one, other, float(lead[t]), rules.lost) for t, (one, other) in enumerate(pairs)]
+    inside = slice(rules.window, rules.window + len(pairs))
+    lead = np.convolve(ahead, around)[inside] / np.maximum(np.convolve(differ, around)[inside], 1.0)
+    first = _best_path(ahead, differ > 0, rules.jump)
+    return [_better(one, other, float(lead[t]), bool(first[t]), rules.lost) for t, (one, other) in enumerate(pairs)]
 
 
-def _better(one: Seen | None, other: Seen | None, lead: float, lost: float) -> Seen | None:
+def _best_path(ahead: Floats, differ: NDArray[np.bool_], jump: float) -> NDArray[np.bool_]:
+    """(T,) whether the first of two explanations is taken in each frame (Viterbi).
+
+    ahead (T,) nats, by how much it gains more than the second; differ (T,) whether they differ; jump: nats that going over costs where
+    they differ in both frames. O(T).
+    """
+    frames = len(ahead)
+    total, came = np.zeros(2), np.zeros((frames, 2), dtype=np.int64)
+    for t in range(frames):
+        cost = jump if t > 0 and differ[t] and differ[t - 1] else 0.0
+        through = np.array([[total[0], total[1] - cost], [total[0] - cost, total[1]]])
+        came[t] = [0 if through[0, 0] >= through[0, 1] else 1, 1 if through[1, 1] >= through[1, 0] else 0]
+        total = through.max(axis=1) + np.array([ahead[t], 0.0])
+    first = np.empty(frames, dtype=np.bool_)
+    state = 0 if frames == 0 or total[0] >= total[1] else 1
+    for t in range(frames - 1, -1, -1):
+        first[t] = state == 0
+        state = int(came[t, state])
+    return first
+
+
+def _better(one: Seen | None, other: Seen | None, lead: float, first: bool, lost: float) -> Seen | None:
+    """The explanation of the path; lead: nats of the first over the second. One that is lost gives way to one that is not."""
     if one is None or other is None:
         return one if other is None else other
     if (one.quality < lost) != (other.quality < lost):
         return one if one.quality >= lost else other
-    return _against(one, other.labels.labels, lead) if lead >= 0 else _against(other, one.labels.labels, -lead)
+    return _against(one, other.labels.labels, max(lead, 0.0)) if first else _against(other, one.labels.labels, max(-lead, 0.0))

@@ -14,12 +14,18 @@ def posed_points(body: BodyModel, pose: Floats, rotation: Floats) -> tuple[Float
 
     The pose: three scales, the root's place (m), three numbers that are not used, and the hinge angles (rad). O(B + M + K).
     """
-    arrays = body.arrays
-    bones, hinges, capsules = len(body.bones), len(body.hinges), len(body.capsules)
-    turned, moved, by_scale = np.empty((bones, 3, 3)), np.empty((bones, 3)), np.empty((bones, 3, 3))
-    axes, pivots = np.empty((hinges, 3)), np.empty((hinges, 3))
-    place_bones(arrays.parents, arrays.pivots, arrays.hinge_starts, arrays.axes, pose, rotation, turned, moved, by_scale, axes, pivots)
+    arrays, capsules = body.arrays, len(body.capsules)
+    turned, moved = posed_bones(body, pose, rotation)
     points, ends = np.empty((len(body.markers), 3)), np.empty((2 * capsules, 3))
     place_points(arrays.bones, arrays.places, pose, turned, moved, points)
     place_points(arrays.capsule_bones, arrays.capsule_ends, pose, turned, moved, ends)
     return points, ends[:capsules], ends[capsules:]
+
+
+def posed_bones(body: BodyModel, pose: Floats, rotation: Floats) -> tuple[Floats, Floats]:
+    """How each bone of a body in a pose is turned (B, 3, 3) and moved (B, 3) m, see `place_bones`. O(B)."""
+    arrays, bones, hinges = body.arrays, len(body.bones), len(body.hinges)
+    turned, moved, by_scale = np.empty((bones, 3, 3)), np.empty((bones, 3)), np.empty((bones, 3, 3))
+    axes, pivots = np.empty((hinges, 3)), np.empty((hinges, 3))
+    place_bones(arrays.parents, arrays.pivots, arrays.hinge_starts, arrays.axes, pose, rotation, turned, moved, by_scale, axes, pivots)
+    return turned, moved

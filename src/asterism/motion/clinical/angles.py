@@ -72,7 +72,7 @@ def clinical_angles(recording: Recording, sides: Sequence[str] | None = None) ->
         said = f"has no marker {', '.join(missing)}" if missing else "never shows all markers of a leg in one frame"
         raise AsterismError(f"{_file(recording)} {said}; clinical angles need the markers of Helen Hayes or Plug-in-Gait.")
     measures = {SIDES[side]: leg_measures(recording, side) for side in chosen}
-    joints = [joint for side in chosen for joint in _leg(recording, side, measures[SIDES[side]])]
+    joints = [joint for side in chosen for joint in leg_angles(recording, side, measures[SIDES[side]])]
     return ClinicalAngles(tuple(joints), measures)
 
 
@@ -103,9 +103,13 @@ def _demand(recording: Recording, side: str) -> None:
         raise AsterismError(f"{_file(recording)}: the markers of the {SIDES[side]} leg are never seen in one frame.")
 
 
-def _leg(recording: Recording, side: str, measures: LegMeasures) -> list[ClinicalJoint]:
+def leg_angles(recording: Recording, side: str, measures: LegMeasures) -> list[ClinicalJoint]:
+    """Hip, knee and, with TOE, ankle of one side, by given measures; see `clinical_angles`.
+
+    Raises AsterismError where a marker is missing.
+    """
     right = 1.0 if side == "R" else -1.0
-    frames = _frames(recording, side, measures)
+    frames = leg_axes(recording, side, measures)
     mirrored = np.array([1.0, right, right])
     hip = grood_suntay(frames.pelvis, frames.thigh) * mirrored
     knee = grood_suntay(frames.thigh, frames.shank) * mirrored * [-1.0, 1.0, 1.0]
@@ -118,8 +122,8 @@ def _leg(recording: Recording, side: str, measures: LegMeasures) -> list[Clinica
     return joints
 
 
-def _frames(recording: Recording, side: str, measures: LegMeasures) -> AnatomicalFrames:
-    """The leg's frames after the wands of thigh and shank are turned back: the shank's needs the knee, which needs the thigh's."""
+def leg_axes(recording: Recording, side: str, measures: LegMeasures) -> AnatomicalFrames:
+    """The leg's frames, in m, after the wands of thigh and shank are turned back: the shank's needs the knee, which needs the thigh's."""
     widths = {"knee_width": measures.knee_width, "ankle_width": measures.ankle_width}
     for wand, end, angle in (("THI", "KNE", measures.thigh_rotation), ("TIB", "ANK", measures.shank_rotation)):
         if angle:

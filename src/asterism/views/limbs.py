@@ -1,0 +1,182 @@
+"""A posed body and the blobs of one frame in; other poses of its arms, which explain the blobs better, out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from asterism.recording import Floats, Ints
+from asterism.views._limb_kernels import fit_labelled, screen_limb
+from asterism.views._pose_kernels import HINGES, PLACE
+from asterism.views.arrays import BodyArrays, CameraArrays, Known, Observing
+from asterism.views.body import BodyModel
+from asterism.views.posing import posed_bones
+
+
+@dataclass(frozen=True)
+class LimbRules:
+    """How limbs are sought. Chosen on simulated motion (`simulate_motion`) with seeds that no row uses.
+
+    loose   rad, a limb is sought where the standard deviations of its hinges are more than this in all (root of the sum of squares)
+    reach   standard deviations about the usual angles within which angles are tried, as far as the hinge goes
+    early   angles of a limb that are tried between the coarse stages of a start
+    tried   angles that are tried afterwards
+    blur    px, at which blobs are compared then
+    kept    how many of them are fitted with the whole body
+    apart   rad, the least difference of their angles
+    fit     px, the blurs of that fit
+    starts, steps  starts of a limb, and tries of Levenberg-Marquardt from each, when two of its markers are exchanged
+    """
+
+    loose: float = 1.0
+    reach: float = 2.5
+    early: int = 32
+    tried: int = 256
+    blur: float = 12.0
+    kept: int = 3
+    apart: float = 0.5
+    fit: tuple[float, ...] = (10.0, 5.0, 2.5)
+    starts: int = 32
+    steps: int = 12
+
+
+RULES = LimbRules()
+
+
+@dataclass(frozen=True, eq=False)
+class Limb:
+    """A chain of bones that ends in the open.
+
+    first    its first bone in the body
+    hinges   (L,) its hinges in the body
+    markers  (M,) its markers in the body; rest: the other ones
+    arrays   the chain as a body of its own
+    tried    (N, L) rad, angles evenly spread over the ranges of its hinges; those of its last bone, which moves few markers, are as usual
+    """
+
+    first: int
+    hinges: Ints
+    markers: Ints
+    rest: Ints
+    arrays: BodyArrays
+    tried: Floats
+
+    @property
+    def pairs(self) -> tuple[Ints, ...]:
+        """Two markers that are the only ones of a bone, as on both sides of a wrist; their numbers in the body."""
+        bones, counts = np.unique(self.arrays.bones, return_counts=True)
+        return tuple(self.markers[self.arrays.bones == b] for b in bones[counts == 2])
+
+
+def limbs_of(body: BodyModel, rules: LimbRules = RULES) -> tuple[Limb, ...]:
+    """The limbs that are sought: chains of two bones or more without a branch, below the root or a bone with branches. O(bones^2)."""
+    arrays = body.arrays
+    children = [np.nonzero(arrays.parents == b)[0].tolist() for b in range(len(arrays.parents))]
+    limbs = []
+    for b in range(1, len(children)):
+        chain = [b]
+        while len(children[chain[-1]]) == 1:
+            chain += children[chain[-1]]
+        begins = arrays.parents[b] == 0 or len(children[arrays.parents[b]]) > 1
+        if begins and len(chain) >= 2 and not children[chain[-1]]:
+            limb = _limb(arrays, np.array(chain, dtype=np.int64), rules)
+            if float(np.sqrt((1.0 / limb.arrays.precision).sum())) > rules.loose:
+                limbs.append(limb)
+    return tuple(limbs)
+
+
+def _limb(body: BodyArrays, chain: Ints, rules: LimbRules) -> Limb:
+    of_bone = [np.arange(body.hinge_starts[b], body.hinge_starts[b + 1]) for b in chain]
+    hinges = np.concatenate(of_bone)
+    starts = np.concatenate([[0], np.cumsum([len(each) for each in of_bone])]).astype(np.int64)
+    on_limb = np.isin(body.bones, chain)
+    arrays = BodyArrays(
+        np.arange(-1, len(chain) - 1),
+        body.pivots[chain],
+        starts,
+        body.axes[hinges],
+        np.ascontiguousarray(body.moves[chain][:, hinges]),
+        body.low[hinges],
+        body.high[hinges],
+        body.usual[hinges],
+        body.precision[hinges],
+        np.searchsorted(chain, body.bones[on_limb]),
+        body.places[on_limb],
+        body.spreads[on_limb],
+        np.empty(0, dtype=np.int64),
+        np.empty((0, 3)),
+        np.empty((0, 2)),
+    )
+    return Limb(int(chain[0]), hinges, np.nonzero(on_limb)[0], np.nonzero(~on_limb)[0], arrays, _tried(arrays, int(starts[-2]), rules))
+
+
+def _tried(limb: BodyArrays, sought: int, rules: LimbRules) -> Floats:
+    """(N, L) rad, the angles that are tried: the first hinges vary."""
+    spread = rules.reach * limb.precision**-0.5
+    low, high = np.maximum(limb.low, limb.usual - spread), np.minimum(limb.high, limb.usual + spread)
+    angles = np.repeat(limb.usual[None], rules.tried, axis=0)
+    angles[:, :sought] = low[:sought] + evenly(rules.tried, sought) * (high - low)[:sought]
+    return angles
+
+
+@dataclass(frozen=True, eq=False)
+class LimbScreen:
+    """Tries angles of limbs on the blobs of one frame: xy (P, 2) px, offsets (C + 1,) where each camera's begin."""
+
+    body: BodyModel
+    cameras: CameraArrays
+    observing: Observing
+    xy: Floats
+    offsets: Ints
+
+    def poses(self, limb: Limb, pose: Floats, rotation: Floats, *, tried: int, blur: float, kept: int = 1, apart: float = 0.0) -> Floats:
+        """Poses (N, 9 + J), best first: the one given and `tried` others that differ from it in one limb; N at most `kept`.
+
+        The blobs are compared with a blur (px); of angles nearer than `apart` (rad) the best is kept. O(tried (bones + blobs)).
+        """
+        angles = np.concatenate([pose[None, HINGES + limb.hinges], limb.tried[:tried]])
+        costs = np.empty(len(angles))
+        screen_limb(
+            *(self.body.arrays, limb.arrays, limb.first, self.cameras, self.observing, self.xy, self.offsets, blur),
+            *(limb.rest, angles, pose, rotation, costs),
+        )
+        chosen = list[int]()
+        for n in np.argsort(costs, kind="stable") if kept > 1 else [int(np.argmin(costs))]:
+            if all(np.abs(angles[n] - angles[k]).max() > apart for k in chosen):
+                chosen.append(int(n))
+            if len(chosen) == kept:
+                break
+        out = np.repeat(pose[None], len(chosen), axis=0)
+        out[:, HINGES + limb.hinges] = angles[chosen]
+        return out
+
+    def labelled(self, limb: Limb, labels: Ints, pose: Floats, rotation: Floats, known: Known, *, tried: int, steps: int) -> Floats:
+        """The pose (9 + J,) with the angles of one limb that fit labels (P,) best, from `tried` starts. O(tried steps)."""
+        turned, moved = posed_bones(self.body, pose, rotation)
+        above = int(self.body.arrays.parents[limb.first])
+        starts = np.repeat(np.concatenate([pose[:PLACE], moved[above], np.zeros(3), pose[HINGES + limb.hinges]])[None], tried + 1, axis=0)
+        starts[1:, HINGES:] = limb.tried[:tried]
+        number = np.full(len(self.body.markers) + 1, -1, dtype=np.int64)
+        number[limb.markers] = np.arange(len(limb.markers))
+        costs = np.empty(len(starts))
+        fit_labelled(
+            *(limb.arrays, self.cameras, known, self.observing, self.xy, self.offsets, number[labels], 4.0 * self.observing.noise, steps),
+            *(turned[above], starts, costs),
+        )
+        out = pose.copy()
+        out[HINGES + limb.hinges] = starts[int(np.argmin(costs)), HINGES:]
+        return out
+
+
+@cache
+def evenly(count: int, dimensions: int) -> Floats:
+    """(count, dimensions) numbers in 0 to 1, evenly spread: multiples of the powers of the generalised golden ratio (Roberts 2018)."""
+    ratio = 2.0
+    for _ in range(60):
+        ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
+    steps = ratio ** -np.arange(1.0, dimensions + 1)
+    spread: Floats = (0.5 + np.arange(1, count + 1)[:, None] * steps) % 1.0
+    spread.setflags(write=False)
+    return spread
