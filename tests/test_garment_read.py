@@ -12,6 +12,7 @@ from garment_scenes import coded, grid_links, photos, sleeve
 from asterism.errors import AsterismError
 from asterism.garment import Pattern, Piece
 from asterism.garment.read import ReadCircles, ReadRules, read_image
+from asterism.garment.read.circles import Circles
 from asterism.garment.read.findings import chance_share
 from asterism.garment.read.identify import identify
 from asterism.simulation.garment import Photo
@@ -94,6 +95,13 @@ def test_two_sheets_of_one_print_are_told() -> None:
     assert (read.ids < 0).all() and "garment-twice" in [f.code for f in read.findings]
 
 
+def plain_circles(centres: np.ndarray) -> Circles:
+    """Circles of 4 px on dark cloth."""
+    n, (width, height) = len(centres), (centres.max(axis=0) + 20).astype(int)
+    nothing = np.zeros((height, width), np.uint8)
+    return Circles(centres, np.tile(0.01 * np.eye(2), (n, 1, 1)), np.tile(np.eye(2), (n, 1, 1)), np.ones((n, 3)), nothing, 1.0)
+
+
 def test_misread_colours_are_corrected_and_never_make_a_wrong_identity() -> None:
     """Colours of single circles are changed: all keep their place on the sheet."""
     rows, cols = sheet().shape
@@ -104,7 +112,7 @@ def test_misread_colours_are_corrected_and_never_make_a_wrong_identity() -> None
         colours = sheet().colours.ravel().astype(int)
         changed = rng.choice(rows * cols, 4, replace=False)
         colours[changed] = (colours[changed] + rng.integers(1, 4, 4)) % 4
-        found = identify(centres, links, np.eye(4)[colours], sheet(), ReadRules())
+        found = identify(plain_circles(centres), links, np.eye(4)[colours], sheet(), ReadRules())
         given = found.ids >= 0
         np.testing.assert_array_equal(found.ids[given], sheet().ids.ravel()[given])
         corrected += int(given[changed].sum())
@@ -118,7 +126,7 @@ def test_chance_is_not_believed() -> None:
     links, centres = grid_links(30, 30)
     windows = existing = 0
     for _ in range(20):
-        found = identify(centres, links, np.eye(4)[rng.integers(0, 4, 900)], sheet(), ReadRules())
+        found = identify(plain_circles(centres), links, np.eye(4)[rng.integers(0, 4, 900)], sheet(), ReadRules())
         assert (found.ids < 0).all()
         windows, existing = windows + found.windows, existing + found.existing
     assert abs(existing / windows - chance_share(sheet())) < 0.004
@@ -129,7 +137,7 @@ def test_a_coloured_lamp_does_not_change_what_is_read() -> None:
     plain = read_image(image, sleeve().pattern)
     tinted = read_image((image * np.array([0.45, 0.8, 1.0])).astype(np.uint8), sleeve().pattern)
     both = np.intersect1d(plain.ids[plain.ids >= 0], tinted.ids[tinted.ids >= 0])
-    assert len(both) > 0.9 * (plain.ids >= 0).sum()
+    assert len(both) > 0.85 * (plain.ids >= 0).sum(), "the lamp takes half of the blue light, and so some blue circles at the rims"
     at = [np.array([np.flatnonzero(r.ids == k)[0] for k in both]) for r in (plain, tinted)]
     assert np.abs(plain.centres[at[0]] - tinted.centres[at[1]]).max() < 0.5
     assert tinted.gains[2] > 1.5 * plain.gains[2]
@@ -152,7 +160,7 @@ def test_a_saturated_lamp_hides_circles_and_makes_none() -> None:
 
 
 def test_an_exposure_that_is_too_long_is_said() -> None:
-    """Inks burn out to white one channel after the other: colours are misread, identities are not given, and the image says why."""
+    """Inks burn out to white one channel after the other: what is given is right, in the end nothing is, and the image says why."""
     warp = warped(sheet(), (480, 360), 15.0, 0.01, 0, rng=np.random.default_rng(5))
     counts = []
     for factor in (1.0, 2.0, 8.0, 60.0):
@@ -161,7 +169,7 @@ def test_an_exposure_that_is_too_long_is_said() -> None:
         off = np.linalg.norm(warp.centres[tuple(read.grid[given].T)] - read.centres[given], axis=1)
         assert off.max(initial=0) < 3.0
         counts.append(len(given))
-    assert counts[0] > 250 and counts[2:] == [0, 0] and read.findings[0].code == "garment-overexposed"
+    assert counts[0] > 250 and counts[-1] == 0 and read.findings[0].code == "garment-overexposed"
 
 
 @pytest.mark.parametrize(("tilt", "least"), [(60.0, 800), (70.0, 400), (80.0, 0), (88.0, 0)])
@@ -179,13 +187,34 @@ def test_a_sheet_seen_from_its_edge_gives_no_wrong_identity(tilt: float, least: 
 
 
 def test_no_confidence_is_above_what_was_measured() -> None:
-    """A whole sheet without noise: circles inside have the rule of three's doubt, those at its corners that of few squares."""
+    """A whole sheet without noise: circles inside have the doubt that the measured images leave (Poisson), those at its corners more."""
     links, centres = grid_links(*sheet().shape)
     colours = np.eye(4)[sheet().colours.ravel()]
-    plain = identify(centres, links, colours, sheet(), ReadRules()).confidence.reshape(sheet().shape)
-    assert 1 - plain[8, 10] == pytest.approx(3.0 / 93_827, rel=0.01)
-    few = identify(centres, links, colours, sheet(), ReadRules(shown_more=(1000, 0))).confidence.reshape(sheet().shape)
-    assert 1 - few[8, 10] == pytest.approx(3.0 / 1000, rel=0.01)
-    corner = plain[0, 0]
-    assert corner == few[0, 0] and 2 / 8_839 < 1 - corner < 1e-2
-    assert (plain[plain > 0] < 1 - 3e-5).all() and (plain > 0).mean() > 0.9
+    for shown, doubt in (((36_090, 2), 6.296 / 36_090), ((1000, 0), 2.996 / 1000)):
+        found = identify(plain_circles(centres), links, colours, sheet(), ReadRules(shown=shown))
+        confidence = found.confidence.reshape(sheet().shape)
+        assert 1 - confidence[8, 10] == pytest.approx(doubt, rel=0.05)
+        assert confidence[8, 10] == confidence.max() and (confidence > 0).mean() > 0.9
+        assert 0 < confidence[0, 1] < confidence[8, 10]
+
+
+def test_a_patch_without_whole_blocks_is_placed() -> None:
+    """Two columns of a sheet, as between a seam and the rim of an arm: no block of nine, but only one place has their colours."""
+    rows, cols = sheet().shape
+    links, centres = grid_links(rows, cols)
+    strip = np.flatnonzero((np.arange(rows * cols) % cols) // 2 == 3)
+    number = np.full(rows * cols + 1, -1)
+    number[strip] = np.arange(len(strip))
+    part = links[strip].copy()
+    part[..., 0] = number[part[..., 0]]
+    part[part[..., 0] < 0] = -1
+    colours = np.eye(4)[sheet().colours.ravel()[strip]]
+    found = identify(plain_circles(centres[strip]), part, colours, sheet(), ReadRules())
+    assert found.windows == 0
+    given = found.grid[:, 0] >= 0
+    np.testing.assert_array_equal(found.grid[given] @ [cols, 1], strip[given])
+    assert given.mean() > 0.7
+    part[14:] = -1
+    part[part[..., 0] >= 14] = -1
+    few = identify(plain_circles(centres[strip]), part, colours, sheet(), ReadRules())
+    assert (few.grid < 0).all(), "fourteen colours fit in several places"

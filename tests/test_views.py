@@ -293,6 +293,19 @@ def test_a_standing_trial_becomes_a_body_with_the_markers_where_they_are(tmp_pat
     assert body.places[list(body.labels).index("LKNE"), 1] > 0 > body.places[list(body.labels).index("RKNE"), 1]
 
 
+def test_an_elbow_bends_backward_by_ten_degrees_beyond_the_straight_arm() -> None:
+    standing = simulate_motion(load_body("body26"), 2, rng=np.random.default_rng(4))[0]
+    body = fit_body([standing], markers=load_body("body26").labels)
+    for side in ("left", "right"):
+        pivots = {bone.name: np.array(bone.pivot) for bone in body.bones}
+        upper = pivots[f"{side} forearm"] - pivots[f"{side} upper arm"]
+        lower = pivots[f"{side} hand"] - pivots[f"{side} forearm"]
+        bend = np.degrees(np.arctan2(lower[0], -lower[2]) - np.arctan2(upper[0], -upper[2]))
+        hinge = next(hinge for hinge in body.hinges if hinge.name == f"{side} forearm flexion")
+        assert np.degrees(hinge.low) == pytest.approx(-max(bend, 0.0) - 10.0, abs=0.1)
+        assert np.degrees(hinge.high) == pytest.approx(150.0)
+
+
 def test_a_body_without_a_pelvis_is_refused() -> None:
     standing = simulate_standing(1, 5, seed=8)[0]
     legs = standing.select([name for name in standing.labels if name not in ("LASI", "SACR")])

@@ -12,9 +12,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 
-def colourfulness(image):
+def colourfulness(*planes):
     """The spread of each pixel's channels without the border, and the largest of each 16 pixels of a row."""
-    out = np.ptp(image, axis=2)
+    out = np.ptp(planes, axis=0)
     out[[0, -1]] = 0
     out[:, [0, -1]] = 0
     blocks = out.shape[1] // 16 + 1
@@ -271,30 +271,213 @@ def spread(links, colours, likelihood, order, cells, turns):
     return cells, turns
 
 
-def evidence(centres, links, agreed, own, cells, turns, radius, skew):
-    """Of each circle: sums over the cells around that can be reached in a window, whole and by sides; squares; links for and against."""
-    out = np.zeros((len(links), 8))
-    for i in np.flatnonzero(turns >= 0):
+def balance(shares, wanted, rounds):
+    """Factors that make the mean shares those wanted."""
+    gains = np.ones(3)
+    for _ in range(rounds):
+        seen = shares * gains
+        gains = gains * wanted / (seen / seen.sum(axis=1, keepdims=True)).mean(axis=0)
+        gains /= np.cbrt(gains.prod())
+    return gains
+
+
+def turned(place, turn):
+    """A step of rows and columns after quarter turns: right becomes down, down becomes left."""
+    down, right = place
+    for _ in range(turn):
+        down, right = right, -down
+    return down, right
+
+
+def gather(links, turns, root, most):
+    """Breadth first over links; circle -> (rows down, columns right, direction of its direction 0). A place is taken once."""
+    found, waiting = {root: (0, 0, 0)}, deque([root])
+    while waiting and len(found) < most:
+        i = waiting.popleft()
+        down, right, turn = found[i]
+        for d, (j, back) in enumerate(links[i]):
+            way = (d + turn) % 4
+            place = (down + STEPS[way][1], right + STEPS[way][0])
+            if j >= 0 and turns[j] < 0 and j not in found and place not in [p[:2] for p in found.values()] and len(found) < most:
+                found[j] = (*place, (way + 2 - back) % 4)
+                waiting.append(j)
+    return found
+
+
+def locate(places, read, colours, misses):
+    """Misses of every place and turn: the best (misses, turn, row, column) and the next best's misses, both capped."""
+    padded = np.pad(colours, 40, constant_values=-1)
+    counts = []
+    for turn in range(4):
+        for row, col in np.argwhere(colours >= 0):
+            steps = [turned(place[:2], turn) for place in places.values()]
+            seen = [padded[row + 40 + down, col + 40 + right] for down, right in steps]
+            counts.append((int((np.array(seen) != read[list(places)]).sum()), turn, int(row), int(col)))
+    counts.sort()
+    return counts[0], min(counts[1][0], misses + 1)
+
+
+def place_patches(links, read, colours, least, misses, cells, turns):
+    """Patches of up to a quarter more circles than `least`, in the order of their roots."""
+    cells, turns, placed, tried = cells.copy(), turns.copy(), [], set()
+    for root in range(len(links)):
+        if turns[root] >= 0 or root in tried:
+            continue
+        places = gather(links, turns, root, least + least // 4)
+        if len(places) < least:
+            continue
+        allowed = min(misses, len(places) - least)
+        (wrong, turn, row, col), other = locate(places, read, colours, allowed)
+        if wrong > allowed or other <= allowed:
+            tried.update(list(places)[:9])
+            continue
+        for i, place in places.items():
+            down, right = turned(place[:2], turn)
+            inside = 0 <= row + down < colours.shape[0] and 0 <= col + right < colours.shape[1]
+            if inside and colours[row + down, col + right] == read[i]:
+                cells[i], turns[i] = (row + down, col + right), (place[2] + turn) % 4
+                placed.append(i)
+    return cells, turns, placed
+
+
+def occupy(cells, shape):
+    """Circle of each cell, -1 none, -2 several."""
+    at = np.full(shape, -1)
+    for i, cell in enumerate(cells):
+        if cell[0] >= 0:
+            at[tuple(cell)] = i if at[tuple(cell)] == -1 else -2
+    return at
+
+
+def ways(centres, at, fits, row, col):
+    """Where rows and squares around have a cell's circle, and the steps between circles beside it, along a row and down a column."""
+
+    def spot(down, right):
+        r, c = row + down, col + right
+        there = 0 <= r < at.shape[0] and 0 <= c < at.shape[1] and at[r, c] >= 0 and fits[at[r, c]]
+        return centres[at[r, c]] if there else None
+
+    around = [tuple(step[::-1]) for step in STEPS]
+    straight, squares, middles, steps = [], [], [], [[], []]
+    for d in range(4):
+        one, other = around[d], around[(d + 1) % 4]
+        a, far, b = spot(*one), spot(2 * one[0], 2 * one[1]), spot(*other)
+        c = spot(one[0] + other[0], one[1] + other[1])
+        if a is not None and far is not None:
+            straight.append(2 * a - far)
+            steps[d % 2].append((far - a) * sum(one))
+        if a is not None and c is not None:
+            steps[1 - d % 2].append((c - a) * sum(other))
+        if b is not None and c is not None:
+            steps[d % 2].append((c - b) * sum(one))
+        if a is not None and b is not None and c is not None:
+            squares.append(a + b - c)
+    for d in range(2):
+        a, b = spot(*around[d]), spot(*around[d + 2])
+        if a is not None and b is not None:
+            middles += [(a + b) / 2] * 2
+            steps[d].append((a - b) / 2)
+    return straight, squares, middles, steps
+
+
+def expect(centres, at, fits, row, col):
+    """The mean of all ways and the two lattice vectors as columns; None where they are not known."""
+    straight, squares, middles, steps = ways(centres, at, fits, row, col)
+    every = straight + squares + middles
+    if not every or not steps[0] or not steps[1]:
+        return None
+    return np.mean(every, axis=0), np.column_stack([np.mean(s, axis=0) for s in steps]), len(every)
+
+
+def off_by(place, frame, centre):
+    """Pitches."""
+    return np.linalg.norm(np.linalg.solve(frame, centre - place)) if np.linalg.det(frame) > 0 else np.inf
+
+
+def grow(centres, likelihood, colours, gate, cells, at, fits):
+    """From each circle of its cell's colour to the four cells beside; the nearest circle where no other is nearly as near."""
+    cells, at, fits = cells.copy(), at.copy(), fits.copy()
+    waiting = deque(np.flatnonzero(cells[:, 0] >= 0).tolist())
+    while waiting:
+        i = waiting.popleft()
+        if not fits[i]:
+            continue
+        for step in STEPS:
+            cell = tuple(cells[i] + step[::-1])
+            inside = 0 <= cell[0] < colours.shape[0] and 0 <= cell[1] < colours.shape[1]
+            if not inside or colours[cell] < 0 or at[cell] != -1:
+                continue
+            expected = expect(centres, at, fits, *cell)
+            if expected is None:
+                continue
+            far = np.array([off_by(*expected[:2], centre) for centre in centres])
+            best, second = np.argsort(far)[:2]
+            if far[best] > gate or far[second] < 2 * far[best] or cells[best, 0] >= 0:
+                continue
+            cells[best], at[cell] = cell, best
+            fits[best] = likelihood[best, colours[cell]] > 0
+            waiting.append(best)
+    return cells, at, fits
+
+
+def rivals(centres, colours, cells, at, fits):
+    """Distance of each circle with a cell from the nearest place where an empty cell beside others is expected, 1 at most."""
+    out = np.ones(len(centres))
+    for cell in np.argwhere((at == -1) & (colours >= 0)):
+        beside = [tuple(cell + step) for step in STEPS]
+        taken = [0 <= r < at.shape[0] and 0 <= c < at.shape[1] and at[r, c] >= 0 for r, c in beside]
+        expected = expect(centres, at, fits, *cell) if any(taken) else None
+        for i in np.flatnonzero(cells[:, 0] >= 0) if expected is not None else []:
+            out[i] = min(out[i], off_by(*expected[:2], centres[i]))
+    return out
+
+
+def evidence(at, fits, cells, own, radius):
+    """Sums over the cells around that hang together by circles that fit: all, and the least of the four sides."""
+    out = np.zeros((len(cells), 2))
+    for i in np.flatnonzero(cells[:, 0] >= 0):
         reached, waiting = {(0, 0): i}, deque([i])
         while waiting:
-            for j in agreed[waiting.popleft()]:
-                place = tuple((cells[j] - cells[i]).tolist())
-                if j >= 0 and max(map(abs, place)) <= radius and place not in reached:
-                    reached[place] = j
-                    waiting.append(j)
+            k = waiting.popleft()
+            for step in STEPS if fits[k] else []:
+                r, c = cells[k] + step[::-1]
+                place = (int(r - cells[i, 0]), int(c - cells[i, 1]))
+                inside = 0 <= r < at.shape[0] and 0 <= c < at.shape[1] and max(map(abs, place)) <= radius
+                if inside and at[r, c] >= 0 and place not in reached:
+                    reached[place] = at[r, c]
+                    waiting.append(at[r, c])
         places, value = np.array(list(reached)), own[list(reached.values())]
         sides = [places[:, 1] >= 0, places[:, 0] >= 0, places[:, 1] <= 0, places[:, 0] <= 0]
-        out[i, :5] = value.sum(), *(value[side].sum() for side in sides)
-        out[i, 6] = (agreed[i] >= 0).sum()
-        linked = links[i, :, 0]
-        out[i, 7] = ((agreed[i] < 0) & (linked >= 0) & (turns[linked] >= 0)).sum()
-        for d in range(4):
-            one, other = agreed[i, d], agreed[i, (d + 1) % 4]
-            if one < 0 or other < 0:
+        out[i] = value.sum(), min(value[side].sum() for side in sides)
+    return out
+
+
+def smoothness(centres, at, fits, cells):
+    """Pitches from the mean of all ways, from the farthest row or square, and how many squares."""
+    out = np.tile([np.inf, 0.0, 0.0], (len(cells), 1))
+    for i in np.flatnonzero(cells[:, 0] >= 0):
+        expected = expect(centres, at, fits, *cells[i])
+        if expected is None:
+            continue
+        straight, squares, _, _ = ways(centres, at, fits, *cells[i])
+        each = [off_by(place, expected[1], centres[i]) for place in straight + squares]
+        out[i] = off_by(*expected[:2], centres[i]), max(each, default=0.0), len(squares)
+    return out
+
+
+def bumps(grey, centres, at, fits, cells, rise):
+    """The largest fall after a rise on the way to a neighbour that fits, as a share of the lower end."""
+    out = np.zeros(len(cells))
+    for i in np.flatnonzero(cells[:, 0] >= 0):
+        for step in STEPS:
+            r, c = cells[i] + step[::-1]
+            if not (0 <= r < at.shape[0] and 0 <= c < at.shape[1]) or at[r, c] < 0 or not fits[at[r, c]]:
                 continue
-            across, down = agreed[one, (links[i, d, 1] + 3) % 4], agreed[other, (links[i, (d + 1) % 4, 1] + 1) % 4]
-            if across >= 0 and across == down:
-                sides = np.column_stack([centres[one] - centres[across], centres[other] - centres[across]])
-                off = np.abs(np.linalg.solve(sides, centres[i] - centres[across]) - 1).max()
-                out[i, 5] += int(off <= skew) + int(off <= 0.5 * skew)
+            x, y = (centres[i] + (centres[at[r, c]] - centres[i]) * np.linspace(0, 1, 13)[:, None]).T
+            values = map_coordinates(grey.astype(float), [y, x], order=1)
+            end = max(min(values[0], values[-1]), 1.0)
+            begin = np.flatnonzero((values - np.minimum.accumulate(values) > max(rise[0] * end, rise[1]))[1:-1])
+            if len(begin):
+                after = values[begin[0] + 1 :]
+                out[i] = max(out[i], (np.maximum.accumulate(after) - after).max() / end)
     return out

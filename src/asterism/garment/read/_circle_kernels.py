@@ -8,10 +8,26 @@ from asterism._jit import kernel
 
 
 @kernel
-def colourfulness(image, out, highest):
-    """The difference between the largest and the smallest channel of each pixel; 0 in the outermost rows and columns.
+def channels(image, out):
+    """The channels of an image one after another.
 
     IN  image (h, w, 3) uint8
+    OUT out (3, h, w) uint8
+
+    O(h w), no allocation. Twin: tests/twins_garment_read.py
+    """
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            out[0, y, x] = image[y, x, 0]
+            out[1, y, x] = image[y, x, 1]
+            out[2, y, x] = image[y, x, 2]
+
+
+@kernel
+def colourfulness(blue, green, red, out, highest):
+    """The difference between the largest and the smallest channel of each pixel; 0 in the outermost rows and columns.
+
+    IN  blue, green, red (h, w) uint8
     OUT out (h, w) uint8; highest (h, w // 16 + 1) uint8, the largest value of each 16 pixels of a row
 
     O(h w), no allocation. Twin: tests/twins_garment_read.py
@@ -19,8 +35,8 @@ def colourfulness(image, out, highest):
     height, width = out.shape
     for y in range(height):
         for x in range(width):
-            a, b, c = image[y, x, 0], image[y, x, 1], image[y, x, 2]
-            out[y, x] = max(a, b, c) - min(a, b, c)
+            a, b, c = blue[y, x], green[y, x], red[y, x]
+            out[y, x] = max(max(a, b), c) - min(min(a, b), c)
         out[y, 0] = 0
         out[y, width - 1] = 0
         if y == 0 or y == height - 1:

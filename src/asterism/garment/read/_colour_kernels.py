@@ -60,3 +60,28 @@ def fit_mixture(points, least, outliers, rounds, centres, spreads, weights):
             spreads[k, 0, 0], spreads[k, 1, 1] = xx / whole + least * least, yy / whole + least * least
             spreads[k, 0, 1] = xy / whole
             spreads[k, 1, 0] = spreads[k, 0, 1]
+
+
+@kernel
+def balance(shares, wanted, rounds, gains):
+    """Factors on three channels, of product 1, after which the mean shares of light are those wanted.
+
+    IN  shares (n, 3); wanted (3,) of sum 1; rounds
+    IO  gains (3,)
+
+    O(n rounds), no allocation. Twin: tests/twins_garment_read.py
+    """
+    for _ in range(rounds):
+        a, b, c = 0.0, 0.0, 0.0
+        for i in range(len(shares)):
+            x, y, z = shares[i, 0] * gains[0], shares[i, 1] * gains[1], shares[i, 2] * gains[2]
+            whole = x + y + z
+            a += x / whole
+            b += y / whole
+            c += z / whole
+        gains[0] *= wanted[0] * len(shares) / max(a, 1e-6)
+        gains[1] *= wanted[1] * len(shares) / max(b, 1e-6)
+        gains[2] *= wanted[2] * len(shares) / max(c, 1e-6)
+        root = np.cbrt(gains[0] * gains[1] * gains[2])
+        for channel in range(3):
+            gains[channel] /= root

@@ -244,7 +244,7 @@ def refine_frames(centres, found, links, frames, fit, out):
 
 
 @kernel
-def _at(grey, x, y):
+def between(grey, x, y):
     """The value between four pixels, bilinear; the position must be inside."""
     left, above = int(x), int(y)
     a, b = x - left, y - above
@@ -277,11 +277,11 @@ def cut_skipping(grey, centres, whiten, side, rise, links):
                 a, b = whiten[k, 0, 0] * dx + whiten[k, 0, 1] * dy, whiten[k, 1, 0] * dx + whiten[k, 1, 1] * dy
                 length += 0.5 * np.sqrt(a * a + b * b)
             cut = length < side[0] or length > side[1]
-            first, last = _at(grey, centres[i, 0], centres[i, 1]), _at(grey, centres[j, 0], centres[j, 1])
+            first, last = between(grey, centres[i, 0], centres[i, 1]), between(grey, centres[j, 0], centres[j, 1])
             needed = max(rise[0] * min(first, last), rise[1])
             lowest, falls, highest = first, 0.0, -1.0
             for k in range(1, steps + 1):
-                value = _at(grey, centres[i, 0] + dx * k / steps, centres[i, 1] + dy * k / steps)
+                value = between(grey, centres[i, 0] + dx * k / steps, centres[i, 1] + dy * k / steps)
                 if highest < 0.0:
                     lowest = min(lowest, value)
                     if value > lowest + needed and k < steps:

@@ -55,11 +55,7 @@ def classify(light: Floats, reliable: NDArray[np.bool_], hsv: Floats, least_chro
     bright = _CLOTH + (1 - _CLOTH) * linear_light(np.array([colorsys.hsv_to_rgb(*colour) for colour in hsv]))
     inks = bright / bright.sum(axis=1, keepdims=True)
     gains = np.ones(3)
-    for _ in range(_BALANCING):
-        balanced = known * gains
-        balanced /= balanced.sum(axis=1, keepdims=True)
-        gains *= inks.mean(axis=0) / np.maximum(balanced.mean(axis=0), 1e-6)
-        gains /= np.cbrt(gains.prod())
+    kernels.balance(known, inks.mean(axis=0), _BALANCING, gains)
     balanced = shares * gains
     balanced = (balanced / np.maximum(balanced.sum(axis=1, keepdims=True), 1e-9))[:, [0, 2]]
     posterior, spread = _mixture(balanced, chosen, inks[:, [0, 2]])

@@ -10,11 +10,20 @@ from scipy.special import chdtri
 
 from asterism.garment.identities import block_rings
 from asterism.garment.pattern import Pattern
+from asterism.garment.read import _growth_kernels as growth
 from asterism.garment.read import _identity_kernels as kernels
+from asterism.garment.read import _weight_kernels as weigh
+from asterism.garment.read._patch_kernels import place_patches
+from asterism.garment.read.circles import Circles
 from asterism.garment.read.rules import ReadRules
 from asterism.recording import Floats
 
 _RADIUS = 3
+"""Rows and columns around a circle whose colours speak for it."""
+_BLOCKS = 3
+"""Blocks side by side from which cells are carried on."""
+_SIDE = 8.0
+"""px, of the buckets that circles are sorted into."""
 _LEVEL = 0.95
 
 
@@ -24,7 +33,7 @@ class Identified:
 
     ids         (n,) int32, -1 where unknown
     grid        (n, 2) int32 row and column on the sheet, -1 where unknown: also of circles at a border, which have no identity
-    confidence  (n,) that the row and column are right, 0 where unknown: never above what was measured; see `identify`
+    confidence  (n,) that the row and column are right, 0 where unknown: never above what was measured (`rules.shown`)
     windows     3 x 3 blocks that were read whole
     existing    of them, those that the pattern has
     shared      circles left out because another one would be at the same place of the sheet
@@ -38,54 +47,102 @@ class Identified:
     shared: int
 
 
-def identify(centres: Floats, links: NDArray[np.int32], posterior: Floats, pattern: Pattern, rules: ReadRules) -> Identified:
-    """Look blocks up in the pattern, and keep what a neighbourhood agrees on.
+def identify(circles: Circles, links: NDArray[np.int32], posterior: Floats, pattern: Pattern, rules: ReadRules) -> Identified:
+    """Look blocks up in the pattern, carry their cells on to the circles around, and keep what is most likely right.
 
-    A block of nine colours is some block of a suit's pattern by chance in one of ten cases, so none is believed alone. Blocks that
-    are side by side in the image and on the grid form groups; a group's map to the grid is carried on to the circles around it. Each
-    circle whose colour is that of its cell is evidence, log q nats, and one misread costs it. A map needs `rules.alone` nats beyond the
-    number of places and turns that it could have. A circle needs `nearby` nats around it and `each_side` on its weakest side, so that
-    what is across a fold does not speak for it. It needs two squares of four linked circles, or one that is nearly a parallelogram: a
-    link that leads over a circle which was not found, or to another part of the cloth, makes none.
+    A block of nine colours is some block of a suit's pattern by chance in one of ten cases, so none is believed alone. Blocks that are
+    side by side in the image and on the grid form groups, whose cells are carried on along links. Linked circles that hold no such blocks,
+    as between a seam and the rim of an arm, are placed where `rules.patch` of their colours fit, and nowhere else nearly as well. A map
+    needs `rules.alone` nats beyond the number of places and turns that it could have. From there cells are carried on to circles that lie
+    where rows and columns go on, with links or without.
 
-    Colours speak by the score for most circles, so by them alone doubt would be 1e-12; but identities go wrong by links. So each has at
-    least the share of wrong ones that 102,666 identities of rendered suits leave possible (95 %): 7e-4 of circles with the fewest squares,
-    where 2 of 8,839 were wrong, 3e-5 of all others, where none of 93,827 was. What those images did not show is not in it.
+    Then each circle is weighed: the colours around it, as log q nats each and a misread one as a loss, in all and on its weakest side,
+    because what is across a fold does not speak for it; how far it is from where its neighbours expect it; whether another cell is
+    expected there, too; squares that it closes; and whether something coloured lies between it and its neighbours. `rules.weights` make
+    log odds of that, and a circle needs `rules.odds`. A lone misread colour in a neighbourhood that fits is corrected so.
     """
     n, q = posterior.shape
     ring = np.empty((n, 8), np.int32)
     kernels.rings(links, ring)
     read = posterior.argmax(axis=1)
     cells, turns, windows, existing = _look_up(ring, read, pattern)
+    likelihood = np.log(q * ((1 - rules.misread) * posterior + rules.misread / q))
+    _carry_on(links, read, likelihood, pattern, rules, cells, turns)
+    own = _of_cells(likelihood, cells, turns >= 0, pattern)
     roots = np.empty(n, np.int32)
     kernels.groups(links, cells, turns, roots)
-    size = np.bincount(roots[turns >= 0], minlength=n)[roots]
-    lone = (turns >= 0) & (size < 3)
-    turns[lone] = -1
-    blocks = np.flatnonzero(turns >= 0)
-    order = blocks[np.argsort(-size[blocks], kind="stable")].astype(np.int32)
-    likelihood = np.log(q * ((1 - rules.misread) * posterior + rules.misread / q))
-    kernels.spread(links, pattern.colours, likelihood, order, cells, turns, np.empty(n, np.int32))
-    kernels.groups(links, cells, turns, roots)
-    there = turns >= 0
-    own = np.zeros(n)
-    own[there] = likelihood[there, pattern.colours[cells[there, 0], cells[there, 1]]]
-    agreed, weight = np.empty((n, 4), np.int32), np.empty((n, 8))
-    kernels.agreeing(links, cells, turns, agreed)
-    kernels.evidence(centres, links, agreed, own, cells, turns, _RADIUS, rules.skew, weight)
     beyond = np.bincount(roots, own, n)[roots] - np.log(4.0 * max((pattern.colours >= 0).sum(), 1))
-    side = weight[:, 1:5].min(axis=1)
-    given = there & (beyond > rules.alone) & (weight[:, 0] > rules.nearby) & (side > rules.each_side)
-    given &= (weight[:, 5] >= rules.squares) & (weight[:, 6] > weight[:, 7])
-    twice = _twice(cells, given, pattern.shape)
-    given &= ~twice
+    cells[(turns < 0) | (beyond <= rules.alone)] = -1
+    twice = _twice(cells, pattern.shape)
+    cells[twice] = -1
+    odds = _odds(circles, likelihood, own, pattern, rules, cells)
+    given = odds > rules.odds
     grid = np.where(given[:, None], cells, -1).astype(np.int32)
     ids = np.where(given, pattern.ids[cells[:, 0], cells[:, 1]], -1).astype(np.int32)
-    shown = np.where(weight[:, 5] > rules.squares, _at_most(*rules.shown_more), _at_most(*rules.shown_few))
-    doubt = (
-        shown + np.exp(-np.minimum(beyond, 30.0)) + rules.astray * np.exp(-np.maximum(side, 0.0)) + np.exp(-np.maximum(weight[:, 0], 0.0))
-    )
+    doubt = _at_most(*rules.shown) + np.exp(-np.clip(odds, 0.0, 30.0))
     return Identified(ids, grid, np.where(given, 1.0 / (1.0 + doubt), 0.0), windows, existing, int(twice.sum()))
+
+
+def _carry_on(
+    links: NDArray[np.int32],
+    read: NDArray[np.int64],
+    likelihood: Floats,
+    pattern: Pattern,
+    rules: ReadRules,
+    cells: NDArray[np.int32],
+    turns: NDArray[np.int32],
+) -> None:
+    """From blocks (cells and turns, changed in place) to the circles that are linked with three blocks side by side, and to patches."""
+    n = len(read)
+    roots, queue = np.empty(n, np.int32), np.empty(n, np.int32)
+    kernels.groups(links, cells, turns, roots)
+    size = np.bincount(roots[turns >= 0], minlength=n)[roots]
+    turns[(turns >= 0) & (size < _BLOCKS)] = -1
+    blocks = np.flatnonzero(turns >= 0)
+    order = blocks[np.argsort(-size[blocks], kind="stable")].astype(np.int32)
+    kernels.spread(links, pattern.colours, likelihood, order, cells, turns, queue)
+    placed = np.empty(n, np.int32)
+    count = place_patches(links, read, pattern.colours, rules.patch, rules.misses, cells, turns, placed, queue)
+    kernels.spread(links, pattern.colours, likelihood, placed[:count], cells, turns, queue)
+
+
+def _of_cells(likelihood: Floats, cells: NDArray[np.int32], there: NDArray[np.bool_], pattern: Pattern) -> Floats:
+    """(n,) nats, evidence that the colour of a circle's cell is its own; 0 where it has no cell."""
+    own = np.zeros(len(cells))
+    own[there] = likelihood[there, pattern.colours[cells[there, 0], cells[there, 1]]]
+    return own
+
+
+def _odds(circles: Circles, likelihood: Floats, own: Floats, pattern: Pattern, rules: ReadRules, cells: NDArray[np.int32]) -> Floats:
+    """(n,) log odds that circles are at their cells, -inf where they have none; cells (n, 2) grow in place."""
+    n, centres = len(cells), circles.centres
+    at, fits = np.empty(pattern.shape, np.int32), own > 0
+    growth.occupy(cells, at)
+    height, width = circles.grey.shape
+    heads, following = np.empty((int(height / _SIDE) + 1, int(width / _SIDE) + 1), np.int32), np.empty(n, np.int32)
+    growth.bucket_circles(centres, _SIDE, heads, following)
+    growth.grow(centres, likelihood, pattern.colours, heads, following, _SIDE, rules.gate, cells, at, fits, np.empty(n, np.int32))
+    there = cells[:, 0] >= 0
+    own = _of_cells(likelihood, cells, there, pattern)
+    rival, bump, around, off = np.empty(n), np.empty(n), np.empty((n, 2)), np.empty((n, 3))
+    growth.rivals(centres, pattern.colours, heads, following, _SIDE, cells, at, fits, rival)
+    weigh.evidence(at, fits, cells, own, _RADIUS, around)
+    weigh.smoothness(centres, at, fits, cells, off)
+    weigh.bumps(circles.grey, centres, at, fits, cells, np.array(rules.bump), bump)
+    told = np.column_stack(
+        [
+            np.ones(n),
+            np.clip(around[:, 1], -10, 14),
+            np.clip(around[:, 0], -10, 50) / 3,
+            np.log(np.clip(off[:, 0], 0.02, 2)),
+            np.log(np.clip(off[:, 1], 0.1, 3)),
+            rival,
+            off[:, 2],
+            np.clip(own, -5, 1.4),
+            np.clip(bump, 0, 0.5),
+        ]
+    )
+    return np.where(there & np.isfinite(off[:, 0]), told @ np.array(rules.weights), -np.inf)
 
 
 def _at_most(count: int, wrong: int) -> float:
@@ -115,8 +172,9 @@ def _look_up(ring: NDArray[np.int32], read: NDArray[np.int64], pattern: Pattern)
     return cells, turns, len(whole), int((turns >= 0).sum())
 
 
-def _twice(cells: NDArray[np.int32], given: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
+def _twice(cells: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.bool_]:
     """(n,) circles whose cell another circle has, too: at most one of them is right."""
-    flat = cells[:, 0] * shape[1] + cells[:, 1]
-    count = np.bincount(flat[given], minlength=shape[0] * shape[1])
-    return np.asarray(given & (count[np.where(given, flat, 0)] > 1))
+    there = cells[:, 0] >= 0
+    flat = np.where(there, cells[:, 0] * shape[1] + cells[:, 1], 0)
+    count = np.bincount(flat[there], minlength=shape[0] * shape[1])
+    return np.asarray(there & (count[flat] > 1))

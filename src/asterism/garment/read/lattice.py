@@ -12,7 +12,7 @@ from asterism.recording import Floats
 
 _MOST = 20
 """Candidates around a circle: eight are its neighbours."""
-_ROUNDS = 3
+_ROUNDS = 2
 
 
 def link_circles(circles: Circles, diameter: float, rules: ReadRules) -> tuple[NDArray[np.int32], Floats]:

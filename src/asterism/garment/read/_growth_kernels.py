@@ -1,0 +1,207 @@
+"""Kernels that carry the cells of the sheet to the circles around, by where rows and columns go on in the image."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from asterism._jit import kernel
+
+_DOWN = np.array([0, 1, 0, -1])
+_RIGHT = np.array([1, 0, -1, 0])
+
+
+@kernel
+def occupy(cells, at):
+    """Which circle is at each cell of the sheet.
+
+    IN  cells (n, 2) int32 row and column, -1 where a circle has none
+    OUT at (rows, cols) int32: the circle, -1 where none is, -2 where several are
+
+    O(n + rows cols). Twin: tests/twins_garment_read.py
+    """
+    at[:] = -1
+    for i in range(len(cells)):
+        if cells[i, 0] >= 0:
+            at[cells[i, 0], cells[i, 1]] = i if at[cells[i, 0], cells[i, 1]] == -1 else -2
+
+
+@kernel
+def there(at, fits, row, col):
+    """The circle at a cell, -1 where there is none of the cell's colour, or no sheet."""
+    if row < 0 or col < 0 or row >= at.shape[0] or col >= at.shape[1]:
+        return np.int64(-1)
+    i = np.int64(at[row, col])
+    return i if i >= 0 and fits[i] else np.int64(-1)
+
+
+@kernel
+def expect(centres, at, fits, row, col, out):
+    """Where the circle of a cell is, by those around it: the mean of what straight rows and parallelograms say.
+
+    IN  centres (n, 2) px; at (rows, cols) of `occupy`; fits (n,) whether a circle has its cell's colour, the others say nothing; the cell
+    OUT out (6,): x, y px, and two lattice vectors, along a row and down a column, px
+
+    Returns how many ways there were; 0 where the vectors are not known. O(1). Twin: tests/twins_garment_read.py
+    """
+    x, y, ways = 0.0, 0.0, 0
+    vectors = np.zeros((2, 3))
+    for d in range(4):
+        a = there(at, fits, row + _DOWN[d], col + _RIGHT[d])
+        b = there(at, fits, row + 2 * _DOWN[d], col + 2 * _RIGHT[d])
+        sign = 1.0 if d < 2 else -1.0
+        if a >= 0 and b >= 0:
+            dx, dy = centres[b, 0] - centres[a, 0], centres[b, 1] - centres[a, 1]
+            x += centres[a, 0] - dx
+            y += centres[a, 1] - dy
+            ways += 1
+            vectors[d % 2, 0] += sign * dx
+            vectors[d % 2, 1] += sign * dy
+            vectors[d % 2, 2] += 1.0
+        e = (d + 1) % 4
+        b = there(at, fits, row + _DOWN[e], col + _RIGHT[e])
+        c = there(at, fits, row + _DOWN[d] + _DOWN[e], col + _RIGHT[d] + _RIGHT[e])
+        other = 1.0 if e < 2 else -1.0
+        if a >= 0 and c >= 0:
+            vectors[e % 2, 0] += other * (centres[c, 0] - centres[a, 0])
+            vectors[e % 2, 1] += other * (centres[c, 1] - centres[a, 1])
+            vectors[e % 2, 2] += 1.0
+        if b >= 0 and c >= 0:
+            vectors[d % 2, 0] += sign * (centres[c, 0] - centres[b, 0])
+            vectors[d % 2, 1] += sign * (centres[c, 1] - centres[b, 1])
+            vectors[d % 2, 2] += 1.0
+        if a >= 0 and b >= 0 and c >= 0:
+            x += centres[a, 0] + centres[b, 0] - centres[c, 0]
+            y += centres[a, 1] + centres[b, 1] - centres[c, 1]
+            ways += 1
+    for d in range(2):
+        a = there(at, fits, row + _DOWN[d], col + _RIGHT[d])
+        b = there(at, fits, row - _DOWN[d], col - _RIGHT[d])
+        if a >= 0 and b >= 0:
+            x += centres[a, 0] + centres[b, 0]
+            y += centres[a, 1] + centres[b, 1]
+            ways += 2
+            vectors[d, 0] += 0.5 * (centres[a, 0] - centres[b, 0])
+            vectors[d, 1] += 0.5 * (centres[a, 1] - centres[b, 1])
+            vectors[d, 2] += 1.0
+    if ways == 0 or vectors[0, 2] == 0.0 or vectors[1, 2] == 0.0:
+        return 0
+    out[0], out[1] = x / ways, y / ways
+    for axis in range(2):
+        out[2 + 2 * axis] = vectors[axis, 0] / vectors[axis, 2]
+        out[3 + 2 * axis] = vectors[axis, 1] / vectors[axis, 2]
+    return ways
+
+
+@kernel
+def off_by(expected, x, y):
+    """How far a place is from where it is expected, in pitches of the lattice there; infinite where the vectors are none."""
+    det = expected[2] * expected[5] - expected[3] * expected[4]
+    if not det > 0.0:
+        return np.inf
+    dx, dy = x - expected[0], y - expected[1]
+    a, b = (dx * expected[5] - dy * expected[4]) / det, (expected[2] * dy - expected[3] * dx) / det
+    return np.sqrt(a * a + b * b)
+
+
+@kernel
+def bucket_circles(centres, side, heads, following):
+    """Sort circles into square buckets of the image: chains of `following` from `heads` (-1 ends). O(n + buckets)."""
+    heads[:] = -1
+    for i in range(len(centres) - 1, -1, -1):
+        row, col = int(centres[i, 1] / side), int(centres[i, 0] / side)
+        following[i] = heads[row, col]
+        heads[row, col] = i
+
+
+@kernel
+def grow(centres, likelihood, colours, heads, following, side, gate, cells, at, fits, queue):
+    """Give circles without a cell the empty cell beside those that have one, where they lie as the rows and columns around go on.
+
+    A circle is taken only where no other one is nearly as near. One of another colour than its cell's is taken, too, because it speaks
+    against what is around it, but nothing goes on from it.
+
+    IN   centres (n, 2); likelihood (n, q) nats; colours (rows, cols) int8; heads, following, side of `bucket_circles`; gate pitches
+    IO   cells (n, 2); at (rows, cols) of `occupy`; fits (n,) bool, whether a circle has its cell's colour
+    WORK queue (n,) int32
+
+    O(n circles in reach). Twin: tests/twins_garment_read.py
+    """
+    n = len(centres)
+    expected = np.empty(6)
+    first, last = 0, 0
+    for i in range(n):
+        if cells[i, 0] >= 0:
+            queue[last] = i
+            last += 1
+    while first < last:
+        i = queue[first]
+        first += 1
+        if not fits[i]:
+            continue
+        for d in range(4):
+            row, col = cells[i, 0] + _DOWN[d], cells[i, 1] + _RIGHT[d]
+            if row < 0 or col < 0 or row >= colours.shape[0] or col >= colours.shape[1]:
+                continue
+            if colours[row, col] < 0 or at[row, col] != -1 or expect(centres, at, fits, row, col, expected) == 0:
+                continue
+            reach = 2.0 * gate * max(abs(expected[2]) + abs(expected[4]), abs(expected[3]) + abs(expected[5]))
+            x0, x1 = max(int((expected[0] - reach) / side), 0), min(int((expected[0] + reach) / side), heads.shape[1] - 1)
+            y0, y1 = max(int((expected[1] - reach) / side), 0), min(int((expected[1] + reach) / side), heads.shape[0] - 1)
+            best, nearest, next_best = -1, np.inf, np.inf
+            for y in range(y0, y1 + 1):
+                for x in range(x0, x1 + 1):
+                    j = heads[y, x]
+                    while j >= 0:
+                        far = off_by(expected, centres[j, 0], centres[j, 1])
+                        if far < nearest:
+                            best, nearest, next_best = j, far, nearest
+                        elif far < next_best:
+                            next_best = far
+                        j = following[j]
+            if best < 0 or nearest > gate or next_best < 2.0 * nearest or cells[best, 0] >= 0:
+                continue
+            cells[best, 0], cells[best, 1] = row, col
+            at[row, col] = best
+            fits[best] = likelihood[best, colours[row, col]] > 0.0
+            queue[last] = best
+            last += 1
+
+
+@kernel
+def _beside(at, row, col):
+    """Whether a circle is at one of the four cells beside. O(1)."""
+    found = False
+    for d in range(4):
+        r, c = row + _DOWN[d], col + _RIGHT[d]
+        if 0 <= r < at.shape[0] and 0 <= c < at.shape[1]:
+            found = found or at[r, c] >= 0
+    return found
+
+
+@kernel
+def rivals(centres, colours, heads, following, side, cells, at, fits, out):
+    """How far each circle is, at least, from where an empty cell beside others is expected, which may be the cell that it really has.
+
+    IN  as for `grow`
+    OUT out (n,) pitches, 1 for all that is farther
+
+    O(rows cols circles in reach). Twin: tests/twins_garment_read.py
+    """
+    expected = np.empty(6)
+    out[:] = 1.0
+    for row in range(at.shape[0]):
+        for col in range(at.shape[1]):
+            if at[row, col] != -1 or colours[row, col] < 0 or not _beside(at, row, col):
+                continue
+            if expect(centres, at, fits, row, col, expected) == 0:
+                continue
+            reach = max(abs(expected[2]) + abs(expected[4]), abs(expected[3]) + abs(expected[5]))
+            x0, x1 = max(int((expected[0] - reach) / side), 0), min(int((expected[0] + reach) / side), heads.shape[1] - 1)
+            y0, y1 = max(int((expected[1] - reach) / side), 0), min(int((expected[1] + reach) / side), heads.shape[0] - 1)
+            for y in range(y0, y1 + 1):
+                for x in range(x0, x1 + 1):
+                    j = heads[y, x]
+                    while j >= 0:
+                        if cells[j, 0] >= 0:
+                            out[j] = min(out[j], off_by(expected, centres[j, 0], centres[j, 1]))
+                        j = following[j]
