@@ -83,6 +83,14 @@ def test_skin_moves_with_the_flexion_and_by_its_size() -> None:
     assert knee.standard[np.argmax(bent), 0] > knee.standard[np.argmin(bent), 0]
 
 
+def test_an_examiner_misplaces_a_marker_once_for_all_frames() -> None:
+    recording, _ = walk()
+    still = replace(recording, positions=np.repeat(recording.positions[:1], 4, axis=0))
+    made = clinical_uncertainty(still, clinical_angles(still), PLACED, rules=replace(FEW, most=20), budget_trials=5)
+    for one in made.joints:
+        np.testing.assert_allclose(one.standard, np.repeat(one.standard[:1], 4, axis=0), rtol=1e-6)
+
+
 def test_a_wand_that_a_static_trial_calibrated_counts_as_well_placed() -> None:
     recording, clinical = walk()
     known = LegMeasures(from_file=("thigh_rotation", "shank_rotation", "foot_flexion"))

@@ -82,6 +82,21 @@ def test_a_print_through_other_hands_is_read(tilt: float, noise: float, jpeg: in
         assert len(given) > 0.85 * warp.readable().sum()
 
 
+def test_a_circle_that_is_covered_in_part_says_that_its_centre_is_uncertain() -> None:
+    """A finger's width of black over the outer third of one circle."""
+    warp = warped(sheet(), (480, 360), 0, 0.01, 0, rng=np.random.default_rng(7))
+    row, column = 8, 10
+    (x, y), wide = warp.centres[row, column], warp.diameters[row, column, 0]
+    image = warp.image.copy()
+    cv2.rectangle(image, (round(x + 0.15 * wide), round(y - wide)), (round(x + 0.6 * wide), round(y + wide)), (20, 20, 20), -1)
+    before, after = (read_image(picture, sheet()) for picture in (warp.image, image))
+    sigma = []
+    for read in (before, after):
+        [n] = np.flatnonzero((read.grid == (row, column)).all(axis=1))
+        sigma.append(float(np.sqrt(np.trace(read.covariance[n]) / 2)))
+    assert sigma[1] > 2 * sigma[0], sigma
+
+
 def test_a_mirrored_image_is_not_read() -> None:
     warp = warped(sheet(), (480, 360), 10.0, 0.01, 0, rng=np.random.default_rng(1))
     assert (read_image(warp.image, sheet()).ids >= 0).sum() > 100

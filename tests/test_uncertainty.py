@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from asterism import AsterismError
 from asterism.cameras.accuracy import covariance
@@ -121,6 +122,27 @@ def test_each_source_adds_to_its_part_of_the_budget_only() -> None:
     joint = estimate_uncertainty(analysed(), soft, rules=MonteCarloRules(block=2, most=2), budget_trials=100).joints[0]
     bent = joint.joint.angle > 0.7 * joint.joint.angle.max()
     assert joint.angle_budget["soft tissue"][bent].mean() > 3 * joint.angle_budget["soft tissue"][joint.joint.angle < 0.1].mean()
+
+
+def test_misplaced_landmarks_turn_a_limb_most_about_its_long_axis() -> None:
+    """The turn is root 2 sigma over the length for the axes across, over the width for the long one."""
+    rng, errors = np.random.default_rng(0), PlacementErrors(0.002)
+    limb = rng.uniform(-0.5, 0.5, (400, 3)) * [0.08, 0.4, 0.04]
+    turns = np.array([Rotation.from_matrix(errors.draw(limb, rng)).as_rotvec() for _ in range(1500)])
+    length, width = (np.sqrt(2) * errors.sigma_m / extent for extent in (0.4, 0.08))
+    np.testing.assert_allclose(turns.std(axis=0), [length, width, length], rtol=0.12)
+
+
+@pytest.mark.parametrize(("freedoms", "variance"), [(6.0, 1.5), (np.inf, 1.0)])
+def test_skin_whose_size_is_little_known_moves_further_now_and_then(freedoms: float, variance: float) -> None:
+    """The variance of a t distribution is its freedoms over themselves less 2."""
+    rng, errors = np.random.default_rng(1), SoftTissueErrors(freedoms=freedoms)
+    limb, course = rng.uniform(-0.1, 0.1, (30, 3)), np.ones(1)
+    drawn, plain = (
+        np.array([source.draw(limb, np.full(30, 0.01), [course], np.random.default_rng([2, k])) for k in range(1500)])
+        for source in (errors, replace(errors, freedoms=np.inf))
+    )
+    assert (drawn**2).mean() == pytest.approx(variance * (plain**2).mean(), rel=0.15)
 
 
 def test_the_noise_is_found_in_the_points_themselves() -> None:

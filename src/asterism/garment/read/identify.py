@@ -34,6 +34,7 @@ class Identified:
     ids         (n,) int32, -1 where unknown
     grid        (n, 2) int32 row and column on the sheet, -1 where unknown: also of circles at a border, which have no identity
     confidence  (n,) that the row and column are right, 0 where unknown: never above what was measured (`rules.shown`)
+    apart       (n,) how far the logarithm of the area is from that of the neighbours
     windows     3 x 3 blocks that were read whole
     existing    of them, those that the pattern has
     shared      circles left out because another one would be at the same place of the sheet
@@ -42,6 +43,7 @@ class Identified:
     ids: NDArray[np.int32]
     grid: NDArray[np.int32]
     confidence: Floats
+    apart: Floats
     windows: int
     existing: int
     shared: int
@@ -59,7 +61,8 @@ def identify(circles: Circles, links: NDArray[np.int32], posterior: Floats, patt
     Then each circle is weighed: the colours around it, as log q nats each and a misread one as a loss, in all and on its weakest side,
     because what is across a fold does not speak for it; how far it is from where its neighbours expect it; whether another cell is
     expected there, too; squares that it closes; and whether something coloured lies between it and its neighbours. `rules.weights` make
-    log odds of that, and a circle needs `rules.odds`. A lone misread colour in a neighbourhood that fits is corrected so.
+    log odds of that, and a circle needs `rules.odds`. One that is much larger or smaller than its neighbours has run into another, or is
+    covered, and gets no identity. A lone misread colour in a neighbourhood that fits is corrected so.
     """
     n, q = posterior.shape
     ring = np.empty((n, 8), np.int32)
@@ -76,11 +79,12 @@ def identify(circles: Circles, links: NDArray[np.int32], posterior: Floats, patt
     twice = _twice(cells, pattern.shape)
     cells[twice] = -1
     odds = _odds(circles, likelihood, own, pattern, rules, cells)
-    given = odds > rules.odds
+    apart = _apart_from_neighbours(circles.moments, cells, pattern.shape)
+    given = (odds > rules.odds) & (apart < rules.alike)
     grid = np.where(given[:, None], cells, -1).astype(np.int32)
     ids = np.where(given, pattern.ids[cells[:, 0], cells[:, 1]], -1).astype(np.int32)
     doubt = _at_most(*rules.shown) + np.exp(-np.clip(odds, 0.0, 30.0))
-    return Identified(ids, grid, np.where(given, 1.0 / (1.0 + doubt), 0.0), windows, existing, int(twice.sum()))
+    return Identified(ids, grid, np.where(given, 1.0 / (1.0 + doubt), 0.0), apart, windows, existing, int(twice.sum()))
 
 
 def _carry_on(
@@ -114,7 +118,7 @@ def _of_cells(likelihood: Floats, cells: NDArray[np.int32], there: NDArray[np.bo
 
 
 def _odds(circles: Circles, likelihood: Floats, own: Floats, pattern: Pattern, rules: ReadRules, cells: NDArray[np.int32]) -> Floats:
-    """(n,) log odds that circles are at their cells, -inf where they have none; cells (n, 2) grow in place."""
+    """(n,) log odds that circles are at their cells, -inf where they have none or lie far off it; cells (n, 2) grow in place."""
     n, centres = len(cells), circles.centres
     at, fits = np.empty(pattern.shape, np.int32), own > 0
     growth.occupy(cells, at)
@@ -142,7 +146,27 @@ def _odds(circles: Circles, likelihood: Floats, own: Floats, pattern: Pattern, r
             np.clip(bump, 0, 0.5),
         ]
     )
-    return np.where(there & np.isfinite(off[:, 0]), told @ np.array(rules.weights), -np.inf)
+    return np.where(there & np.isfinite(off[:, 0]) & (off[:, 1] < rules.astray), told @ np.array(rules.weights), -np.inf)
+
+
+def _apart_from_neighbours(moments: Floats, cells: NDArray[np.int32], shape: tuple[int, int]) -> Floats:
+    """(n,) how far the logarithm of each circle's area is from that of its neighbours (the median of up to eight).
+
+    A circle that something covers in part is smaller than its neighbours, and one that has run into another is larger; both have their
+    centres in the wrong place.
+    """
+    area = np.sqrt(np.linalg.det(moments))
+    there = cells[:, 0] >= 0
+    row, column = cells[there].T
+    at = np.full((shape[0] + 2, shape[1] + 2), np.nan)
+    at[row + 1, column + 1] = area[there]
+    around = np.sort([at[row + 1 + i, column + 1 + j] for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j], axis=0)
+    count = np.isfinite(around).sum(axis=0)
+    middle = np.maximum([(count - 1) // 2, count // 2], 0)
+    usual = np.take_along_axis(around, middle, axis=0).mean(axis=0)
+    out = np.zeros(len(area))
+    out[there] = np.where(count > 0, np.abs(np.log(area[there] / np.where(count > 0, usual, 1.0))), 0.0)
+    return out
 
 
 def _at_most(count: int, wrong: int) -> float:

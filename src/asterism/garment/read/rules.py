@@ -27,9 +27,9 @@ class ReadRules:
     side           (2,) pitches, of a lattice vector as the ellipse has it
     square         sine of the angle between two lattice vectors, as the ellipse has it, at least
     fit            pitches, by which a neighbour may be off its place
-    length     (2,) pitches, of a link as the ellipses at its ends have it, in the mean
-    rise       share of a circle's colourfulness by which the gap to its neighbour may rise and fall in between
-    rise_noise the same, in standard deviations of the noise
+    length         (2,) pitches, of a link as the ellipses at its ends have it, in the mean
+    rise           share of a circle's colourfulness by which the gap to its neighbour may rise and fall in between
+    rise_noise     the same, in standard deviations of the noise
     misread        share of colours that are misread at most, in the evidence
     alone          nats, evidence that the whole map of a neighbourhood needs beyond chance
     patch          circles of a patch without whole blocks that have the colours of one place on the sheet, at least
@@ -40,6 +40,11 @@ class ReadRules:
                    1, nats on the weakest side, a third of the nats around, logarithm of the pitches off the mean of all ways and off the
                    farthest one, pitches from where another cell is expected, squares, own nats, bump
     odds           log odds that a circle needs
+    astray         pitches, by which a circle may be off one of the ways in which its neighbours expect it: where one of two
+                   neighbouring lines of circles is a cell off, the ways across say so
+    alike          how far the logarithm of a circle's area may be from that of its neighbours
+    covered        standard deviation of a centre, as a share of the longer semi-axis, by how far the logarithm of the area is from that of
+                   the neighbours; so that points in space have the errors that they state (a rendered suit, session seed 11)
     shown          (2,) identities measured on 36 other images, and how many of them were wrong; both at a tilt of 75 degrees and more
     """
 
@@ -71,5 +76,8 @@ class ReadRules:
     gate: float = 0.3
     bump: tuple[float, float] = (0.12, 4.0)
     weights: tuple[float, ...] = (-2.01, 0.158, 0.047, -1.622, -1.017, 0.392, 0.856, 0.366, -4.715)
-    odds: float = 7.0
+    odds: float = 7.6
+    astray: float = 0.75
+    alike: float = 0.65
+    covered: float = 0.08
     shown: tuple[int, int] = (36_090, 2)
