@@ -19,11 +19,6 @@ from asterism.simulation.garment import Photo, PhotoSettings, Wearer, WornGarmen
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 
-LIGHTS = {
-    "plain": PhotoSettings(),
-    "warm lamps": PhotoSettings(white_balance=(1.5, 1.0, 0.55)),
-    "cold, dim lamps": PhotoSettings(white_balance=(0.65, 1.0, 1.5), exposure=0.4),
-}
 SEEDS = 5
 NARROW = (865, 30)
 """Rows and columns of a sheet on which more identities fit than on a square: the search has fewer open contexts at a time."""
@@ -98,7 +93,7 @@ def _pictures(quick: bool, noise: float, lights: PhotoSettings, seed: int) -> It
 def check(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """A photo that proves itself: the bound of misread colours, in good light."""
     bounds, shares = [], []
-    for photo, pattern in _pictures(benchmark.quick, 0.01, LIGHTS["plain"], 0):
+    for photo, pattern in _pictures(benchmark.quick, 0.01, PhotoSettings(), 0):
         judged = judge_reading(read_image(photo.image, pattern), pattern)
         bounds.append(judged.misread_most)
         shares.append(judged.share)
@@ -108,7 +103,7 @@ def check(benchmark: BenchmarkRun) -> Iterator[Figure]:
 
 def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """One image of 1280 x 960 px with about 1,000 circles, one core; median of ten."""
-    photo, pattern = next(_pictures(False, 0.01, LIGHTS["plain"], 0))
+    photo, pattern = next(_pictures(False, 0.01, PhotoSettings(), 0))
     read = read_image(photo.image, pattern)
     seconds = []
     for _ in range(2 if benchmark.quick else 10):
