@@ -41,7 +41,7 @@ def add_densities(uv, slopes, spreads, share, xy, offsets, sigma, out):
 
 @kernel(inline=True)
 def negative_log(densities):
-    """Minus the sum of the logs of densities (P,) px-2, one log for eight of them. O(P), no allocation."""
+    """Gives minus the sum of the logs, one log for eight densities. IN densities (P,) px-2. O(P), no allocation."""
     total, product = 0.0, 1.0
     for k in range(len(densities)):
         product *= densities[k]

@@ -37,7 +37,7 @@ def nearest_on_segments(p, q, a, b):
 
 @kernel(inline=True)
 def squared_distance(p, q):
-    """The squared distance of two points (3,) m2. O(1)."""
+    """Gives the squared distance (m2) of two points. IN p, q (3,) m. O(1)."""
     return (p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2
 
 

@@ -27,7 +27,7 @@ def occupy(cells, at):
 
 @kernel
 def there(at, fits, row, col):
-    """The circle at a cell, -1 where there is none of the cell's colour, or no sheet."""
+    """Gives the circle at a cell, -1 where there is none of the cell's colour, or no sheet. IN at, fits: see `expect`. O(1)."""
     if row < 0 or col < 0 or row >= at.shape[0] or col >= at.shape[1]:
         return np.int64(-1)
     i = np.int64(at[row, col])
@@ -94,7 +94,10 @@ def expect(centres, at, fits, row, col, out):
 
 @kernel
 def off_by(expected, x, y):
-    """How far a place is from where it is expected, in pitches of the lattice there; infinite where the vectors are none."""
+    """Gives how far a place (px) is from where it is expected, in pitches of the lattice there; infinite where the vectors are none.
+
+    IN expected (6,) of `expect`. O(1).
+    """
     det = expected[2] * expected[5] - expected[3] * expected[4]
     if not det > 0.0:
         return np.inf
@@ -105,7 +108,13 @@ def off_by(expected, x, y):
 
 @kernel
 def bucket_circles(centres, side, heads, following):
-    """Sort circles into square buckets of the image: chains of `following` from `heads` (-1 ends). O(n + buckets)."""
+    """Sort circles into square buckets of the image.
+
+    IN  centres (n, 2) px; side px
+    OUT heads (rows, columns) of buckets: the first circle in each, -1 for none; following (n,): the next one in its bucket, -1 for none
+
+    O(n + buckets).
+    """
     heads[:] = -1
     for i in range(len(centres) - 1, -1, -1):
         row, col = int(centres[i, 1] / side), int(centres[i, 0] / side)

@@ -245,7 +245,7 @@ def refine_frames(centres, found, links, frames, fit, out):
 
 @kernel
 def between(grey, x, y):
-    """The value between four pixels, bilinear; the position must be inside."""
+    """Gives the value between four pixels, bilinear. IN grey (h, w); x, y px, inside. O(1)."""
     left, above = int(x), int(y)
     a, b = x - left, y - above
     upper = (1.0 - a) * grey[above, left] + a * grey[above, left + 1]
