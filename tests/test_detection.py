@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import twins_detection
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from twins_detection import grown
 
@@ -220,6 +220,7 @@ def component(seed: int, height: int, width: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     smooth = cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), 1.5)
     weight = np.pad(np.maximum(np.rint(40 * smooth / smooth.std()), 0).astype(np.int64), 1)
+    assume(weight.any())
     labels, _ = twins_detection.label_regions(weight > 0, np.ones((3, 3)))
     return np.where(labels == np.argmax(np.bincount(labels.ravel())[1:]) + 1, weight, 0)
 
