@@ -139,3 +139,13 @@ def test_the_order_of_the_points_plays_no_part(one: asterism.SolverEnsemble, wal
     there, back = one.label(recording.clouds(), time=True), one.label(turned.clouds(), time=True)
     np.testing.assert_array_equal(np.where(back.indices >= 0, 14 - back.indices, -1), there.indices)
     np.testing.assert_allclose(back.confidence, there.confidence)
+
+
+def test_points_left_over_cost_a_person_of_the_training_no_label(one: asterism.SolverEnsemble, walks: list[Recording]) -> None:
+    """A third as many points as markers ride along that have no name; the distances are those of the training."""
+    own = walks[0]
+    more = own.positions[:, ::3] + np.random.default_rng(5).normal(0.0, 0.03, (1, 5, 3))
+    names = (*own.labels, *(f"*{number}" for number in range(5)))
+    labelling = one.label(replace(own, positions=np.concatenate([own.positions, more], axis=1), labels=names).clouds(), time=True)
+    assert labelling.verdict is not None and labelling.verdict.surplus == 5.0
+    assert (labelling.indices == np.arange(15)).mean() > 0.99

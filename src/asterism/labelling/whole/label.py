@@ -253,15 +253,15 @@ def label_if_foreign(
 ) -> ForeignLabels | None:
     """A recording labelled again, None where there is no need.
 
-    There is where it does not fit the body, where the body seems to walk backwards, and where few people taught the model and
-    many points are left over. relabel: labels a scene from given labels (J,) on.
+    There is where it does not fit the body, where the body seems to walk backwards, and where few people taught the model, many points are
+    left over, and the distances are not as close as those of a person of the training are. relabel: labels a scene from given labels (J,) on.
     """
     reference = body.distances
     verdict = judge_scene(found.scene, found.label, marker_offsets([body.labeller]), 0, reference)
     if verdict is None or reference is None:
         return None
     names, rules = [body.names[marker] for marker in body.markers], ForeignRules()
-    few = len(reference.median) < reference.rules.min_people
+    few = len(reference.median) < reference.rules.min_people and not verdict.scatter <= reference.rules.own_scatter
     crowded = few and verdict.surplus >= reference.rules.min_surplus * len(names)
     if verdict.fits and not crowded and forward_travel(found, names, rules) > rules.backward:
         return None

@@ -41,6 +41,8 @@ class VerdictRules:
     left_out_factor  the limit as a multiple of the largest scatter of a person of the training against all others, between these two
     crowded_limit    largest scatter that fits where fewer people taught the model and many points are left over: among many points some
                      always fit
+    own_scatter      largest scatter of a person of the training in another movement: 0.01 in those measured, and 0.02 of the nearest other
+                     person. Not tuned
     body_scatter     scatter from which it is another body
     body_size        factor between the sizes from which it is another body
     body_labelled    share of the markers, or of the points if fewer, below which what does not fit is another body
@@ -68,6 +70,7 @@ class VerdictRules:
     min_people: int = 5
     left_out_factor: float = 1.5
     crowded_limit: float = 0.035
+    own_scatter: float = 0.018
     body_scatter: float = 0.3
     body_size: float = 1.7
     body_labelled: float = 0.5
