@@ -253,8 +253,8 @@ def label_if_foreign(
 ) -> ForeignLabels | None:
     """A recording labelled again, None where there is no need.
 
-    There is where it does not fit the body, where the body seems to walk backwards, and where few people taught the model, many points are
-    left over, and the distances are not as close as those of a person of the training are. relabel: labels a scene from given labels (J,) on.
+    There is where it does not fit the body, where the body seems to walk backwards, and where many points are left over from a model of few
+    people, none of whom has such distances. relabel: labels a scene from given labels (J,) on.
     """
     reference = body.distances
     verdict = judge_scene(found.scene, found.label, marker_offsets([body.labeller]), 0, reference)
