@@ -24,7 +24,7 @@ from benchmarks.score import Tally
 
 CONDITIONS = {"as recorded": (0, 0), "3 hidden": (3, 0), "3 hidden + 3 ghosts": (3, 3)}
 """Markers hidden in gaps, and ghost tracks there, at every moment."""
-FEW_STARTS = 2
+FEW_STARTS = 1
 """Subjects whose straight walk is the one trial, evenly spread. Each of the eleven is a start where it is labelled and there are ghosts."""
 WORTH = 1.0
 """Samples that a look must be expected to mend, else the piece is not looked at."""

@@ -16,7 +16,7 @@ from benchmarks.data import DIRTY, Fold, movement_folds
 from benchmarks.figures import Figure
 from benchmarks.score import Tally
 
-LONGEST = 2000
+LONGEST = 1000
 """Frames of each recording that are labelled, from its middle."""
 
 

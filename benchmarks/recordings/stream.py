@@ -13,6 +13,7 @@ from asterism.recording import Clouds, Floats, Labelling
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import GAIT_BODY, gait
 from benchmarks.figures import Figure
+from benchmarks.recordings.full_body import full_body_subjects
 from benchmarks.recordings.walks import Markers, unseen_ensemble, with_gaps
 from benchmarks.score import Tally
 
@@ -25,7 +26,7 @@ def stream(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """The subjects of the row `full-body`, each with an ensemble that has not seen it; 15 markers, then all. Times need a quiet machine."""
     sets: tuple[Markers, ...] = ("helen-hayes",) if benchmark.quick else ("helen-hayes", GAIT_BODY)
     for markers in sets:
-        subjects = list(gait(markers))[:: 11 if benchmark.quick else 3]
+        subjects = full_body_subjects()[: 1 if benchmark.quick else None]
         tallies, times = defaultdict(Tally), defaultdict(list)
         for subject in subjects:
             ensemble = unseen_ensemble(benchmark, subject, markers)
