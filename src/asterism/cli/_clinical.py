@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 from asterism.cli import _console
 
 if TYPE_CHECKING:
     from asterism.motion.clinical import ClinicalAngles, ClinicalErrors, ClinicalJoint, ClinicalUncertainty, JointUncertainty
+    from asterism.motion.uncertainty import MonteCarloRules
     from asterism.recording import Floats, Recording
 
 
@@ -24,19 +25,24 @@ def find(recording: Recording, wanted: bool | None) -> ClinicalAngles | None:
     return clinical_angles(recording)
 
 
+class MonteCarlo(TypedDict):
+    """How both estimates of uncertainty draw their trials."""
+
+    rules: MonteCarloRules
+    budget_trials: int
+    workers: int
+    progress: Any
+
+
 def certain(
-    recording: Recording, clinical: ClinicalAngles | None, errors: ClinicalErrors, trials: int, seed: int, workers: int, progress: Any
+    recording: Recording, clinical: ClinicalAngles | None, errors: ClinicalErrors, seed: int, trials: MonteCarlo
 ) -> ClinicalUncertainty | None:
-    """How certain the angles are, by so many trials at most."""
+    """How certain the angles are."""
     from asterism.motion.clinical import clinical_uncertainty
-    from asterism.motion.uncertainty import MonteCarloRules
 
     if clinical is None:
         return None
-    rules = MonteCarloRules(most=trials, block=min(100, max(trials // 2, 2)))
-    return clinical_uncertainty(
-        recording, clinical, errors, seed=seed, workers=workers, rules=rules, budget_trials=min(trials, 200), progress=progress
-    )
+    return clinical_uncertainty(recording, clinical, errors, seed=seed, **trials)
 
 
 def show(path: Path, clinical: ClinicalAngles | None, known: ClinicalUncertainty | None) -> None:

@@ -69,6 +69,7 @@ def label_views(options: LabelViewsOptions) -> None:
     from asterism.findings import exit_status
     from asterism.formats import check_suffix
     from asterism.formats.blobs_2d import read_2d
+    from asterism.labelling import SolverEnsemble
     from asterism.views.rules import QUICK, RULES
 
     output = options.output
@@ -77,6 +78,7 @@ def label_views(options: LabelViewsOptions) -> None:
     body = views.load_body(options.body)
     rig = _upright(read_rig(options.rig), options)
     blobs = read_2d(options.blobs, cameras=rig.names, rate=options.rate)
+    model = None if options.model is None else SolverEnsemble.load(options.model)
     with _console.progress("labelling") as progress:
         result = views.label_views(
             blobs,
@@ -87,12 +89,10 @@ def label_views(options: LabelViewsOptions) -> None:
             least_confidence=options.least_confidence,
             progress=progress,
         )
-    if options.model is not None:
-        from asterism.labelling import SolverEnsemble
+    if model is not None:
         from asterism.views.agreement import check_by_model
 
         with _console.progress("naming the 3D points") as progress:
-            model = SolverEnsemble.load(options.model)
             result = check_by_model(result, model, least_confidence=options.least_confidence, progress=progress)
     limit = float("inf") if options.most_deviation is None else 1e-3 * options.most_deviation
     lost = formats.write(output, result.recording(least_views=options.min_cameras, most_deviation=limit))

@@ -16,8 +16,10 @@ from asterism.cli.segment import LimbCount, read_points
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
+    from asterism.cameras import Rig
+    from asterism.cli._clinical import MonteCarlo
     from asterism.motion.analysis import MotionAnalysis
-    from asterism.motion.clinical import ClinicalAngles, ClinicalUncertainty
+    from asterism.motion.clinical import ClinicalAngles, ClinicalErrors, ClinicalUncertainty
     from asterism.motion.uncertainty import CalibrationErrors, ErrorSources, MeasurementNoise, UncertaintyResult
     from asterism.recording import Floats, Recording
 
@@ -107,12 +109,14 @@ def motion(options: MotionOptions) -> None:
     """
     from asterism.cli._folders import recordings_of
     from asterism.motion.analysis import MotionRules, analyse_motion
+    from asterism.motion.uncertainty import estimate_uncertainty
 
     _console.check_outputs([options.report, options.json, options.output], [*options.files, options.rig], options.overwrite)
     if options.covariance is not None and options.rig is None:
         raise AsterismError("--covariance belongs to a rig; give its file with --rig.")
     batch = _console.Batch("analysed")
     results: list[Result] = []
+    cameras = _cameras(options)
     rules = MotionRules(method=options.method.value, joint_method=options.joints.value)
     for path in recordings_of(options.files, batch):
         with batch.file(path):
@@ -120,8 +124,11 @@ def motion(options: MotionOptions) -> None:
             limbs, clinical = _limbs(options, recording), _clinical.find(recording, options.anatomy)
             with _console.progress("motion") as progress:
                 analysis = analyse_motion(recording, limbs, rules=rules, progress=progress)
-                certain = _uncertainty(options, analysis, progress) if options.uncertainty else None
-                legs = _of_legs(options, recording, clinical, certain, progress) if certain else None
+                certain, legs = None, None
+                if options.uncertainty:
+                    trials = _monte_carlo(options, progress)
+                    certain = estimate_uncertainty(analysis, _sources(options, cameras, analysis), seed=options.seed, **trials)
+                    legs = _clinical.certain(recording, clinical, _of_legs(options, cameras, recording, certain), options.seed, trials)
             for finding in [*analysis.findings, *(certain.findings if certain else ())]:
                 batch.found(finding)
             results.append(Result(path, analysis, certain, clinical, legs))
@@ -171,62 +178,68 @@ def _limbs(options: MotionOptions, recording: Recording) -> dict[str, list[str]]
     return kept
 
 
-def _of_cameras(options: MotionOptions, positions: Floats) -> tuple[MeasurementNoise | None, CalibrationErrors | None]:
-    """The noise of points (T, N, 3) and the errors of the calibration, as far as the rig tells them."""
-    from asterism.motion.uncertainty import CalibrationErrors, noise_from_rig
+@dataclass(frozen=True)
+class Cameras:
+    """The rig that measured the points, and the errors of its calibration; None where they are not given."""
 
+    rig: Rig | None
+    calibration: CalibrationErrors | None
+
+    def noise(self, positions: Floats) -> MeasurementNoise | None:
+        """The noise of points (T, N, 3) m, as far as the rig tells it."""
+        from asterism.motion.uncertainty import noise_from_rig
+
+        return None if self.rig is None else noise_from_rig(self.rig, positions)
+
+
+def _cameras(options: MotionOptions) -> Cameras:
+    """What `--rig` and `--covariance` name."""
     if options.rig is None:
-        return None, None
+        return Cameras(None, None)
     from asterism.cameras.files import read_rig
+    from asterism.motion.uncertainty import CalibrationErrors
 
     rig = read_rig(options.rig)
-    noise = noise_from_rig(rig, positions)
     if options.covariance is None:
-        return noise, None
+        return Cameras(rig, None)
     from asterism.garment.rig_covariance import RigCovariance
 
     known = RigCovariance.load(options.covariance)
-    return noise, CalibrationErrors(rig.select(known.names), known.free, known.matrix)
+    return Cameras(rig, CalibrationErrors(rig.select(known.names), known.free, known.matrix))
 
 
-def _sources(options: MotionOptions, analysis: MotionAnalysis) -> ErrorSources:
+def _sources(options: MotionOptions, cameras: Cameras, analysis: MotionAnalysis) -> ErrorSources:
     from dataclasses import replace
 
     from asterism.motion.uncertainty import ErrorSources, PlacementErrors, SoftTissueErrors
 
-    noise, calibration = _of_cameras(options, analysis.recording.positions)
     usual = SoftTissueErrors()
     low, high = (options.soft_tissue * scale for scale in usual.scales)
     soft = replace(usual, scales=(low, high)) if options.soft_tissue > 0 else None
     placed = PlacementErrors(options.placement / 1000) if options.placement > 0 else None
-    return ErrorSources(noise=noise, calibration=calibration, soft_tissue=soft, placement=placed)
+    return ErrorSources(
+        noise=cameras.noise(analysis.recording.positions), calibration=cameras.calibration, soft_tissue=soft, placement=placed
+    )
 
 
-def _of_legs(
-    options: MotionOptions, recording: Recording, clinical: ClinicalAngles | None, certain: UncertaintyResult, progress: Any
-) -> ClinicalUncertainty | None:
-    """How certain the clinical angles are, by the sources of `certain`."""
+def _of_legs(options: MotionOptions, cameras: Cameras, recording: Recording, certain: UncertaintyResult) -> ClinicalErrors:
+    """The errors of the clinical angles, by the sources of `certain`."""
     from asterism.motion.clinical import ClinicalErrors, SkinMotion
     from asterism.motion.uncertainty import MeasurementNoise
 
-    noise, calibration = _of_cameras(options, recording.positions)
-    errors = ClinicalErrors(
-        noise=noise or MeasurementNoise(certain.noise),
-        calibration=calibration,
+    return ClinicalErrors(
+        noise=cameras.noise(recording.positions) or MeasurementNoise(certain.noise),
+        calibration=cameras.calibration,
         skin=SkinMotion().times(options.soft_tissue) if options.soft_tissue > 0 else None,
         placement_m=options.placement / 1000 if options.placement > 0 else None,
     )
-    return _clinical.certain(recording, clinical, errors, options.trials, options.seed, options.workers, progress)
 
 
-def _uncertainty(options: MotionOptions, analysis: MotionAnalysis, progress: Any) -> UncertaintyResult:
-    from asterism.motion.uncertainty import MonteCarloRules, estimate_uncertainty
+def _monte_carlo(options: MotionOptions, progress: Any) -> MonteCarlo:
+    from asterism.motion.uncertainty import MonteCarloRules
 
     rules = MonteCarloRules(most=options.trials, block=min(100, max(options.trials // 2, 2)))
-    return estimate_uncertainty(
-        analysis, _sources(options, analysis), seed=options.seed, workers=options.workers, rules=rules,
-        budget_trials=min(options.trials, 200), progress=progress,
-    )  # fmt: skip
+    return {"rules": rules, "budget_trials": min(options.trials, 200), "workers": options.workers, "progress": progress}
 
 
 def show(path: Path, analysis: MotionAnalysis, certain: UncertaintyResult | None) -> None:
