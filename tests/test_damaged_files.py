@@ -347,10 +347,16 @@ def test_a_long_recording_is_in_memory_a_few_times_only(tmp_path: Path) -> None:
     drift = np.linspace(0.0, 0.1, 20_000)[:, None, None]
     asterism.write(path, asterism.Recording(places + drift, tuple(f"M{i}" for i in range(39)), 100.0))
     tracemalloc.start()
-    asterism.read(path)
-    peak = tracemalloc.get_traced_memory()[1]
+    recording = asterism.read(path)
+    read = tracemalloc.get_traced_memory()
+    tracemalloc.reset_peak()
+    asterism.write(tmp_path / "again.c3d", recording)
+    written = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 6.0 * path.stat().st_size, f"{peak / path.stat().st_size:.1f} times the file"  # it was 13
+    size = path.stat().st_size
+    assert read[1] < 6.0 * size, f"reading takes {read[1] / size:.1f} times the file"  # it was 13
+    assert written < read[0] + 4.5 * size, f"writing takes {(written - read[0]) / size:.1f} times the file"  # it was 6
+    assert (tmp_path / "again.c3d").read_bytes() == path.read_bytes()
 
 
 def _png(width: int, height: int) -> bytes:

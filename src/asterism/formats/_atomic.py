@@ -27,7 +27,7 @@ def utf8(text: str) -> bytes:
     return text.encode("utf-8", "replace")
 
 
-def write_atomically(path: Path, data: bytes) -> None:
+def write_atomically(path: Path, data: bytes | bytearray) -> None:
     """Write the whole file or nothing, under a temporary name in the same folder that is then renamed.
 
     A file that is replaced keeps its permissions, and a link stays one: its target is replaced. Unfinished files of the same name that

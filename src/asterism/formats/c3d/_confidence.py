@@ -28,7 +28,7 @@ _MOST_SAMPLES = 65535
 _PER_CHANNEL = ("LABELS", "DESCRIPTIONS", "SCALE", "OFFSET", "UNITS", "GAIN")
 
 
-def with_confidence(file: C3DFile, confidence: LabelConfidence, states: LabelStates) -> bytes:
+def with_confidence(file: C3DFile, confidence: LabelConfidence, states: LabelStates) -> bytearray:
     """The bytes of a file with the confidence of its labels, in place of one that it had.
 
     confidence  names (M,) and values (T, M) in [0, 1]; states: theirs. Other channels keep their samples, numbers and order.
@@ -45,13 +45,14 @@ def with_confidence(file: C3DFile, confidence: LabelConfidence, states: LabelSta
     old = file.words[:, 4 * file.layout.points :].reshape(frames, samples, -1)[:, :, kept] if file.analog_channels else None
     new = np.repeat(_encoded(file, confidence.values)[:, None], samples, axis=1)
     analog = new if old is None else np.concatenate([old, new], axis=2)
-    words = np.concatenate([file.words[:, : 4 * file.layout.points], analog.reshape(frames, -1)], axis=1)
     parameters = _with_channels(file, kept, names, samples, 1.0 if general is None else general)
     parameters = _with_summary(parameters, confidence, states, len(kept))
-    raw = bytearray(assembled(file, parameters, words, file.layout.points, None))
+    raw, words = assembled(file, parameters, 4 * file.layout.points + samples * analog.shape[2], file.layout.points, None)
+    words[:, : 4 * file.layout.points] = file.words[:, : 4 * file.layout.points]
+    words[:, 4 * file.layout.points :] = analog.reshape(frames, -1)
     raw[4:6] = file.processor.bytes_of_unsigned(samples * analog.shape[2])
     raw[18:20] = file.processor.bytes_of_unsigned(samples)
-    return bytes(raw)
+    return raw
 
 
 def confidence_of(file: C3DFile) -> LabelConfidence | None:

@@ -32,6 +32,11 @@ _FRAMES_AT_ONCE = 10_000
 """What is converted at a time: a recording of an hour is in memory once, not three times."""
 
 
+def stretches(frames: int) -> Iterator[slice]:
+    """All frames, so many at a time as are converted at once."""
+    return (slice(start, min(start + _FRAMES_AT_ONCE, frames)) for start in range(0, frames, _FRAMES_AT_ONCE))
+
+
 @dataclass(frozen=True)
 class Header:
     """The first block, with its numbers as they are, right or wrong."""
@@ -74,7 +79,7 @@ class C3DFile:
     """A parsed file. `raw` is all of it; everything else is a view on it."""
 
     path: str
-    raw: bytes
+    raw: bytes | bytearray
     processor: Processor
     header: Header
     parameters: Parameters
@@ -104,21 +109,28 @@ class C3DFile:
                 return abs(scale)
         return 1.0
 
-    @cached_property
-    def residuals(self) -> NDArray[np.floating[Any]]:
+    def residuals_of(self, frames: slice) -> NDArray[np.floating[Any]]:
         """(frames, points) the fourth word as a signed number; negative means missing, mostly."""
-        fourth = np.ascontiguousarray(self.point_words[:, :, 3])
+        fourth = np.ascontiguousarray(self.point_words[frames, :, 3])
         return self.processor.floats(fourth) if self.layout.real else self.processor.integers(fourth).astype(np.float32)
+
+    @cached_property
+    def _signs_of_residuals(self) -> tuple[bool, bool]:
+        """Whether some, and whether all residuals are negative."""
+        negative = [self.residuals_of(some) < 0 for some in stretches(self.layout.frames)]
+        return any(some.any() for some in negative), all(some.all() for some in negative)
 
     @cached_property
     def residuals_are_unused(self) -> bool:
         """Whether every residual is negative although the file has coordinates, as SIMI writes them."""
-        return bool((self.residuals < 0).all() and (self.point_words[:, :, :3] & self._not_sign).any())
+        return self._signs_of_residuals[1] and any(
+            bool((self.point_words[some, :, :3] & self._not_sign).any()) for some in stretches(self.layout.frames)
+        )
 
     @cached_property
     def zeros_are_missing(self) -> bool:
         """Whether a point at exactly (0, 0, 0) is missing: where no residual is negative, except in files of Asterism."""
-        return self.residuals_are_unused or not (self.by_asterism or (self.residuals < 0).any())
+        return self.residuals_are_unused or not (self.by_asterism or self._signs_of_residuals[0])
 
     @cached_property
     def by_asterism(self) -> bool:
@@ -129,19 +141,19 @@ class C3DFile:
     def coordinates(self) -> Floats:
         """(frames, points, 3) in the file's unit, NaN where a point is missing, not finite or impossibly far away; made anew each time."""
         values = np.empty((self.layout.frames, self.layout.points, 3))
-        for start in range(0, self.layout.frames, _FRAMES_AT_ONCE):
-            some = slice(start, start + _FRAMES_AT_ONCE)
-            values[some] = self._coordinates_of(some)
+        for some in stretches(self.layout.frames):
+            values[some] = self.coordinates_of(some)
         return values
 
-    def _coordinates_of(self, frames: slice) -> Floats:
+    def coordinates_of(self, frames: slice) -> Floats:
+        """`coordinates` of some frames."""
         xyz = np.ascontiguousarray(self.point_words[frames, :, :3])
         with np.errstate(invalid="ignore", over="ignore"):
             stored = self.processor.floats(xyz) if self.layout.real else self.processor.integers(xyz)
             values = stored.astype(np.float64) * (1.0 if self.layout.real else self.scale)
             missing = ~(np.abs(values) < _NOWHERE).all(axis=2)
         if not self.residuals_are_unused:
-            missing |= self.residuals[frames] < 0
+            missing |= self.residuals_of(frames) < 0
         if self.zeros_are_missing:
             missing |= ~(xyz & self._not_sign).any(axis=2)
         values[missing] = np.nan
@@ -245,7 +257,7 @@ def open_c3d(path: Path) -> C3DFile:
     return parse_c3d(raw, str(path))
 
 
-def parse_c3d(raw: bytes, path: str) -> C3DFile:
+def parse_c3d(raw: bytes | bytearray, path: str) -> C3DFile:
     """Parse a file's bytes; `path` names it in messages. Raises AsterismError where this is not a C3D file, or holds no data."""
     if not raw:
         raise AsterismError(f"{path} is empty; export or copy it again.")
@@ -263,11 +275,11 @@ def parse_c3d(raw: bytes, path: str) -> C3DFile:
     header = _header(raw, processor, parameters_at)
     data_at = _data_start(raw, processor, header, findings)
     stop = data_at if data_at > parameters_at else min(len(raw), parameters_at + BLOCK * max(raw[parameters_at + 2], 1))
-    parameters = parse_parameters(raw[parameters_at:stop], processor)
+    parameters = parse_parameters(bytes(raw[parameters_at:stop]), processor)
     data_start = (parameters.count("POINT", "DATA_START") or 0) * BLOCK - BLOCK
     if not header.data_at and parameters_at < data_start <= len(raw):
         data_at = data_start
-        parameters = parse_parameters(raw[parameters_at:data_at], processor)
+        parameters = parse_parameters(bytes(raw[parameters_at:data_at]), processor)
     elif data_start != data_at:
         findings.append(
             header_conflict(
@@ -278,7 +290,7 @@ def parse_c3d(raw: bytes, path: str) -> C3DFile:
     return C3DFile(path, raw, processor, header, parameters, layout, (*findings, *parameters.findings))
 
 
-def _likely_processor(raw: bytes) -> Processor:
+def _likely_processor(raw: bytes | bytearray) -> Processor:
     def sane(processor: Processor) -> bool:
         rate = processor.float_at(raw, 20)
         return np.isfinite(rate) and 0.1 <= rate <= 1e5
@@ -286,7 +298,7 @@ def _likely_processor(raw: bytes) -> Processor:
     return next((processor for processor in PROCESSORS.values() if sane(processor)), PC)
 
 
-def _header(raw: bytes, processor: Processor, parameters_at: int) -> Header:
+def _header(raw: bytes | bytearray, processor: Processor, parameters_at: int) -> Header:
     def word(number: int) -> int:
         return processor.unsigned_at(raw, 2 * number - 2)
 
@@ -304,7 +316,7 @@ def _header(raw: bytes, processor: Processor, parameters_at: int) -> Header:
     )
 
 
-def _data_start(raw: bytes, processor: Processor, header: Header, findings: list[Finding]) -> int:
+def _data_start(raw: bytes | bytearray, processor: Processor, header: Header, findings: list[Finding]) -> int:
     if BLOCK <= header.data_at <= len(raw) and header.data_at != header.parameters_at:
         return header.data_at
     counted = header.parameters_at + BLOCK * raw[header.parameters_at + 2]
@@ -366,7 +378,7 @@ def _claims(header: Header, parameters: Parameters, start: int) -> Iterator[Layo
         yield Layout(start, length, count, samples, real)
 
 
-def _events_of_header(raw: bytes, processor: Processor) -> Iterator[Event]:
+def _events_of_header(raw: bytes | bytearray, processor: Processor) -> Iterator[Event]:
     if processor.unsigned_at(raw, 298) != _LABEL_KEY:
         return
     for place in range(min(processor.unsigned_at(raw, 300), 18)):

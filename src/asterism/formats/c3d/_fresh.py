@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.formats.c3d._edit import LOG_GROUP, MOST_STRINGS, event_records, floats_record, integers_record, log_record, strings_record
-from asterism.formats.c3d._file import BLOCK
+from asterism.formats.c3d._file import BLOCK, stretches
 from asterism.formats.c3d._numbers import PC
 from asterism.formats.c3d._parameters import CHARACTER, Record, make_group, make_parameter
 from asterism.recording import Floats, Recording
@@ -23,7 +23,7 @@ _RESIDUAL_STEP = 0.01
 _MASKED_CAMERAS = 7
 
 
-def fresh_c3d(recording: Recording, target: str, residual: Floats | None = None, cameras: NDArray[np.bool_] | None = None) -> bytes:
+def fresh_c3d(recording: Recording, target: str, residual: Floats | None = None, cameras: NDArray[np.bool_] | None = None) -> bytearray:
     """The bytes of a new file: positions in mm, missing points with residual -1, labels, rate, vertical, events, subject.
 
     residual (T, M) m and cameras (T, M, C) go into the fourth word of each point, as far as it reaches: 2.55 mm, seven cameras.
@@ -39,13 +39,20 @@ def fresh_c3d(recording: Recording, target: str, residual: Floats | None = None,
         section = _section(recording, first, step)
     except AsterismError as problem:
         raise AsterismError(f"{target}: {problem}") from problem
-    data = np.empty((frames, points, 4))
-    data[:, :, :3] = recording.positions * 1000.0
-    data[:, :, 3] = 0.0 if residual is None or cameras is None else _fourth_word(residual, cameras)
-    data[~recording.visible] = (0.0, 0.0, 0.0, -1.0)
-    block = PC.store(PC.words_of_floats(data))
-    ending = b"" if frames >= _MOST else bytes(-len(block) % BLOCK)  # readers take bytes behind uncounted frames for frames
-    return _header(recording, first, len(section) // BLOCK + 2, step) + section + block + ending
+    head, size = _header(recording, first, len(section) // BLOCK + 2, step) + section, 16 * frames * points
+    ending = 0 if frames >= _MOST else -size % BLOCK  # readers take bytes behind uncounted frames for frames
+    out = bytearray(len(head) + size + ending)
+    out[: len(head)] = head
+    block = np.frombuffer(out, dtype=f"{PC.order}u4", count=size // 4, offset=len(head)).reshape(frames, points, 4)
+    for some in stretches(frames):
+        positions = recording.positions[some]
+        data = np.zeros((len(positions), points, 4))
+        data[:, :, :3] = positions * 1000.0
+        if residual is not None and cameras is not None:
+            data[:, :, 3] = _fourth_word(residual[some], cameras[some])
+        data[np.isnan(positions[:, :, 0])] = (0.0, 0.0, 0.0, -1.0)
+        block[some] = PC.words_of_floats(data)
+    return out
 
 
 def _fourth_word(residual: Floats, cameras: NDArray[np.bool_]) -> Floats:

@@ -26,11 +26,11 @@ class Processor:
     order: Literal["<", ">"]
     vax: bool = False
 
-    def words16(self, raw: bytes | memoryview, count: int = -1, offset: int = 0) -> Words:
+    def words16(self, raw: bytes | bytearray | memoryview, count: int = -1, offset: int = 0) -> Words:
         """16-bit patterns, native order."""
         return np.frombuffer(raw, dtype=f"{self.order}u2", count=count, offset=offset).astype(np.uint16, copy=False)
 
-    def words32(self, raw: bytes | memoryview, count: int = -1, offset: int = 0) -> Words:
+    def words32(self, raw: bytes | bytearray | memoryview, count: int = -1, offset: int = 0) -> Words:
         """32-bit patterns, native order, VAX floats in the order in which they lie in the file."""
         return np.frombuffer(raw, dtype=f"{self.order}u4", count=count, offset=offset).astype(np.uint32, copy=False)
 
@@ -66,11 +66,11 @@ class Processor:
         """The bytes of 16-bit or 32-bit patterns."""
         return words.astype(words.dtype.newbyteorder(self.order)).tobytes()
 
-    def float_at(self, raw: bytes, offset: int) -> float:
+    def float_at(self, raw: bytes | bytearray, offset: int) -> float:
         """One float; 0 where the bytes end before."""
         return float(self.floats(self.words32(raw, 1, offset))[0]) if offset + 4 <= len(raw) else 0.0
 
-    def unsigned_at(self, raw: bytes, offset: int) -> int:
+    def unsigned_at(self, raw: bytes | bytearray, offset: int) -> int:
         """One unsigned 16-bit integer; 0 where the bytes end before."""
         return int(self.words16(raw, 1, offset)[0]) if offset + 2 <= len(raw) else 0
 

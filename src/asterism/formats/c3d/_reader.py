@@ -63,16 +63,26 @@ def points_of(file: C3DFile) -> Points:
 
 def in_metres(file: C3DFile) -> tuple[Floats, float, str, list[Finding]]:
     """(frames, points, 3) m; metres per unit; the unit's name; a finding where the unit is assumed."""
-    raw = file.coordinates
+    scale, units, found = unit_of(file)
+    return scaled(file.coordinates, scale), scale, units, found
+
+
+def unit_of(file: C3DFile) -> tuple[float, str, list[Finding]]:
+    """Metres per unit, the unit's name, and a finding where the unit is assumed; some 200 frames tell it."""
+    some = file.coordinates_of(slice(None, None, max(1, file.layout.frames // 200)))
     kinds = point_kinds(file.labels, None, declared_computed(file))
     captured = np.array([kind != COMPUTED for kind in kinds], dtype=bool)
     others = [file.parameters.text("POINT", name) for name in ("MODELED_MARKER_UNITS", "SCALAR_UNITS")]
-    scale, units, found = metres_per_unit(Path(file.path), file.parameters.text("POINT", "UNITS"), raw[:, captured], others)
+    return metres_per_unit(Path(file.path), file.parameters.text("POINT", "UNITS"), some[:, captured], others)
+
+
+def scaled(raw: Floats, scale: float) -> Floats:
+    """Coordinates in a file's unit as metres, in place; divided where that is exact."""
     if scale < 1 and scale == 1 / round(1 / scale):
         raw /= round(1 / scale)
     else:
         raw *= scale
-    return raw, scale, units, found
+    return raw
 
 
 def kinds_of_points(file: C3DFile, positions: Floats) -> list[str]:

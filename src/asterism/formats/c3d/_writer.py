@@ -19,11 +19,11 @@ from asterism.formats._columns import without_common_subject
 from asterism.formats._confidence import LabelConfidence
 from asterism.formats._physical import is_unnamed
 from asterism.formats.c3d._edit import label_parameters, log_of, with_declared, with_events, with_log, with_number
-from asterism.formats.c3d._file import BLOCK, C3DFile, parse_c3d
+from asterism.formats.c3d._file import BLOCK, C3DFile, parse_c3d, stretches
 from asterism.formats.c3d._fresh import fresh_c3d
 from asterism.formats.c3d._numbers import Words
 from asterism.formats.c3d._parameters import Parameters, Record, text_of
-from asterism.formats.c3d._reader import in_metres
+from asterism.formats.c3d._reader import in_metres, scaled, unit_of
 from asterism.recording import Floats, Ints, LabelStates, Recording
 
 _MOST_POINTS = 65535
@@ -85,7 +85,7 @@ class _Slot:
     column: int | None
 
 
-def rewritten(file: C3DFile, recording: Recording, target: str) -> bytes:
+def rewritten(file: C3DFile, recording: Recording, target: str) -> bytearray:
     """The bytes of `file`, with the columns of `recording` in place of those that it replaces."""
     if len(recording) != file.layout.frames:
         raise AsterismError(
@@ -95,14 +95,12 @@ def rewritten(file: C3DFile, recording: Recording, target: str) -> bytes:
     origin = recording.origin
     if origin is None or origin.shape != recording.positions.shape[:2]:
         origin = np.full(recording.positions.shape[:2], -1, dtype=np.int64)
-    origin = np.where((origin >= 0) & (origin < file.layout.points), origin, -1)
     seen = without_common_subject(file.labels)[0]
     slots = _slots(seen, recording, origin, file.layout.points)
     if len(slots) > _MOST_POINTS:
         raise AsterismError(
             f"{target}: {len(slots)} points are more than the {_MOST_POINTS} that a C3D file can hold; write fewer columns."
         )
-    words = _data(file, recording, origin, slots, target)
     renamed = _renamed_computed(file, seen, recording, slots)
     labels = _labels(file, seen, recording, slots, renamed, target)
     same_columns = [slot.place for slot in slots] == list(range(file.layout.points)) and labels == file.raw_labels
@@ -122,14 +120,16 @@ def rewritten(file: C3DFile, recording: Recording, target: str) -> bytes:
     rate = recording.rate if recording.rate != file.rate else None
     if rate is not None:
         parameters = _with_rate(parameters, rate / file.rate)
-    return assembled(file, parameters, words, len(slots), rate)
+    data, words = assembled(file, parameters, 4 * len(slots) + file.layout.analog, len(slots), rate)
+    _fill(words, file, recording, origin, slots, target)
+    return data
 
 
 def _slots(seen: Sequence[str], recording: Recording, origin: Ints, points: int) -> list[_Slot]:
     """The columns of the new file: in an old place by label or by the samples' origin, else behind the others."""
     free = {place for place in recording.taken if 0 <= place < points}
     place_of: dict[int, int] = {}
-    main = [int(np.bincount(column[column >= 0]).argmax()) if (column >= 0).any() else -1 for column in origin.T]
+    main = [_commonest(column[(column >= 0) & (column < points)]) for column in origin.T]
     by_label: dict[str, list[int]] = {}
     for place in sorted(free):
         by_label.setdefault(seen[place], []).append(place)
@@ -156,35 +156,44 @@ def _slots(seen: Sequence[str], recording: Recording, origin: Ints, points: int)
     return slots + [_Slot(None, column) for column in range(len(recording.labels)) if column not in place_of]
 
 
-def _data(file: C3DFile, recording: Recording, origin: Ints, slots: Sequence[_Slot], target: str) -> Words:
-    """(frames, width) the new data block."""
-    points = file.point_words
-    before, scale, _, _ = in_metres(file)
-    frames = np.arange(file.layout.frames)
-    out = np.empty((file.layout.frames, len(slots), 4), dtype=points.dtype)
-    missing = _missing_words(file)
-    for new, slot in enumerate(slots):
-        if slot.column is None:
-            out[:, new] = points[:, slot.place]
-            continue
-        new_positions = recording.positions[:, slot.column]
-        done = np.zeros(len(new_positions), dtype=bool)
-        sources = [origin[:, slot.column]] + ([np.full(len(new_positions), slot.place)] if slot.place is not None else [])
-        for source in sources:
-            old = before[frames, source]
-            same = ((old == new_positions) | (np.isnan(old) & np.isnan(new_positions))).all(axis=1) & (source >= 0) & ~done
-            out[same, new] = points[frames[same], source[same]]
-            done |= same
-        gone = ~done & np.isnan(new_positions[:, 0])
-        out[gone, new] = missing
-        fresh = ~done & ~gone
-        out[fresh, new] = _encoded(file, new_positions[fresh], scale, recording.labels[slot.column], target)
-    return np.concatenate([out.reshape(len(frames), -1), file.words[:, 4 * file.layout.points :]], axis=1)
+def _commonest(places: Ints) -> int:
+    return int(np.bincount(places).argmax()) if len(places) else -1
+
+
+def _fill(out: Words, file: C3DFile, recording: Recording, origin: Ints, slots: Sequence[_Slot], target: str) -> None:
+    """Write the new data block, (frames, width) words in the file's byte order, some frames at a time."""
+    scale, missing = unit_of(file)[0], _missing_words(file)
+    for some in stretches(file.layout.frames):
+        before = scaled(file.coordinates_of(some), scale)
+        points, frames = file.point_words[some], np.arange(len(before))
+        for new, slot in enumerate(slots):
+            column = np.s_[some, 4 * new : 4 * new + 4]
+            if slot.column is None:
+                out[column] = points[:, slot.place]
+                continue
+            new_positions = recording.positions[some, slot.column]
+            words = np.empty((len(frames), 4), dtype=points.dtype)
+            done = np.zeros(len(frames), dtype=bool)
+            sources = [origin[some, slot.column]] + ([np.full(len(frames), slot.place)] if slot.place is not None else [])
+            for source in sources:
+                known = (source >= 0) & (source < file.layout.points)
+                source = np.where(known, source, 0)
+                old = before[frames, source]
+                same = ((old == new_positions) | (np.isnan(old) & np.isnan(new_positions))).all(axis=1) & known & ~done
+                words[same] = points[frames[same], source[same]]
+                done |= same
+            gone = ~done & np.isnan(new_positions[:, 0])
+            words[gone] = missing
+            fresh = ~done & ~gone
+            words[fresh] = _encoded(file, new_positions[fresh], scale, recording.labels[slot.column], target)
+            out[column] = words
+        out[some, 4 * len(slots) :] = file.words[some, 4 * file.layout.points :]
 
 
 def _missing_words(file: C3DFile) -> Words:
     """The four words with which this file says that a point is missing."""
-    if file.zeros_are_missing and np.isnan(file.coordinates).any() and not file.residuals_are_unused:
+    some_missing = any(np.isnan(file.coordinates_of(some)).any() for some in stretches(file.layout.frames))
+    if file.zeros_are_missing and some_missing and not file.residuals_are_unused:
         return np.zeros(4, dtype=file.point_words.dtype)
     if file.layout.real:
         return file.processor.words_of_floats([0.0, 0.0, 0.0, -1.0])
@@ -261,12 +270,15 @@ def _with_rate(parameters: Parameters, factor: float) -> Parameters:
     return parameters.replaced(changes)
 
 
-def assembled(file: C3DFile, parameters: Parameters, words: Words, points: int, rate: float | None) -> bytes:
-    """Header, parameters, data and what follows, with their pointers updated."""
-    raw, start = file.raw, file.layout.start
-    begin = min(file.header.parameters_at, start)
+def assembled(file: C3DFile, parameters: Parameters, width: int, points: int, rate: float | None) -> tuple[bytearray, Words]:
+    """A new file with header, parameters and what follows the data, pointers updated; and its data block, to be filled: (frames, width).
+
+    The block's words are in the file's byte order.
+    """
+    raw, start, kind = file.raw, file.layout.start, file.point_words.dtype
+    begin, size = min(file.header.parameters_at, start), file.layout.frames * width * kind.itemsize
     section, shift = raw[begin:start], 0
-    tail, tail_shift = _tail(file, words.nbytes - (file.layout.stop - start))
+    tail, tail_shift = _tail(file, size - (file.layout.stop - start))
     if parameters is not file.parameters or tail_shift:
         if begin == start:
             raise AsterismError(
@@ -281,12 +293,16 @@ def assembled(file: C3DFile, parameters: Parameters, words: Words, points: int, 
         head[16:18] = processor.bytes_of_unsigned(start // BLOCK + 1 + shift)
     if rate is not None:
         head[20:24] = processor.store(processor.words_of_floats([rate]))
-    return b"".join([bytes(head), section, processor.store(words), tail])
+    at = len(head) + len(section)
+    data = bytearray(at + size + len(tail))
+    data[: len(head)], data[len(head) : at], data[at + size :] = head, section, tail
+    words = np.frombuffer(data, dtype=kind.newbyteorder(processor.order), count=file.layout.frames * width, offset=at)
+    return data, words.reshape(file.layout.frames, width)
 
 
 def _tail(file: C3DFile, growth: int) -> tuple[bytes, int]:
     """What follows the data, padded so that it begins at the same place in a block; and by how many blocks it moves."""
-    tail = file.raw[file.layout.stop :]
+    tail = bytes(file.raw[file.layout.stop :])
     if not growth:
         return tail, 0
     if not tail.strip(b"\0") and len(tail) <= BLOCK:

@@ -253,6 +253,31 @@ def between(grey, x, y):
 
 
 @kernel
+def bump(grey, one, other, steps, rise):
+    """By how much the colourfulness falls after it has risen on the way from one circle to another, where there should be dark cloth.
+
+    IN grey (h, w) uint8; one, other (2,) px; steps of the way; rise (2,) that counts: as a share of the lower end, and at least
+
+    Gives the largest fall, 0 where it nowhere rises; the rise that counts here; the lower end. O(steps).
+    """
+    dx, dy = (other[0] - one[0]) / steps, (other[1] - one[1]) / steps
+    first, last = between(grey, one[0], one[1]), between(grey, other[0], other[1])
+    end = max(min(first, last), 1.0)
+    needed = max(rise[0] * end, rise[1])
+    lowest, fall, highest = first, 0.0, -1.0
+    for k in range(1, steps + 1):
+        value = between(grey, one[0] + dx * k, one[1] + dy * k)
+        if highest < 0.0:
+            lowest = min(lowest, value)
+            if value > lowest + needed and k < steps:
+                highest = value
+        else:
+            highest = max(highest, value)
+            fall = max(fall, highest - value)
+    return fall, needed, end
+
+
+@kernel
 def cut_skipping(grey, centres, whiten, side, rise, links):
     """Cut links that lead over a circle that was not found, and those whose length is not a pitch by the ellipses at their ends.
 
@@ -277,18 +302,7 @@ def cut_skipping(grey, centres, whiten, side, rise, links):
                 a, b = whiten[k, 0, 0] * dx + whiten[k, 0, 1] * dy, whiten[k, 1, 0] * dx + whiten[k, 1, 1] * dy
                 length += 0.5 * np.sqrt(a * a + b * b)
             cut = length < side[0] or length > side[1]
-            first, last = between(grey, centres[i, 0], centres[i, 1]), between(grey, centres[j, 0], centres[j, 1])
-            needed = max(rise[0] * min(first, last), rise[1])
-            lowest, falls, highest = first, 0.0, -1.0
-            for k in range(1, steps + 1):
-                value = between(grey, centres[i, 0] + dx * k / steps, centres[i, 1] + dy * k / steps)
-                if highest < 0.0:
-                    lowest = min(lowest, value)
-                    if value > lowest + needed and k < steps:
-                        highest = value
-                else:
-                    highest = max(highest, value)
-                    falls = max(falls, highest - value)
-            if cut or (highest >= 0.0 and falls > needed):
+            fall, needed, _ = bump(grey, centres[i], centres[j], steps, rise)
+            if cut or fall > needed:
                 links[i, d, 0], links[i, d, 1] = -1, -1
                 links[j, back, 0], links[j, back, 1] = -1, -1

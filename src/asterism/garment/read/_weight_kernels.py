@@ -6,7 +6,7 @@ import numpy as np
 
 from asterism._jit import kernel
 from asterism.garment.read._growth_kernels import expect, off_by, there
-from asterism.garment.read._lattice_kernels import between
+from asterism.garment.read._lattice_kernels import bump
 
 _DOWN = np.array([0, 1, 0, -1])
 _RIGHT = np.array([1, 0, -1, 0])
@@ -118,18 +118,5 @@ def bumps(grey, centres, at, fits, cells, rise, out):
             j = there(at, fits, cells[i, 0] + _DOWN[d], cells[i, 1] + _RIGHT[d])
             if j < 0:
                 continue
-            dx, dy = (centres[j, 0] - centres[i, 0]) / steps, (centres[j, 1] - centres[i, 1]) / steps
-            first, last = between(grey, centres[i, 0], centres[i, 1]), between(grey, centres[j, 0], centres[j, 1])
-            end = max(min(first, last), 1.0)
-            needed = max(rise[0] * end, rise[1])
-            lowest, falls, highest = first, 0.0, -1.0
-            for k in range(1, steps + 1):
-                value = between(grey, centres[i, 0] + dx * k, centres[i, 1] + dy * k)
-                if highest < 0.0:
-                    lowest = min(lowest, value)
-                    if value > lowest + needed and k < steps:
-                        highest = value
-                else:
-                    highest = max(highest, value)
-                    falls = max(falls, highest - value)
-            out[i] = max(out[i], falls / end)
+            fall, _, end = bump(grey, centres[i], centres[j], steps, rise)
+            out[i] = max(out[i], fall / end)
