@@ -40,6 +40,10 @@ def test_two_people_in_one_file_are_two_people(walks: list[Recording]) -> None:
 def test_prefixes_of_sides_and_of_parts_of_a_body_are_no_people() -> None:
     sides = [f"{side}:{name}" for side in ("Chair", "Arm") for name in ("1", "2", "3")]
     assert prefixes_of_people(sides) == []
+    rigid_bodies = [f"{part}:Marker{number}" for part in ("Chair", "Arm", "Forearm") for number in range(1, 5)]
+    assert prefixes_of_people([*rigid_bodies, "Body:C7", "Body:Forehead", "Body:HandL", "Body:EarL"]) == []
+    numbered = [f"{person}:M{number}" for person in ("Ann", "Bob") for number in range(1, 13)]
+    assert prefixes_of_people(numbered) == ["Ann", "Bob"]
     assert prefixes_of_people([f"Ann:{name}" for name in "ABCDEF"]) == []
     assert prefixes_of_people([*(f"Ann:{name}" for name in "ABCDEF"), *(f"Bob:{name}" for name in "CDEFGH")]) == ["Ann", "Bob"]
 

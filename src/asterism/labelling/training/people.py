@@ -13,6 +13,11 @@ FEWEST_SHARED = 4
 carry prefixes of their own (a chair, an arm) share few names."""
 
 
+FEWEST_NUMBERED = 10
+"""Markers of one word and numbers ("Marker1" to "Marker4") from which a prefix may be a person's: programs number those of a rigid body,
+and every rigid body has the same names."""
+
+
 def one_person_each(recordings: Sequence[Recording], subjects: Sequence[str] | None) -> tuple[list[Recording], list[str]]:
     """The recordings, those of several people split by the prefixes of their labels ("Ann:LKNE", "Bob:LKNE"); and whose each is.
 
@@ -40,7 +45,13 @@ def prefixes_of_people(labels: Sequence[str]) -> list[str]:
         prefix = _prefix(label)
         if prefix and not is_unnamed(label):
             worn.setdefault(prefix, set()).add(canonical(label.partition(":")[2]))
+    worn = {prefix: names for prefix, names in worn.items() if not _is_rigid_body(names)}
     return [prefix for prefix, names in worn.items() if any(_alike(names, worn[other]) for other in worn if other != prefix)]
+
+
+def _is_rigid_body(names: set[str]) -> bool:
+    """Whether a prefix's names are those that programs give the few markers of a rigid body."""
+    return len(names) < FEWEST_NUMBERED and len({name.rstrip("0123456789") for name in names}) == 1
 
 
 def _alike(one: set[str], other: set[str]) -> bool:
