@@ -20,6 +20,7 @@ import numpy as np
 
 from asterism.cameras.camera import Camera
 from asterism.cameras.rig import Rig
+from asterism.labelling.training.people import prefixes_of_people
 from asterism.progress import Progress
 from asterism.recording import Recording
 from benchmarks.data import GAIT_BODY
@@ -156,6 +157,7 @@ def _add(update: Callable[[bytes], None], value: Any) -> None:
         value = {
             **{name: getattr(value, name) for name in ("positions", "labels", "rate", "vertical", "events", "first_frame")},
             "subject": value.metadata.get("subject"),
+            **({"people": people} if (people := prefixes_of_people(value.labels)) else {}),
         }
     if isinstance(value, Rig | Camera):
         value = {part.name: getattr(value, part.name) for part in fields(value) if part.name not in ("metadata", "lacks")}

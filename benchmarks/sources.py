@@ -37,9 +37,10 @@ READERS = (
     "asterism.detection.times",
     "asterism.labelling.training.model_file",
     "asterism.labelling.training.model_schema",
+    "asterism.labelling.training.people",
 )
-"""Modules that read and write files, and what they say of them. They do not count, with what only they import, where a row only reads:
-the values read do. A model is written and read by the same code; tests hold that it comes back as it was."""
+"""Modules that read and write files, what they say of them, and whose labels a file holds. They do not count, with what only they import,
+where a row only reads: the values read do. A model is written and read by the same code; tests hold that it comes back as it was."""
 
 READING_FUNCTIONS = {
     "asterism.recording.marker_set": ("MarkerSet.load", "MarkerSet.from_toml"),

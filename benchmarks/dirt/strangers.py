@@ -149,6 +149,11 @@ def _with_columns(recording: Recording, labels: list[str]) -> Recording:
     return Recording(positions, tuple(labels), recording.rate, recording.vertical, metadata=recording.metadata)
 
 
+def _middle(recording: Recording) -> slice:
+    spare = max(0, len(recording) - LONGEST) // 2
+    return slice(spare, spare + LONGEST)
+
+
 def _measure(benchmark: BenchmarkRun, pair: Pair, outcomes: dict[str, Outcome]) -> None:
     """Label the test as it was worn, with gaps, and with all other points of its file."""
     try:
@@ -156,8 +161,7 @@ def _measure(benchmark: BenchmarkRun, pair: Pair, outcomes: dict[str, Outcome]) 
     except AsterismError as problem:
         benchmark.report(f"{pair.name}: nothing learned: {problem}")
         return
-    spare = max(0, len(pair.test) - LONGEST) // 2
-    middle = slice(spare, spare + LONGEST)
+    middle = _middle(pair.test)
     test = pair.test.frames(middle)
     conditions = {
         "nothing hidden": simulate_gaps_and_ghosts(test, 0, 0, seed=0),
@@ -238,9 +242,8 @@ def _own_kind(benchmark: BenchmarkRun, left_out: str) -> Outcome:
 
 def _other_bodies(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """A mouse by a model of children, and two children side by side who were learned as one body and have changed places."""
-    subjects = gait()
-    mouse = everything(MOUSE)
-    labelling = ensemble_of(benchmark, next(iter(subjects))).label(mouse.frames(slice(0, LONGEST)).clouds(), time=True)
+    subjects, mouse = gait(), everything(MOUSE)
+    labelling = ensemble_of(benchmark, next(iter(subjects))).label(mouse.frames(_middle(mouse)).clouds(), time=True)
     said = labelling.verdict is not None and labelling.verdict.kind == OTHER_BODY
     yield Figure(
         "strangers, a mouse by a model of children: labelled", "<= 0.005", _labelled(labelling), "fraction", len(labelling.indices)

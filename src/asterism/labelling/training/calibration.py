@@ -23,6 +23,9 @@ gave the best log score on the models for choosing."""
 LARGEST = 60.0
 """Margins beyond this (nats) count as this. Not tuned."""
 
+AT_ONCE = 1 << 16
+"""Labels whose pieces are held in memory at once."""
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -158,11 +161,19 @@ class LabelCalibration:
 
     def confidence(self, margin: ArrayLike, fit: ArrayLike, left_over: ArrayLike) -> Floats:
         """The probability that labels are right, in [0, 1]: margin and fit in nats, fit less the usual score, left_over 0 or 1."""
-        pieces, side = _pieces(margin, fit), np.asarray(left_over, dtype=np.int64)
-        parts = (expit(weights[side, 0] + (pieces * weights[side, 1:]).sum(axis=-1)) for weights in (self.own, self.prior))
-        one, other = parts
-        coin_toss = expit(MAX_SLOPE * np.clip(np.asarray(margin, dtype=np.float64), -100.0, 100.0))
-        return np.minimum(self.share * one + (1.0 - self.share) * other, coin_toss)
+        given = np.broadcast_arrays(np.asarray(margin, dtype=np.float64), fit, np.asarray(left_over, dtype=np.int64))
+        margins, fits, sides = (values.ravel() for values in given)
+        found = np.empty(len(margins))
+        for start in range(0, len(margins), AT_ONCE):
+            block = slice(start, start + AT_ONCE)
+            found[block] = self._confidence(margins[block], fits[block], sides[block])
+        return found.reshape(given[0].shape)
+
+    def _confidence(self, margin: Floats, fit: Floats, side: Ints) -> Floats:
+        pieces = _pieces(margin, fit)
+        one, other = (expit(weights[side, 0] + (pieces * weights[side, 1:]).sum(axis=-1)) for weights in (self.own, self.prior))
+        coin_toss = expit(MAX_SLOPE * np.clip(margin, -100.0, 100.0))
+        return np.asarray(np.minimum(self.share * one + (1.0 - self.share) * other, coin_toss))
 
     @classmethod
     def fitted(cls, trials: LabelTrials, people: int, prior: LabelPrior) -> LabelCalibration:

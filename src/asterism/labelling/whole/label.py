@@ -80,13 +80,13 @@ class PointLabels:
     def confidence(self, certainty: Certainty, frame_certainty: Certainty) -> tuple[Floats, Floats]:
         """The probability that each label is right, and below which it is taken back: (P,) each."""
         in_time = certainty.confidence(self.margin, self.left_over, self.fit)
-        in_frame = frame_certainty.confidence(self.margin, self.left_over, self.fit)
         least = np.where(self.alone, frame_certainty.least_confidence, certainty.least_confidence)
         if self.foreign is not None:
             by_evidence = self.foreign.by_evidence(in_time, self.fit)
             in_time = np.minimum(by_evidence, self.foreign.limit)
             least = np.where(by_evidence < self.foreign.least_confidence, np.inf, least)
-        return np.where(self.alone, in_frame, in_time), least
+        in_time[self.alone] = frame_certainty.confidence(self.margin[self.alone], self.left_over[self.alone], self.fit[self.alone])
+        return in_time, least
 
 
 @dataclass(frozen=True)
