@@ -124,6 +124,16 @@ def test_the_fit_is_used_where_points_are_left_over():
     assert curve.confidence(10.0, -8.0, 0) > 0.95
 
 
+def test_labels_of_a_long_recording_are_each_as_certain_as_alone():
+    """150,000 labels, more than are held at once, as a table and one by one."""
+    curve, many = LabelCalibration.fitted(drawn_labels(2000, 5), 10, IN_TIME), drawn_labels(150_000, 6)
+    table = [values.reshape(1000, 150) for values in (many.margin, many.fit, many.left_over)]
+    stated = curve.confidence(*table)
+    assert stated.shape == (1000, 150)
+    for place in ((0, 0), (436, 135), (436, 136), (436, 137), (873, 122), (999, 149)):
+        assert stated[place] == curve.confidence(*(values[place] for values in table))
+
+
 @given(seed=st.integers(0, 10_000), count=st.integers(0, 300), people=st.integers(1, 20), share=st.floats(0.0, 1.0))
 @settings(max_examples=40, deadline=None)
 def test_confidence_never_falls_with_margin_or_fit(seed, count, people, share):
