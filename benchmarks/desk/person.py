@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.labelling.correction import Correction, Cut, Ghost, Name
 from asterism.labelling.review import labels_of_points
-from asterism.recording import Clouds, Ints, Recording
+from asterism.recording import Ints, Recording
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import Fold, movement_folds
 from benchmarks.figures import Figure
+from benchmarks.recordings.contradictions import impossible
 
 SETS = ("vicon53/nick_freeform_001", "optitrack-wheelchair/racing_full", "optitrack-wheelchair/walkingOptiTrack", "clouthier62")
 LONGEST = 3000
@@ -34,19 +36,30 @@ class Course:
 
 
 def person(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """From one half of a trial to the other, or from one trial to the next; labels as a person gave them are the truth."""
+    """From one half of a trial to the other, or from one trial to the next; labels as a person gave them are the truth.
+
+    Then the same, with hand labels that the body contradicts as no truth: who sees them would not follow them.
+    """
     folds = _folds()[: 1 if benchmark.quick else None]
-    courses: dict[str, list[Course]] = {}
+    courses: dict[str, list[tuple[Course, Course]]] = {}
     for fold, found in zip(folds, benchmark.each(_corrected, range(len(folds))), strict=True):
         courses.setdefault(fold.label, []).extend(found)
-    for label, some in courses.items():
-        touches, tracks = sum(course.touches for course in some), sum(course.tracks for course in some)
+    for label, pairs in courses.items():
         row = f"a person who knows the truth, {label} as recorded"
-        yield Figure(f"{row}: touches to a perfect recording, as a share of the tracks", "<= 0.1", touches / tracks, "fraction", tracks)
-        yield Figure(f"{row}: touches", "none", touches, "touches", tracks)
-        points = sum(course.points for course in some)
-        yield Figure(f"{row}: points wrong before", "none", sum(course.wrong_before for course in some) / points, "fraction", points)
-        yield Figure(f"{row}: points wrong after", "<= 0", sum(course.wrong_after for course in some), "points", points)
+        followed, possible = zip(*pairs, strict=True)
+        yield from _figures(row, followed)
+        if sum(course.points for course in possible) < sum(course.points for course in followed):
+            yield from _figures(f"{row}, without hand labels that the body contradicts", possible, ours=True)
+
+
+def _figures(row: str, courses: Sequence[Course], ours: bool = False) -> Iterator[Figure]:
+    touches, tracks, points = (sum(getattr(course, name) for course in courses) for name in ("touches", "tracks", "points"))
+    before, after = (sum(getattr(course, name) for course in courses) for name in ("wrong_before", "wrong_after"))
+    share = touches / tracks
+    yield Figure(f"{row}: touches to a perfect recording, as a share of the tracks", "<= 0.1", share, "fraction", tracks, ours=ours)
+    yield Figure(f"{row}: touches", "none", touches, "touches", tracks)
+    yield Figure(f"{row}: points wrong before", "none", before / points, "fraction", points)
+    yield Figure(f"{row}: points wrong after", "<= 0", after, "points", points, ours=ours)
 
 
 @cache
@@ -54,59 +67,77 @@ def _folds() -> list[Fold]:
     return list(movement_folds(SETS, halves=True))
 
 
-def _corrected(benchmark: BenchmarkRun, number: int) -> list[Course]:
+def _corrected(benchmark: BenchmarkRun, number: int) -> list[tuple[Course, Course]]:
     fold = _folds()[number]
     ensemble = benchmark.fit(fold.train, fold.train_people)
     courses = []
     for test in fold.test:
-        recording, truth = as_tracks(test.recording.frames(test.frames[:LONGEST]), ensemble.marker_set.names)
-        courses.append(correct(Correction(ensemble, recording), truth))
-        benchmark.report(f"{fold.label}, {fold.person}: {courses[-1]}")
+        frames = test.frames[:LONGEST]
+        doubtful = impossible(test.recording)[frames]
+        pair = []
+        for no_truth in (np.zeros_like(doubtful), doubtful):
+            tracks = as_tracks(test.recording.frames(frames), ensemble.marker_set.names, no_truth)
+            pair.append(correct(Correction(ensemble, tracks.recording), tracks) if no_truth.any() or not pair else pair[0])
+        courses.append((pair[0], pair[1]))
+        benchmark.report(f"{fold.label}, {fold.person}: {pair}")
     return courses
 
 
-def as_tracks(recording: Recording, names: tuple[str, ...]) -> tuple[Recording, Ints]:
-    """A recording whose columns are unbroken stretches without names, as a camera system gives them; and the marker of each column."""
+@dataclass(frozen=True)
+class Tracks:
+    """A recording whose N columns are unbroken stretches without names; the marker of each (N,); where it is no truth (T, N)."""
+
+    recording: Recording
+    marker: Ints
+    doubtful: NDArray[np.bool_]
+
+
+def as_tracks(recording: Recording, names: tuple[str, ...], doubtful: NDArray[np.bool_]) -> Tracks:
+    """A recording's unbroken stretches, as a camera system gives them; doubtful (T, M): where its labels are no truth."""
     visible = recording.visible
     begins = visible & ~np.concatenate([np.zeros((1, visible.shape[1]), dtype=np.bool_), visible[:-1]])
     number = np.where(visible, np.cumsum(begins.T.ravel()).reshape(begins.T.shape).T - 1, -1)
     frames, columns = np.nonzero(visible)
+    tracks = number[frames, columns]
     positions = np.full((len(recording), int(number.max()) + 1, 3), np.nan)
-    positions[frames, number[frames, columns]] = recording.positions[frames, columns]
-    marker = np.full(positions.shape[1], -1)
+    positions[frames, tracks] = recording.positions[frames, columns]
+    marker, no_truth = np.full(positions.shape[1], -1), np.zeros(positions.shape[:2], dtype=np.bool_)
     place = {name: m for m, name in enumerate(names)}
-    marker[number[frames, columns]] = np.array([place.get(label, -1) for label in recording.labels])[columns]
+    marker[tracks] = np.array([place.get(label, -1) for label in recording.labels])[columns]
+    no_truth[frames, tracks] = doubtful[frames, columns]
     order = np.random.default_rng(0).permutation(positions.shape[1])
     labels = tuple(f"*{n + 1}" for n in range(len(order)))
-    return Recording(positions[:, order], labels, recording.rate, recording.vertical), marker[order]
+    return Tracks(Recording(positions[:, order], labels, recording.rate, recording.vertical), marker[order], no_truth[:, order])
 
 
-def correct(correction: Correction, marker_of_column: Ints) -> Course:
+def correct(correction: Correction, tracks: Tracks) -> Course:
     """Answer the list from its top; where it is empty and labels are still wrong, the longest piece that is wrong."""
     clouds = correction.clouds
-    truth = marker_of_column[clouds.columns]
-    before = _wrong(correction, truth)
+    known = ~tracks.doubtful[clouds.frame_of, clouds.columns]
+    truth = tracks.marker[clouds.columns]
+    before = int(_wrong(correction, truth, known).sum())
     touches = 0
     while touches < MOST:
-        piece = _next(correction, clouds, truth)
+        piece = _next(correction, _wrong(correction, truth, known))
         if piece is None:
             break
-        points = np.nonzero(correction.pieces.of_point == correction.pieces.place_of(piece))[0]
-        other = np.nonzero(truth[points] != truth[points[0]])[0]
+        points = np.nonzero((correction.pieces.of_point == correction.pieces.place_of(piece)) & known)[0]
+        meant = int(truth[points[0]])
+        other = np.nonzero(truth[points] != meant)[0]
         if len(other):
             correction.apply(Cut(piece, int(clouds.frame_of[points[other[0]]])))
         else:
-            correction.apply(Ghost(piece) if truth[piece] < 0 else Name(piece, correction.names[truth[piece]]))
+            correction.apply(Ghost(piece) if meant < 0 else Name(piece, correction.names[meant]))
         touches += 1
-    return Course(touches, len(marker_of_column), before, _wrong(correction, truth), len(truth))
+    count = len(np.unique(clouds.columns[known]))
+    return Course(touches, count, before, int(_wrong(correction, truth, known).sum()), int(known.sum()))
 
 
-def _next(correction: Correction, clouds: Clouds, truth: Ints) -> int | None:
+def _next(correction: Correction, wrong: NDArray[np.bool_]) -> int | None:
     """The first piece of the list that is not right; else the longest that is not; None where all are.
 
     Looking at a piece that is right takes no touch: nothing has to be said.
     """
-    wrong = labels_of_points(correction.labelling, clouds)[0] != truth
     if not wrong.any():
         return None
     for item in correction.items():
@@ -117,5 +148,6 @@ def _next(correction: Correction, clouds: Clouds, truth: Ints) -> int | None:
     return int(pieces.id[int(np.argmax(count))])
 
 
-def _wrong(correction: Correction, truth: Ints) -> int:
-    return int((labels_of_points(correction.labelling, correction.clouds)[0] != truth).sum())
+def _wrong(correction: Correction, truth: Ints, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(P,) where a point's label is not the truth, as far as that is known."""
+    return np.asarray((labels_of_points(correction.labelling, correction.clouds)[0] != truth) & known)
