@@ -23,13 +23,11 @@ SIDE, SQUARE, FIT = np.array([0.6, 1.6]), 0.7, 0.34
 def found_regions(image: np.ndarray, lowest: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Colourfulness, labels and regions of an image by the kernels."""
     grey, highest = np.empty(image.shape[:2], np.uint8), np.empty((len(image), image.shape[1] // 16 + 1), np.uint8)
-    planes = np.empty((3, *grey.shape), np.uint8)
-    circle_kernels.channels(image, planes)
-    np.testing.assert_array_equal(planes, np.moveaxis(image, 2, 0))
-    circle_kernels.colourfulness(*planes, grey, highest)
-    expected = twins.colourfulness(*planes)
-    np.testing.assert_array_equal(grey, expected[0])
-    np.testing.assert_array_equal(highest, expected[1])
+    for smooth in (True, False):
+        circle_kernels.colourfulness(image.reshape(len(image), -1), smooth, grey, highest)
+        expected = twins.colourfulness(image, smooth)
+        np.testing.assert_array_equal(grey, expected[0])
+        np.testing.assert_array_equal(highest, expected[1])
     labels, regions = np.zeros(grey.shape, np.int32), np.empty((5000, 7), np.int32)
     count = circle_kernels.find_regions(grey, highest, lowest, LIMITS, labels, np.empty((grey.size, 3), np.int32), regions)
     return grey, labels, regions[:count]

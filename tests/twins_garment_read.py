@@ -12,9 +12,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 
-def colourfulness(*planes):
+def colourfulness(image, smooth):
     """The spread of each pixel's channels without the border, and the largest of each 16 pixels of a row."""
-    out = np.ptp(planes, axis=0)
+    out = np.ptp(cv2.GaussianBlur(image, (3, 3), 0) if smooth else image, axis=2)
     out[[0, -1]] = 0
     out[:, [0, -1]] = 0
     blocks = out.shape[1] // 16 + 1

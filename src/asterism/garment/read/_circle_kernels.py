@@ -7,45 +7,51 @@ import numpy as np
 from asterism._jit import kernel
 
 
-@kernel
-def channels(image, out):
-    """The channels of an image one after another.
+@kernel(inline=True)
+def _smooth(above, row, below, down, out):
+    """Weights 1, 2, 1 down and across, a row of pixels with three channels each; rounded to the nearest.
 
-    IN  image (h, w, 3) uint8
-    OUT out (3, h, w) uint8
+    IN  above, row, below (3 w,) uint8
+    WORK down (3 w,) uint16
+    OUT out (3 w,) uint8, of the pixels but for the first and the last
 
-    O(h w), no allocation. Twin: tests/twins_garment_read.py
+    The casts keep each sum in 16 bits, so that sixteen fit into a vector register. O(w), no allocation.
     """
-    for y in range(image.shape[0]):
-        for x in range(image.shape[1]):
-            out[0, y, x] = image[y, x, 0]
-            out[1, y, x] = image[y, x, 1]
-            out[2, y, x] = image[y, x, 2]
+    for i in range(len(row)):
+        down[i] = np.uint16(np.uint16(above[i]) + np.uint16(np.uint16(row[i]) << np.uint16(1)) + np.uint16(below[i]))
+    count = len(row) - 6
+    left, middle, right, inner = down[:count], down[3 : 3 + count], down[6 : 6 + count], out[3 : 3 + count]
+    for i in range(count):
+        ends = np.uint16(left[i] + np.uint16(right[i] + np.uint16(8)))
+        inner[i] = np.uint8(np.uint16(ends + np.uint16(middle[i] << np.uint16(1))) >> np.uint16(4))
 
 
 @kernel
-def colourfulness(blue, green, red, out, highest):
+def colourfulness(image, smooth, out, highest):
     """The difference between the largest and the smallest channel of each pixel; 0 in the outermost rows and columns.
 
-    IN  blue, green, red (h, w) uint8
+    IN  image (h, 3 w) uint8, three channels of a pixel side by side; smooth, whether 3 x 3 pixels are averaged with weights 1, 2, 1
     OUT out (h, w) uint8; highest (h, w // 16 + 1) uint8, the largest value of each 16 pixels of a row
 
-    O(h w), no allocation. Twin: tests/twins_garment_read.py
+    O(h w), allocates two rows. Twin: tests/twins_garment_read.py
     """
     height, width = out.shape
+    down, smoothed = np.empty(3 * width, np.uint16), np.empty(3 * width, np.uint8)
     for y in range(height):
+        line, most = out[y], highest[y]
+        line[:] = 0
+        most[:] = 0
+        if y == 0 or y == height - 1 or width < 3:
+            continue
+        pixels = image[y]
+        if smooth:
+            _smooth(image[y - 1], image[y], image[y + 1], down, smoothed)
+            pixels = smoothed
+        for x in range(1, width - 1):
+            a, b, c = pixels[3 * x], pixels[3 * x + 1], pixels[3 * x + 2]
+            line[x] = max(max(a, b), c) - min(min(a, b), c)
         for x in range(width):
-            a, b, c = blue[y, x], green[y, x], red[y, x]
-            out[y, x] = max(max(a, b), c) - min(min(a, b), c)
-        out[y, 0] = 0
-        out[y, width - 1] = 0
-        if y == 0 or y == height - 1:
-            out[y] = 0
-        for block in range(highest.shape[1]):
-            most = np.uint8(0)
-            for x in range(16 * block, min(16 * block + 16, width)):
-                most = max(most, out[y, x])
-            highest[y, block] = most
+            most[x >> 4] = max(most[x >> 4], line[x])
 
 
 @kernel
@@ -53,36 +59,49 @@ def _flood(grey, labels, width, start, old, new, threshold, stack, box, sums):
     """Give the pixels above a threshold that hang together with one another, by their sides, a new label. Returns how many and the highest.
 
     grey, labels and start are of the flat image, whose border is 0. Only pixels with the label `old` take part. Fills box (4,) with the
-    smallest and largest x and y, sums (5,) with x, y, xx, xy, yy from the start on.
+    smallest and largest x and y, sums (5,) with x, y, xx, xy, yy from the start on. Goes along runs of a row: where such a run meets
+    pixels of the row above or below, the first of each wait on the stack.
     """
     y0 = start // width
     x0 = start - y0 * width
     stack[0, 0], stack[0, 1], stack[0, 2] = start, 0, 0
-    labels[start] = new
     top, area, highest = 1, 0, 0
     left, right, above, below = 0, 0, 0, 0
     sx, sy, sxx, sxy, syy = 0, 0, 0, 0, 0
     while top:
         top -= 1
         place = np.int64(stack[top, 0])
+        if labels[place] != old:
+            continue
         dx, dy = np.int64(stack[top, 1]), np.int64(stack[top, 2])
-        area += 1
-        highest = max(highest, np.int64(grey[place]))
-        left, right = min(left, dx), max(right, dx)
-        above, below = min(above, dy), max(below, dy)
-        sx += dx
-        sy += dy
-        sxx += dx * dx
-        sxy += dx * dy
-        syy += dy * dy
-        for side in range(4):
-            across = (1 - side) * ((side & 1) ^ 1)
-            down = (2 - side) * (side & 1)
-            there = place + down * width + across
-            if grey[there] > threshold and labels[there] == old:
-                labels[there] = new
-                stack[top, 0], stack[top, 1], stack[top, 2] = there, dx + across, dy + down
-                top += 1
+        while grey[place - 1] > threshold and labels[place - 1] == old:
+            place -= 1
+            dx -= 1
+        left, above, below = min(left, dx), min(above, dy), max(below, dy)
+        first, begin, sum_x = place, dx, 0
+        while grey[place] > threshold and labels[place] == old:
+            labels[place] = new
+            highest = max(highest, np.int64(grey[place]))
+            sum_x += dx
+            sxx += dx * dx
+            place += 1
+            dx += 1
+        run = dx - begin
+        area += run
+        right = max(right, dx - 1)
+        sx += sum_x
+        sy += dy * run
+        sxy += dy * sum_x
+        syy += dy * dy * run
+        for down in (-1, 1):
+            before = False
+            for i in range(run):
+                there = first + i + down * width
+                now = grey[there] > threshold and labels[there] == old
+                if now and not before:
+                    stack[top, 0], stack[top, 1], stack[top, 2] = there, begin + i, dy + down
+                    top += 1
+                before = now
     box[0], box[1], box[2], box[3] = x0 + left, x0 + right, y0 + above, y0 + below
     sums[0], sums[1], sums[2], sums[3], sums[4] = sx, sy, sxx, sxy, syy
     return area, highest

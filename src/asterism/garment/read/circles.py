@@ -49,10 +49,8 @@ def find_circles(image: NDArray[np.uint8], rules: ReadRules) -> Circles:
     height, width = image.shape[:2]
     grey = np.empty((height, width), np.uint8)
     highest = np.empty((height, width // 16 + 1), np.uint8)
-    planes = np.empty((3, height, width), np.uint8)
-    kernels.channels(image, planes)
-    size, sigma = ((5, 5), 1.0) if noisy else ((3, 3), 0.0)
-    kernels.colourfulness(*(cv2.GaussianBlur(plane, size, sigma) for plane in planes), grey, highest)
+    seen = cv2.GaussianBlur(image, (5, 5), 1.0) if noisy else np.ascontiguousarray(image)
+    kernels.colourfulness(seen.reshape(height, 3 * width), not noisy, grey, highest)
     lowest = int(min(rules.least_colour + rules.noise_factor * left, 120))
     sizes = (
         rules.least_area,
