@@ -33,7 +33,11 @@ def described(path: Path, points: Points) -> dict[str, Any]:
     seen = ~np.isnan(points.positions[:, physical, 0])
     try:
         vertical, how = settle_vertical(
-            path, points.positions[:, captured], [labels[c] for c in captured], declared=points.declared, fallback=points.fallback
+            path,
+            points.positions if len(captured) == len(kinds) else points.positions[:, captured],  # no copy of an hour
+            [labels[c] for c in captured],
+            declared=points.declared,
+            fallback=points.fallback,
         )
         up: list[float] | None = [float(v) for v in vertical]
     except AsterismError:
