@@ -81,9 +81,10 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _report_reading(share: float, what: str) -> None:
-    """One line to standard error that is written over, of how much of the recordings has been read."""
-    bar = "#" * round(20 * share)
-    print(f"\rreading the recordings [{bar:20}] {what:40}", end="" if share < 1.0 else "\n", file=sys.stderr, flush=True)
+    """On a terminal, one line that is written over, of how much of the recordings has been read."""
+    if sys.stderr.isatty():
+        bar = "#" * round(20 * share)
+        print(f"\rreading the recordings [{bar:20}] {what:40}", end="" if share < 1.0 else "\n", file=sys.stderr, flush=True)
 
 
 def _parser() -> tuple[argparse.ArgumentParser, str]:
