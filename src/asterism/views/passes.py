@@ -46,11 +46,8 @@ class Starts:
 
 
 def seen(labeller: FrameLabeller, labels: FrameLabels) -> Seen:
-    """A frame's labels, judged; its only rival is that of its start."""
-    leads = np.full(len(labels.labels), np.inf)
-    if labels.rival_labels is not None:
-        leads[labels.rival_labels != labels.labels] = labels.gain - labels.rival
-    return Seen(labels, quality_of(labeller, labels), leads)
+    """A frame's labels, judged."""
+    return Seen(labels, quality_of(labeller, labels), labels.leads)
 
 
 class Pass:
