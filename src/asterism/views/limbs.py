@@ -31,9 +31,9 @@ class LimbRules:
     """
 
     loose: float = 1.0
-    reach: float = 3.0
+    reach: float = 2.5
     early: int = 32
-    tried: int = 512
+    tried: int = 256
     blur: float = 12.0
     kept: int = 3
     apart: float = 0.5
