@@ -20,7 +20,7 @@ from asterism.simulation import simulate_standing, simulate_walks
 from asterism.simulation.cameras import Capsules
 from asterism.simulation.views_laboratory import ViewsSession, simulate_views
 from asterism.simulation.views_motion import simulate_motion
-from asterism.views import BodyModel, fit_body, label_views, load_body, save_body, shipped_bodies
+from asterism.views import BodyModel, checks, fit_body, label_views, load_body, save_body, shipped_bodies
 from asterism.views.frame import FrameLabeller
 from asterism.views.label import ViewsLabelling
 from asterism.views.passes import Pass, Starts, _best_path, joined, seen
@@ -247,6 +247,17 @@ def test_markers_that_are_not_worn_are_said_and_another_body_gets_no_label() -> 
     assert [(finding.code, finding.where) for finding in result.findings] == [("views-markers-absent", "LTIB")]
     other = label_views(given.blobs.frames(slice(0, 10)), given.rig, load_body("body26"))
     assert (other.labels == -1).all() and "views-no-body" in [finding.code for finding in other.findings]
+
+
+def test_markers_that_are_there_but_in_doubt_are_not_said_to_be_absent() -> None:
+    found = labelled()
+    one = list(found.body.labels).index("LTIB")
+    doubted = replace(found, labels=np.where(found.labels == one, -1, found.labels))
+    assert (doubted.candidates == one).any()
+    none = np.empty(0, dtype=np.int64)
+    assert [(each.code, each.where) for each in checks.findings(doubted, none)] == [("views-markers-in-doubt", "LTIB")]
+    gone = replace(doubted, candidates=doubted.labels)
+    assert [(each.code, each.where) for each in checks.findings(gone, none)] == [("views-markers-absent", "LTIB")]
 
 
 def test_a_mirrored_body_and_one_with_exchanged_names_are_refused() -> None:
