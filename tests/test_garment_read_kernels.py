@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import twins_garment_read as twins
-from garment_scenes import grid_links, photos
+from garment_scenes import grid_links, photos, sleeve
 
+from asterism.garment.identities import ring_classes
 from asterism.garment.read import _circle_kernels as circle_kernels
 from asterism.garment.read import _colour_kernels as colour_kernels
 from asterism.garment.read import _growth_kernels as growth_kernels
@@ -21,34 +22,53 @@ SIDE, SQUARE, FIT = np.array([0.6, 1.6]), 0.7, 0.34
 
 
 def found_regions(image: np.ndarray, lowest: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Colourfulness, labels and regions of an image by the kernels."""
-    grey, highest = np.empty(image.shape[:2], np.uint8), np.empty((len(image), image.shape[1] // 16 + 1), np.uint8)
+    """Colourfulness, runs and regions of an image by the kernels."""
+    grey = np.empty(image.shape[:2], np.uint8)
     for smooth in (True, False):
-        circle_kernels.colourfulness(image.reshape(len(image), -1), smooth, grey, highest)
-        expected = twins.colourfulness(image, smooth)
-        np.testing.assert_array_equal(grey, expected[0])
-        np.testing.assert_array_equal(highest, expected[1])
-    labels, regions = np.zeros(grey.shape, np.int32), np.empty((5000, 7), np.int32)
-    count = circle_kernels.find_regions(grey, highest, lowest, LIMITS, labels, np.empty((grey.size, 3), np.int32), regions)
-    return grey, labels, regions[:count]
+        circle_kernels.colourfulness(image.reshape(len(image), -1), smooth, grey)
+        np.testing.assert_array_equal(grey, twins.colourfulness(image, smooth))
+    regions = np.empty((5000, 8), np.int32)
+    count, held = circle_kernels.find_regions(grey, lowest, LIMITS, regions)
+    return grey, held, regions[:count]
 
 
 @pytest.mark.parametrize(("noise", "lowest"), [(0.005, 20), (0.1, 45)])
 def test_regions_and_what_is_measured_of_them(noise: float, lowest: int) -> None:
     image = photos(noise=noise)[0].image[170:290, 220:360].copy()
-    grey, labels, regions = found_regions(image, lowest)
+    grey, held, regions = found_regions(image, lowest)
     assert {tuple(r[:6].tolist()) for r in regions} == twins.regions(grey, lowest, LIMITS) and len(regions) > 20
     assert len(set(regions[:, 5].tolist())) > 3, "thresholds that had to rise"
     linear, measured = linear_light(np.arange(256) / 255.0), np.empty((len(regions), 12))
-    circle_kernels.measure(image, linear, grey, labels, regions, 255 * noise, measured)
-    np.testing.assert_allclose(measured, twins.measure(image, linear, grey, labels, regions, 255 * noise), rtol=1e-9, atol=1e-9)
+    circle_kernels.measure(image, linear, grey, held, regions, 255 * noise, measured)
+    np.testing.assert_allclose(measured, twins.measure(image, linear, grey, held, regions, 255 * noise), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("width", [8, 47, 64])
+def test_regions_in_noise(width: int) -> None:
+    """Runs that end at borders of eight pixels and at none, parts that meet from two sides, and regions that many thresholds cut."""
+    rng = np.random.default_rng(width)
+    for smooth in (0, 1, 4):
+        noise = rng.normal(size=(60, width, 3))
+        for _ in range(smooth):
+            noise = noise + np.roll(noise, 1, 0) + np.roll(noise, 1, 1) + np.roll(noise, (1, 1), (0, 1))
+        image = np.clip(128 + 90 * noise / noise.std(), 0, 255).astype(np.uint8)
+        grey, held, regions = found_regions(image, 10)
+        assert {tuple(r[:6].tolist()) for r in regions} == twins.regions(grey, 10, LIMITS)
+        assert len(held) == (regions[-1, 7] if len(regions) else 0)
+
+
+def test_noise_is_counted() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (21, 40, 3)).astype(np.uint8)
+    counts = np.empty(511, np.int64)
+    circle_kernels.count_bends(image, counts)
+    np.testing.assert_array_equal(counts, twins.count_bends(image))
 
 
 def test_an_image_without_circles_has_no_regions() -> None:
     image = np.zeros((20, 30, 3), np.uint8)
-    grey, labels, regions = found_regions(image, 20)
+    grey, held, regions = found_regions(image, 20)
     assert len(regions) == 0 == len(twins.regions(grey, 20, LIMITS))
-    circle_kernels.measure(image, np.zeros(256), grey, labels, regions, 1.0, np.empty((0, 12)))
+    circle_kernels.measure(image, np.zeros(256), grey, held, regions, 1.0, np.empty((0, 12)))
 
 
 def lattice(seed: int, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -85,9 +105,11 @@ def test_lattices(seed: int, n: int) -> None:
     ends, rise = np.array([0.65, 1.25]), np.array([0.08, 20.0])
     y, x = np.mgrid[0:220, 0:240]
     grey = (120 + 60 * np.cos(x / 4.0 + seed) * np.cos(y / 5.0)).astype(np.uint8)
-    cut = links.copy()
-    lattice_kernels.cut_skipping(grey, centres, whiten, ends, rise, cut)
-    np.testing.assert_array_equal(cut, twins.cut_skipping(grey, centres, whiten, ends, rise, links))
+    checked = np.full((count, 4), -1, np.int32)
+    for _ in range(2):  # the second time by what was kept
+        cut = links.copy()
+        lattice_kernels.cut_skipping(grey, centres, whiten, ends, rise, checked, cut)
+        np.testing.assert_array_equal(cut, twins.cut_skipping(grey, centres, whiten, ends, rise, links))
     if n == 99:
         assert 0 < (cut != links).any(axis=2).sum() < linked.sum()
 
@@ -142,6 +164,29 @@ def agree_on_cells(links, colours, cells, turns, rng) -> None:
     np.testing.assert_array_equal(turns, expected[1])
     if n:
         assert (turns >= 0).sum() > before
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_blocks_are_looked_up(seed: int) -> None:
+    """A sheet of which circles are turned, links cut and some colours misread."""
+    rng = np.random.default_rng(seed)
+    pattern = sleeve().pattern
+    rows, cols = pattern.shape
+    links, _ = grid_links(rows, cols)
+    off = pattern.colours.ravel() < 0
+    links[off | (off[links[:, :, 0]] & (links[:, :, 0] >= 0)).any(axis=1)] = -1
+    ring, read = np.empty((len(links), 8), np.int32), np.maximum(pattern.colours.ravel(), 0).astype(np.int64)
+    misread = rng.integers(0, len(read), len(read) // 30)
+    read[misread] = rng.integers(0, pattern.q, len(misread))
+    identity_kernels.rings(links, ring)
+    ring[::3] = np.roll(ring[::3], 1, axis=1)  # an odd shift: corners at the sides
+    cells, turns = np.empty((len(read), 2), np.int32), np.empty(len(read), np.int32)
+    counts = identity_kernels.look_up(ring, read, pattern.q, ring_classes(pattern.q), pattern.cell_of, pattern.colours, cells, turns)
+    expected = twins.look_up(ring, read, pattern)
+    np.testing.assert_array_equal(cells, expected[0])
+    np.testing.assert_array_equal(turns, expected[1])
+    assert counts == expected[2] and 100 < counts[1] < counts[0]
+    assert len(set(turns.tolist())) == 5
 
 
 def test_no_circles_no_identities() -> None:
@@ -246,6 +291,9 @@ def test_cells_grow_and_are_weighed(seed: int) -> None:
     np.testing.assert_allclose(around, twins.evidence(at, fits, cells, own, 2), atol=1e-9)
     weight_kernels.smoothness(centres, at, fits, cells, off)
     np.testing.assert_allclose(off, twins.smoothness(centres, at, fits, cells), atol=1e-9)
+    area, usual = rng.uniform(20, 60, n), np.empty(n)
+    weight_kernels.usual_areas(area, cells, at, usual)
+    np.testing.assert_allclose(usual, twins.usual_areas(area, cells, at))
     y, x = np.mgrid[0:200, 0:220]
     grey = (120 + 60 * np.cos(x / 4.0 + seed) * np.cos(y / 5.0)).astype(np.uint8)
     weight_kernels.bumps(grey, centres, at, fits, cells, np.array([0.12, 4.0]), bump)

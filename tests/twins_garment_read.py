@@ -11,15 +11,20 @@ from scipy.ndimage import map_coordinates
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from asterism.garment.identities import block_rings
+
 
 def colourfulness(image, smooth):
-    """The spread of each pixel's channels without the border, and the largest of each 16 pixels of a row."""
+    """The spread of each pixel's channels without the border."""
     out = np.ptp(cv2.GaussianBlur(image, (3, 3), 0) if smooth else image, axis=2)
     out[[0, -1]] = 0
     out[:, [0, -1]] = 0
-    blocks = out.shape[1] // 16 + 1
-    padded = np.pad(out, ((0, 0), (0, 16 * blocks - out.shape[1])))
-    return out, padded.reshape(len(out), blocks, 16).max(axis=2)
+    return out
+
+
+def count_bends(image):
+    """How often each absolute second difference of green occurs along every eighth row."""
+    return np.bincount(np.abs(np.diff(image[::8, :, 1].astype(int), 2, axis=1)).ravel(), minlength=511)
 
 
 def regions(grey, lowest, limits):
@@ -49,12 +54,15 @@ def fill(part):
     return part.sum() / (4 * np.pi * np.sqrt(np.linalg.det(moments)))
 
 
-def measure(image, linear, grey, labels, regions, noise):
+def measure(image, linear, grey, held, regions, noise):
     """Weighted means over the pixels of a region and those two pixels around it that are no other's."""
     out = np.empty((len(regions), 12))
-    for i, (left, right, above, below, most, threshold, label) in enumerate(regions):
+    for i, (left, right, above, below, most, threshold, first, last) in enumerate(regions):
+        own = np.zeros(grey.shape, dtype=bool)
+        for row, begin, end in held[first:last]:
+            own[row, begin : end + 1] = True
         y, x = np.mgrid[max(above - 2, 0) : min(below + 3, len(grey)), max(left - 2, 0) : min(right + 3, grey.shape[1])]
-        value, mine = grey[y, x].astype(float), labels[y, x] == label
+        value, mine = grey[y, x].astype(float), own[y, x]
         half = 0.5 * (most + threshold)
         ground = min(value.min() + 0.6 * noise, 0.5 * half)
         span = max(value[mine & (value >= half)].mean() - ground, 1.0)
@@ -304,6 +312,24 @@ def gather(links, turns, root, most):
     return found
 
 
+def look_up(ring, read, pattern):
+    """Each whole block by the pattern's own look-up, then turned until its ring is the printed one."""
+    cells, turns = np.full((len(ring), 2), -1), np.full(len(ring), -1)
+    whole = np.flatnonzero((ring >= 0).all(axis=1))
+    for i in whole:
+        seen = read[ring[i]]
+        number = int(pattern.identity(read[i], seen))
+        if number < 0:
+            continue
+        # The pattern's rings begin at the upper left; those of `rings` at direction 0, which is along a row where the turn is 0.
+        place = pattern.cells(number)
+        printed = np.roll(block_rings(pattern.colours)[tuple(place)], -3)
+        for turn in range(4):
+            if (np.roll(printed, -2 * turn) == seen).all():
+                cells[i], turns[i] = place, turn
+    return cells, turns, (len(whole), int((turns >= 0).sum()))
+
+
 def locate(places, read, colours, misses):
     """Misses of every place and turn: the best (misses, turn, row, column) and the next best's misses, both capped."""
     padded = np.pad(colours, 40, constant_values=-1)
@@ -429,6 +455,16 @@ def rivals(centres, colours, cells, at, fits):
         expected = expect(centres, at, fits, *cell) if any(taken) else None
         for i in np.flatnonzero(cells[:, 0] >= 0) if expected is not None else []:
             out[i] = min(out[i], off_by(*expected[:2], centres[i]))
+    return out
+
+
+def usual_areas(area, cells, at):
+    """The median area of the eight circles around each, as far as they are there."""
+    padded, out = np.pad(at, 1, constant_values=-1), np.full(len(cells), np.nan)
+    for i in np.flatnonzero(cells[:, 0] >= 0):
+        around = padded[cells[i, 0] : cells[i, 0] + 3, cells[i, 1] : cells[i, 1] + 3].ravel()[[0, 1, 2, 3, 5, 6, 7, 8]]
+        if (around >= 0).any():
+            out[i] = np.median(area[around[around >= 0]])
     return out
 
 

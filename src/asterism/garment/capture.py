@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any
@@ -109,21 +110,31 @@ def capture(
     found: list[DensePoints] = []
     counts: list[list[int]] = []
     waiting: list[list[Circles | None]] = []
+    under_way: deque[Future[DensePoints]] = deque()
     scale: float | None = None
-    for number, circles in _readings(moments, read, rules.together, workers):
-        frames.append(number)
-        counts.append([0 if one is None else int((np.asarray(one.ids) >= 0).sum()) for one in circles])
-        waiting.append(circles)
-        if scale is None and len(waiting) < rules.scale_frames:
-            continue
-        scale = _common_scale(rig, waiting, rules) if scale is None else scale
-        found += [_points(rig, pattern, part, rules, scale) for part in waiting]
-        waiting = []
-        if progress is not None:
-            progress(min(1.0, len(found) / total) if total else 0.0, f"frame {number}: {len(found[-1])} points")
-    if waiting:
-        scale = _common_scale(rig, waiting, rules)
-        found += [_points(rig, pattern, part, rules, scale) for part in waiting]
+    ahead = rules.together if workers > 1 else 0
+
+    def finish(left: int) -> None:
+        while len(under_way) > left:
+            found.append(under_way.popleft().result())
+            if progress is not None:
+                progress(min(1.0, len(found) / total) if total else 0.0, f"frame {frames[len(found) - 1]}: {len(found[-1])} points")
+
+    with _pool(workers) as pool:
+        for number, circles in _readings(moments, read, max(1, ahead), pool):
+            frames.append(number)
+            counts.append([0 if one is None else int((np.asarray(one.ids) >= 0).sum()) for one in circles])
+            waiting.append(circles)
+            if scale is None and len(waiting) < rules.scale_frames:
+                continue
+            scale = _common_scale(rig, waiting, rules, pool) if scale is None else scale
+            under_way += [pool.submit(_points, rig, pattern, part, rules, scale) for part in waiting]
+            waiting = []
+            finish(ahead)
+        if waiting:
+            scale = _common_scale(rig, waiting, rules, pool)
+            under_way += [pool.submit(_points, rig, pattern, part, rules, scale) for part in waiting]
+        finish(0)
     if not frames:
         raise AsterismError("there is no image to read; name videos, or folders of images, one for each camera.")
     read_of = np.array(counts, dtype=np.int64)
@@ -149,15 +160,30 @@ class _Nothing:
     ids: NDArray[np.int32] = field(default_factory=lambda: np.empty(0, dtype=np.int32))
 
 
-def _readings(moments: Iterable[Moment], read: Reader, together: int, workers: int) -> Iterator[tuple[int, list[Circles | None]]]:
-    """What was read of each moment, in order; a few moments' images at a time, shared by the workers."""
-    waiting = iter(moments)
-    with ThreadPoolExecutor(max(1, workers)) as pool:
-        while batch := list(islice(waiting, together)):
-            images = [image for _, group in batch for image in group if image is not None]
-            done = iter(pool.map(read, images) if workers > 1 else map(read, images))
-            for number, group in batch:
-                yield number, [None if image is None else next(done) for image in group]
+class _Here(Executor):
+    """Does what it is given at once, in the caller's thread."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        done: Future[Any] = Future()
+        done.set_result(fn(*args, **kwargs))
+        return done
+
+
+def _pool(workers: int) -> Executor:
+    return ThreadPoolExecutor(workers) if workers > 1 else _Here()
+
+
+def _readings(moments: Iterable[Moment], read: Reader, together: int, pool: Executor) -> Iterator[tuple[int, list[Circles | None]]]:
+    """What was read of each moment, in order; the images of a few moments are with the workers at a time, so that none has to wait."""
+    coming = iter(moments)
+    under_way: deque[tuple[int, list[Future[Circles] | None]]] = deque()
+    while True:
+        for number, group in islice(coming, together - len(under_way)):
+            under_way.append((number, [None if image is None else pool.submit(read, image) for image in group]))
+        if not under_way:
+            return
+        number, reads = under_way.popleft()
+        yield number, [None if one is None else one.result() for one in reads]
 
 
 def _points(rig: Rig, pattern: Pattern, circles: Sequence[Circles | None], rules: CaptureRules, scale: float) -> DensePoints:
@@ -165,9 +191,13 @@ def _points(rig: Rig, pattern: Pattern, circles: Sequence[Circles | None], rules
     return consistent_points(dense_points(rig, filled, rules.dense, scale=scale), pattern, rules.surface)
 
 
-def _common_scale(rig: Rig, moments: Sequence[Sequence[Circles | None]], rules: CaptureRules) -> float:
+def _common_scale(rig: Rig, moments: Sequence[Sequence[Circles | None]], rules: CaptureRules, pool: Executor) -> float:
     """The median over moments of the factor on the centres' standard deviations."""
-    scales = [dense_points(rig, [_Nothing() if one is None else one for one in circles], rules.dense).scale for circles in moments]
+
+    def scale_of(circles: Sequence[Circles | None]) -> float:
+        return dense_points(rig, [_Nothing() if one is None else one for one in circles], rules.dense).scale
+
+    scales = [one.result() for one in [pool.submit(scale_of, circles) for circles in moments]]
     return float(np.median(scales)) if scales else 1.0
 
 

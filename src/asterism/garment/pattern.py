@@ -115,7 +115,7 @@ class Pattern:
         return np.sort(self.ids[self.ids >= 0])
 
     @cached_property
-    def _cell_of(self) -> NDArray[np.int32]:
+    def cell_of(self) -> NDArray[np.int32]:
         """The flat index of each possible identity's cell, (q * rings,); -1 where it does not occur."""
         cells = np.full(self.q * count_rings(self.q), -1, dtype=np.int32)
         inner = np.flatnonzero(self.ids.ravel() >= 0)
@@ -129,13 +129,13 @@ class Pattern:
         centre (...,) colours; ring (..., 8) colours of the neighbours, clockwise on the printed side, from any of them; -1 is unknown.
         """
         number = identities(centre, ring, self.q)
-        return np.where(self._cell_of[number] >= 0, number, -1).astype(np.int32)
+        return np.where(self.cell_of[number] >= 0, number, -1).astype(np.int32)
 
     def cells(self, ids: ArrayLike) -> Ints:
         """Rows and columns of identities, (..., 2); -1, -1 for one that does not occur."""
         number = np.asarray(ids, dtype=np.int64)
-        possible = (number >= 0) & (number < len(self._cell_of))
-        flat = np.where(possible, self._cell_of[np.where(possible, number, 0)], -1).astype(np.int64)
+        possible = (number >= 0) & (number < len(self.cell_of))
+        flat = np.where(possible, self.cell_of[np.where(possible, number, 0)], -1).astype(np.int64)
         cell = np.stack([flat // self.shape[1], flat % self.shape[1]], axis=-1)
         return np.where(flat[..., None] >= 0, cell, -1)
 

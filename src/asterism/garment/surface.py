@@ -88,7 +88,7 @@ def consistent_points(points: DensePoints, pattern: Pattern, rules: SurfaceRules
         worst = rows[np.lexsort((-size[rows], good[rows], -share))[0]]
         kept[worst] = False
         for pairs, count in ((wrong, bad), (right, good)):
-            touched = pairs[(pairs == worst).any(axis=1)]
+            touched = pairs[(pairs[:, 0] == worst) | (pairs[:, 1] == worst)]
             others = touched[touched != worst]
             count[others] -= 1.0
         bad[worst] = 0.0
@@ -184,7 +184,7 @@ def _edge(points: DensePoints, grid: Ints, pattern: Pattern, rules: SurfaceRules
     both = (one >= 0) & (other >= 0)
     first, second = one[both], other[both]
     between = points.positions[second] - points.positions[first]
-    distance = np.linalg.norm(between, axis=1)
+    distance = np.sqrt(between[:, 0] ** 2 + between[:, 1] ** 2 + between[:, 2] ** 2)
     beyond = distance - rules.stretch * pattern.pitch * float(np.hypot(down, right))
     doubtful = np.flatnonzero(beyond > 0)
     along = between[doubtful] / distance[doubtful, None]

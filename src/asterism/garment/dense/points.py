@@ -155,7 +155,7 @@ def _rays(rig: Rig, circles: Sequence[Circles], rules: DenseRules) -> _Rays:
     parts, twice = [], []
     for number, (camera, read) in enumerate(zip(rig, circles, strict=True)):
         ids = np.asarray(read.ids)
-        known = np.flatnonzero((ids >= 0) & np.isfinite(read.centres).all(axis=1))
+        known = np.flatnonzero((ids >= 0) & np.isfinite(read.centres[:, 0]) & np.isfinite(read.centres[:, 1]))
         unique, first, count = np.unique(ids[known], return_index=True, return_counts=True)
         twice += [(number, int(i)) for i in unique[count > 1]]
         rows = known[first[count == 1]]
@@ -165,12 +165,12 @@ def _rays(rig: Rig, circles: Sequence[Circles], rules: DenseRules) -> _Rays:
         pixel_jacobian(camera.lens, np.ascontiguousarray(flat), jacobian)
         weight = _information(np.asarray(read.covariance, dtype=np.float64)[rows], _model_variance(read, rules)[rows], jacobian)
         ways = np.column_stack([flat, np.ones(len(flat))]) @ camera.rotation
-        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+        ways /= np.sqrt(ways[:, 0] ** 2 + ways[:, 1] ** 2 + ways[:, 2] ** 2)[:, None]
         parts.append((ids[rows], np.full(len(rows), number), flat, weight, np.tile(camera.position, (len(rows), 1)), ways))
     ids, camera_of, flat, weight, origins, ways = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(ids, kind="stable")
     unique, count = np.unique(ids, return_counts=True)
-    order = order[np.isin(ids[order], unique[count >= 2])]
+    order = order[np.repeat(count >= 2, count)]
     starts = np.concatenate([[0], np.cumsum(count[count >= 2])]).astype(np.int64)
     return _Rays(
         unique[count >= 2].astype(np.int32), starts, camera_of[order].astype(np.int64), np.ascontiguousarray(flat[order]),

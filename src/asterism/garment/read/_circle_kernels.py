@@ -27,21 +27,20 @@ def _smooth(above, row, below, down, out):
 
 
 @kernel
-def colourfulness(image, smooth, out, highest):
+def colourfulness(image, smooth, out):
     """The difference between the largest and the smallest channel of each pixel; 0 in the outermost rows and columns.
 
     IN  image (h, 3 w) uint8, three channels of a pixel side by side; smooth, whether 3 x 3 pixels are averaged with weights 1, 2, 1
-    OUT out (h, w) uint8; highest (h, w // 16 + 1) uint8, the largest value of each 16 pixels of a row
+    OUT out (h, w) uint8
 
     O(h w), allocates two rows. Twin: tests/twins_garment_read.py
     """
     height, width = out.shape
     down, smoothed = np.empty(3 * width, np.uint16), np.empty(3 * width, np.uint8)
     for y in range(height):
-        line, most = out[y], highest[y]
-        line[:] = 0
-        most[:] = 0
+        line = out[y]
         if y == 0 or y == height - 1 or width < 3:
+            line[:] = 0
             continue
         pixels = image[y]
         if smooth:
@@ -50,59 +49,166 @@ def colourfulness(image, smooth, out, highest):
         for x in range(1, width - 1):
             a, b, c = pixels[3 * x], pixels[3 * x + 1], pixels[3 * x + 2]
             line[x] = max(max(a, b), c) - min(min(a, b), c)
-        for x in range(width):
-            most[x >> 4] = max(most[x >> 4], line[x])
+        line[0], line[width - 1] = 0, 0
 
 
 @kernel
-def _flood(grey, labels, width, start, old, new, threshold, stack, box, sums):
-    """Give the pixels above a threshold that hang together with one another, by their sides, a new label. Returns how many and the highest.
+def count_bends(image, counts):
+    """How often each second difference of the green value along every eighth row occurs.
 
-    grey, labels and start are of the flat image, whose border is 0. Only pixels with the label `old` take part. Fills box (4,) with the
-    smallest and largest x and y, sums (5,) with x, y, xx, xy, yy from the start on. Goes along runs of a row: where such a run meets
-    pixels of the row above or below, the first of each wait on the stack.
+    IN  image (h, w, 3) uint8
+    OUT counts (511,) int64, of the absolute values
+
+    O(h w / 8), no allocation. Twin: tests/twins_garment_read.py
     """
-    y0 = start // width
-    x0 = start - y0 * width
-    stack[0, 0], stack[0, 1], stack[0, 2] = start, 0, 0
-    top, area, highest = 1, 0, 0
-    left, right, above, below = 0, 0, 0, 0
-    sx, sy, sxx, sxy, syy = 0, 0, 0, 0, 0
-    while top:
-        top -= 1
-        place = np.int64(stack[top, 0])
-        if labels[place] != old:
+    counts[:] = 0
+    for y in range(0, image.shape[0], 8):
+        row = image[y]
+        for x in range(1, image.shape[1] - 1):
+            counts[abs(2 * np.int64(row[x, 1]) - np.int64(row[x - 1, 1]) - np.int64(row[x + 1, 1]))] += 1
+
+
+@kernel
+def _longer(rows, least):
+    """Rows (n, k), with as many again and `least` more that are not filled."""
+    out = np.empty((2 * len(rows) + least, rows.shape[1]), np.int32)
+    out[: len(rows)] = rows
+    return out
+
+
+@kernel
+def _runs_above(grey, threshold):
+    """Runs (n, 4) of an image's rows above a threshold, row by row: row, first and last column, highest value.
+
+    Returns an array with room for more, and how many there are. The image's outermost columns are 0. Eight pixels at a time are passed over
+    where none is above, and within a run where all are.
+    """
+    width = grey.shape[1]
+    above = np.zeros((width + 15) // 8 * 8, np.uint8)
+    words = above.view(np.uint64)
+    none, whole = np.uint64(0), np.uint64(0x0101010101010101)
+    runs, count = np.empty((4 * width, 4), np.int32), 0
+    for y in range(len(grey)):
+        line = grey[y]
+        for x in range(width):
+            above[x] = line[x] > threshold
+        if count + width > len(runs):
+            runs = _longer(runs, width)
+        first = -1
+        for place in range(len(words)):
+            word = words[place]
+            if (word == none and first < 0) or (word == whole and first >= 0):
+                continue
+            for x in range(8 * place, 8 * place + 8):
+                if above[x] != 0:
+                    first = x if first < 0 else first
+                elif first >= 0:
+                    highest = np.uint8(0)
+                    for k in range(first, x):
+                        highest = max(highest, line[np.uint64(k)])
+                    runs[count, 0], runs[count, 1], runs[count, 2], runs[count, 3] = y, first, x - 1, highest
+                    count += 1
+                    first = -1
+    return runs, count
+
+
+@kernel
+def _runs_within(grey, threshold, within, runs):
+    """The same of the pixels in other runs (m, 4), which are in the order of rows and columns. Returns how many."""
+    count = 0
+    for k in range(len(within)):
+        y, last = np.uint64(within[k, 0]), np.int64(within[k, 2])
+        if within[k, 3] <= threshold:
             continue
-        dx, dy = np.int64(stack[top, 1]), np.int64(stack[top, 2])
-        while grey[place - 1] > threshold and labels[place - 1] == old:
-            place -= 1
-            dx -= 1
-        left, above, below = min(left, dx), min(above, dy), max(below, dy)
-        first, begin, sum_x = place, dx, 0
-        while grey[place] > threshold and labels[place] == old:
-            labels[place] = new
-            highest = max(highest, np.int64(grey[place]))
-            sum_x += dx
-            sxx += dx * dx
-            place += 1
-            dx += 1
-        run = dx - begin
+        first, highest = np.int64(-1), 0
+        for x in range(np.int64(within[k, 1]), last + 1):
+            value = np.int64(grey[y, np.uint64(x)])
+            if value > threshold:
+                first = x if first < 0 else first
+                highest = max(highest, value)
+            elif first >= 0:
+                runs[count, 0], runs[count, 1], runs[count, 2], runs[count, 3] = y, first, x - 1, highest
+                count += 1
+                first, highest = -1, 0
+        if first >= 0:
+            runs[count, 0], runs[count, 1], runs[count, 2], runs[count, 3] = y, first, last, highest
+            count += 1
+    return count
+
+
+@kernel
+def _connect(runs, count, roots, starts, order):
+    """Parts of runs that hang together by the sides of their pixels, in the order of their first pixels, and the runs of each in order.
+
+    IN   runs (n, 4) in the order of rows and columns, of which `count` are used
+    WORK roots (n,)
+    OUT  starts (n + 1,), order (n,): the runs of part k are order[starts[k] : starts[k + 1]]
+
+    Returns how many parts. O(n), but for the search of roots. Union-find, the root is a part's first run.
+    """
+    other = 0
+    for k in range(count):
+        roots[k] = k
+        y, first, last = runs[k, 0], runs[k, 1], runs[k, 2]
+        while runs[other, 0] < y - 1 or (runs[other, 0] == y - 1 and runs[other, 2] < first):
+            other += 1
+        m = other
+        while runs[m, 0] == y - 1 and runs[m, 1] <= last:
+            a, b = roots[k], m
+            while roots[b] != b:
+                roots[b] = roots[roots[b]]
+                b = roots[b]
+            while roots[a] != a:
+                a = roots[a]
+            roots[max(a, b)] = min(a, b)
+            m += 1
+    parts = 0
+    for k in range(count):
+        # What a run's entry leads to comes before it, and holds the number of its part by then: -1 for the first.
+        if roots[k] == k:
+            parts += 1
+            roots[k], starts[parts] = -parts, 0
+        else:
+            roots[k] = roots[roots[k]]
+        starts[-roots[k]] += 1
+    starts[0] = 0
+    for k in range(parts):
+        starts[k + 1] += starts[k]
+    for k in range(count - 1, -1, -1):
+        part = -roots[k] - 1
+        starts[part + 1] -= 1
+        order[starts[part + 1]] = k
+    for k in range(parts):
+        starts[k] = starts[k + 1]
+    starts[parts] = count
+    return parts
+
+
+@kernel
+def _describe(runs, order, begin, end, box, sums):
+    """How many pixels there are in the runs order[begin:end], and the highest value.
+
+    Fills box (4,) with the smallest and largest x and y, sums (5,) with x, y, xx, xy, yy from the first pixel on.
+    """
+    y0, x0 = np.int64(runs[order[begin], 0]), np.int64(runs[order[begin], 1])
+    area, left, right, y = 0, x0, x0, y0
+    highest = np.int64(0)
+    sx, sy, sxx, sxy, syy = 0, 0, 0, 0, 0
+    for i in range(begin, end):
+        k = order[i]
+        y, first, last = np.int64(runs[k, 0]), np.int64(runs[k, 1]), np.int64(runs[k, 2])
+        highest = max(highest, np.int64(runs[k, 3]))
+        left, right = min(left, first), max(right, last)
+        run, dx, dy = last - first + 1, first - x0, y - y0
+        within = run * (run - 1) // 2
+        sum_x = run * dx + within
         area += run
-        right = max(right, dx - 1)
         sx += sum_x
         sy += dy * run
+        sxx += run * dx * dx + 2 * dx * within + within * (2 * run - 1) // 3
         sxy += dy * sum_x
         syy += dy * dy * run
-        for down in (-1, 1):
-            before = False
-            for i in range(run):
-                there = first + i + down * width
-                now = grey[there] > threshold and labels[there] == old
-                if now and not before:
-                    stack[top, 0], stack[top, 1], stack[top, 2] = there, begin + i, dy + down
-                    top += 1
-                before = now
-    box[0], box[1], box[2], box[3] = x0 + left, x0 + right, y0 + above, y0 + below
+    box[0], box[1], box[2], box[3] = left, right, y0, y
     sums[0], sums[1], sums[2], sums[3], sums[4] = sx, sy, sxx, sxy, syy
     return area, highest
 
@@ -115,97 +221,131 @@ def _fill(area, sums):
     return area / (4.0 * np.pi * np.sqrt(max(xx * yy - xy * xy, 1e-9)))
 
 
+COUNT, KEPT, WAITS, USED = 0, 1, 2, 3
+"""Places in the state of `_sort_out`: regions and their runs so far, parts that wait and their runs."""
+
+
 @kernel
-def find_regions(grey, highest, lowest, limits, labels, stack, regions):
+def _sort_out(size, limits, threshold, depth, runs, starts, order, first_part, last_part, regions, held, waiting, inner, state, box, sums):
+    """Of the parts above a threshold, put those of an ellipse's shape among the regions, and let the others wait for a higher threshold.
+
+    IN  size (2,) of the image; limits; threshold, depth: how many were lower; runs (n, 4), starts, order of `_connect`; first and last part
+    IO  regions, held of `find_regions`; waiting (4096, 3): first run in `inner`, next threshold, depth; inner (n, 4); state (4,)
+    WORK box (4,), sums (5,)
+    """
+    for part in range(first_part, last_part):
+        begin, end = np.int64(starts[part]), np.int64(starts[part + 1])
+        area, most = _describe(runs, order, begin, end, box, sums)
+        if area < limits[0] or most - threshold < limits[3]:
+            continue
+        small = area <= limits[1] and max(box[1] - box[0], box[3] - box[2]) < limits[4]
+        if small and threshold >= limits[5] * most and _fill(area, sums) >= limits[2]:
+            edge = box[0] <= 1 or box[2] <= 1 or box[1] >= size[1] - 2 or box[3] >= size[0] - 2
+            count, kept = state[COUNT], state[KEPT]
+            if count >= len(regions) or edge:
+                continue
+            for k in range(4):
+                regions[count, k] = box[k]
+            regions[count, 4], regions[count, 5], regions[count, 6] = most, threshold, kept
+            for i in range(begin, end):
+                k = order[i]
+                held[kept, 0], held[kept, 1], held[kept, 2] = runs[k, 0], runs[k, 1], runs[k, 2]
+                kept += 1
+            regions[count, 7] = kept
+            state[COUNT], state[KEPT] = count + 1, kept
+        elif depth < 8 and state[WAITS] < len(waiting) and area > 2 * limits[0]:
+            step = threshold + max(limits[3], (most - threshold) // 4)
+            if small:
+                step = max(step, limits[5] * most)
+            waits, used = state[WAITS], state[USED]
+            waiting[waits, 0], waiting[waits, 1], waiting[waits, 2] = used, step, depth + 1
+            for i in range(begin, end):
+                k = order[i]
+                inner[used, 0], inner[used, 1], inner[used, 2], inner[used, 3] = runs[k, 0], runs[k, 1], runs[k, 2], runs[k, 3]
+                used += 1
+            state[WAITS], state[USED] = waits + 1, used
+
+
+@kernel
+def find_regions(grey, lowest, limits, regions):
     """Regions of a filled ellipse's shape: those above the lowest threshold, and within the others those above a higher one.
 
     A region that is no ellipse (two that touch, one before a coloured wall) is cut again at a threshold a quarter of the way to its highest
-    value, as often as something is left.
+    value, as often as something is left. All is done on runs of pixels in a row, so that the background costs one comparison a pixel.
 
-    IN   grey (h, w) uint8; highest (h, w // 16 + 1) uint8 of `colourfulness`; lowest threshold; limits (6,): smallest and largest area px2,
-         smallest fill, smallest height above the threshold, longest side of the box px, threshold as a share of the highest value
-    WORK labels (h, w) int32, filled with 0; stack (h w, 3) int32
-    OUT  regions (most, 7) int32: smallest and largest x and y, highest value, threshold, label; labels as said there
+    IN  grey (h, w) uint8 of `colourfulness`; lowest threshold; limits (6,): smallest and largest area px2, smallest fill, smallest height
+        above the threshold, longest side of the box px, threshold as a share of the highest value
+    OUT regions (most, 8) int32: smallest and largest x and y, highest value, threshold, first of its runs, first of the next one's
 
-    Returns their number. O(h w + pixels of regions times thresholds). Twin: tests/twins_garment_read.py
+    Returns the number of regions and their runs (m, 3) int32: row, first and last column. O(h w + pixels of regions times thresholds);
+    allocates some 40 bytes a run of the lowest threshold, and 30 a pixel of the largest region there. Twin: tests/twins_garment_read.py
     """
-    height, width = grey.shape
-    flat, marks = grey.ravel(), labels.ravel()
-    box, sums = np.empty(4, np.int64), np.empty(5)
-    waiting = np.empty((4096, 7), np.int64)
-    count, label = 0, 0
-    for y0 in range(height):
-        for block in range(highest.shape[1]):
-            if highest[y0, block] <= lowest:
-                continue
-            for x0 in range(16 * block, min(16 * block + 16, width)):
-                if grey[y0, x0] <= lowest or labels[y0, x0] != 0:
-                    continue
-                waits = 1
-                waiting[0, 0], waiting[0, 1], waiting[0, 2], waiting[0, 3] = x0, x0, y0, y0
-                waiting[0, 4], waiting[0, 5], waiting[0, 6] = lowest, 0, 0
-                while waits:
-                    waits -= 1
-                    left, right, above, below = waiting[waits, 0], waiting[waits, 1], waiting[waits, 2], waiting[waits, 3]
-                    threshold, old, depth = waiting[waits, 4], waiting[waits, 5], waiting[waits, 6]
-                    for y in range(above, below + 1):
-                        for x in range(left, right + 1):
-                            if labels[y, x] != old or grey[y, x] <= threshold:
-                                continue
-                            label += 1
-                            area, most = _flood(flat, marks, width, y * width + x, old, label, threshold, stack, box, sums)
-                            if area < limits[0] or most - threshold < limits[3]:
-                                continue
-                            small = area <= limits[1] and max(box[1] - box[0], box[3] - box[2]) < limits[4]
-                            edge = box[0] <= 1 or box[2] <= 1 or box[1] >= width - 2 or box[3] >= height - 2
-                            if small and threshold >= limits[5] * most and _fill(area, sums) >= limits[2]:
-                                if count < len(regions) and not edge:
-                                    regions[count, 0], regions[count, 1], regions[count, 2], regions[count, 3] = (
-                                        box[0],
-                                        box[1],
-                                        box[2],
-                                        box[3],
-                                    )
-                                    regions[count, 4], regions[count, 5], regions[count, 6] = most, threshold, label
-                                    count += 1
-                            elif depth < 8 and waits < len(waiting) and area > 2 * limits[0]:
-                                waiting[waits, 0], waiting[waits, 1], waiting[waits, 2], waiting[waits, 3] = box[0], box[1], box[2], box[3]
-                                step = threshold + max(limits[3], (most - threshold) // 4)
-                                if small:
-                                    step = max(step, limits[5] * most)
-                                waiting[waits, 4], waiting[waits, 5], waiting[waits, 6] = step, label, depth + 1
-                                waits += 1
-    return count
+    size = grey.shape
+    box, sums, state = np.empty(4, np.int64), np.empty(5), np.zeros(4, np.int64)
+    waiting = np.empty((4096, 3), np.int64)
+    whole, number = _runs_above(grey, lowest)
+    ends = np.empty((3, number + 1), np.int32)
+    starts, order = ends[1], ends[2]
+    tops = _connect(whole, number, ends[0], starts, order)
+    largest = 0
+    for top in range(tops):
+        area = 0
+        for i in range(starts[top], starts[top + 1]):
+            area += whole[order[i], 2] - whole[order[i], 1] + 1
+        largest = max(largest, area)
+    # Runs that do not touch one another are at most half as many as pixels.
+    room = largest // 2 + 2
+    inner, parted, inner_ends = np.empty((room, 4), np.int32), np.empty((room, 4), np.int32), np.empty((3, room + 1), np.int32)
+    inner_starts, inner_order = inner_ends[1], inner_ends[2]
+    held = np.empty((number + room, 3), np.int32)
+    for top in range(tops):
+        if state[KEPT] + room > len(held):
+            held = _longer(held, room)
+        _sort_out(size, limits, lowest, 0, whole, starts, order, top, top + 1, regions, held, waiting, inner, state, box, sums)
+        while state[WAITS]:
+            # The runs of the part that waits are the last ones in `inner`, and parts of it that wait are put in their place.
+            state[WAITS] -= 1
+            begin, threshold, depth = waiting[state[WAITS], 0], waiting[state[WAITS], 1], waiting[state[WAITS], 2]
+            cut = _runs_within(grey, threshold, inner[begin : state[USED]], parted)
+            parts = _connect(parted, cut, inner_ends[0], inner_starts, inner_order)
+            state[USED] = begin
+            if state[KEPT] + cut > len(held):
+                held = _longer(held, cut)
+            _sort_out(
+                size, limits, threshold, depth, parted, inner_starts, inner_order, 0, parts, regions, held, waiting, inner, state, box, sums
+            )  # fmt: skip
+    return state[COUNT], held[: state[KEPT]]
 
 
 @kernel
-def measure(image, linear, grey, labels, regions, noise, out):
+def measure(image, linear, grey, held, regions, noise, out):
     """Centre, second moments, covariance and colour of each region, by how much of each pixel it covers.
 
     Coverage is 0 at the colourfulness of the cloth around the region and 1 at that of its inner pixels. It is summed over the region and
     two pixels around it that belong to no other.
 
-    IN  image (h, w, 3) uint8 blue, green, red; linear (256,) light of a pixel's value; grey (h, w) uint8; labels (h, w) int32;
-        regions (n, 7) of `find_regions`; noise, standard deviation of a channel's value
+    IN  image (h, w, 3) uint8 blue, green, red; linear (256,) light of a pixel's value; grey (h, w) uint8; held (m, 3) int32, regions (n, 8)
+        of `find_regions`; noise, standard deviation of a channel's value
     OUT out (n, 12): x, y, covariance xx, xy, yy px2, second moments xx, xy, yy px2, area px2, mean light of blue, green, red
 
     O(pixels of the regions), no allocation. Twin: tests/twins_garment_read.py
     """
     height, width = grey.shape
     for i in range(len(regions)):
-        own = regions[i, 6]
         x0, x1 = max(regions[i, 0] - 2, 0), min(regions[i, 1] + 2, width - 1)
         y0, y1 = max(regions[i, 2] - 2, 0), min(regions[i, 3] + 2, height - 1)
+        first_run, last_run, threshold = np.int64(regions[i, 6]), np.int64(regions[i, 7]), np.int64(regions[i, 5])
         half = 0.5 * (regions[i, 4] + regions[i, 5])
-        inner, inners = 0.0, 0
-        lowest = 255
+        inner, inners = 0, 0
+        lowest = np.uint8(255)
         for y in range(y0, y1 + 1):
-            for x in range(x0, x1 + 1):
-                value = np.int64(grey[y, x])
-                if labels[y, x] == own and value >= half:
-                    inner += value
-                    inners += 1
+            for value in grey[y, x0 : x1 + 1]:
                 lowest = min(lowest, value)
+        for run in range(first_run, last_run):
+            for value in grey[held[run, 0], held[run, 1] : held[run, 2] + 1]:
+                if value >= half:
+                    inner += np.int64(value)
+                    inners += 1
         ground = min(lowest + 0.6 * noise, 0.5 * half)
         full = inner / inners
         span = max(full - ground, 1.0)
@@ -214,15 +354,28 @@ def measure(image, linear, grey, labels, regions, noise, out):
         wxx, wxy, wyy = 0.0, 0.0, 0.0
         blue, green, red, cores = 0.0, 0.0, 0.0, 0.0
         cx, cy = 0.5 * (regions[i, 0] + regions[i, 1]), 0.5 * (regions[i, 2] + regions[i, 3])
+        run = first_run
         for y in range(y0, y1 + 1):
+            line, dy = grey[y], y - cy
+            # Own pixels are those between `first` and `last`; then the next run's.
+            first, last = x1 + 1, x1 + 1
+            if run < last_run and held[run, 0] == y:
+                first, last = np.int64(held[run, 1]), np.int64(held[run, 2])
+                run += 1
             for x in range(x0, x1 + 1):
-                mine = labels[y, x] == own
-                if not mine and grey[y, x] > regions[i, 5]:
+                if x > last:
+                    first, last = x1 + 1, x1 + 1
+                    if run < last_run and held[run, 0] == y:
+                        first, last = np.int64(held[run, 1]), np.int64(held[run, 2])
+                        run += 1
+                value = np.int64(line[x])
+                mine = x >= first
+                if value <= ground or not (mine or value <= threshold):
                     continue
-                cover = min(max((grey[y, x] - ground) / span, 0.0), 1.0)
+                cover = min((value - ground) / span, 1.0)
                 weight = (2.0 * cover) ** 2 if cover < 1.0 else 1.0
                 cover *= cover
-                dx, dy = x - cx, y - cy
+                dx = x - cx
                 area += cover
                 mx += cover * dx
                 my += cover * dy

@@ -25,7 +25,7 @@ def occupy(cells, at):
             at[cells[i, 0], cells[i, 1]] = i if at[cells[i, 0], cells[i, 1]] == -1 else -2
 
 
-@kernel
+@kernel(inline=True)
 def there(at, fits, row, col):
     """Gives the circle at a cell, -1 where there is none of the cell's colour, or no sheet. IN at, fits: see `expect`. O(1)."""
     if row < 0 or col < 0 or row >= at.shape[0] or col >= at.shape[1]:
@@ -35,60 +35,78 @@ def there(at, fits, row, col):
 
 
 @kernel
-def expect(centres, at, fits, row, col, out):
+def find_near(at, fits, row, col, near):
+    """The circles that have their cell's colour around a cell.
+
+    IN  at, fits: see `expect`; the cell
+    OUT near (4, 3) in each direction, a quarter turn clockwise each from along a row: the circle beside, the one beyond it, and the one
+        between this and the next direction; -1 where there is none
+
+    O(1).
+    """
+    for d in range(4):
+        e = (d + 1) & 3
+        near[d, 0] = there(at, fits, row + _DOWN[d], col + _RIGHT[d])
+        near[d, 1] = there(at, fits, row + 2 * _DOWN[d], col + 2 * _RIGHT[d])
+        near[d, 2] = there(at, fits, row + _DOWN[d] + _DOWN[e], col + _RIGHT[d] + _RIGHT[e])
+
+
+@kernel
+def expect(centres, at, fits, row, col, near, out):
     """Where the circle of a cell is, by those around it: the mean of what straight rows and parallelograms say.
 
     IN  centres (n, 2) px; at (rows, cols) of `occupy`; fits (n,) whether a circle has its cell's colour, the others say nothing; the cell
-    OUT out (6,): x, y px, and two lattice vectors, along a row and down a column, px
+    OUT near (4, 3) of `find_near`; out (6,): x, y px, and two lattice vectors, along a row and down a column, px
 
     Returns how many ways there were; 0 where the vectors are not known. O(1). Twin: tests/twins_garment_read.py
     """
+    find_near(at, fits, row, col, near)
     x, y, ways = 0.0, 0.0, 0
-    vectors = np.zeros((2, 3))
+    # Sums of the two vectors are in `out` first; `rows` and `columns` say of how many.
+    out[2], out[3], out[4], out[5] = 0.0, 0.0, 0.0, 0.0
+    rows, columns = 0, 0
     for d in range(4):
-        a = there(at, fits, row + _DOWN[d], col + _RIGHT[d])
-        b = there(at, fits, row + 2 * _DOWN[d], col + 2 * _RIGHT[d])
-        sign = 1.0 if d < 2 else -1.0
-        if a >= 0 and b >= 0:
-            dx, dy = centres[b, 0] - centres[a, 0], centres[b, 1] - centres[a, 1]
+        e = (d + 1) & 3
+        own, other = 2 + 2 * (d & 1), 2 + 2 * (e & 1)
+        sign, turned = 1.0 if d < 2 else -1.0, 1.0 if e < 2 else -1.0
+        a, beyond, b, c = near[d, 0], near[d, 1], near[e, 0], near[d, 2]
+        ahead = across = 0
+        if a >= 0 and beyond >= 0:
+            dx, dy = centres[beyond, 0] - centres[a, 0], centres[beyond, 1] - centres[a, 1]
             x += centres[a, 0] - dx
             y += centres[a, 1] - dy
             ways += 1
-            vectors[d % 2, 0] += sign * dx
-            vectors[d % 2, 1] += sign * dy
-            vectors[d % 2, 2] += 1.0
-        e = (d + 1) % 4
-        b = there(at, fits, row + _DOWN[e], col + _RIGHT[e])
-        c = there(at, fits, row + _DOWN[d] + _DOWN[e], col + _RIGHT[d] + _RIGHT[e])
-        other = 1.0 if e < 2 else -1.0
+            out[own] += sign * dx
+            out[own + 1] += sign * dy
+            ahead += 1
         if a >= 0 and c >= 0:
-            vectors[e % 2, 0] += other * (centres[c, 0] - centres[a, 0])
-            vectors[e % 2, 1] += other * (centres[c, 1] - centres[a, 1])
-            vectors[e % 2, 2] += 1.0
+            out[other] += turned * (centres[c, 0] - centres[a, 0])
+            out[other + 1] += turned * (centres[c, 1] - centres[a, 1])
+            across += 1
         if b >= 0 and c >= 0:
-            vectors[d % 2, 0] += sign * (centres[c, 0] - centres[b, 0])
-            vectors[d % 2, 1] += sign * (centres[c, 1] - centres[b, 1])
-            vectors[d % 2, 2] += 1.0
+            out[own] += sign * (centres[c, 0] - centres[b, 0])
+            out[own + 1] += sign * (centres[c, 1] - centres[b, 1])
+            ahead += 1
         if a >= 0 and b >= 0 and c >= 0:
             x += centres[a, 0] + centres[b, 0] - centres[c, 0]
             y += centres[a, 1] + centres[b, 1] - centres[c, 1]
             ways += 1
+        rows += across if d & 1 else ahead
+        columns += ahead if d & 1 else across
     for d in range(2):
-        a = there(at, fits, row + _DOWN[d], col + _RIGHT[d])
-        b = there(at, fits, row - _DOWN[d], col - _RIGHT[d])
+        a, b = near[d, 0], near[d + 2, 0]
         if a >= 0 and b >= 0:
             x += centres[a, 0] + centres[b, 0]
             y += centres[a, 1] + centres[b, 1]
             ways += 2
-            vectors[d, 0] += 0.5 * (centres[a, 0] - centres[b, 0])
-            vectors[d, 1] += 0.5 * (centres[a, 1] - centres[b, 1])
-            vectors[d, 2] += 1.0
-    if ways == 0 or vectors[0, 2] == 0.0 or vectors[1, 2] == 0.0:
+            out[2 + 2 * d] += 0.5 * (centres[a, 0] - centres[b, 0])
+            out[3 + 2 * d] += 0.5 * (centres[a, 1] - centres[b, 1])
+            rows += d == 0
+            columns += d == 1
+    if ways == 0 or rows == 0 or columns == 0:
         return 0
     out[0], out[1] = x / ways, y / ways
-    for axis in range(2):
-        out[2 + 2 * axis] = vectors[axis, 0] / vectors[axis, 2]
-        out[3 + 2 * axis] = vectors[axis, 1] / vectors[axis, 2]
+    out[2], out[3], out[4], out[5] = out[2] / rows, out[3] / rows, out[4] / columns, out[5] / columns
     return ways
 
 
@@ -136,7 +154,7 @@ def grow(centres, likelihood, colours, heads, following, side, gate, cells, at, 
     O(n circles in reach). Twin: tests/twins_garment_read.py
     """
     n = len(centres)
-    expected = np.empty(6)
+    expected, near = np.empty(6), np.empty((4, 3), np.int64)
     first, last = 0, 0
     for i in range(n):
         if cells[i, 0] >= 0:
@@ -151,7 +169,7 @@ def grow(centres, likelihood, colours, heads, following, side, gate, cells, at, 
             row, col = cells[i, 0] + _DOWN[d], cells[i, 1] + _RIGHT[d]
             if row < 0 or col < 0 or row >= colours.shape[0] or col >= colours.shape[1]:
                 continue
-            if colours[row, col] < 0 or at[row, col] != -1 or expect(centres, at, fits, row, col, expected) == 0:
+            if colours[row, col] < 0 or at[row, col] != -1 or expect(centres, at, fits, row, col, near, expected) == 0:
                 continue
             reach = 2.0 * gate * max(abs(expected[2]) + abs(expected[4]), abs(expected[3]) + abs(expected[5]))
             x0, x1 = max(int((expected[0] - reach) / side), 0), min(int((expected[0] + reach) / side), heads.shape[1] - 1)
@@ -196,13 +214,13 @@ def rivals(centres, colours, heads, following, side, cells, at, fits, out):
 
     O(rows cols circles in reach). Twin: tests/twins_garment_read.py
     """
-    expected = np.empty(6)
+    expected, near = np.empty(6), np.empty((4, 3), np.int64)
     out[:] = 1.0
     for row in range(at.shape[0]):
         for col in range(at.shape[1]):
             if at[row, col] != -1 or colours[row, col] < 0 or not _beside(at, row, col):
                 continue
-            if expect(centres, at, fits, row, col, expected) == 0:
+            if expect(centres, at, fits, row, col, near, expected) == 0:
                 continue
             reach = max(abs(expected[2]) + abs(expected[4]), abs(expected[3]) + abs(expected[5]))
             x0, x1 = max(int((expected[0] - reach) / side), 0), min(int((expected[0] + reach) / side), heads.shape[1] - 1)

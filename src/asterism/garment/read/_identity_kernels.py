@@ -38,15 +38,62 @@ def rings(links, out):
 
 
 @kernel
+def look_up(ring, read, q, classes, cell_of, colours, cells, turns):
+    """The blocks around circles that the pattern has: their cells, and how they are turned.
+
+    A block's ring of colours gives its class, the class and the centre's colour its identity, and the identity one cell of the sheet. A
+    ring that fits there only by an odd shift, its corners at the sides, is none of the pattern's: no turn of the grid makes that.
+
+    IN  ring (n, 8) of `rings`; read (n,) colours; q, how many there are; classes (q^8,) of `ring_classes`; cell_of (ids,) int32, the flat
+        cell of each identity, -1 where it does not occur; colours (rows, cols) int8, without identities at the border
+    OUT cells (n, 2) int32 row and column, turns (n,) int32 the grid's direction of direction 0; -1 where no block was read or it is none
+
+    Returns how many blocks there are, and of how many the pattern has the identity in one of the four turns. O(n).
+    Twin: tests/twins_garment_read.py
+    """
+    rings_of_a_colour = len(cell_of) // q
+    cols = colours.shape[1]
+    whole = existing = 0
+    for i in range(len(ring)):
+        cells[i, 0], cells[i, 1], turns[i] = -1, -1, -1
+        complete, code = True, 0
+        for place in range(7, -1, -1):
+            j = ring[i, place]
+            complete = complete and j >= 0
+            code = code * q + read[max(j, 0)]
+        whole += complete
+        if not complete or classes[code] < 0:
+            continue
+        flat = np.int64(cell_of[read[i] * rings_of_a_colour + classes[code]])
+        if flat < 0:
+            continue
+        row, col = flat // cols, flat % cols
+        for turn in range(4):
+            same = True
+            for place in range(8):
+                # Direction 0 is along a row where the turn is 0; the even places of a ring are those beside.
+                d = (place // 2 + turn) & 3
+                e = (d + 1) & 3
+                down, right = _ROW[d], _COLUMN[d]
+                if place & 1:
+                    down, right = down + _ROW[e], right + _COLUMN[e]
+                same = same and colours[row + down, col + right] == read[ring[i, place]]
+            if same:
+                cells[i, 0], cells[i, 1], turns[i] = row, col, turn
+        existing += turns[i] >= 0
+    return whole, existing
+
+
+@kernel(inline=True)
 def _agree(i, d, links, cells, turns):
     """Whether a link leads to the circle that the grid has there, turned alike."""
     j = links[i, d, 0]
     if j < 0 or turns[i] < 0 or turns[j] < 0:
         return False
-    grid = (d + turns[i]) % 4
+    grid = (d + turns[i]) & 3
     if cells[j, 0] != cells[i, 0] + _ROW[grid] or cells[j, 1] != cells[i, 1] + _COLUMN[grid]:
         return False
-    return (links[i, d, 1] + turns[j]) % 4 == (grid + 2) % 4
+    return (links[i, d, 1] + turns[j]) & 3 == (grid + 2) & 3
 
 
 @kernel
@@ -66,7 +113,9 @@ def groups(links, cells, turns, roots):
         for d in range(4):
             if not _agree(i, d, links, cells, turns):
                 continue
-            a, b = i, links[i, d, 0]
+            a, b = np.int64(i), np.int64(links[i, d, 0])
+            if roots[a] == roots[b]:
+                continue
             while roots[a] != a:
                 roots[a] = roots[roots[a]]
                 a = roots[a]

@@ -75,13 +75,18 @@ def candidates(centres, whiten, reach, side, found, offsets):
 
 
 @kernel
-def _score(offsets, count, p, q, fit):
-    """How well the offsets of candidates are explained by a lattice with the vectors p and q: neighbours present less circles astray."""
-    det = p[0] * q[1] - p[1] * q[0]
+def _score(offsets, count, px, py, qx, qy, fit, needed):
+    """How well the offsets of candidates are explained by a lattice of two vectors: neighbours present less circles astray.
+
+    A candidate gives one at most. Where those that are left cannot reach what is needed any more, less than that comes back.
+    """
+    det = px * qy - py * qx
     total = 0.0
     for k in range(count):
+        if total + (count - k) < needed:
+            break
         x, y = offsets[k, 0], offsets[k, 1]
-        a, b = (x * q[1] - y * q[0]) / det, (p[0] * y - p[1] * x) / det
+        a, b = (x * qy - y * qx) / det, (px * y - py * x) / det
         na, nb = np.rint(a), np.rint(b)
         far = (a - na) ** 2 + (b - nb) ** 2
         near = max(abs(na), abs(nb))
@@ -106,26 +111,27 @@ def first_frames(found, offsets, whiten, side, square, fit, frames, scores):
     O(n most^3) at worst. Twin: tests/twins_garment_read.py
     """
     n, most = found.shape
+    length, stretch = np.empty(most), np.empty(most)
     for i in range(n):
         count = 0
         while count < most and found[i, count] >= 0:
+            length[count] = np.sqrt(offsets[i, count, 0] ** 2 + offsets[i, count, 1] ** 2)
+            stretch[count] = np.log(length[count]) ** 2
             count += 1
         best, bp, bq = -np.inf, -1, -1
         for k in range(count):
-            p = offsets[i, k]
-            lp = np.sqrt(p[0] ** 2 + p[1] ** 2)
-            if lp < side[0] or lp > side[1]:
+            px, py, lp = offsets[i, k, 0], offsets[i, k, 1], length[k]
+            if lp < side[0] or lp > side[1] or px < 0.0:
                 continue
             for m in range(count):
-                q = offsets[i, m]
-                lq = np.sqrt(q[0] ** 2 + q[1] ** 2)
+                qx, qy, lq = offsets[i, m, 0], offsets[i, m, 1], length[m]
                 if m == k or lq < side[0] or lq > side[1]:
                     continue
-                det = p[0] * q[1] - p[1] * q[0]
-                if det < square * lp * lq or p[0] < 0.0 or (p[0] < abs(p[1]) and q[1] > abs(q[0])):
+                det = px * qy - py * qx
+                if det < square * lp * lq or (px < abs(py) and qy > abs(qx)):
                     continue
-                shape = np.log(lp) ** 2 + np.log(lq) ** 2 + 1.0 - (det / (lp * lq)) ** 2
-                score = _score(offsets[i], count, p, q, fit) - 2.0 * shape
+                loss = 2.0 * (stretch[k] + stretch[m] + 1.0 - (det / (lp * lq)) ** 2)
+                score = _score(offsets[i], count, px, py, qx, qy, fit, best + loss - _ROUNDING) - loss
                 if score > best:
                     best, bp, bq = score, k, m
         scores[i] = best
@@ -151,12 +157,13 @@ def link(centres, found, frames, fit, ahead, links):
     O(n most). Twin: tests/twins_garment_read.py
     """
     n, most = found.shape
+    nearest = np.empty(4)
     for i in range(n):
-        ahead[i] = -1
+        ahead[i, 0], ahead[i, 1], ahead[i, 2], ahead[i, 3] = -1, -1, -1, -1
         det = frames[i, 0, 0] * frames[i, 1, 1] - frames[i, 0, 1] * frames[i, 1, 0]
         if not det > 0.0:
             continue
-        nearest = np.full(4, fit * fit)
+        nearest[:] = fit * fit
         for k in range(most):
             j = found[i, k]
             if j < 0:
@@ -192,9 +199,10 @@ def refine_frames(centres, found, links, frames, fit, out):
     O(n most). Twin: tests/twins_garment_read.py
     """
     n, most = found.shape
+    right = np.empty((2, 2))
     for i in range(n):
         xx, yy = 0.0, 0.0
-        right = np.zeros((2, 2))
+        right[0, 0], right[0, 1], right[1, 0], right[1, 1] = 0.0, 0.0, 0.0, 0.0
         for direction in range(4):
             j, back = links[i, direction, 0], links[i, direction, 1]
             if j < 0:
@@ -243,30 +251,34 @@ def refine_frames(centres, found, links, frames, fit, out):
                     out[i] = frames[j]
 
 
-@kernel
-def between(grey, x, y):
-    """Gives the value between four pixels, bilinear. IN grey (h, w); x, y px, inside. O(1)."""
+@kernel(inline=True)
+def between(flat, width, x, y):
+    """Gives the value between four pixels, bilinear. IN flat (h w,) an image, row by row; its width; x, y px, inside. O(1)."""
     left, above = int(x), int(y)
     a, b = x - left, y - above
-    upper = (1.0 - a) * grey[above, left] + a * grey[above, left + 1]
-    return (1.0 - b) * upper + b * ((1.0 - a) * grey[above + 1, left] + a * grey[above + 1, left + 1])
+    # Unsigned places: Numba then does not ask whether they count from the end.
+    place = np.uint64(above * width + left)
+    below, one = place + np.uint64(width), np.uint64(1)
+    upper = (1.0 - a) * flat[place] + a * flat[place + one]
+    return (1.0 - b) * upper + b * ((1.0 - a) * flat[below] + a * flat[below + one])
 
 
 @kernel
-def bump(grey, one, other, steps, rise):
+def bump(flat, width, x, y, other_x, other_y, steps, rise):
     """By how much the colourfulness falls after it has risen on the way from one circle to another, where there should be dark cloth.
 
-    IN grey (h, w) uint8; one, other (2,) px; steps of the way; rise (2,) that counts: as a share of the lower end, and at least
+    IN flat (h w,) uint8, an image row by row; its width; x, y, other_x, other_y px; steps of the way; rise (2,) that counts: as a share of
+    the lower end, and at least
 
     Gives the largest fall, 0 where it nowhere rises; the rise that counts here; the lower end. O(steps).
     """
-    dx, dy = (other[0] - one[0]) / steps, (other[1] - one[1]) / steps
-    first, last = between(grey, one[0], one[1]), between(grey, other[0], other[1])
+    dx, dy = (other_x - x) / steps, (other_y - y) / steps
+    first, last = between(flat, width, x, y), between(flat, width, other_x, other_y)
     end = max(min(first, last), 1.0)
     needed = max(rise[0] * end, rise[1])
     lowest, fall, highest = first, 0.0, -1.0
     for k in range(1, steps + 1):
-        value = between(grey, one[0] + dx * k, one[1] + dy * k)
+        value = between(flat, width, x + dx * k, y + dy * k)
         if highest < 0.0:
             lowest = min(lowest, value)
             if value > lowest + needed and k < steps:
@@ -278,31 +290,37 @@ def bump(grey, one, other, steps, rise):
 
 
 @kernel
-def cut_skipping(grey, centres, whiten, side, rise, links):
+def cut_skipping(grey, centres, whiten, side, rise, checked, links):
     """Cut links that lead over a circle that was not found, and those whose length is not a pitch by the ellipses at their ends.
 
     Between two neighbours the colourfulness falls to dark cloth and rises again. If it rises and falls again before, there is a circle.
 
     IN  grey (h, w) uint8; centres (n, 2); whiten (n, 2, 2); side (2,) shortest and longest link in pitches, the mean of both ends;
         rise (2,) of the colourfulness that is taken for a circle: as a share of the lower end, and at least
-    IO  links (n, 4, 2)
+    IO  checked (n, 4) int32: links that were looked at before, -1 for none, else twice the neighbour, and one more if the link was cut; no
+        decision depends on it. links (n, 4, 2)
 
     O(n). Twin: tests/twins_garment_read.py
     """
     steps = 16
+    flat, width = grey.ravel(), grey.shape[1]
     for i in range(len(links)):
         for d in range(4):
             j, back = links[i, d, 0], links[i, d, 1]
             if j < i:
                 continue
-            dx, dy = centres[j, 0] - centres[i, 0], centres[j, 1] - centres[i, 1]
-            length = 0.0
-            for end in range(2):
-                k = i if end == 0 else j
-                a, b = whiten[k, 0, 0] * dx + whiten[k, 0, 1] * dy, whiten[k, 1, 0] * dx + whiten[k, 1, 1] * dy
-                length += 0.5 * np.sqrt(a * a + b * b)
-            cut = length < side[0] or length > side[1]
-            fall, needed, _ = bump(grey, centres[i], centres[j], steps, rise)
-            if cut or fall > needed:
+            if checked[i, d] < 0 or checked[i, d] >> 1 != j:
+                dx, dy = centres[j, 0] - centres[i, 0], centres[j, 1] - centres[i, 1]
+                length = 0.0
+                for end in range(2):
+                    k = i if end == 0 else j
+                    a, b = whiten[k, 0, 0] * dx + whiten[k, 0, 1] * dy, whiten[k, 1, 0] * dx + whiten[k, 1, 1] * dy
+                    length += 0.5 * np.sqrt(a * a + b * b)
+                cut = length < side[0] or length > side[1]
+                if not cut:
+                    fall, needed, _ = bump(flat, width, centres[i, 0], centres[i, 1], centres[j, 0], centres[j, 1], steps, rise)
+                    cut = fall > needed
+                checked[i, d] = 2 * j + cut
+            if checked[i, d] & 1:
                 links[i, d, 0], links[i, d, 1] = -1, -1
                 links[j, back, 0], links[j, back, 1] = -1, -1

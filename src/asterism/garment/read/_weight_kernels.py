@@ -23,22 +23,30 @@ def evidence(at, fits, cells, own, radius, out):
 
     O(n radius^2). Twin: tests/twins_garment_read.py
     """
-    width = 2 * radius + 1
-    seen = np.full(width * width, -1, np.int32)
-    queue = np.empty(width * width, np.int32)
+    # The circles within reach, with a border of none, so that no step has to be checked; a circle that was reached is taken out.
+    width = 2 * radius + 3
+    near, queue = np.full(width * width, -1, np.int32), np.empty((width * width, 2), np.int32)
+    middle = (radius + 1) * width + radius + 1
+    offset = np.empty((width * width, 2), np.int32)
+    for place in range(width * width):
+        offset[place, 0], offset[place, 1] = place // width - radius - 1, place % width - radius - 1
     for i in range(len(cells)):
-        out[i] = 0.0
-        if cells[i, 0] < 0:
+        out[i, 0], out[i, 1] = 0.0, 0.0
+        row, col = np.int64(cells[i, 0]), np.int64(cells[i, 1])
+        if row < 0:
             continue
-        row, col = cells[i, 0], cells[i, 1]
-        seen[radius * width + radius] = i
-        queue[0] = i
+        for down in range(-radius, radius + 1):
+            r, start = row + down, middle + down * width
+            for right in range(-radius, radius + 1):
+                c = col + right
+                near[start + right] = at[r, c] if 0 <= r < at.shape[0] and 0 <= c < at.shape[1] else -1
+        near[middle], queue[0, 0], queue[0, 1] = -1, middle, i
         first, last = 0, 1
         total, east, south, west, north = 0.0, 0.0, 0.0, 0.0, 0.0
         while first < last:
-            k = queue[first]
+            place, k = np.int64(queue[first, 0]), np.int64(queue[first, 1])
+            down, right = offset[place, 0], offset[place, 1]
             first += 1
-            down, right = cells[k, 0] - row, cells[k, 1] - col
             value = own[k]
             total += value
             if right >= 0:
@@ -51,16 +59,11 @@ def evidence(at, fits, cells, own, radius, out):
                 north += value
             if not fits[k]:
                 continue
-            for d in range(4):
-                r, c = cells[k, 0] + _DOWN[d], cells[k, 1] + _RIGHT[d]
-                a, b = r - row + radius, c - col + radius
-                if a < 0 or b < 0 or a >= width or b >= width or r < 0 or c < 0 or r >= at.shape[0] or c >= at.shape[1]:
-                    continue
-                if at[r, c] < 0 or seen[a * width + b] == i:
-                    continue
-                seen[a * width + b] = i
-                queue[last] = at[r, c]
-                last += 1
+            for beside in (place + 1, place + width, place - 1, place - width):
+                if near[beside] >= 0:
+                    queue[last, 0], queue[last, 1] = beside, near[beside]
+                    near[beside] = -1
+                    last += 1
         out[i, 0], out[i, 1] = total, min(min(east, south), min(west, north))
 
 
@@ -74,24 +77,20 @@ def smoothness(centres, at, fits, cells, out):
 
     O(n). Twin: tests/twins_garment_read.py
     """
-    expected = np.empty(6)
+    expected, near = np.empty(6), np.empty((4, 3), np.int64)
     for i in range(len(cells)):
-        out[i] = np.inf, 0.0, 0.0
-        if cells[i, 0] < 0 or expect(centres, at, fits, cells[i, 0], cells[i, 1], expected) == 0:
+        out[i, 0], out[i, 1], out[i, 2] = np.inf, 0.0, 0.0
+        if cells[i, 0] < 0 or expect(centres, at, fits, cells[i, 0], cells[i, 1], near, expected) == 0:
             continue
-        row, col, x, y = cells[i, 0], cells[i, 1], centres[i, 0], centres[i, 1]
+        x, y = centres[i, 0], centres[i, 1]
         out[i, 0] = off_by(expected, x, y)
         for d in range(4):
-            e = (d + 1) % 4
-            a = there(at, fits, row + _DOWN[d], col + _RIGHT[d])
+            a, beyond, b, c = near[d, 0], near[d, 1], near[(d + 1) & 3, 0], near[d, 2]
             if a < 0:
                 continue
-            b = there(at, fits, row + 2 * _DOWN[d], col + 2 * _RIGHT[d])
-            if b >= 0:
-                expected[0], expected[1] = 2 * centres[a, 0] - centres[b, 0], 2 * centres[a, 1] - centres[b, 1]
+            if beyond >= 0:
+                expected[0], expected[1] = 2 * centres[a, 0] - centres[beyond, 0], 2 * centres[a, 1] - centres[beyond, 1]
                 out[i, 1] = max(out[i, 1], off_by(expected, x, y))
-            b = there(at, fits, row + _DOWN[e], col + _RIGHT[e])
-            c = there(at, fits, row + _DOWN[d] + _DOWN[e], col + _RIGHT[d] + _RIGHT[e])
             if b >= 0 and c >= 0:
                 expected[0] = centres[a, 0] + centres[b, 0] - centres[c, 0]
                 expected[1] = centres[a, 1] + centres[b, 1] - centres[c, 1]
@@ -110,6 +109,7 @@ def bumps(grey, centres, at, fits, cells, rise, out):
     O(n). Twin: tests/twins_garment_read.py
     """
     steps = 12
+    flat, width = grey.ravel(), grey.shape[1]
     for i in range(len(cells)):
         out[i] = 0.0
         if cells[i, 0] < 0:
@@ -118,5 +118,35 @@ def bumps(grey, centres, at, fits, cells, rise, out):
             j = there(at, fits, cells[i, 0] + _DOWN[d], cells[i, 1] + _RIGHT[d])
             if j < 0:
                 continue
-            fall, _, end = bump(grey, centres[i], centres[j], steps, rise)
+            fall, _, end = bump(flat, width, centres[i, 0], centres[i, 1], centres[j, 0], centres[j, 1], steps, rise)
             out[i] = max(out[i], fall / end)
+
+
+@kernel
+def usual_areas(area, cells, at, out):
+    """The median area of the up to eight circles around each.
+
+    IN  area (n,) px2; cells (n, 2); at (rows, cols) of `occupy`
+    OUT out (n,) px2, NaN where there is none, and for circles without a cell
+
+    O(n), no allocation to speak of. Twin: tests/twins_garment_read.py
+    """
+    around = np.empty(8)
+    for i in range(len(cells)):
+        out[i] = np.nan
+        row, col, count = np.int64(cells[i, 0]), np.int64(cells[i, 1]), 0
+        if row < 0:
+            continue
+        for r in range(max(row - 1, 0), min(row + 2, at.shape[0])):
+            for c in range(max(col - 1, 0), min(col + 2, at.shape[1])):
+                j = at[r, c]
+                if j < 0 or (r == row and c == col):
+                    continue
+                value, k = area[j], count
+                while k > 0 and around[k - 1] > value:
+                    around[k] = around[k - 1]
+                    k -= 1
+                around[k] = value
+                count += 1
+        if count > 0:
+            out[i] = (around[(count - 1) // 2] + around[count // 2]) / 2.0

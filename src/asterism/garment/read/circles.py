@@ -48,9 +48,8 @@ def find_circles(image: NDArray[np.uint8], rules: ReadRules) -> Circles:
     left = noise * (_LEFT_OF_MORE if noisy else _LEFT)
     height, width = image.shape[:2]
     grey = np.empty((height, width), np.uint8)
-    highest = np.empty((height, width // 16 + 1), np.uint8)
-    seen = cv2.GaussianBlur(image, (5, 5), 1.0) if noisy else np.ascontiguousarray(image)
-    kernels.colourfulness(seen.reshape(height, 3 * width), not noisy, grey, highest)
+    seen = cv2.GaussianBlur(image, (5, 5), 1.0) if noisy else image
+    kernels.colourfulness(seen.reshape(height, 3 * width), not noisy, grey)
     lowest = int(min(rules.least_colour + rules.noise_factor * left, 120))
     sizes = (
         rules.least_area,
@@ -61,11 +60,10 @@ def find_circles(image: NDArray[np.uint8], rules: ReadRules) -> Circles:
         rules.bound,
     )
     limits = np.array(sizes)
-    labels, stack = np.zeros((height, width), np.int32), np.empty((height * width, 3), np.int32)
-    regions = np.empty((rules.most_circles, 7), np.int32)
-    count = kernels.find_regions(grey, highest, lowest, limits, labels, stack, regions)
+    regions = np.empty((rules.most_circles, 8), np.int32)
+    count, held = kernels.find_regions(grey, lowest, limits, regions)
     measured = np.empty((count, 12))
-    kernels.measure(image, _LINEAR, grey, labels, regions[:count], noise, measured)
+    kernels.measure(image, _LINEAR, grey, held, regions[:count], noise, measured)
     covariance = _symmetric(measured[:, 2:5]) + rules.centre_floor**2 * np.eye(2)
     moments = _symmetric(measured[:, 5:8]) - rules.blur_moment * np.eye(2)
     return Circles(measured[:, :2].copy(), covariance, _at_least(moments, rules.least_moment), measured[:, :8:-1].copy(), grey, noise)
@@ -73,12 +71,11 @@ def find_circles(image: NDArray[np.uint8], rules: ReadRules) -> Circles:
 
 def image_noise(image: NDArray[np.uint8]) -> float:
     """Standard deviation of a pixel's green value, of 255: from the median of second differences along every eighth row."""
-    green = image[::8, :, 1].astype(np.int16)
-    if green.shape[1] < 3:
+    if image.shape[1] < 3:
         return 0.5
-    bend = np.abs(2 * green[:, 1:-1] - green[:, :-2] - green[:, 2:])
-    counts = np.bincount(bend.ravel())
-    below = np.searchsorted(np.cumsum(counts), 0.5 * bend.size) + 0.5
+    counts = np.empty(511, np.int64)
+    kernels.count_bends(image, counts)
+    below = np.searchsorted(np.cumsum(counts), 0.5 * counts.sum()) + 0.5
     return float(max(below / (0.6745 * np.sqrt(6.0)), 0.5))
 
 

@@ -50,7 +50,9 @@ def classify(light: Floats, reliable: NDArray[np.bool_], hsv: Floats, least_chro
     known = shares[chosen]
     if len(known) < 4 * q:
         return ColourClasses(np.full((len(light), q), 1.0 / q), np.ones(3), np.nan, False)
-    if float(np.median(np.ptp(known, axis=1))) < least_chroma or _is_one_line(known):
+    red, green, blue = known.T
+    chroma = np.maximum(np.maximum(red, green), blue) - np.minimum(np.minimum(red, green), blue)
+    if float(np.median(chroma)) < least_chroma or _is_one_line(known):
         return ColourClasses(np.full((len(light), q), 1.0 / q), np.ones(3), np.nan, True)
     bright = _CLOTH + (1 - _CLOTH) * linear_light(np.array([colorsys.hsv_to_rgb(*colour) for colour in hsv]))
     inks = bright / bright.sum(axis=1, keepdims=True)

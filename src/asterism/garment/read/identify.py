@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from asterism.garment.identities import block_rings
+from asterism.garment.identities import ring_classes
 from asterism.garment.pattern import Pattern
 from asterism.garment.read import _growth_kernels as growth
 from asterism.garment.read import _identity_kernels as kernels
@@ -68,7 +68,8 @@ def identify(circles: Circles, links: NDArray[np.int32], posterior: Floats, patt
     ring = np.empty((n, 8), np.int32)
     kernels.rings(links, ring)
     read = posterior.argmax(axis=1)
-    cells, turns, windows, existing = _look_up(ring, read, pattern)
+    cells, turns = np.empty((n, 2), np.int32), np.empty(n, np.int32)
+    windows, existing = kernels.look_up(ring, read, q, ring_classes(q), pattern.cell_of, pattern.colours, cells, turns)
     likelihood = np.log(q * ((1 - rules.misread) * posterior + rules.misread / q))
     _carry_on(links, read, likelihood, pattern, rules, cells, turns)
     own = _of_cells(likelihood, cells, turns >= 0, pattern)
@@ -155,45 +156,18 @@ def _apart_from_neighbours(moments: Floats, cells: NDArray[np.int32], shape: tup
     A circle that something covers in part is smaller than its neighbours, and one that has run into another is larger; both have their
     centres in the wrong place.
     """
-    area = np.sqrt(np.linalg.det(moments))
-    there = cells[:, 0] >= 0
-    row, column = cells[there].T
-    at = np.full((shape[0] + 2, shape[1] + 2), np.nan)
-    at[row + 1, column + 1] = area[there]
-    around = np.sort([at[row + 1 + i, column + 1 + j] for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j], axis=0)
-    count = np.isfinite(around).sum(axis=0)
-    middle = np.maximum([(count - 1) // 2, count // 2], 0)
-    usual = np.take_along_axis(around, middle, axis=0).mean(axis=0)
+    area, at, usual = np.sqrt(np.linalg.det(moments)), np.empty(shape, np.int32), np.empty(len(cells))
+    growth.occupy(cells, at)
+    weigh.usual_areas(area, cells, at, usual)
     out = np.zeros(len(area))
-    out[there] = np.where(count > 0, np.abs(np.log(area[there] / np.where(count > 0, usual, 1.0))), 0.0)
+    known = np.isfinite(usual)
+    out[known] = np.abs(np.log(area[known] / usual[known]))
     return out
 
 
 def _at_most(count: int, wrong: int) -> float:
     """The share of wrong ones that is possible where so many of a count were, with 95 % probability: 3 / count where none was (Poisson)."""
     return min(1.0, float(chdtri(2 * (wrong + 1), 1 - _LEVEL)) / 2 / max(count, 1))
-
-
-def _look_up(ring: NDArray[np.int32], read: NDArray[np.int64], pattern: Pattern) -> tuple[NDArray[np.int32], NDArray[np.int32], int, int]:
-    """Cells (n, 2) and turns (n,) of the blocks around circles, -1 where none was read or the pattern has none such; counts of both.
-
-    A ring that fits only by an odd shift, its corners at the sides, is none of the pattern's: no turn of the grid makes that.
-    """
-    n = len(ring)
-    cells, turns = np.full((n, 2), -1, np.int32), np.full(n, -1, np.int32)
-    whole = np.flatnonzero((ring >= 0).all(axis=1))
-    seen = read[ring[whole]]
-    number = pattern.identity(read[whole], seen)
-    known = number >= 0
-    rows, seen = whole[known], seen[known]
-    place = pattern.cells(number[known])
-    # The pattern's rings begin at the upper left; those of `rings` at direction 0, which is along a row where the turn is 0.
-    printed = np.roll(block_rings(pattern.colours)[place[:, 0], place[:, 1]], -3, axis=1)
-    for turn in range(4):
-        same = (np.roll(printed, -2 * turn, axis=1) == seen).all(axis=1)
-        turns[rows[same]] = turn
-        cells[rows[same]] = place[same]
-    return cells, turns, len(whole), int((turns >= 0).sum())
 
 
 def _twice(cells: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.bool_]:

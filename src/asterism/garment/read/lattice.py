@@ -35,15 +35,15 @@ def link_circles(circles: Circles, diameter: float, rules: ReadRules) -> tuple[N
     kernels.candidates(circles.centres, whiten, rules.reach, side, found, offsets)
     kernels.first_frames(found, offsets, whiten, np.array(rules.side), rules.square, rules.fit, frames, scores)
     ends, rise = np.array(rules.length), np.array([rules.rise, rules.rise_noise * circles.noise])
-    ahead = np.empty((n, 4), np.int32)
+    ahead, checked = np.empty((n, 4), np.int32), np.full((n, 4), -1, np.int32)
     for _ in range(_ROUNDS):
         kernels.link(circles.centres, found, frames, rules.fit, ahead, links)
-        kernels.cut_skipping(circles.grey, circles.centres, whiten, ends, rise, links)
+        kernels.cut_skipping(circles.grey, circles.centres, whiten, ends, rise, checked, links)
         refined = np.empty_like(frames)
         kernels.refine_frames(circles.centres, found, links, frames, rules.fit, refined)
         frames = refined
     kernels.link(circles.centres, found, frames, rules.fit, ahead, links)
-    kernels.cut_skipping(circles.grey, circles.centres, whiten, ends, rise, links)
+    kernels.cut_skipping(circles.grey, circles.centres, whiten, ends, rise, checked, links)
     return links, frames
 
 
