@@ -17,13 +17,15 @@ from asterism.formats import read, write, write_blobs
 from asterism.recording import Blobs, MarkerSet, Recording
 from asterism.report.views import views_report
 from asterism.simulation import simulate_standing, simulate_walks
+from asterism.simulation.cameras import Capsules
 from asterism.simulation.views_laboratory import ViewsSession, simulate_views
 from asterism.simulation.views_motion import simulate_motion
-from asterism.views import BodyModel, fit_body, label_views, load_body, save_body, shipped_bodies
+from asterism.views import BodyModel, checks, fit_body, label_views, load_body, save_body, shipped_bodies
 from asterism.views.frame import FrameLabeller
 from asterism.views.label import ViewsLabelling
 from asterism.views.passes import Pass, Starts, _best_path, joined, seen
 from asterism.views.plain import label_stepwise, minimise_plain
+from asterism.views.posing import posed_points
 from asterism.views.rules import QUICK, RULES
 from asterism.views.scene import scene_of
 
@@ -140,6 +142,44 @@ def test_a_whole_body_that_raises_its_arms_is_labelled_with_its_hands() -> None:
     assert result.person is result.body
 
 
+def standing_person(seed: int) -> ViewsSession:
+    """A person of `body26` who stands still for 26 frames, with the marker of the neck 5 cm off its usual place."""
+    rng = np.random.default_rng([seed, 1])
+    body = load_body("body26")
+    off = {"C7": np.array([0.035, 0.0, 0.035])}
+    places = [np.array(m.place) + m.spread * np.clip(rng.normal(size=3), -2, 2) + off.get(m.name, 0.0) for m in body.markers]
+    person = replace(body, markers=tuple(replace(m, place=(x, y, z)) for m, (x, y, z) in zip(body.markers, places, strict=True)))
+    held = {"forearm flexion": 15.0, "forearm turn": 30.0, "upper arm abduction": 8.0}
+    angles = [np.radians(held[plain]) if (plain := h.name.partition(" ")[2]) in held else h.usual for h in body.hinges]
+    posed = posed_points(person, np.concatenate([np.ones(3), np.zeros(6), angles]), np.eye(3))
+    points, starts, ends = (np.repeat(each[None], 26, axis=0) for each in posed)
+    hiding = Capsules(starts, ends, person.arrays.radii.mean(axis=1), tuple(part.name for part in body.capsules))
+    recording = Recording(points, body.labels, 60.0, np.array([0.0, 0.0, 1.0]))
+    return simulate_views(recording, body.labels, rng=rng, body=hiding)
+
+
+def test_a_person_who_stands_still_keeps_the_names_of_both_sides_of_a_wrist() -> None:
+    """A marker that is sought elsewhere must not cost the wrists their names: the whole person's body is learned, which takes 5 s."""
+    given = standing_person(0)
+    right, wrong = right_and_wrong(label_views(given.blobs, given.rig, "body26"), given)
+    assert right > 0.98 and wrong < 0.002, f"{right:.4f} right, {wrong:.4f} wrong"
+
+
+def test_the_better_explanation_of_a_frame_leads_the_other_one_only_where_they_differ() -> None:
+    given = session(2)
+    labeller = FrameLabeller(scene_of(given.blobs, given.rig), body_of_four())
+    found = replace(labeller.from_nothing(3), leads=np.full(len(given.blobs.frames(slice(3, 4)).xy), np.inf))
+    first, last = np.nonzero(found.labels >= 0)[0][[0, -1]]
+    other = found.labels.copy()
+    other[[first, last]] = other[[last, first]]
+    worse = replace(found, labels=other, gain=found.gain - 4.0, leads=np.full(len(other), 3.0))
+    expected = np.full(len(other), 7.0)
+    expected[[first, last]] = 4.0
+    for better in (found.against(worse), worse.against(found)):
+        assert np.array_equal(better.labels, found.labels)
+        np.testing.assert_allclose(better.leads, expected, err_msg="what was nearly as good as the worse one is worse by both")
+
+
 def test_a_path_goes_over_to_the_other_explanation_only_where_that_gains_more_than_the_jump() -> None:
     differ = np.ones(6, dtype=bool)
     assert _best_path(np.array([3.0, 3.0, -2.0, -2.0, 3.0, 3.0]), differ, 10.0).all()
@@ -207,6 +247,17 @@ def test_markers_that_are_not_worn_are_said_and_another_body_gets_no_label() -> 
     assert [(finding.code, finding.where) for finding in result.findings] == [("views-markers-absent", "LTIB")]
     other = label_views(given.blobs.frames(slice(0, 10)), given.rig, load_body("body26"))
     assert (other.labels == -1).all() and "views-no-body" in [finding.code for finding in other.findings]
+
+
+def test_markers_that_are_there_but_in_doubt_are_not_said_to_be_absent() -> None:
+    found = labelled()
+    one = list(found.body.labels).index("LTIB")
+    doubted = replace(found, labels=np.where(found.labels == one, -1, found.labels))
+    assert (doubted.candidates == one).any()
+    none = np.empty(0, dtype=np.int64)
+    assert [(each.code, each.where) for each in checks.findings(doubted, none)] == [("views-markers-in-doubt", "LTIB")]
+    gone = replace(doubted, candidates=doubted.labels)
+    assert [(each.code, each.where) for each in checks.findings(gone, none)] == [("views-markers-absent", "LTIB")]
 
 
 def test_a_mirrored_body_and_one_with_exchanged_names_are_refused() -> None:

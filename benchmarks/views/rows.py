@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from asterism.views.start import place_by_centroids
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 from benchmarks.views.bodies import is_standing, marker_set, trials
+from benchmarks.views.hands import impossible_hands
 from benchmarks.views.sessions import (
     Tally,
     chosen_frames,
@@ -31,49 +32,59 @@ from benchmarks.views.sessions import (
 Sessions = Iterable[tuple[str, BodyModel, ViewsSession]]
 
 
-def labelled(sessions: Sessions, rules: ViewsRules | None = None) -> tuple[Tally, list[tuple[float, float]], tuple[int, int]]:
-    """The tally of whole recordings; (error, stated deviation) in m of each marker that one camera shows; visibility predicted right."""
-    tally, single, right, all_of = Tally(), list[tuple[float, float]](), 0, 0
+@dataclass
+class Labelled:
+    """What became of whole recordings.
+
+    tally    of all blobs; sound: of those of markers whose hand labels the anatomy allows; hands: how many hands it does not
+    single   (error, stated deviation) in m of each marker that one camera shows
+    visible  markers and cameras with visibility predicted right, and all
+    """
+
+    tally: Tally
+    sound: Tally
+    hands: int
+    single: list[tuple[float, float]]
+    visible: tuple[int, int]
+
+
+def labelled(sessions: Sessions, rules: ViewsRules | None = None) -> Labelled:
+    """Whole recordings, labelled."""
+    out = Labelled(Tally(), Tally(), 0, [], (0, 0))
     for person, body, session in sessions:
         result = label_views(session.blobs, session.rig, body, rules=ViewsRules() if rules is None else rules)
-        tally.add(result.labels, session.identity, person)
+        contradicted = impossible_hands(session.recording) & set(body.labels)
+        out.tally.add(result.labels, session.identity, person)
+        out.sound.add(result.labels, session.identity, person, [body.labels.index(name) for name in contradicted])
+        out.hands += len(contradicted) // 3
         one = result.views == 1
         away = np.linalg.norm(result.positions - session.recording.positions, axis=2)
-        single += list(zip(away[one], result.deviations[one], strict=True))
+        out.single += [pair for pair in zip(away[one], result.deviations[one], strict=True) if np.isfinite(pair[0])]
         agreed, of = visibility_agreement(result, session)
-        right, all_of = right + agreed, all_of + of
-    return tally, [pair for pair in single if np.isfinite(pair[0])], (right, all_of)
+        out.visible = (out.visible[0] + agreed, out.visible[1] + of)
+    return out
 
 
 def gait(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Real gait recordings before simulated cameras, all subjects, bodies of the other subjects; two to four cameras."""
     for cameras in (4, 3, 2):
-        tally, single, visible = labelled(gait_sessions(benchmark, cameras))
-        yield from _shares(f"gait, 15 markers, {cameras} cameras", tally, cameras == 4)
-        least = ">= 0.97" if cameras == 4 else "none"
-        yield Figure(
-            f"gait, 15 markers, {cameras} cameras: visibility predicted right", least, visible[0] / visible[1], "fraction", visible[1]
-        )
-        yield from _single(f"gait, 15 markers, {cameras} cameras", single)
+        name, done = f"gait, 15 markers, {cameras} cameras", labelled(gait_sessions(benchmark, cameras))
+        yield from _shares(name, done.tally, cameras == 4)
+        yield _visibility(name, done, ">= 0.97" if cameras == 4 else "none")
+        yield from _single(name, done.single)
 
 
 def whole_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """26 markers: simulated people who move everything, and the real walks; two to four cameras."""
     for cameras in (4, 3, 2):
-        tally, single, visible = labelled(motion_sessions(benchmark, cameras))
-        name = f"whole body, 26 markers, simulated motion, {cameras} cameras"
-        yield from _shares(name, tally, cameras == 4, least=0.99)
-        yield Figure(f"{name}: visibility predicted right", "none", visible[0] / visible[1], "fraction", visible[1])
-        yield from _single(name, single)
-    tally, single, visible = labelled(gait_sessions(benchmark, 4, "body26"))
-    yield from _shares("whole body, 26 markers, gait recordings, 4 cameras", tally, True, least=0.99)
-    yield Figure(
-        "whole body, 26 markers, gait recordings, 4 cameras: visibility predicted right",
-        "none",
-        visible[0] / visible[1],
-        "fraction",
-        visible[1],
-    )
+        name, done = f"whole body, 26 markers, simulated motion, {cameras} cameras", labelled(motion_sessions(benchmark, cameras))
+        yield from _shares(name, done.tally, cameras == 4, least=0.99)
+        yield _visibility(name, done)
+        yield from _single(name, done.single)
+    name, done = "whole body, 26 markers, gait recordings, 4 cameras", labelled(gait_sessions(benchmark, 4, "body26"))
+    yield from _shares(name, done.tally, True, least=0.99)
+    yield from _sound(name, done, least=0.99)
+    yield _visibility(name, done)
 
 
 def own_static(benchmark: BenchmarkRun) -> Iterator[Figure]:
@@ -87,8 +98,10 @@ def own_static(benchmark: BenchmarkRun) -> Iterator[Figure]:
 
     rows = list(sessions())
     if rows:
-        yield from _shares("gait, 15 markers, 4 cameras, own static", labelled(rows)[0], False)
-    yield from _shares("gait, plug-in-gait, 34 markers, 4 cameras", labelled(gait_sessions(benchmark, 4, "plug-in-gait"))[0], False)
+        yield from _shares("gait, 15 markers, 4 cameras, own static", labelled(rows).tally, False)
+    name, done = "gait, plug-in-gait, 34 markers, 4 cameras", labelled(gait_sessions(benchmark, 4, "plug-in-gait"))
+    yield from _shares(name, done.tally, False)
+    yield from _sound(name, done)
 
 
 def ablation(benchmark: BenchmarkRun) -> Iterator[Figure]:
@@ -104,10 +117,9 @@ def ablation(benchmark: BenchmarkRun) -> Iterator[Figure]:
         ("in doubt hidden (3 mm)", plain),
     ):
         for cameras in (4, 2):
-            tally, _, visible = labelled(some[cameras], rules)
-            row = f"every third trial of gait, {cameras} cameras, {name}"
-            yield from _shares(row, tally, False)
-            yield Figure(f"{row}: visibility predicted right", "none", visible[0] / visible[1], "fraction", visible[1])
+            row, done = f"every third trial of gait, {cameras} cameras, {name}", labelled(some[cameras], rules)
+            yield from _shares(row, done.tally, False)
+            yield _visibility(row, done)
 
 
 def baseline(benchmark: BenchmarkRun) -> Iterator[Figure]:
@@ -210,6 +222,17 @@ def _shares(row: str, tally: Tally, asked: bool, least: float = 0.995) -> Iterat
     yield Figure(f"{row}: right", f">= {least:g}" if asked else "none", tally.right / tally.shown, "fraction", tally.shown)
     yield Figure(f"{row}: wrong", "<= 0.003" if asked and least == 0.995 else "none", tally.wrong / tally.shown, "fraction", tally.shown)
     yield Figure(f"{row}: right, person with the least", "none", tally.worst, "fraction", len(tally.by_subject))
+
+
+def _sound(row: str, done: Labelled, least: float | None = None) -> Iterator[Figure]:
+    """The shares without the hands whose labels by hand the anatomy contradicts."""
+    row = f"{row}, without {done.hands} hands whose hand labels contradict the anatomy"
+    yield from _shares(row, done.sound, least is not None, least=least or 0.0)
+
+
+def _visibility(row: str, done: Labelled, asked: str = "none") -> Figure:
+    right, of = done.visible
+    return Figure(f"{row}: visibility predicted right", asked, right / of, "fraction", of)
 
 
 def _single(row: str, single: list[tuple[float, float]]) -> Iterator[Figure]:

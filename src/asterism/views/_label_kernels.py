@@ -21,14 +21,26 @@ def assign_best(gain, chosen):
 
     IN  gain (M, K) nats
     OUT chosen (M,): the column of each row, -1 for none
-    O(M^2 (M + K)); allocates (M + K,).
+    O(M K + C M (M + K)) for C rows whose best column another row has; allocates (M + K,).
     """
     rows, columns = gain.shape
     wide = columns + rows
     u, v = np.zeros(rows + 1), np.zeros(wide + 1)
     owner, way = np.zeros(wide + 1, dtype=np.int64), np.zeros(wide + 1, dtype=np.int64)
     least, used = np.empty(wide + 1), np.empty(wide + 1, dtype=np.bool_)
-    for i in range(1, rows + 1):
+    contested, count = np.empty(rows, dtype=np.int64), 0
+    for i in range(1, rows + 1):  # each row has its best column, where no row before it has
+        best = columns + i
+        for j in range(columns):
+            if -gain[i - 1, j] < u[i]:
+                u[i], best = -gain[i - 1, j], j + 1
+        if owner[best] == 0:
+            owner[best] = i
+        else:
+            contested[count] = i
+            count += 1
+    for n in range(count):
+        i = contested[n]
         owner[0] = i
         here = 0
         least[:] = np.inf

@@ -46,11 +46,12 @@ def is_other_body(result: ViewsLabelling) -> bool:
     return len(_absent(result)) > _OTHER_BODY * len(result.body.markers)
 
 
-def _absent(result: ViewsLabelling) -> list[str]:
-    """Markers with fewer blobs than `_NOT_WORN` of those that the cameras should show."""
+def _absent(result: ViewsLabelling, labels: Ints | None = None) -> list[str]:
+    """Markers with fewer blobs than `_NOT_WORN` of those that the cameras should show; by the given labels, or by others (P,)."""
+    labels = result.labels if labels is None else labels
     there = np.isfinite(result.poses[:, 0])
     expected = result.expected[there].sum(axis=(0, 1))
-    seen = np.bincount(result.labels[result.labels >= 0], minlength=len(expected))
+    seen = np.bincount(labels[labels >= 0], minlength=len(expected))
     return [name for name, wanted, got in zip(result.body.labels, expected, seen, strict=True) if wanted > 10 and got < _NOT_WORN * wanted]
 
 
@@ -127,7 +128,12 @@ def findings(result: ViewsLabelling, misfitting: Ints) -> list[Finding]:
         mend = "Look whether the person was out of the cameras' view in them; if not, check the rig and the body."
         found.append(Finding("views-lost", Severity.WARNING, "", sentence, mend))
     given = result.labels >= 0
-    absent = _absent(result)
+    absent = _absent(result, result.candidates)
+    doubtful = [name for name in _absent(result) if name not in absent]
+    if doubtful:
+        sentence = f"which blob is {' and which is '.join(doubtful)} could not be told in most frames; they have few labels."
+        mend = "Give a body of this person (`asterism body fit` on a standing trial), or lower --least-confidence and look at them."
+        found.append(Finding("views-markers-in-doubt", Severity.WARNING, ", ".join(doubtful), sentence, mend))
     if absent:
         sentence = f"the cameras should show {', '.join(absent)}, and hardly do."
         mend = "If they are not worn, give a body without them (`asterism body fit --markers`)."

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.recording import Floats, Ints
 from asterism.views._carry_kernels import carry_labels
@@ -35,8 +36,8 @@ class FrameLabels:
     points       (M, 3) m, markers by all their blobs and the body
     covariances  (M, 3, 3) m2
     gain         nats, of the whole against no body at all: all blobs strays
-    rival        nats, the gain of the best other start whose labels differ; -inf where there is none
-    rival_labels  (N,) its labels
+    leads        (N,) nats, by how much the gain exceeds that of the best other explanation that was tried and labels the blob otherwise;
+                 inf where none does
     """
 
     labels: Ints
@@ -46,8 +47,15 @@ class FrameLabels:
     points: Floats
     covariances: Floats
     gain: float
-    rival: float = float("-inf")
-    rival_labels: Ints | None = None
+    leads: Floats
+
+    def against(self, other: FrameLabels) -> FrameLabels:
+        """The better one of two explanations of a frame, this one where they are equal; its leads know the other one. O(N)."""
+        if other.gain > self.gain:
+            return other.against(self)
+        ahead = self.gain - other.gain
+        differ = self.labels != other.labels
+        return replace(self, leads=np.where(differ, np.minimum(self.leads, ahead), np.minimum(self.leads, ahead + other.leads)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +113,13 @@ class FrameLabeller:
             return self._fitted(t, pose, rotation, rules.follow, rules.follow_steps)
         found = self._fitted(t, pose, rotation, rules.follow[-1:], rules.follow_steps, carried)
         if found.gain < last[1].gain - rules.drop:
-            other = self._fitted(t, pose, rotation, rules.follow, rules.follow_steps)
-            found = other if other.gain > found.gain else found
+            found = found.against(self._fitted(t, pose, rotation, rules.follow, rules.follow_steps))
         return found
+
+    def again(self, t: int, found: FrameLabels) -> FrameLabels:
+        """The labels of frame t from labels and a pose that are known, which another body may explain otherwise."""
+        rules = self.rules
+        return self._fitted(t, found.pose, found.rotation, rules.follow[-1:], rules.follow_steps, found.labels)
 
     def _carried(self, t: int, pose: Floats, rotation: Floats, before: int, found: FrameLabels) -> Ints | None:
         """The labels (N,) of the blobs that are where those of the frame before are expected; None where they are fewer than half."""
@@ -130,8 +142,7 @@ class FrameLabeller:
         if (found.labels >= 0).sum() < self.rules.enough_shown * self.expected(found).sum():
             rules = self.rules
             more = replace(rules, headings=2 * rules.headings, kept=2 * rules.kept, going_on=1.0, coarse_steps=2 * rules.coarse_steps)
-            again = replace(self, rules=more)._best_start(t)
-            found = again if again.gain > found.gain else found
+            found = found.against(replace(self, rules=more)._best_start(t))
         return found
 
     def _best_start(self, t: int) -> FrameLabels:
@@ -150,11 +161,9 @@ class FrameLabeller:
         about = self.from_start(t, *self._about(best))
         if about.gain > best.gain:
             best, about = self.turned(t, self.with_limbs_sought(t, about)), best
-        others = [result for result in (*results, about) if not np.array_equal(result.labels, best.labels)]
-        if not others:
-            return best
-        rival = max(others, key=lambda result: result.gain)
-        return replace(best, rival=rival.gain, rival_labels=rival.labels)
+        for other in (*results[1:], about):
+            best = best.against(other)
+        return best
 
     def _about(self, found: FrameLabels) -> tuple[Floats, Floats]:
         """The pose and the rotation of a body in the same place that faces the other way, its joints as usual."""
@@ -199,9 +208,7 @@ class FrameLabeller:
                 pose = self._screen(t).labelled(
                     limb, exchanged, found.pose, found.rotation, self._kit[2], tried=rules.starts, steps=rules.steps
                 )
-                other = self._fitted(t, pose, found.rotation, self.rules.follow, self.rules.follow_steps, exchanged)
-                if other.gain > found.gain + 1.0:
-                    found = other
+                found = found.against(self._fitted(t, pose, found.rotation, self.rules.follow, self.rules.follow_steps, exchanged))
         return found
 
     def with_limbs_sought(self, t: int, found: FrameLabels) -> FrameLabels:
@@ -215,9 +222,7 @@ class FrameLabeller:
                 limb, found.pose, found.rotation, tried=rules.tried, blur=rules.blur, kept=rules.kept, apart=rules.apart
             )
             for pose in poses:
-                other = self._fitted(t, pose, found.rotation, rules.fit, self.rules.steps)
-                if other.gain > found.gain + 1.0:
-                    found = other
+                found = found.against(self._fitted(t, pose, found.rotation, rules.fit, self.rules.steps))
         return found
 
     def _arms_sought(self, t: int, pose: Floats, rotation: Floats, blur: float, tried: int | None = None) -> Floats:
@@ -228,6 +233,13 @@ class FrameLabeller:
 
     def _screen(self, t: int) -> LimbScreen:
         return LimbScreen(self.body, self.scene.cameras, self._kit[3], *self.scene.frame(t))
+
+    @cached_property
+    def paired(self) -> NDArray[np.bool_]:
+        """(M,) whether a marker is one of the two of a bone of a limb, as on both sides of a wrist."""
+        out = np.zeros(len(self.body.markers), dtype=np.bool_)
+        out[[marker for limb in self._limbs for pair in limb.pairs for marker in pair]] = True
+        return out
 
     @cached_property
     def _limbs(self) -> tuple[Limb, ...]:
@@ -265,7 +277,7 @@ class FrameLabeller:
             before[:] = labels
             minimise(arrays, cameras, known, observing, xy, offsets, labels, noise, rules.label_steps, free, pose, rotation, hessian)
         gain -= unseen_cost(shares) + self._pose_cost(pose, rotation)
-        return FrameLabels(labels, worth, pose, rotation, points + means, covariances, float(gain))
+        return FrameLabels(labels, worth, pose, rotation, points + means, covariances, float(gain), np.full(len(labels), np.inf))
 
     def _pose_cost(self, pose: Floats, rotation: Floats) -> float:
         """nats, what a pose costs before any image."""

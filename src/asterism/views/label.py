@@ -31,6 +31,7 @@ class ViewsLabelling:
     person       the body of this person, with the places at which the markers were found to sit
     labels       (P,) the marker of each blob, its place in `body.labels`; -1 for "I do not know" or no marker
     confidence   (P,) the probability that the blob is that marker; of a blob without a label that of the label that was not accepted
+    candidates   (P,) the most probable marker of each blob, also where it was not accepted; -1 for none
     positions    (T, M, 3) m: markers with a label in at least one camera; NaN for others
     covariances  (T, M, 3, 3) m2, of one standard deviation; NaN as positions
     views        (T, M) how many cameras show the marker
@@ -47,6 +48,7 @@ class ViewsLabelling:
     person: BodyModel
     labels: Ints
     confidence: Floats
+    candidates: Ints
     positions: Floats
     covariances: Floats
     views: Ints
@@ -173,9 +175,10 @@ def _without(
     few = track.result(least_confidence)
     if not enough or len(checks.misfits(few)):
         few = _withdrawn(few)
-    labels, confidence = np.full(len(blobs.xy), NULL, dtype=np.int64), np.zeros(len(blobs.xy))
-    labels[kept], confidence[kept] = few.labels, few.confidence
-    return replace(few, blobs=blobs, labels=labels, confidence=confidence)
+    labels, candidates = np.full((2, len(blobs.xy)), NULL, dtype=np.int64)
+    confidence = np.zeros(len(blobs.xy))
+    labels[kept], candidates[kept], confidence[kept] = few.labels, few.candidates, few.confidence
+    return replace(few, blobs=blobs, labels=labels, candidates=candidates, confidence=confidence)
 
 
 def _withdrawn(result: ViewsLabelling) -> ViewsLabelling:
@@ -219,7 +222,8 @@ class _Track:
         """All frames together."""
         scene, body, rules = self.labeller.scene, self.labeller.body, self.labeller.rules
         frames, markers, cameras = len(self.seen), len(body.markers), len(scene.rig)
-        labels, confidence = np.full(len(scene.blobs.xy), NULL, dtype=np.int64), np.zeros(len(scene.blobs.xy))
+        labels, candidates = np.full((2, len(scene.blobs.xy)), NULL, dtype=np.int64)
+        confidence = np.zeros(len(scene.blobs.xy))
         positions, covariances = np.full((frames, markers, 3), np.nan), np.full((frames, markers, 3, 3), np.nan)
         poses, rotations = np.full((frames, 9 + len(body.hinges)), np.nan), np.full((frames, 3, 3), np.nan)
         placed, expected = np.full((frames, markers, 3), np.nan), np.zeros((frames, cameras, markers))
@@ -232,6 +236,7 @@ class _Track:
             sure = rules.confidence(found.labels.worth, sights[found.labels.labels] < 2, found.leads)
             given = (found.labels.labels >= 0) & (sure >= least_confidence)
             confidence[first:last] = np.where(found.labels.labels >= 0, sure, 0.0)
+            candidates[first:last] = found.labels.labels
             if found.quality < rules.lost:
                 confidence[first:last] = np.minimum(confidence[first:last], _DOUBTFUL)
                 continue
@@ -250,6 +255,7 @@ class _Track:
             body,
             labels,
             confidence,
+            candidates,
             positions,
             covariances,
             views,
