@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asterism.recording import Floats, Ints
 from asterism.views._carry_kernels import carry_labels
@@ -233,13 +232,6 @@ class FrameLabeller:
 
     def _screen(self, t: int) -> LimbScreen:
         return LimbScreen(self.body, self.scene.cameras, self._kit[3], *self.scene.frame(t))
-
-    @cached_property
-    def paired(self) -> NDArray[np.bool_]:
-        """(M,) whether a marker is one of the two of a bone of a limb, as on both sides of a wrist."""
-        out = np.zeros(len(self.body.markers), dtype=np.bool_)
-        out[[marker for limb in self._limbs for pair in limb.pairs for marker in pair]] = True
-        return out
 
     @cached_property
     def _limbs(self) -> tuple[Limb, ...]:
