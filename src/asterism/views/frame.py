@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asterism.recording import Floats, Ints
 from asterism.views._carry_kernels import carry_labels
@@ -24,6 +23,8 @@ from asterism.views.scene import Scene
 from asterism.views.start import starts
 
 _UNKNOWN = np.empty(0, dtype=np.int64)
+_BETTER = 1.0
+"""nats by which another way to hold an arm must be better."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +50,11 @@ class FrameLabels:
     gain: float
     leads: Floats
 
-    def against(self, other: FrameLabels) -> FrameLabels:
-        """The better one of two explanations of a frame, this one where they are equal; its leads know the other one. O(N)."""
-        if other.gain > self.gain:
+    def against(self, other: FrameLabels, by: float = 0.0) -> FrameLabels:
+        """This explanation of a frame, or another one that is better by more than `by` nats; its leads know both. O(N)."""
+        if other.gain > self.gain + by:
             return other.against(self)
-        ahead = self.gain - other.gain
+        ahead = max(self.gain - other.gain, 0.0)
         differ = self.labels != other.labels
         return replace(self, leads=np.where(differ, np.minimum(self.leads, ahead), np.minimum(self.leads, ahead + other.leads)))
 
@@ -208,7 +209,8 @@ class FrameLabeller:
                 pose = self._screen(t).labelled(
                     limb, exchanged, found.pose, found.rotation, self._kit[2], tried=rules.starts, steps=rules.steps
                 )
-                found = found.against(self._fitted(t, pose, found.rotation, self.rules.follow, self.rules.follow_steps, exchanged))
+                other = self._fitted(t, pose, found.rotation, self.rules.follow, self.rules.follow_steps, exchanged)
+                found = found.against(other, by=_BETTER)
         return found
 
     def with_limbs_sought(self, t: int, found: FrameLabels) -> FrameLabels:
@@ -222,7 +224,7 @@ class FrameLabeller:
                 limb, found.pose, found.rotation, tried=rules.tried, blur=rules.blur, kept=rules.kept, apart=rules.apart
             )
             for pose in poses:
-                found = found.against(self._fitted(t, pose, found.rotation, rules.fit, self.rules.steps))
+                found = found.against(self._fitted(t, pose, found.rotation, rules.fit, self.rules.steps), by=_BETTER)
         return found
 
     def _arms_sought(self, t: int, pose: Floats, rotation: Floats, blur: float, tried: int | None = None) -> Floats:
@@ -233,13 +235,6 @@ class FrameLabeller:
 
     def _screen(self, t: int) -> LimbScreen:
         return LimbScreen(self.body, self.scene.cameras, self._kit[3], *self.scene.frame(t))
-
-    @cached_property
-    def paired(self) -> NDArray[np.bool_]:
-        """(M,) whether a marker is one of the two of a bone of a limb, as on both sides of a wrist."""
-        out = np.zeros(len(self.body.markers), dtype=np.bool_)
-        out[[marker for limb in self._limbs for pair in limb.pairs for marker in pair]] = True
-        return out
 
     @cached_property
     def _limbs(self) -> tuple[Limb, ...]:

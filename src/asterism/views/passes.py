@@ -86,8 +86,7 @@ class Pass:
         if before is not None and before.quality >= lost:
             pose[3:6] += pose[3:6] - before.labels.pose[3:6]
             pose[9:] += 0.8 * (pose[9:] - before.labels.pose[9:])
-        found = seen(self.labeller, self.labeller.follow(t, pose, last.labels.rotation, (t - self._step, last.labels)))
-        return _inheriting(found, last, self.labeller.paired)
+        return seen(self.labeller, self.labeller.follow(t, pose, last.labels.rotation, (t - self._step, last.labels)))
 
     def _compared(self, t: int, followed: Seen) -> Seen:
         """The better one of the followed body and the one found without a start."""
@@ -113,16 +112,6 @@ class Pass:
         if otherwise is not None and (found is None or otherwise.quality >= found.quality):
             return otherwise
         return found
-
-
-def _inheriting(found: Seen, last: Seen, paired: NDArray[np.bool_]) -> Seen:
-    """A followed frame in which the markers of a pair lead no more than in the frame before: exchanged once, they stay exchanged."""
-    leads = np.full(len(paired), np.inf)
-    given = last.labels.labels >= 0
-    np.minimum.at(leads, last.labels.labels[given], last.leads[given])
-    own = found.labels.labels
-    inherits = (own >= 0) & paired[own]
-    return Seen(found.labels, found.quality, np.where(inherits, np.minimum(found.leads, leads[own]), found.leads))
 
 
 def _against(one: Seen, labels: Ints, lead: float) -> Seen:

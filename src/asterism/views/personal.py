@@ -26,7 +26,6 @@ class PersonalRules:
     astray        m of its place
     least_spread  m, of a marker's place on its own person, beside what is seen of it
     quality       nats per sighting, of frames that count
-    lead          nats, by which a label leads every other explanation of the frame, or it does not count
     """
 
     frames: int = 24
@@ -35,7 +34,6 @@ class PersonalRules:
     astray: float = 0.04
     least_spread: float = 0.005
     quality: float = 3.0
-    lead: float = 10.0
 
 
 PERSONAL = PersonalRules()
@@ -70,7 +68,7 @@ def personal_body(labeller: FrameLabeller, rules: PersonalRules = PERSONAL) -> B
 
 
 def _learned(labeller: FrameLabeller, found: dict[int, FrameLabels], frames: list[int], rules: PersonalRules) -> BodyModel:
-    return _with_own_places(labeller.body, [found[t] for t in frames], [_views(labeller, found[t], rules) for t in frames], rules)
+    return _with_own_places(labeller.body, [found[t] for t in frames], [_views(labeller, found[t]) for t in frames], rules)
 
 
 def _is_better(labeller: FrameLabeller, own: BodyModel, found: list[FrameLabels], frames: list[int]) -> bool:
@@ -117,7 +115,8 @@ def _labelled(labeller: FrameLabeller, frames: Ints) -> dict[int, FrameLabels]:
     for order in (known, known[::-1]):
         for before, t in pairwise(order):
             other = labeller.from_start(t, out[before].pose, out[before].rotation)
-            out[t] = labeller.turned(t, other).against(out[t]) if other.gain > out[t].gain + 1.0 else out[t].against(other)
+            if other.gain > out[t].gain + 1.0:
+                out[t] = labeller.turned(t, other)
     return out
 
 
@@ -130,10 +129,9 @@ def _astray(labeller: FrameLabeller, found: dict[int, FrameLabels], good: list[i
     return np.asarray((seen < rules.least_found * expected) & (expected > 1.0))
 
 
-def _views(labeller: FrameLabeller, found: FrameLabels, rules: PersonalRules) -> Ints:
-    """(M,) how many cameras show each marker by a label that no other explanation comes near."""
-    sure = (found.labels >= 0) & (found.leads >= rules.lead)
-    return np.bincount(found.labels[sure], minlength=len(labeller.body.markers))
+def _views(labeller: FrameLabeller, found: FrameLabels) -> Ints:
+    """(M,) how many cameras show each marker."""
+    return np.bincount(found.labels[found.labels >= 0], minlength=len(labeller.body.markers))
 
 
 def _with_own_places(body: BodyModel, found: list[FrameLabels], views: list[Ints], rules: PersonalRules) -> BodyModel:
