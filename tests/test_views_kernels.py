@@ -232,7 +232,8 @@ def blobs_of(pose: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.nda
 
 def test_the_limbs_that_are_sought_are_the_arms() -> None:
     assert [WHOLE.bones[limb.first].name for limb in LIMBS] == ["left upper arm", "right upper arm"]
-    assert [[WHOLE.labels[m] for m in pair] for limb in LIMBS for pair in limb.pairs] == [["LWRA", "LWRB"], ["RWRA", "RWRB"]]
+    ends = [[[WHOLE.labels[m] for m in each] for each in end] for limb in LIMBS for end in limb.pairs]
+    assert ends == [[["LWRA", "LWRB"], ["LFIN"]], [["RWRA", "RWRB"], ["RFIN"]]]
     assert limbs_of(BODY) == ()
 
 

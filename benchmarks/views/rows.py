@@ -36,12 +36,14 @@ Sessions = Iterable[tuple[str, BodyModel, ViewsSession]]
 class Labelled:
     """What became of whole recordings.
 
-    tally    of all blobs; sound: of those of markers whose hand labels the anatomy allows; hands: how many hands it does not
+    tally    of all blobs; standing: of those of standing trials
+    sound    of the blobs of markers whose labels by hand the anatomy allows; hands: how many hands it does not
     single   (error, stated deviation) in m of each marker that one camera shows
     visible  markers and cameras with visibility predicted right, and all
     """
 
     tally: Tally
+    standing: Tally
     sound: Tally
     hands: int
     single: list[tuple[float, float]]
@@ -50,11 +52,12 @@ class Labelled:
 
 def labelled(sessions: Sessions, rules: ViewsRules | None = None) -> Labelled:
     """Whole recordings, labelled."""
-    out = Labelled(Tally(), Tally(), 0, [], (0, 0))
+    out = Labelled(Tally(), Tally(), Tally(), 0, [], (0, 0))
     for person, body, session in sessions:
         result = label_views(session.blobs, session.rig, body, rules=ViewsRules() if rules is None else rules)
         contradicted = impossible_hands(session.recording) & set(body.labels)
-        out.tally.add(result.labels, session.identity, person)
+        for tally in (out.tally, out.standing) if is_standing(session.recording) else (out.tally,):
+            tally.add(result.labels, session.identity, person)
         out.sound.add(result.labels, session.identity, person, [body.labels.index(name) for name in contradicted])
         out.hands += len(contradicted) // 3
         one = result.views == 1
@@ -83,7 +86,8 @@ def whole_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
         yield from _single(name, done.single)
     name, done = "whole body, 26 markers, gait recordings, 4 cameras", labelled(gait_sessions(benchmark, 4, "body26"))
     yield from _shares(name, done.tally, True, least=0.99)
-    yield from _sound(name, done, least=0.99)
+    yield from _sound(name, done, True, least=0.99)
+    yield from _shares(f"{name}, standing trials", done.standing, False)
     yield _visibility(name, done)
 
 
@@ -101,7 +105,7 @@ def own_static(benchmark: BenchmarkRun) -> Iterator[Figure]:
         yield from _shares("gait, 15 markers, 4 cameras, own static", labelled(rows).tally, False)
     name, done = "gait, plug-in-gait, 34 markers, 4 cameras", labelled(gait_sessions(benchmark, 4, "plug-in-gait"))
     yield from _shares(name, done.tally, False)
-    yield from _sound(name, done)
+    yield from _sound(name, done, False)
 
 
 def ablation(benchmark: BenchmarkRun) -> Iterator[Figure]:
@@ -224,10 +228,10 @@ def _shares(row: str, tally: Tally, asked: bool, least: float = 0.995) -> Iterat
     yield Figure(f"{row}: right, person with the least", "none", tally.worst, "fraction", len(tally.by_subject))
 
 
-def _sound(row: str, done: Labelled, least: float | None = None) -> Iterator[Figure]:
-    """The shares without the hands whose labels by hand the anatomy contradicts."""
-    row = f"{row}, without {done.hands} hands whose hand labels contradict the anatomy"
-    yield from _shares(row, done.sound, least is not None, least=least or 0.0)
+def _sound(row: str, done: Labelled, asked: bool, least: float = 0.995) -> Iterator[Figure]:
+    """The shares without the hands whose labels by hand the anatomy contradicts, and how many these are."""
+    yield from _shares(f"{row}, without hands whose labels contradict the anatomy", done.sound, asked, least)
+    yield Figure(f"{row}: hands whose labels contradict the anatomy", "none", done.hands, "hands", len(done.sound.by_subject))
 
 
 def _visibility(row: str, done: Labelled, asked: str = "none") -> Figure:

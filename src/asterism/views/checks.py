@@ -43,12 +43,11 @@ def refuse_mirrored(body: BodyModel) -> None:
 
 def is_other_body(result: ViewsLabelling) -> bool:
     """Whether so many of the body's markers are hardly seen where the cameras should show them that others are worn."""
-    return len(_absent(result)) > _OTHER_BODY * len(result.body.markers)
+    return len(_absent(result, result.labels)) > _OTHER_BODY * len(result.body.markers)
 
 
-def _absent(result: ViewsLabelling, labels: Ints | None = None) -> list[str]:
-    """Markers with fewer blobs than `_NOT_WORN` of those that the cameras should show; by the given labels, or by others (P,)."""
-    labels = result.labels if labels is None else labels
+def _absent(result: ViewsLabelling, labels: Ints) -> list[str]:
+    """Markers with fewer blobs, by labels (P,), than `_NOT_WORN` of those that the cameras should show."""
     there = np.isfinite(result.poses[:, 0])
     expected = result.expected[there].sum(axis=(0, 1))
     seen = np.bincount(labels[labels >= 0], minlength=len(expected))
@@ -129,9 +128,9 @@ def findings(result: ViewsLabelling, misfitting: Ints) -> list[Finding]:
         found.append(Finding("views-lost", Severity.WARNING, "", sentence, mend))
     given = result.labels >= 0
     absent = _absent(result, result.candidates)
-    doubtful = [name for name in _absent(result) if name not in absent]
+    doubtful = [name for name in _absent(result, result.labels) if name not in absent]
     if doubtful:
-        sentence = f"which blob is {' and which is '.join(doubtful)} could not be told in most frames; they have few labels."
+        sentence = f"the cameras show {', '.join(doubtful)}, but which blob is which could not be told in most frames; few have a label."
         mend = "Give a body of this person (`asterism body fit` on a standing trial), or lower --least-confidence and look at them."
         found.append(Finding("views-markers-in-doubt", Severity.WARNING, ", ".join(doubtful), sentence, mend))
     if absent:

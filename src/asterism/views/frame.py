@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import permutations
 
 import numpy as np
 
@@ -137,14 +138,19 @@ class FrameLabeller:
     def from_nothing(self, t: int) -> FrameLabels:
         """The labels of frame t when nothing is known: any heading, size and place. Raises as `starts`.
 
-        Where the best of the starts leaves many expected sightings without a blob, more starts are tried.
+        Where the best of the starts explains the blobs worse than is usual, more starts are tried.
         """
         found = self._best_start(t)
-        if (found.labels >= 0).sum() < self.rules.enough_shown * self.expected(found).sum():
+        if found.gain < self.rules.enough_gain * self._most_gain * self.expected(found).sum():
             rules = self.rules
             more = replace(rules, headings=2 * rules.headings, kept=2 * rules.kept, going_on=1.0, coarse_steps=2 * rules.coarse_steps)
             found = found.against(replace(self, rules=more)._best_start(t))
         return found
+
+    @property
+    def _most_gain(self) -> float:
+        """nats, the gain of a sighting that is exactly where it is expected."""
+        return float(-np.log(2 * np.pi * self.rules.noise**2 * self.observing.strays))
 
     def _best_start(self, t: int) -> FrameLabels:
         """The labels from the best of the starts of `ViewsRules.headings`."""
@@ -158,10 +164,10 @@ class FrameLabeller:
             for n in _different(costs, poses, rotations, rules.kept)
         ]
         results.sort(key=lambda result: -result.gain)
-        best = self.turned(t, self.with_limbs_sought(t, results[0]))
+        best = self.turned(t, self.with_limbs_sought(t, results[0]), hands=True)
         about = self.from_start(t, *self._about(best))
         if about.gain > best.gain:
-            best, about = self.turned(t, self.with_limbs_sought(t, about)), best
+            best, about = self.turned(t, self.with_limbs_sought(t, about), hands=True), best
         for other in (*results[1:], about):
             best = best.against(other)
         return best
@@ -194,23 +200,22 @@ class FrameLabeller:
         costs[left] = found
         return costs
 
-    def turned(self, t: int, found: FrameLabels) -> FrameLabels:
+    def turned(self, t: int, found: FrameLabels, *, hands: bool = False) -> FrameLabels:
         """The labels of frame t with the two markers of a bone of a limb exchanged, where that explains the blobs better.
 
         A wrist with a marker on each side looks nearly the same when the forearm is turned by half a turn, and no fit leads from one to the
-        other: shoulder and elbow turn with it. O(limbs) labellings.
+        other: shoulder and elbow turn with it. hands: a single marker of the next bone takes part, in every order; of use where nothing is
+        known, but not beside frames that are. O(limbs) labellings.
         """
         rules = self.limb_rules
         for limb in self._limbs:
-            for pair in limb.pairs:
-                exchanged = _exchanged(found.labels, pair)
-                if np.array_equal(exchanged, found.labels):
-                    continue
-                pose = self._screen(t).labelled(
-                    limb, exchanged, found.pose, found.rotation, self._kit[2], tried=rules.starts, steps=rules.steps
-                )
-                other = self._fitted(t, pose, found.rotation, self.rules.follow, self.rules.follow_steps, exchanged)
-                found = found.against(other, by=_BETTER)
+            for pair, beyond in limb.pairs:
+                for labels in _reordered(found.labels, np.append(pair, beyond) if hands else pair):
+                    pose = self._screen(t).labelled(
+                        limb, labels, found.pose, found.rotation, self._kit[2], tried=rules.starts, steps=rules.steps
+                    )
+                    other = self._fitted(t, pose, found.rotation, self.rules.follow, self.rules.follow_steps, labels)
+                    found = found.against(other, by=_BETTER)
         return found
 
     def with_limbs_sought(self, t: int, found: FrameLabels) -> FrameLabels:
@@ -288,10 +293,16 @@ class FrameLabeller:
         return self.body.arrays, self.scene.cameras, self.known, self.observing, self.free, self.rules
 
 
-def _exchanged(labels: Ints, pair: Ints) -> Ints:
-    """Labels (N,) with two markers exchanged."""
-    out: Ints = np.where(labels == pair[0], pair[1], np.where(labels == pair[1], pair[0], labels))
-    return out
+def _reordered(labels: Ints, group: Ints) -> list[Ints]:
+    """Labels (N,) with the markers of a group in each other order that changes them."""
+    number = np.arange(-1, max(labels.max(initial=-1), group.max()) + 1)
+    ways = list[Ints]()
+    for order in permutations(group.tolist()):
+        number[group + 1] = order
+        changed: Ints = number[labels + 1]
+        if not any(np.array_equal(changed, way) for way in (labels, *ways)):
+            ways.append(changed)
+    return ways
 
 
 def _different(costs: Floats, poses: Floats, rotations: Floats, most: int) -> list[int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,7 +28,7 @@ class LimbRules:
     kept    how many of them are fitted with the whole body
     apart   rad, the least difference of their angles
     fit     px, the blurs of that fit
-    starts, steps  starts of a limb, and tries of Levenberg-Marquardt from each, when two of its markers are exchanged
+    starts, steps  starts of a limb, and tries of Levenberg-Marquardt from each, when its markers are named in another order
     """
 
     loose: float = 1.0
@@ -64,10 +65,13 @@ class Limb:
     tried: Floats
 
     @property
-    def pairs(self) -> tuple[Ints, ...]:
-        """Two markers that are the only ones of a bone, as on both sides of a wrist; their numbers in the body."""
-        bones, counts = np.unique(self.arrays.bones, return_counts=True)
-        return tuple(self.markers[self.arrays.bones == b] for b in bones[counts == 2])
+    def pairs(self) -> tuple[tuple[Ints, Ints], ...]:
+        """Two markers that are the only ones of a bone, as on both sides of a wrist, and a single one of the next bone, or none.
+
+        By their numbers in the body.
+        """
+        of_bone = [self.markers[self.arrays.bones == b] for b in range(len(self.arrays.parents) + 1)]
+        return tuple((pair, beyond if len(beyond) == 1 else beyond[:0]) for pair, beyond in pairwise(of_bone) if len(pair) == 2)
 
 
 def limbs_of(body: BodyModel, rules: LimbRules = RULES) -> tuple[Limb, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +17,12 @@ from asterism.views.personal import quality_of
 class Seen:
     """A frame's labels with what is judged of them.
 
-    labels   the labels and the pose
+    labels   the labels and the pose, with their leads over what else was tried
     quality  nats per expected sighting, see `quality_of`
-    leads    (N,) nats, by how much the frame's gain exceeds that of the best other explanation that labels the blob otherwise; inf
-             where none does
     """
 
     labels: FrameLabels
     quality: float
-    leads: Floats
 
 
 class Starts:
@@ -47,7 +44,7 @@ class Starts:
 
 def seen(labeller: FrameLabeller, labels: FrameLabels) -> Seen:
     """A frame's labels, judged."""
-    return Seen(labels, quality_of(labeller, labels), labels.leads)
+    return Seen(labels, quality_of(labeller, labels))
 
 
 class Pass:
@@ -116,8 +113,9 @@ class Pass:
 
 def _against(one: Seen, labels: Ints, lead: float) -> Seen:
     """A frame's labels with one more explanation that it leads by so many nats."""
-    leads = np.where(labels == one.labels.labels, one.leads, np.minimum(one.leads, lead))
-    return Seen(one.labels, one.quality, leads)
+    own = one.labels
+    leads = np.where(labels == own.labels, own.leads, np.minimum(own.leads, lead))
+    return replace(one, labels=replace(own, leads=leads))
 
 
 def joined(forward: Pass, backward: Pass) -> list[Seen | None]:

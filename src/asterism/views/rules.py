@@ -29,7 +29,7 @@ class ViewsRules:
     going_on      share of the starts that goes on to the next coarse stage
     headings      how many directions are tried when nothing is known
     kept          how many of the starts are fitted to the end
-    enough_shown  share of the expected sightings below which more starts are tried
+    enough_gain   gain of an expected sighting, as a share of the most it can be, below which more starts are tried
     follow        px, blurs with which the next frame follows
     follow_steps  tries in each of these stages
     carry         px, how far a blob may be from where the last frame's blob is expected to have its label at first
@@ -75,7 +75,7 @@ class ViewsRules:
     going_on: float = 0.4
     headings: int = 8
     kept: int = 5
-    enough_shown: float = 0.85
+    enough_gain: float = 0.85
     follow: tuple[float, ...] = (6.0, 2.5)
     follow_steps: int = 4
     carry: float = 8.0
