@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -12,15 +13,21 @@ import asterism
 from asterism.labelling.whole.foreign import (
     ForeignConfidence,
     ForeignRules,
+    Samples,
     _placed_on,
+    _scores,
+    _starts,
     distance_gains,
     distance_margins,
     forward_share,
     hidden_margins,
 )
+from asterism.labelling.whole.relabel import label_tracklets
+from asterism.labelling.whole.scene import RecordingLabellingSettings, prepare_scene
 from asterism.labelling.whole.verdict import RigidDistances, VerdictRules
 from asterism.recording import Recording
-from asterism.simulation import simulate_walks
+from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
+from asterism.tracking.linking import find_tracklets
 
 RULES = ForeignRules()
 SIDES = [(0, 1)]
@@ -68,17 +75,23 @@ def test_exchanged_sides_travel_backwards() -> None:
 BODY = np.random.default_rng(3).normal(0.0, 0.2, (12, 3))
 
 
+def in_all_frames(points: np.ndarray) -> Samples:
+    """Twenty frames in which the same points (n, 3) lie, each a tracklet."""
+    n = len(points)
+    return Samples(np.repeat(np.arange(20), n), np.tile(np.arange(n), 20), np.tile(points, (20, 1)), 20, n)
+
+
 def test_distances_favour_the_right_labels() -> None:
     """Twelve rigid points: the right label of each leads, and two exchanged ones do not."""
     reference = RigidDistances.of_training(np.tile(BODY, (20, 1, 1)), np.zeros(20, dtype=np.int64), 1.0, VerdictRules())
-    tracks, first, last = np.tile(1.1 * BODY, (20, 1, 1)), np.zeros(12, dtype=np.int64), np.full(12, 19)
+    samples, first, last = in_all_frames(1.1 * BODY), np.zeros(12, dtype=np.int64), np.full(12, 19)
     right = np.arange(12)
-    gain = distance_gains(right, tracks, 12, reference, RULES)
+    gain = distance_gains(right, samples, 12, reference, RULES)
     assert (gain.argmax(axis=1) == right).all()
     assert distance_margins(gain, right, first, last).min() > 0.0
     exchanged = right.copy()
     exchanged[[2, 7]] = 7, 2
-    lead = distance_margins(distance_gains(exchanged, tracks, 12, reference, RULES), exchanged, first, last)
+    lead = distance_margins(distance_gains(exchanged, samples, 12, reference, RULES), exchanged, first, last)
     assert lead[2] < 0.0 and lead[7] < 0.0
 
 
@@ -103,6 +116,32 @@ def test_tracklets_of_other_times_are_no_rivals() -> None:
     assert distance_margins(gain, label, first, np.array([10, 19]))[0] == -4.0
 
 
+def test_a_label_leads_by_what_the_best_exchange_would_lose() -> None:
+    """Exchanged, the first two tracklets gain 5 + 0 instead of 1 + 3; the third has no label, and would gain 0.5 as the first one's."""
+    gain, first, last = np.array([[1.0, 0.0], [5.0, 3.0], [0.5, 0.0]]), np.array([0, 0, 5]), np.array([9, 9, 9])
+    np.testing.assert_array_equal(distance_margins(gain, np.array([0, 1, -1]), first, last), [-1.0, -1.0, 0.0])
+    np.testing.assert_array_equal(distance_margins(gain, np.array([0, -1, -1]), first, last), [-4.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("shown", [slice(0, 6), slice(2, 8)], ids=["without its top", "without its feet"])
+def test_a_body_is_laid_onto_points_by_its_lowest_and_by_its_highest_marker(shown: slice) -> None:
+    """A pole of eight markers, 0.2 m apart, two of which have no point at one end: by the other end every point gets its marker."""
+    aside = np.random.default_rng(2).normal(0.0, 0.02, (8, 2))
+    pole = np.column_stack([aside, 0.2 * np.arange(8.0)])
+    starts = _starts(pole[None], in_all_frames(pole[shown] + np.array([2.0, -1.0, 0.5])), RULES)
+    assert np.arange(8)[shown].tolist() in [start.tolist() for start in starts]
+
+
+@pytest.mark.parametrize("crowded", [False, True])
+def test_of_two_labellings_that_explain_a_recording_alike_the_labels_so_far_are_ahead(
+    one: asterism.SolverEnsemble, walks: list[Recording], crowded: bool
+) -> None:
+    found = label_tracklets(one.in_recording(), walks[2].clouds(), one.state.body_rules).long.found
+    reference = RigidDistances.of_training(walks[0].positions, np.zeros(120, dtype=np.int64), 1.0, VerdictRules())
+    scores = _scores([found, found, found], Samples.of_scene(found.scene), walks[0].labels, reference, crowded, RULES)
+    np.testing.assert_allclose(scores - scores[1], [RULES.prior[crowded], 0.0, 0.0], atol=1e-9)
+
+
 def test_only_markers_hidden_for_most_of_the_time_are_rivals_without_a_point() -> None:
     """Marker 2 has no point; marker 1 is held by the second tracklet, of which the first one sees 4 or 5 of its 10 frames."""
     gain, label = np.array([[3.0, 2.5, 1.0], [0.0, 9.0, 0.0]]), np.array([0, 1])
@@ -116,8 +155,8 @@ def test_a_marker_beside_a_hidden_one_is_less_certain() -> None:
     """Of two markers 2 cm apart one is hidden: distances do not tell which. One far from all others stays certain."""
     body = np.concatenate([BODY, BODY[:1] + np.array([0.02, 0.0, 0.0])])
     reference = RigidDistances.of_training(np.tile(body, (20, 1, 1)), np.zeros(20, dtype=np.int64), 1.0, VerdictRules())
-    tracks, first, last = np.tile(1.1 * body[:12], (20, 1, 1)), np.zeros(12, dtype=np.int64), np.full(12, 19)
-    over = hidden_margins(distance_gains(np.arange(12), tracks, 13, reference, RULES), np.arange(12), first, last)
+    samples, first, last = in_all_frames(1.1 * body[:12]), np.zeros(12, dtype=np.int64), np.full(12, 19)
+    over = hidden_margins(distance_gains(np.arange(12), samples, 13, reference, RULES), np.arange(12), first, last)
     assert over[0] < RULES.hidden_lead < over[1:].min()
 
 
@@ -149,3 +188,14 @@ def test_points_left_over_cost_a_person_of_the_training_no_label(one: asterism.S
     labelling = one.label(replace(own, positions=np.concatenate([own.positions, more], axis=1), labels=names).clouds(), time=True)
     assert labelling.verdict is not None and labelling.verdict.surplus == 5.0
     assert (labelling.indices == np.arange(15)).mean() > 0.99
+
+
+def test_memory_grows_with_the_points_and_not_with_frames_times_tracklets(walks: list[Recording]) -> None:
+    there_and_back = np.concatenate([walks[0].positions, walks[0].positions[::-1]])
+    clouds, _ = simulate_gaps_and_ghosts(replace(walks[0], positions=np.tile(there_and_back, (20, 1, 1))), 3, 0, seed=1)
+    scene = prepare_scene(clouds, find_tracklets(clouds), RecordingLabellingSettings())
+    tracemalloc.start()
+    Samples.of_scene(scene).positions(np.zeros(len(scene.first), dtype=np.int64), 15)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 200 * len(scene.sampled_xyz) < 16 * len(scene.sampled_frames) * len(scene.first)

@@ -163,9 +163,10 @@ def label_foreign(
     settings = RecordingLabellingSettings()
     scene, markers = with_fewer_samples(found.scene, rules.frames, settings), body.mean.shape[1]
     crowded = _crowded(found, markers, rules)
-    starts = _best_starts(body.mean, tracks_of(scene), found.label, reference, rules)
+    samples = Samples.of_scene(scene)
+    starts = _best_starts(body.mean, samples, found.label, reference, rules)
     compared = [relabel(scene, start) for start in (found.label, *starts)] if starts else [found]
-    scores = _scores(compared, tracks_of(scene), names, reference, crowded, rules) if starts else np.zeros(1)
+    scores = _scores(compared, samples, names, reference, crowded, rules) if starts else np.zeros(1)
     best = int(np.argmax(scores))
     chosen = relabel(found.scene, compared[best].label) if best else found
     limit = np.ones(len(chosen.label))
@@ -174,14 +175,14 @@ def label_foreign(
         if differs[scene.samples > 0].mean() > 1.0 - rules.same:
             differs |= (scene.samples == 0) & np.isin(chosen.label, compared[best].label[differs])
             limit[differs] = np.minimum(limit[differs], _odds(scores[best] - score, rules.scale))
-    log_odds, surplus = label_evidence(chosen, tracks_of(found.scene), markers, reference, rules)
+    log_odds, surplus = label_evidence(chosen, Samples.of_scene(found.scene), markers, reference, rules)
     return ForeignLabels(chosen, ForeignConfidence(log_odds, limit, surplus >= 1.0, rules))
 
 
-def _best_starts(mean: Floats, tracks: Floats, found: Ints, reference: RigidDistances, rules: ForeignRules) -> list[Ints]:
+def _best_starts(mean: Floats, samples: Samples, found: Ints, reference: RigidDistances, rules: ForeignRules) -> list[Ints]:
     """The starts (J,) whose distances fit best, `max_starts` at most, each unlike the others and unlike the labels so far."""
-    starts = [start for start in _starts(mean, tracks, rules) if _differ(start, found, rules.same)]
-    ranked = sorted(starts, key=lambda start: -_distance_score(_positions(tracks, start, mean.shape[1]), reference, rules)[0])
+    starts = [start for start in _starts(mean, samples, rules) if _differ(start, found, rules.same)]
+    ranked = sorted(starts, key=lambda start: -_distance_score(samples.positions(start, mean.shape[1]), reference, rules)[0])
     chosen: list[Ints] = []
     for start in ranked:
         if len(chosen) < rules.max_starts and all(_differ(start, other, rules.same) for other in chosen):
@@ -190,10 +191,15 @@ def _best_starts(mean: Floats, tracks: Floats, found: Ints, reference: RigidDist
 
 
 def _scores(
-    compared: Sequence[SceneLabelling], tracks: Floats, names: Sequence[str], reference: RigidDistances, crowded: bool, rules: ForeignRules
+    compared: Sequence[SceneLabelling],
+    samples: Samples,
+    names: Sequence[str],
+    reference: RigidDistances,
+    crowded: bool,
+    rules: ForeignRules,
 ) -> Floats:
     """Nats of evidence for each whole labelling, the first of which are the labels so far."""
-    positions = [_positions(tracks, one.label, len(names)) for one in compared]
+    positions = [samples.positions(one.label, len(names)) for one in compared]
     distances = np.array([_distance_score(some, reference, rules) for some in positions])
     seconds, sides = _seconds(compared[0].scene), _side_pairs(names)
     forward = np.array([forward_share(some, seconds, sides, rules.min_speed) for some in positions])
@@ -208,20 +214,40 @@ def _odds(nats: float | Floats, scale: float) -> Floats:
     return np.asarray(1.0 / (1.0 + np.exp(-np.clip(nats / scale, -60.0, 60.0))))
 
 
-def tracks_of(scene: Scene) -> Floats:
-    """The positions of each tracklet in the sampled frames: (E, J, 3) m, NaN where it is not there."""
-    tracks = np.full((len(scene.sampled_frames), len(scene.first), 3), np.nan)
-    tracks[scene.sampled_frame, scene.sampled_track] = scene.sampled_xyz
-    return tracks
+@dataclass(frozen=True)
+class Samples:
+    """Where J tracklets are in E frames: frame, track (Q,) and xyz (Q, 3) m of each point, frame by frame, in each by track."""
 
+    frame: Ints
+    track: Ints
+    xyz: Floats
+    frames: int
+    tracks: int
 
-def _positions(tracks: Floats, label: Ints, markers: int) -> Floats:
-    """Positions of the markers (E, M, 3) m under labels (J,)."""
-    out = np.full((len(tracks), markers, 3), np.nan)
-    for j in np.nonzero(label != NULL)[0]:
-        there = ~np.isnan(tracks[:, j, 0])
-        out[there, label[j]] = tracks[there, j]
-    return out
+    @classmethod
+    def of_scene(cls, scene: Scene) -> Samples:
+        """The sampled frames of a scene."""
+        order = np.lexsort((scene.sampled_track, scene.sampled_frame))
+        frame, track, xyz = scene.sampled_frame[order], scene.sampled_track[order], scene.sampled_xyz[order]
+        return cls(frame, track, xyz, len(scene.sampled_frames), len(scene.first))
+
+    def positions(self, label: Ints, markers: int) -> Floats:
+        """Positions of the markers (E, M, 3) m under labels (J,), NaN where they have no point."""
+        out = np.full((self.frames, markers, 3), np.nan)
+        own = label[self.track]
+        given = own != NULL
+        out[self.frame[given], own[given]] = self.xyz[given]
+        return out
+
+    def fullest(self) -> tuple[Ints, Floats]:
+        """The tracklets (n,) in the first frame with most points, and their points (n, 3) m."""
+        inside = self.frame == np.bincount(self.frame, minlength=1).argmax()
+        return self.track[inside], self.xyz[inside]
+
+    def by_track(self) -> list[Ints]:
+        """The points of each tracklet."""
+        order = np.argsort(self.track, kind="stable")
+        return np.split(order, np.cumsum(np.bincount(self.track, minlength=self.tracks))[:-1])
 
 
 def _differ(one: Ints, other: Ints, same: float) -> bool:
@@ -230,12 +256,10 @@ def _differ(one: Ints, other: Ints, same: float) -> bool:
     return bool((one == other)[given].mean() < same)
 
 
-def _starts(mean: Floats, tracks: Floats, rules: ForeignRules) -> list[Ints]:
+def _starts(mean: Floats, samples: Samples, rules: ForeignRules) -> list[Ints]:
     """Labels of the tracklets (J,) that a mean body (K, M, 3) m, laid into the frame with most points, gives; each once."""
-    shown = ~np.isnan(tracks[:, :, 0])
-    frame = int(np.argmax(shown.sum(axis=1)))
-    there = np.nonzero(shown[frame])[0]
-    points, found = tracks[frame, there], {}
+    there, points = samples.fullest()
+    found = {}
     for body in mean:
         centred = body - body.mean(axis=0)
         radius = float(np.sqrt((centred**2).sum(axis=1).mean()))
@@ -245,7 +269,7 @@ def _starts(mean: Floats, tracks: Floats, rules: ForeignRules) -> list[Ints]:
                     placed = _laid(centred @ _about_z(turn).T * size, points, top)
                     pairs = _matched(placed, centred, points, radius, rules)
                     if len(pairs[0]) >= max(4, 0.5 * min(len(centred), len(points))):
-                        label = np.full(tracks.shape[1], NULL, dtype=np.int64)
+                        label = np.full(samples.tracks, NULL, dtype=np.int64)
                         label[there[pairs[1]]] = pairs[0]
                         found[label.tobytes()] = label
     return list(found.values())
@@ -296,7 +320,7 @@ def _about_z(turn: float) -> Floats:
 
 def forward_travel(found: SceneLabelling, names: Sequence[str], rules: ForeignRules) -> float:
     """`forward_share` of a recording with one body; names: of its markers."""
-    positions = _positions(tracks_of(found.scene), found.label, len(names))
+    positions = Samples.of_scene(found.scene).positions(found.label, len(names))
     return forward_share(positions, _seconds(found.scene), _side_pairs(names), rules.min_speed)
 
 
@@ -370,10 +394,10 @@ def _crowded(found: SceneLabelling, markers: int, rules: ForeignRules) -> bool:
 
 
 def label_evidence(
-    found: SceneLabelling, tracks: Floats, markers: int, reference: RigidDistances, rules: ForeignRules
+    found: SceneLabelling, samples: Samples, markers: int, reference: RigidDistances, rules: ForeignRules
 ) -> tuple[Floats, float]:
     """Log odds (J,) that labels are right: their distances against those of another marker, and what is left over; and how much that is."""
-    gain = distance_gains(found.label, tracks, markers, reference, rules)
+    gain = distance_gains(found.label, samples, markers, reference, rules)
     lead = distance_margins(gain, found.label, found.scene.first, found.scene.last)
     by_lead = rules.by_lead * np.clip(lead, *rules.leads) / 4.0
     by_hidden: Floats | float = 0.0
@@ -386,9 +410,9 @@ def label_evidence(
     return rules.log_odds + by_lead - by_hidden - by_deviation - rules.by_surplus * float(np.log1p(surplus)) / 2.0, surplus
 
 
-def distance_gains(label: Ints, tracks: Floats, markers: int, reference: RigidDistances, rules: ForeignRules) -> Floats:
+def distance_gains(label: Ints, samples: Samples, markers: int, reference: RigidDistances, rules: ForeignRules) -> Floats:
     """Nats (J, M) for each tracklet as each marker, by its distances to the markers that the labels (J,) give."""
-    positions = _positions(tracks, label, markers)
+    positions = samples.positions(label, markers)
     median, std = median_and_std(positions, reference.first, reference.second, 3)
     rigid = ~np.isnan(median) & (std < reference.max_rigid_std)
     _, size, logs = reference.nearest(np.where(rigid, median, np.nan))
@@ -397,8 +421,8 @@ def distance_gains(label: Ints, tracks: Floats, markers: int, reference: RigidDi
     of_pair = np.full((markers, markers), np.nan)
     of_pair[reference.first, reference.second] = of_pair[reference.second, reference.first] = logs
     gain = np.zeros((len(label), markers))
-    for j in range(len(label)):
-        own = np.concatenate([positions, tracks[:, j : j + 1]], axis=1)
+    for j, own_points in enumerate(samples.by_track()):
+        own = np.concatenate([positions[samples.frame[own_points]], samples.xyz[own_points][:, None]], axis=1)
         apart, spread = median_and_std(own, np.full(markers, markers), np.arange(markers), 3)
         apart[apart < 1e-6] = np.nan  # the marker's own points
         score = _log_ratio(np.log(apart)[None] - size - of_pair, np.exp(of_pair), max(rules.share_std, scatter), rules)

@@ -310,9 +310,14 @@ def labelling_of(body: BodyInRecording, number: int, clouds: Clouds, labels: Poi
     candidate = np.where(label != NULL, label, np.where(labels.label == NULL, rival, NULL))
     chance = np.where(label != NULL, certainty, 0.5 * np.exp(np.minimum(labels.margin, 0.0)))
     points = np.nonzero(candidate != NULL)[0]
-    points = points[np.lexsort((*clouds.xyz[points].T, chance[points]))]  # the order of the points does not matter
     at = frame_of[points], body.markers[candidate[points]]
     candidates = np.full(indices.shape, NULL, dtype=np.int64)
+    confidence[at], candidates[at] = chance[points], place[points]
+    doubled = np.zeros(indices.shape, dtype=np.bool_)
+    doubled[tuple(index[candidates[at] != place[points]] for index in at)] = True
+    points = points[doubled[at]]
+    points = points[np.lexsort((*clouds.xyz[points].T, chance[points]))]  # the order of the points does not matter
+    at = frame_of[points], body.markers[candidate[points]]
     confidence[at], candidates[at] = chance[points], place[points]
     points = np.nonzero((label != NULL) & (certainty >= least))[0]
     at = frame_of[points], body.markers[label[points]]
