@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from test_weak import bodies
 
 from asterism import AsterismError, Clouds, Recording
+from asterism.labelling.full_solver_study import fit_printed, solver_sizes
 from asterism.labelling.partial._motion_kernels import WIDTH
 from asterism.labelling.partial._pair_search_kernels import load_frame, make_search_workspace, search_by_pairs
-from asterism.labelling.partial._search_kernels import search
+from asterism.labelling.partial._search_kernels import search, sort_highest_first
 from asterism.labelling.partial.features import FEATURES as REGISTRY
 from asterism.labelling.partial.solver import (
     FullSolver,
@@ -211,3 +212,24 @@ def test_every_order_of_three_markers_is_tried():
     found, counters = np.empty((10, 3), dtype=np.int64), np.zeros(2, dtype=np.int64)
     assert search(pack_solvers([solver]), 0, frames[0], np.arange(3), 1000, found, counters) == 6
     assert {tuple(row) for row in found[:6].tolist()} == set(permutations(range(3)))
+
+
+@pytest.mark.parametrize("width", [3, WIDTH])
+def test_points_are_sorted_highest_first_and_equal_heights_stay_in_order(width):
+    points = np.random.default_rng(0).normal(size=(12, width))
+    points[[2, 5, 9], 2] = points[7, 2]
+    order = np.full(12, -1)
+    sort_highest_first(points, 11, order)
+    assert order.tolist() == [*np.argsort(-points[:11, 2], kind="stable"), -1]
+
+
+def test_the_last_of_the_solver_sizes_is_the_full_solver():
+    """Figure 5.1: the tree of all its classifiers begins with its first marker, and needs about as many evaluations as its own tree."""
+    walks = simulate_walks(subjects=2, frames=100, seed=2)
+    frames, groups = stack_frames(walks)
+    solver, few = fit_printed(frames, groups, walks[0].labels), np.ascontiguousarray(frames[::25])
+    assert not solver.solver.lowest_first, "the sizes are searched from the highest point on"
+    last = solver_sizes(solver, few, wrong=1000)[-1]
+    solver.label(Clouds.from_points(list(few), 1.0))
+    assert last.classifiers == len(solver.strong.weak) == 40
+    assert last.evaluations == pytest.approx(solver.evaluations, rel=0.2)

@@ -150,6 +150,11 @@ def test_a_marker_that_none_reaches_is_flagged():
     ensemble = search_partial_solvers(frames, groups, targets=0.99, settings=QUICK)
     assert not ensemble.covered[[5, 6]].any()
     assert ensemble.covered[:5].any()
+    for marker in (5, 6):
+        votes = ensemble.trusted & (ensemble.solvers.markers == marker)
+        owner = np.repeat(np.arange(len(ensemble)), np.diff(ensemble.solvers.first_depth))[votes]
+        assert len(owner) == QUICK.substitutes, "the best known solvers vote for it instead"
+        assert (ensemble.hit_rates[owner, marker] > 0).all()
 
 
 def test_targets_per_marker():

@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from asterism.labelling.full_solver_study import PRINTED_RULES, SIZES
+from asterism.labelling.partial.features import THESIS, feature_pool
+
 PAGE = (Path(__file__).parent.parent / "docs" / "thesis.md").read_text(encoding="utf-8")
 NAMES = sorted(set(re.findall(r"`((?:asterism|benchmarks)\.[\w.]+)`", PAGE)))
 
@@ -59,3 +62,9 @@ def test_each_line_says_whether_it_is_faithful() -> None:
     assert len(rows) > 45
     for part, _, how in rows:
         assert re.match(r" (faithful|improved|planned|other data)", how), f"{part.strip()}: {how.strip()}"
+
+
+def test_the_full_solver_is_as_large_as_the_page_says() -> None:
+    """Of the features of the thesis over its 15 markers."""
+    [(chosen, among)] = re.findall(r"full solver of (\d+) of (\d+) classifiers", PAGE)
+    assert (PRINTED_RULES.weak_classifiers, len(feature_pool(15, THESIS)[0])) == (int(chosen), int(among)) == (SIZES[-1], 665)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -140,7 +140,12 @@ def _ensemble(benchmark: BenchmarkRun, target: float) -> asterism.SolverEnsemble
 
 def test_frames(frames: int) -> Recording:
     """So many frames drawn from all odd blocks (there are fewer than the thesis had: some come more than once, each time hidden anew)."""
-    everything = _joined([blocks(recording, odd=True) for recording in people_and_trials(gait())[1]])
+    return drawn_frames([blocks(recording, odd=True) for recording in people_and_trials(gait())[1]], frames)
+
+
+def drawn_frames(recordings: Sequence[Recording], frames: int) -> Recording:
+    """So many frames drawn from recordings of the same markers."""
+    everything = _joined(recordings)
     return everything.frames(_drawn(frames, len(everything)))
 
 
@@ -157,7 +162,7 @@ def _drawn(frames: int, among: int) -> Ints:
     return np.random.default_rng(0).integers(0, among, frames)
 
 
-def _joined(recordings: list[Recording]) -> Recording:
+def _joined(recordings: Sequence[Recording]) -> Recording:
     return replace(
         recordings[0],
         positions=np.concatenate([recording.positions for recording in recordings]),

@@ -107,16 +107,20 @@ PRINTED_FEATURES = ("g1", "g2", "g3", "g4", "g5", "g6", "g7", "g8", "g9")
 0.9999 on the gait recordings have eight markers instead of five, and two thirds of the nulls are visible markers instead of a third."""
 
 PRINTED = SearchSettings(
-    widen=0.0,
+    max_classifiers=1000,
+    widen=0.001,
     beam_width=120,
     evaluation_frames=1500,
     validation_frames=30_000,
     max_solvers=250,
     search_target=0.9999,
     for_printed_matrix=True,
-    coverage_patterns=4000,
+    coverage_patterns=8000,
+    large_subsets=100,
 )
-"""The thesis' solvers: intervals from the smallest to the largest value of the training (eq. 4.4)."""
+"""The thesis' solvers: intervals from the smallest to the largest value of the training (eq. 4.4), and so little more that the frames with
+these values lie inside in spite of rounding. With 200 classifiers a solver of 14 markers finds a second labelling in 2.4 % of the frames
+of the training, with 1000 in none."""
 
 
 @dataclass(frozen=True)
