@@ -59,9 +59,9 @@ def read_image(image: NDArray[np.uint8], pattern: Pattern, rules: ReadRules | No
     """Find the circles of an image (h, w, 3) uint8 blue, green, red, and say which circles of the pattern they are.
 
     Pixel (0, 0) has its middle at (0, 0). Circles come in the order of their regions from the upper left. The result depends on the image
-    alone: no randomness, no state. Cost: O(pixels + circles); memory some 2 bytes a pixel, and some 50 for each run of coloured pixels in a
-    row. What makes an image unreadable is in `findings`:
-    no circles, no colours, another pattern. Raises AsterismError where the image is not (h, w, 3) uint8.
+    alone: no randomness, no state. Cost: O(pixels + circles); memory some 2 bytes a pixel, and some 50 for each run of coloured pixels in
+    a row. What makes an image unreadable is in `findings`: no circles, no colours, another pattern. Raises AsterismError where the image is
+    not (h, w, 3) uint8.
     """
     rules = rules or ReadRules()
     image = np.asarray(image)

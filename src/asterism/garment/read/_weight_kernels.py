@@ -129,7 +129,7 @@ def usual_areas(area, cells, at, out):
     IN  area (n,) px2; cells (n, 2); at (rows, cols) of `occupy`
     OUT out (n,) px2, NaN where there is none, and for circles without a cell
 
-    O(n), no allocation to speak of. Twin: tests/twins_garment_read.py
+    O(n); allocates (8,). Twin: tests/twins_garment_read.py
     """
     around = np.empty(8)
     for i in range(len(cells)):
