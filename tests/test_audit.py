@@ -16,7 +16,9 @@ import asterism
 from asterism import AsterismError, Recording, SolverEnsemble, formats
 from asterism.cli import main
 from asterism.labelling import audit, remove_errors
+from asterism.labelling.audit import AuditRules
 from asterism.labelling.audit import _kernels as kernels
+from asterism.labelling.audit.paths import exchanges
 from asterism.labelling.body._score_kernels import best_pose, evidence
 from asterism.labelling.body._workspace_kernels import make_body_workspace
 from asterism.labelling.body.labeller import FrameLabellingSettings
@@ -103,6 +105,13 @@ def test_a_recording_exchanged_throughout_is_told_by_the_others_bodies(walks):
     assert found == [(3, 0, FRAMES - 1, {"LKNE", "LANK"}, "consistently exchanged against the others")]
     found = told(audit([*walks, damaged], subjects=[*PEOPLE, "Dee"]))
     assert found == [(5, 0, FRAMES - 1, {"LKNE", "LANK"}, "exchanged")]
+
+
+def test_what_other_people_wear_does_not_tell_how_a_person_always_wears_it(walks):
+    """Ben is left out together with Dee: only a recording of Dee could say that this one of her is an exception."""
+    damaged = exchanged(walks[3], 0, FRAMES - 1, "LKNE", "LANK")
+    found = told(audit(among(walks, 3, damaged), subjects=PEOPLE, rules=AuditRules(folds=2)))
+    assert found == [(3, 0, FRAMES - 1, {"LKNE", "LANK"}, "consistently exchanged against the others")]
 
 
 def test_an_exchange_across_a_gap_is_found_by_the_body(walks):
@@ -261,6 +270,17 @@ def test_all_pairs_gain_what_each_gains_over_its_frames(seed, frames):
     gains = np.full(3, np.nan)
     kernels.all_exchanges(positions, scales, emission, switch, pairs, gains)
     np.testing.assert_allclose(gains, twins.all_exchanges(positions, scales, emission, switch, pairs), atol=1e-9)
+
+
+def test_exchanges_too_small_to_count_do_not_hide_another_pair():
+    """Markers at one place, so that only the body tells: A and B gain 20 nats twice, C and D 25 nats once, and 22 are needed."""
+    emission = np.full((6, 100), -1.0)
+    emission[0, 20:30] = emission[0, 60:70] = 3.0
+    emission[5, 40:50] = 3.5
+    runs, corrected = exchanges(np.zeros((100, 4, 3)), emission, switch=5.0, least=22.0)
+    assert [(run.first, run.last, run.markers) for run in runs] == [(40, 49, (2, 3))]
+    assert runs[0].gain == pytest.approx(25.0)
+    assert not corrected.any()
 
 
 def test_an_exchange_gains_what_its_evidence_gains(walks):

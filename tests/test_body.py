@@ -16,7 +16,7 @@ from asterism.labelling.body._score_kernels import _cholesky, evidence, leave_on
 from asterism.labelling.body._workspace_kernels import FrameModel, make_body_workspace
 from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors, with_intervals
 from asterism.labelling.body.labeller import FrameLabellingSettings
-from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, names_of, subsample
+from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, length_scale, names_of, subsample
 from asterism.labelling.partial._search_kernels import search
 
 SETTINGS = FrameLabellingSettings().with_usual_score(1.0)
@@ -304,6 +304,21 @@ def test_gaps_hardly_change_the_model(learned, people):
     assert miss < 0.01, f"{1000 * miss:.1f} mm"
 
 
+def test_gaps_leave_it_known_how_markers_move_together():
+    """A body whose markers sway together by 4 cm; each is hidden for 0.2 of the time. It keeps nearly all of that."""
+    rng = np.random.default_rng(4)
+    body, way = rng.normal(0.0, 0.4, (7, 3)), rng.normal(0.0, 1.0, (7, 3))
+    way -= way.mean(axis=0)
+    frames = (
+        body + 0.04 * rng.normal(size=(300, 1, 1)) * way / np.linalg.norm(way, axis=1, keepdims=True) + rng.normal(0.0, 0.002, (300, 7, 3))
+    )
+    holed = np.where(rng.random(frames.shape[:2])[:, :, None] < 0.2, np.nan, frames)
+    whole, gappy = (fit_body(some, np.zeros(300, dtype=np.int64), BodyRules(), seed=0).within for some in (frames, holed))
+    main = np.linalg.eigh(whole[0])[1][:, -1]
+    kept = (main @ gappy[0] @ main) / (main @ whole[0] @ main)
+    assert 0.8 < kept < 1.1, f"{kept:.2f} of the variance of the common motion is left"
+
+
 def test_key_poses_are_told_apart():
     """A body and the same with one arm raised, in equal numbers: two key poses, half of the frames each."""
     rng = np.random.default_rng(3)
@@ -348,7 +363,25 @@ def test_anchors_are_chosen_alike_each_time_and_cover_what_is_hidden(people, lea
         assert (one.triples != hidden).all(axis=1).any(), f"every anchor needs marker {hidden}"
 
 
+def test_anchors_of_a_large_marker_set_begin_with_neighbours_that_keep_their_distances():
+    """Of 84 triples, too many to try each, one is rigid: three markers of nine that move apart."""
+    rng = np.random.default_rng(7)
+    rigid, (frames, whose) = np.array([2, 5, 7]), (rng.normal(0.0, 0.4, (60, 9, 3)), np.repeat([0, 1], 30))
+    frames[:, rigid] = frames[:, rigid[:1]] + np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.15], [-0.1, 0.05, -0.1]])
+    rules = AnchorRules(count=5, candidates=60)
+    chosen = choose_anchors(frames, whose, fit_body(frames, whose, BodyRules(), 0), rules, np.random.default_rng(5)).triples
+    assert sorted(chosen[0].tolist()) == rigid.tolist()
+    assert len({tuple(sorted(triple)) for triple in chosen.tolist()}) == 5 and all(len(set(triple)) == 3 for triple in chosen.tolist())
+
+
 # --- small ones
+
+
+@pytest.mark.parametrize(("size", "scale"), [(0.5, 1.0), (0.25, 1.0), (0.1, 0.4), (0.02, 0.08)])
+def test_lengths_chosen_on_people_shrink_with_smaller_bodies(size, scale):
+    """`size`: root mean square from the body's middle; people have 0.25 m and more."""
+    corners = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
+    assert length_scale(3.0 + size * corners, BodyRules()) == pytest.approx(scale)
 
 
 def test_people_are_numbered_in_order_of_appearance():

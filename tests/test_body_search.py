@@ -140,16 +140,17 @@ def test_proposals_of_an_anchor(seed):
         np.testing.assert_allclose(workspace.best_score[:chosen], [score for score, _, _ in expected], rtol=1e-6, atol=1e-4)
 
 
-@given(seed=seeds)
+@given(seed=seeds, least_found=st.sampled_from([SETTINGS.min_found_share, 0.8]))
 @races
-def test_the_labellings_that_anchors_lead_to(seed):
+def test_the_labellings_that_anchors_lead_to(seed, least_found):
     rng = np.random.default_rng(seed)
-    model = random_model(rng)
+    model, rules = random_model(rng), SETTINGS._replace(min_found_share=least_found)
     anchors = anchors_for(model, rng)
     points, _, _ = random_frame(model, rng, least=3)
     workspace = workspace_for(points)
-    expected, best_expected = twins.find_labellings(model, anchors, points, SETTINGS)
-    count, best = find_labellings(frame_model(model, anchors), points, workspace, np.zeros(4, dtype=np.int64))
+    expected, best_expected = twins.find_labellings(model, anchors, points, rules)
+    arrays = frame_model(model, anchors)._replace(settings=rules)
+    count, best = find_labellings(arrays, points, workspace, np.zeros(4, dtype=np.int64))
     found = workspace.candidates
     got = {tuple(found.labellings[h].tolist()): (found.votes_needed[h], found.votes[h]) for h in range(count)}
     assert got == {rows: (needed, len(votes)) for rows, (_, needed, votes) in expected.items()}

@@ -109,6 +109,23 @@ def test_a_noiseless_rig_is_found_again(template: np.ndarray) -> None:
         assert abs(found.focal[0] - truth.focal[0]) < 1e-3
 
 
+def test_lenses_are_found_from_none() -> None:
+    """Of cameras that were given without any lens, all coefficients are found: k1 to k3, and both tangential ones."""
+    rng = np.random.default_rng(12)
+    rig = [replace(camera, radial=(-0.1 + 0.02 * c, 0.05, -0.02)) for c, camera in enumerate(a_ring())]
+    rotations, translations, points = moved_about(BOARD, 60, rng)
+    points, translations = points + translations[:, None], 2 * translations
+    bare = [replace(camera, radial=(), tangential=(0.0, 0.0)) for camera in rig]
+    free = free_parameters(4, "k1", "k2", "k3", "tangential")
+    sightings = Sightings.from_array(seen(rig, points, 0.0, rng))
+    result = adjust(
+        bare, BOARD, sightings, rotations, translations, free=free, settings=AdjustSettings(scale=500.0, tolerance=1e-16, steps=200)
+    )
+    for truth, found in zip(rig, result.cameras, strict=True):
+        assert np.allclose(found.radial, truth.radial, atol=1e-4)
+        assert np.allclose(found.tangential, truth.tangential, atol=1e-5)
+
+
 def test_a_moved_dot_gives_the_rig_up_to_its_size() -> None:
     rng = np.random.default_rng(3)
     rig = a_ring()

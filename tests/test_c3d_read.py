@@ -13,7 +13,9 @@ import pytest
 
 from asterism.errors import AsterismError
 from asterism.formats import describe, read, write
+from asterism.formats.c3d._edit import integers_record
 from asterism.formats.c3d._file import C3DFile, open_c3d
+from asterism.formats.c3d._parameters import Record, make_group
 from asterism.recording import Event, Recording
 
 EZC3D_IS_WRONG = {
@@ -257,6 +259,72 @@ def test_a_float_that_is_no_number_is_missing(tmp_path: Path) -> None:
     visible = read(tmp_path / "walk.c3d").visible
     assert not visible[2, 1]
     assert visible.sum() == visible.size - 1
+
+
+@pytest.mark.parametrize("name", ["pc_int", "dec_int", "sgi_int", "pc_real", "dec_real", "sgi_real"])
+def test_without_any_scale_the_length_of_the_file_tells_integers_from_floats(data: Path, tmp_path: Path, name: str) -> None:
+    file = open_c3d(data / f"conformance/c3d/sample_02/{name}.c3d")
+    raw, record = bytearray(file.raw), file.parameters.find("POINT", "SCALE")
+    assert record is not None
+    at = raw.find(record.raw) + record.raw.find(record.data)
+    raw[12:16] = raw[at : at + 4] = bytes(4)
+    (tmp_path / "unscaled.c3d").write_bytes(raw)
+    bare = open_c3d(tmp_path / "unscaled.c3d")
+    assert bare.layout == file.layout
+    assert np.array_equal(bare.words, file.words)
+
+
+def with_last(file: C3DFile, records: dict[tuple[str, str], Record | None], behind: bytes = b"") -> bytes:
+    """The bytes of a file with more parameters and, up to its data, something behind the last of them."""
+    section = file.parameters.replaced(records).to_bytes()[:-2] + behind
+    room = file.layout.start - file.header.parameters_at
+    assert len(section) <= room
+    return bytes(file.raw[: file.header.parameters_at]) + section.ljust(room, b"\0") + bytes(file.raw[file.layout.start :])
+
+
+@pytest.mark.parametrize("values", [[7], [7, 0], []], ids=["one word", "two words", "none"])
+def test_a_first_frame_is_taken_from_the_trial_only_where_both_its_words_are_there(tmp_path: Path, values: list[int]) -> None:
+    write(tmp_path / "walk.c3d", walk())
+    file = open_c3d(tmp_path / "walk.c3d")
+    group = file.parameters.group_id("TRIAL")
+    assert group is not None
+    words = integers_record("ACTUAL_START_FIELD", group, values, (len(values),), file.processor)
+    (tmp_path / "walk.c3d").write_bytes(with_last(file, {("TRIAL", "ACTUAL_START_FIELD"): words}))
+    recording = read(tmp_path / "walk.c3d")
+    assert len(recording) == 20
+    assert recording.first_frame == (7 if len(values) == 2 else file.header.first_frame)
+
+
+def ended_by(record: Record) -> bytes:
+    """The bytes of a group or parameter that says it is the last of its file."""
+    at = 2 + len(record.name)
+    return record.raw[:at] + bytes(2) + record.raw[at + 2 :]
+
+
+@pytest.mark.parametrize("last", ["group", "parameter"])
+def test_nothing_is_read_behind_the_record_that_says_it_is_the_last(tmp_path: Path, last: str) -> None:
+    write(tmp_path / "walk.c3d", walk())
+    file = open_c3d(tmp_path / "walk.c3d")
+    notes = make_group("NOTES", 60, processor=file.processor)
+    count, leftover = (integers_record(name, 60, [3], (), file.processor) for name in ("COUNT", "LEFTOVER"))
+    behind = (ended_by(notes) if last == "group" else notes.raw + ended_by(count)) + leftover.raw
+    (tmp_path / "walk.c3d").write_bytes(with_last(file, {("MANUFACTURER", "VERSION_LABEL"): None}, behind))
+    assert open_c3d(tmp_path / "walk.c3d").parameters.groups["NOTES"] == (["COUNT"] if last == "parameter" else [])
+    assert "findings" not in read(tmp_path / "walk.c3d").metadata
+
+
+def test_parameters_follow_a_group_that_was_the_last_record_of_its_file(tmp_path: Path) -> None:
+    write(tmp_path / "walk.c3d", walk())
+    file = open_c3d(tmp_path / "walk.c3d")
+    last = ended_by(make_group("EVENT", 60, "marked by hand", processor=file.processor))
+    (tmp_path / "walk.c3d").write_bytes(with_last(file, {("MANUFACTURER", "VERSION_LABEL"): None}, last))
+    events = (Event("Foot Strike", 0.0625, "Left"), Event("Foot Off", 0.125, "Right"))
+    write(tmp_path / "out.c3d", replace(read(tmp_path / "walk.c3d"), events=events))
+    again = read(tmp_path / "out.c3d")
+    assert again.events == events
+    assert "findings" not in again.metadata
+    (group,) = (record for record in open_c3d(tmp_path / "out.c3d").parameters.records if record.name == "EVENT")
+    assert group.raw.endswith(b"marked by hand")
 
 
 def test_description_names_what_is_there(data: Path) -> None:

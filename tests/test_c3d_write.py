@@ -301,6 +301,21 @@ def test_a_block_behind_the_data_is_still_found_where_its_parameter_says(tmp_pat
     np.testing.assert_allclose(read(tmp_path / "out.c3d").positions, more.positions, atol=1e-6)
 
 
+@pytest.mark.parametrize("padded", [True, False], ids=["padded", "ends with its last frame"])
+def test_a_grown_file_is_padded_to_whole_blocks_if_it_was(tmp_path: Path, padded: bool) -> None:
+    write(tmp_path / "plain.c3d", some(20, 4))
+    file = open_c3d(tmp_path / "plain.c3d")
+    frames_only = bytes(file.raw[: file.layout.stop])
+    assert len(frames_only) % 512
+    (tmp_path / "in.c3d").write_bytes(frames_only + bytes(-len(frames_only) % 512) if padded else frames_only)
+    recording = read(tmp_path / "in.c3d", vertical="z")
+    positions = np.concatenate([recording.positions, recording.positions[:, :1] + 1], axis=1)
+    write(tmp_path / "out.c3d", replace(recording, positions=positions, labels=(*recording.labels, "MORE"), origin=None))
+    after = open_c3d(tmp_path / "out.c3d")
+    assert after.layout.stop % 512
+    assert len(after.raw) == (-(-after.layout.stop // 512) * 512 if padded else after.layout.stop)
+
+
 def test_thousands_of_points_with_long_names(tmp_path: Path) -> None:
     recording = replace(some(2, 4000), labels=tuple(f"a name as long as names go in real files {i}" for i in range(4000)))
     write(tmp_path / "many.c3d", recording)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from asterism import formats
+from asterism.errors import AsterismError
 from asterism.formats.c3d._file import C3DFile, open_c3d
 from asterism.recording import Clouds, Labelling, Recording
 
@@ -77,6 +78,21 @@ def test_other_readers_see_a_channel_for_each_label(labelled: tuple[Recording, L
     np.testing.assert_array_equal(counted.sum(axis=0), FRAMES)
     np.testing.assert_array_equal(counted[:, 1], [2, 5, 0, 0])
     np.testing.assert_allclose(group["CONFIDENCE"]["value"][1], _expected(labelling)[:, 1].mean(), atol=1e-6)
+
+
+@pytest.mark.parametrize("value", [-0.01, 1.01, np.nan])
+def test_a_confidence_that_is_no_probability_is_refused(
+    value: float, labelled: tuple[Recording, Labelling, Clouds], tmp_path: Path
+) -> None:
+    recording, labelling, clouds = labelled
+    path = tmp_path / "walk.npz"
+    formats.write(path, recording, labelling=labelling, clouds=clouds)
+    with np.load(path) as held:
+        arrays = dict(held)
+    arrays["confidence"][3, 1] = value
+    np.savez(path, **arrays)
+    with pytest.raises(AsterismError, match=r"walk\.npz is damaged"):
+        formats.read_confidence(path)
 
 
 def test_labelled_again_the_channels_are_replaced(labelled: tuple[Recording, Labelling, Clouds], tmp_path: Path) -> None:

@@ -32,8 +32,9 @@ from asterism.labelling.correction import (
     log_path,
     request_of,
 )
+from asterism.labelling.correction.readiness import to_look_at
 from asterism.labelling.correction.touches import Request
-from asterism.labelling.review import labels_of_points
+from asterism.labelling.review import ReviewItem, labels_of_points
 from asterism.recording import Ints, Labelling, Recording
 
 
@@ -226,6 +227,15 @@ def test_the_verdict_follows_the_labels() -> None:
     assert dirty.verdict.kind == "ready"
     stretched = replace(recording, positions=recording.positions * np.array([1.0, 1.0, 4.0]))
     assert Correction(model(), stretched).verdict.kind == "do-not-use"
+
+
+@pytest.mark.parametrize(
+    ("samples", "gain", "worth"), [(10, 0.9, False), (10, 1.0, True), (1000, 15.0, False), (1000, 25.0, True), (50, 1.0, True)], ids=str
+)
+def test_a_piece_is_worth_a_look_by_what_it_gains_and_by_its_share_of_errors(samples: int, gain: float, worth: bool) -> None:
+    """At least one sample, and 2 % of a long piece: no model of few people is surer than that."""
+    item = ReviewItem(0, samples - 1, 0, 0, "LASI", 1.0 - gain / samples, (), samples, gain, np.arange(samples))
+    assert (to_look_at([item]) == [item]) == worth
 
 
 def test_the_candidates_of_a_piece_have_the_chances_that_the_list_states() -> None:

@@ -105,6 +105,23 @@ def test_every_pair_of_occlusions_and_ghosts_is_tried_on_all_recordings():
     assert evaluation.markers == NAMES
 
 
+class Nobody:
+    """Knows six markers, and labels no point."""
+
+    marker_set = MarkerSet(tuple("ABCDEF"))
+
+    def label_counted(self, clouds, *, rules="whole-body", workers=1, progress=None):
+        shape = (len(clouds), 6)
+        return Labelling(np.full(shape, -1), np.zeros(shape), self.marker_set.names), np.zeros(len(clouds), dtype=np.int64)
+
+
+def test_none_to_five_markers_are_hidden_unless_asked_otherwise():
+    """As in the thesis' section 5.3."""
+    recording = Recording(np.random.default_rng(0).normal(size=(8, 6, 3)), Nobody.marker_set.names, 100.0)
+    conditions = evaluate(Nobody(), [recording], time=False).conditions
+    assert [(c.occlusions, c.ghosts, c.visible) for c in conditions] == [(k, 0, 8 * (6 - k)) for k in range(6)]
+
+
 def test_the_seed_decides_what_is_hidden():
     seen = []
 

@@ -300,6 +300,19 @@ def test_absent_units_are_told_from_the_body_and_said(tmp_path):
     assert any("size of the body" in finding.sentence for finding in recording.metadata["findings"])
 
 
+@pytest.mark.parametrize("unit", ["m", "cm", "mm"])
+def test_absent_units_are_told_from_hundreds_of_markers_too(tmp_path, unit):
+    """A body of 1.7 m is as large with 300 markers as with eight."""
+    positions = np.random.default_rng(0).uniform([-0.25, -0.25, 0.0], [0.25, 0.25, 1.7], (3, 300, 3))
+    write(tmp_path / "dense.trc", Recording(positions, tuple(f"M{i}" for i in range(300)), 100.0, metadata={"units": unit}))
+    text = (tmp_path / "dense.trc").read_text()
+    assert f"\t{unit}\t" in text
+    (tmp_path / "dense.trc").write_text(text.replace(f"\t{unit}\t", "\t\t"))
+    recording = read(tmp_path / "dense.trc", vertical="z")
+    assert recording.metadata["units"] == unit
+    np.testing.assert_allclose(recording.positions, positions, atol=1e-7)
+
+
 WIDE = {
     "underscore": "frame,time,LKNE_x,LKNE_y,LKNE_z,RKNE_x,RKNE_y,RKNE_z",
     "capital suffix": "Frame,Time,LKNE_X,LKNE_Y,LKNE_Z,RKNE_X,RKNE_Y,RKNE_Z",
@@ -396,6 +409,21 @@ def test_qtm_tsv(tmp_path, timed):
     assert recording.rate == 100.0
 
 
+def test_the_frame_column_of_a_qtm_export_places_its_rows(tmp_path):
+    head, rows = QTM.split("\n100\t500", 1)
+    rows = ["100\t500" + rows.split("\n")[0], *rows.split("\n")[1:3]]
+    titles = "Frame\tTime\tLKNE X\tLKNE Y\tLKNE Z\tRKNE X\tRKNE Y\tRKNE Z"
+    timed = [f"{frame}\t{frame / 100:.5f}\t{row}" for frame, row in zip((5, 6, 9), rows, strict=True)]
+    (tmp_path / "framed.tsv").write_text("\n".join([head, titles, *timed]))
+    framed = read(tmp_path / "framed.tsv", vertical="y")
+    assert (framed.first_frame, len(framed)) == (5, 5)
+    assert np.isnan(framed.positions[2:4]).all()
+    np.testing.assert_allclose(framed.positions[[0, 1, 4]], TRUTH, equal_nan=True)
+    (tmp_path / "bare.tsv").write_text(QTM)
+    bare = read(tmp_path / "bare.tsv", vertical="y")
+    assert (bare.first_frame, len(bare)) == (1, 3), "its first column is a coordinate, 100 mm and on"
+
+
 def test_qtm_6d_is_refused(tmp_path):
     (tmp_path / "body.tsv").write_text(QTM.replace("DATA_INCLUDED\t3D", "DATA_INCLUDED\t6D"))
     with pytest.raises(AsterismError, match="6D"):
@@ -435,6 +463,14 @@ def test_tables_survive_any_chain_of_formats(tmp_path, chain):
     assert back.rate == pytest.approx(60.0, rel=1e-5)
 
 
+@pytest.mark.parametrize("suffix", ["mot", "sto", "csv"])
+@pytest.mark.parametrize("units", ["mm", ""])
+def test_a_table_keeps_its_unit_of_length_or_that_it_has_none(tmp_path, suffix, units):
+    write_table(tmp_path / f"a.{suffix}", Table(("a", "b"), np.ones((2, 2)), np.arange(2.0), units=units))
+    assert read_table(tmp_path / f"a.{suffix}").units == units
+    assert ("Units" in (tmp_path / f"a.{suffix}").read_text()) == (units != "")
+
+
 def test_joint_angles_are_no_markers_and_the_sentence_says_what_they_are(tmp_path):
     write_table(
         tmp_path / "ik.mot", Table(("pelvis_tx", "pelvis_ty", "pelvis_tz", "hip_flexion_r"), np.zeros((3, 4)), np.arange(3.0), "", True)
@@ -459,6 +495,15 @@ def test_a_wrong_suffix_is_looked_through(tmp_path):
     (tmp_path / "walk.c3d").write_bytes((tmp_path / "walk.trc").read_bytes())
     for suffix in ("txt", "csv", "c3d"):
         assert read(tmp_path / f"walk.{suffix}").metadata["format"] == "TRC"
+
+
+@pytest.mark.parametrize("above", ["", "exported by somebody\n"], ids=["none", "a remark"])
+@pytest.mark.parametrize("suffix", ["txt", "csv", "trc"])
+def test_a_trc_without_its_first_line_is_known_by_the_second(tmp_path, suffix, above):
+    (tmp_path / f"walk.{suffix}").write_text(above + TRC.partition("\n")[2])
+    recording = read(tmp_path / f"walk.{suffix}", vertical="y")
+    assert recording.metadata["format"] == "TRC"
+    np.testing.assert_allclose(recording.positions, TRUTH, equal_nan=True)
 
 
 def test_markers_by_set_give_exactly_its_columns(tmp_path):

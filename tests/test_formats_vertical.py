@@ -56,6 +56,13 @@ def test_anonymous_points_tell_all_six_axes(up, seed):
 
 
 @pytest.mark.parametrize("up", AXES.values(), ids=AXES.keys())
+def test_a_floor_somewhat_below_zero_is_still_the_lower_end_of_a_body(up):
+    """The origin was set on a box of 15 cm, and nobody's feet stand still: only the end near zero tells."""
+    standing = np.tile(walk()[:1], (50, 1, 1)) + np.arange(50)[:, None, None] * [0.01, 0.0, 0.0] + [-1.0, 0.0, -0.15]
+    np.testing.assert_array_equal(vertical_from_positions(turned(standing, up)), up)
+
+
+@pytest.mark.parametrize("up", AXES.values(), ids=AXES.keys())
 def test_gaps_and_infinities_do_not_matter(up):
     positions = turned(walk(), up)
     positions[np.random.default_rng(1).random(positions.shape[:2]) < 0.5] = np.nan

@@ -14,9 +14,12 @@ from models import BRIEF, trained
 from asterism import AsterismError, MarkerSet, Recording, SolverEnsemble, formats
 from asterism.cli import main
 from asterism.geometry import rotate_z_up
+from asterism.labelling.body._score_kernels import best_pose
+from asterism.labelling.body._workspace_kernels import make_body_workspace
 from asterism.labelling.partial._feature_kernels import G2, G4
 from asterism.labelling.partial.solver import unpack_solvers
 from asterism.labelling.partial.weak import StrongClassifier
+from asterism.labelling.training.learning import TrainingConfig, TrainingRules, TrainingState, _some_stretches
 from asterism.labelling.training.model_file import describe_model
 from asterism.labelling.training.sample import GRID, Clip, Sample
 from asterism.simulation import simulate_occlusions, simulate_walks
@@ -227,6 +230,44 @@ def test_millimetres_taken_for_metres_are_refused(first, walks):
     huge = replace(walks[3], positions=walks[3].positions * 1e6, metadata={"file": "huge.trc"})
     with pytest.raises(AsterismError, match=r"huge\.trc has positions beyond 10 km; check its unit"):
         first.learn([huge])
+
+
+def test_ten_frames_are_enough_to_begin_with_and_nine_are_not():
+    markers = MarkerSet(tuple("abcd"))
+
+    def kept(frames):
+        recording = Recording(np.random.default_rng(0).normal(size=(frames, 4, 3)), markers.names, 10.0)
+        return TrainingState(Sample(), TrainingConfig()).with_recordings([recording], ["x"], markers)
+
+    assert kept(10).training_frames()[1].shape == (10, 4, 3)
+    with pytest.raises(AsterismError, match="9 frames show at least half of them; training needs 4 markers and 10 such frames"):
+        kept(9).training_frames()
+
+
+def test_the_usual_score_is_what_right_labels_of_others_hardly_ever_stay_below(whole, walks):
+    """In nats per label: a model's trials hide some markers, so that an unseen person's whole frames score above it, and not by far."""
+    body, settings_, scores = whole.body_labeller.body, whole.body_labeller.settings, []
+    for frame in walks[5].positions[::3]:
+        workspace = make_body_workspace(15, 15, body.load.shape[3])
+        scores.append(best_pose(body, np.ascontiguousarray(frame), np.arange(15), settings_, workspace)[1] / 15)
+    assert 0.6 * np.median(scores) < settings_.usual_score < min(scores)
+
+
+def test_a_person_left_out_is_tried_on_the_longest_of_their_own_stretches():
+    lengths = [(0, 20), (1, 5), (1, 9), (0, 30), (1, 7), (2, 6)]
+    stretches = [(person, Recording(np.full((length, 3, 3), float(person)), tuple("abc"), 10.0)) for person, length in lengths]
+    chosen = _some_stretches(stretches, np.array([1, 2]), np.array([0, 2]), TrainingRules(stretches=2, stretch_frames=8))
+    assert [(stretch.positions[0, 0, 0], len(stretch), stretch.labels) for stretch in chosen] == [
+        (1.0, 8, ("a", "c")),
+        (1.0, 7, ("a", "c")),
+        (2.0, 6, ("a", "c")),
+    ]
+
+
+@pytest.mark.parametrize("trial", TrainingRules().trials, ids=str)
+def test_a_trial_says_whether_it_adds_points_that_are_no_markers(trial, walks):
+    clouds, truth = trial.in_frames(walks[0], np.random.default_rng(0))
+    assert trial.adds_points == (len(clouds.xyz) > (truth >= 0).sum())
 
 
 # --- the sample that a model carries

@@ -167,7 +167,7 @@ def fault_of_tiny(place: str, kind: str, after: str) -> Fault:
 @pytest.mark.skipif(sys.platform == "win32", reason="needs symbolic links and process groups")
 def test_faults_are_caught_survive_hang_or_are_not_counted(tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     work = tmp_path / "work"
-    mutate.record(tiny, work, minutes=10)
+    mutate.record(tiny, work, minutes=10, jobs=1)
     recording = Recording(work / "reached", Program(tiny))
     copy = mutate.Copy(tiny, work / "copy")
     monkeypatch.setattr(mutate, "HANGS", 3.0)
@@ -189,7 +189,7 @@ def test_faults_are_caught_survive_hang_or_are_not_counted(tiny: Path, tmp_path:
 @pytest.mark.skipif(sys.platform == "win32", reason="needs symbolic links and process groups")
 def test_a_module_that_cannot_be_imported_is_not_counted_and_results_are_kept(tiny: Path, tmp_path: Path) -> None:
     work, results = tmp_path / "work", tmp_path / "faults.json"
-    mutate.record(tiny, work, minutes=10)
+    mutate.record(tiny, work, minutes=10, jobs=1)
     (fault,) = (fault for fault in faults_of("src/tiny/counts.py", SOURCE.encode()) if (fault.place, fault.before) == ("LAST", "2"))
     broken = replace(fault, after="3")
     outcome = mutate.try_fault(mutate.Copy(tiny, work / "copy"), broken, Recording(work / "reached", Program(tiny)).tests, 60.0)

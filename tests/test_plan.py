@@ -113,6 +113,46 @@ def test_places_along_the_walls_go_once_around() -> None:
         assert abs((found - angle + np.pi) % (2 * np.pi) - np.pi) < 1e-9
 
 
+def square_hall(noise: float = 0.3) -> search._Hall:
+    volume = Volume.parse("3x3x2")
+    return search._Hall(volume, Mounts.around(volume), SIZE, 1000.0, noise, 300)
+
+
+def test_a_rig_that_sees_less_than_it_must_is_worth_less_by_what_is_missing() -> None:
+    hall, rng = square_hall(), np.random.default_rng(0)
+    some = [np.concatenate([hall.mounts.toward(angle, hall.centre), hall.centre]) for angle in rng.uniform(0, 2 * np.pi, 12)]
+    lacking = 0
+    for count in (3, 4, 6, 12):
+        poses = np.array(some[:count])
+        for least in ((0.0, 0.0), (0.9, 0.0), (0.0, 0.9), (1.0, 1.0)):
+            missing = np.maximum(np.subtract(least, hall.shares(poses)), 0.0).sum()
+            assert hall.worth(poses, least) == pytest.approx(hall.worth(poses) - search.RULES.lack * missing)
+            lacking += 0 < missing < sum(least)
+    assert lacking > 3
+
+
+def test_a_square_hall_is_worth_as_much_from_each_side() -> None:
+    """The markers on a body face all horizontal directions alike."""
+    hall = square_hall()
+    sides = [
+        np.array([np.concatenate([hall.mounts.toward(side * np.pi / 2 + off, hall.centre), hall.centre]) for off in (-0.3, 0.1, 0.4)])
+        for side in range(4)
+    ]
+    worth = [hall.worth(poses) for poses in sides]
+    assert worth == pytest.approx([worth[0]] * 4, abs=0.01), "but for places that lie on a border"
+
+
+def test_the_search_offers_mounts_for_many_cameras_and_aims_into_the_volume() -> None:
+    volume = Volume.parse("0.4x0.4x0.4")
+    hall = search._Hall(volume, Mounts.around(volume, Volume.parse("1x1x2.3"), (2.2, 2.2)), SIZE, 1000.0, 0.3, 30)
+    poses = hall.searched(14, lambda share: None)
+    assert hall.mounts.around_m / search.RULES.spacing < 14, "too few at the usual spacing"
+    assert len(np.unique(poses[:, :3], axis=0)) == 14
+    assert (poses[:, 3:] >= volume.low).all() and (poses[:, 3:] <= volume.high).all()
+    aims = hall._aims()
+    assert (aims >= volume.low).all() and (aims <= volume.high).all()
+
+
 def test_the_kernel_equals_its_twin() -> None:
     rng = np.random.default_rng(0)
     places, facings, candidates, mounts = 7, 4, 5, 3

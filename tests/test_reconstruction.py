@@ -24,10 +24,11 @@ from asterism.geometry import rotation_from_vector
 from asterism.reconstruction import Reconstruction, ReconstructionSettings, reconstruct
 from asterism.reconstruction._compose_kernels import compose
 from asterism.reconstruction._fit_kernels import FitWorkspace
-from asterism.reconstruction._input_kernels import FIRST, FrameArrays, RigArrays, frame_arrays
+from asterism.reconstruction._input_kernels import FIRST, GAIN, HIGH, LENS, LOW, MISSING, NOISE, FrameArrays, RigArrays, frame_arrays
 from asterism.reconstruction._order_kernels import ascending
 from asterism.reconstruction._pack_kernels import pack
 from asterism.reconstruction._score_kernels import best_blob
+from asterism.reconstruction.observation_model import estimate_observation_model
 from asterism.reconstruction.problem import ObservationModel, Problem, common_view, image_bounds
 from asterism.reconstruction.rays import to_rays
 from asterism.recording import Blobs, Clouds
@@ -95,6 +96,28 @@ def test_the_plain_algorithm_leaves_ghosts_that_the_global_choice_does_not() -> 
     assert found(reconstruct(blobs, rig), truth)[1] == 0
 
 
+@pytest.mark.parametrize("method", ["plain", "plain-covariance"])
+def test_the_plain_method_keeps_to_the_fewest_cameras_of_a_point(method: str) -> None:
+    rig, blobs, truth, _ = images(4, 10, 2)
+    two, three = (reconstruct(blobs, rig, ReconstructionSettings(method=method, noise=0.3, min_cameras=fewest)) for fewest in (2, 3))
+    assert (two.cameras.sum(axis=1) == 2).any(), "nothing to leave out"
+    enough = two.cameras.sum(axis=1) >= 3
+    assert np.array_equal(three.rays, two.rays[enough])
+    assert np.array_equal(three.clouds.xyz, two.clouds.xyz[enough])
+    assert found(three, truth)[0] >= 19
+
+
+@pytest.mark.parametrize("method", ["global", "plain", "plain-covariance"])
+def test_rays_that_meet_behind_the_cameras_make_no_point(method: str) -> None:
+    """Two cameras side by side look along z; what lies behind them is on the same straight lines as what they see."""
+    rig = Rig(tuple(Camera(f"c{c + 1}", (1000, 800), (800.0, 800.0), (500.0, 400.0), translation=[-0.5 * c, 0, 0]) for c in range(2)))
+    for z, count in ((-2.0, 0), (2.0, 1)):
+        place = np.array([0.2, 0.1, z])
+        xy = [(place - camera.position)[:2] / z * 800.0 + [500.0, 400.0] for camera in rig]
+        blobs = Blobs.from_rows([0, 0], [0, 1], xy, rig.names)
+        assert len(reconstruct(blobs, rig, ReconstructionSettings(method=method, noise=0.3)).clouds.xyz) == count
+
+
 @pytest.mark.parametrize(("cameras", "missed", "strays"), [(8, 0.4, 1.0), (4, 0.1, 0.5), (3, 0.05, 0.3)])
 def test_hidden_markers_and_strays(cameras: int, missed: float, strays: float) -> None:
     rig, blobs, truth, shows = images(cameras, 25, 40, missed=missed, strays=strays)
@@ -111,6 +134,44 @@ def test_pixel_noise_is_estimated_from_the_blobs() -> None:
     for noise in (0.1, 0.3, 1.0, 2.0):
         rig, blobs, _, _ = images(noise=noise)
         assert reconstruct(blobs, rig).noise == pytest.approx(noise, rel=0.1)
+
+
+def test_the_observation_model_is_that_of_the_simulation() -> None:
+    """Estimated from the true points of all frames, those of which two cameras or more have a blob."""
+    rig, blobs, truth, shows = images(6, 40, 12, missed=0.2, strays=2.0)
+
+    def run(_: RigArrays, begin: int, __: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        rays = np.full((40, 6), -1)
+        here = np.flatnonzero((blobs.frame_of == begin) & (shows >= 0))
+        rays[shows[here], blobs.camera_of[here]] = here
+        off = np.linalg.norm(rig.project(truth[begin]).transpose(1, 0, 2) - blobs.xy[rays], axis=2) ** 2
+        residual = np.sqrt(np.where(rays >= 0, off, 0.0).sum(axis=1) / np.maximum((rays >= 0).sum(axis=1), 1))
+        some = (rays >= 0).sum(axis=1) >= 2
+        return rays[some], truth[begin][some], residual[some]
+
+    bounds = image_bounds(blobs, rig)
+    problem = Problem(rig, bounds, EVERYWHERE, common_view(rig, bounds, EVERYWHERE), 2, 4.0)
+    model, known, _ = estimate_observation_model(problem, blobs.counts, run, 0.3)
+    assert known and model.noise.tolist() == [0.3] * 6
+    assert model.points_per_frame == pytest.approx(40, rel=0.05)
+    assert model.detection_rate == pytest.approx([0.8] * 6, abs=0.06)
+    assert model.stray_rate == pytest.approx([2.0] * 6, abs=1.0)
+    box = 1.6**3
+    assert box < model.space < 3 * box < problem.space, "the box of the markers, and not much more"
+
+
+def test_what_a_camera_sees_and_misses_stands_in_the_columns_that_name_it() -> None:
+    rig = ring_rig(3, rng=np.random.default_rng(0))
+    bounds = np.array([[[1.0, 2], [3, 4], [5, 6]], [[601.0, 402], [703, 504], [805, 606]]])
+    detection, strays = np.array([0.6, 0.7, 0.8]), np.array([0.5, 1.0, 2.0])
+    model = ObservationModel(np.array([0.2, 0.3, 0.4]), detection, strays, 30.0, 50.0)
+    rows = Problem(rig, bounds, np.array([[-1.0, -2, -3], [4, 5, 6]]), 50.0, 2, 4.0).arrays(model).cameras
+    assert np.array_equal(rows[:, NOISE], model.noise)
+    assert np.allclose(rows[:, MISSING], np.log([0.4, 0.3, 0.2]))
+    density = strays / np.array([600 * 400, 700 * 500, 800 * 600])
+    assert np.allclose(rows[:, GAIN], np.log(detection / density / (2 * np.pi * model.noise**2)))
+    assert np.array_equal(rows[:, LOW : LOW + 2], bounds[0]) and np.array_equal(rows[:, HIGH : HIGH + 2], bounds[1])
+    assert all(np.array_equal(row[LENS : LENS + len(camera.lens)], camera.lens) for row, camera in zip(rows, rig, strict=True))
 
 
 def test_points_are_where_their_reprojection_error_is_least() -> None:

@@ -8,7 +8,7 @@ import twins_reconstruction as twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from asterism.cameras import Rig
+from asterism.cameras import Camera, Rig
 from asterism.cameras.accuracy.sensitivity import sensitivity
 from asterism.reconstruction import ReconstructionSettings, _pack_kernels, reconstruct
 from asterism.reconstruction._compose_kernels import compose
@@ -17,7 +17,7 @@ from asterism.reconstruction._frame_kernels import attach_available, count_visib
 from asterism.reconstruction._hypothesis_kernels import holders_by_blob
 from asterism.reconstruction._input_kernels import END, FIRST, FrameArrays, RigArrays, first_of_duplicates, frame_arrays
 from asterism.reconstruction._order_kernels import ascending
-from asterism.reconstruction._plain_kernels import merge_versions
+from asterism.reconstruction._plain_kernels import _compose_pairs, merge_versions
 from asterism.reconstruction._score_kernels import score
 from asterism.reconstruction._shared_kernels import add_without_shared
 from asterism.reconstruction.problem import ObservationModel, Problem, image_bounds
@@ -75,6 +75,49 @@ def test_rays_that_do_not_fit_are_dropped_as_by_the_twin(seed: int) -> None:
         assert not fits or many == (np.array(expected) >= 0).sum()
         left.append(many if fits else 0)
     assert len(set(left)) > 2, "some lose rays, and some are lost"
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_fit_from_far_off_ends_where_its_residuals_are_least(axis: int) -> None:
+    """There the twin's next step is none, and the sum of squares is the twin's."""
+    _, _, arrays, frame, _ = crowd(1)
+    found, count, _ = compose(arrays, frame)
+    for n in range(count):
+        for off in (-0.4, 0.4):
+            work = fit_workspace()
+            work.point[:] = found.points[n] + off * np.eye(3)[axis]
+            square, largest, camera = fit(arrays, frame, found.rays[n], work, 30)
+            information, gradient, squares = twins.normal_equations(arrays, frame, found.rays[n], work.point)
+            assert np.linalg.norm(np.linalg.solve(information, gradient)) < 1e-6
+            assert square == pytest.approx(sum(squares.values()), abs=1e-6)
+            assert squares[camera] == pytest.approx(largest, abs=1e-3)
+
+
+def test_rays_that_do_not_determine_a_point_in_front_of_their_cameras_fit_nowhere() -> None:
+    rig = Rig(
+        (Camera("a", None, (800.0, 800.0), (500.0, 400.0)), Camera("b", None, (800.0, 800.0), (500.0, 400.0), translation=[-1, 0, 0]))
+    )
+    blobs = Blobs.from_rows([0, 0], [0, 1], [[500.0, 400.0], [300.0, 400.0]], rig.names)
+    model = ObservationModel(np.full(2, 0.5), np.full(2, 0.7), np.full(2, 0.5), 30.0, 50.0)
+    arrays = Problem(rig, image_bounds(blobs, rig), EVERYWHERE, 50.0, 2, 4.0).arrays(model)
+    rays, _, _ = to_rays(blobs, rig)
+    frame = frame_arrays(rays.normalised, rays.jacobian, rays.blobs.offsets)
+    for some, z, fits in (([0, 1], 4.0, True), ([0, -1], 4.0, False), ([-1, -1], 4.0, False), ([0, 1], -4.0, False)):
+        work = fit_workspace()
+        work.point[:] = 0.0, 0.0, z
+        assert np.isfinite(fit(arrays, frame, np.array(some), work, 3)[:2]).all() == fits, (some, z)
+
+
+def test_pairs_of_rays_are_composed_with_the_spread_of_the_twin() -> None:
+    """The trace of the inverse of both rays' information, where they come nearest."""
+    _, _, arrays, frame, _ = crowd(2, cameras=4, markers=8)
+    rays, points, spreads = np.empty((5000, 4), np.int64), np.empty((5000, 3)), np.empty(5000)
+    count = _compose_pairs(arrays, frame, rays, points, spreads)
+    assert 20 < count < 5000
+    assert ((rays[:count] >= 0).sum(axis=1) == 2).all()
+    for n in range(count):
+        information = twins.normal_equations(arrays, frame, rays[n], points[n])[0]
+        assert spreads[n] == pytest.approx(np.trace(np.linalg.inv(information)), rel=1e-6)
 
 
 def test_two_rays_stay_where_both_together_fit() -> None:
@@ -293,6 +336,20 @@ def test_exchanges_are_those_of_the_twin(seed: int, cameras: int, hypotheses: in
     best = np.isin(np.arange(hypotheses), list(start))
     _pack_kernels._exchange(problem, component, best)
     assert set(np.flatnonzero(best).tolist()) == twins.exchanged(rays, scores, start)
+
+
+@pytest.mark.parametrize("many", [200, 4000])
+def test_exchanges_end_when_they_have_looked_at_rivals_often_enough(many: int) -> None:
+    """All want blob 0 or 2 beside the best one; only the two worst do not want the same, and together are worth more than the best."""
+    rays = np.tile([0, 2], (many, 1))
+    rays[-2:] = [[0, 3], [1, 2]]
+    scores = np.concatenate([[10.0], np.linspace(9.0, 7.0, many - 3), [6.0, 6.0]])
+    problem, component = packing(rays, scores, 4)
+    best = np.arange(many) == 0
+    _pack_kernels._exchange(problem, component, best)
+    looks = 2 * many * many
+    exchanged = [many - 2, many - 1] if looks < _pack_kernels.MOST_WORK else [0]
+    assert np.flatnonzero(best).tolist() == exchanged
 
 
 def conflicts(seed: int, cameras: int, hypotheses: int) -> tuple[np.ndarray, np.ndarray, int]:

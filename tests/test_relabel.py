@@ -72,6 +72,16 @@ def test_the_labelling_by_tracklets_equals_the_one_by_points(walk: tuple[Labelle
     assert same(fast, slow) and fast.verdict == slow.verdict
 
 
+def test_the_verdict_on_a_few_frames_is_that_of_their_points() -> None:
+    """Four frames, too few to see which distances are rigid: the training's are taken, of all points that have a label."""
+    before = labelled(recorded(walks()[4], hidden=1, ghosts=0)[0].frames(slice(0, 4)).clouds())
+    by_itself = np.full(len(before.clouds.xyz), -1)
+    fast = fast_labelling(before.body, before.clouds, before.points, by_itself, TieOrder.of(before.clouds)).verdict
+    slow = labelling_of(before.body, 0, before.clouds, before.points, np.array([0, len(before.body.markers)])).verdict
+    assert fast == slow is not None
+    assert fast.labelled == 1.0 and np.isfinite(fast.scatter)
+
+
 @settings(max_examples=15)
 @given(st.integers(0, 2**31))
 def test_the_labelling_by_tracklets_equals_the_one_by_points_for_any_margins(seed: int) -> None:
@@ -129,6 +139,20 @@ def test_saying_what_is_right_changes_no_label(walk: tuple[LabelledTracklets, In
     found = relabel_tracklets(before, tracklets, fixed)
     kept = marker >= 0
     assert np.array_equal(marker_of_points(found, before.clouds)[kept], marker[kept])
+
+
+def test_what_is_said_of_one_piece_leaves_doubt_about_the_places_of_others() -> None:
+    """Ghosts lie where markers are hidden: pieces whose distances are off are less certain, and stay so when another piece is confirmed."""
+    before = labelled(recorded(walks()[4], hidden=3, ghosts=3, seed=2)[0].clouds())
+    assert (before.penalty > 1.0).any()
+    marker, confidence = labels_of_points(before.labelling, before.clouds)
+    points = np.nonzero((before.long.tracklets.of_point == 3) & (marker >= 0))[0]
+    assert len(points) > 40
+    fixed = nothing_known(before.long.tracklets)
+    fixed[3] = marker[points[0]]
+    after = labels_of_points(relabel_tracklets(before, before.long.tracklets, fixed), before.clouds)[1]
+    others = before.long.tracklets.of_point != 3
+    np.testing.assert_allclose(after[others], confidence[others], atol=1e-6)
 
 
 def test_the_order_of_the_points_does_not_matter(walk: tuple[LabelledTracklets, Ints]) -> None:

@@ -310,6 +310,8 @@ def test_a_rig_survives_openptv(tmp_path: Path, tangential: bool) -> None:
     again = read_rig(tmp_path)
     assert worst_pixel(rig, again) < 0.1
     assert again.names == tuple(f"rig_{name}" for name in rig.names)
+    assert not any("window" in phrase for phrase in again.lacks), "in air"
+    assert bool(again.metadata["fit_px"]) == tangential, "without a lens nothing is fitted"
 
 
 def test_the_same_rig_through_two_files_of_opencv(tmp_path: Path) -> None:
@@ -339,6 +341,9 @@ def test_a_lens_that_a_format_cannot_say_is_fitted_or_refused(tmp_path: Path) ->
     with pytest.raises(AsterismError, match="miss by"):
         write_rig(Rig((replace(one, tangential=(0.02, 0.0)),)), tmp_path / "bent.xcp")
     assert not (tmp_path / "bent.xcp").exists()
+    with pytest.raises(AsterismError, match="OpenPTV's misses by"):
+        write_rig(Rig((replace(one, radial=(-0.3, 0.1), centre=(400.0, 700.0)),)), tmp_path / "aside.ori")
+    assert not (tmp_path / "aside.ori").exists()
     with pytest.raises(AsterismError, match="no pose"):
         write_rig(Rig((replace(one, posed=False),)), tmp_path / "x.anipose.toml")
     with pytest.raises(AsterismError, match=r"\.toml"):
@@ -358,6 +363,19 @@ def test_a_fisheye_lens_is_fitted(tmp_path: Path) -> None:
     expected = cv2.fisheye.distortPoints(flat[:, None], matrix, k)[:, 0]
     seen = replace(camera, translation=np.zeros(3)).project(np.column_stack([flat, np.ones(200)]))
     assert np.abs(seen - expected).max() < 0.02
+
+
+def test_a_fisheye_upright_and_of_unknown_size_is_fitted_to_its_corners(tmp_path: Path) -> None:
+    """Its principal point is taken for the middle: 600 x 1200 px, of which the corners are seen 64 degrees aside."""
+    import cv2
+
+    matrix = np.array([[600.0, 0, 300], [0, 600, 600], [0, 0, 1]])
+    (tmp_path / "fish.toml").write_text(f"[cam_0]\nname='tall'\nmatrix={matrix.tolist()}\ndistortions=[0.0,0.0,0.0,0.0]\nfisheye=true\n")
+    [camera] = read_rig(tmp_path / "fish.toml")
+    pixels = np.array([[x, y] for x in (0.0, 150.0, 300.0, 600.0) for y in (0.0, 400.0, 1200.0)])
+    flat = cv2.fisheye.undistortPoints(pixels[:, None], matrix, np.zeros(4))[:, 0]
+    seen = replace(camera, posed=True).project(np.column_stack([flat, np.ones(len(flat))]))
+    assert np.abs(seen - pixels).max() < 0.1
 
 
 def _damage(text: str) -> list[str]:

@@ -172,6 +172,73 @@ def test_openptv_through_a_window_takes_the_quickest_way(tmp_path: Path) -> None
     assert off.max() < fit["largest"]
 
 
+def test_openptv_without_limits_is_fitted_around_where_its_rays_pass_the_origin(tmp_path: Path) -> None:
+    """Without criteria.par: to 0.2 of the 120 mm of water to either side, as closely as with limits of 24 mm."""
+    for name in ("told", "untold"):
+        (tmp_path / name).mkdir()
+    paths = [
+        openptv_folder(tmp_path / name, lens="0 0 0 0 0 1 0", indices="1.0 1.46 1.33 6.0", window="0 0 120") for name in ("told", "untold")
+    ]
+    (paths[0].parent / "parameters" / "criteria.par").write_text("-40 -24 24\n40 -24 24\n0.02 0.02\n")
+    (paths[1].parent / "parameters" / "criteria.par").unlink()
+    told, untold = (read_rig(path) for path in paths)
+    assert any("depth" in phrase for phrase in untold.lacks) and not any("criteria" in phrase for phrase in told.lacks)
+    points = 1e-3 * RNG.uniform([-20, -30, -24], [40, 30, 24], (400, 3))
+    seen, as_seen = (rig.cameras[0].project(points) for rig in (told, untold))
+    inside = (seen > 0).all(axis=1) & (seen < (1280, 1024)).all(axis=1)
+    assert inside.sum() > 50
+    assert np.abs(seen - as_seen)[inside].max() < 0.08
+    assert untold.metadata["fit_px"]["a"]["rms"] == pytest.approx(told.metadata["fit_px"]["a"]["rms"], rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "indices"),
+    [
+        ("0.0\n0.012", "1 1 1 0"),
+        ("0.012\n-0.012", "1 1 1 0"),
+        ("0.012\n0.012", "0.0 1.46 1.33 6.0"),
+        ("0.012\n0.012", "1.0 -1.46 1.33 6.0"),
+        ("0.012\n0.012", "1.0 1.46 0 6.0"),
+        ("0.012\n0.012", "1.0 1.46 1.33 -6.0"),
+    ],
+)
+def test_pixels_indices_and_windows_of_openptv_that_are_not_positive_are_refused(tmp_path: Path, pixels: str, indices: str) -> None:
+    path = openptv_folder(tmp_path, lens="0 0 0 0 0 1 0", indices=indices, window="0 0 120")
+    setup = tmp_path / "parameters" / "ptv.par"
+    setup.write_text(setup.read_text().replace("0.012\n0.012", pixels))
+    with pytest.raises(AsterismError, match=r"ptv\.par is damaged: .* not positive"):
+        read_rig(path)
+
+
+def xcp(tmp_path: Path, lens: str) -> Path:
+    """One Vicon camera of 1000 x 800 px that looks along z, with a lens in its VICON_RADIAL2."""
+    write_rig(Rig((Camera("1", (1000, 800), (1000.0, 1000.0), (500.0, 400.0), error=0.2),)), tmp_path / "a.xcp")
+    text = (tmp_path / "a.xcp").read_text()
+    before, _, after = text.partition("Vicon3Parameter ")
+    (tmp_path / "a.xcp").write_text(f"{before}Vicon3Parameter {lens}{after[after.index(chr(34)) :]}")
+    return tmp_path / "a.xcp"
+
+
+def test_a_vicon_lens_that_bends_over_in_the_image_is_taken_up_to_there(tmp_path: Path) -> None:
+    """ideal = r (1 - 5e-7 r2) rises by less than 0.6 per pixel beyond r = 516, that is 81 % of the way to the corners."""
+    [camera] = rig = read_rig(xcp(tmp_path, "500.0 400.0 -5e-7 0 0"))
+    [said] = [phrase for phrase in rig.lacks if "bends over" in phrase]
+    assert "1 (beyond 81 % of the way)" in said or "1 (beyond 80 % of the way)" in said
+    radius = np.linspace(20.0, 500.0, 25)
+    ideal = radius * (1 - 5e-7 * radius**2) / 1000.0
+    seen = camera.project(np.column_stack([ideal, np.zeros(25), np.ones(25)]))
+    assert np.abs(seen - np.column_stack([500.0 + radius, np.full(25, 400.0)])).max() < 0.2
+    assert not any("bends over" in phrase for phrase in read_rig(xcp(tmp_path, "500.0 400.0 -1e-7 0 0")).lacks)
+
+
+def test_a_vicon_lens_may_be_off_its_principal_point_by_what_moves_no_pixel_by_a_tenth(tmp_path: Path) -> None:
+    """d(k r3)/dr = 3 k r2: 0.123 at the corners, so that 0.7 px of the centre move a pixel by 0.086 px, and 0.9 px by 0.11 px."""
+    [camera] = read_rig(xcp(tmp_path, "500.7 400.0 1e-7 0 0"))
+    assert camera.centre == (500.0, 400.0)
+    with pytest.raises(AsterismError, match="centre of its lens"):
+        read_rig(xcp(tmp_path, "500.9 400.0 1e-7 0 0"))
+
+
 # What is not sure, or wrong, is said
 
 
@@ -228,6 +295,21 @@ def test_two_files_with_a_pose_each_are_no_stereo_pair(tmp_path: Path) -> None:
         (tmp_path / f"{name}.yml").write_text(yml(K=K, D=np.zeros(5), R=np.eye(3), T=np.array(shift)))
     rig = read_rig(tmp_path / "a.yml", tmp_path / "b.yml")
     assert np.allclose([camera.position for camera in rig], [[0, 0, -3], [-1, 0, -3]])
+
+
+@pytest.mark.parametrize("values", [{"R": np.eye(3)}, {"T": np.array([0.3, 0, 0])}], ids=["a turn", "a shift"])
+def test_half_a_pose_between_two_cameras_is_none(tmp_path: Path, values: dict[str, object]) -> None:
+    (tmp_path / "a.yml").write_text(yml(M1=K, D1=np.zeros(5), M2=K, D2=np.zeros(5), **values))
+    assert [camera.posed for camera in read_rig(tmp_path / "a.yml")] == [False, False]
+
+
+def test_a_lone_camera_beside_a_rig_leaves_the_rigs_names_alone(tmp_path: Path) -> None:
+    """The rig's cameras are called by numbers that are not their places; the other file's camera has no suffix."""
+    cameras = [Camera(name, (640, 480), (500.0 + i, 500.0), (320.0, 240.0)) for i, name in enumerate(("1", "0"))]
+    write_rig(Rig(tuple(cameras)), tmp_path / "rig.yml")
+    (tmp_path / "lone.yml").write_text(yml(K=K, D=np.zeros(5), R=np.eye(3), T=np.array([1.0, 0, 3])))
+    rig = read_rig(tmp_path / "lone.yml", tmp_path / "rig.yml")
+    assert {camera.name: camera.focal[0] for camera in rig} == {"lone": 500.0, "1": 500.0, "0": 501.0}
 
 
 @pytest.mark.parametrize(

@@ -62,6 +62,20 @@ def test_static_points_are_given_with_position_and_cameras() -> None:
     assert len(numbers["static_points"]) == 1
 
 
+def test_static_points_of_most_frames_come_first() -> None:
+    """Three lamps among markers that move; two of the lamps are off in some of the frames."""
+    rng = np.random.default_rng(2)
+    lamps, alight = np.array([[1.2, -0.9, 0.1], [-1.0, 0.4, 0.3], [0.3, 1.1, 0.2]]), [70, 100, 85]
+    points = np.concatenate([np.tile(lamps, (100, 1, 1)), rng.uniform([-0.5, -0.5, 0.5], [0.5, 0.5, 1.5], (100, 6, 3))], axis=1)
+    for lamp, frames in enumerate(alight):
+        points[frames:, lamp] = np.nan
+    rig = ring_rig(4, rng=rng)
+    blobs, _ = simulate_blobs(rig, points, ImagingSettings(noise=0.2, merging=False), rng=rng)
+    found = find_static_points(reconstruct(blobs, rig, ReconstructionSettings(noise=0.2)))
+    assert [point.share for point in found] == pytest.approx([1.0, 0.85, 0.7], abs=0.02)
+    assert np.allclose([point.position for point in found], lamps[[1, 2, 0]], atol=2e-3)
+
+
 def test_reflections_that_meet_in_two_cameras_are_found() -> None:
     rig, _, blobs = filmed(12)
     finding = summary(reconstruct(blobs, rig), rig)[1][-1]

@@ -116,25 +116,36 @@ class Copy:
             compiled.unlink()
 
 
-def record(root: Path, work: Path, minutes: float) -> None:
-    """Record what the tests of each file reach, file by file; files that did not change since are not run again."""
+def record(root: Path, work: Path, minutes: float, jobs: int) -> None:
+    """Record what the tests of each file reach, so many files at a time; files that did not change since are not run again."""
     folder = work / "reached"
     folder.mkdir(parents=True, exist_ok=True)
-    copy = Copy(root, work / "recording")
+    copies: SimpleQueue[Copy] = SimpleQueue()
+    for job in range(jobs):
+        copies.put(Copy(root, work / f"recording{job}"))
     until = time.monotonic() + 60 * minutes
-    for file in sorted((root / "tests").glob("test_*.py"), key=lambda file: file.stat().st_size):
+
+    def attempt(file: Path) -> bool:
         out = folder / f"{file.stem}.json"
         if out.exists() and out.stat().st_mtime > file.stat().st_mtime:
-            continue
-        if time.monotonic() > until:
+            return True
+        copy = copies.get()
+        try:
+            began = time.monotonic()
+            if began > until:
+                return False
+            copy.pytest(f"tests/{file.name}", f"--record-reached={out}", kept=True).wait()
+            tests = len(json.loads(out.read_text(encoding="utf-8"))["tests"]) if out.exists() else 0
+            if not tests:
+                out.unlink(missing_ok=True)
+            print(f"{file.name}: {tests} tests passed, {time.monotonic() - began:.0f} s", flush=True)
+            return True
+        finally:
+            copies.put(copy)
+
+    with ThreadPoolExecutor(jobs) as pool:
+        if not all(list(pool.map(attempt, sorted((root / "tests").glob("test_*.py"), key=lambda file: file.stat().st_size)))):
             print("time is up; run `map` again to go on.")
-            return
-        began = time.monotonic()
-        copy.pytest(f"tests/{file.name}", f"--record-reached={out}", kept=True).wait()
-        tests = len(json.loads(out.read_text(encoding="utf-8"))["tests"]) if out.exists() else 0
-        if not tests:
-            out.unlink(missing_ok=True)
-        print(f"{file.name}: {tests} tests passed, {time.monotonic() - began:.0f} s", flush=True)
 
 
 class Trials:
@@ -302,6 +313,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--results", type=Path, help="default: benchmarks/faults.json")
     commands = parser.add_subparsers(dest="command", required=True)
     recorder = commands.add_parser("map", help="record which functions each test reaches")
+    recorder.add_argument("--jobs", type=int, default=1)
     recorder.add_argument("--minutes", type=float, default=1e6, help="begin no file after so long")
     runner = commands.add_parser("run", help="try faults that have no result yet")
     runner.add_argument("--faults", type=int, default=300)
@@ -323,7 +335,7 @@ def main() -> None:
     options = _options()
     root, results = options.root.resolve(), options.results or options.root / "benchmarks" / "faults.json"
     if options.command == "map":
-        record(root, options.work, options.minutes)
+        record(root, options.work, options.minutes, options.jobs)
     elif options.command == "run":
         given = {name: getattr(options, name) for name in ("faults", "seed", "jobs", "limit", "minutes", "rooms", "again")}
         run(root, options.work, results, RunOptions(**given))
