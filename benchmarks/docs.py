@@ -205,8 +205,16 @@ SECTIONS = (
         r"movement, (?P<line>.*?(?: not seen|own other \w+)), "
         r"(?P<column>(?:.* as recorded|\d occlusions|\d hidden(?:, frame by frame)?): \w+)",
     ),
-    ("Table 5.4: FA by occlusions and target hit rate", "table 5.4", r"table 5.4, (?P<line>.*), (?P<column>target .*): FA"),
-    ("Table 5.5: FO by occlusions and target hit rate", "table 5.5", r"table 5.5, (?P<line>.*), (?P<column>target .*): FO"),
+    (
+        "Table 5.4: FA by occlusions and target hit rate",
+        "table 5.4",
+        r"table 5.4, (?P<line>.*), (?P<column>target .*): FA(?: \(printed .*\))?",
+    ),
+    (
+        "Table 5.5: FO by occlusions and target hit rate",
+        "table 5.5",
+        r"table 5.5, (?P<line>.*), (?P<column>target .*): FO(?: \(printed .*\))?",
+    ),
     (
         "Table 5.3: marker by marker, 4 occlusions, target 99.99 %",
         "table 5.3",

@@ -35,7 +35,7 @@ def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
         rig, blobs, _, _ = scene(cameras, markers, frames)
         row = f"composition + merging, {cameras} cameras {markers} markers, one core"
         yield Figure(f"{row}, {OWN}", asked, _rate(blobs, rig, "global"), "frames/s", frames)
-        few = first_frames(blobs, 200 // markers)
+        few = first_frames(blobs, 200 // markers)  # a frame of 200 markers takes minutes
         yield Figure(f"{row}, {PLAIN}", "none", _rate(few, rig, "plain", 1), "frames/s", len(few))
     grown = {}
     for markers in (50, 400):
