@@ -7,7 +7,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -29,6 +29,7 @@ from benchmarks import (
     read_values,
     recordings,
     runs,
+    schedule,
     stale,
     views,
 )
@@ -72,12 +73,12 @@ def main(arguments: list[str] | None = None) -> int:
         found = stale.stale_rows(figures.load(), sources, held)
         print(stale.report(found, runs.load()))
         return 1 if found else 0
-    failed = False
+    measuring = Measuring(given, sources, held)
     if given.what != "docs":
-        failed = not _measure_all(rows, BenchmarkRun(given.quick, given.models, given.jobs), sources, held, given)
+        measuring.all_of(rows)
     if not given.quick:
         docs.write(stale.stale_rows(figures.load(), Sources.working(), held, explain=False))
-    return 1 if failed else 0
+    return 0 if measuring.complete else 1
 
 
 def _report_reading(share: float, what: str) -> None:
@@ -101,50 +102,68 @@ def _parser() -> tuple[argparse.ArgumentParser, str]:
         default=Path(tempfile.gettempdir()) / "asterism-benchmark-models",
         help="keep trained ensembles in this folder, and take them from there while the code is the same",
     )
-    parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="processes that share the folds of a row")
+    parser.add_argument(
+        "--jobs", type=int, default=min(2, os.cpu_count() or 1), help="processes that share the rows, or the folds of one row"
+    )
     return parser, known
 
 
-def _measure_all(
-    rows: list[stale.Row], benchmark: BenchmarkRun, sources: Sources, held: Mapping[str, Folder], given: argparse.Namespace
-) -> bool:
-    """Measure rows one after the other; whether none failed and none was left for want of time."""
-    started, complete, done = time.perf_counter(), True, runs.load()
-    for chapter, row in rows:
-        origin = figures.NOBODY if given.quick else figures.Origin(commit(), hash_of(sources, chapter, row, held))
-        last = done.get((chapter, row))
-        if not (given.again or given.rows or given.quick) and last and last.sources == origin.sources:
-            print(f"{row}: measured by this code already", file=sys.stderr, flush=True)
-            continue
-        left = float("inf") if given.minutes is None else 60 * given.minutes - (time.perf_counter() - started)
-        if left < (last.seconds if last else 0.0):
-            print(f"{row}: left out, {left / 60:.0f} minutes are not enough", file=sys.stderr, flush=True)
-            complete = False
-            continue
-        complete &= _measure(chapter, row, benchmark, origin)
-    return complete
+class Measuring:
+    """Measures rows and keeps what they give; `complete` until a row fails or is left out for want of time."""
 
+    def __init__(self, given: argparse.Namespace, sources: Sources, held: Mapping[str, Folder]) -> None:
+        self.given, self.last, self.complete = given, runs.load(), True
+        self.benchmark = BenchmarkRun(given.quick, given.models, given.jobs)
+        self.origin_of = lambda row: figures.NOBODY if given.quick else figures.Origin(commit(), hash_of(sources, *row, held))
+        self.until = float("inf") if given.minutes is None else time.perf_counter() + 60 * given.minutes
 
-def _measure(chapter: str, row: str, benchmark: BenchmarkRun, origin: figures.Origin) -> bool:
-    started, cpu_before, command, measured = time.perf_counter(), runs.cpu_seconds(), stale.command_of(chapter, row), []
-    print(f"{row} ...", file=sys.stderr, flush=True)
-    try:
-        for figure in CHAPTERS[chapter].ROWS[row](benchmark):
-            reached = {True: "reached", False: "MISSED", None: ""}[figures.reached(figure.asked, figure.measured)]
-            print(f"{figure.row:90} {figure.asked:>12} {figure.measured:12.5g} {figure.unit:18} n={figure.n:<8} {reached}", flush=True)
-            measured.append(figure.row)
-            if not benchmark.quick:
-                figures.record(CHAPTERS[chapter].ISSUE, [figure], command, origin=origin)
-    except AsterismError as problem:
-        print(f"{row}: {problem}", file=sys.stderr, flush=True)
-        return False
-    seconds = time.perf_counter() - started
-    print(f"{row}: {seconds:.0f} s", file=sys.stderr, flush=True)
-    if not benchmark.quick:
-        figures.forget_others(command, measured)
-        spent, today = round(runs.cpu_seconds() - cpu_before, 1), datetime.now(UTC).date().isoformat()
-        runs.record(runs.Run(chapter, row, round(seconds, 1), spent, benchmark.jobs, origin.commit, origin.sources, today))
-    return True
+    def all_of(self, rows: Sequence[stale.Row]) -> None:
+        """Measure rows: with several jobs those that may have company side by side, then the others one after the other."""
+        origins = {row: self.origin_of(row) for row in rows}
+        waiting = [row for row in rows if not self._is_done(row, origins[row])]
+        shared = [row for row in waiting if self.given.jobs > 1 and len(waiting) > 1 and schedule.may_have_company(row)]
+        measurement = schedule.Measurement(self.given.quick, self.given.models)
+        for row, measured in schedule.side_by_side(shared, measurement, self.given.jobs, self._may_begin, self.last):
+            for figure in measured.figures:
+                self._keep(row, figure, origins[row])
+            self._end(row, measured, origins[row], jobs=1)
+        for row in waiting:
+            if row not in shared and self._may_begin(row):
+                measured = schedule.measured(
+                    CHAPTERS[row[0]].ROWS[row[1]], self.benchmark, lambda figure, row=row: self._keep(row, figure, origins[row])
+                )
+                self._end(row, measured, origins[row], self.given.jobs)
+
+    def _is_done(self, row: stale.Row, origin: figures.Origin) -> bool:
+        last = self.last.get(row)
+        done = not (self.given.again or self.given.rows or self.given.quick) and last is not None and last.sources == origin.sources
+        if done:
+            print(f"{row[1]}: measured by this code already", file=sys.stderr, flush=True)
+        return done
+
+    def _may_begin(self, row: stale.Row) -> bool:
+        left = self.until - time.perf_counter()
+        if row in self.last and left < self.last[row].seconds:
+            print(f"{row[1]}: left out, {left / 60:.0f} minutes are not enough", file=sys.stderr, flush=True)
+            self.complete = False
+            return False
+        print(f"{row[1]} ...", file=sys.stderr, flush=True)
+        return True
+
+    def _keep(self, row: stale.Row, figure: figures.Figure, origin: figures.Origin) -> None:
+        verdict = {True: "reached", False: "MISSED", None: ""}[figures.reached(figure.asked, figure.measured)]
+        print(f"{figure.row:90} {figure.asked:>12} {figure.measured:12.5g} {figure.unit:18} n={figure.n:<8} {verdict}", flush=True)
+        if not self.given.quick:
+            figures.record(CHAPTERS[row[0]].ISSUE, [figure], stale.command_of(*row), origin=origin)
+
+    def _end(self, row: stale.Row, measured: schedule.Measured, origin: figures.Origin, jobs: int) -> None:
+        print(f"{row[1]}: {measured.problem or f'{measured.seconds:.0f} s'}", file=sys.stderr, flush=True)
+        if measured.problem:
+            self.complete = False
+        elif not self.given.quick:
+            figures.forget_others(stale.command_of(*row), [figure.row for figure in measured.figures])
+            today = datetime.now(UTC).date().isoformat()
+            runs.record(runs.Run(*row, measured.seconds, measured.cpu_seconds, jobs, origin.commit, origin.sources, today))
 
 
 if __name__ == "__main__":

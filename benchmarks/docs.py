@@ -7,7 +7,7 @@ import re
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from benchmarks import runs
+from benchmarks import runs, schedule
 from benchmarks.data import CHOOSING, CHOOSING_SETS
 from benchmarks.figures import UNLABELLED_MOST, UNLABELLED_SHOWN, Entry, Judged, judged, load
 from benchmarks.peer import LIMIT
@@ -327,7 +327,11 @@ def _durations(durations: Sequence[runs.Run]) -> str:
     shown = sorted(durations, key=lambda run: -run.seconds)
     lines = [f"| {run.chapter} {run.row} | {run.seconds:,.0f} s | {run.cpu_seconds:,.0f} s | {run.jobs} | {run.date} |" for run in shown]
     wall, processor = (sum(getattr(run, name) for run in durations) / 3600 for name in ("seconds", "cpu_seconds"))
-    total = f"{len(shown)} rows: {wall:.1f} hours one after the other, {processor:.1f} hours of processor time on all cores together.\n"
+    whole = schedule.expected_seconds(durations, 2) / 3600
+    total = (
+        f"{len(shown)} rows: {wall:.1f} hours one after the other, {processor:.1f} hours of processor time on all cores together.\n"
+        f"By these, a whole run on two cores takes {whole:.1f} hours (asked: less than 3): timings alone, other rows side by side.\n"
+    )
     head = ("## How long the rows take\n", total, "| row | time | processor | processes | measured on |", "|---|---|---|---|---|")
     return "\n".join((*head, *lines)) + "\n"
 

@@ -78,7 +78,6 @@ BEYOND_IMPORTS = {
     ("house", "install"): ("src/", "pyproject.toml"),
     ("house", "ci"): ("src/", "tests/", ".ci/", "pyproject.toml"),
     ("house", "ci-fresh"): ("src/", "tests/", ".ci/", "pyproject.toml"),
-    ("house", "equality"): ("benchmarks/house/before.npz", "src/asterism/calibration/"),
 }
 """What rows read or start without importing it."""
 

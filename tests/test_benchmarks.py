@@ -20,12 +20,11 @@ from asterism.tracking import LinkRules
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
-benchmark_data, docs, figures, peer, runs, score, tracking, equality, structure, sensitivity, ablation, dirt, loop_picture, main = (
+benchmark_data, docs, figures, peer, runs, score, tracking, structure, sensitivity, ablation, dirt, loop_picture, main = (
     import_module(f"benchmarks.{name}")
     for name in (
         *("data", "docs", "figures", "peer", "runs", "score", "tracking"),
         *(
-            "house.equality",
             "house.structure",
             "recordings.sensitivity",
             "recordings.ablation",
@@ -347,13 +346,6 @@ def test_arguments_lines_and_complexity_are_counted_as_the_row_says(tmp_path: Pa
     assert (found["f"].arguments, found["f"].lines) == (5, 2)
     assert found["k"].kernel and not found["f"].kernel
     assert structure.too_complex(tmp_path) == {(source, found["branched"].line)}
-
-
-def test_numbers_that_differ_are_counted_and_missing_values_are_equal() -> None:
-    before = np.array([1.0, np.nan, 3.0])
-    assert equality._differing(before, before.copy()) == 0
-    assert equality._differing(before, np.array([1.0, np.nan, 4.0])) == 1
-    assert equality._differing(before, before[:2]) == equality._differing(before, None) == 3
 
 
 def test_a_tuned_number_is_changed_for_a_while_wherever_it_stands() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -16,8 +17,9 @@ from asterism.errors import AsterismError
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
-benchmark_data, docs, figures, main, read_values, runs, sources, stale = (
-    import_module(f"benchmarks.{name}") for name in ("data", "docs", "figures", "__main__", "read_values", "runs", "sources", "stale")
+benchmark_data, docs, figures, main, read_values, runs, schedule, sources, stale = (
+    import_module(f"benchmarks.{name}")
+    for name in ("data", "docs", "figures", "__main__", "read_values", "runs", "schedule", "sources", "stale")
 )
 
 FILES = {
@@ -338,16 +340,16 @@ def chapter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[st
 
 def test_a_run_that_was_stopped_goes_on_with_what_is_not_yet_measured(chapter: dict[str, list[str]]) -> None:
     chapter["broken"].append("yes")
-    assert main.main(["labelling"]) == 1
+    assert main.main(["labelling", "--jobs", "1"]) == 1
     assert [entry.row for entry in figures.load()] == ["one, first", "one, second", "two, first"], "figures are kept as they come"
     chapter["broken"].clear()
-    assert main.main(["labelling"]) == 0
+    assert main.main(["labelling", "--jobs", "1"]) == 0
     assert chapter["measured"] == ["one", "two", "two"]
-    assert main.main(["labelling"]) == 0 and chapter["measured"] == ["one", "two", "two"]
+    assert main.main(["labelling", "--jobs", "1"]) == 0 and chapter["measured"] == ["one", "two", "two"]
     assert main.main(["labelling", "--rows", "one"]) == 0 and chapter["measured"][3:] == ["one"]
-    assert main.main(["labelling", "--again"]) == 0 and chapter["measured"][4:] == ["one", "two"]
+    assert main.main(["labelling", "--again", "--jobs", "1"]) == 0 and chapter["measured"][4:] == ["one", "two"]
     chapter["hash"] = ["changed"]
-    assert main.main(["labelling"]) == 0 and chapter["measured"][6:] == ["one", "two"]
+    assert main.main(["labelling", "--jobs", "1"]) == 0 and chapter["measured"][6:] == ["one", "two"]
     assert {entry.sources for entry in figures.load()} == {"changed"}
 
 
@@ -355,15 +357,55 @@ def test_a_row_that_does_not_measure_a_figure_any_more_forgets_it(chapter: dict[
     command = stale.command_of("labelling", "one")
     figures.record("issue", [figures.Figure("one, third", "none", 3.0, "s", 1)], command)
     figures.record("issue", [figures.Figure("of another row", "none", 3.0, "s", 1)], "another")
-    main.main(["labelling"])
+    main.main(["labelling", "--jobs", "1"])
     rows = [entry.row for entry in figures.load()]
     assert "one, third" not in rows and "of another row" in rows
 
 
 def test_no_row_is_begun_that_took_longer_than_is_left(chapter: dict[str, list[str]]) -> None:
     runs.record(runs.Run("labelling", "one", 120.0, 200.0, 2, "", "before", "2026-01-01"))
-    assert main.main(["labelling", "--minutes", "1"]) == 1
+    assert main.main(["labelling", "--minutes", "1", "--jobs", "1"]) == 1
     assert chapter["measured"] == ["two"]
+
+
+def _where_it_ran(row: tuple[str, str]) -> object:
+    """A row that measures the number of its process."""
+    return schedule.Measured((figures.Figure(f"process of {row[1]}", "none", os.getpid(), "pid", 1),), float(row[1]), 0.0)
+
+
+def test_rows_side_by_side_begin_with_the_longest_each_in_a_process_of_its_own() -> None:
+    rows = [("views", seconds) for seconds in ("1", "9", "2")]
+    last = {row: runs.Run(*row, 1.0, float(row[1]), 1, "", "", "2026-01-01") for row in rows}
+    begun: list[tuple[str, str]] = []
+    done = list(schedule.side_by_side([*rows, ("views", "0")], _where_it_ran, 2, lambda row: begun.append(row) or row[1] != "2", last))
+    assert begun == [("views", "0"), ("views", "9"), ("views", "2"), ("views", "1")], "an unknown row may be the longest"
+    assert sorted(row[1] for row, _ in done) == ["0", "1", "9"]
+    processes = {measured.figures[0].measured for _, measured in done}
+    assert len(processes) == 3 and os.getpid() not in processes
+
+
+def test_a_row_that_fails_tells_its_problem_and_what_came_before_it() -> None:
+    def row(benchmark: object) -> Iterator[figures.Figure]:
+        yield figures.Figure("first", "none", 1.0, "s", 1)
+        raise AsterismError("no recordings.")
+
+    measured = schedule.measured(row, None)
+    assert [figure.row for figure in measured.figures] == ["first"] and measured.problem == "no recordings."
+
+
+def test_the_expected_time_adds_rows_measured_alone_and_shares_the_others() -> None:
+    def run(chapter: str, row: str, seconds: float, cpu: float) -> object:
+        return runs.Run(chapter, row, seconds, cpu, 2, "", "", "2026-01-01")
+
+    assert not schedule.may_have_company(("views", "parts")) and schedule.may_have_company(("views", "basin"))
+    both = [run("views", "parts", 10.0, 15.0), run("views", "basin", 40.0, 60.0), run("views", "gait-views", 30.0, 40.0)]
+    assert schedule.expected_seconds(both, 2) == 10.0 + 60.0, "no row is shared out"
+    assert schedule.expected_seconds([*both, run("dirt", "riding", 5.0, 40.0)], 2) == 10.0 + 70.0
+    assert schedule.expected_seconds([], 2) == 0.0
+
+
+def test_rows_measured_alone_are_rows() -> None:
+    assert all(set(rows) <= set(main.CHAPTERS[chapter].ROWS) for chapter, rows in schedule.ALONE.items())
 
 
 def test_every_row_of_the_benchmark_can_be_followed_to_what_it_measures(data: Path) -> None:

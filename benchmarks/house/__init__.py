@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
-from benchmarks.house.equality import equality
 from benchmarks.house.faults import faults
 from benchmarks.house.install import ci, ci_fresh, install
 from benchmarks.house.kernels import kernels
@@ -24,7 +23,6 @@ ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
     "faults": faults,
     "startup": startup,
     "training-default": training,
-    "equality": equality,
     "install": install,
     "ci": ci,
     "ci-fresh": ci_fresh,
