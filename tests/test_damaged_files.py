@@ -489,6 +489,14 @@ def _refuse(path: Path) -> None:
     raise AsterismError(f"{path}: described without what it learned.")
 
 
+def test_a_model_has_at_most_2000_markers(model: Path) -> None:
+    head, arrays = _opened(model)
+    for count, why in ((2000, "has another length"), (2001, "no list of names")):
+        head["marker_set"]["names"] = [f"M{number}" for number in range(count)]
+        with pytest.raises(ValueError, match=why):
+            check_contents(head, arrays)
+
+
 def test_damaged_models_are_refused_or_label(model: Path, tmp_path: Path) -> None:
     clouds: Clouds = asterism.simulation.simulate_walks(subjects=1, frames=3, rate=50.0)[0].clouds()
     specimen = specimens_of.Specimen(

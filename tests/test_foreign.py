@@ -171,6 +171,13 @@ def test_a_person_worn_otherwise_is_labelled_right_and_not_certain(one: asterism
     assert labelling.confidence.max() < 0.99
 
 
+def test_only_a_recording_of_another_body_is_labelled_again(one: asterism.SolverEnsemble, walks: list[Recording]) -> None:
+    aside = np.random.default_rng(1).normal(0.0, 0.025, (1, 15, 3))
+    for recording, foreign in ((walks[0], False), (replace(walks[2], positions=walks[2].positions + aside), True)):
+        again = label_tracklets(one.in_recording(), recording.clouds(), one.state.body_rules).long.foreign
+        assert (again is not None) == foreign
+
+
 def test_the_order_of_the_points_plays_no_part(one: asterism.SolverEnsemble, walks: list[Recording]) -> None:
     aside = np.random.default_rng(1).normal(0.0, 0.025, (1, 15, 3))
     recording = replace(walks[2], positions=walks[2].positions + aside)

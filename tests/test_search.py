@@ -14,9 +14,10 @@ from test_weak import bodies
 
 from asterism import AsterismError, Clouds, Recording
 from asterism.labelling.full_solver_study import fit_printed, solver_sizes
+from asterism.labelling.partial._feature_kernels import G9
 from asterism.labelling.partial._motion_kernels import WIDTH
-from asterism.labelling.partial._pair_search_kernels import load_frame, make_search_workspace, search_by_pairs
-from asterism.labelling.partial._search_kernels import search, sort_highest_first
+from asterism.labelling.partial._pair_search_kernels import later_accepted, load_frame, make_search_workspace, search_by_pairs
+from asterism.labelling.partial._search_kernels import SolverArrays, search, sort_highest_first
 from asterism.labelling.partial.features import FEATURES as REGISTRY
 from asterism.labelling.partial.solver import (
     FullSolver,
@@ -212,6 +213,17 @@ def test_every_order_of_three_markers_is_tried():
     found, counters = np.empty((10, 3), dtype=np.int64), np.zeros(2, dtype=np.int64)
     assert search(pack_solvers([solver]), 0, frames[0], np.arange(3), 1000, found, counters) == 6
     assert {tuple(row) for row in found[:6].tolist()} == set(permutations(range(3)))
+
+
+def test_a_later_classifier_that_rejects_ends_the_count_of_evaluations():
+    """Of four classifiers of the unit normal, those from the second on: the third, which rejects, is the second evaluation."""
+    low, high = np.array([2.0, -1.0, 2.0, -1.0]), np.array([3.0, 1.0, 3.0, 1.0])
+    none = np.zeros(0, dtype=np.int64)
+    slots = np.tile(np.array([0, 1, 2, 0]), (4, 1))
+    solvers = SolverArrays(none, none, none, np.full(4, G9), slots, low, high)
+    points, path = np.array([[0.0, 0, 1], [0.3, 0, 1], [0, 0.4, 1]]), np.arange(3)
+    assert later_accepted(solvers, 1, 4, points, path) == (False, 2)
+    assert later_accepted(solvers, 1, 2, points, path) == (True, 1)
 
 
 @pytest.mark.parametrize("width", [3, WIDTH])
