@@ -156,6 +156,14 @@ def test_bad_input_is_named_and_the_stream_goes_on(walks, ensemble) -> None:
         np.testing.assert_array_equal(stream.push(points).indices, calm.push(points).indices)
 
 
+def test_three_markers_that_stay_in_view_stay_as_certain(walks, ensemble) -> None:
+    """Three labels are enough for the body to confirm them: the evidence of the frames with all markers fades."""
+    stream = ensemble.stream(100.0, 0)
+    frames = [stream.push(points if t < 60 else points[:3]) for t, points in enumerate(walks[5].positions)]
+    assert all(frame.indices[:3].tolist() == [0, 1, 2] for frame in frames[60:])
+    assert frames[-1].confidence[:3].min() >= frames[60].confidence[:3].min()
+
+
 def test_coincident_points_and_ghosts_alone_are_nobody(ensemble) -> None:
     stream = ensemble.stream(100.0, 2)
     rng = np.random.default_rng(0)
