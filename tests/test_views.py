@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from counting import calls
 
 from asterism.cameras.files import write_rig
 from asterism.cli import main
@@ -154,6 +155,33 @@ def test_a_single_frame_names_both_sides_of_a_wrist_and_the_finger_in_their_orde
         shown = given.identity[given.blobs.offsets[4 * t] : given.blobs.offsets[4 * t + 4]]
         found = labeller.from_nothing(t)
         assert (found.labels == shown)[np.isin(shown, hand)].all(), f"frame {t}"
+
+
+def test_a_start_that_is_far_off_ends_at_the_right_labels() -> None:
+    """45 degrees, 40 % too small and 0.5 m off along two axes: one labelling alone gets these frames wrong."""
+    given = session()
+    labeller = FrameLabeller(scene_of(given.blobs, given.rig), body_of_four())
+    cos = np.sqrt(0.5)
+    turn = np.array([[cos, -cos, 0.0], [cos, cos, 0.0], [0.0, 0.0, 1.0]])
+    lost = 0
+    for t in range(0, 50, 10):
+        true = labeller.from_nothing(t)
+        pose = true.pose.copy()
+        pose[:3], pose[9:] = 0.6, body_of_four().arrays.usual
+        pose[3:6] += [0.5, -0.5, 0.3]
+        shown = given.identity[given.blobs.offsets[4 * t] : given.blobs.offsets[4 * t + 4]]
+        alone, found = (each(t, pose, turn @ true.rotation).labels for each in (labeller.from_start, labeller.from_near))
+        lost += (alone == shown)[shown >= 0].mean() < 0.9
+        assert (found == shown)[shown >= 0].mean() > 0.9, f"frame {t}"
+    assert lost > 0, "no start was far enough off to lead one labelling astray"
+
+
+def test_a_start_that_explains_the_blobs_as_well_as_usual_is_labelled_once() -> None:
+    given = session()
+    labeller = FrameLabeller(scene_of(given.blobs, given.rig), body_of_four())
+    near = [labeller.from_nothing(t) for t in range(0, 50, 10)]
+    sought = calls(lambda: [labeller.from_near(10 * n, each.pose, each.rotation) for n, each in enumerate(near)])
+    assert sought["from_start"] >= len(near) and sought["from_nothing"] < len(near), "every start was doubted"
 
 
 def standing_person(seed: int) -> ViewsSession:

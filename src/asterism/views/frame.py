@@ -103,6 +103,12 @@ class FrameLabeller:
         """The labels of frame t, from a pose (9 + J,) and a rotation (3, 3) that may be far off; see `ViewsRules.blur`."""
         return self._fitted(t, pose, rotation, self.rules.blur, self.rules.steps)
 
+    def from_near(self, t: int, pose: Floats, rotation: Floats) -> FrameLabels:
+        """The labels of frame t from a start that may be wrong: as `from_start`; where that explains the blobs worse than is usual, also
+        as `from_nothing`, and the better explanation counts. Raises as `from_nothing`."""
+        found = self.from_start(t, pose, rotation)
+        return found if self._explains(found, self.rules.enough_from_start) else found.against(self.from_nothing(t))
+
     def follow(self, t: int, pose: Floats, rotation: Floats, last: tuple[int, FrameLabels] | None = None) -> FrameLabels:
         """The labels of frame t, from the pose that the last frames let expect.
 
@@ -141,16 +147,16 @@ class FrameLabeller:
         Where the best of the starts explains the blobs worse than is usual, more starts are tried.
         """
         found = self._best_start(t)
-        if found.gain < self.rules.enough_gain * self._most_gain * self.expected(found).sum():
+        if not self._explains(found, self.rules.enough_gain):
             rules = self.rules
             more = replace(rules, headings=2 * rules.headings, kept=2 * rules.kept, going_on=1.0, coarse_steps=2 * rules.coarse_steps)
             found = found.against(replace(self, rules=more)._best_start(t))
         return found
 
-    @property
-    def _most_gain(self) -> float:
-        """nats, the gain of a sighting that is exactly where it is expected."""
-        return float(-np.log(2 * np.pi * self.rules.noise**2 * self.observing.strays))
+    def _explains(self, found: FrameLabels, share: float) -> bool:
+        """Whether the gain of an expected sighting is at least this share of that of one that is exactly where it is expected."""
+        most = -np.log(2 * np.pi * self.rules.noise**2 * self.observing.strays)
+        return bool(found.gain >= share * most * self.expected(found).sum())
 
     def _best_start(self, t: int) -> FrameLabels:
         """The labels from the best of the starts of `ViewsRules.headings`."""
