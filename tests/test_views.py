@@ -29,6 +29,7 @@ from asterism.views.plain import label_stepwise, minimise_plain
 from asterism.views.posing import posed_points
 from asterism.views.rules import QUICK, RULES
 from asterism.views.scene import scene_of
+from asterism.views.sights import AROUND
 
 GAIT = MarkerSet.load("helen-hayes")
 
@@ -205,6 +206,26 @@ def test_a_person_who_stands_still_keeps_the_names_of_both_sides_of_a_wrist() ->
     given = standing_person(0)
     right, wrong = right_and_wrong(label_views(given.blobs, given.rig, "body26"), given)
     assert right > 0.98 and wrong < 0.002, f"{right:.4f} right, {wrong:.4f} wrong"
+
+
+def test_what_the_frame_before_showed_foresees_visibility_better_than_the_body_alone() -> None:
+    result, given = labelled(), session()
+    alone, both = (((told > 0.5) == given.in_view).mean() for told in (result.expected, result.foreseen()))
+    assert both > 0.97 > alone > 0.9, f"right: {alone:.4f} by the body, {both:.4f} with the frame before"
+    after = ((result.foreseen(AROUND) > 0.5) == given.in_view).mean()
+    assert after > both, f"right: {after:.4f} with the frame after, too"
+    assert np.array_equal(result.shown.sum(axis=1), result.views)
+
+
+def test_a_frames_own_labels_take_no_part_in_what_is_foreseen_of_it() -> None:
+    result = labelled()
+    whole = result.foreseen()
+    t = 40
+    without = replace(result, labels=np.where(result.blobs.frame_of == t, -1, result.labels)).foreseen()
+    assert np.array_equal(whole[: t + 1], without[: t + 1]) and np.array_equal(whole[t + 2 :], without[t + 2 :])
+    assert (without[t + 1] <= whole[t + 1]).all() and (without[t + 1] < whole[t + 1]).any()
+    lost = replace(result, poses=np.where(np.arange(len(result.poses))[:, None] == t, np.nan, result.poses)).foreseen()
+    assert (lost[t] == 0.0).all() and (np.abs(lost[t + 1] - 0.5) < np.abs(whole[t + 1] - 0.5)).mean() > 0.8
 
 
 def test_the_better_explanation_of_a_frame_leads_the_other_one_only_where_they_differ() -> None:
