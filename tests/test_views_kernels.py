@@ -14,7 +14,7 @@ from asterism.views import load_body
 from asterism.views._carry_kernels import carry_labels
 from asterism.views._fit_kernels import evaluate, minimise, project_linear, share_blobs
 from asterism.views._label_kernels import assign_best, margins
-from asterism.views._limb_kernels import fit_labelled, screen_limb
+from asterism.views._limb_kernels import fit_limb, screen_limb
 from asterism.views._pose_kernels import place_bones, point_jacobian, take_step
 from asterism.views._visibility_kernels import sight_depths, visible_shares
 from asterism.views.body_fit import known_of, pose_recording
@@ -282,9 +282,9 @@ def test_a_limb_is_fitted_to_labels_from_the_best_of_its_starts() -> None:
     own = np.concatenate([bent[:3], moved[above], np.zeros(3), bent[9 + limb.hinges]])[None]
     costs, labels = np.empty(1), np.searchsorted(limb.markers, np.tile(limb.markers, 4))
     some = uv[:, limb.markers].reshape(-1, 2)
-    fit_labelled(
+    fit_limb(
         *(limb.arrays, CAMERAS, known_of(WHOLE, UP), OBSERVING, some, np.arange(0, 4 * len(limb.markers) + 1, len(limb.markers))),
-        *(labels, 3.0, 0, turned[above], own, costs),
+        *(labels, np.array([3.0]), 0, turned[above], own, costs),
     )
     prior = 0.5 * (limb.arrays.precision * (bent[9 + limb.hinges] - limb.arrays.usual) ** 2).sum()
     assert costs[0] > prior - 1e-9, "blobs at the markers cost nothing beside what is known of the pose"
