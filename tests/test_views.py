@@ -158,6 +158,17 @@ def test_a_single_frame_names_both_sides_of_a_wrist_and_the_finger_in_their_orde
         assert (found.labels == shown)[np.isin(shown, hand)].all(), f"frame {t}"
 
 
+@pytest.mark.parametrize(("seed", "t"), [(1015, 159), (1046, 159), (1028, 0)], ids=["crossed arms", "crossed shanks", "bent trunk"])
+def test_parts_that_were_once_taken_for_those_of_the_other_side_are_named_from_nothing(seed: int, t: int) -> None:
+    rng = np.random.default_rng([seed, 26])
+    body = load_body("body26")
+    recording, capsules = simulate_motion(body, 180, rng=rng)
+    given = simulate_views(recording, recording.labels, rng=rng, body=capsules)
+    shown = given.identity[given.blobs.offsets[4 * t] : given.blobs.offsets[4 * t + 4]]
+    found = FrameLabeller(scene_of(given.blobs, given.rig), body).from_nothing(t)
+    assert (found.labels == shown)[shown >= 0].mean() > 0.95
+
+
 def test_a_start_that_is_far_off_ends_at_the_right_labels() -> None:
     """45 degrees, 40 % too small and 0.5 m off along two axes: one labelling alone gets these frames wrong."""
     given = session()
