@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from counting import calls
 
 from asterism.cameras.files import write_rig
 from asterism.cli import main
@@ -28,6 +29,7 @@ from asterism.views.plain import label_stepwise, minimise_plain
 from asterism.views.posing import posed_points
 from asterism.views.rules import QUICK, RULES
 from asterism.views.scene import scene_of
+from asterism.views.sights import AROUND
 
 GAIT = MarkerSet.load("helen-hayes")
 
@@ -156,6 +158,44 @@ def test_a_single_frame_names_both_sides_of_a_wrist_and_the_finger_in_their_orde
         assert (found.labels == shown)[np.isin(shown, hand)].all(), f"frame {t}"
 
 
+@pytest.mark.parametrize(("seed", "t"), [(1015, 159), (1046, 159), (1028, 0)], ids=["crossed arms", "crossed shanks", "bent trunk"])
+def test_parts_that_were_once_taken_for_those_of_the_other_side_are_named_from_nothing(seed: int, t: int) -> None:
+    rng = np.random.default_rng([seed, 26])
+    body = load_body("body26")
+    recording, capsules = simulate_motion(body, 180, rng=rng)
+    given = simulate_views(recording, recording.labels, rng=rng, body=capsules)
+    shown = given.identity[given.blobs.offsets[4 * t] : given.blobs.offsets[4 * t + 4]]
+    found = FrameLabeller(scene_of(given.blobs, given.rig), body).from_nothing(t)
+    assert (found.labels == shown)[shown >= 0].mean() > 0.95
+
+
+def test_a_start_that_is_far_off_ends_at_the_right_labels() -> None:
+    """45 degrees, 40 % too small and 0.5 m off along two axes: one labelling alone gets these frames wrong."""
+    given = session()
+    labeller = FrameLabeller(scene_of(given.blobs, given.rig), body_of_four())
+    cos = np.sqrt(0.5)
+    turn = np.array([[cos, -cos, 0.0], [cos, cos, 0.0], [0.0, 0.0, 1.0]])
+    lost = 0
+    for t in range(0, 50, 10):
+        true = labeller.from_nothing(t)
+        pose = true.pose.copy()
+        pose[:3], pose[9:] = 0.6, body_of_four().arrays.usual
+        pose[3:6] += [0.5, -0.5, 0.3]
+        shown = given.identity[given.blobs.offsets[4 * t] : given.blobs.offsets[4 * t + 4]]
+        alone, found = (each(t, pose, turn @ true.rotation).labels for each in (labeller.from_start, labeller.from_near))
+        lost += (alone == shown)[shown >= 0].mean() < 0.9
+        assert (found == shown)[shown >= 0].mean() > 0.9, f"frame {t}"
+    assert lost > 0, "no start was far enough off to lead one labelling astray"
+
+
+def test_a_start_that_explains_the_blobs_as_well_as_usual_is_labelled_once() -> None:
+    given = session()
+    labeller = FrameLabeller(scene_of(given.blobs, given.rig), body_of_four())
+    near = [labeller.from_nothing(t) for t in range(0, 50, 10)]
+    sought = calls(lambda: [labeller.from_near(10 * n, each.pose, each.rotation) for n, each in enumerate(near)])
+    assert sought["from_start"] >= len(near) and sought["from_nothing"] < len(near), "every start was doubted"
+
+
 def standing_person(seed: int) -> ViewsSession:
     """A person of `body26` who stands still for 26 frames, with the marker of the neck 5 cm off its usual place."""
     rng = np.random.default_rng([seed, 1])
@@ -177,6 +217,26 @@ def test_a_person_who_stands_still_keeps_the_names_of_both_sides_of_a_wrist() ->
     given = standing_person(0)
     right, wrong = right_and_wrong(label_views(given.blobs, given.rig, "body26"), given)
     assert right > 0.98 and wrong < 0.002, f"{right:.4f} right, {wrong:.4f} wrong"
+
+
+def test_what_the_frame_before_showed_foresees_visibility_better_than_the_body_alone() -> None:
+    result, given = labelled(), session()
+    alone, both = (((told > 0.5) == given.in_view).mean() for told in (result.expected, result.foreseen()))
+    assert both > 0.97 > alone > 0.9, f"right: {alone:.4f} by the body, {both:.4f} with the frame before"
+    after = ((result.foreseen(AROUND) > 0.5) == given.in_view).mean()
+    assert after > both, f"right: {after:.4f} with the frame after, too"
+    assert np.array_equal(result.shown.sum(axis=1), result.views)
+
+
+def test_a_frames_own_labels_take_no_part_in_what_is_foreseen_of_it() -> None:
+    result = labelled()
+    whole = result.foreseen()
+    t = 40
+    without = replace(result, labels=np.where(result.blobs.frame_of == t, -1, result.labels)).foreseen()
+    assert np.array_equal(whole[: t + 1], without[: t + 1]) and np.array_equal(whole[t + 2 :], without[t + 2 :])
+    assert (without[t + 1] <= whole[t + 1]).all() and (without[t + 1] < whole[t + 1]).any()
+    lost = replace(result, poses=np.where(np.arange(len(result.poses))[:, None] == t, np.nan, result.poses)).foreseen()
+    assert (lost[t] == 0.0).all() and (np.abs(lost[t + 1] - 0.5) < np.abs(whole[t + 1] - 0.5)).mean() > 0.8
 
 
 def test_the_better_explanation_of_a_frame_leads_the_other_one_only_where_they_differ() -> None:

@@ -14,11 +14,12 @@ from asterism.views import load_body
 from asterism.views._carry_kernels import carry_labels
 from asterism.views._fit_kernels import evaluate, minimise, project_linear, share_blobs
 from asterism.views._label_kernels import assign_best, margins
-from asterism.views._limb_kernels import fit_labelled, screen_limb
+from asterism.views._limb_kernels import fit_limb, screen_limb
 from asterism.views._pose_kernels import place_bones, point_jacobian, take_step
 from asterism.views._visibility_kernels import sight_depths, visible_shares
 from asterism.views.body_fit import known_of, pose_recording
-from asterism.views.limbs import LimbScreen, evenly, limbs_of
+from asterism.views.exchanges import exchanges_of
+from asterism.views.limbs import LimbRules, LimbScreen, evenly, limbs_of
 from asterism.views.posing import posed_bones, posed_points
 from asterism.views.rules import ViewsRules
 from asterism.views.scene import camera_arrays
@@ -282,12 +283,40 @@ def test_a_limb_is_fitted_to_labels_from_the_best_of_its_starts() -> None:
     own = np.concatenate([bent[:3], moved[above], np.zeros(3), bent[9 + limb.hinges]])[None]
     costs, labels = np.empty(1), np.searchsorted(limb.markers, np.tile(limb.markers, 4))
     some = uv[:, limb.markers].reshape(-1, 2)
-    fit_labelled(
+    fit_limb(
         *(limb.arrays, CAMERAS, known_of(WHOLE, UP), OBSERVING, some, np.arange(0, 4 * len(limb.markers) + 1, len(limb.markers))),
-        *(labels, 3.0, 0, turned[above], own, costs),
+        *(labels, np.array([3.0]), 0, turned[above], own, costs),
     )
     prior = 0.5 * (limb.arrays.precision * (bent[9 + limb.hinges] - limb.arrays.usual) ** 2).sum()
     assert costs[0] > prior - 1e-9, "blobs at the markers cost nothing beside what is known of the pose"
+
+
+def test_a_limb_is_found_by_blobs_without_labels_among_strays() -> None:
+    pose, rotation = standing_whole(2)
+    limb, bent = LIMBS[1], standing_whole(2)[0]
+    bent[9 + limb.hinges[:4]] += [0.9, 0.4, 0.3, 0.9]
+    uv = blobs_of(bent, rotation)[0].reshape(4, 26, 2)[:, limb.markers]
+    strays = np.random.default_rng(2).uniform(-200, 200, (4, 3, 2))
+    xy = np.concatenate([uv, strays], axis=1).reshape(-1, 2)
+    screen = LimbScreen(WHOLE, CAMERAS, OBSERVING, xy, np.arange(0, len(xy) + 1, len(xy) // 4))
+    found = screen.alone(limb, pose, rotation, known_of(WHOLE, UP), LimbRules(), 3)
+    assert len(found) <= 3
+    there = posed_points(WHOLE, bent, rotation)[0]
+    away, before = (np.linalg.norm(posed_points(WHOLE, each, rotation)[0] - there, axis=1) for each in (found[0], pose))
+    assert before[limb.markers].max() > 0.2 and away[limb.markers].max() < 0.04, f"{1e3 * away[limb.markers].max():.0f} mm"
+    assert away[limb.rest].max() < 1e-9
+
+
+def test_parts_that_may_be_exchanged_are_each_bone_with_both_sides_and_what_hangs_on_it() -> None:
+    parts = exchanges_of(WHOLE)
+    names = [{WHOLE.labels[m] for m in np.nonzero(part.names[1:] != np.arange(26))[0]} for part in parts]
+    assert {"LHEE", "LTOE", "RHEE", "RTOE"} in names and {"LSHO", "RSHO"} in names
+    assert max(names, key=len) == {name for name in WHOLE.labels if name[0] in "LR"}
+    for part, own in zip(parts, names, strict=True):
+        assert part.names[0] == -1 and all(WHOLE.labels[part.names[m + 1]][1:] == WHOLE.labels[m][1:] for m in range(26))
+        assert len(set(map(frozenset, names))) == len(names)
+        feet = {"LHEE", "RHEE"} <= own
+        assert ({WHOLE.hinge_names[j] for j in part.hinges} >= {"left foot flexion", "right foot flexion"}) == feet
 
 
 def test_numbers_are_spread_evenly() -> None:

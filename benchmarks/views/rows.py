@@ -9,6 +9,7 @@ import numpy as np
 
 from asterism.cameras import Rig
 from asterism.errors import AsterismError
+from asterism.recording import Ints
 from asterism.simulation.views_laboratory import ViewsSession
 from asterism.views import BodyModel, ViewsRules, label_views, load_body
 from asterism.views.body_fit import fit_body
@@ -39,7 +40,7 @@ class Labelled:
     tally    of all blobs; standing: of those of standing trials
     sound    of the blobs of markers whose labels by hand the anatomy allows; hands: how many hands it does not
     single   (error, stated deviation) in m of each marker that one camera shows
-    visible  markers and cameras with visibility predicted right, and all
+    visible  (4,) markers and cameras with visibility predicted right, and all, see `visibility_agreement`
     """
 
     tally: Tally
@@ -47,12 +48,12 @@ class Labelled:
     sound: Tally
     hands: int
     single: list[tuple[float, float]]
-    visible: tuple[int, int]
+    visible: Ints
 
 
 def labelled(sessions: Sessions, rules: ViewsRules | None = None) -> Labelled:
     """Whole recordings, labelled."""
-    out = Labelled(Tally(), Tally(), Tally(), 0, [], (0, 0))
+    out = Labelled(Tally(), Tally(), Tally(), 0, [], np.zeros(4, dtype=np.int64))
     for person, body, session in sessions:
         result = label_views(session.blobs, session.rig, body, rules=ViewsRules() if rules is None else rules)
         contradicted = impossible_hands(session.recording) & set(body.labels)
@@ -63,8 +64,7 @@ def labelled(sessions: Sessions, rules: ViewsRules | None = None) -> Labelled:
         one = result.views == 1
         away = np.linalg.norm(result.positions - session.recording.positions, axis=2)
         out.single += [pair for pair in zip(away[one], result.deviations[one], strict=True) if np.isfinite(pair[0])]
-        agreed, of = visibility_agreement(result, session)
-        out.visible = (out.visible[0] + agreed, out.visible[1] + of)
+        out.visible += visibility_agreement(result, session)
     return out
 
 
@@ -73,7 +73,7 @@ def gait(benchmark: BenchmarkRun) -> Iterator[Figure]:
     for cameras in (4, 3, 2):
         name, done = f"gait, 15 markers, {cameras} cameras", labelled(gait_sessions(benchmark, cameras))
         yield from _shares(name, done.tally, cameras == 4)
-        yield _visibility(name, done, ">= 0.97" if cameras == 4 else "none")
+        yield from _visibility(name, done, ">= 0.97" if cameras == 4 else "none")
         yield from _single(name, done.single)
 
 
@@ -82,13 +82,13 @@ def whole_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
     for cameras in (4, 3, 2):
         name, done = f"whole body, 26 markers, simulated motion, {cameras} cameras", labelled(motion_sessions(benchmark, cameras))
         yield from _shares(name, done.tally, cameras == 4, least=0.99)
-        yield _visibility(name, done)
+        yield from _visibility(name, done)
         yield from _single(name, done.single)
     name, done = "whole body, 26 markers, gait recordings, 4 cameras", labelled(gait_sessions(benchmark, 4, "body26"))
     yield from _shares(name, done.tally, True, least=0.99)
     yield from _sound(name, done, True, least=0.99)
     yield from _shares(f"{name}, standing trials", done.standing, False)
-    yield _visibility(name, done)
+    yield from _visibility(name, done)
 
 
 def own_static(benchmark: BenchmarkRun) -> Iterator[Figure]:
@@ -123,7 +123,7 @@ def ablation(benchmark: BenchmarkRun) -> Iterator[Figure]:
         for cameras in (4, 2):
             row, done = f"every third trial of gait, {cameras} cameras, {name}", labelled(some[cameras], rules)
             yield from _shares(row, done.tally, False)
-            yield _visibility(row, done)
+            yield from _visibility(row, done)
 
 
 def baseline(benchmark: BenchmarkRun) -> Iterator[Figure]:
@@ -234,9 +234,11 @@ def _sound(row: str, done: Labelled, asked: bool, least: float = 0.995) -> Itera
     yield Figure(f"{row}: hands whose labels contradict the anatomy", "none", done.hands, "hands", len(done.sound.by_subject))
 
 
-def _visibility(row: str, done: Labelled, asked: str = "none") -> Figure:
-    right, of = done.visible
-    return Figure(f"{row}: visibility predicted right", asked, right / of, "fraction", of)
+def _visibility(row: str, done: Labelled, asked: str = "none") -> Iterator[Figure]:
+    *right, of = done.visible.tolist()
+    kinds = ("alone", "and the labels of the frame before", "and the labels of the frames before and after")
+    for share, kind, wanted in zip(right, kinds, ("none", asked, "none"), strict=True):
+        yield Figure(f"{row}: visibility predicted right by the body {kind}", wanted, share / of, "fraction", of)
 
 
 def _single(row: str, single: list[tuple[float, float]]) -> Iterator[Figure]:

@@ -12,6 +12,7 @@ from asterism.recording import Ints
 from asterism.simulation.views_laboratory import ViewsSession, simulate_views
 from asterism.simulation.views_motion import simulate_motion
 from asterism.views import BodyModel, ViewsLabelling, load_body
+from asterism.views.sights import AROUND
 from benchmarks import data
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.views.bodies import body_of_others, trials
@@ -78,11 +79,15 @@ def frame_identity(session: ViewsSession, t: int) -> Ints:
     return session.identity[session.blobs.offsets[t * count] : session.blobs.offsets[(t + 1) * count]]
 
 
-def visibility_agreement(result: ViewsLabelling, session: ViewsSession) -> tuple[int, int]:
-    """Markers and cameras for which the body predicts rightly whether the marker is in view, and all of the frames with the body."""
+def visibility_agreement(result: ViewsLabelling, session: ViewsSession) -> Ints:
+    """(4,) markers and cameras for which it is predicted rightly whether the marker is in view, and all of the frames with the body.
+
+    First by the body alone, then with the labels of the frame before, then with those of the frames before and after.
+    """
     there = np.isfinite(result.poses[:, 0])
-    right = (result.expected[there] > 0.5) == session.in_view[there]
-    return int(right.sum()), int(right.size)
+    truth = session.in_view[there]
+    right = [int(((told[there] > 0.5) == truth).sum()) for told in (result.expected, result.foreseen(), result.foreseen(AROUND))]
+    return np.array([*right, truth.size], dtype=np.int64)
 
 
 def chosen_frames(session: ViewsSession, most: int) -> list[int]:

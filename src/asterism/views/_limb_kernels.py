@@ -91,16 +91,16 @@ def screen_limb(body, limb, first, cameras, observing, xy, offsets, sigma, chose
 
 
 @kernel
-def fit_labelled(limb, cameras, known, observing, xy, offsets, labels, sigma, steps, rotation, poses, costs):
-    """Fit a limb to blobs with labels from many starts.
+def fit_limb(limb, cameras, known, observing, xy, offsets, labels, sigmas, steps, rotation, poses, costs):
+    """Fit a limb to blobs from many starts.
 
-    IN  limb, cameras, known, observing: see `arrays`; xy (P, 2) px, offsets (C + 1,), labels (P,) markers of the limb; sigma px; steps:
-        tries of Levenberg-Marquardt; rotation (3, 3) of the bone above
+    IN  limb, cameras, known, observing: see `arrays`; xy (P, 2) px, offsets (C + 1,), labels (P,) markers of the limb, or an empty array
+        where they are not known; sigmas (S,) px, steps: see `minimise`; rotation (3, 3) of the bone above
     OUT poses (N, 9 + L): the starts, then the results, of which the angles moved; costs (N,) nats
-    O(N steps (P + M L^2 + L^3)).
+    O(N S steps (P M + M L^2 + L^3)).
     """
     size = poses.shape[1]
-    free, hessian, noise = np.arange(HINGES, size), np.empty((size, size)), np.array([sigma])
+    free, hessian = np.arange(HINGES, size), np.empty((size, size))
     for n in range(len(poses)):
         turned = rotation.copy()
-        costs[n] = minimise(limb, cameras, known, observing, xy, offsets, labels, noise, steps, free, poses[n], turned, hessian)
+        costs[n] = minimise(limb, cameras, known, observing, xy, offsets, labels, sigmas, steps, free, poses[n], turned, hessian)

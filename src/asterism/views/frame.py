@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import permutations
+from itertools import pairwise, permutations
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from asterism.views._pose_kernels import HINGES, add_priors
 from asterism.views.arrays import BodyArrays, CameraArrays, Known, Observing
 from asterism.views.body import BodyModel
 from asterism.views.body_fit import known_of
+from asterism.views.exchanges import Exchange, exchanges_of
 from asterism.views.limbs import RULES as LIMB_RULES
 from asterism.views.limbs import Limb, LimbRules, LimbScreen, limbs_of
 from asterism.views.posing import posed_points
@@ -103,6 +104,12 @@ class FrameLabeller:
         """The labels of frame t, from a pose (9 + J,) and a rotation (3, 3) that may be far off; see `ViewsRules.blur`."""
         return self._fitted(t, pose, rotation, self.rules.blur, self.rules.steps)
 
+    def from_near(self, t: int, pose: Floats, rotation: Floats) -> FrameLabels:
+        """The labels of frame t from a start that may be wrong: as `from_start`; where that explains the blobs worse than is usual, also
+        as `from_nothing`, and the better explanation counts. Raises as `from_nothing`."""
+        found = self.from_start(t, pose, rotation)
+        return found if self._explains(found, self.rules.sure_gain) else found.against(self.from_nothing(t))
+
     def follow(self, t: int, pose: Floats, rotation: Floats, last: tuple[int, FrameLabels] | None = None) -> FrameLabels:
         """The labels of frame t, from the pose that the last frames let expect.
 
@@ -141,16 +148,16 @@ class FrameLabeller:
         Where the best of the starts explains the blobs worse than is usual, more starts are tried.
         """
         found = self._best_start(t)
-        if found.gain < self.rules.enough_gain * self._most_gain * self.expected(found).sum():
+        if not self._explains(found, self.rules.enough_gain):
             rules = self.rules
             more = replace(rules, headings=2 * rules.headings, kept=2 * rules.kept, going_on=1.0, coarse_steps=2 * rules.coarse_steps)
             found = found.against(replace(self, rules=more)._best_start(t))
         return found
 
-    @property
-    def _most_gain(self) -> float:
-        """nats, the gain of a sighting that is exactly where it is expected."""
-        return float(-np.log(2 * np.pi * self.rules.noise**2 * self.observing.strays))
+    def _explains(self, found: FrameLabels, share: float) -> bool:
+        """Whether the gain of an expected sighting is at least this share of that of one that is exactly where it is expected."""
+        most = -np.log(2 * np.pi * self.rules.noise**2 * self.observing.strays)
+        return bool(found.gain >= share * most * self.expected(found).sum())
 
     def _best_start(self, t: int) -> FrameLabels:
         """The labels from the best of the starts of `ViewsRules.headings`."""
@@ -164,7 +171,13 @@ class FrameLabeller:
             for n in _different(costs, poses, rotations, rules.kept)
         ]
         results.sort(key=lambda result: -result.gain)
-        best = self.turned(t, self.with_limbs_sought(t, results[0]), hands=True)
+        best = results[0]
+        if not self._explains(best, rules.sure_gain):
+            best = self.exchanged(t, best)
+        best = self.with_limbs_sought(t, best)
+        if not self._explains(best, rules.sure_gain):
+            best = self.with_limbs_parted(t, best)
+        best = self.turned(t, best, hands=True)
         about = self.from_start(t, *self._about(best))
         if about.gain > best.gain:
             best, about = self.turned(t, self.with_limbs_sought(t, about), hands=True), best
@@ -223,14 +236,50 @@ class FrameLabeller:
 
         A fit of the whole body follows an arm as far as its blobs are near; raised or bent arms are not. O(limbs) labellings.
         """
-        rules = self.limb_rules
         for limb in self._limbs:
-            poses = self._screen(t).poses(
-                limb, found.pose, found.rotation, tried=rules.tried, blur=rules.blur, kept=rules.kept, apart=rules.apart
-            )
-            for pose in poses:
-                found = found.against(self._fitted(t, pose, found.rotation, rules.fit, self.rules.steps), by=_BETTER)
+            for pose in self._free(t, found, limb.markers).alone(limb, *self._from(found), self.limb_rules.kept):
+                found = found.against(self._with_limbs(t, pose, found.rotation), by=_BETTER)
         return found
+
+    def with_limbs_parted(self, t: int, found: FrameLabels) -> FrameLabels:
+        """The labels of frame t with two limbs sought anew, one after the other, where that explains the blobs better.
+
+        Two arms that have each other's blobs keep each other from being found by themselves. O(limbs) labellings.
+        """
+        for one, other in pairwise(self._limbs):
+            before = found
+            both = np.concatenate([one.markers, other.markers])
+            for pose in self._free(t, before, both).alone(one, *self._from(before), self.limb_rules.kept):
+                first = self._fitted(t, pose, before.rotation, self.rules.follow[-1:], 0)
+                pose = self._free(t, first, other.markers).alone(other, pose, before.rotation, self._kit[2], self.limb_rules, 1)[0]
+                found = found.against(self._with_limbs(t, pose, before.rotation), by=_BETTER)
+        return found
+
+    def exchanged(self, t: int, found: FrameLabels) -> FrameLabels:
+        """The labels of frame t with parts of the body left and right exchanged, where that explains the blobs better.
+
+        No fit leads from crossed legs, or a trunk that is turned about, to the other way round. O(bones) labellings.
+        """
+        for part in self._exchanges:
+            labels = part.names[found.labels + 1]
+            if not np.array_equal(labels, found.labels):
+                pose = found.pose.copy()
+                pose[HINGES + part.hinges] = self.body.arrays.usual[part.hinges]
+                found = found.against(self._fitted(t, pose, found.rotation, self.rules.exchange, self.rules.steps, labels), by=_BETTER)
+        return found
+
+    def _with_limbs(self, t: int, pose: Floats, rotation: Floats) -> FrameLabels:
+        return self._fitted(t, pose, rotation, self.limb_rules.fit, self.rules.steps)
+
+    def _from(self, found: FrameLabels) -> tuple[Floats, Floats, Known, LimbRules]:
+        return found.pose, found.rotation, self._kit[2], self.limb_rules
+
+    def _free(self, t: int, found: FrameLabels, markers: Ints) -> LimbScreen:
+        """The blobs of frame t without a label, or with that of one of these markers."""
+        xy, offsets = self.scene.frame(t)
+        free = (found.labels < 0) | np.isin(found.labels, markers)
+        before = np.concatenate([[0], np.cumsum(free)]).astype(np.int64)
+        return LimbScreen(self.body, self.scene.cameras, self._kit[3], xy[free], before[offsets])
 
     def _arms_sought(self, t: int, pose: Floats, rotation: Floats, blur: float, tried: int | None = None) -> Floats:
         """The pose with the angles of each loose limb that explain the blobs best, without a fit."""
@@ -240,6 +289,10 @@ class FrameLabeller:
 
     def _screen(self, t: int) -> LimbScreen:
         return LimbScreen(self.body, self.scene.cameras, self._kit[3], *self.scene.frame(t))
+
+    @cached_property
+    def _exchanges(self) -> tuple[Exchange, ...]:
+        return exchanges_of(self.body) if self.rules.joints else ()
 
     @cached_property
     def _limbs(self) -> tuple[Limb, ...]:

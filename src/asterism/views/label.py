@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.cameras import Rig
 from asterism.findings import Finding
@@ -18,6 +19,7 @@ from asterism.views.passes import Pass, Seen, Starts, joined
 from asterism.views.personal import personal_body
 from asterism.views.rules import RULES, ViewsRules
 from asterism.views.scene import scene_of
+from asterism.views.sights import BEFORE, SightRules, foreseen
 
 _DOUBTFUL = 0.3
 """The highest confidence of labels that were not given because the whole does not fit."""
@@ -74,6 +76,21 @@ class ViewsLabelling:
         given = self.labels >= 0
         np.minimum.at(out, (self.blobs.frame_of[given], self.labels[given]), self.confidence[given])
         return np.where(self.views > 0, out, 0.0)
+
+    @property
+    def shown(self) -> NDArray[np.bool_]:
+        """(T, C, M) whether a camera has a blob with the marker's label."""
+        out = np.zeros(self.expected.shape, dtype=np.bool_)
+        given = self.labels >= 0
+        out[self.blobs.frame_of[given], self.blobs.camera_of[given], self.labels[given]] = True
+        return out
+
+    def foreseen(self, rules: SightRules = BEFORE) -> Floats:
+        """(T, C, M) the probability that a marker is in view of a camera, by the body, and by the labels of the frames beside.
+
+        By default that of the frame before alone; see `foreseen` in `sights`. O(T C M).
+        """
+        return foreseen(self.expected, self.shown, np.isfinite(self.poses[:, 0]), rules)
 
     @property
     def clouds(self) -> Clouds:

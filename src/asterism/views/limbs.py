@@ -9,11 +9,13 @@ from itertools import pairwise
 import numpy as np
 
 from asterism.recording import Floats, Ints
-from asterism.views._limb_kernels import fit_labelled, screen_limb
+from asterism.views._limb_kernels import fit_limb, screen_limb
 from asterism.views._pose_kernels import HINGES, PLACE
 from asterism.views.arrays import BodyArrays, CameraArrays, Known, Observing
 from asterism.views.body import BodyModel
 from asterism.views.posing import posed_bones
+
+_NONE = np.empty(0, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -25,9 +27,10 @@ class LimbRules:
     early   angles of a limb that are tried between the coarse stages of a start
     tried   angles that are tried afterwards
     blur    px, at which blobs are compared then
-    kept    how many of them are fitted with the whole body
-    apart   rad, the least difference of their angles
-    fit     px, the blurs of that fit
+    first   how many of them are fitted alone to the blobs that no other part has; own_steps: tries of Levenberg-Marquardt in each stage
+    kept    how many of these are fitted with the whole body
+    apart  rad, the least difference of their angles
+    fit     px, the blurs of both fits
     starts, steps  starts of a limb, and tries of Levenberg-Marquardt from each, when its markers are named in another order
     """
 
@@ -36,8 +39,10 @@ class LimbRules:
     early: int = 32
     tried: int = 256
     blur: float = 12.0
+    first: int = 12
+    own_steps: int = 4
     kept: int = 3
-    apart: float = 0.5
+    apart: float = 0.3
     fit: tuple[float, ...] = (10.0, 5.0, 2.5)
     starts: int = 32
     steps: int = 12
@@ -140,38 +145,72 @@ class LimbScreen:
 
         The blobs are compared with a blur (px); of angles nearer than `apart` (rad) the best is kept. O(tried (bones + blobs)).
         """
+        angles, costs = self._screened(limb, limb.rest, pose, rotation, tried, blur)
+        return self._with_angles(limb, pose, _apart(angles, costs, kept, apart))
+
+    def alone(self, limb: Limb, pose: Floats, rotation: Floats, known: Known, rules: LimbRules, kept: int) -> Floats:
+        """Poses (N, 9 + J), best first, N at most `kept`, with a limb sought and then fitted as if all blobs were its own.
+
+        O(tried (bones + blobs) + first steps blobs).
+        """
+        angles, costs = self._screened(limb, _NONE, pose, rotation, rules.tried, rules.blur)
+        chosen = _apart(angles, costs, rules.first, rules.apart)
+        fitted, costs = self._fitted(limb, chosen, _NONE, np.array(rules.fit), rules.own_steps, pose, rotation, known)
+        return self._with_angles(limb, pose, _apart(fitted, costs, kept, rules.apart))
+
+    def _screened(self, limb: Limb, rest: Ints, pose: Floats, rotation: Floats, tried: int, blur: float) -> tuple[Floats, Floats]:
+        """The angles of a limb as given and `tried` others (N, L), with their costs (N,); rest: the other markers that have blobs."""
         angles = np.concatenate([pose[None, HINGES + limb.hinges], limb.tried[:tried]])
         costs = np.empty(len(angles))
         screen_limb(
             *(self.body.arrays, limb.arrays, limb.first, self.cameras, self.observing, self.xy, self.offsets, blur),
-            *(limb.rest, angles, pose, rotation, costs),
+            *(rest, angles, pose, rotation, costs),
         )
-        chosen = list[int]()
-        for n in np.argsort(costs, kind="stable") if kept > 1 else [int(np.argmin(costs))]:
-            if all(np.abs(angles[n] - angles[k]).max() > apart for k in chosen):
-                chosen.append(int(n))
-            if len(chosen) == kept:
-                break
-        out = np.repeat(pose[None], len(chosen), axis=0)
-        out[:, HINGES + limb.hinges] = angles[chosen]
+        return angles, costs
+
+    @staticmethod
+    def _with_angles(limb: Limb, pose: Floats, angles: Floats) -> Floats:
+        out = np.repeat(pose[None], len(angles), axis=0)
+        out[:, HINGES + limb.hinges] = angles
         return out
 
     def labelled(self, limb: Limb, labels: Ints, pose: Floats, rotation: Floats, known: Known, *, tried: int, steps: int) -> Floats:
         """The pose (9 + J,) with the angles of one limb that fit labels (P,) best, from `tried` starts. O(tried steps)."""
-        turned, moved = posed_bones(self.body, pose, rotation)
-        above = int(self.body.arrays.parents[limb.first])
-        starts = np.repeat(np.concatenate([pose[:PLACE], moved[above], np.zeros(3), pose[HINGES + limb.hinges]])[None], tried + 1, axis=0)
-        starts[1:, HINGES:] = limb.tried[:tried]
+        angles = np.concatenate([pose[None, HINGES + limb.hinges], limb.tried[:tried]])
         number = np.full(len(self.body.markers) + 1, -1, dtype=np.int64)
         number[limb.markers] = np.arange(len(limb.markers))
+        noise = np.array([4.0 * self.observing.noise])
+        angles, costs = self._fitted(limb, angles, number[labels], noise, steps, pose, rotation, known)
+        out = pose.copy()
+        out[HINGES + limb.hinges] = angles[int(np.argmin(costs))]
+        return out
+
+    def _fitted(
+        self, limb: Limb, angles: Floats, labels: Ints, sigmas: Floats, steps: int, pose: Floats, rotation: Floats, known: Known
+    ) -> tuple[Floats, Floats]:
+        """Angles (N, L) of a limb after a fit from each, and their costs (N,); see `fit_limb`."""
+        turned, moved = posed_bones(self.body, pose, rotation)
+        above = int(self.body.arrays.parents[limb.first])
+        starts = np.empty((len(angles), HINGES + angles.shape[1]))
+        starts[:, :HINGES] = np.concatenate([pose[:PLACE], moved[above], np.zeros(3)])
+        starts[:, HINGES:] = angles
         costs = np.empty(len(starts))
-        fit_labelled(
-            *(limb.arrays, self.cameras, known, self.observing, self.xy, self.offsets, number[labels], 4.0 * self.observing.noise, steps),
+        fit_limb(
+            *(limb.arrays, self.cameras, known, self.observing, self.xy, self.offsets, labels, sigmas, steps),
             *(turned[above], starts, costs),
         )
-        out = pose.copy()
-        out[HINGES + limb.hinges] = starts[int(np.argmin(costs)), HINGES:]
-        return out
+        return starts[:, HINGES:], costs
+
+
+def _apart(angles: Floats, costs: Floats, most: int, apart: float) -> Floats:
+    """The cheapest angles (N, L), at most so many, no two nearer than `apart` (rad)."""
+    chosen = list[int]()
+    for n in np.argsort(costs, kind="stable") if most > 1 else [int(np.argmin(costs))]:
+        if all(np.abs(angles[n] - angles[k]).max() > apart for k in chosen):
+            chosen.append(int(n))
+        if len(chosen) == most:
+            break
+    return angles[chosen]
 
 
 @cache

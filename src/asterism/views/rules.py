@@ -30,6 +30,8 @@ class ViewsRules:
     headings      how many directions are tried when nothing is known
     kept          how many of the starts are fitted to the end
     enough_gain   gain of an expected sighting, as a share of the most it can be, below which more starts are tried
+    sure_gain     the same share, below which limbs are exchanged, and a given start is doubted
+    exchange      px, blurs at which exchanged labels are fitted
     follow        px, blurs with which the next frame follows
     follow_steps  tries in each of these stages
     carry         px, how far a blob may be from where the last frame's blob is expected to have its label at first
@@ -76,6 +78,8 @@ class ViewsRules:
     headings: int = 8
     kept: int = 5
     enough_gain: float = 0.85
+    sure_gain: float = 0.93
+    exchange: tuple[float, ...] = (20.0, 5.0)
     follow: tuple[float, ...] = (6.0, 2.5)
     follow_steps: int = 4
     carry: float = 8.0
