@@ -76,7 +76,9 @@ def identify(circles: Circles, links: NDArray[np.int32], posterior: Floats, patt
     roots = np.empty(n, np.int32)
     kernels.groups(links, cells, turns, roots)
     beyond = np.bincount(roots, own, n)[roots] - np.log(4.0 * max((pattern.colours >= 0).sum(), 1))
-    cells[(turns < 0) | (beyond <= rules.alone)] = -1
+    sure = (turns >= 0) & (beyond > rules.alone)
+    shown = 2 * sure.sum() > (turns >= 0).sum()
+    cells[(turns < 0) | (beyond <= (rules.beside if shown else rules.alone))] = -1
     twice = _twice(cells, pattern.shape)
     cells[twice] = -1
     odds = _odds(circles, likelihood, own, pattern, rules, cells)
@@ -134,6 +136,8 @@ def _odds(circles: Circles, likelihood: Floats, own: Floats, pattern: Pattern, r
     weigh.evidence(at, fits, cells, own, _RADIUS, around)
     weigh.smoothness(centres, at, fits, cells, off)
     weigh.bumps(circles.grey, centres, at, fits, cells, np.array(rules.bump), bump)
+    slant = np.empty(n)
+    weigh.slants(centres, circles.moments, at, fits, cells, slant)
     told = np.column_stack(
         [
             np.ones(n),
@@ -147,7 +151,11 @@ def _odds(circles: Circles, likelihood: Floats, own: Floats, pattern: Pattern, r
             np.clip(bump, 0, 0.5),
         ]
     )
-    return np.where(there & np.isfinite(off[:, 0]) & (off[:, 1] < rules.astray), told @ np.array(rules.weights), -np.inf)
+    ends = rules.ends
+    held = (off[:, 2] > ends.squares) | ((slant < ends.slant) & (bump < ends.bump) & (own > ends.own))
+    held &= (off[:, 2] > ends.corner) | (rival > ends.rival)
+    held &= (off[:, 2] > 0) & (off[:, 1] < rules.astray)
+    return np.where(there & held, told @ np.array(rules.weights), -np.inf)
 
 
 def _apart_from_neighbours(moments: Floats, cells: NDArray[np.int32], shape: tuple[int, int]) -> Floats:
