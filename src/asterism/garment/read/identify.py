@@ -83,6 +83,7 @@ def identify(circles: Circles, links: NDArray[np.int32], posterior: Floats, patt
     cells[twice] = -1
     odds = _odds(circles, likelihood, own, pattern, rules, cells)
     apart = _apart_from_neighbours(circles.moments, cells, pattern.shape)
+    odds -= rules.unlike * apart
     given = (odds > rules.odds) & (apart < rules.alike)
     grid = np.where(given[:, None], cells, -1).astype(np.int32)
     ids = np.where(given, pattern.ids[cells[:, 0], cells[:, 1]], -1).astype(np.int32)
@@ -151,11 +152,12 @@ def _odds(circles: Circles, likelihood: Floats, own: Floats, pattern: Pattern, r
             np.clip(bump, 0, 0.5),
         ]
     )
-    ends = rules.ends
-    held = (off[:, 2] > ends.squares) | ((slant < ends.slant) & (bump < ends.bump) & (own > ends.own))
-    held &= (off[:, 2] > ends.corner) | (rival > ends.rival)
-    held &= (off[:, 2] > 0) & (off[:, 1] < rules.astray)
-    return np.where(there & held, told @ np.array(rules.weights), -np.inf)
+    squares, near = off[:, 2], np.isfinite(off[:, 0]) & (off[:, 1] < rules.astray)
+    inner = squares > rules.end.squares
+    end = (slant < rules.end.slant) & (bump < rules.end.bump) & (own > rules.end.own)
+    corner = end & (slant < rules.corner.slant) & (bump < rules.corner.bump) & (rival > rules.corner.rival)
+    held = inner | (end & (squares > rules.corner.squares)) | (corner & (squares > 0))
+    return np.where(there & near & held, told @ np.array(rules.weights), -np.inf)
 
 
 def _apart_from_neighbours(moments: Floats, cells: NDArray[np.int32], shape: tuple[int, int]) -> Floats:
