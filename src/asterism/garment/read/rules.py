@@ -9,9 +9,10 @@ from dataclasses import dataclass
 class EndRules:
     """What a circle needs besides its odds where few others hold it: at the rim of a limb, beside a fold or a seam.
 
-    Linear odds cannot say that. On 324 images (generator seeds 5501, 6602, 7703) 9 of 10,000 circles with log odds above 6.5 that closed
-    one square of four or none were wrong at the rim of a limb, and none of 370,000 others: the next row is hidden or a blob of several, and
-    the one beyond it lies where it should and has its colour by chance.
+    Linear odds cannot say that. On 324 images (generator seeds 5501, 6602, 7703), of circles with weighted odds above 6.5, 24 of 8,341 were
+    wrong that closed one square of four or none, 7 of 61,611 that closed two, and none of 317,654 others: at the rim of a limb the next row
+    is hidden or a blob of several, and the one beyond it lies where it should and has its colour by chance. On the same images none of
+    378,959 identities is wrong by these rules.
 
     squares  that a circle closes with three others: for those with so many at most. None at all is never enough
     slant    cosine of the angle between two ways to neighbours, as the circle's own ellipse has it, at most
@@ -71,7 +72,7 @@ class ReadRules:
     alike          how far the logarithm of a circle's area may be from that of its neighbours
     covered        standard deviation of a centre, as a share of the longer semi-axis, by how far the logarithm of the area is from that of
                    the neighbours; so that points in space have the errors that they state (a rendered suit, session seed 11)
-    shown          (2,) identities measured on 36 other images, and how many of them were wrong; both at a tilt of 75 degrees and more
+    shown          (2,) identities measured on 144 images (generator seed 9904) that no rule was chosen on, and how many of them were wrong
     """
 
     least_colour: float = 18.0
@@ -110,4 +111,4 @@ class ReadRules:
     astray: float = 0.75
     alike: float = 0.65
     covered: float = 0.08
-    shown: tuple[int, int] = (36_090, 2)
+    shown: tuple[int, int] = (169_346, 0)
