@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from asterism.errors import AsterismError
 from asterism.garment.dense import DenseRules, dense_points, fused_midpoints
 from asterism.garment.dense import _kernels as kernels
+from asterism.garment.dense.points import circle_rays, ray_points, ray_scale
 from asterism.simulation.garment import SimulatedCircles, simulated_reading
 
 CLEAN = DenseRules(least_sigma=0.0, least_scale=0.05)
@@ -54,6 +55,17 @@ def test_the_scale_of_a_readers_covariance_is_found(factor: float) -> None:
     right = dense_points(arm_rig(), readings(), CLEAN)
     np.testing.assert_array_equal(points.ids, right.ids)
     np.testing.assert_allclose(points.covariance, right.covariance, rtol=1e-6)
+
+
+def test_rays_made_once_give_the_same_scale_and_points() -> None:
+    rays = circle_rays(arm_rig(), readings(), CLEAN)
+    scale = ray_scale(arm_rig(), rays, CLEAN)
+    assert scale == dense_points(arm_rig(), readings(), CLEAN).scale != 1.0
+    made, known = ray_points(arm_rig(), rays, CLEAN, scale), dense_points(arm_rig(), readings(), CLEAN, scale=scale)
+    for name in ("ids", "positions", "covariance", "misfit", "rejected"):
+        np.testing.assert_array_equal(getattr(made, name), getattr(known, name))
+    with pytest.raises(AsterismError, match="2 images for a rig of 3"):
+        circle_rays(arm_rig(), readings()[:2], CLEAN)
 
 
 def test_a_small_misfit_does_not_shrink_the_covariance() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import cv2
@@ -233,3 +234,50 @@ def test_a_patch_without_whole_blocks_is_placed() -> None:
     part[part[..., 0] >= 14] = -1
     few = identify(plain_circles(centres[strip]), part, colours, sheet(), ReadRules())
     assert (few.grid < 0).all(), "fourteen colours fit in several places"
+
+
+def _part(cells: np.ndarray) -> tuple[Circles, np.ndarray, np.ndarray]:
+    """Circles of some cells of the sheet, the links among them, and their colours."""
+    links, centres = grid_links(*sheet().shape)
+    number = np.full(len(centres) + 1, -1)
+    number[cells] = np.arange(len(cells))
+    part = links[cells].copy()
+    part[..., 0] = number[part[..., 0]]
+    part[part[..., 0] < 0] = -1
+    return plain_circles(centres[cells]), part, np.eye(4)[sheet().colours.ravel()[cells]]
+
+
+def test_a_small_patch_is_believed_where_the_garment_is_sure() -> None:
+    """Sixteen colours alone are 15 nats for one map of 1,280: too few without a block, enough beside half of the sheet."""
+    rows, cols = sheet().shape
+    row, col = np.divmod(np.arange(rows * cols), cols)
+    strip = (col // 2 == 8) & (row < 8)
+    for body, given in ((False, 0), (True, 16)):
+        cells = np.flatnonzero(strip | (body & (col < 10)))
+        found = identify(*_part(cells), sheet(), ReadRules(odds=-50.0))
+        there = found.grid[:, 0] >= 0
+        np.testing.assert_array_equal(found.grid[there] @ [cols, 1], cells[there])
+        assert there[strip[cells]].sum() == given
+
+
+@pytest.mark.parametrize(("beside", "given"), [(1, 0), (2, 2)])
+def test_a_circle_that_hangs_at_the_end_of_a_row_alone_has_no_identity(beside: int, given: int) -> None:
+    """It has its own cell's colour, and lies where the row goes on; two such close a square."""
+    row, col = np.divmod(np.arange(sheet().colours.size), sheet().shape[1])
+    cells = np.flatnonzero(((col < 10) & (row > 0)) | ((col == 10) & (row >= 5) & (row < 5 + beside)))
+    circles, links, colours = _part(cells)
+    found = identify(circles, links, colours, sheet(), ReadRules(odds=-50.0))
+    assert (found.grid[col[cells] == 10, 0] >= 0).sum() == given
+    inside = (col[cells] > 0) & (col[cells] < 9) & (row[cells] > 1) & (row[cells] < 15)
+    assert (found.grid[inside, 0] >= 0).all()
+
+
+@pytest.mark.parametrize("place", [3, 23], ids=["at the border", "inside"])
+def test_a_slanted_circle_has_no_identity_at_an_end(place: int) -> None:
+    """Neighbours that are not at right angles by a circle's own ellipse: a blob of several, unless others hold it from all sides."""
+    rows, cols = sheet().shape
+    circles, links, colours = _part(np.arange(rows * cols))
+    moments = circles.moments.copy()
+    moments[place] = np.array([[1.0, 0.8], [0.8, 1.0]])
+    found = identify(replace(circles, moments=moments), links, colours, sheet(), ReadRules(odds=-50.0))
+    assert (found.grid[place, 0] >= 0) == (place == 23) and (found.grid[[2, 4, 22, 24], 0] >= 0).all()

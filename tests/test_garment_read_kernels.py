@@ -294,8 +294,12 @@ def test_cells_grow_and_are_weighed(seed: int) -> None:
     area, usual = rng.uniform(20, 60, n), np.empty(n)
     weight_kernels.usual_areas(area, cells, at, usual)
     np.testing.assert_allclose(usual, twins.usual_areas(area, cells, at))
+    roots, slant = rng.normal(0, 2, (n, 2, 2)), np.empty(n)
+    moments = roots @ roots.transpose(0, 2, 1) + 0.5 * np.eye(2)
+    weight_kernels.slants(centres, moments, at, fits, cells, slant)
+    np.testing.assert_allclose(slant, twins.slants(centres, moments, at, fits, cells), atol=1e-9)
     y, x = np.mgrid[0:200, 0:220]
     grey = (120 + 60 * np.cos(x / 4.0 + seed) * np.cos(y / 5.0)).astype(np.uint8)
     weight_kernels.bumps(grey, centres, at, fits, cells, np.array([0.12, 4.0]), bump)
     np.testing.assert_allclose(bump, twins.bumps(grey, centres, at, fits, cells, (0.12, 4.0)), atol=1e-9)
-    assert (rival < 1).any() and (off[:, 2] == 4).any() and 0 < (bump > 0).sum() < n
+    assert (rival < 1).any() and (off[:, 2] == 4).any() and 0 < (slant > 0).sum() < n and 0 < (bump > 0).sum() < n

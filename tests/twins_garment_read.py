@@ -501,6 +501,21 @@ def smoothness(centres, at, fits, cells):
     return out
 
 
+def slants(centres, moments, at, fits, cells):
+    """The largest cosine between the ways to two neighbours side by side, where the circle's own ellipse is made round."""
+    out = np.zeros(len(cells))
+    for i in np.flatnonzero(cells[:, 0] >= 0):
+        ways = []
+        for step in STEPS:
+            r, c = cells[i] + step[::-1]
+            j = at[r, c] if 0 <= r < at.shape[0] and 0 <= c < at.shape[1] else -1
+            ways.append(np.linalg.solve(np.linalg.cholesky(moments[i]), centres[j] - centres[i]) if j >= 0 and fits[j] else None)
+        for one, other in zip(ways, ways[1:] + ways[:1], strict=True):
+            if one is not None and other is not None:
+                out[i] = max(out[i], abs(one @ other) / np.linalg.norm(one) / np.linalg.norm(other))
+    return out
+
+
 def bumps(grey, centres, at, fits, cells, rise):
     """The largest fall after a rise on the way to a neighbour that fits, as a share of the lower end."""
     out = np.zeros(len(cells))

@@ -8,7 +8,7 @@ from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
 from benchmarks.garment.capture import calibration, dense, whole_speed
 from benchmarks.garment.pattern import check, code, speed
-from benchmarks.garment.reading import hard_images
+from benchmarks.garment.reading import captured_identities, hard_images
 
 ISSUE = "Garment capture: thousands of colour-coded points, from printed cloth to 3D"
 
@@ -18,6 +18,7 @@ ROWS: dict[str, Callable[[BenchmarkRun], Iterator[Figure]]] = {
     "garment-code": code,
     "garment-speed": whole_speed,
     "garment-hard-images": hard_images,
+    "garment-identities": captured_identities,
     "garment-points": dense,
     "garment-calibration": calibration,
 }

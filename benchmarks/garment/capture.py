@@ -140,14 +140,16 @@ def whole_speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
     suit = session.worn.pattern
     moments = list(session.film(frames, benchmark.jobs))
 
-    def run() -> float:
-        started = time.perf_counter()
+    def run() -> tuple[float, float]:
+        wall, processor = time.perf_counter(), time.process_time()
         capture(session.rig, suit, moments, lambda image: read_image(image, suit), workers=2)
-        return frames / (time.perf_counter() - started)
+        return (time.perf_counter() - wall) / frames, (time.process_time() - processor) / frames
 
     run()
-    rates = [run() for _ in range(1 if benchmark.quick else 5)]
-    yield Figure("whole chain, 8 cameras, two cores", ">= 10", median(rates), "frames/s", frames)
+    runs = [run() for _ in range(1 if benchmark.quick else 5)]
+    yield Figure("whole chain, 8 cameras, two cores", ">= 10", 1 / median(wall for wall, _ in runs), "frames/s", frames)
+    # Other work on the machine makes the first figure smaller, and this one hardly: two free cores have 2000 ms a second.
+    yield Figure("of it, processor time of one frame", "<= 200", 1000 * median(processor for _, processor in runs), "ms", frames)
     reads = [read_image(image, suit) for image in moments[0][1]]
     dense_points(session.rig, reads)
     seconds = []

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from asterism.cameras import Rig
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.garment.dense import Circles, DensePoints, DenseRules, DenseTrajectories, dense_points, dense_trajectories
+from asterism.garment.dense import Circles, DensePoints, DenseRules, DenseTrajectories, dense_trajectories
+from asterism.garment.dense.points import Rays, circle_rays, ray_points, ray_scale
 from asterism.garment.pattern import Pattern
 from asterism.garment.surface import SurfaceRules, consistent_points
 from asterism.progress import Progress
@@ -109,7 +110,7 @@ def capture(
     frames: list[int] = []
     found: list[DensePoints] = []
     counts: list[list[int]] = []
-    waiting: list[list[Circles | None]] = []
+    first: list[Future[Rays]] = []
     under_way: deque[Future[DensePoints]] = deque()
     scale: float | None = None
     ahead = rules.together if workers > 1 else 0
@@ -124,16 +125,18 @@ def capture(
         for number, circles in _readings(moments, read, max(1, ahead), pool):
             frames.append(number)
             counts.append([0 if one is None else int((np.asarray(one.ids) >= 0).sum()) for one in circles])
-            waiting.append(circles)
-            if scale is None and len(waiting) < rules.scale_frames:
+            rays = pool.submit(_rays, rig, circles, rules)
+            if scale is not None:
+                under_way.append(pool.submit(_points, rig, pattern, rays, rules, scale))
+                finish(ahead)
                 continue
-            scale = _common_scale(rig, waiting, rules, pool) if scale is None else scale
-            under_way += [pool.submit(_points, rig, pattern, part, rules, scale) for part in waiting]
-            waiting = []
-            finish(ahead)
-        if waiting:
-            scale = _common_scale(rig, waiting, rules, pool)
-            under_way += [pool.submit(_points, rig, pattern, part, rules, scale) for part in waiting]
+            first.append(rays)
+            if len(first) == rules.scale_frames:
+                scale = _common_scale(rig, first, rules, pool)
+                under_way += [pool.submit(_points, rig, pattern, one, rules, scale) for one in first]
+        if scale is None and first:
+            scale = _common_scale(rig, first, rules, pool)
+            under_way += [pool.submit(_points, rig, pattern, one, rules, scale) for one in first]
         finish(0)
     if not frames:
         raise AsterismError("there is no image to read; name videos, or folders of images, one for each camera.")
@@ -186,19 +189,19 @@ def _readings(moments: Iterable[Moment], read: Reader, together: int, pool: Exec
         yield number, [None if one is None else one.result() for one in reads]
 
 
-def _points(rig: Rig, pattern: Pattern, circles: Sequence[Circles | None], rules: CaptureRules, scale: float) -> DensePoints:
-    filled = [_Nothing() if one is None else one for one in circles]
-    return consistent_points(dense_points(rig, filled, rules.dense, scale=scale), pattern, rules.surface)
+def _rays(rig: Rig, circles: Sequence[Circles | None], rules: CaptureRules) -> Rays:
+    return circle_rays(rig, [_Nothing() if one is None else one for one in circles], rules.dense)
 
 
-def _common_scale(rig: Rig, moments: Sequence[Sequence[Circles | None]], rules: CaptureRules, pool: Executor) -> float:
+def _points(rig: Rig, pattern: Pattern, rays: Future[Rays], rules: CaptureRules, scale: float) -> DensePoints:
+    """The rays are with a worker before: none waits for one that has not begun."""
+    return consistent_points(ray_points(rig, rays.result(), rules.dense, scale), pattern, rules.surface)
+
+
+def _common_scale(rig: Rig, moments: Sequence[Future[Rays]], rules: CaptureRules, pool: Executor) -> float:
     """The median over moments of the factor on the centres' standard deviations."""
-
-    def scale_of(circles: Sequence[Circles | None]) -> float:
-        return dense_points(rig, [_Nothing() if one is None else one for one in circles], rules.dense).scale
-
-    scales = [one.result() for one in [pool.submit(scale_of, circles) for circles in moments]]
-    return float(np.median(scales)) if scales else 1.0
+    scales = [pool.submit(ray_scale, rig, rays.result(), rules.dense) for rays in moments]
+    return float(np.median([scale.result() for scale in scales]))
 
 
 def _findings(rig: Rig, found: Sequence[DensePoints], read: Ints, scale: float, rules: CaptureRules) -> Iterator[Finding]:

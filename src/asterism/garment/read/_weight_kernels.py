@@ -99,6 +99,35 @@ def smoothness(centres, at, fits, cells, out):
 
 
 @kernel
+def slants(centres, moments, at, fits, cells, out):
+    """How far from right angles the ways to two neighbours side by side are, as a circle's own ellipse has it.
+
+    IN  centres (n, 2) px; moments (n, 2, 2) px2; at (rows, cols) of `occupy`; fits (n,); cells (n, 2)
+    OUT out (n,) the largest cosine of such an angle, 0 where there are no two
+
+    O(n). Twin: tests/twins_garment_read.py
+    """
+    ways, known = np.empty((4, 3)), np.empty(4, np.bool_)
+    for i in range(len(cells)):
+        out[i] = 0.0
+        if cells[i, 0] < 0:
+            continue
+        xx, xy, yy = moments[i, 0, 0], moments[i, 0, 1], moments[i, 1, 1]
+        for d in range(4):
+            j = there(at, fits, cells[i, 0] + _DOWN[d], cells[i, 1] + _RIGHT[d])
+            known[d] = j >= 0
+            if known[d]:
+                x, y = centres[j, 0] - centres[i, 0], centres[j, 1] - centres[i, 1]
+                ways[d, 0], ways[d, 1], ways[d, 2] = x, y, yy * x * x - 2.0 * xy * x * y + xx * y * y
+        for d in range(4):
+            e = (d + 1) & 3
+            if known[d] and known[e]:
+                dot = yy * ways[d, 0] * ways[e, 0] - xy * (ways[d, 0] * ways[e, 1] + ways[d, 1] * ways[e, 0])
+                dot += xx * ways[d, 1] * ways[e, 1]
+                out[i] = max(out[i], abs(dot) / np.sqrt(ways[d, 2] * ways[e, 2]))
+
+
+@kernel
 def bumps(grey, centres, at, fits, cells, rise, out):
     """By how much the colourfulness rises and falls again on the way from a circle to its neighbours, where there should be dark cloth.
 

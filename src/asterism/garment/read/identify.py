@@ -55,13 +55,14 @@ def identify(circles: Circles, links: NDArray[np.int32], posterior: Floats, patt
     A block of nine colours is some block of a suit's pattern by chance in one of ten cases, so none is believed alone. Blocks that are
     side by side in the image and on the grid form groups, whose cells are carried on along links. Linked circles that hold no such blocks,
     as between a seam and the rim of an arm, are placed where `rules.patch` of their colours fit, and nowhere else nearly as well. A map
-    needs `rules.alone` nats beyond the number of places and turns that it could have. From there cells are carried on to circles that lie
-    where rows and columns go on, with links or without.
+    needs `rules.alone` nats beyond the number of places and turns that it could have, or `rules.beside` where other maps are sure of most
+    circles. From there cells are carried on to circles that lie where rows and columns go on, with links or without.
 
     Then each circle is weighed: the colours around it, as log q nats each and a misread one as a loss, in all and on its weakest side,
     because what is across a fold does not speak for it; how far it is from where its neighbours expect it; whether another cell is
     expected there, too; squares that it closes; and whether something coloured lies between it and its neighbours. `rules.weights` make
-    log odds of that, and a circle needs `rules.odds`. One that is much larger or smaller than its neighbours has run into another, or is
+    log odds of that, less for an area unlike the neighbours', and a circle needs `rules.odds`; where it closes few squares with others, it
+    needs what `rules.end` and `rules.corner` say, too. One that is much larger or smaller than its neighbours has run into another, or is
     covered, and gets no identity. A lone misread colour in a neighbourhood that fits is corrected so.
     """
     n, q = posterior.shape
@@ -76,11 +77,14 @@ def identify(circles: Circles, links: NDArray[np.int32], posterior: Floats, patt
     roots = np.empty(n, np.int32)
     kernels.groups(links, cells, turns, roots)
     beyond = np.bincount(roots, own, n)[roots] - np.log(4.0 * max((pattern.colours >= 0).sum(), 1))
-    cells[(turns < 0) | (beyond <= rules.alone)] = -1
+    sure = (turns >= 0) & (beyond > rules.alone)
+    recognised = 2 * sure.sum() > (turns >= 0).sum()
+    cells[(turns < 0) | (beyond <= (rules.beside if recognised else rules.alone))] = -1
     twice = _twice(cells, pattern.shape)
     cells[twice] = -1
     odds = _odds(circles, likelihood, own, pattern, rules, cells)
     apart = _apart_from_neighbours(circles.moments, cells, pattern.shape)
+    odds -= rules.unlike * apart
     given = (odds > rules.odds) & (apart < rules.alike)
     grid = np.where(given[:, None], cells, -1).astype(np.int32)
     ids = np.where(given, pattern.ids[cells[:, 0], cells[:, 1]], -1).astype(np.int32)
@@ -134,6 +138,8 @@ def _odds(circles: Circles, likelihood: Floats, own: Floats, pattern: Pattern, r
     weigh.evidence(at, fits, cells, own, _RADIUS, around)
     weigh.smoothness(centres, at, fits, cells, off)
     weigh.bumps(circles.grey, centres, at, fits, cells, np.array(rules.bump), bump)
+    slant = np.empty(n)
+    weigh.slants(centres, circles.moments, at, fits, cells, slant)
     told = np.column_stack(
         [
             np.ones(n),
@@ -147,7 +153,12 @@ def _odds(circles: Circles, likelihood: Floats, own: Floats, pattern: Pattern, r
             np.clip(bump, 0, 0.5),
         ]
     )
-    return np.where(there & np.isfinite(off[:, 0]) & (off[:, 1] < rules.astray), told @ np.array(rules.weights), -np.inf)
+    squares, near = off[:, 2], np.isfinite(off[:, 0]) & (off[:, 1] < rules.astray)
+    inner = squares > rules.end.squares
+    end = (slant < rules.end.slant) & (bump < rules.end.bump) & (own > rules.end.own)
+    corner = end & (slant < rules.corner.slant) & (bump < rules.corner.bump) & (rival > rules.corner.rival)
+    held = inner | (end & (squares > rules.corner.squares)) | (corner & (squares > 0))
+    return np.where(there & near & held, told @ np.array(rules.weights), -np.inf)
 
 
 def _apart_from_neighbours(moments: Floats, cells: NDArray[np.int32], shape: tuple[int, int]) -> Floats:
