@@ -21,7 +21,7 @@ from asterism.labelling.partial.solver import unpack_solvers
 from asterism.labelling.partial.weak import StrongClassifier
 from asterism.labelling.training.learning import TrainingConfig, TrainingRules, TrainingState, _some_stretches
 from asterism.labelling.training.model_file import describe_model
-from asterism.labelling.training.sample import GRID, Clip, Sample
+from asterism.labelling.training.sample import GRID, Clip, Sample, _water_level
 from asterism.simulation import simulate_occlusions, simulate_walks
 
 QUICK = {"miner": None, "training": BRIEF}
@@ -291,6 +291,14 @@ def test_a_subject_named_by_a_file_that_is_no_text_survives_saving(name):
 
 
 parts = st.lists(st.tuples(st.integers(0, 8), st.integers(0, 90), st.sampled_from("xyz")), max_size=6)
+
+
+@given(totals=st.lists(st.integers(0, 30), max_size=5), in_all=st.integers(1, 100))
+def test_the_level_up_to_which_people_give_frames_is_the_lowest_that_suffices(totals, in_all):
+    level = 1
+    while level <= max(totals, default=0) and sum(min(total, level) for total in totals) < in_all:
+        level += 1
+    assert _water_level(totals, in_all) == level
 
 
 @given(one=parts, other=parts, per_person=st.integers(1, 120), in_all=st.integers(1, 200))
