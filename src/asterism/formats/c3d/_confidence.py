@@ -33,20 +33,27 @@ _PER_CHANNEL = ("LABELS", "DESCRIPTIONS", "SCALE", "OFFSET", "UNITS", "GAIN")
 class LabelSummary:
     """What a recording's labels amount to.
 
-    confidence  (M,) mean confidence of each label where it is given
-    counts      in how many frames each is labelled, likely, unsure and hidden: (M,) each, by name
+    total   (M,) sum of the confidence of each label where it is given
+    counts  in how many frames each is labelled, likely, unsure and hidden: (M,) each, by name
     """
 
-    confidence: list[float]
-    counts: dict[str, list[float]]
+    total: Floats
+    counts: dict[str, Floats]
 
     @classmethod
     def of(cls, confidence: LabelConfidence, states: LabelStates) -> LabelSummary:
         """The summary of labels and their states."""
-        given = states.labelled | states.likely
-        total = np.where(given, np.nan_to_num(confidence.values), 0.0).sum(axis=0)
-        counts = {name: state.sum(axis=0).astype(float).tolist() for name, state in vars(states).items()}
-        return cls((total / np.maximum(given.sum(axis=0), 1)).tolist(), counts)
+        total = np.where(states.labelled | states.likely, np.nan_to_num(confidence.values), 0.0).sum(axis=0)
+        return cls(total, {name: state.sum(axis=0).astype(float) for name, state in vars(states).items()})
+
+    def plus(self, later: LabelSummary) -> LabelSummary:
+        """The summary of these frames and of later ones."""
+        return LabelSummary(self.total + later.total, {name: count + later.counts[name] for name, count in self.counts.items()})
+
+    @property
+    def mean_confidence(self) -> Floats:
+        """(M,) mean confidence of each label where it is given; 0 for one that is not."""
+        return np.asarray(self.total / np.maximum(self.counts["labelled"] + self.counts["likely"], 1))
 
 
 @dataclass(frozen=True)
@@ -208,7 +215,7 @@ def _with_summary(parameters: Parameters, names: Sequence[str], summary: LabelSu
     """The group ASTERISM with the labels, their mean confidence where they are given, and in how many frames each is what."""
     parameters, group = with_group(parameters, LOG_GROUP)
     processor = parameters.processor
-    columns = {"CONFIDENCE": summary.confidence, **{name.upper(): counts for name, counts in summary.counts.items()}}
+    columns = {"CONFIDENCE": summary.mean_confidence.tolist(), **{name.upper(): count.tolist() for name, count in summary.counts.items()}}
     changes: dict[tuple[str, str], Record | None] = {
         (LOG_GROUP, key): None for name in ("LABELS", *columns) for key in numbered(parameters, LOG_GROUP, name)
     }

@@ -272,7 +272,7 @@ def parse_c3d(raw: bytes | bytearray, path: str) -> C3DFile:
     if processor is None:
         processor = _likely_processor(raw)
         findings.append(header_conflict(f"processor type {raw[parameters_at + 3]} is unknown; {processor.name} is assumed"))
-    header = _header(raw, processor, parameters_at)
+    header = header_of(raw, processor, parameters_at)
     data_at = _data_start(raw, processor, header, findings)
     stop = data_at if data_at > parameters_at else min(len(raw), parameters_at + BLOCK * max(raw[parameters_at + 2], 1))
     parameters = parse_parameters(bytes(raw[parameters_at:stop]), processor)
@@ -298,7 +298,9 @@ def _likely_processor(raw: bytes | bytearray) -> Processor:
     return next((processor for processor in PROCESSORS.values() if sane(processor)), PC)
 
 
-def _header(raw: bytes | bytearray, processor: Processor, parameters_at: int) -> Header:
+def header_of(raw: bytes | bytearray, processor: Processor, parameters_at: int) -> Header:
+    """The header of a file's bytes."""
+
     def word(number: int) -> int:
         return processor.unsigned_at(raw, 2 * number - 2)
 

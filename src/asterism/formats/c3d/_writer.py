@@ -329,7 +329,7 @@ def assembled(file: C3DFile, parameters: Parameters, width: int, points: int, ra
     raw, start, kind = file.raw, file.layout.start, file.point_words.dtype
     begin, size = min(file.header.parameters_at, start), file.layout.frames * width * kind.itemsize
     section, shift = raw[begin:start], 0
-    tail, tail_shift = _tail(file, size - (file.layout.stop - start))
+    tail, tail_shift = tail_of(file, size - (file.layout.stop - start))
     if parameters is not file.parameters or tail_shift:
         if begin == start:
             raise AsterismError(
@@ -351,7 +351,7 @@ def assembled(file: C3DFile, parameters: Parameters, width: int, points: int, ra
     return data, words.reshape(file.layout.frames, width)
 
 
-def _tail(file: C3DFile, growth: int) -> tuple[bytes, int]:
+def tail_of(file: C3DFile, growth: int) -> tuple[bytes, int]:
     """What follows the data, padded so that it begins at the same place in a block; and by how many blocks it moves."""
     tail = bytes(file.raw[file.layout.stop :])
     if not growth:
