@@ -70,6 +70,7 @@ class Labeller:
     ) -> tuple[Labelling, MarkerSet, Path | None, list[Finding]]:
         """The labelling of a file's clouds, its marker set, the standing trial that was used, and findings."""
         from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
+        from asterism.labelling.stretches import StretchRules, stretches_of
 
         trial, findings = self.standing.of(path), list[Finding]()
         ensemble = self.ensembles[0] if trial is None else self._narrowed_by(trial)
@@ -85,6 +86,8 @@ class Labeller:
             findings.append(Finding("label-two-bodies", Severity.WARNING, str(path), sentence, "Give --model once for each of them."))
         if labelling.verdict is not None:
             findings += labelling.verdict.findings(str(path))
+        if self.in_time and len(self.ensembles) == 1 and not one_of_two:
+            findings += in_stretches(path, len(stretches_of(clouds.counts, clouds.rate, StretchRules())))
         return labelling, marker_set, trial, findings
 
     def ensemble_of(self, path: Path, parts: Iterable[Clouds]) -> tuple[SolverEnsemble, Path | None, list[Finding]]:
@@ -228,6 +231,15 @@ def _loaded(models: Sequence[Path]) -> tuple[list[SolverEnsemble], list[str]]:
 
     loaded: Mapping[Path, SolverEnsemble] = {path: SolverEnsemble.load(path) for path in dict.fromkeys(models)}
     return [loaded[path] for path in models], body_names(models)
+
+
+def in_stretches(path: Path, count: int) -> list[Finding]:
+    """The finding that a recording was labelled in so many stretches; empty where it was labelled at once."""
+    if count == 1:
+        return []
+    sentence = f"{path} is long: it was labelled in {count} stretches, which were joined where they overlap."
+    mend = "Where there is memory for it, SolverEnsemble.label labels it at once."
+    return [Finding("label-in-stretches", Severity.NOTE, str(path), sentence, mend)]
 
 
 def _other_subject(path: Path, trial: Path | None, *, given: bool) -> Finding:

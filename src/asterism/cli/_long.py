@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from asterism.cli._labelling import Labeller, findings_on_names, held_against_names, settled_names
+from asterism.cli._labelling import Labeller, findings_on_names, held_against_names, in_stretches, settled_names
 from asterism.cli._options import KnownLabels
 from asterism.findings import Finding
 from asterism.formats import LabelConfidence
@@ -31,7 +31,6 @@ class LongLabelled:
 
     labelling  of all frames
     counted    clouds of as many points, which are nowhere: what counts them takes no memory for their places
-    written    the recording under these labels, as `write_long` writes it
     subject    the trial by which the model was narrowed to the person; None where none was used
     known      what was done with the names of the file's points
     items      what a person should check first; without the points
@@ -40,7 +39,6 @@ class LongLabelled:
 
     labelling: Labelling
     counted: Clouds
-    written: LabelledRanges
     subject: Path | None
     known: KnownLabels | None
     items: Sequence[ReviewItem]
@@ -110,8 +108,11 @@ def label_long_file(
     known: KnownLabels | None = None,
     by: str = "",
     progress: Progress | None = None,
-) -> LongLabelled:
-    """Label a recording by stretches, as `labelled_file` does as a whole. Raises SeveralBodies where a stretch shows two bodies."""
+) -> tuple[LongLabelled, LabelledRanges]:
+    """Label a recording by stretches, as `labelled_file` does as a whole; and the recording under its labels, for `write_long`.
+
+    Raises SeveralBodies where a stretch shows two bodies.
+    """
     counts, shown = long.shown()
     one_frame = long.one_frame(shown)
     parts = stretches_of(counts, one_frame.rate, rules)
@@ -128,9 +129,10 @@ def label_long_file(
         found.add(begin, held, named, clouds)
     labelling, counted = found.labelling(), _counted(counts, one_frame)
     findings += [] if labelling.verdict is None else labelling.verdict.findings(str(path))
+    findings += in_stretches(path, len(parts))
     findings += findings_on_names(path, long.sampled, found.disagreements(), known)
     written = _written(long, found, labelling, counted, one_frame, known, by)
-    return LongLabelled(labelling, counted, written, trial, known, found.items, findings)
+    return LongLabelled(labelling, counted, trial, known, found.items, findings), written
 
 
 def _counted(counts: Ints, recording: Recording) -> Clouds:

@@ -105,7 +105,8 @@ def label(options: LabelOptions) -> None:
     Each file is written to FOLDER under its name and format, with everything else in it unchanged. Points that are not labelled become
     *1, *2, ... A line per file says which share of all markers in all frames is labelled (confidence 99 % or more), likely (less) and
     unsure (not labelled in a frame with points left over). The rules whole-body label a recording as a whole, by its tracks;
-    --frame-wise turns that off.
+    --frame-wise turns that off. Recordings of more than two million points are labelled in stretches of minutes; C3D files of this length
+    are never in memory as a whole, unless a report, a folder, --for or several models need that.
     Of a folder, all recordings below it are labelled, and keep their places below FOLDER, with a page on all of them. A trial in which the
     person stands, found by its name or by what it shows, narrows the model to the person. A run that was stopped goes on where it was.
     With several people or objects in the volume, give --model once for each of them; names that two of them share become 1:LASI and
@@ -226,14 +227,16 @@ class _Run:
             self.labeller.warm_up(long.frames(slice(0, 1)).clouds())
         started = time.perf_counter()
         share = _share(progress, self.batch, self.count, path)
-        found = label_long_file(self.labeller, path, long, rules, known=options.known, by=self.by, progress=share)
+        found, written = label_long_file(self.labeller, path, long, rules, known=options.known, by=self.by, progress=share)
         seconds = time.perf_counter() - started
         report_warnings(long.sampled, self.batch)
         self._say(found.findings)
-        written = replace(found.written, head=without_computed(found.written.head)) if options.drop_computed else found.written
+        if options.drop_computed:
+            written = replace(written, head=without_computed(written.head))
         target.parent.mkdir(parents=True, exist_ok=True)
         self.finished.begin(trial.place, path)
         lost = write_long(target, long.file, written)
+        del long, written  # the file is no longer needed, and half of the memory
         return _Result(self._row(trial, target, found, found.counted, found.items, seconds, lost))
 
     @property
