@@ -14,8 +14,9 @@ from models import trained
 import asterism
 from asterism.cli import main
 from asterism.formats.c3d import _long
+from asterism.formats.c3d._file import C3DFile
 from asterism.labelling import stretches
-from asterism.recording import Event, Recording
+from asterism.recording import Event, Floats, Recording
 from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
 
 FRAMES = 1500
@@ -96,6 +97,41 @@ def test_a_file_written_by_ranges_is_the_file_written_whole(
     for name in ("use", "readiness"):  # pieces of tracks end at the seams there
         row.pop(name), row_of_whole.pop(name)
     assert row == row_of_whole
+
+
+@pytest.mark.parametrize("person", [0, 2], ids=["the person", "another person"])
+@pytest.mark.usefixtures("short_stretches")
+def test_a_standing_trial_counts_as_for_a_short_file(
+    model: Path, walk: Recording, person: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source, static = tmp_path / "walk.c3d", tmp_path / "person.c3d"
+    asterism.write(source, anonymous(walk))
+    asterism.write(static, simulate_walks(3, 300, seed=5)[person].frames(slice(0, 100)))
+    by_ranges, row = label(model, source, tmp_path / "ranges", "--subject", str(static))
+    monkeypatch.setattr(_long, "read_long", lambda *_: None)
+    whole, row_of_whole = label(model, source, tmp_path / "whole", "--subject", str(static))
+    assert row["subject"] == row_of_whole["subject"] == (str(static) if person == 0 else None)
+    assert by_ranges == whole
+
+
+@pytest.mark.usefixtures("short_stretches")
+def test_a_long_file_is_never_in_memory_as_positions(model: Path, walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = tmp_path / "walk.c3d"
+    asterism.write(source, anonymous(walk))
+    most = 0
+    coordinates_of = C3DFile.coordinates_of
+
+    def counted(file: C3DFile, frames: slice) -> Floats:
+        nonlocal most
+        found = coordinates_of(file, frames)
+        most = max(most, len(found))
+        return found
+
+    monkeypatch.setattr("asterism.formats.c3d._file._FRAMES_AT_ONCE", 200)
+    monkeypatch.setattr(_long, "SAMPLED_FRAMES", 100)
+    monkeypatch.setattr(C3DFile, "coordinates_of", counted)
+    label(model, source, tmp_path / "ranges")
+    assert 200 < most < FRAMES / 2, "a stretch of some 600 frames is the most"
 
 
 @pytest.mark.usefixtures("short_stretches")

@@ -25,7 +25,7 @@ from asterism.formats.c3d._parameters import Parameters, parse_parameters, text_
 from asterism.recording import Event, Floats
 
 BLOCK = 512
-_KEY = 0x50
+KEY = 0x50
 _LABEL_KEY = 12345
 _NOWHERE = 1e8
 _FRAMES_AT_ONCE = 10_000
@@ -261,7 +261,7 @@ def parse_c3d(raw: bytes | bytearray, path: str) -> C3DFile:
     """Parse a file's bytes; `path` names it in messages. Raises AsterismError where this is not a C3D file, or holds no data."""
     if not raw:
         raise AsterismError(f"{path} is empty; export or copy it again.")
-    if len(raw) < BLOCK or raw[1] != _KEY:
+    if len(raw) < BLOCK or raw[1] != KEY:
         why = f"it is only {len(raw)} bytes long" if len(raw) < BLOCK else "its second byte is not the C3D mark"
         raise AsterismError(f"{path} is not a C3D file ({why}); export or copy it again.")
     findings: list[Finding] = []

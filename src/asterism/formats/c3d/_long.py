@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, guarded_reading
 from asterism.formats._atomic import write_atomically
 from asterism.formats._columns import recording_of
 from asterism.formats.c3d._confidence import Channels, LabelSummary
-from asterism.formats.c3d._file import BLOCK, C3DFile, Layout, header_of, open_c3d, parse_parameters, stretches
+from asterism.formats.c3d._file import BLOCK, KEY, C3DFile, Layout, header_of, open_c3d, parse_parameters, stretches
 from asterism.formats.c3d._reader import points_of, scaled
 from asterism.formats.c3d._writer import Filling, Plan, assembled, planned, renamed_computed, tail_of
 from asterism.recording import Floats, Ints, Recording, as_vertical
@@ -90,15 +90,24 @@ def read_long(path: Path, vertical: ArrayLike | str | None, points: int) -> Long
     None, too, of a file with something behind its data, which only `write_c3d` keeps. Memory for the file. Raises AsterismError as
     `read_c3d` does.
     """
-    if path.suffix.casefold() != ".c3d" or not path.is_file() or path.stat().st_size < 8 * points:  # a point has 8 bytes at least
+    if not _may_be_long(path, points):
         return None
-    file = open_c3d(path)
-    behind = bytes(file.raw[file.layout.stop :])
-    if file.layout.frames * file.layout.points <= points or len(behind) > BLOCK or behind.strip(b"\0"):
-        return None
-    some = slice(None, None, max(1, file.layout.frames // SAMPLED_FRAMES))
-    up = None if vertical is None else as_vertical(vertical)
-    return LongRecording(file, recording_of(path, points_of(file, some), None, up, source=file))
+    with guarded_reading(path):
+        file = open_c3d(path)
+        behind = bytes(file.raw[file.layout.stop :])
+        if file.layout.frames * file.layout.points <= points or len(behind) > BLOCK or behind.strip(b"\0"):
+            return None
+        some = slice(None, None, max(1, file.layout.frames // SAMPLED_FRAMES))
+        up = None if vertical is None else as_vertical(vertical)
+        return LongRecording(file, recording_of(path, points_of(file, some), None, up, source=file))
+
+
+def _may_be_long(path: Path, points: int) -> bool:
+    """Whether a file's name, size and first bytes are those of a C3D file with so many points: each has 8 bytes at least."""
+    if path.suffix.casefold() != ".c3d" or not path.is_file() or path.stat().st_size < 8 * points:
+        return False
+    with guarded_reading(path), path.open("rb") as stream:
+        return stream.read(2)[1:] == bytes([KEY])
 
 
 def write_long(path: Path, file: C3DFile, labelled: LabelledRanges) -> list[str]:
