@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -70,6 +70,7 @@ class Labeller:
     ) -> tuple[Labelling, MarkerSet, Path | None, list[Finding]]:
         """The labelling of a file's clouds, its marker set, the standing trial that was used, and findings."""
         from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
+        from asterism.labelling.stretches import StretchRules, stretches_of
 
         trial, findings = self.standing.of(path), list[Finding]()
         ensemble = self.ensembles[0] if trial is None else self._narrowed_by(trial)
@@ -85,7 +86,28 @@ class Labeller:
             findings.append(Finding("label-two-bodies", Severity.WARNING, str(path), sentence, "Give --model once for each of them."))
         if labelling.verdict is not None:
             findings += labelling.verdict.findings(str(path))
+        if self.in_time and len(self.ensembles) == 1 and not one_of_two:
+            findings += in_stretches(path, len(stretches_of(clouds.counts, clouds.rate, StretchRules())))
         return labelling, marker_set, trial, findings
+
+    def ensemble_of(self, path: Path, parts: Iterable[Clouds]) -> tuple[SolverEnsemble, Path | None, list[Finding]]:
+        """The model for a file, narrowed to its person where a trial is known; the trial; and findings.
+
+        parts: of the file's clouds; the first one that shows the person tells whether the trial is of this person.
+        """
+        from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
+
+        trial = self.standing.of(path)
+        ensemble = self.ensembles[0] if trial is None else self._narrowed_by(trial)
+        if ensemble is self.ensembles[0]:
+            return ensemble, None, []
+        for clouds in parts:
+            fit = ensemble.subject_fit(clouds, ensemble.label(clouds, time=True, workers=self.workers))
+            if fit < OTHER_SUBJECT_FIT:
+                return self.ensembles[0], None, [_other_subject(path, trial, given=bool(self.standing.given))]
+            if fit >= OTHER_SUBJECT_FIT:
+                break
+        return ensemble, trial, []
 
     def warm_up(self, clouds: Clouds) -> None:
         """Compile the kernels, so that the time of the first file leaves that out."""
@@ -95,12 +117,16 @@ class Labeller:
     def _labelled(self, ensemble: SolverEnsemble, clouds: Clouds, progress: Progress | None) -> tuple[Labelling, MarkerSet, bool]:
         """The labelling, its marker set, and whether it is that of one of two bodies, because one was expected."""
         from asterism.labelling import SeveralBodies, join_labellings, label_together
+        from asterism.labelling.stretches import label_long
 
         if len(self.ensembles) > 1:
             found = label_together(self.ensembles, clouds, workers=self.workers, progress=progress)
             return *join_labellings(found, [one.marker_set for one in self.ensembles], self.names), False
         try:
-            given = ensemble.label(clouds, time=self.in_time, rules=self.rules.value, workers=self.workers, progress=progress)
+            if self.in_time:
+                given = label_long(ensemble, clouds, workers=self.workers, progress=progress)
+            else:
+                given = ensemble.label(clouds, rules=self.rules.value, workers=self.workers, progress=progress)
             return given, ensemble.marker_set, False
         except SeveralBodies:
             both = label_together([ensemble, ensemble], clouds, workers=self.workers, progress=progress)
@@ -141,21 +167,40 @@ def with_names_of_file(
     wanted: None checks the names where the file is partly labelled, and else takes the model's labels alone; names of points that are no
     markers of the model stay in any case but `ignore`. Raises AsterismError where names are to be kept and two columns claim one marker.
     """
+    wanted = settled_names(recording, marker_set, wanted)
+    held, named, against = held_against_names(path, recording, clouds, labelling, marker_set, wanted)
+    return held, named, wanted, findings_on_names(path, recording, against, wanted)
+
+
+def settled_names(recording: Recording, marker_set: MarkerSet, wanted: KnownLabels | None) -> KnownLabels | None:
+    """What becomes of the names of a file, where nobody has said: they are checked where it is partly labelled."""
+    from asterism.recording import is_partly_labelled
+
+    return KnownLabels.CHECK if wanted is None and is_partly_labelled(recording, marker_set) else wanted
+
+
+def held_against_names(
+    path: Path, recording: Recording, clouds: Clouds, labelling: Labelling, marker_set: MarkerSet, wanted: KnownLabels | None
+) -> tuple[Labelling, Recording, tuple[Disagreement, ...]]:
+    """The labelling with the names of the file that hold, the recording under the names of the set, and which names contradict."""
     from asterism.cli._recordings import labels_kept
-    from asterism.recording import check_labels, is_partly_labelled
+    from asterism.recording import check_labels
 
     if wanted is KnownLabels.KEEP:
-        return labels_kept(path, labelling, recording, clouds, marker_set), recording, wanted, []
+        return labels_kept(path, labelling, recording, clouds, marker_set), recording, ()
     checked, against = check_labels(labelling, recording, clouds, marker_set)
-    if wanted is None and is_partly_labelled(recording, marker_set):
-        wanted = KnownLabels.CHECK
+    names = tuple(marker_set.name_of(label) or label for label in recording.labels)
+    return checked if wanted is KnownLabels.CHECK else labelling, replace(recording, labels=names), against
+
+
+def findings_on_names(path: Path, recording: Recording, against: Sequence[Disagreement], wanted: KnownLabels | None) -> list[Finding]:
+    """What a person should know of names that contradict."""
     findings = list[Finding]()
     if against and wanted is not KnownLabels.IGNORE:
         findings.append(_disagreement(path, recording, against, Severity.WARNING if wanted is KnownLabels.CHECK else Severity.NOTE))
     if against:
         findings += _out_of_date(path, recording)
-    names = tuple(marker_set.name_of(label) or label for label in recording.labels)
-    return checked if wanted is KnownLabels.CHECK else labelling, replace(recording, labels=names), wanted, findings
+    return findings
 
 
 def labelled_file(
@@ -186,6 +231,15 @@ def _loaded(models: Sequence[Path]) -> tuple[list[SolverEnsemble], list[str]]:
 
     loaded: Mapping[Path, SolverEnsemble] = {path: SolverEnsemble.load(path) for path in dict.fromkeys(models)}
     return [loaded[path] for path in models], body_names(models)
+
+
+def in_stretches(path: Path, count: int) -> list[Finding]:
+    """The finding that a recording was labelled in so many stretches; empty where it was labelled at once."""
+    if count == 1:
+        return []
+    sentence = f"{path} is long: it was labelled in {count} stretches, which were joined where they overlap."
+    mend = "Where there is memory for it, SolverEnsemble.label labels it at once."
+    return [Finding("label-in-stretches", Severity.NOTE, str(path), sentence, mend)]
 
 
 def _other_subject(path: Path, trial: Path | None, *, given: bool) -> Finding:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -37,7 +38,10 @@ from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
     from asterism.cli._finished import Finished
-    from asterism.cli._labelling import Labeller
+    from asterism.cli._labelling import Labelled, Labeller
+    from asterism.cli._long import LongLabelled
+    from asterism.findings import Finding
+    from asterism.labelling import ReviewItem
     from asterism.progress import Progress
     from asterism.recording import Clouds, Labelling, Recording
     from asterism.report import LabelledRecording
@@ -101,7 +105,8 @@ def label(options: LabelOptions) -> None:
     Each file is written to FOLDER under its name and format, with everything else in it unchanged. Points that are not labelled become
     *1, *2, ... A line per file says which share of all markers in all frames is labelled (confidence 99 % or more), likely (less) and
     unsure (not labelled in a frame with points left over). The rules whole-body label a recording as a whole, by its tracks;
-    --frame-wise turns that off.
+    --frame-wise turns that off. Recordings of more than two million points are labelled in stretches of minutes; C3D files of this length
+    are never in memory as a whole, unless a report, a folder, --for or several models need that.
     Of a folder, all recordings below it are labelled, and keep their places below FOLDER, with a page on all of them. A trial in which the
     person stands, found by its name or by what it shows, narrows the model to the person. A run that was stopped goes on where it was.
     With several people or objects in the volume, give --model once for each of them; names that two of them share become 1:LASI and
@@ -195,12 +200,63 @@ class _Run:
         return trial if program is None else replace(trial, place=trial.place.with_suffix(PROGRAMS[program.value].suffix))
 
     def _labelled(self, trial: Trial, target: Path, progress: Progress | None) -> _Result:
-        from asterism import __version__, formats
+        from asterism.labelling import SeveralBodies
+
+        with suppress(SeveralBodies):  # they are told apart by their tracks over the whole recording
+            result = self._labelled_in_stretches(trial, target, progress)
+            if result is not None:
+                return result
+        return self._labelled_whole(trial, target, progress)
+
+    def _labelled_in_stretches(self, trial: Trial, target: Path, progress: Progress | None) -> _Result | None:
+        """The result of a long C3D file, which is never in memory as positions; None of any other file."""
+        from asterism.cli._recordings import report_warnings
+        from asterism.formats import without_computed
+        from asterism.formats.c3d._long import read_long, write_long
+        from asterism.labelling.stretches import StretchRules
+
+        options, path, rules = self.options, trial.path, StretchRules()
+        if len(options.model) > 1 or not options.in_time or options.program is not None or self.page is not None:
+            return None
+        long = read_long(path, vertical_axis(options.vertical), rules.whole)
+        if long is None:
+            return None
+        from asterism.cli._long import label_long_file
+
+        if not self.batch.done:
+            self.labeller.warm_up(long.frames(slice(0, 1)).clouds())
+        started = time.perf_counter()
+        share = _share(progress, self.batch, self.count, path)
+        found, written = label_long_file(self.labeller, path, long, rules, known=options.known, by=self.by, progress=share)
+        seconds = time.perf_counter() - started
+        report_warnings(long.sampled, self.batch)
+        self._say(found.findings)
+        if options.drop_computed:
+            written = replace(written, head=without_computed(written.head))
+        target.parent.mkdir(parents=True, exist_ok=True)
+        self.finished.begin(trial.place, path)
+        lost = write_long(target, long.file, written)
+        del long, written  # the file is no longer needed, and half of the memory
+        return _Result(self._row(trial, target, found, found.counted, found.items, seconds, lost))
+
+    @property
+    def by(self) -> str:
+        """What labels the files, for their logs."""
+        from asterism import __version__
+
+        return f"asterism {__version__}, {', '.join(model.name for model in self.options.model)}"
+
+    def _say(self, findings: Sequence[Finding]) -> None:
+        """Name what was found on a file's labels."""
+        for finding in findings:
+            if not (self.options.drop_computed and finding.code == "label-computed-outdated"):
+                self.batch.found(finding)
+
+    def _labelled_whole(self, trial: Trial, target: Path, progress: Progress | None) -> _Result:
+        from asterism import formats
         from asterism.cli._labelling import labelled_file
-        from asterism.cli._recordings import not_carried, report_warnings
+        from asterism.cli._recordings import report_warnings
         from asterism.labelling import review
-        from asterism.labelling.correction import readiness
-        from asterism.recording import label_shares
 
         options, path = self.options, trial.path
         recording, clouds = _read(path, vertical_axis(options.vertical))
@@ -208,13 +264,10 @@ class _Run:
         if not self.batch.done:
             self.labeller.warm_up(clouds)
         started = time.perf_counter()
-        by = f"asterism {__version__}, {', '.join(model.name for model in options.model)}"
         share = _share(progress, self.batch, self.count, path)
-        labelled = labelled_file(self.labeller, path, recording, clouds, known=options.known, by=by, progress=share)
+        labelled = labelled_file(self.labeller, path, recording, clouds, known=options.known, by=self.by, progress=share)
         seconds = time.perf_counter() - started
-        for finding in labelled.findings:
-            if not (options.drop_computed and finding.code == "label-computed-outdated"):
-                self.batch.found(finding)
+        self._say(labelled.findings)
         written = formats.without_computed(labelled.recording) if options.drop_computed else labelled.recording
         left = list[str]()
         if options.program is not None:
@@ -222,29 +275,48 @@ class _Run:
         target.parent.mkdir(parents=True, exist_ok=True)
         self.finished.begin(trial.place, path)
         lost = [*left, *formats.write(target, written, labelling=labelled.labelling, clouds=clouds)]
+        row = self._row(trial, target, labelled, clouds, review(labelled.labelling, clouds), seconds, lost)
+        if self.page is None or len(self.batch.done) >= _MOST_SHOWN:
+            return _Result(row)
+        from asterism.report import LabelledRecording
+
+        return _Result(row, LabelledRecording(labelled.labelling, clouds, labelled.marker_set, None, recording.first_frame))
+
+    def _row(
+        self,
+        trial: Trial,
+        target: Path,
+        labelled: Labelled | LongLabelled,
+        clouds: Clouds,
+        items: Sequence[ReviewItem],
+        seconds: float,
+        lost: Sequence[str],
+    ) -> dict[str, Any]:
+        """What the table and the JSON say of a file that was written, which is complete then."""
+        from asterism.cli._recordings import not_carried
+        from asterism.labelling.correction import readiness
+        from asterism.recording import label_shares
+
         for finding in not_carried(target, lost):
             self.batch.found(finding)
-        ready = readiness(labelled.labelling, clouds, review(labelled.labelling, clouds))
+        labelling = labelled.labelling
+        ready = readiness(labelling, clouds, items)
         row = {
-            "file": path,
+            "file": trial.path,
             "output": target,
             "frames": len(clouds),
-            **asdict(label_shares(labelled.labelling, clouds)),
-            "markers": _by_marker(labelled.labelling, clouds),
+            **asdict(label_shares(labelling, clouds)),
+            "markers": _by_marker(labelling, clouds),
             "subject": labelled.subject,
             "known_labels": None if labelled.known is None else labelled.known.value,
-            "verdict": None if labelled.labelling.verdict is None else labelled.labelling.verdict.kind,
+            "verdict": None if labelling.verdict is None else labelling.verdict.kind,
             "readiness": ready.kind,
             "use": ready.words,
             "frames_per_second": len(clouds) / seconds if seconds else float("nan"),
             "not_carried": lost,
         }
         self.finished.end(trial.place, target, row)
-        if self.page is None or len(self.batch.done) >= _MOST_SHOWN:
-            return _Result(row)
-        from asterism.report import LabelledRecording
-
-        return _Result(row, LabelledRecording(labelled.labelling, clouds, labelled.marker_set, None, recording.first_frame))
+        return row
 
 
 def _check(options: LabelOptions) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from asterism.errors import AsterismError
@@ -27,8 +27,8 @@ def utf8(text: str) -> bytes:
     return text.encode("utf-8", "replace")
 
 
-def write_atomically(path: Path, data: bytes | bytearray) -> None:
-    """Write the whole file or nothing, under a temporary name in the same folder that is then renamed.
+def write_atomically(path: Path, data: bytes | bytearray | Iterable[bytes | bytearray]) -> None:
+    """Write the whole file or nothing, under a temporary name in the same folder that is then renamed. data: its bytes, or pieces of them.
 
     A file that is replaced keeps its permissions, and a link stays one: its target is replaced. Unfinished files of the same name that
     killed runs left behind are removed. Raises AsterismError where the place cannot be written to.
@@ -41,7 +41,8 @@ def write_atomically(path: Path, data: bytes | bytearray) -> None:
         try:
             handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666 if mode is None else 0o600)
             with os.fdopen(handle, "wb") as stream:
-                stream.write(data)
+                for piece in [data] if isinstance(data, bytes | bytearray) else data:
+                    stream.write(piece)
             if mode is not None:
                 os.chmod(temporary, mode)
             os.replace(temporary, target)

@@ -7,13 +7,14 @@ it has 8 bits, is the only record of how well the cameras saw the point, and pro
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.formats._confidence import LabelConfidence
 from asterism.formats.c3d._edit import LOG_GROUP, MOST_STRINGS, floats_record, integers_record, strings_record, with_group, with_number
-from asterism.formats.c3d._file import C3DFile, numbered
+from asterism.formats.c3d._file import C3DFile, numbered, stretches
 from asterism.formats.c3d._numbers import Words
 from asterism.formats.c3d._parameters import BYTE, CHARACTER, FLOAT, INTEGER, Parameters, Record, make_parameter
 from asterism.formats.c3d._writer import assembled
@@ -28,30 +29,91 @@ _MOST_SAMPLES = 65535
 _PER_CHANNEL = ("LABELS", "DESCRIPTIONS", "SCALE", "OFFSET", "UNITS", "GAIN")
 
 
+@dataclass(frozen=True)
+class LabelSummary:
+    """What a recording's labels amount to.
+
+    total   (M,) sum of the confidence of each label where it is given
+    counts  in how many frames each is labelled, likely, unsure and hidden: (M,) each, by name
+    """
+
+    total: Floats
+    counts: dict[str, Floats]
+
+    @classmethod
+    def of(cls, confidence: LabelConfidence, states: LabelStates) -> LabelSummary:
+        """The summary of labels and their states."""
+        total = np.where(states.labelled | states.likely, np.nan_to_num(confidence.values), 0.0).sum(axis=0)
+        return cls(total, {name: state.sum(axis=0).astype(float) for name, state in vars(states).items()})
+
+    def plus(self, later: LabelSummary) -> LabelSummary:
+        """The summary of these frames and of later ones."""
+        return LabelSummary(self.total + later.total, {name: count + later.counts[name] for name, count in self.counts.items()})
+
+    @property
+    def mean_confidence(self) -> Floats:
+        """(M,) mean confidence of each label where it is given; 0 for one that is not."""
+        return np.asarray(self.total / np.maximum(self.counts["labelled"] + self.counts["likely"], 1))
+
+
+@dataclass(frozen=True)
+class Channels:
+    """The analog channels of a file that has the confidence of its labels.
+
+    kept        channels of the file that stay
+    names       labels, a channel each
+    samples     of a channel in each frame
+    parameters  of the new file
+    """
+
+    kept: list[int]
+    names: tuple[str, ...]
+    samples: int
+    parameters: Parameters
+
+    @classmethod
+    def of(cls, file: C3DFile, names: tuple[str, ...], summary: LabelSummary) -> Channels:
+        """Those for a file. Raises AsterismError as `with_confidence` does."""
+        general = file.parameters.number("ANALOG", "GEN_SCALE")
+        if general == 0.0:
+            raise AsterismError(f"{file.path} scales all analog channels by zero (ANALOG:GEN_SCALE); correct it there.")
+        kept = _kept_channels(file)
+        samples = max(1, file.layout.analog // file.analog_channels if file.analog_channels else 1)
+        if samples * (len(kept) + len(names)) > _MOST_SAMPLES:
+            raise AsterismError(f"{file.path}: {len(kept) + len(names)} analog channels are more than a C3D file can hold at this rate.")
+        parameters = _with_channels(file, kept, names, samples, 1.0 if general is None else general)
+        return cls(kept, names, samples, _with_summary(parameters, names, summary, len(kept)))
+
+    @property
+    def width(self) -> int:
+        """Analog words of a frame."""
+        return self.samples * (len(self.kept) + len(self.names))
+
+    def words(self, file: C3DFile, analog: Words, values: Floats) -> Words:
+        """The analog words of some frames; analog: theirs in the file (frames, words); values (frames, M) of the confidence."""
+        new = np.repeat(_encoded(file, values)[:, None], self.samples, axis=1)
+        if file.analog_channels:
+            new = np.concatenate([analog.reshape(len(values), self.samples, -1)[:, :, self.kept], new], axis=2)
+        return new.reshape(len(values), -1)
+
+    def write_header(self, raw: bytearray, file: C3DFile) -> None:
+        """Write what the header of the new file says of its analog samples."""
+        raw[4:6] = file.processor.bytes_of_unsigned(self.width)
+        raw[18:20] = file.processor.bytes_of_unsigned(self.samples)
+
+
 def with_confidence(file: C3DFile, confidence: LabelConfidence, states: LabelStates) -> bytearray:
     """The bytes of a file with the confidence of its labels, in place of one that it had.
 
     confidence  names (M,) and values (T, M) in [0, 1]; states: theirs. Other channels keep their samples, numbers and order.
     Raises AsterismError where a frame would hold more analog samples than a C3D file can, or the general scale of its channels is zero.
     """
-    general = file.parameters.number("ANALOG", "GEN_SCALE")
-    if general == 0.0:
-        raise AsterismError(f"{file.path} scales all analog channels by zero (ANALOG:GEN_SCALE); correct it there.")
-    names, kept = confidence.names, _kept_channels(file)
-    samples = max(1, file.layout.analog // file.analog_channels if file.analog_channels else 1)
-    if samples * (len(kept) + len(names)) > _MOST_SAMPLES:
-        raise AsterismError(f"{file.path}: {len(kept) + len(names)} analog channels are more than a C3D file can hold at this rate.")
-    frames = file.layout.frames
-    old = file.words[:, 4 * file.layout.points :].reshape(frames, samples, -1)[:, :, kept] if file.analog_channels else None
-    new = np.repeat(_encoded(file, confidence.values)[:, None], samples, axis=1)
-    analog = new if old is None else np.concatenate([old, new], axis=2)
-    parameters = _with_channels(file, kept, names, samples, 1.0 if general is None else general)
-    parameters = _with_summary(parameters, confidence, states, len(kept))
-    raw, words = assembled(file, parameters, 4 * file.layout.points + samples * analog.shape[2], file.layout.points, None)
-    words[:, : 4 * file.layout.points] = file.words[:, : 4 * file.layout.points]
-    words[:, 4 * file.layout.points :] = analog.reshape(frames, -1)
-    raw[4:6] = file.processor.bytes_of_unsigned(samples * analog.shape[2])
-    raw[18:20] = file.processor.bytes_of_unsigned(samples)
+    channels, points = Channels.of(file, confidence.names, LabelSummary.of(confidence, states)), 4 * file.layout.points
+    raw, words = assembled(file, channels.parameters, points + channels.width, file.layout.points, None)
+    for some in stretches(file.layout.frames):
+        words[some, :points] = file.words[some, :points]
+        words[some, points:] = channels.words(file, file.words[some, points:], confidence.values[some])
+    channels.write_header(raw, file)
     return raw
 
 
@@ -149,14 +211,11 @@ def _record(name: str, group: int, values: Sequence[bytes | float], like: Record
     return integers_record(name, group, [int(number) for number in numbers], (len(numbers),), file.processor)
 
 
-def _with_summary(parameters: Parameters, confidence: LabelConfidence, states: LabelStates, first: int) -> Parameters:
+def _with_summary(parameters: Parameters, names: Sequence[str], summary: LabelSummary, first: int) -> Parameters:
     """The group ASTERISM with the labels, their mean confidence where they are given, and in how many frames each is what."""
     parameters, group = with_group(parameters, LOG_GROUP)
-    processor, names = parameters.processor, confidence.names
-    given = states.labelled | states.likely
-    total = np.where(given, np.nan_to_num(confidence.values), 0.0).sum(axis=0)
-    columns: dict[str, Sequence[float]] = {"CONFIDENCE": (total / np.maximum(given.sum(axis=0), 1)).tolist()}
-    columns |= {name.upper(): state.sum(axis=0).astype(float).tolist() for name, state in vars(states).items()}
+    processor = parameters.processor
+    columns = {"CONFIDENCE": summary.mean_confidence.tolist(), **{name.upper(): count.tolist() for name, count in summary.counts.items()}}
     changes: dict[tuple[str, str], Record | None] = {
         (LOG_GROUP, key): None for name in ("LABELS", *columns) for key in numbered(parameters, LOG_GROUP, name)
     }

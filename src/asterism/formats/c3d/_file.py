@@ -25,7 +25,7 @@ from asterism.formats.c3d._parameters import Parameters, parse_parameters, text_
 from asterism.recording import Event, Floats
 
 BLOCK = 512
-_KEY = 0x50
+KEY = 0x50
 _LABEL_KEY = 12345
 _NOWHERE = 1e8
 _FRAMES_AT_ONCE = 10_000
@@ -261,7 +261,7 @@ def parse_c3d(raw: bytes | bytearray, path: str) -> C3DFile:
     """Parse a file's bytes; `path` names it in messages. Raises AsterismError where this is not a C3D file, or holds no data."""
     if not raw:
         raise AsterismError(f"{path} is empty; export or copy it again.")
-    if len(raw) < BLOCK or raw[1] != _KEY:
+    if len(raw) < BLOCK or raw[1] != KEY:
         why = f"it is only {len(raw)} bytes long" if len(raw) < BLOCK else "its second byte is not the C3D mark"
         raise AsterismError(f"{path} is not a C3D file ({why}); export or copy it again.")
     findings: list[Finding] = []
@@ -272,7 +272,7 @@ def parse_c3d(raw: bytes | bytearray, path: str) -> C3DFile:
     if processor is None:
         processor = _likely_processor(raw)
         findings.append(header_conflict(f"processor type {raw[parameters_at + 3]} is unknown; {processor.name} is assumed"))
-    header = _header(raw, processor, parameters_at)
+    header = header_of(raw, processor, parameters_at)
     data_at = _data_start(raw, processor, header, findings)
     stop = data_at if data_at > parameters_at else min(len(raw), parameters_at + BLOCK * max(raw[parameters_at + 2], 1))
     parameters = parse_parameters(bytes(raw[parameters_at:stop]), processor)
@@ -298,7 +298,9 @@ def _likely_processor(raw: bytes | bytearray) -> Processor:
     return next((processor for processor in PROCESSORS.values() if sane(processor)), PC)
 
 
-def _header(raw: bytes | bytearray, processor: Processor, parameters_at: int) -> Header:
+def header_of(raw: bytes | bytearray, processor: Processor, parameters_at: int) -> Header:
+    """The header of a file's bytes."""
+
     def word(number: int) -> int:
         return processor.unsigned_at(raw, 2 * number - 2)
 

@@ -40,9 +40,13 @@ def read_c3d(path: Path, markers: Any = None, vertical: ArrayLike | str | None =
     return recording_of(path, points_of(file), markers, vertical, source=file)
 
 
-def points_of(file: C3DFile) -> Points:
-    """Every point of a file in metres, with what the file says about them. Raises AsterismError for an impossible rate or unit."""
-    positions, scale, units, found = in_metres(file)
+def points_of(file: C3DFile, some: slice | None = None) -> Points:
+    """Every point of a file in metres, with what the file says about them. Raises AsterismError for an impossible rate or unit.
+
+    some: the frames, by default all.
+    """
+    scale, units, found = unit_of(file)
+    positions = scaled(file.coordinates if some is None else file.coordinates_of(some), scale)
     return Points(
         positions=positions,
         labels=tuple(file.labels),

@@ -85,6 +85,20 @@ class _Slot:
     column: int | None
 
 
+@dataclass(frozen=True)
+class Plan:
+    """How a recording is written into a copy of its file.
+
+    slots       the point columns of the new file
+    parameters  of the new file
+    rate        frames per second, None where it stays
+    """
+
+    slots: list[_Slot]
+    parameters: Parameters
+    rate: float | None
+
+
 def rewritten(file: C3DFile, recording: Recording, target: str) -> bytearray:
     """The bytes of `file`, with the columns of `recording` in place of those that it replaces."""
     if len(recording) != file.layout.frames:
@@ -95,8 +109,23 @@ def rewritten(file: C3DFile, recording: Recording, target: str) -> bytearray:
     origin = recording.origin
     if origin is None or origin.shape != recording.positions.shape[:2]:
         origin = np.full(recording.positions.shape[:2], -1, dtype=np.int64)
+    points = file.layout.points
+    plan = planned(file, recording, [_commonest(column[(column >= 0) & (column < points)]) for column in origin.T], target)
+    data, words = assembled(file, plan.parameters, 4 * len(plan.slots) + file.layout.analog, len(plan.slots), plan.rate)
+    filling = Filling.of(file, plan.slots, recording.labels, target)
+    for some in stretches(file.layout.frames):
+        filling.fill(words[some], some, recording.positions[some], origin[some])
+        words[some, 4 * len(plan.slots) :] = file.words[some, 4 * points :]
+    return data
+
+
+def planned(file: C3DFile, recording: Recording, main: Sequence[int], target: str) -> Plan:
+    """How a recording is written; main: the place in the file that most samples of each column came from, -1 for none.
+
+    Of the recording only labels, events, log, rate and `taken` are looked at.
+    """
     seen = without_common_subject(file.labels)[0]
-    slots = _slots(seen, recording, origin, file.layout.points)
+    slots = _slots(seen, recording, main, file.layout.points)
     if len(slots) > _MOST_POINTS:
         raise AsterismError(
             f"{target}: {len(slots)} points are more than the {_MOST_POINTS} that a C3D file can hold; write fewer columns."
@@ -120,16 +149,13 @@ def rewritten(file: C3DFile, recording: Recording, target: str) -> bytearray:
     rate = recording.rate if recording.rate != file.rate else None
     if rate is not None:
         parameters = _with_rate(parameters, rate / file.rate)
-    data, words = assembled(file, parameters, 4 * len(slots) + file.layout.analog, len(slots), rate)
-    _fill(words, file, recording, origin, slots, target)
-    return data
+    return Plan(slots, parameters, rate)
 
 
-def _slots(seen: Sequence[str], recording: Recording, origin: Ints, points: int) -> list[_Slot]:
+def _slots(seen: Sequence[str], recording: Recording, main: Sequence[int], points: int) -> list[_Slot]:
     """The columns of the new file: in an old place by label or by the samples' origin, else behind the others."""
     free = {place for place in recording.taken if 0 <= place < points}
     place_of: dict[int, int] = {}
-    main = [_commonest(column[(column >= 0) & (column < points)]) for column in origin.T]
     by_label: dict[str, list[int]] = {}
     for place in sorted(free):
         by_label.setdefault(seen[place], []).append(place)
@@ -160,21 +186,47 @@ def _commonest(places: Ints) -> int:
     return int(np.bincount(places).argmax()) if len(places) else -1
 
 
-def _fill(out: Words, file: C3DFile, recording: Recording, origin: Ints, slots: Sequence[_Slot], target: str) -> None:
-    """Write the new data block, (frames, width) words in the file's byte order, some frames at a time."""
-    scale, missing = unit_of(file)[0], _missing_words(file)
-    for some in stretches(file.layout.frames):
-        before = scaled(file.coordinates_of(some), scale)
+@dataclass(frozen=True)
+class Filling:
+    """Writes the points of a new data block, some frames at a time.
+
+    file     the file that the recording was read from
+    slots    the point columns of the new one
+    labels   of the recording's columns
+    scale    metres per unit
+    missing  the four words of a missing point
+    target   the name of the new file, for messages
+    """
+
+    file: C3DFile
+    slots: Sequence[_Slot]
+    labels: Sequence[str]
+    scale: float
+    missing: Words
+    target: str
+
+    @classmethod
+    def of(cls, file: C3DFile, slots: Sequence[_Slot], labels: Sequence[str], target: str) -> Filling:
+        """With the unit of the file, and its words for missing points."""
+        return cls(file, slots, labels, unit_of(file)[0], _missing_words(file), target)
+
+    def fill(self, out: Words, some: slice, positions: Floats, origin: Ints) -> None:
+        """Write the points of some frames of the file, (frames, width) words in the file's byte order.
+
+        positions (frames, columns, 3) m; origin (frames, columns): the file's point column that each sample came from, -1 for none.
+        """
+        file = self.file
+        before = scaled(file.coordinates_of(some), self.scale)
         points, frames = file.point_words[some], np.arange(len(before))
-        for new, slot in enumerate(slots):
-            column = np.s_[some, 4 * new : 4 * new + 4]
+        for new, slot in enumerate(self.slots):
+            column = np.s_[:, 4 * new : 4 * new + 4]
             if slot.column is None:
                 out[column] = points[:, slot.place]
                 continue
-            new_positions = recording.positions[some, slot.column]
+            new_positions = positions[:, slot.column]
             words = np.empty((len(frames), 4), dtype=points.dtype)
             done = np.zeros(len(frames), dtype=bool)
-            sources = [origin[some, slot.column]] + ([np.full(len(frames), slot.place)] if slot.place is not None else [])
+            sources = [origin[:, slot.column]] + ([np.full(len(frames), slot.place)] if slot.place is not None else [])
             for source in sources:
                 known = (source >= 0) & (source < file.layout.points)
                 source = np.where(known, source, 0)
@@ -183,11 +235,10 @@ def _fill(out: Words, file: C3DFile, recording: Recording, origin: Ints, slots: 
                 words[same] = points[frames[same], source[same]]
                 done |= same
             gone = ~done & np.isnan(new_positions[:, 0])
-            words[gone] = missing
+            words[gone] = self.missing
             fresh = ~done & ~gone
-            words[fresh] = _encoded(file, new_positions[fresh], scale, recording.labels[slot.column], target)
+            words[fresh] = _encoded(file, new_positions[fresh], self.scale, self.labels[slot.column], self.target)
             out[column] = words
-        out[some, 4 * len(slots) :] = file.words[some, 4 * file.layout.points :]
 
 
 def _missing_words(file: C3DFile) -> Words:
@@ -278,7 +329,7 @@ def assembled(file: C3DFile, parameters: Parameters, width: int, points: int, ra
     raw, start, kind = file.raw, file.layout.start, file.point_words.dtype
     begin, size = min(file.header.parameters_at, start), file.layout.frames * width * kind.itemsize
     section, shift = raw[begin:start], 0
-    tail, tail_shift = _tail(file, size - (file.layout.stop - start))
+    tail, tail_shift = tail_of(file, size - (file.layout.stop - start))
     if parameters is not file.parameters or tail_shift:
         if begin == start:
             raise AsterismError(
@@ -300,7 +351,7 @@ def assembled(file: C3DFile, parameters: Parameters, width: int, points: int, ra
     return data, words.reshape(file.layout.frames, width)
 
 
-def _tail(file: C3DFile, growth: int) -> tuple[bytes, int]:
+def tail_of(file: C3DFile, growth: int) -> tuple[bytes, int]:
     """What follows the data, padded so that it begins at the same place in a block; and by how many blocks it moves."""
     tail = bytes(file.raw[file.layout.stop :])
     if not growth:
