@@ -16,6 +16,7 @@ from asterism.errors import AsterismError
 from asterism.formats import Table, convert, describe, read, read_clouds, read_table, write, write_table
 from asterism.formats._text import _timed_rate
 from asterism.formats.csv_long import write_long
+from asterism.formats.csv_nexus import is_nexus
 from asterism.recording import Clouds, Event, Recording, as_vertical
 
 NAMES = ("LASI", "RASI", "LKNE", "RKNE", "LANK", "RANK", "C7", "*1")
@@ -673,6 +674,19 @@ def test_nexus_sections_in_any_order_with_events(tmp_path):
     assert (recording.metadata["subject"], recording.first_frame) == ("Ann", 7)
     assert recording.events == (Event("Foot Strike", 0.02, "Left"),)
     assert tuple(read(tmp_path / "walk.csv").vertical) == (0, 0, 1)
+
+
+def test_nexus_events_may_come_first_and_without_a_rate(tmp_path):
+    devices, events, trajectories = NEXUS.split("\n\n")
+    (tmp_path / "walk.csv").write_text("\n\n".join([events.replace("Events\n100\n", "Events\n"), devices, trajectories]))
+    recording = read(tmp_path / "walk.csv")
+    assert recording.labels == ("LKNE", "RKNE") and [event.label for event in recording.events] == ["Foot Strike"]
+
+
+@pytest.mark.parametrize("section", ["Joints", "Devices"])
+def test_a_section_without_a_rate_makes_no_nexus_file(section):
+    assert not is_nexus([section, "name,x,y,z"])
+    assert is_nexus([section, "100"])
 
 
 def test_motive_3_with_bones_and_millimetres(tmp_path):
