@@ -112,14 +112,14 @@ class Measuring:
     """Measures rows and keeps what they give; `complete` until a row fails or is left out for want of time."""
 
     def __init__(self, given: argparse.Namespace, sources: Sources, held: Mapping[str, Folder]) -> None:
-        self.given, self.last, self.complete = given, runs.load(), True
+        self.given, self.sources, self.held = given, sources, held
+        self.last, self.complete = runs.load(), True
         self.benchmark = BenchmarkRun(given.quick, given.models, given.jobs)
-        self.origin_of = lambda row: figures.NOBODY if given.quick else figures.Origin(commit(), hash_of(sources, *row, held))
         self.until = float("inf") if given.minutes is None else time.perf_counter() + 60 * given.minutes
 
     def all_of(self, rows: Sequence[stale.Row]) -> None:
         """Measure rows: with several jobs those that may have company side by side, then the others one after the other."""
-        origins = {row: self.origin_of(row) for row in rows}
+        origins = {row: self._origin(row) for row in rows}
         waiting = [row for row in rows if not self._is_done(row, origins[row])]
         shared = [row for row in waiting if self.given.jobs > 1 and len(waiting) > 1 and schedule.may_have_company(row)]
         measurement = schedule.Measurement(self.given.quick, self.given.models)
@@ -133,6 +133,9 @@ class Measuring:
                     CHAPTERS[row[0]].ROWS[row[1]], self.benchmark, lambda figure, row=row: self._keep(row, figure, origins[row])
                 )
                 self._end(row, measured, origins[row], self.given.jobs)
+
+    def _origin(self, row: stale.Row) -> figures.Origin:
+        return figures.NOBODY if self.given.quick else figures.Origin(commit(), hash_of(self.sources, *row, self.held))
 
     def _is_done(self, row: stale.Row, origin: figures.Origin) -> bool:
         last = self.last.get(row)
