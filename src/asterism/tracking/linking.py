@@ -118,8 +118,10 @@ def find_tracklets(clouds: Clouds, rules: LinkRules | None = None) -> Tracklets:
     xyz = np.ascontiguousarray(clouds.xyz[order])
     frame = clouds.frame_of
     forbidden = np.full(len(xyz), -1, dtype=np.int64)
-    numbers = _usable_numbers(clouds, xyz, frame, order, rules)
-    links = None if numbers is None else _by_numbers(xyz, clouds.offsets, frame, numbers, limits, forbidden)
+    numbers = None if clouds.tracks is None else clouds.tracks[order]
+    links = None if numbers is None else _usable_links(numbers, xyz, clouds.offsets, frame, rules)
+    if numbers is not None and links is not None:
+        _cut_and_complete(links, xyz, clouds.offsets, frame, numbers, limits, forbidden)
     if links is None or _linked_share(links) < rules.min_linked_share:
         by_motion = _by_motion(xyz, clouds.offsets, limits)
         if links is None or _linked_share(by_motion) > rules.motion_gain * _linked_share(links):
@@ -137,21 +139,18 @@ def find_tracklets(clouds: Clouds, rules: LinkRules | None = None) -> Tracklets:
     return Tracklets(of_point, first, last)
 
 
-def _usable_numbers(clouds: Clouds, xyz: Floats, frame: Ints, order: Ints, rules: LinkRules) -> Ints | None:
-    """The track numbers (P,) in the order of the sorted points, None where there are none or they are no tracks."""
-    if clouds.tracks is None:
-        return None
-    numbers = clouds.tracks[order]
-    links, strays = count_strays(xyz, clouds.offsets, _along_numbers(numbers, frame).following, rules.stray_ratio, rules.jump)
-    return None if strays > rules.max_stray_share * links else numbers
+def _usable_links(numbers: Ints, xyz: Floats, offsets: Ints, frame: Ints, rules: LinkRules) -> Links | None:
+    """The links along track numbers (P,), None where they are no tracks."""
+    links = _along_numbers(numbers, frame)
+    count, strays = count_strays(xyz, offsets, links.following, rules.stray_ratio, rules.jump)
+    return None if strays > rules.max_stray_share * count else links
 
 
-def _by_numbers(xyz: Floats, offsets: Ints, frame: Ints, numbers: Ints, limits: LinkLimits, forbidden: Ints) -> Links:
-    """Links along track numbers (P,), cut where they are wrong, and links by motion between points without a number.
+def _cut_and_complete(links: Links, xyz: Floats, offsets: Ints, frame: Ints, numbers: Ints, limits: LinkLimits, forbidden: Ints) -> None:
+    """Cut links along track numbers (P,) where they are wrong, and add links by motion between points without a number.
 
     forbidden (P,): the previous point that each point was cut from is written.
     """
-    links = _along_numbers(numbers, frame)
     cut = np.zeros(len(xyz), dtype=np.bool_)
     find_cuts(xyz, offsets, links, limits, cut)
     forbidden[cut] = links.previous[cut]
@@ -162,7 +161,6 @@ def _by_numbers(xyz: Floats, offsets: Ints, frame: Ints, numbers: Ints, limits: 
     between_free = _by_motion(np.ascontiguousarray(xyz[free]), free_offsets, limits)
     for ends, found in zip(links, between_free, strict=True):
         ends[free] = np.where(found >= 0, free[found], -1)
-    return links
 
 
 def _linked_share(links: Links) -> float:
@@ -173,7 +171,8 @@ def _linked_share(links: Links) -> float:
 def _along_numbers(numbers: Ints, frame: Ints) -> Links:
     """Links along track numbers (P,), from each frame to the next; -1 is no number."""
     previous, following = np.full(len(numbers), -1, dtype=np.int64), np.full(len(numbers), -1, dtype=np.int64)
-    by_number = np.argsort(numbers, kind="stable")
+    few = len(numbers) > 0 and numbers.min() >= -1 and numbers.max() <= np.iinfo(np.int16).max
+    by_number = np.argsort(numbers.astype(np.int16) if few else numbers, kind="stable")  # of 16 bits, a radix sort: O(P)
     before, after = by_number[:-1], by_number[1:]
     linked = (numbers[before] == numbers[after]) & (numbers[before] >= 0) & (frame[after] - frame[before] == 1)
     previous[after[linked]], following[before[linked]] = before[linked], after[linked]

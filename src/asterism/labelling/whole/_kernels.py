@@ -132,27 +132,27 @@ def keep_lasting(there, count, last, frame):
 def overlaps(gain, first, last, order):
     """Pairs (n, 2) of tracklets that overlap in time and both gain by a common marker.
 
-    IN  gain (J, L); first, last (J,); order (J,) tracklets by first frame. O(J * simultaneous tracklets * L).
+    IN  gain (J, L); first, last (J,); order (J,) tracklets by first frame. O(J (L + simultaneous tracklets * L / 32)).
     """
     tracks, markers = gain.shape
+    gains_by = np.zeros((tracks, (markers + 31) // 32), dtype=np.int64)  # a bit for each marker
+    for j in range(tracks):
+        for m in range(markers):
+            if gain[j, m] > 0.0:
+                gains_by[j, m // 32] |= 1 << (m % 32)
     pairs = np.empty((max(16, tracks), 2), dtype=np.int64)
     count = 0
     there = np.empty(tracks, dtype=np.int64)
     n_there = 0
     for o in range(tracks):
         j = order[o]
-        any_gain = False
-        for m in range(markers):
-            if gain[j, m] > 0.0:
-                any_gain = True
-                break
-        if not any_gain:
+        if not gains_by[j].any():
             continue
         n_there = keep_lasting(there, n_there, last, first[j])
         for s in range(n_there):
             i = there[s]
-            for m in range(markers):
-                if gain[j, m] > 0.0 and gain[i, m] > 0.0:
+            for w in range(gains_by.shape[1]):
+                if gains_by[j, w] & gains_by[i, w]:
                     if count == len(pairs):
                         grown = np.empty((2 * count, 2), dtype=np.int64)
                         for p in range(count):

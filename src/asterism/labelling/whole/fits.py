@@ -12,6 +12,9 @@ from asterism.recording import NULL, Clouds, Floats, Ints
 MIN_FIT, MAX_FIT = -12.0, 15.0
 """Nats that one frame says of a point at least and at most, before the mean over a tracklet. Not tuned."""
 
+AT_ONCE = 500
+"""Frames that are scored at once: their scores fit into the cache."""
+
 
 def point_fits(
     clouds: Clouds, xyz: Floats, label: Ints, body: BodyArrays, settings: FrameSettings, frames: NDArray[np.bool_], group: Ints
@@ -27,13 +30,23 @@ def point_fits(
     points = points[np.lexsort((*xyz[points].T, frame_of[points]))]  # the order of the points does not matter
     counts = clouds.counts[frames]
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    out = FrameScores(np.empty((len(points), body.mean.shape[1])), np.empty(len(counts)), np.empty(len(counts), dtype=np.int64))
-    own = np.ascontiguousarray(xyz[points])
-    score_frames(own, offsets, np.arange(len(points)), label[points], body, settings, out)
     labelled = np.nonzero(label[points] != NULL)[0]
+    score = np.empty(len(points))
+    for begin in range(0, len(counts), AT_ONCE):
+        some = offsets[begin : begin + AT_ONCE + 1]
+        here = points[some[0] : some[-1]]
+        score[some[0] : some[-1]] = _own_scores(xyz[here], some - some[0], label[here], body, settings)
     surplus = np.log1p(np.maximum(clouds.counts - body.mean.shape[1], 0))[frame_of[points[labelled]]]
-    fit = np.clip(out.scores[labelled, label[points[labelled]]] - settings.usual_score + surplus, MIN_FIT, MAX_FIT)
+    fit = np.clip(score[labelled] - settings.usual_score + surplus, MIN_FIT, MAX_FIT)
     size = int(group.max(initial=-1)) + 1
     whose = group[points[labelled]]
     count = np.bincount(whose, minlength=size)
     return (np.bincount(whose, weights=fit, minlength=size) / np.maximum(count, 1))[group]
+
+
+def _own_scores(xyz: Floats, offsets: Ints, label: Ints, body: BodyArrays, settings: FrameSettings) -> Floats:
+    """The score (n,) of each point of some frames as its own marker; of a point without a label, as any."""
+    frames = len(offsets) - 1
+    out = FrameScores(np.empty((len(xyz), body.mean.shape[1])), np.empty(frames), np.empty(frames, dtype=np.int64))
+    score_frames(xyz, offsets, np.arange(len(xyz)), label, body, settings, out)
+    return out.scores[np.arange(len(xyz)), label]

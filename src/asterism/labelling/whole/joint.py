@@ -18,7 +18,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enough
@@ -26,7 +25,7 @@ from asterism.labelling.whole._kernels import margins_of, overlaps, rivals_weigh
 from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.bodies import find_bodies, follow_bodies, votes_of_bodies
 from asterism.labelling.whole.plausibility import compare_with_training, ghost_penalty
-from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, score_scene
+from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, SceneScores, labels_of_body, marker_offsets
 from asterism.labelling.whole.upright import turned, upright_turns
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints
@@ -84,12 +83,13 @@ def label_scene(
         label = assign_tracklets(_votes_of_one(labellers[0], scene, rules, workers, report), scene.first, scene.last)
     else:
         label = assign_tracklets(_votes_of_several(labellers, scene, rules, workers, report), scene.first, scene.last)
-    upright, state = scene, _coordinate_ascent(labellers, bodies, scene, label, rules)
+    upright, state = scene, _coordinate_ascent(labellers, _scores(labellers, bodies, scene), label, rules)
     stages = {"votes": label, "tracks": state.label}
-    turns = upright_turns(labellers[0], scene, state.label, rules) if len(labellers) == 1 else None
+    turns = upright_turns(labellers[0], state.scores[0], state.label, rules) if len(labellers) == 1 else None
     if turns is not None:
         upright = replace(scene, sampled_xyz=turned(scene.sampled_xyz, scene.sampled_frame, turns))
-        state = _coordinate_ascent(labellers, bodies, upright, state.label, rules)
+        scores = state.scores[0].with_frames(upright, (turns != np.eye(3)).any(axis=(1, 2)))
+        state = _coordinate_ascent(labellers, [scores], state.label, rules)
         stages["upright"] = state.label
     for turn in range(rules.adapt_rounds):
         if ((state.label != NULL) & (state.margin > rules.no_adapt_margin)).all():
@@ -98,7 +98,7 @@ def label_scene(
         adapted = [
             _adapted_body(labeller, number, upright, state, rules, subject_rules, body_rules) for number, labeller in enumerate(labellers)
         ]
-        trial = _coordinate_ascent(labellers, adapted, upright, state.label, rules)
+        trial = _coordinate_ascent(labellers, _scores(labellers, adapted, upright), state.label, rules)
         firm = (state.label != NULL) & (state.margin >= rules.adapt_margin)
         if trial.total < state.total or not np.array_equal(trial.label[firm], state.label[firm]):
             break
@@ -120,9 +120,10 @@ def _judged(
     """The labels; those that do not agree with the others have lost margin."""
     by_body = state.margin - ghost_penalty(labellers, bodies, scene, state.label, rules)
     margin = by_body.copy()
-    for number, (labeller, body) in enumerate(zip(labellers, bodies, strict=True)):
+    for number, labeller in enumerate(labellers):
         own = labels_of_body(state.label, state.offsets, number)
-        doubtful = (own != NULL) & compare_with_training(labeller, body, scene, own, rules, body_rules).are_off(rules)
+        scores = state.scores[number].of(own).scores
+        doubtful = (own != NULL) & compare_with_training(labeller, scores, scene, own, rules, body_rules).are_off(rules)
         margin[doubtful] = np.minimum(margin[doubtful], -rules.no_adapt_margin)
     return SceneLabelling(scene, state.label, margin, state.rival, list(bodies), state.total, by_body)
 
@@ -135,6 +136,7 @@ class _State:
     offsets        where each body's markers begin among the columns
     poses          key pose of each sampled frame (E,), by body
     total          their total gain in nats
+    scores         what the scene scores by each body
     """
 
     label: Ints
@@ -143,6 +145,7 @@ class _State:
     offsets: Ints
     poses: list[Ints]
     total: float
+    scores: list[SceneScores]
 
 
 def _votes_of_one(labeller: BodyLabeller, scene: Scene, rules: RecordingLabellingSettings, workers: int, report: Progress) -> Floats:
@@ -194,38 +197,41 @@ def _votes_of_several(
     return votes_of_bodies(labellers, bodies, follow_bodies(bodies, scene.sampled_track), scene.sampled_track)
 
 
+def _scores(labellers: Sequence[BodyLabeller], bodies: Sequence[BodyModel], scene: Scene) -> list[SceneScores]:
+    """What the scene scores by each body, to be asked for labels."""
+    return [
+        SceneScores(scene, labeller.body if body is labeller.model else body.arrays(), labeller.settings)
+        for labeller, body in zip(labellers, bodies, strict=True)
+    ]
+
+
 def _coordinate_ascent(
-    labellers: Sequence[BodyLabeller],
-    bodies: Sequence[BodyModel],
-    scene: Scene,
-    label: Ints,
-    rules: RecordingLabellingSettings,
+    labellers: Sequence[BodyLabeller], scores: list[SceneScores], label: Ints, rules: RecordingLabellingSettings
 ) -> _State:
     """Relabel until nothing changes."""
-    arrays = [labeller.body if body is labeller.model else body.arrays() for labeller, body in zip(labellers, bodies, strict=True)]
+    scene = scores[0].scene
     for _ in range(rules.max_rounds):
-        gain, poses = _gains(labellers, arrays, scene, label, rules)
+        gain, poses = _gains(labellers, scores, label, rules)
         gain, found, total = _with_ghost_credit(gain, scene, labellers, rules)
         if np.array_equal(found, label):
             break
         label = found
     margin, rival = margins_of(gain, found, scene.first, scene.last, np.argsort(scene.first, kind="stable"))
-    return _State(found, margin, rival, marker_offsets(labellers), poses, total)
+    return _State(found, margin, rival, marker_offsets(labellers), poses, total, scores)
 
 
 def _gains(
-    labellers: Sequence[BodyLabeller], arrays: Sequence[BodyArrays], scene: Scene, label: Ints, rules: RecordingLabellingSettings
+    labellers: Sequence[BodyLabeller], scores: Sequence[SceneScores], label: Ints, rules: RecordingLabellingSettings
 ) -> tuple[Floats, list[Ints]]:
     """Each tracklet's gain for each column, given the labels of all others (J, L) in nats; key poses (E,) by body."""
-    offsets = marker_offsets(labellers)
+    offsets, scene = marker_offsets(labellers), scores[0].scene
     gain, poses = np.zeros((len(scene.first), offsets[-1])), []
-    for number, (labeller, body) in enumerate(zip(labellers, arrays, strict=True)):
-        markers = body.mean.shape[1]
-        scored = score_scene(scene, labels_of_body(label, offsets, number), body, labeller.settings)
-        sums, counts = np.zeros((len(scene.first), markers)), np.zeros(len(scene.first))
+    for number, of_body in enumerate(scores):
+        scored = of_body.of(labels_of_body(label, offsets, number))
+        sums, counts = np.zeros((len(scene.first), scored.scores.shape[1])), np.zeros(len(scene.first))
         sum_scores(scene.sampled_track, scored.scores, rules.min_score, rules.max_score, sums, counts)
         gain[:, offsets[number] : offsets[number + 1]] = sums * (scene.independent / np.maximum(counts, 1.0))[:, None]
-        poses.append(scored.poses)
+        poses.append(scored.poses.copy())
     return gain, poses
 
 

@@ -13,7 +13,7 @@ from asterism.labelling.body.model import BodyModel, BodyRules, length_scale
 from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
 from asterism.labelling.whole._residual_kernels import ResidualLimits, prediction_residuals, residual_deviations
 from asterism.labelling.whole.certainty import overlaps_unlabelled
-from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, score_scene
+from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets
 from asterism.recording import NULL, Floats, Ints
 
 MIN_FRAMES, MAX_PARTNERS, MAX_DEVIATION = 5, 6, 8.0
@@ -103,11 +103,12 @@ class TrainingDeviations:
 
 
 def compare_with_training(
-    labeller: BodyLabeller, body: BodyModel, scene: Scene, label: Ints, rules: RecordingLabellingSettings, body_rules: BodyRules
+    labeller: BodyLabeller, scores: Floats, scene: Scene, label: Ints, rules: RecordingLabellingSettings, body_rules: BodyRules
 ) -> TrainingDeviations:
     """Compare the distances of labelled tracklets with those of the training.
 
-    label (J,): labels as markers of this body, -1 for none; body: the model as adapted to the subject.
+    label (J,): labels as markers of this body, -1 for none; scores (Q, M) nats of the scene by the model as adapted to the subject, see
+    `score_scene`.
     """
     between = np.linalg.norm(labeller.model.mean[:, :, None] - labeller.model.mean[:, None], axis=3)
     unit = length_scale(labeller.model.mean[0], body_rules)
@@ -117,14 +118,12 @@ def compare_with_training(
         rules.training_noise * unit, body_rules.size_std, rules.max_rigid_std * unit, MIN_FRAMES, MAX_PARTNERS, MAX_DEVIATION
     )
     usual = training_deviations(points, label, between.min(axis=0), between.max(axis=0), limits, deviation)
-    return TrainingDeviations(deviation, float(usual), _in_unfamiliar_movement(labeller, body, scene, label))
+    return TrainingDeviations(deviation, float(usual), _in_unfamiliar_movement(labeller, scores, scene, label))
 
 
-def _in_unfamiliar_movement(labeller: BodyLabeller, body: BodyModel, scene: Scene, label: Ints) -> NDArray[np.bool_]:
+def _in_unfamiliar_movement(labeller: BodyLabeller, scores: Floats, scene: Scene, label: Ints) -> NDArray[np.bool_]:
     """Tracklets (J,) most of whose sampled frames fit the body worse than nearly every frame of people left out did."""
     markers, frames = labeller.body.mean.shape[1], len(scene.sampled_frames)
-    arrays = labeller.body if body is labeller.model else body.arrays()
-    scores = score_scene(scene, label, arrays, labeller.settings).scores
     points = np.nonzero(label[scene.sampled_track] != NULL)[0]
     frame, track = scene.sampled_frame[points], scene.sampled_track[points]
     # the more points there are, the less one more that lies well means; see `frame_settings`

@@ -35,7 +35,15 @@ from asterism.labelling.whole.label import (
 )
 from asterism.labelling.whole.plausibility import compare_with_training, ghost_penalty
 from asterism.labelling.whole.point_labels import TieOrder, fast_labelling
-from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, marker_offsets, prepare_scene, with_fewer_samples
+from asterism.labelling.whole.scene import (
+    RecordingLabellingSettings,
+    Scene,
+    marker_offsets,
+    prepare_scene,
+    score_again,
+    score_scene,
+    with_fewer_samples,
+)
 from asterism.labelling.whole.short import tracklets_of
 from asterism.labelling.whole.upright import turned
 from asterism.progress import Progress
@@ -263,15 +271,7 @@ def _score(scores: Floats, scene: Scene, label: Ints, changed: NDArray[np.bool_]
     again = np.ones(frames, dtype=np.bool_)
     if changed is not None:
         again = np.bincount(scene.sampled_frame[changed[scene.sampled_track]], minlength=frames) > 0
-    points = np.nonzero(again[scene.sampled_frame])[0]
-    if not len(points):
-        return
-    offsets = np.concatenate([[0], np.cumsum(np.diff(scene.sampled_offsets)[again])]).astype(np.int64)
-    own = np.empty((len(points), scores.shape[1]))
-    out = FrameScores(own, np.empty(len(offsets) - 1), np.empty(len(offsets) - 1, dtype=np.int64))
-    xyz = np.ascontiguousarray(scene.sampled_xyz[points])
-    score_frames(xyz, offsets, np.ascontiguousarray(scene.sampled_track[points]), label, arrays, settings, out)
-    scores[points] = own
+    score_again(scene, again, label, arrays, settings, FrameScores(scores, np.empty(frames), np.empty(frames, dtype=np.int64)))
 
 
 def _gain(scores: Floats, scene: Scene, fixed: Ints, before: LabelledTracklets) -> Floats:
@@ -313,7 +313,8 @@ def _lost_margin(before: LabelledTracklets, problem: _Problem, label: Ints) -> t
     labels[number] = label
     near = overlaps_unlabelled(np.where(problem.fixed == NULL, 0, label), problem.scene.first, problem.scene.last)
     in_body = ghost_penalty([before.body.labeller], found.bodies, few, labels, _SETTINGS)[number] * near
-    compared = compare_with_training(before.body.labeller, found.bodies[0], few, labels, _SETTINGS, before.body_rules)
+    scores = score_scene(few, labels, before.arrays, before.body.labeller.settings).scores
+    compared = compare_with_training(before.body.labeller, scores, few, labels, _SETTINGS, before.body_rules)
     return np.where(changed, in_body, problem.penalty), np.where(changed, compared.are_off(_SETTINGS)[number], doubtful)
 
 

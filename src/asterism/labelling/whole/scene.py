@@ -202,6 +202,51 @@ def score_scene(scene: Scene, label: Ints, body: BodyArrays, settings: FrameSett
     return out
 
 
+def score_again(scene: Scene, frames: NDArray[np.bool_], label: Ints, body: BodyArrays, settings: FrameSettings, out: FrameScores) -> None:
+    """Write over `out`, see `score_scene`, what some of the sampled frames (E,) score under the labels (J,)."""
+    points = np.nonzero(frames[scene.sampled_frame])[0]
+    if not len(points):
+        return
+    counts = np.diff(scene.sampled_offsets)[frames]
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    own = FrameScores(np.empty((len(points), out.scores.shape[1])), np.empty(len(counts)), np.empty(len(counts), dtype=np.int64))
+    score_frames(scene.sampled_xyz[points], offsets, scene.sampled_track[points], label, body, settings, own)
+    out.scores[points], out.totals[frames], out.poses[frames] = own
+
+
+@dataclass
+class SceneScores:
+    """What a scene scores by one body, kept from labels to labels: only frames in which a label changes are scored again.
+
+    scene, body, settings  see `score_scene`
+    label                  (J,) the labels that were scored last; None before
+    scored                 their scores
+    """
+
+    scene: Scene
+    body: BodyArrays
+    settings: FrameSettings
+    label: Ints | None = None
+    scored: FrameScores | None = None
+
+    def of(self, label: Ints) -> FrameScores:
+        """`score_scene` for the labels (J,); the arrays are written over by the next call."""
+        if self.label is None or self.scored is None:
+            self.scored = score_scene(self.scene, label, self.body, self.settings)
+        else:
+            changed = (label != self.label)[self.scene.sampled_track]
+            frames = np.bincount(self.scene.sampled_frame[changed], minlength=len(self.scene.sampled_frames)) > 0
+            score_again(self.scene, frames, label, self.body, self.settings, self.scored)
+        self.label = label.copy()
+        return self.scored
+
+    def with_frames(self, scene: Scene, frames: NDArray[np.bool_]) -> SceneScores:
+        """The same of a scene in which the points of these sampled frames (E,) lie elsewhere; takes over the arrays."""
+        if self.label is not None and self.scored is not None:
+            score_again(scene, frames, self.label, self.body, self.settings, self.scored)
+        return SceneScores(scene, self.body, self.settings, self.label, self.scored)
+
+
 def marker_offsets(labellers: Sequence[BodyLabeller]) -> Ints:
     """Where each body's markers begin among the columns of all bodies, and the number of columns at the end."""
     return np.concatenate([[0], np.cumsum([labeller.body.mean.shape[1] for labeller in labellers])]).astype(np.int64)

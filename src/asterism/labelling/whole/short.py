@@ -18,6 +18,9 @@ from asterism.labelling.whole._short_kernels import Expected, ShortLabels, Short
 from asterism.recording import NULL, Clouds, Floats, Ints
 from asterism.tracking.linking import Tracklets
 
+AT_ONCE = 100_000
+"""Places of markers in frames, T times so many markers, that are worked out at once: they fit into the cache."""
+
 
 @dataclass(frozen=True)
 class ShortTrackletRules:
@@ -175,10 +178,20 @@ def expect_by_motion(xyz: Floats, frame_of: Ints, label: Ints, shape: tuple[int,
     xyz (P, 3) m; frame_of, label (P,); shape (T, M). A marker that accelerates by a leaves that line by a (t - t0) (t1 - t) / 2. O(T M).
     """
     frames, markers = shape
-    place, spread = np.zeros((frames, markers, 3)), np.full((frames, markers), np.inf)
-    position = np.full((frames, markers, 3), np.nan)
-    labelled = np.nonzero(label != NULL)[0]
-    position[frame_of[labelled], label[labelled]] = xyz[labelled]
+    out = Expected(np.zeros((frames, markers, 3)), np.full((frames, markers), np.inf))
+    step = max(1, AT_ONCE // max(1, frames))
+    for begin in range(0, markers, step):
+        some = slice(begin, min(begin + step, markers))
+        points = np.nonzero((label >= some.start) & (label < some.stop))[0]
+        position = np.full((frames, some.stop - begin, 3), np.nan)
+        position[frame_of[points], label[points] - begin] = xyz[points]
+        _expect(position, rate, rules, Expected(out.place[:, some], out.spread[:, some]))
+    return out
+
+
+def _expect(position: Floats, rate: float, rules: ShortTrackletRules, out: Expected) -> None:
+    """`expect_by_motion` for some markers: position (T, some, 3) m, NaN where it has no point; written to `out`."""
+    frames = len(position)
     shown = ~np.isnan(position[:, :, 0])
     row = np.arange(frames)[:, None]
     before = np.maximum.accumulate(np.where(shown, row, -1), axis=0)
@@ -189,6 +202,5 @@ def expect_by_motion(xyz: Floats, frame_of: Ints, label: Ints, shape: tuple[int,
     near = std <= rules.max_spread
     frame, marker, since, until = frame[near], marker[near], since[near, None], until[near, None]
     start, end = position[before[frame, marker], marker], position[after[frame, marker], marker]
-    place[frame, marker] = (start * until + end * since) / (since + until)
-    spread[frame, marker] = std[near]
-    return Expected(place, spread)
+    out.place[frame, marker] = (start * until + end * since) / (since + until)
+    out.spread[frame, marker] = std[near]

@@ -24,7 +24,7 @@ def sample_scores(labellers: Sequence[BodyLabeller], scene: Scene, label: Ints, 
     for number, labeller in enumerate(labellers):
         of_body = labels_of_body(label, offsets, number)
         scores[:, offsets[number] : offsets[number + 1]] = score_scene(scene, of_body, labeller.body, labeller.settings).scores
-    return np.clip(scores, rules.min_score, rules.max_score)
+    return np.clip(scores, rules.min_score, rules.max_score, out=scores)
 
 
 def split_tracklets(

@@ -12,18 +12,21 @@ from asterism.geometry import fit_rigid
 from asterism.labelling.body._score_kernels import best_pose
 from asterism.labelling.body._workspace_kernels import make_body_workspace
 from asterism.labelling.body.labeller import BodyLabeller
-from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, score_scene
+from asterism.labelling.whole.scene import RecordingLabellingSettings, SceneScores
 from asterism.recording import NULL, Floats, Ints
 
+AT_ONCE = 10_000
+"""Points that are turned at once: their rotations fit into the cache."""
 
-def upright_turns(labeller: BodyLabeller, scene: Scene, label: Ints, rules: RecordingLabellingSettings) -> Floats | None:
+
+def upright_turns(labeller: BodyLabeller, scores: SceneScores, label: Ints, rules: RecordingLabellingSettings) -> Floats | None:
     """The rotation (E, 3, 3) that sets each sampled frame's body upright, the identity for most; None where no frame is turned.
 
-    label (J,): markers of the tracklets, -1 for none. Only frames that score worse than rightly labelled ones usually do are tried, and
-    only those that score better by `rules.turn_cost` are turned. O(tried frames * K^2) calls of `evidence`.
+    scores: by the labeller's body; label (J,): markers of the tracklets, -1 for none. Only frames that score worse than rightly labelled
+    ones usually do are tried, and only those that score better by `rules.turn_cost` are turned. O(tried frames * K^2) calls of `evidence`.
     """
+    scene, totals = scores.scene, scores.of(label).totals
     frames, markers = len(scene.sampled_frames), labeller.body.mean.shape[1]
-    totals = score_scene(scene, label, labeller.body, labeller.settings).totals
     labelled = np.bincount(scene.sampled_frame, weights=label[scene.sampled_track] != NULL, minlength=frames)
     surplus = np.log1p(np.maximum(np.diff(scene.sampled_offsets) - markers, 0))
     poor = (totals < labelled * (labeller.settings.usual_score - surplus)) & (labelled >= max(3.0, rules.min_turned_share * markers))
@@ -53,4 +56,8 @@ def _upright_turn(labeller: BodyLabeller, points: Floats, marker: Ints, rules: R
 
 def turned(xyz: Floats, frame: Ints, turns: Floats) -> Floats:
     """Points (P, 3) m, turned about the origin by the rotation of the frame (P,) that each is in."""
-    return np.ascontiguousarray(np.einsum("pij,pj->pi", turns[frame], xyz))
+    out = np.empty(xyz.shape)
+    for begin in range(0, len(xyz), AT_ONCE):
+        some = slice(begin, begin + AT_ONCE)
+        np.einsum("pij,pj->pi", turns[frame[some]], xyz[some], out=out[some])
+    return out
