@@ -36,6 +36,14 @@ def test_before_the_first_and_after_the_last_point_nothing_is_expected() -> None
     assert np.isfinite(found.place).all()
 
 
+def test_markers_are_expected_alike_however_many_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = {0: [0, 1, 5, 6], 1: [0, 2, 3, 6], 2: [0, 6]}
+    at_once = expected(seen, 7)
+    monkeypatch.setattr("asterism.labelling.whole.short.AT_ONCE", 14)
+    for one, other in zip(expected(seen, 7), at_once, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_a_long_gap_expects_nothing_in_its_middle() -> None:
     """0.15 m at most: half of 20 m/s2 times the times to both ends is that at 0.1 s and 0.15 s."""
     found = expected({0: [0, 25]}, 26)

@@ -135,6 +135,17 @@ def test_tracklets_that_may_conflict(seed: int, tracklets: int) -> None:
     assert {frozenset(pair) for pair in pairs.tolist()} == twins.overlaps(gain, first, last)
 
 
+def test_overlaps_of_more_markers_than_a_word_has_bits() -> None:
+    """A marker each in the middle, at the end and beyond the end of a word of 32 bits, and of 64."""
+    first, last = np.zeros(4, dtype=np.int64), np.ones(4, dtype=np.int64)
+    for marker in (0, 31, 32, 63, 64, 69):
+        gain = np.full((4, 70), -1.0)
+        gain[[0, 2], marker] = 1.0
+        gain[1, (marker + 32) % 70] = 1.0
+        pairs = kernels.overlaps(gain, first, last, np.arange(4))
+        assert pairs.tolist() == [[0, 2]], marker
+
+
 @given(seeds, st.integers(0, 12))
 @races
 def test_margins_and_rivals(seed: int, tracklets: int) -> None:

@@ -14,8 +14,8 @@ import asterism
 from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.labelling.whole.fits import point_fits
-from asterism.labelling.whole.scene import RecordingLabellingSettings, prepare_scene
-from asterism.labelling.whole.upright import upright_turns
+from asterism.labelling.whole.scene import RecordingLabellingSettings, SceneScores, prepare_scene, score_scene
+from asterism.labelling.whole.upright import turned, upright_turns
 from asterism.recording import Clouds
 from asterism.simulation import simulate_walks
 from asterism.tracking.linking import find_tracklets
@@ -97,13 +97,45 @@ def test_only_frames_that_lean_are_turned(ensemble: asterism.SolverEnsemble, wal
         scene = prepare_scene(clouds, find_tracklets(clouds), rules)
         marker = np.empty(len(scene.first), dtype=np.int64)
         marker[scene.track] = (np.arange(len(clouds.xyz)) % 15)[scene.order]
-        turns = upright_turns(labeller, scene, marker, rules)
+        turns = upright_turns(labeller, SceneScores(scene, labeller.body, labeller.settings), marker, rules)
         if not degrees:
             assert turns is None
         else:
             assert turns is not None
             up = turns @ Rotation.from_rotvec([np.radians(degrees), 0.0, 0.0]).as_matrix()
             assert np.degrees(np.arccos(np.clip(up[:, 2, 2], -1.0, 1.0))).max() < 25.0
+
+
+def test_scores_that_are_kept_are_those_of_scoring_all_frames_again(
+    ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]
+) -> None:
+    rng, labeller = np.random.default_rng(0), ensemble.body_labeller
+    clouds, _ = simulate_gaps_and_ghosts(walks[4], 3, 1, seed=2)
+    scene = prepare_scene(clouds, find_tracklets(clouds), RecordingLabellingSettings())
+    label = rng.permutation(np.arange(len(scene.first)) % 16) - 1
+    kept = SceneScores(scene, labeller.body, labeller.settings)
+    for changed in (0, 1, 0, 5, len(label)):
+        label = label.copy()
+        label[rng.permutation(len(label))[:changed]] = -1
+        found, wanted = kept.of(label), score_scene(scene, label, labeller.body, labeller.settings)
+        for part, fresh in zip(found, wanted, strict=True):
+            np.testing.assert_array_equal(part, fresh)
+    frames = np.zeros(len(scene.sampled_frames), dtype=np.bool_)
+    frames[3:5] = True
+    moved = replace(scene, sampled_xyz=scene.sampled_xyz + 0.01 * frames[scene.sampled_frame, None])
+    for part, fresh in zip(
+        kept.with_frames(moved, frames).of(label), score_scene(moved, label, labeller.body, labeller.settings), strict=True
+    ):
+        np.testing.assert_array_equal(part, fresh)
+
+
+def test_points_are_turned_alike_however_many_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    xyz, frame, turns = rng.normal(size=(50, 3)), rng.integers(0, 4, 50), Rotation.random(4, random_state=0).as_matrix()
+    at_once = turned(xyz, frame, turns)
+    np.testing.assert_allclose(at_once, [turns[t] @ point for t, point in zip(frame, xyz, strict=True)])
+    monkeypatch.setattr("asterism.labelling.whole.upright.AT_ONCE", 7)
+    np.testing.assert_array_equal(turned(xyz, frame, turns), at_once)
 
 
 def test_the_order_of_the_points_plays_no_part(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
