@@ -32,7 +32,7 @@ from asterism.labelling.partial._motion_kernels import WIDTH
 from asterism.labelling.partial._pair_search_kernels import load_frame, make_search_workspace, search_by_pairs
 from asterism.labelling.partial._search_kernels import label_by_full_solver
 from asterism.labelling.partial.features import FEATURES
-from asterism.labelling.partial.solver import factor_pair_rules, pack_solvers
+from asterism.labelling.partial.solver import Solver, factor_pair_rules, pack_solvers
 
 RULES = MatrixRules(outvote=2, slack=0.1, min_tests=3, rounds=3, budget=10**7, hand_in_all=False)
 SEEDS = range(8)
@@ -253,10 +253,14 @@ def test_search_by_pairs_and_evaluate_solver(width, seed, count):
     assert made == count
     for got, plain in zip(counts, expected, strict=True):
         np.testing.assert_array_equal(got, plain)
-    handed_in = np.empty((count, 4), dtype=np.uint64)
-    handed_in_points(arrays, pairs, 0, validation, 10**7, workspace, count, handed_in)
-    sets = twins.handed_in_points(solver, frames, chosen, hidden, motion_unknown, 7)
-    assert handed_in.tolist() == [[sum(1 << m for m in own) for own in row] for row in sets]
+    end = solver.first_feature[3]
+    smaller = Solver(solver.markers[:3], solver.weak.take(np.arange(end)), solver.first_feature[:4])
+    arrays, pairs = factor_pair_rules(pack_solvers([smaller, solver]), 7)
+    handed_in = np.empty((count, 7), dtype=np.uint64)
+    handed_in_points(arrays, pairs, validation, 10**7, workspace, count, handed_in)
+    for one, points in zip((smaller, solver), np.split(handed_in, [3], axis=1), strict=True):
+        sets = twins.handed_in_points(one, frames, chosen, hidden, motion_unknown, 7)
+        assert points.tolist() == [[sum(1 << m for m in own) for own in row] for row in sets]
 
 
 def test_evaluate_solver_stops_as_soon_as_no_target_can_be_reached():

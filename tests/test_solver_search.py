@@ -13,6 +13,7 @@ import twins
 from test_weak import bodies
 
 from asterism import AsterismError
+from asterism.labelling.partial._choice_kernels import count_labels
 from asterism.labelling.partial._search_kernels import search
 from asterism.labelling.partial.features import THESIS
 from asterism.labelling.partial.matrix import label_by_matrix
@@ -242,33 +243,46 @@ def points_of(*markers):
     return sum(1 << marker for marker in markers)
 
 
+def labels_counted(cells, hidden=None):
+    """Of each frame (K, M): markers in sight without a label, labels, right labels."""
+    cells = np.asarray(cells, dtype=np.uint16).T
+    hidden = np.zeros(cells.shape, dtype=np.bool_) if hidden is None else hidden.T
+    counts = np.empty((cells.shape[1], 4), dtype=np.int64)
+    count_labels(cells, np.empty(0, dtype=np.int64), cells[:0], hidden, np.arange(cells.shape[1]), counts)
+    assert (counts[:, 0] == 1).all()
+    return counts[:, 1:].tolist()
+
+
 def test_the_matrix_gives_labels_by_the_safe_rules():
     """Three markers: two that agree with the truth; one of two minds; two that claim one point; one that is wrong alone."""
-    matrix = Matrix(np.zeros((3, 4), dtype=np.bool_), 1.0)
-    cells = np.array(
-        [
-            [points_of(0), points_of(1), 0],
-            [points_of(0, 2), points_of(1), 0],
-            [points_of(1), points_of(1), points_of(2)],
-            [points_of(2), points_of(1), 0],
-        ],
-        dtype=np.uint16,
-    )
-    given, right = (answer.T for answer in matrix.labels(cells.T))
-    assert given.tolist() == [[True, True, False], [False, True, False], [False, False, True], [True, True, False]]
-    assert right.tolist() == [[True, True, False], [False, True, False], [False, False, True], [False, True, False]]
+    cells = [
+        [points_of(0), points_of(1), 0],
+        [points_of(0, 2), points_of(1), 0],
+        [points_of(1), points_of(1), points_of(2)],
+        [points_of(2), points_of(1), 0],
+    ]
+    assert labels_counted(cells) == [[1, 2, 2], [2, 1, 1], [2, 1, 1], [1, 2, 1]]
+    hidden = np.array([[False, False, True]] * 4)
+    assert labels_counted(cells, hidden) == [[0, 2, 2], [1, 1, 1], [2, 1, 1], [0, 2, 1]], "a hidden marker is not missed"
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_matrix_agrees_with_its_twin(seed):
+def test_counted_labels_agree_with_their_twin(seed):
     rng = np.random.default_rng(seed)
     handed_in = [[{m: set(rng.permutation(4)[: rng.integers(0, 3)].tolist()) for m in range(4)} for _ in range(3)] for _ in range(40)]
-    cells = np.array([[points_of(*set().union(*(one[m] for one in frame))) for m in range(4)] for frame in handed_in], dtype=np.uint64)
-    given, right = (answer.T for answer in Matrix(np.zeros((4, 40), dtype=np.bool_), 1.0).labels(cells.T))
-    for k, frame in enumerate(handed_in):
-        expected = np.array(twins.matrix(frame, 4))
-        assert given[k].tolist() == (expected >= 0).tolist()
-        assert right[k].tolist() == (expected == np.arange(4)).tolist()
+    cells, last = (
+        np.array([[points_of(*set().union(*(one[m] for one in some))) for m in range(4)] for some in frames], dtype=np.uint64).T
+        for frames in ([frame[:2] for frame in handed_in], [frame[2:] for frame in handed_in])
+    )
+    hidden = rng.random((40, 4)) < 0.3
+    markers, counts = rng.permutation(4), np.empty((5, 4), dtype=np.int64)
+    count_labels(cells, markers, last[markers], hidden.T, hidden.sum(axis=1), counts)
+    expected = np.zeros((5, 4), dtype=np.int64)
+    for frame, away in zip(handed_in, hidden, strict=True):
+        labels = np.array(twins.matrix(frame, 4))
+        given = labels >= 0
+        expected[away.sum()] += [1, (~given & ~away).sum(), given.sum(), (labels == np.arange(4)).sum()]
+    assert counts.tolist() == expected.tolist()
 
 
 def test_the_cost_is_the_weighted_mean_of_both_rates_over_the_numbers_of_hidden_markers():
@@ -277,7 +291,8 @@ def test_the_cost_is_the_weighted_mean_of_both_rates_over_the_numbers_of_hidden_
     cells = np.array([[0, points_of(1), 0], [points_of(1), 0, points_of(2)], [0, 0, points_of(2)], [0, 0, 0]], dtype=np.uint64)
     missed = 2 / (2 + 2)  # with one hidden, two visible ones beside the two that are hidden; with two hidden none
     wrong = 1 / 3  # with one hidden, of three labels; with two hidden none
-    assert matrix.cost(cells.T) == pytest.approx(missed / (1 + 1 / 4) + 5.0 * wrong / 2), "missed ones weigh 1 / h^2"
+    assert matrix.cost(np.arange(3), cells.T) == pytest.approx(missed / (1 + 1 / 4) + 5.0 * wrong / 2), "missed ones weigh 1 / h^2"
+    assert Matrix(np.zeros((3, 4), dtype=np.bool_), 1.0).cost() == 0.0, "nothing is hidden"
 
 
 def test_the_choice_takes_what_lowers_the_cost_and_leaves_what_nulls_others():
@@ -288,10 +303,11 @@ def test_the_choice_takes_what_lowers_the_cost_and_leaves_what_nulls_others():
     half[:, 5:], doubtful[0, ::2] = 0, points_of(1, 2)
     candidates, gains = [(markers, half), (markers, doubtful), (markers, right)], np.full(3, np.inf)
     assert best_addition(matrix, candidates, gains) == 2
-    matrix.cells, gains[2] = matrix.with_points(*candidates[2]), -np.inf
-    assert matrix.cost(matrix.cells) == 0.0
+    matrix.add(*candidates[2])
+    gains[2] = -np.inf
+    assert matrix.cost() == 0.0
     assert best_addition(matrix, candidates, gains) == -1, "nothing is left to gain"
-    assert matrix.cost(matrix.with_points(*candidates[1])) > 0.3, "as printed, one solver of two minds takes the labels away"
+    assert matrix.cost(*candidates[1]) > 0.3, "as printed, one solver of two minds takes the labels away"
 
 
 def test_targets_decide_how_many_frames_validate():

@@ -117,21 +117,23 @@ def evaluate_solver(solvers, pairs, s, validation, limits, workspace, first_id, 
 
 
 @kernel
-def handed_in_points(solvers, pairs, s, validation, budget, workspace, first_id, out):
-    """The points that one solver hands in on frames some of whose markers are hidden: those of all its labellings (section 4.5.4).
+def handed_in_points(solvers, pairs, validation, budget, workspace, first_id, out):
+    """The points that solvers hand in on frames some of whose markers are hidden: those of all their labellings (section 4.5.4).
 
-    IN  as `evaluate_solver`; at most 64 markers
-    OUT out (E, D) uint64, bit m where the point of marker m is handed in for the marker of this depth
-    O(E times a search). Twin: `handed_in_points` in tests/twins_partial.py
+    A frame is loaded once for all solvers, and what its pairs of points allow is worked out once.
+
+    IN  as `evaluate_solver`, for all solvers in the arrays; at most 64 markers
+    OUT out (E, D) uint64, bit m where the point of marker m is handed in for the marker of this depth, the depths of all solvers in a row
+    O(E times a search of each solver). Twin: `handed_in_points` in tests/twins_partial.py
     """
     markers, width = validation.frames.shape[1:]
-    first = solvers.first_depth[s]
-    depths = solvers.first_depth[s + 1] - first
     points, marker_of = np.empty((markers, width)), np.empty(markers, dtype=np.int64)
     out[:] = 0
     for e in range(len(validation.chosen)):
         n = _load_evaluation(validation, e, pairs.kinds, points, marker_of, workspace)
-        solutions = search_by_pairs(solvers, pairs, s, n, first_id + e, budget, workspace)
-        for i in range(solutions):
-            for k in range(depths):
-                out[e, k] |= np.uint64(1) << np.uint64(marker_of[workspace.order[workspace.found[i, k]]])
+        for s in range(len(solvers.first_depth) - 1):
+            first = solvers.first_depth[s]
+            solutions = search_by_pairs(solvers, pairs, s, n, first_id + e, budget, workspace)
+            for i in range(solutions):
+                for k in range(solvers.first_depth[s + 1] - first):
+                    out[e, first + k] |= np.uint64(1) << np.uint64(marker_of[workspace.order[workspace.found[i, k]]])

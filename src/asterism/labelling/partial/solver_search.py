@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,6 +39,9 @@ MOST_IN_A_WORD = 64
 
 MINERS = ("bottom-up", "top-down", "genetic", "genetic-all")
 """The strategies of section 4.5.3; "genetic-all" also keeps what reached a target and died out later."""
+
+HANDED_IN_TOGETHER = 32
+"""Solvers whose points are worked out together: their classifiers fit the cache, and a frame is loaded once for all."""
 
 MarkerSubset = tuple[int, ...]
 
@@ -140,6 +144,10 @@ class EvaluatedSolver:
     hit_rates: Floats
     trials: Ints
     response_rates: Floats
+
+
+Trusted = tuple[EvaluatedSolver, NDArray[np.bool_]]
+"""A solver of the ensemble, and (M,) the markers that it may propose."""
 
 
 class SolverSearch:
@@ -256,13 +264,18 @@ class SolverSearch:
         self.frame_ids[0] += count
         return first
 
-    def handed_in(self, solver: Solver, trial: ValidationFrames) -> Points:
-        """(D, K) the points that a solver hands in for its markers, by depth, on frames with hidden markers."""
-        arrays, pairs = factor_pair_rules(pack_solvers([solver]), self.n_markers)
+    def handed_in(self, solvers: Sequence[Solver], trial: ValidationFrames) -> list[Points]:
+        """For each solver (D, K) the points that it hands in for its markers, by depth, on frames with hidden markers."""
+        step = HANDED_IN_TOGETHER
+        return [points for i in range(0, len(solvers), step) for points in self._handed_in_together(solvers[i : i + step], trial)]
+
+    def _handed_in_together(self, solvers: Sequence[Solver], trial: ValidationFrames) -> list[Points]:
+        arrays, pairs = factor_pair_rules(pack_solvers(solvers), self.n_markers)
         first_id = self._new_frame_ids(len(trial.chosen))
-        out = np.empty((len(trial.chosen), len(solver.markers)), dtype=np.uint64)
-        handed_in_points(arrays, pairs, 0, trial, VotingRules().budget, self.workspace, first_id, out)
-        return np.ascontiguousarray(out.T.astype(word_for(self.n_markers)))
+        out = np.empty((len(trial.chosen), len(arrays.markers)), dtype=np.uint64)
+        handed_in_points(arrays, pairs, trial, VotingRules().budget, self.workspace, first_id, out)
+        by_depth = out.T.astype(word_for(self.n_markers), order="C")
+        return [by_depth[begin:end] for begin, end in pairwise(arrays.first_depth)]
 
     def reaches_target(self, evaluated: EvaluatedSolver) -> NDArray[np.bool_]:
         """(M,) where a solver's hit rate reaches the target."""
@@ -506,22 +519,19 @@ def choose_ensemble(search: SolverSearch, found: list[EvaluatedSolver], progress
         chosen = _choose_for_matrix(search, sorted(_all_that_reach(search, found), key=_smallest_first), progress)
     else:
         chosen = _choose_for_coverage(search, sorted(found, key=_smallest_first), progress)
-    covered = np.any(np.array([search.reaches_target(e) for e in chosen], dtype=np.bool_).reshape(-1, n), axis=0)
-    trusted = [search.reaches_target(e) for e in chosen]
+    covered = np.any(np.array([reaches for _, reaches in chosen], dtype=np.bool_).reshape(-1, n), axis=0)
     for marker in np.nonzero(~covered)[0]:
         able = [e for _, e in sorted(search.evaluated.items()) if e.hit_rates[marker] > 0]
         best = sorted(able, key=lambda e: (-e.hit_rates[marker], len(e.solver.markers)))[: search.settings.substitutes]
-        chosen += best
-        trusted += [np.arange(n) == marker] * len(best)
-    by_depth = [may[e.solver.markers] for e, may in zip(chosen, trusted, strict=True)]
+        chosen += [(e, np.arange(n) == marker) for e in best]
     progress(1.0, f"{len(chosen)} solvers")
     return PartialSolvers(
-        pack_solvers([e.solver for e in chosen]),
-        np.array([e.hit_rates for e in chosen]).reshape(-1, n),
-        np.array([e.trials for e in chosen], dtype=np.int64).reshape(-1, n),
+        pack_solvers([e.solver for e, _ in chosen]),
+        np.array([e.hit_rates for e, _ in chosen]).reshape(-1, n),
+        np.array([e.trials for e, _ in chosen], dtype=np.int64).reshape(-1, n),
         search.targets,
         covered,
-        np.concatenate([np.empty(0, dtype=np.bool_), *by_depth]),
+        np.concatenate([np.empty(0, dtype=np.bool_), *(trusted[e.solver.markers] for e, trusted in chosen)]),
         classifiers_by_marker(search.weak, search.table),
     )
 
@@ -542,8 +552,12 @@ def _all_that_reach(search: SolverSearch, found: list[EvaluatedSolver]) -> list[
     return [*(known | {s: e for s, e in search.evaluated.items() if search.reaches_target(e).any()}).values()]
 
 
-def _choose_for_matrix(search: SolverSearch, found: list[EvaluatedSolver], progress: Progress) -> list[EvaluatedSolver]:
-    """Greedy choice by what the printed matrix gives on frames with hidden markers, each solver validated before it is taken."""
+def _choose_for_matrix(search: SolverSearch, found: list[EvaluatedSolver], progress: Progress) -> list[Trusted]:
+    """Greedy choice by what the printed matrix gives on frames with hidden markers, each solver validated before it is taken.
+
+    A solver is trusted with the markers for which it reaches the target both times: what it proposes for another one had no part in the
+    choice, and would take other solvers' labels away.
+    """
     n, s = search.n_markers, search.settings
     trial = ValidationFrames(
         search.frames,
@@ -551,31 +565,31 @@ def _choose_for_matrix(search: SolverSearch, found: list[EvaluatedSolver], progr
         random_occlusions(s.coverage_patterns, n, s.max_hidden, search.rng, least=1),
         search.motion_unknown[np.arange(s.coverage_patterns) % len(search.motion_unknown)],
     )
-    candidates = [(e.solver.markers, search.handed_in(e.solver, trial)) for e in found]
-    may = [search.reaches_target(e)[e.solver.markers] for e in found]
-    offered = [(markers, points * own[:, None]) for (markers, points), own in zip(candidates, may, strict=True)]
+    handed_in = search.handed_in([e.solver for e in found], trial)
+    trusted = [search.reaches_target(e) for e in found]
+    offered = [(e.solver.markers, handed_in[i] * trusted[i][e.solver.markers, None]) for i, e in enumerate(found)]
     matrix = Matrix(trial.hidden.T, s.wrong_cost / max(1.0 - float(search.targets.mean()), 1e-6))
     gains = np.full(len(found), np.inf)
-    chosen: list[EvaluatedSolver] = []
+    chosen: list[Trusted] = []
     while len(chosen) < s.max_solvers:
         best = best_addition(matrix, offered, gains)
         if best < 0:
             break
-        markers, points = candidates[best]
+        markers = found[best].solver.markers
         validated = search.evaluate(markers.tolist(), validate=True)
         assert validated is not None
-        own = search.reaches_target(validated)[markers] & may[best]
-        if not np.array_equal(own, may[best]):
-            may[best], offered[best] = own, (markers, points * own[:, None])
+        both = search.reaches_target(validated) & trusted[best]
+        if not np.array_equal(both, trusted[best]):
+            trusted[best], offered[best] = both, (markers, handed_in[best] * both[markers, None])
             continue
-        matrix.cells = matrix.with_points(*offered[best])
+        matrix.add(*offered[best])
         gains[best] = -np.inf
-        chosen.append(validated)
+        chosen.append((validated, both))
         progress(len(chosen) / s.max_solvers, f"{len(chosen)} solvers chosen")
     return chosen
 
 
-def _choose_for_coverage(search: SolverSearch, found: list[EvaluatedSolver], progress: Progress) -> list[EvaluatedSolver]:
+def _choose_for_coverage(search: SolverSearch, found: list[EvaluatedSolver], progress: Progress) -> list[Trusted]:
     """Greedy choice by the markers that a solver adds over patterns of hidden markers, each solver validated before it is taken."""
     n, settings = search.n_markers, search.settings
     patterns = settings.coverage_patterns
@@ -584,7 +598,7 @@ def _choose_for_coverage(search: SolverSearch, found: list[EvaluatedSolver], pro
     rates = np.array([search.reaches_target(e) * e.response_rates for e in found]).reshape(-1, n)
     ready = np.array([~hidden[:, e.solver.markers].any(axis=1) for e in found], dtype=np.float64).reshape(-1, patterns)
     cost = 1.0 + settings.marker_cost * np.array([len(e.solver.markers) for e in found])
-    chosen: list[EvaluatedSolver] = []
+    chosen: list[Trusted] = []
     while len(chosen) < settings.max_solvers and len(found):
         gain = ((ready @ lacking) * rates).sum(axis=1) / cost
         best = int(np.argmax(gain))
@@ -592,12 +606,13 @@ def _choose_for_coverage(search: SolverSearch, found: list[EvaluatedSolver], pro
             break
         validated = search.evaluate(found[best].solver.markers.tolist(), validate=True)
         assert validated is not None
-        rate = search.reaches_target(validated) * validated.response_rates
+        reaches = search.reaches_target(validated)
+        rate = reaches * validated.response_rates
         if (rate < rates[best] - settings.max_rate_drop).any():
             rates[best] = rate
             continue
         lacking *= 1.0 - ready[best][:, None] * rate
         rates[best] = 0.0
-        chosen.append(validated)
+        chosen.append((validated, reaches))
         progress(len(chosen) / settings.max_solvers, f"{len(chosen)} solvers chosen")
     return chosen
