@@ -26,6 +26,7 @@ from asterism.labelling.partial.solver_search import (
     SearchSettings,
     SolverSearch,
     bottom_up,
+    choose_ensemble,
     evolve,
     genetic,
     genetic_all,
@@ -308,6 +309,20 @@ def test_the_choice_takes_what_lowers_the_cost_and_leaves_what_nulls_others():
     assert matrix.cost() == 0.0
     assert best_addition(matrix, candidates, gains) == -1, "nothing is left to gain"
     assert matrix.cost(*candidates[1]) > 0.3, "as printed, one solver of two minds takes the labels away"
+
+
+def test_a_solver_is_trusted_only_with_markers_that_the_choice_knew_of():
+    """Few frames decide which solvers are candidates, more confirm them: a marker that reaches the target only then was never weighed."""
+    settings = replace(PRINTED, evaluation_frames=100, validation_frames=2000, beam_width=20, coverage_patterns=600, large_subsets=5)
+    search = SolverSearch(FRAMES, GROUPS, targets=0.98, features=THESIS, settings=settings, seed=0)
+    ensemble = choose_ensemble(search, bottom_up(search, nothing), nothing)
+    found_later = 0
+    for begin, end in pairwise(ensemble.solvers.first_depth):
+        markers = ensemble.solvers.markers[begin:end]
+        reached = search.reaches_target(search.evaluated[tuple(sorted(markers.tolist()))])
+        assert (reached[markers] >= ensemble.trusted[begin:end]).all()
+        found_later += int((search.reaches_target(search.evaluate(markers.tolist(), validate=True)) & ~reached).sum())
+    assert found_later, "some markers reach the target only on the validation frames"
 
 
 def test_targets_decide_how_many_frames_validate():
