@@ -17,7 +17,7 @@ from asterism.labelling.partial._choice_kernels import count_labels
 from asterism.labelling.partial._search_kernels import search
 from asterism.labelling.partial.features import THESIS
 from asterism.labelling.partial.matrix import label_by_matrix
-from asterism.labelling.partial.matrix_choice import Matrix, best_addition
+from asterism.labelling.partial.matrix_choice import Matrix, choose_solvers
 from asterism.labelling.partial.solver import Solver, pack_solvers, stack_frames
 from asterism.labelling.partial.solver_search import (
     MINERS,
@@ -302,13 +302,24 @@ def test_the_choice_takes_what_lowers_the_cost_and_leaves_what_nulls_others():
     right = np.tile(np.array([[points_of(1)], [points_of(2)]], dtype=np.uint16), (1, 10))
     half, doubtful = right.copy(), right.copy()
     half[:, 5:], doubtful[0, ::2] = 0, points_of(1, 2)
-    candidates, gains = [(markers, half), (markers, doubtful), (markers, right)], np.full(3, np.inf)
-    assert best_addition(matrix, candidates, gains) == 2
-    matrix.add(*candidates[2])
-    gains[2] = -np.inf
+    three = [half, doubtful, right]
+    assert choose_solvers(matrix.emptied(), [markers] * 3, three, 3) == [2], "nothing is left to gain"
+    assert choose_solvers(matrix.emptied(), [markers] * 3, three, 3, without=[2]) == [0], "the other one takes as many labels as it gives"
+    assert matrix.cost(markers, right) == 0.0
+    matrix.cells[markers] |= right
+    assert matrix.cost(markers, doubtful) > 0.3, "as printed, one solver of two minds takes the labels away"
+
+
+def test_the_choice_hands_in_only_what_is_confirmed():
+    """The better solver is not confirmed for its second marker, and then adds nothing to the other one's first."""
+    hidden = np.tile([[True, False, False]], (10, 1))
+    matrix, markers = Matrix(hidden.T, 10.0), [np.array([1, 2]), np.array([1])]
+    both = np.tile(np.array([[points_of(1)], [points_of(2)]], dtype=np.uint16), (1, 10))
+    points = [both, both[:1].copy()]
+    confirmed = {0: np.array([False, True]), 1: np.array([True])}
+    assert choose_solvers(matrix, markers, points, 3, confirm=confirmed.__getitem__) == [0, 1]
     assert matrix.cost() == 0.0
-    assert best_addition(matrix, candidates, gains) == -1, "nothing is left to gain"
-    assert matrix.cost(*candidates[1]) > 0.3, "as printed, one solver of two minds takes the labels away"
+    assert not both[0].any(), "what is not confirmed is not handed in"
 
 
 def test_a_solver_is_trusted_only_with_markers_that_the_choice_knew_of():

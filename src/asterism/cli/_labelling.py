@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -69,7 +70,6 @@ class Labeller:
         self, path: Path, clouds: Clouds, progress: Progress | None = None
     ) -> tuple[Labelling, MarkerSet, Path | None, list[Finding]]:
         """The labelling of a file's clouds, its marker set, the standing trial that was used, and findings."""
-        from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
         from asterism.labelling.stretches import StretchRules, stretches_of
 
         trial, findings = self.standing.of(path), list[Finding]()
@@ -77,7 +77,7 @@ class Labeller:
         labelling, marker_set, one_of_two = self._labelled(ensemble, clouds, progress)
         if ensemble is self.ensembles[0]:
             trial = None
-        elif ensemble.subject_fit(clouds, labelling) < OTHER_SUBJECT_FIT:
+        elif _shows_subject(ensemble, clouds, labelling) is False:
             findings.append(_other_subject(path, trial, given=bool(self.standing.given)))
             trial = None
             labelling, marker_set, one_of_two = self._labelled(self.ensembles[0], clouds, progress)
@@ -95,17 +95,15 @@ class Labeller:
 
         parts: of the file's clouds; the first one that shows the person tells whether the trial is of this person.
         """
-        from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
-
         trial = self.standing.of(path)
         ensemble = self.ensembles[0] if trial is None else self._narrowed_by(trial)
         if ensemble is self.ensembles[0]:
             return ensemble, None, []
         for clouds in parts:
-            fit = ensemble.subject_fit(clouds, ensemble.label(clouds, time=True, workers=self.workers))
-            if fit < OTHER_SUBJECT_FIT:
+            same = _shows_subject(ensemble, clouds, ensemble.label(clouds, time=True, workers=self.workers))
+            if same is False:
                 return self.ensembles[0], None, [_other_subject(path, trial, given=bool(self.standing.given))]
-            if fit >= OTHER_SUBJECT_FIT:
+            if same:
                 break
         return ensemble, trial, []
 
@@ -189,8 +187,13 @@ def held_against_names(
     if wanted is KnownLabels.KEEP:
         return labels_kept(path, labelling, recording, clouds, marker_set), recording, ()
     checked, against = check_labels(labelling, recording, clouds, marker_set)
-    names = tuple(marker_set.name_of(label) or label for label in recording.labels)
-    return checked if wanted is KnownLabels.CHECK else labelling, replace(recording, labels=names), against
+    renamed = replace(recording, labels=names_in_set(recording, marker_set, wanted))
+    return checked if wanted is KnownLabels.CHECK else labelling, renamed, against
+
+
+def names_in_set(recording: Recording, marker_set: MarkerSet, wanted: KnownLabels | None) -> tuple[str, ...]:
+    """The labels of a recording, those of markers by the marker set's names; all as they are where they are kept."""
+    return recording.labels if wanted is KnownLabels.KEEP else tuple(marker_set.name_of(label) or label for label in recording.labels)
 
 
 def findings_on_names(path: Path, recording: Recording, against: Sequence[Disagreement], wanted: KnownLabels | None) -> list[Finding]:
@@ -240,6 +243,14 @@ def in_stretches(path: Path, count: int) -> list[Finding]:
     sentence = f"{path} is long: it was labelled in {count} stretches, which were joined where they overlap."
     mend = "Where there is memory for it, SolverEnsemble.label labels it at once."
     return [Finding("label-in-stretches", Severity.NOTE, str(path), sentence, mend)]
+
+
+def _shows_subject(ensemble: SolverEnsemble, clouds: Clouds, labelling: Labelling) -> bool | None:
+    """Whether a recording is of the person to whom the ensemble is adapted; None where it shows too little of anybody."""
+    from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
+
+    fit = ensemble.subject_fit(clouds, labelling)
+    return None if math.isnan(fit) else fit >= OTHER_SUBJECT_FIT
 
 
 def _other_subject(path: Path, trial: Path | None, *, given: bool) -> Finding:

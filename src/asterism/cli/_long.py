@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from asterism.cli._labelling import Labeller, findings_on_names, held_against_names, in_stretches, settled_names
+from asterism.cli._labelling import Labeller, findings_on_names, held_against_names, in_stretches, names_in_set, settled_names
 from asterism.cli._options import KnownLabels
 from asterism.findings import Finding
 from asterism.formats import LabelConfidence
 from asterism.formats.c3d._confidence import LabelSummary
-from asterism.formats.c3d._file import stretches
+from asterism.formats.c3d._file import ranges
 from asterism.formats.c3d._long import LabelledRanges, LongRecording
 from asterism.labelling import ReviewItem, review
 from asterism.labelling.stretches import StretchRules, join_verdicts, label_in_stretches, stretches_of
@@ -147,7 +147,7 @@ def _written(
 ) -> LabelledRanges:
     """The recording under its labels: what `Recording.with_labelling` gives for all of it."""
     keep, marker_set = known is not KnownLabels.IGNORE, found.marker_set
-    names = one_frame.labels if known is KnownLabels.KEEP else tuple(marker_set.name_of(label) or label for label in one_frame.labels)
+    names = names_in_set(one_frame, marker_set, known)
     rest = sorted(found.rest - {NULL})
     blank = Labelling(np.full((1, len(marker_set)), NULL), np.zeros((1, len(marker_set))), marker_set.names)
     left = replace(long.one_frame(np.isin(long.columns, rest)), labels=names)
@@ -169,9 +169,9 @@ def _written(
 
 
 def _summary(labelling: Labelling, counted: Clouds) -> LabelSummary:
-    """What the labels amount to, added up stretch by stretch."""
+    """What the labels amount to, added up range by range."""
     found = None
-    for some in stretches(len(counted)):
+    for some in ranges(len(counted)):
         here = replace(labelling, indices=labelling.indices[some], confidence=labelling.confidence[some])
         part = LabelSummary.of(LabelConfidence.of_labelling(here), label_states(here, counted.frames(some)))
         found = part if found is None else found.plus(part)

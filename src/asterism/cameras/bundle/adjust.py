@@ -84,7 +84,7 @@ class Adjustment:
     cost: float
     steps: int
     converged: bool
-    no_scale: bool = False
+    no_scale: bool
 
     @property
     def sigma(self) -> Floats:

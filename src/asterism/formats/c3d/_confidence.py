@@ -14,7 +14,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.formats._confidence import LabelConfidence
 from asterism.formats.c3d._edit import LOG_GROUP, MOST_STRINGS, floats_record, integers_record, strings_record, with_group, with_number
-from asterism.formats.c3d._file import C3DFile, numbered, stretches
+from asterism.formats.c3d._file import C3DFile, numbered, ranges
 from asterism.formats.c3d._numbers import Words
 from asterism.formats.c3d._parameters import BYTE, CHARACTER, FLOAT, INTEGER, Parameters, Record, make_parameter
 from asterism.formats.c3d._writer import assembled
@@ -110,7 +110,7 @@ def with_confidence(file: C3DFile, confidence: LabelConfidence, states: LabelSta
     """
     channels, points = Channels.of(file, confidence.names, LabelSummary.of(confidence, states)), 4 * file.layout.points
     raw, words = assembled(file, channels.parameters, points + channels.width, file.layout.points, None)
-    for some in stretches(file.layout.frames):
+    for some in ranges(file.layout.frames):
         words[some, :points] = file.words[some, :points]
         words[some, points:] = channels.words(file, file.words[some, points:], confidence.values[some])
     channels.write_header(raw, file)

@@ -32,8 +32,8 @@ _FRAMES_AT_ONCE = 10_000
 """What is converted at a time: a recording of an hour is in memory once, not three times."""
 
 
-def stretches(frames: int) -> Iterator[slice]:
-    """All frames, so many at a time as are converted at once."""
+def ranges(frames: int) -> Iterator[slice]:
+    """Ranges of frames that together are all, each as many as are converted at once."""
     return (slice(start, min(start + _FRAMES_AT_ONCE, frames)) for start in range(0, frames, _FRAMES_AT_ONCE))
 
 
@@ -117,14 +117,14 @@ class C3DFile:
     @cached_property
     def _signs_of_residuals(self) -> tuple[bool, bool]:
         """Whether some, and whether all residuals are negative."""
-        negative = [self.residuals_of(some) < 0 for some in stretches(self.layout.frames)]
+        negative = [self.residuals_of(some) < 0 for some in ranges(self.layout.frames)]
         return any(some.any() for some in negative), all(some.all() for some in negative)
 
     @cached_property
     def residuals_are_unused(self) -> bool:
         """Whether every residual is negative although the file has coordinates, as SIMI writes them."""
         return self._signs_of_residuals[1] and any(
-            bool((self.point_words[some, :, :3] & self._not_sign).any()) for some in stretches(self.layout.frames)
+            bool((self.point_words[some, :, :3] & self._not_sign).any()) for some in ranges(self.layout.frames)
         )
 
     @cached_property
@@ -141,7 +141,7 @@ class C3DFile:
     def coordinates(self) -> Floats:
         """(frames, points, 3) in the file's unit, NaN where a point is missing, not finite or impossibly far away; made anew each time."""
         values = np.empty((self.layout.frames, self.layout.points, 3))
-        for some in stretches(self.layout.frames):
+        for some in ranges(self.layout.frames):
             values[some] = self.coordinates_of(some)
         return values
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.formats.c3d._edit import LOG_GROUP, MOST_STRINGS, event_records, floats_record, integers_record, log_record, strings_record
-from asterism.formats.c3d._file import BLOCK, stretches
+from asterism.formats.c3d._file import BLOCK, ranges
 from asterism.formats.c3d._numbers import PC
 from asterism.formats.c3d._parameters import CHARACTER, Record, make_group, make_parameter
 from asterism.recording import Floats, Recording
@@ -44,7 +44,7 @@ def fresh_c3d(recording: Recording, target: str, residual: Floats | None = None,
     out = bytearray(len(head) + size + ending)
     out[: len(head)] = head
     block = np.frombuffer(out, dtype=f"{PC.order}u4", count=size // 4, offset=len(head)).reshape(frames, points, 4)
-    for some in stretches(frames):
+    for some in ranges(frames):
         positions = recording.positions[some]
         data = np.zeros((len(positions), points, 4))
         data[:, :, :3] = positions * 1000.0

@@ -14,7 +14,7 @@ from asterism.errors import AsterismError, guarded_reading
 from asterism.formats._atomic import write_atomically
 from asterism.formats._columns import recording_of
 from asterism.formats.c3d._confidence import Channels, LabelSummary
-from asterism.formats.c3d._file import BLOCK, KEY, C3DFile, Layout, header_of, open_c3d, parse_parameters, stretches
+from asterism.formats.c3d._file import BLOCK, KEY, C3DFile, Layout, header_of, open_c3d, parse_parameters, ranges
 from asterism.formats.c3d._reader import points_of, scaled
 from asterism.formats.c3d._writer import Filling, Plan, assembled, planned, renamed_computed, tail_of
 from asterism.recording import Floats, Ints, Recording, as_vertical
@@ -54,7 +54,7 @@ class LongRecording:
     def shown(self) -> tuple[Ints, NDArray[np.bool_]]:
         """How many points each frame has (T,), and which columns have a point in some frame (M,)."""
         counts, some = np.empty(len(self), dtype=np.int64), np.zeros(len(self.columns), dtype=np.bool_)
-        for part in stretches(len(self)):
+        for part in ranges(len(self)):
             visible = self.frames(part).visible
             counts[part] = visible.sum(axis=1)
             some |= visible.any(axis=0)
@@ -148,7 +148,7 @@ def _parts(
     points, kind = 4 * len(plan.slots), file.point_words.dtype.newbyteorder(file.processor.order)
     width = points + (file.layout.analog if channels is None else channels.width)
     filling = Filling.of(file, plan.slots, labelled.head.labels, relabelled.path)
-    for some in stretches(file.layout.frames):
+    for some in ranges(file.layout.frames):
         recording, confidence = labelled.frames(some)
         words = np.empty((len(recording), width), dtype=kind)
         origin = np.full(recording.positions.shape[:2], -1, dtype=np.int64) if recording.origin is None else recording.origin

@@ -19,7 +19,7 @@ from asterism.formats._columns import without_common_subject
 from asterism.formats._confidence import LabelConfidence
 from asterism.formats._physical import is_unnamed
 from asterism.formats.c3d._edit import label_parameters, log_of, with_declared, with_events, with_log, with_number
-from asterism.formats.c3d._file import BLOCK, C3DFile, parse_c3d, stretches
+from asterism.formats.c3d._file import BLOCK, C3DFile, parse_c3d, ranges
 from asterism.formats.c3d._fresh import fresh_c3d
 from asterism.formats.c3d._numbers import Words
 from asterism.formats.c3d._parameters import Parameters, Record, text_of
@@ -113,7 +113,7 @@ def rewritten(file: C3DFile, recording: Recording, target: str) -> bytearray:
     plan = planned(file, recording, [_commonest(column[(column >= 0) & (column < points)]) for column in origin.T], target)
     data, words = assembled(file, plan.parameters, 4 * len(plan.slots) + file.layout.analog, len(plan.slots), plan.rate)
     filling = Filling.of(file, plan.slots, recording.labels, target)
-    for some in stretches(file.layout.frames):
+    for some in ranges(file.layout.frames):
         filling.fill(words[some], some, recording.positions[some], origin[some])
         words[some, 4 * len(plan.slots) :] = file.words[some, 4 * points :]
     return data
@@ -243,7 +243,7 @@ class Filling:
 
 def _missing_words(file: C3DFile) -> Words:
     """The four words with which this file says that a point is missing."""
-    some_missing = any(np.isnan(file.coordinates_of(some)).any() for some in stretches(file.layout.frames))
+    some_missing = any(np.isnan(file.coordinates_of(some)).any() for some in ranges(file.layout.frames))
     if file.zeros_are_missing and some_missing and not file.residuals_are_unused:
         return np.zeros(4, dtype=file.point_words.dtype)
     if file.layout.real:

@@ -6,7 +6,7 @@ know. Here they are chosen for what the matrix gives with them, on frames of the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,9 +51,9 @@ class Matrix:
         weights = 1.0 / numbers**2.0
         return float(weights @ occlusions / weights.sum() + self.wrong_cost * assignments.mean())
 
-    def add(self, markers: Ints, points: Points) -> None:
-        """Hand in points (D, K) for markers (D,)."""
-        self.cells[markers] |= points
+    def emptied(self) -> Matrix:
+        """The same frames, with nothing handed in."""
+        return Matrix(self.hidden, self.wrong_cost)
 
 
 def word_for(markers: int) -> type[np.unsignedinteger]:
@@ -61,18 +61,49 @@ def word_for(markers: int) -> type[np.unsignedinteger]:
     return np.uint16 if markers <= 16 else np.uint32 if markers <= 32 else np.uint64
 
 
-def best_addition(matrix: Matrix, candidates: Sequence[tuple[Ints, Points]], gains: NDArray[np.float64]) -> int:
-    """The candidate (markers, points handed in) that lowers the cost most, or -1 where none does.
+def choose_solvers(
+    matrix: Matrix,
+    markers: Sequence[Ints],
+    points: Sequence[Points],
+    most: int,
+    *,
+    without: Collection[int] = (),
+    confirm: Callable[[int], NDArray[np.bool_]] | None = None,
+) -> list[int]:
+    """Which solvers, one after the other, lower the cost most, until none does or there are `most`.
 
-    gains (S,): of each candidate when it was last tried, inf for new ones, -inf for those that are out. A gain that has become smaller is
-    found out only where the candidate could still be the best. OUT gains.
+    Each hands in its points (D, K) for its markers (D,). `without` are out. `confirm` says of the solver to be taken for which of its
+    markers (D,) it may hand in points; where that is not for all, it must be the best with these only.
+    OUT matrix; points, 0 where not confirmed.
+    """
+    gains = np.full(len(points), np.inf)
+    gains[list(without)] = -np.inf
+    chosen: list[int] = []
+    while len(chosen) < most:
+        best = best_addition(matrix, markers, points, gains)
+        if best < 0:
+            break
+        if confirm is not None and points[best][denied := ~confirm(best)].any():
+            points[best][denied] = 0
+            continue
+        matrix.cells[markers[best]] |= points[best]
+        gains[best] = -np.inf
+        chosen.append(best)
+    return chosen
+
+
+def best_addition(matrix: Matrix, markers: Sequence[Ints], points: Sequence[Points], gains: NDArray[np.float64]) -> int:
+    """The solver that lowers the cost most, or -1 where none does.
+
+    gains (S,): of each solver when it was last tried, inf for new ones, -inf for those that are out. A gain that has become smaller is
+    found out only where the solver could still be the best. OUT gains.
     """
     now = matrix.cost()
     best, most = -1, 0.0
     for s in np.argsort(-gains, kind="stable"):
         if gains[s] <= most:
             break
-        gains[s] = now - matrix.cost(*candidates[s])
+        gains[s] = now - matrix.cost(markers[s], points[s])
         if gains[s] > most:
             best, most = int(s), float(gains[s])
     return best

@@ -22,7 +22,7 @@ from asterism.labelling.partial._pair_search_kernels import make_search_workspac
 from asterism.labelling.partial.features import FEATURES as REGISTRY
 from asterism.labelling.partial.features import MANY_MARKERS, markers_read
 from asterism.labelling.partial.matrix import PartialSolvers, VotingRules, classifiers_by_marker
-from asterism.labelling.partial.matrix_choice import Matrix, Points, best_addition, word_for
+from asterism.labelling.partial.matrix_choice import Matrix, Points, choose_solvers, word_for
 from asterism.labelling.partial.solver import Solver, build_search_tree, factor_pair_rules, pack_solvers, replacement_table
 from asterism.labelling.partial.weak import FeatureRanges, WrongLabellings
 from asterism.progress import Progress
@@ -42,6 +42,9 @@ MINERS = ("bottom-up", "top-down", "genetic", "genetic-all")
 
 HANDED_IN_TOGETHER = 32
 """Solvers whose points are worked out together: their classifiers fit the cache, and a frame is loaded once for all."""
+
+FIRST_CHOICES = 3
+"""How often solvers are chosen on few patterns of hidden markers, for the choice on many. Not tuned."""
 
 MarkerSubset = tuple[int, ...]
 
@@ -116,14 +119,14 @@ PRINTED_FEATURES = ("g1", "g2", "g3", "g4", "g5", "g6", "g7", "g8", "g9")
 PRINTED = SearchSettings(
     max_classifiers=1000,
     widen=0.001,
-    beam_width=120,
+    beam_width=360,
     evaluation_frames=1500,
     validation_frames=30_000,
     max_solvers=250,
     search_target=0.9999,
     screening_target=0.99,
     for_printed_matrix=True,
-    coverage_patterns=16_000,
+    coverage_patterns=24_000,
     large_subsets=100,
 )
 """The thesis' solvers: intervals from the smallest to the largest value of the training (eq. 4.4), and so little more that the frames with
@@ -553,40 +556,50 @@ def _all_that_reach(search: SolverSearch, found: list[EvaluatedSolver]) -> list[
 
 
 def _choose_for_matrix(search: SolverSearch, found: list[EvaluatedSolver], progress: Progress) -> list[Trusted]:
-    """Greedy choice by what the printed matrix gives on frames with hidden markers, each solver validated before it is taken.
+    """Choice by what the printed matrix gives on frames with hidden markers, each solver validated before it is taken.
+
+    What many patterns of hidden markers tell of thousands of candidates costs minutes and gigabytes, and what few tell is partly luck. So
+    candidates are chosen on few patterns, and again from those left, `FIRST_CHOICES` times. Among these the choice is made on many.
 
     A solver is trusted with the markers for which it reaches the target both times: what it proposes for another one had no part in the
     choice, and would take other solvers' labels away.
     """
+    s = search.settings
+    matrix, points = _handed_in(search, found, max(1, s.coverage_patterns // 4))
+    kept: list[int] = []
+    for _ in range(FIRST_CHOICES):
+        kept += choose_solvers(matrix.emptied(), [e.solver.markers for e in found], points, s.max_solvers, without=kept)
+    del points
+    candidates = [found[i] for i in sorted(kept)]
+    matrix, points = _handed_in(search, candidates, s.coverage_patterns)
+    again: dict[int, EvaluatedSolver] = {}
+
+    def confirm(i: int) -> NDArray[np.bool_]:
+        markers = candidates[i].solver.markers
+        if i not in again:
+            validated = search.evaluate(markers.tolist(), validate=True)
+            assert validated is not None
+            again[i] = validated
+            progress(len(again) / s.max_solvers, f"{len(again)} solvers validated")
+        return search.reaches_target(again[i])[markers]
+
+    chosen = choose_solvers(matrix, [e.solver.markers for e in candidates], points, s.max_solvers, confirm=confirm)
+    return [(again[i], search.reaches_target(candidates[i]) & search.reaches_target(again[i])) for i in chosen]
+
+
+def _handed_in(search: SolverSearch, found: list[EvaluatedSolver], patterns: int) -> tuple[Matrix, list[Points]]:
+    """The empty matrices of frames with hidden markers, and what each solver hands in for the markers for which it reaches the target."""
     n, s = search.n_markers, search.settings
     trial = ValidationFrames(
         search.frames,
-        search.rng.integers(len(search.frames), size=s.coverage_patterns),
-        random_occlusions(s.coverage_patterns, n, s.max_hidden, search.rng, least=1),
-        search.motion_unknown[np.arange(s.coverage_patterns) % len(search.motion_unknown)],
+        search.rng.integers(len(search.frames), size=patterns),
+        random_occlusions(patterns, n, s.max_hidden, search.rng, least=1),
+        search.motion_unknown[np.arange(patterns) % len(search.motion_unknown)],
     )
-    handed_in = search.handed_in([e.solver for e in found], trial)
-    trusted = [search.reaches_target(e) for e in found]
-    offered = [(e.solver.markers, handed_in[i] * trusted[i][e.solver.markers, None]) for i, e in enumerate(found)]
-    matrix = Matrix(trial.hidden.T, s.wrong_cost / max(1.0 - float(search.targets.mean()), 1e-6))
-    gains = np.full(len(found), np.inf)
-    chosen: list[Trusted] = []
-    while len(chosen) < s.max_solvers:
-        best = best_addition(matrix, offered, gains)
-        if best < 0:
-            break
-        markers = found[best].solver.markers
-        validated = search.evaluate(markers.tolist(), validate=True)
-        assert validated is not None
-        both = search.reaches_target(validated) & trusted[best]
-        if not np.array_equal(both, trusted[best]):
-            trusted[best], offered[best] = both, (markers, handed_in[best] * both[markers, None])
-            continue
-        matrix.add(*offered[best])
-        gains[best] = -np.inf
-        chosen.append((validated, both))
-        progress(len(chosen) / s.max_solvers, f"{len(chosen)} solvers chosen")
-    return chosen
+    points = search.handed_in([e.solver for e in found], trial)
+    for e, own in zip(found, points, strict=True):
+        own[~search.reaches_target(e)[e.solver.markers]] = 0
+    return Matrix(trial.hidden.T, s.wrong_cost / max(1.0 - float(search.targets.mean()), 1e-6)), points
 
 
 def _choose_for_coverage(search: SolverSearch, found: list[EvaluatedSolver], progress: Progress) -> list[Trusted]:
