@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import asterism
 from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.labelling.whole.fits import point_fits
+from asterism.labelling.whole.joint import voting_frames
 from asterism.labelling.whole.scene import RecordingLabellingSettings, SceneScores, prepare_scene, score_scene
 from asterism.labelling.whole.upright import turned, upright_turns
 from asterism.recording import Clouds
@@ -282,3 +284,19 @@ def test_a_ghost_fits_worse_than_the_markers(ensemble: asterism.SolverEnsemble, 
     assert own[names.index("LKNE")] < np.median(own) - 4.0
     order = np.concatenate([np.arange(len(names))[::-1] + t * len(names) for t in range(len(clouds))])
     np.testing.assert_array_equal(fits(order), fits(np.arange(len(label)))[order])
+
+
+def sampled(shows):
+    """A scene of as many sampled frames, each of which shows some tracklets."""
+    frame, track = np.array([(e, j) for e, tracks in enumerate(shows) for j in tracks]).T
+    return SimpleNamespace(sampled_frames=np.arange(len(shows)), sampled_frame=frame, sampled_track=track, first=np.zeros(1 + track.max()))
+
+
+def test_few_frames_vote_and_show_every_tracklet():
+    """Of seven frames two vote anyway. Four tracklets that neither shows are seen together in two more."""
+    shows = [[0], [0, 1], [0, 1, 2], [0, 2], [0, 3], [0, 3, 4], [0]]
+    assert voting_frames(sampled(shows), 2).tolist() == [0, 2, 5, 6]
+    assert voting_frames(sampled(shows), 7).tolist() == list(range(7))
+    gap = [[0], [1], [2], [1, 2], [0], [1], [0]]
+    found = voting_frames(sampled(gap), 2)
+    assert {j for e in found for j in gap[e]} == {0, 1, 2}, "tracklet 1 is not in the frame that shows tracklet 2 last"

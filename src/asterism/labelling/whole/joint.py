@@ -153,7 +153,7 @@ def _votes_of_one(labeller: BodyLabeller, scene: Scene, rules: RecordingLabellin
     crowd = np.diff(scene.sampled_offsets).mean() / labeller.body.mean.shape[1] if len(scene.sampled_frames) else 0.0
     if crowd > rules.crowded:
         labeller = replace(labeller, settings=labeller.settings._replace(**CROWDED_SEARCH))
-    frames = _voting_frames(scene, rules.max_voting)
+    frames = voting_frames(scene, rules.max_voting)
     points = np.nonzero(np.isin(scene.sampled_frame, frames))[0]
     offsets = np.concatenate([[0], np.cumsum(np.diff(scene.sampled_offsets)[frames])]).astype(np.int64)
     point_of, margins, _ = labeller.label_frames(
@@ -170,21 +170,31 @@ def _votes_of_one(labeller: BodyLabeller, scene: Scene, rules: RecordingLabellin
     return votes
 
 
-def _voting_frames(scene: Scene, most: int) -> Ints:
-    """Which sampled frames vote: so many, evenly spread, and one of each tracklet that none of these shows."""
-    frames = len(scene.sampled_frames)
+def voting_frames(scene: Scene, most: int) -> Ints:
+    """Which sampled frames vote: so many, evenly spread, and as few more as show every tracklet that none of these shows.
+
+    Of the tracklets that are not shown yet, the one that ends first is shown by its last sampled frame, and so on. No choice needs fewer
+    frames, unless tracklets have gaps. O(Q + J log J), in each of the few rounds that gaps cost.
+    """
+    frames, track, frame = len(scene.sampled_frames), scene.sampled_track, scene.sampled_frame
     if frames <= most:
         return np.arange(frames)
     votes = np.zeros(frames, dtype=np.bool_)
     votes[np.linspace(0, frames - 1, most).round().astype(np.int64)] = True
-    shown = np.zeros(len(scene.first), dtype=np.bool_)
-    shown[scene.sampled_track[votes[scene.sampled_frame]]] = True
-    for e in range(frames):
-        tracks = scene.sampled_track[scene.sampled_offsets[e] : scene.sampled_offsets[e + 1]]
-        if not shown[tracks].all():
-            votes[e] = True
-            shown[tracks] = True
-    return np.nonzero(votes)[0]
+    first, last = np.full(len(scene.first), frames), np.full(len(scene.first), -1)
+    np.minimum.at(first, track, frame)
+    np.maximum.at(last, track, frame)
+    shown = last < 0
+    while True:
+        shown[track[votes[frame]]] = True
+        missed = np.nonzero(~shown)[0]
+        if not len(missed):
+            return np.nonzero(votes)[0]
+        latest = -1
+        for j in missed[np.argsort(last[missed], kind="stable")]:
+            if first[j] > latest:
+                latest = last[j]
+                votes[latest] = True
 
 
 def _votes_of_several(

@@ -18,9 +18,6 @@ from asterism.labelling.whole._short_kernels import Expected, ShortLabels, Short
 from asterism.recording import NULL, Clouds, Floats, Ints
 from asterism.tracking.linking import Tracklets
 
-AT_ONCE = 100_000
-"""Places of markers in frames, T times so many markers, that are worked out at once: they fit into the cache."""
-
 
 @dataclass(frozen=True)
 class ShortTrackletRules:
@@ -117,28 +114,37 @@ def label_short_points(
     """Label the candidates among the points (P,).
 
     body: adapted to the subject; xyz (P, 3) m, z up; label (P,): what the long tracklets are of this body, -1 for none. A frame that shows
-    too few of them is labelled by itself. O(frames with a candidate), as `label_short`.
+    too few of them is labelled by itself. O(P), and O(K M r^2 + M n) in each of the W frames with a candidate, as `label_short`; memory for
+    the points and markers of these.
     """
-    frames, markers, points = len(clouds), body.mean.shape[1], len(label)
+    markers, frame_of = body.mean.shape[1], clouds.frame_of
+    found, margin, alone = label.copy(), np.zeros(len(label)), np.zeros(len(label), dtype=np.bool_)
+    wanted = np.zeros(len(clouds), dtype=np.bool_)
+    wanted[frame_of[candidate & (label == NULL)]] = True
+    frames, points = np.nonzero(wanted)[0], np.nonzero(wanted[frame_of])[0]
+    if not len(points):
+        return ShortPointLabels(np.where(candidate, found, NULL), margin, alone)
+    of_frames = candidate[points]
     out = ShortLabels(
-        label.copy(),
-        np.zeros(points),
-        np.zeros(points, dtype=np.bool_),
-        np.zeros(frames, dtype=np.bool_),
+        label[points],
+        np.zeros(len(points)),
+        np.zeros(len(points), dtype=np.bool_),
+        np.zeros(len(frames), dtype=np.bool_),
         np.zeros((markers, 4), dtype=np.int64),
         np.zeros((markers, 4), dtype=np.int64),
     )
     least = max(3, round(rules.min_labelled * markers))
     limits = ShortLimits(least, rules.min_score, rules.max_score, rules.usual_spread, rules.motion_spread)
-    expected = expect_by_motion(xyz, clouds.frame_of, label, (frames, markers), clouds.rate, rules)
-    label_short(xyz, clouds.offsets, candidate, body, labeller.settings, limits, expected, out)
+    expected = expect_by_motion(xyz, frame_of, label, (len(clouds), markers), clouds.rate, rules, frames)
+    offsets = np.concatenate([[0], np.cumsum(clouds.counts[frames])]).astype(np.int64)
+    label_short(xyz[points], offsets, of_frames, body, labeller.settings, limits, expected, out)
     by_body, by_motion = (marker_shares(counts, rules) for counts in (out.body_hits, out.near_hits))
     share = np.where(out.by_motion, by_motion[out.label], by_body[out.label])
-    out.label[candidate & (share < rules.min_marker_share)] = NULL
-    alone = np.zeros(points, dtype=np.bool_)
+    out.label[of_frames & (share < rules.min_marker_share)] = NULL
+    found[points], margin[points] = out.label, out.margin
     if out.alone.any():
-        alone[_label_alone(labeller, clouds, out.alone, candidate, out.label, out.margin)] = True
-    return ShortPointLabels(np.where(candidate, out.label, NULL), out.margin, alone)
+        alone[_label_alone(labeller, clouds, frames[out.alone], candidate, found, margin)] = True
+    return ShortPointLabels(np.where(candidate, found, NULL), margin, alone)
 
 
 def marker_shares(counts: Ints, rules: ShortTrackletRules) -> Floats:
@@ -154,15 +160,12 @@ def marker_shares(counts: Ints, rules: ShortTrackletRules) -> Floats:
     return np.asarray(np.clip(1.0 - free * share_hit / np.maximum(hits, 1e-12), 0.0, 1.0))
 
 
-def _label_alone(
-    labeller: BodyLabeller, clouds: Clouds, alone: NDArray[np.bool_], candidate: NDArray[np.bool_], found: Ints, margin: Floats
-) -> Ints:
+def _label_alone(labeller: BodyLabeller, clouds: Clouds, frames: Ints, candidate: NDArray[np.bool_], found: Ints, margin: Floats) -> Ints:
     """Label frames by themselves, and take from that what is a candidate for a marker that is not there yet: the points so labelled."""
-    numbers = np.nonzero(alone)[0]
-    alone_labels = labeller.label(clouds.frames(numbers))
+    alone_labels = labeller.label(clouds.frames(frames))
     point_of, margins = alone_labels.point_of, alone_labels.margins
     row, marker = np.nonzero(point_of != NULL)
-    frame = numbers[row]
+    frame = frames[row]
     point = clouds.offsets[frame] + point_of[row, marker]
     held = np.zeros((len(clouds), point_of.shape[1]), dtype=np.bool_)
     labelled = np.nonzero(found != NULL)[0]
@@ -172,35 +175,38 @@ def _label_alone(
     return point[taken]
 
 
-def expect_by_motion(xyz: Floats, frame_of: Ints, label: Ints, shape: tuple[int, int], rate: float, rules: ShortTrackletRules) -> Expected:
+def expect_by_motion(
+    xyz: Floats,
+    frame_of: Ints,
+    label: Ints,
+    shape: tuple[int, int],
+    rate: float,
+    rules: ShortTrackletRules,
+    wanted: Ints | None = None,
+) -> Expected:
     """Where each marker should be where it has no point: on the line between its last point before and its next one after.
 
-    xyz (P, 3) m; frame_of, label (P,); shape (T, M). A marker that accelerates by a leaves that line by a (t - t0) (t1 - t) / 2. O(T M).
+    xyz (P, 3) m; frame_of, label (P,); shape (T, M); wanted (W,): the frames to tell it for, increasing, None for all. A marker that
+    accelerates by a leaves that line by a (t - t0) (t1 - t) / 2. O(P + W M log T); memory O(P + W M).
     """
     frames, markers = shape
-    out = Expected(np.zeros((frames, markers, 3)), np.full((frames, markers), np.inf))
-    step = max(1, AT_ONCE // max(1, frames))
-    for begin in range(0, markers, step):
-        some = slice(begin, min(begin + step, markers))
-        points = np.nonzero((label >= some.start) & (label < some.stop))[0]
-        position = np.full((frames, some.stop - begin, 3), np.nan)
-        position[frame_of[points], label[points] - begin] = xyz[points]
-        _expect(position, rate, rules, Expected(out.place[:, some], out.spread[:, some]))
+    wanted = np.arange(frames) if wanted is None else wanted
+    out = Expected(np.zeros((len(wanted), markers, 3)), np.full((len(wanted), markers), np.inf))
+    points = np.nonzero(label != NULL)[0]
+    points = points[np.argsort(frame_of[points], kind="stable")]  # O(P) for sorted clouds
+    points = points[np.argsort(label[points].astype(np.int16), kind="stable")]  # of 16 bits, a radix sort: O(P)
+    begins = np.searchsorted(label[points], np.arange(markers + 1))
+    for marker in range(markers):
+        own = points[begins[marker] : begins[marker + 1]]
+        frame = frame_of[own]
+        after = np.searchsorted(frame, wanted)
+        row = np.nonzero((after > 0) & (after < len(own)))[0]
+        row = row[frame[after[row]] != wanted[row]]
+        after = after[row]
+        since, until = wanted[row] - frame[after - 1], frame[after] - wanted[row]
+        std = np.hypot(rules.noise, 0.5 * rules.acceleration * since * until / rate**2)
+        near = std <= rules.max_spread
+        row, after, since, until = row[near], after[near], since[near, None], until[near, None]
+        out.place[row, marker] = (xyz[own[after - 1]] * until + xyz[own[after]] * since) / (since + until)
+        out.spread[row, marker] = std[near]
     return out
-
-
-def _expect(position: Floats, rate: float, rules: ShortTrackletRules, out: Expected) -> None:
-    """`expect_by_motion` for some markers: position (T, some, 3) m, NaN where it has no point; written to `out`."""
-    frames = len(position)
-    shown = ~np.isnan(position[:, :, 0])
-    row = np.arange(frames)[:, None]
-    before = np.maximum.accumulate(np.where(shown, row, -1), axis=0)
-    after = np.minimum.accumulate(np.where(shown, row, frames)[::-1], axis=0)[::-1]
-    frame, marker = np.nonzero(~shown & (before >= 0) & (after < frames))
-    since, until = frame - before[frame, marker], after[frame, marker] - frame
-    std = np.hypot(rules.noise, 0.5 * rules.acceleration * since * until / rate**2)
-    near = std <= rules.max_spread
-    frame, marker, since, until = frame[near], marker[near], since[near, None], until[near, None]
-    start, end = position[before[frame, marker], marker], position[after[frame, marker], marker]
-    out.place[frame, marker] = (start * until + end * since) / (since + until)
-    out.spread[frame, marker] = std[near]
