@@ -289,14 +289,19 @@ def test_a_ghost_fits_worse_than_the_markers(ensemble: asterism.SolverEnsemble, 
 def sampled(shows):
     """A scene of as many sampled frames, each of which shows some tracklets."""
     frame, track = np.array([(e, j) for e, tracks in enumerate(shows) for j in tracks]).T
-    return SimpleNamespace(sampled_frames=np.arange(len(shows)), sampled_frame=frame, sampled_track=track, first=np.zeros(1 + track.max()))
+    offsets = np.concatenate([[0], np.cumsum([*map(len, shows)])])
+    return SimpleNamespace(
+        sampled_frames=np.arange(len(shows)),
+        sampled_frame=frame,
+        sampled_track=track,
+        sampled_offsets=offsets,
+        first=np.zeros(1 + track.max()),
+    )
 
 
-def test_few_frames_vote_and_show_every_tracklet():
-    """Of seven frames two vote anyway. Four tracklets that neither shows are seen together in two more."""
+def test_so_many_frames_vote_and_one_of_each_tracklet_that_they_do_not_show():
+    rules = RecordingLabellingSettings(least_voting=2, voting_interval=5)
     shows = [[0], [0, 1], [0, 1, 2], [0, 2], [0, 3], [0, 3, 4], [0]]
-    assert voting_frames(sampled(shows), 2).tolist() == [0, 2, 5, 6]
-    assert voting_frames(sampled(shows), 7).tolist() == list(range(7))
-    gap = [[0], [1], [2], [1, 2], [0], [1], [0]]
-    found = voting_frames(sampled(gap), 2)
-    assert {j for e in found for j in gap[e]} == {0, 1, 2}, "tracklet 1 is not in the frame that shows tracklet 2 last"
+    assert voting_frames(sampled(shows), rules).tolist() == [0, 1, 2, 4, 5, 6]
+    assert voting_frames(sampled([[0]] * 2), rules).tolist() == [0, 1]
+    assert voting_frames(sampled([[0]] * 30), rules).tolist() == [0, 6, 12, 17, 23, 29], "one in five"

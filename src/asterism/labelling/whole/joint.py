@@ -91,6 +91,7 @@ def label_scene(
         scores = state.scores[0].with_frames(upright, (turns != np.eye(3)).any(axis=(1, 2)))
         state = _coordinate_ascent(labellers, [scores], state.label, rules)
         stages["upright"] = state.label
+    spent: list[SceneScores] = []
     for turn in range(rules.adapt_rounds):
         if ((state.label != NULL) & (state.margin > rules.no_adapt_margin)).all():
             break
@@ -98,11 +99,11 @@ def label_scene(
         adapted = [
             _adapted_body(labeller, number, upright, state, rules, subject_rules, body_rules) for number, labeller in enumerate(labellers)
         ]
-        trial = _coordinate_ascent(labellers, _scores(labellers, adapted, upright), state.label, rules)
+        trial = _coordinate_ascent(labellers, _scores(labellers, adapted, upright, spent), state.label, rules)
         firm = (state.label != NULL) & (state.margin >= rules.adapt_margin)
         if trial.total < state.total or not np.array_equal(trial.label[firm], state.label[firm]):
             break
-        state, bodies = trial, adapted
+        spent, state, bodies = state.scores, trial, adapted
         stages[f"adapted {turn + 1}"] = state.label
     report(1.0, "labelled")
     found = _judged(labellers, bodies, upright, state, rules, body_rules)
@@ -153,7 +154,7 @@ def _votes_of_one(labeller: BodyLabeller, scene: Scene, rules: RecordingLabellin
     crowd = np.diff(scene.sampled_offsets).mean() / labeller.body.mean.shape[1] if len(scene.sampled_frames) else 0.0
     if crowd > rules.crowded:
         labeller = replace(labeller, settings=labeller.settings._replace(**CROWDED_SEARCH))
-    frames = voting_frames(scene, rules.max_voting)
+    frames = voting_frames(scene, rules)
     points = np.nonzero(np.isin(scene.sampled_frame, frames))[0]
     offsets = np.concatenate([[0], np.cumsum(np.diff(scene.sampled_offsets)[frames])]).astype(np.int64)
     point_of, margins, _ = labeller.label_frames(
@@ -170,31 +171,26 @@ def _votes_of_one(labeller: BodyLabeller, scene: Scene, rules: RecordingLabellin
     return votes
 
 
-def voting_frames(scene: Scene, most: int) -> Ints:
-    """Which sampled frames vote: so many, evenly spread, and as few more as show every tracklet that none of these shows.
+def voting_frames(scene: Scene, rules: RecordingLabellingSettings) -> Ints:
+    """Which sampled frames vote: some, evenly spread, and one of each tracklet that none of these shows.
 
-    Of the tracklets that are not shown yet, the one that ends first is shown by its last sampled frame, and so on. No choice needs fewer
-    frames, unless tracklets have gaps. O(Q + J log J), in each of the few rounds that gaps cost.
+    As many for each second of a long recording as of a short one: of an hour, few frames would leave most tracklets out, and one more frame
+    for each of them costs more.
     """
-    frames, track, frame = len(scene.sampled_frames), scene.sampled_track, scene.sampled_frame
-    if frames <= most:
+    frames = len(scene.sampled_frames)
+    spread = max(rules.least_voting, frames // rules.voting_interval)
+    if frames <= spread:
         return np.arange(frames)
     votes = np.zeros(frames, dtype=np.bool_)
-    votes[np.linspace(0, frames - 1, most).round().astype(np.int64)] = True
-    first, last = np.full(len(scene.first), frames), np.full(len(scene.first), -1)
-    np.minimum.at(first, track, frame)
-    np.maximum.at(last, track, frame)
-    shown = last < 0
-    while True:
-        shown[track[votes[frame]]] = True
-        missed = np.nonzero(~shown)[0]
-        if not len(missed):
-            return np.nonzero(votes)[0]
-        latest = -1
-        for j in missed[np.argsort(last[missed], kind="stable")]:
-            if first[j] > latest:
-                latest = last[j]
-                votes[latest] = True
+    votes[np.linspace(0, frames - 1, spread).round().astype(np.int64)] = True
+    shown = np.zeros(len(scene.first), dtype=np.bool_)
+    shown[scene.sampled_track[votes[scene.sampled_frame]]] = True
+    for e in range(frames):
+        tracks = scene.sampled_track[scene.sampled_offsets[e] : scene.sampled_offsets[e + 1]]
+        if not shown[tracks].all():
+            votes[e] = True
+            shown[tracks] = True
+    return np.nonzero(votes)[0]
 
 
 def _votes_of_several(
@@ -207,11 +203,14 @@ def _votes_of_several(
     return votes_of_bodies(labellers, bodies, follow_bodies(bodies, scene.sampled_track), scene.sampled_track)
 
 
-def _scores(labellers: Sequence[BodyLabeller], bodies: Sequence[BodyModel], scene: Scene) -> list[SceneScores]:
-    """What the scene scores by each body, to be asked for labels."""
+def _scores(
+    labellers: Sequence[BodyLabeller], bodies: Sequence[BodyModel], scene: Scene, arrays: Sequence[SceneScores] = ()
+) -> list[SceneScores]:
+    """What the scene scores by each body, to be asked for labels; written over scores that nobody needs any more, where given."""
+    reused = [spent.scored for spent in arrays] or [None] * len(bodies)
     return [
-        SceneScores(scene, labeller.body if body is labeller.model else body.arrays(), labeller.settings)
-        for labeller, body in zip(labellers, bodies, strict=True)
+        SceneScores(scene, labeller.body if body is labeller.model else body.arrays(), labeller.settings, scored=scored)
+        for labeller, body, scored in zip(labellers, bodies, reused, strict=True)
     ]
 
 

@@ -22,7 +22,8 @@ class RecordingLabellingSettings:
     """How a recording is labelled as a whole. All were chosen on the gait subjects, each left out in turn (docs/recordings.md).
 
     frame_interval    s between the frames that are sampled: scored, and labelled singly
-    max_voting        sampled frames that are labelled singly, and one more for each tracklet that none of them shows. Not tuned
+    least_voting      sampled frames at least that are labelled singly, and one more for each tracklet that none of them shows. Not tuned
+    voting_interval   one in so many sampled frames is labelled singly, where these are more. Not tuned
     crowded           points of long tracklets for each marker, on average, above which single frames are searched briefly
     max_rounds        relabellings after which the labels are taken as they are
     min_score         nats, the most that one frame can say against a label (negative)
@@ -51,7 +52,8 @@ class RecordingLabellingSettings:
     """
 
     frame_interval: float = 0.1
-    max_voting: int = 60
+    least_voting: int = 60
+    voting_interval: int = 10
     crowded: float = 1.5
     max_rounds: int = 4
     min_score: float = -4.0
@@ -194,10 +196,14 @@ def _sampled_frames(frames: int, step: int, first: Ints, last: Ints) -> NDArray[
     return sampled
 
 
-def score_scene(scene: Scene, label: Ints, body: BodyArrays, settings: FrameSettings) -> FrameScores:
-    """Score every sampled point as every marker of a body, given the labels (J,) of all tracklets as its markers. See `score_frames`."""
+def score_scene(scene: Scene, label: Ints, body: BodyArrays, settings: FrameSettings, out: FrameScores | None = None) -> FrameScores:
+    """Score every sampled point as every marker of a body, given the labels (J,) of all tracklets as its markers. See `score_frames`.
+
+    Written over `out`, where it is given.
+    """
     frames = len(scene.sampled_frames)
-    out = FrameScores(np.empty((len(scene.sampled_xyz), body.mean.shape[1])), np.empty(frames), np.empty(frames, dtype=np.int64))
+    if out is None:
+        out = FrameScores(np.empty((len(scene.sampled_xyz), body.mean.shape[1])), np.empty(frames), np.empty(frames, dtype=np.int64))
     score_frames(scene.sampled_xyz, scene.sampled_offsets, scene.sampled_track, label, body, settings, out)
     return out
 
@@ -220,7 +226,7 @@ class SceneScores:
 
     scene, body, settings  see `score_scene`
     label                  (J,) the labels that were scored last; None before
-    scored                 their scores
+    scored                 their scores; before, arrays to be written over, or None
     """
 
     scene: Scene
@@ -232,7 +238,7 @@ class SceneScores:
     def of(self, label: Ints) -> FrameScores:
         """`score_scene` for the labels (J,); the arrays are written over by the next call."""
         if self.label is None or self.scored is None:
-            self.scored = score_scene(self.scene, label, self.body, self.settings)
+            self.scored = score_scene(self.scene, label, self.body, self.settings, self.scored)
         else:
             changed = (label != self.label)[self.scene.sampled_track]
             frames = np.bincount(self.scene.sampled_frame[changed], minlength=len(self.scene.sampled_frames)) > 0
