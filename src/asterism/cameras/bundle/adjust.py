@@ -84,7 +84,7 @@ class Adjustment:
     cost: float
     steps: int
     converged: bool
-    no_scale: bool
+    no_scale: bool = False
 
     @property
     def sigma(self) -> Floats:
