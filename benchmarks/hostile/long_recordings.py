@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import tempfile
@@ -26,9 +25,17 @@ PEOPLE, TRIALS, FRAMES = 7, 2, 600
 """Simulated walks of 39 markers; the first person's are labelled, the others' teach."""
 
 HIDDEN = 3
-REPEATS = 3
+REPEATS = 5
 COULD_NOT_WORK = 2
 """Exit status."""
+
+LAUNCHER = """
+import resource, subprocess, sys
+status = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL).returncode
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+sys.exit(status)
+"""
+"""Runs a command, and prints the most memory that it took."""
 
 
 def long_recordings(benchmark: BenchmarkRun) -> Iterator[Figure]:
@@ -89,10 +96,12 @@ def _right(ensemble: asterism.SolverEnsemble, clouds: Clouds, truth: Ints) -> fl
 
 
 def _peak(command: list[str]) -> float:
-    """The most memory (bytes) that a command takes."""
-    running = subprocess.Popen([sys.executable, "-m", "asterism", *command], stdout=subprocess.DEVNULL)
-    _, status, usage = os.wait4(running.pid, 0)
-    running.returncode = os.waitstatus_to_exitcode(status)
-    if running.returncode == COULD_NOT_WORK:
+    """The most memory (bytes) that a command takes.
+
+    A small process starts it: what a system tells of a command's memory begins with that of the process which started it, and this one has
+    trained a model.
+    """
+    done = subprocess.run([sys.executable, "-c", LAUNCHER, sys.executable, "-m", "asterism", *command], stdout=subprocess.PIPE, text=True)
+    if done.returncode == COULD_NOT_WORK:
         raise RuntimeError(f"asterism {command[0]} could not work")
-    return float(usage.ru_maxrss if sys.platform == "darwin" else 1024 * usage.ru_maxrss)
+    return float(done.stdout) * (1 if sys.platform == "darwin" else 1024)
