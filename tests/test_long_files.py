@@ -40,15 +40,19 @@ def walk() -> Recording:
 
 @pytest.fixture
 def short_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Everything is long, and divided into stretches of some 600 frames."""
+    """Everything is long, divided into stretches of some 600 frames, and converted by fewer frames than any file here has."""
+    monkeypatch.setattr("asterism.formats.c3d._file._FRAMES_AT_ONCE", 130)
     monkeypatch.setattr(stretches, "StretchRules", partial(stretches.StretchRules, whole=100, points=9000, overlap=1.0))
 
 
 def label(model: Path, source: Path, folder: Path, *options: str) -> tuple[bytes, dict[str, object]]:
     """The labelled file and its row."""
     assert main(["label", str(source), "--model", str(model), "-o", str(folder), "--json", str(folder) + ".json", *options]) in (0, 1)
-    (row,) = json.loads(Path(str(folder) + ".json").read_text())["files"]
-    return (folder / source.name).read_bytes(), {name: value for name, value in row.items() if name not in ("output", "frames_per_second")}
+    report = json.loads(Path(str(folder) + ".json").read_text())
+    (row,) = report["files"]
+    row = {name: value for name, value in row.items() if name not in ("output", "frames_per_second")}
+    findings = json.dumps(report["findings"]).replace(str(folder), "")
+    return (folder / source.name).read_bytes(), {**row, "findings": json.loads(findings)}
 
 
 def anonymous(walk: Recording) -> Recording:

@@ -131,6 +131,33 @@ def test_a_tracklet_over_a_seam_keeps_the_name_of_the_more_certain_stretch(later
     assert found.confidence.max() == pytest.approx(min(0.95, later))
 
 
+def test_candidates_of_all_stretches_are_kept_but_for_names_that_changed() -> None:
+    def says(clouds: Clouds) -> tuple[list[int], float]:
+        return ([0, -1], 0.95) if clouds.xyz[0, 0] == 0.0 else ([1, 2], 0.9)
+
+    class WithCandidates(Scripted):
+        def label(self, clouds: Clouds, **_: object) -> Labelling:
+            given = super().label(clouds)
+            return Labelling(given.indices, given.confidence, given.names, np.where(given.indices >= 0, 7, 5))
+
+    found = label_long(WithCandidates(says), two_paths(), StretchRules(whole=1, points=1200, overlap=0.9))  # type: ignore[arg-type]
+    assert found.candidates is not None
+    assert (found.indices[:, 0] == 0).all()
+    assert (found.indices[600:, 1] == -1).all()
+    assert (found.candidates[600:, 1] == -1).all(), "B was taken back: what proposed it is no candidate"
+    assert (found.candidates[600:, 2] == 7).all()
+    assert (found.candidates[:500, 1] == 5).all()
+
+
+def test_progress_of_the_stretches_is_that_of_the_recording(ensemble: SolverEnsemble, walk: Recording) -> None:
+    said = list[float]()
+    clouds = walk.clouds()
+    rules = StretchRules(whole=1, points=800 * len(walk.labels), overlap=OVERLAP / RATE)
+    label_long(ensemble, clouds, rules, progress=lambda fraction, _: said.append(fraction))
+    assert said == sorted(said), "it never goes back"
+    assert 0.9 < said[-1] <= 1.0
+
+
 def test_a_name_that_is_held_is_not_given_twice() -> None:
     def says(clouds: Clouds) -> tuple[list[int], float]:
         return ([0, -1], 0.95) if clouds.xyz[0, 0] == 0.0 else ([1, 0], 0.9)
