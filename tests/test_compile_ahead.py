@@ -21,7 +21,7 @@ ENTRIES: dict[str, Any] = {
     f"{module.__name__}.{name}": getattr(module, name)
     for module, names in {
         _link_kernels: ["link_frames"],
-        _chain_kernels: ["combine_directions", "sort_frames", "number_chains"],
+        _chain_kernels: ["combine_directions", "sort_frames", "link_numbers", "number_chains"],
         _cut_kernels: ["repair_links", "count_strays"],
         _kernels: [
             "score_frames",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,10 +13,12 @@ from hypothesis import strategies as st
 
 from asterism.labelling.correction.pieces import cut_before
 from asterism.labelling.review import labels_of_points
-from asterism.labelling.whole.label import label_all_points, labelling_of
-from asterism.labelling.whole.point_labels import TieOrder, fast_labelling
+from asterism.labelling.whole import point_labels
+from asterism.labelling.whole.label import label_all_points
+from asterism.labelling.whole.point_labels import PointLabels, labelling_of
 from asterism.labelling.whole.relabel import FREE, LabelledTracklets, label_tracklets, marker_chances, relabel_tracklets
 from asterism.labelling.whole.scene import RecordingLabellingSettings
+from asterism.labelling.whole.verdict import confidence_limit
 from asterism.recording import Clouds, Ints, Labelling
 from asterism.tracking.linking import Tracklets
 
@@ -62,44 +65,62 @@ def test_nothing_known_gives_back_the_first_labelling(walk: tuple[LabelledTrackl
     assert same(relabel_tracklets(before, before.long.tracklets, nothing_known(before.long.tracklets)), before.labelling)
 
 
-def test_the_labelling_by_tracklets_equals_the_one_by_points(walk: tuple[LabelledTracklets, Ints]) -> None:
+def labelled_plainly(before: LabelledTracklets, points: PointLabels) -> Labelling:
+    """The labelling of `points`, point by point: each marker's most certain candidate in each frame, of equal ones the last in space."""
+    body, clouds = before.body, before.clouds
+    certainty, least = points.confidence(body.certainty, body.frame_certainty)
+    certainty = np.minimum(certainty, confidence_limit(before.labelling.verdict))
+    if body.distances is not None:
+        certainty = np.minimum(certainty, body.distances.margin_limits(points.margin))
+    shape = (len(clouds), len(body.names))
+    indices, candidates, confidence = np.full(shape, -1), np.full(shape, -1), np.zeros(shape)
+    for t, (begin, end) in enumerate(pairwise(clouds.offsets)):
+        found: dict[int, list[tuple[float, tuple[float, ...], int]]] = {}
+        for p in range(begin, end):
+            column = points.label[p] if points.label[p] >= 0 else points.rival[p]
+            if column < 0:
+                continue
+            marker = body.markers[column]
+            chance = certainty[p] if points.label[p] >= 0 else 0.5 * np.exp(min(points.margin[p], 0.0))
+            found.setdefault(marker, []).append((chance, tuple(clouds.xyz[p, ::-1]), p - begin))
+            if points.label[p] >= 0 and certainty[p] >= least[p]:
+                indices[t, marker], confidence[t, marker] = p - begin, certainty[p]
+        for marker, some in found.items():
+            if indices[t, marker] < 0:
+                confidence[t, marker], _, candidates[t, marker] = max(some)
+    return Labelling(indices, confidence, body.names, candidates)
+
+
+def test_the_labelling_is_the_one_by_points(walk: tuple[LabelledTracklets, Ints]) -> None:
     before, _ = walk
-    scene = before.long.found.scene
-    track = np.full(len(before.clouds.xyz), -1)
-    track[np.nonzero(before.long.kept)[0][scene.order]] = scene.track
-    fast = fast_labelling(before.body, before.clouds, before.points, track, TieOrder.of(before.clouds))
-    slow = labelling_of(before.body, 0, before.clouds, before.points, np.array([0, len(before.body.markers)]))
-    assert same(fast, slow) and fast.verdict == slow.verdict
+    assert same(before.labelling, labelled_plainly(before, before.points))
 
 
 def test_the_verdict_on_a_few_frames_is_that_of_their_points() -> None:
     """Four frames, too few to see which distances are rigid: the training's are taken, of all points that have a label."""
     before = labelled(recorded(walks()[4], hidden=1, ghosts=0)[0].frames(slice(0, 4)).clouds())
-    by_itself = np.full(len(before.clouds.xyz), -1)
-    fast = fast_labelling(before.body, before.clouds, before.points, by_itself, TieOrder.of(before.clouds)).verdict
-    slow = labelling_of(before.body, 0, before.clouds, before.points, np.array([0, len(before.body.markers)])).verdict
-    assert fast == slow is not None
-    assert fast.labelled == 1.0 and np.isfinite(fast.scatter)
+    verdict = before.labelling.verdict
+    assert verdict is not None
+    assert verdict.labelled == 1.0 and np.isfinite(verdict.scatter)
 
 
 @settings(max_examples=15)
-@given(st.integers(0, 2**31))
-def test_the_labelling_by_tracklets_equals_the_one_by_points_for_any_margins(seed: int) -> None:
+@given(st.integers(0, 2**31), st.sampled_from([3, 2000]))
+def test_the_labelling_is_the_one_by_points_for_any_margins(seed: int, at_once: int) -> None:
     """Also where several points are the best candidate of one marker, and a candidate beats a label that is taken back."""
     recording, _ = recorded(walks()[4], ghosts=3)
     before = labelled(recording.clouds())
-    rng, scene = np.random.default_rng(seed), before.long.found.scene
-    track = np.full(len(before.clouds.xyz), -1)
-    track[np.nonzero(before.long.kept)[0][scene.order]] = scene.track
+    rng, track = np.random.default_rng(seed), before.points.track
     of_track = np.where(track >= 0, track, track.max() + 1 + np.arange(len(track)))
     margin = rng.choice([-3.0, -0.5, 0.0, 0.4, 9.0], of_track.max() + 1)[of_track]
     lost = rng.random(of_track.max() + 1)[of_track] < 0.3
     label = np.where(lost, -1, before.points.label)
     rival = np.where(rng.random(of_track.max() + 1) < 0.8, rng.integers(0, 15, of_track.max() + 1), -1)[of_track]
     points = replace(before.points, label=label, rival=rival, margin=np.where(label < 0, np.minimum(margin, 0.0), margin))
-    fast = fast_labelling(before.body, before.clouds, points, track, TieOrder.of(before.clouds))
-    slow = labelling_of(before.body, 0, before.clouds, points, np.array([0, len(before.body.markers)]))
-    assert same(fast, slow) and fast.verdict == slow.verdict
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(point_labels, "FRAMES_AT_ONCE", at_once)
+        found = labelling_of(before.body, 0, before.clouds, points, np.array([0, len(before.body.markers)]))
+    assert same(found, labelled_plainly(before, points))
 
 
 def test_what_is_known_wins_and_has_confidence_one(walk: tuple[LabelledTracklets, Ints]) -> None:

@@ -14,8 +14,8 @@ import asterism
 from asterism import formats
 from asterism.cli import main
 from asterism.findings import Severity
-from asterism.labelling.whole.verdict import RigidDistances, VerdictRules, exchangeable, judge
-from asterism.recording import Recording
+from asterism.labelling.whole.verdict import RigidDistances, RivalCounts, VerdictRules, judge
+from asterism.recording import Floats, Recording
 from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, Verdict
 from asterism.simulation import simulate_gaps_and_ghosts, simulate_standing, simulate_walks
 
@@ -183,9 +183,16 @@ def test_two_markers_that_are_each_others_rivals_throughout_are_exchangeable() -
     """Markers 0 and 1 are doubtful in all 20 frames and each other's rivals; 2 is doubtful, too, but its rival is sure."""
     label, rival = np.tile([0, 1, 2, 3], 20), np.tile([1, 0, 3, -1], 20)
     doubtful = np.tile([0.5, 0.6, 0.5, 0.99], 20)
-    assert exchangeable(label, rival, doubtful, 20, VerdictRules()) == ((0, 1),)
-    assert exchangeable(label, rival, np.where(np.arange(80) < 60, 0.99, doubtful), 20, VerdictRules()) == ()
-    assert exchangeable(label, rival, doubtful, 100, VerdictRules()) == ()
+
+    def groups(certainty: Floats, frames: int) -> tuple[tuple[int, ...], ...]:
+        counts = RivalCounts(5)
+        for some in (slice(0, 30), slice(30, None)):
+            counts.add(label[some], rival[some], certainty[some], VerdictRules())
+        return counts.exchangeable(frames)
+
+    assert groups(doubtful, 20) == ((0, 1),)
+    assert groups(np.where(np.arange(80) < 60, 0.99, doubtful), 20) == ()
+    assert groups(doubtful, 100) == ()
 
 
 def test_the_command_line_says_it_and_ends_with_1(

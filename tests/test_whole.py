@@ -131,13 +131,13 @@ def test_scores_that_are_kept_are_those_of_scoring_all_frames_again(
         np.testing.assert_array_equal(part, fresh)
 
 
-def test_points_are_turned_alike_however_many_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_points_turn_with_their_frames() -> None:
     rng = np.random.default_rng(0)
     xyz, frame, turns = rng.normal(size=(50, 3)), rng.integers(0, 4, 50), Rotation.random(4, random_state=0).as_matrix()
-    at_once = turned(xyz, frame, turns)
-    np.testing.assert_allclose(at_once, [turns[t] @ point for t, point in zip(frame, xyz, strict=True)])
-    monkeypatch.setattr("asterism.labelling.whole.upright.AT_ONCE", 7)
-    np.testing.assert_array_equal(turned(xyz, frame, turns), at_once)
+    turns[2] = np.eye(3)
+    found = turned(xyz, frame, turns)
+    np.testing.assert_allclose(found, [turns[t] @ point for t, point in zip(frame, xyz, strict=True)])
+    np.testing.assert_array_equal(found[frame == 2], xyz[frame == 2])
 
 
 def test_the_order_of_the_points_plays_no_part(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:

@@ -24,7 +24,8 @@ from asterism.labelling.training.markers import learned_marker_set
 from asterism.labelling.training.people import one_person_each
 from asterism.labelling.training.sample import Sample
 from asterism.labelling.training.train import train_ensemble
-from asterism.labelling.whole.label import BodyInRecording, label_whole, subject_body, subject_body_gain
+from asterism.labelling.whole.label import label_whole, subject_body, subject_body_gain
+from asterism.labelling.whole.point_labels import BodyInRecording
 from asterism.labelling.whole.scene import RecordingLabellingSettings
 from asterism.labelling.whole.verdict import RigidDistances, VerdictRules, judge
 from asterism.progress import Progress

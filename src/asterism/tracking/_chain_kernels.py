@@ -11,23 +11,43 @@ from asterism._jit import kernel
 
 
 @kernel
-def sort_frames(xyz, offsets, order):
-    """Sort each frame's points by x, then y, then z.
+def sort_frames(xyz, offsets, order, axes, sign):
+    """Sort each frame's points by three axes, the first one times `sign`: (0, 1, 2) and 1 for by x, then y, then z.
 
     IN xyz (P, 3) m; offsets (T + 1,). IN/OUT order (P,) points, frame by frame. O(n^2) a frame at worst.
     """
+    a, b, c = axes
     for t in range(len(offsets) - 1):
         for p in range(offsets[t], offsets[t + 1]):
             where = p
             while where > offsets[t]:
                 q = order[where - 1]
-                if xyz[q, 0] < xyz[p, 0] or (
-                    xyz[q, 0] == xyz[p, 0] and (xyz[q, 1] < xyz[p, 1] or (xyz[q, 1] == xyz[p, 1] and xyz[q, 2] <= xyz[p, 2]))
+                if sign * xyz[q, a] < sign * xyz[p, a] or (
+                    xyz[q, a] == xyz[p, a] and (xyz[q, b] < xyz[p, b] or (xyz[q, b] == xyz[p, b] and xyz[q, c] <= xyz[p, c]))
                 ):
                     break
                 order[where] = q
                 where -= 1
             order[where] = p
+
+
+@kernel
+def link_numbers(numbers, frame, newest, links):
+    """Link each point to the last one of its number, if that is in the frame before.
+
+    IN     numbers (P,), -1 for none; frame (P,), not decreasing
+    IN/OUT newest (numbers,): all -1; the last point of each
+    OUT    links: see `Links`. O(P).
+    """
+    links.previous[:], links.following[:] = -1, -1
+    for p in range(len(numbers)):
+        number = numbers[p]
+        if number < 0:
+            continue
+        before = newest[number]
+        if before >= 0 and frame[p] - frame[before] == 1:
+            links.previous[p], links.following[before] = before, p
+        newest[number] = p
 
 
 @kernel

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asterism.recording import Clouds, Floats, Ints
-from asterism.tracking._chain_kernels import combine_directions, number_chains, sort_frames
+from asterism.tracking._chain_kernels import combine_directions, link_numbers, number_chains, sort_frames
 from asterism.tracking._cut_kernels import count_strays, find_cuts, repair_links
 from asterism.tracking._link_kernels import link_frames
 from asterism.tracking._link_workspace_kernels import LinkLimits, Links
@@ -114,7 +114,7 @@ def find_tracklets(clouds: Clouds, rules: LinkRules | None = None) -> Tracklets:
     rules = rules or LinkRules()
     limits = rules.limits(clouds.rate)
     order = np.arange(len(clouds.xyz))
-    sort_frames(clouds.xyz, clouds.offsets, order)
+    sort_frames(clouds.xyz, clouds.offsets, order, (0, 1, 2), 1.0)
     xyz = np.ascontiguousarray(clouds.xyz[order])
     frame = clouds.frame_of
     forbidden = np.full(len(xyz), -1, dtype=np.int64)
@@ -170,13 +170,11 @@ def _linked_share(links: Links) -> float:
 
 def _along_numbers(numbers: Ints, frame: Ints) -> Links:
     """Links along track numbers (P,), from each frame to the next; -1 is no number."""
-    previous, following = np.full(len(numbers), -1, dtype=np.int64), np.full(len(numbers), -1, dtype=np.int64)
-    few = len(numbers) > 0 and numbers.min() >= -1 and numbers.max() <= np.iinfo(np.int16).max
-    by_number = np.argsort(numbers.astype(np.int16) if few else numbers, kind="stable")  # of 16 bits, a radix sort: O(P)
-    before, after = by_number[:-1], by_number[1:]
-    linked = (numbers[before] == numbers[after]) & (numbers[before] >= 0) & (frame[after] - frame[before] == 1)
-    previous[after[linked]], following[before[linked]] = before[linked], after[linked]
-    return Links(previous, following)
+    links = Links(np.empty(len(numbers), dtype=np.int64), np.empty(len(numbers), dtype=np.int64))
+    if numbers.max(initial=0) > len(numbers):
+        numbers = np.where(numbers < 0, -1, np.unique(numbers, return_inverse=True)[1])
+    link_numbers(numbers, frame, np.full(int(numbers.max(initial=0)) + 1, -1, dtype=np.int64), links)
+    return links
 
 
 def _by_motion(xyz: Floats, offsets: Ints, limits: LinkLimits) -> Links:

@@ -101,16 +101,20 @@ def _seen(
     if not len(frames):
         return np.zeros(3 * count), np.zeros(count, dtype=np.bool_), np.zeros((count, count))
     shown = ~np.isnan(frames[:, :, 0])
-    covariance = body.covariance(k)
+    precision = np.linalg.inv(body.covariance(k))
     placed = align_about_z(frames, body.mean[k])
     patterns, which = np.unique(shown, axis=0, return_inverse=True)
+    by_pattern = np.argsort(which, kind="stable")
+    begins = np.searchsorted(which[by_pattern], np.arange(len(patterns) + 1))
     for p, pattern in enumerate(patterns):
         if pattern.all():
             continue
-        here = np.repeat(pattern, 3)
-        frames_of = np.nonzero(which == p)[0]
+        here, hidden = (np.nonzero(np.repeat(some, 3))[0] for some in (pattern, ~pattern))
+        frames_of = by_pattern[begins[p] : begins[p + 1]]
         deviation = (placed[frames_of] - body.mean[k]).reshape(len(frames_of), -1)[:, here]
-        expected = deviation @ np.linalg.solve(covariance[np.ix_(here, here)], covariance[np.ix_(here, ~here)])
+        # the conditional mean by the precision: a system as large as what is hidden, not as what is seen
+        of_hidden = precision[hidden]
+        expected = -np.linalg.solve(of_hidden[:, hidden], of_hidden[:, here] @ deviation.T).T
         placed[np.ix_(frames_of, np.nonzero(~pattern)[0])] = expected.reshape(len(frames_of), -1, 3) + body.mean[k][~pattern]
         yield
     placed = align_about_z(placed, body.mean[k])

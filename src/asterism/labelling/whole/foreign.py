@@ -9,7 +9,7 @@ as good, or where another point or marker would fit the distances as well, a lab
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -141,7 +141,11 @@ class ForeignConfidence:
         """That of P points from that of tracklets; long: the points of tracklets, track: theirs. Others have no lead and no rival."""
         log_odds, limit = np.full(points, float(np.median(self.log_odds))), np.ones(points)
         log_odds[long], limit[long] = self.log_odds[track], self.limit[track]
-        return ForeignConfidence(log_odds, limit, self.crowded, self.rules)
+        return replace(self, log_odds=log_odds, limit=limit)
+
+    def of_some(self, which: Ints | slice) -> ForeignConfidence:
+        """That of some of the tracklets or points."""
+        return replace(self, log_odds=self.log_odds[which], limit=self.limit[which])
 
 
 @dataclass(frozen=True)

@@ -18,75 +18,19 @@ from asterism.labelling.training.calibration import LabelTrials
 from asterism.labelling.training.trials import Trial
 from asterism.labelling.whole._kernels import FrameScores, score_frames
 from asterism.labelling.whole.bodies import check_single_body
-from asterism.labelling.whole.certainty import Certainty, overlaps_unlabelled
+from asterism.labelling.whole.certainty import overlaps_unlabelled
 from asterism.labelling.whole.fits import point_fits
 from asterism.labelling.whole.foreign import ForeignConfidence, ForeignLabels, ForeignRules, forward_travel, label_foreign
 from asterism.labelling.whole.joint import SceneLabelling, label_scene
+from asterism.labelling.whole.point_labels import BodyInRecording, PointLabels, empty_labelling, labelling_of
 from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, prepare_scene
 from asterism.labelling.whole.short import frames_with_bodies, label_short_points, long_points, tracklets_of
 from asterism.labelling.whole.splits import split_tracklets
 from asterism.labelling.whole.upright import turned
-from asterism.labelling.whole.verdict import MIN_FRAMES, RigidDistances, VerdictRules, confidence_limit, exchangeable, judge, judge_scene
+from asterism.labelling.whole.verdict import judge_scene
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
-from asterism.recording.verdict import Verdict
 from asterism.tracking.linking import Tracklets, find_tracklets
-
-
-@dataclass(frozen=True)
-class BodyInRecording:
-    """A model as one of the bodies in a recording.
-
-    labeller         labels the body in single frames
-    names            all names of its marker set
-    markers          (M,) those that the body model has learned
-    certainty        how certain a tracklet's label is, and which labels are taken back
-    frame_certainty  the same for labels of a point in a frame that is labelled by itself
-    distances        near-rigid distances of the training, by which a recording is judged; None where the model keeps no sample of it
-    """
-
-    labeller: BodyLabeller
-    names: tuple[str, ...]
-    markers: Ints
-    certainty: Certainty
-    frame_certainty: Certainty
-    distances: RigidDistances | None = None
-
-
-@dataclass(frozen=True)
-class PointLabels:
-    """Labels of the P points of clouds, in their order.
-
-    label       (P,) column among the markers of all bodies, one body after the other, -1 for none
-    margin      (P,) nats; of a point without a label: 0 or below, by how much it misses its best column
-    rival       (P,) that column, where there is one; -1 otherwise
-    left_over   (P,) 1 where a point without a label was there at some time of the point's tracklet (in its frame, where `alone`), else 0
-    fit         (P,) nats, how well the tracklets of labelled points (the points, where `alone`) lie where the others predict them, see
-                `point_fits`
-    foreign     how certain labels may be in a recording that is foreign to its model; None otherwise
-    alone       (P,) whether the label is one of a frame that was labelled by itself
-    found       the labels of the long tracklets
-    """
-
-    label: Ints
-    margin: Floats
-    rival: Ints
-    left_over: Ints
-    fit: Floats
-    foreign: ForeignConfidence | None
-    alone: NDArray[np.bool_]
-    found: SceneLabelling
-
-    def confidence(self, certainty: Certainty, frame_certainty: Certainty) -> tuple[Floats, Floats]:
-        """The probability that each label is right, and below which it is taken back: (P,) each."""
-        in_time = certainty.confidence(self.margin, self.left_over, self.fit)
-        least = np.where(self.alone, frame_certainty.least_confidence, certainty.least_confidence)
-        if self.foreign is not None:
-            by_evidence = self.foreign.by_evidence(in_time, self.fit)
-            in_time = np.minimum(by_evidence, self.foreign.limit)
-            least = np.where(by_evidence < self.foreign.least_confidence, np.inf, least)
-        in_time[self.alone] = frame_certainty.confidence(self.margin[self.alone], self.left_over[self.alone], self.fit[self.alone])
-        return in_time, least
 
 
 @dataclass(frozen=True)
@@ -115,7 +59,9 @@ class LongTracklets:
         left_over = np.ones(points, dtype=np.int64)
         left_over[long] = overlaps_unlabelled(self.found.label, scene.first, scene.last)[scene.track]
         foreign = None if self.foreign is None else self.foreign.of_points(points, long, scene.track)
-        return PointLabels(label, margin, rival, left_over, np.zeros(points), foreign, np.zeros(points, dtype=np.bool_), self.found)
+        track = np.full(points, NULL, dtype=np.int64)
+        track[long] = scene.track
+        return PointLabels(label, margin, rival, left_over, np.zeros(points), foreign, np.zeros(points, dtype=np.bool_), track, self.found)
 
 
 def label_points(
@@ -153,13 +99,14 @@ def label_long_tracklets(
     kept = long_points(clouds, tracklets, markers, rules.short)
     if len(labellers) > 1:  # single frames do not tell which body is whose: without long tracklets, the short ones must
         kept |= frames_with_bodies(clouds, kept, markers, rules.short) < rules.short.min_long_frames
-    elif whole is not None:
-        check_single_body(labellers[0], clouds.select(kept))
+    points = clouds.select(kept)
+    if len(labellers) == 1 and whole is not None:
+        check_single_body(labellers[0], points)
 
     def label_from(scene: Scene, start: Ints | None) -> SceneLabelling:
         return label_scene(labellers, scene, rules, subject_rules, body_rules, workers, progress if start is None else None, start)
 
-    tracklets, found = _label_and_split(labellers, clouds, tracklets, kept, rules, label_from)
+    tracklets, found = _label_and_split(labellers, points, tracklets, kept, rules, label_from)
     foreign = None
     if whole is not None:
         again = label_if_foreign(whole, found, label_from)
@@ -180,7 +127,7 @@ def label_all_points(
 
 def _label_and_split(
     labellers: Sequence[BodyLabeller],
-    clouds: Clouds,
+    points: Clouds,
     tracklets: Tracklets,
     kept: NDArray[np.bool_],
     rules: RecordingLabellingSettings,
@@ -188,9 +135,9 @@ def _label_and_split(
 ) -> tuple[Tracklets, SceneLabelling]:
     """All tracklets, those cut that go over from one marker to another, and the labels of the kept ones.
 
-    kept (P,): points of the tracklets to label; label_from: labels a scene, from given labels (J,) on where there are some.
+    points: those of the tracklets to label, which `kept` (P,) marks among all; label_from: labels a scene, from given labels (J,) on where
+    there are some.
     """
-    points = clouds.select(kept)
     scene = prepare_scene(points, tracklets_of(tracklets, kept), rules)
     found = label_from(scene, None)
     for _ in range(rules.max_splits):
@@ -282,64 +229,12 @@ def label_whole(
     Raises SeveralBodies where one body is given, and the recording certainly shows two of it.
     """
     if not len(clouds.xyz):
-        return [_empty_labelling(body, clouds) for body in bodies], None
+        return [empty_labelling(body, clouds) for body in bodies], None
     labellers = [body.labeller for body in bodies]
     whole = bodies[0] if len(bodies) == 1 else None
     labels = label_points(labellers, clouds, rules, subject_rules, body_rules, workers, progress, whole)
     offsets = marker_offsets(labellers)
     return [labelling_of(body, number, clouds, labels, offsets) for number, body in enumerate(bodies)], labels.found
-
-
-def labelling_of(body: BodyInRecording, number: int, clouds: Clouds, labels: PointLabels, offsets: Ints) -> Labelling:
-    """The labels of the body with this number; offsets: where each body's markers begin among the columns."""
-    frame_of = clouds.frame_of
-    place = np.arange(len(frame_of)) - clouds.offsets[frame_of]
-    label, rival = labels_of_body(labels.label, offsets, number), labels_of_body(labels.rival, offsets, number)
-    blank = _empty_labelling(body, clouds)
-    indices, confidence = blank.indices, blank.confidence
-    certainty, least = labels.confidence(body.certainty, body.frame_certainty)
-    verdict = _verdict_of(body, number, clouds, labels, offsets)
-    certainty = np.minimum(certainty, confidence_limit(verdict))
-    if body.distances is not None:
-        certainty = np.minimum(certainty, body.distances.margin_limits(labels.margin))
-    if verdict is not None:
-        pairs = exchangeable(label, rival, certainty, len(clouds), VerdictRules())
-        named = tuple(tuple(body.names[body.markers[marker]] for marker in pair) for pair in pairs)
-        verdict = replace(verdict, exchangeable=named)
-    # a marker without a point: the probability that its best candidate was it, above one half only where a label was taken back
-    candidate = np.where(label != NULL, label, np.where(labels.label == NULL, rival, NULL))
-    chance = np.where(label != NULL, certainty, 0.5 * np.exp(np.minimum(labels.margin, 0.0)))
-    points = np.nonzero(candidate != NULL)[0]
-    at = frame_of[points], body.markers[candidate[points]]
-    candidates = np.full(indices.shape, NULL, dtype=np.int64)
-    confidence[at], candidates[at] = chance[points], place[points]
-    doubled = np.zeros(indices.shape, dtype=np.bool_)
-    doubled[tuple(index[candidates[at] != place[points]] for index in at)] = True
-    points = points[doubled[at]]
-    points = points[np.lexsort((*clouds.xyz[points].T, chance[points]))]  # the order of the points does not matter
-    at = frame_of[points], body.markers[candidate[points]]
-    confidence[at], candidates[at] = chance[points], place[points]
-    points = np.nonzero((label != NULL) & (certainty >= least))[0]
-    at = frame_of[points], body.markers[label[points]]
-    indices[at], confidence[at] = place[points], certainty[points]
-    candidates[indices != NULL] = NULL
-    return Labelling(indices, confidence, body.names, candidates, verdict)
-
-
-def _verdict_of(body: BodyInRecording, number: int, clouds: Clouds, labels: PointLabels, offsets: Ints) -> Verdict | None:
-    """The verdict on the labels of the body with this number: by the long tracklets, or by all points where these are in few frames."""
-    scene = labels.found.scene
-    if body.distances is None:
-        return None
-    if len(scene.sampled_frames) >= MIN_FRAMES:
-        return judge_scene(scene, labels.found.label, offsets, number, body.distances)
-    own, frames = labels_of_body(labels.label, offsets, number), len(clouds)
-    positions = np.full((frames, int(offsets[number + 1] - offsets[number]), 3), np.nan)
-    given = own != NULL
-    positions[clouds.frame_of[given], own[given]] = clouds.xyz[given]
-    free = given | (labels.label == NULL)  # the points of other bodies are theirs
-    counts = np.bincount(clouds.frame_of, weights=free, minlength=frames).astype(np.int64)
-    return judge(positions, counts, body.distances)
 
 
 def subject_body(
@@ -412,8 +307,3 @@ def run_trials(
                 LabelTrials(found.margin[used], found.fit[used], found.left_over[used], right.astype(np.float64), np.ones(len(used)))
             )
     return LabelTrials.together(parts)
-
-
-def _empty_labelling(body: BodyInRecording, clouds: Clouds) -> Labelling:
-    shape = (len(clouds), len(body.names))
-    return Labelling(np.full(shape, NULL, dtype=np.int64), np.zeros(shape), body.names)

@@ -1,4 +1,4 @@
-"""Labels of points in; the labelling of a recording out: what `labelling_of` gives, for recordings that are labelled again and again.
+"""Labels of points in; the labelling of a recording out.
 
 The points of a long tracklet share margin and fit, so that their confidence is worked out once. Points are put into order only where two
 of them are candidates for one marker in one frame.
@@ -6,122 +6,182 @@ of them are candidates for one marker in one frame.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from asterism.labelling.whole.label import BodyInRecording, PointLabels
-from asterism.labelling.whole.verdict import MIN_FRAMES, VerdictRules, confidence_limit, judge, judge_scene
+from asterism.labelling.body.labeller import BodyLabeller
+from asterism.labelling.whole.certainty import Certainty
+from asterism.labelling.whole.foreign import ForeignConfidence
+from asterism.labelling.whole.joint import SceneLabelling
+from asterism.labelling.whole.scene import labels_of_body
+from asterism.labelling.whole.verdict import MIN_FRAMES, RigidDistances, RivalCounts, VerdictRules, confidence_limit, judge, judge_scene
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 from asterism.recording.verdict import Verdict
 
+FRAMES_AT_ONCE = 2000
+"""Frames that are written at once: what is worked out for them fits into the cache."""
+
 
 @dataclass(frozen=True)
-class TieOrder:
-    """Places by which points are put into order where nothing else tells: the same for any order of the points.
+class BodyInRecording:
+    """A model as one of the bodies in a recording.
 
-    rank      (P,) each point's place among all, by its coordinates
-    frame_of  (P,) its frame
-    place     (P,) its place in its frame
+    labeller         labels the body in single frames
+    names            all names of its marker set
+    markers          (M,) those that the body model has learned
+    certainty        how certain a tracklet's label is, and which labels are taken back
+    frame_certainty  the same for labels of a point in a frame that is labelled by itself
+    distances        near-rigid distances of the training, by which a recording is judged; None where the model keeps no sample of it
     """
 
-    rank: Ints
-    frame_of: Ints
-    place: Ints
-
-    @classmethod
-    def of(cls, clouds: Clouds) -> TieOrder:
-        """The order of the points of clouds. O(P log P)."""
-        rank, frame_of = np.empty(len(clouds.xyz), dtype=np.int64), clouds.frame_of
-        rank[np.lexsort(clouds.xyz.T)] = np.arange(len(rank))
-        return cls(rank, frame_of, np.arange(len(rank)) - clouds.offsets[frame_of])
+    labeller: BodyLabeller
+    names: tuple[str, ...]
+    markers: Ints
+    certainty: Certainty
+    frame_certainty: Certainty
+    distances: RigidDistances | None = None
 
 
-def fast_labelling(body: BodyInRecording, clouds: Clouds, labels: PointLabels, track: Ints, ties: TieOrder) -> Labelling:
-    """The labelling by the labels of all points, of one body; equal to `labelling_of`.
+@dataclass(frozen=True)
+class PointLabels:
+    """Labels of the P points of clouds, in their order.
 
-    track (P,): number of the long tracklet of each point, whose points share label, margin and fit; -1 for others.
+    label       (P,) column among the markers of all bodies, one body after the other, -1 for none
+    margin      (P,) nats; of a point without a label: 0 or below, by how much it misses its best column
+    rival       (P,) that column, where there is one; -1 otherwise
+    left_over   (P,) 1 where a point without a label was there at some time of the point's tracklet (in its frame, where `alone`), else 0
+    fit         (P,) nats, how well the tracklets of labelled points (the points, where `alone`) lie where the others predict them, see
+                `point_fits`
+    foreign     how certain labels may be in a recording that is foreign to its model; None otherwise
+    alone       (P,) whether the label is one of a frame that was labelled by itself
+    track       (P,) number of the long tracklet of the point in its scene, -1 for none; the points of one share all of these
+    found       the labels of the long tracklets
     """
-    label, rival, frame_of = labels.label, labels.rival, ties.frame_of
-    certainty, least = _by_tracklets(body, labels, track)
-    verdict = _verdict(body, clouds, labels, frame_of)
-    certainty = np.minimum(certainty, confidence_limit(verdict))
-    if body.distances is not None:
-        certainty = np.minimum(certainty, body.distances.margin_limits(labels.margin))
+
+    label: Ints
+    margin: Floats
+    rival: Ints
+    left_over: Ints
+    fit: Floats
+    foreign: ForeignConfidence | None
+    alone: NDArray[np.bool_]
+    track: Ints
+    found: SceneLabelling
+
+    def confidence(self, certainty: Certainty, frame_certainty: Certainty) -> tuple[Floats, Floats]:
+        """The probability that each label is right, and below which it is taken back: (P,) each."""
+        in_time = certainty.confidence(self.margin, self.left_over, self.fit)
+        least = np.where(self.alone, frame_certainty.least_confidence, certainty.least_confidence)
+        if self.foreign is not None:
+            by_evidence = self.foreign.by_evidence(in_time, self.fit)
+            in_time = np.minimum(by_evidence, self.foreign.limit)
+            least = np.where(by_evidence < self.foreign.least_confidence, np.inf, least)
+        in_time[self.alone] = frame_certainty.confidence(self.margin[self.alone], self.left_over[self.alone], self.fit[self.alone])
+        return in_time, least
+
+    def of_some(self, points: Ints | slice) -> PointLabels:
+        """Those of some of the points."""
+        return replace(
+            self,
+            label=self.label[points],
+            margin=self.margin[points],
+            rival=self.rival[points],
+            left_over=self.left_over[points],
+            fit=self.fit[points],
+            foreign=None if self.foreign is None else self.foreign.of_some(points),
+            alone=self.alone[points],
+            track=self.track[points],
+        )
+
+
+def labelling_of(body: BodyInRecording, number: int, clouds: Clouds, labels: PointLabels, offsets: Ints) -> Labelling:
+    """The labels of the body with this number; offsets: where each body's markers begin among the columns.
+
+    A marker without a point has the probability that its best candidate was it. O(P), and O(F log F) for F points without a label; memory
+    O(T M).
+    """
+    verdict = _verdict_of(body, number, clouds, labels, offsets)
+    blank = empty_labelling(body, clouds)
+    out = blank.indices, blank.confidence, np.full(blank.indices.shape, NULL, dtype=np.int64)
+    one_of_each = np.zeros(int(labels.track.max(initial=NULL)) + 2, dtype=np.int64)  # the last one for no tracklet
+    one_of_each[labels.track] = np.arange(len(labels.track))
+    of_tracks, rivals = _certainty(body, labels.of_some(one_of_each), verdict), RivalCounts(len(body.markers))
+    for begin in range(0, len(clouds), FRAMES_AT_ONCE):
+        frames = slice(begin, begin + FRAMES_AT_ONCE)
+        some = clouds.frames(frames)
+        here = labels.of_some(slice(clouds.offsets[begin], clouds.offsets[begin] + len(some.xyz)))
+        certainty, least = (of_track[here.track] for of_track in of_tracks)
+        short = np.nonzero((here.track == NULL) & (here.label != NULL))[0]
+        certainty[short], least[short] = _certainty(body, here.of_some(short), verdict)
+        label, rival = labels_of_body(here.label, offsets, number), labels_of_body(here.rival, offsets, number)
+        rivals.add(label, rival, certainty, VerdictRules())
+        chance = np.where(here.label == NULL, 0.5 * np.exp(np.minimum(here.margin, 0.0)), certainty)
+        rival = np.where(here.label == NULL, rival, NULL)
+        _write([of_all[frames] for of_all in out], some, label, rival, chance, certainty >= least, body.markers)
     if verdict is not None:
-        pairs = _exchangeable(label, rival, certainty, len(clouds), len(body.markers))
+        pairs = rivals.exchangeable(len(clouds))
         named = tuple(tuple(body.names[body.markers[marker]] for marker in pair) for pair in pairs)
         verdict = replace(verdict, exchangeable=named)
-    shape = (len(clouds), len(body.names))
-    indices, candidates = np.full(shape, NULL, dtype=np.int64), np.full(shape, NULL, dtype=np.int64)
-    confidence = np.zeros(shape)
-    given = np.nonzero(label != NULL)[0]
-    at = frame_of[given], body.markers[label[given]]
-    confidence[at], candidates[at] = certainty[given], ties.place[given]
-    free = np.nonzero((label == NULL) & (rival != NULL))[0]
-    chance = 0.5 * np.exp(np.minimum(labels.margin[free], 0.0))
-    # the best candidate of each marker in each frame comes last; a label that is as certain as a candidate without one comes by its place
-    holder = np.full(shape, NULL, dtype=np.int64)
-    holder[at] = given
-    there = holder[frame_of[free], body.markers[rival[free]]]
-    beats = (there == NULL) | (chance > certainty[there]) | ((chance == certainty[there]) & (ties.rank[free] > ties.rank[there]))
-    free, chance = free[beats], chance[beats]
-    order = np.lexsort((ties.rank[free], chance))
-    free, chance = free[order], chance[order]
-    at_free = frame_of[free], body.markers[rival[free]]
-    confidence[at_free], candidates[at_free] = chance, ties.place[free]
-    given = given[certainty[given] >= least[given]]
-    at = frame_of[given], body.markers[label[given]]
-    indices[at], confidence[at] = ties.place[given], certainty[given]
-    candidates[indices != NULL] = NULL
+    indices, confidence, candidates = out
     return Labelling(indices, confidence, body.names, candidates, verdict)
 
 
-def _by_tracklets(body: BodyInRecording, labels: PointLabels, track: Ints) -> tuple[Floats, Floats]:
-    """How certain each label is, and below which it is taken back: (P,) each, worked out once for each long tracklet."""
-    by_itself = np.nonzero((track == NULL) & ((labels.label != NULL) | labels.alone))[0]
-    count = int(track.max(initial=-1)) + 1
-    one = np.zeros(count, dtype=np.int64)
-    points = np.nonzero(track != NULL)[0]
-    one[track[points]] = points
-    some = np.concatenate([one, by_itself])
-    foreign = labels.foreign
-    if foreign is not None:
-        foreign = replace(foreign, log_odds=foreign.log_odds[some], limit=foreign.limit[some])
-    few = PointLabels(
-        labels.label[some],
-        labels.margin[some],
-        labels.rival[some],
-        labels.left_over[some],
-        labels.fit[some],
-        foreign,
-        labels.alone[some],
-        labels.found,
-    )
-    certainty, least = few.confidence(body.certainty, body.frame_certainty)
-    out, limit = np.zeros(len(track)), np.zeros(len(track))
-    out[points], limit[points] = certainty[track[points]], least[track[points]]
-    out[by_itself], limit[by_itself] = certainty[count:], least[count:]
-    return out, limit
+def _write(
+    out: Sequence[NDArray[Any]], clouds: Clouds, label: Ints, rival: Ints, chance: Floats, accepted: NDArray[np.bool_], markers: Ints
+) -> None:
+    """Write indices, confidence and candidates of some frames: (T, markers of the set) each.
+
+    label (P,): what each point is, -1 for none; rival (P,): what a point without a label may be, -1 for none; chance (P,) of that; accepted
+    (P,): whether a label is given; markers: columns of the output.
+    """
+    (indices, confidence, candidates), frame_of = out, clouds.frame_of
+    given = np.nonzero(label != NULL)[0]
+    frame, marker = frame_of[given], markers[label[given]]
+    place = given - clouds.offsets[frame]
+    confidence[frame, marker] = chance[given]
+    indices[frame, marker] = np.where(accepted[given], place, NULL)
+    candidates[frame, marker] = np.where(accepted[given], NULL, place)
+
+    points = np.nonzero(rival != NULL)[0]
+    frame, marker = frame_of[points], markers[rival[points]]
+    open_ = indices[frame, marker] == NULL
+    points, frame, marker = points[open_], frame[open_], marker[open_]
+    held = candidates[frame, marker] != NULL  # by a point whose label was not given
+    holders = clouds.offsets[frame[held]] + candidates[frame[held], marker[held]]
+    points, frame, marker = (np.concatenate(both) for both in ((points, holders), (frame, frame[held]), (marker, marker[held])))
+    order = np.lexsort((*clouds.xyz[points].T, chance[points]))  # the best comes last; the order of the points does not matter
+    points, frame, marker = points[order], frame[order], marker[order]
+    confidence[frame, marker], candidates[frame, marker] = chance[points], points - clouds.offsets[frame]
 
 
-def _verdict(body: BodyInRecording, clouds: Clouds, labels: PointLabels, frame_of: Ints) -> Verdict | None:
-    """The verdict, by the long tracklets, or by all points where these are in few frames."""
-    scene, markers = labels.found.scene, len(body.markers)
+def _certainty(body: BodyInRecording, labels: PointLabels, verdict: Verdict | None) -> tuple[Floats, Floats]:
+    """How certain each label is, and below which it is taken back: (P,) each."""
+    certainty, least = labels.confidence(body.certainty, body.frame_certainty)
+    certainty = np.minimum(certainty, confidence_limit(verdict))
+    return certainty if body.distances is None else np.minimum(certainty, body.distances.margin_limits(labels.margin)), least
+
+
+def empty_labelling(body: BodyInRecording, clouds: Clouds) -> Labelling:
+    """The labelling in which no marker has a point."""
+    shape = (len(clouds), len(body.names))
+    return Labelling(np.full(shape, NULL, dtype=np.int64), np.zeros(shape), body.names)
+
+
+def _verdict_of(body: BodyInRecording, number: int, clouds: Clouds, labels: PointLabels, offsets: Ints) -> Verdict | None:
+    """The verdict on the labels of the body with this number: by the long tracklets, or by all points where these are in few frames."""
+    scene = labels.found.scene
     if body.distances is None:
         return None
     if len(scene.sampled_frames) >= MIN_FRAMES:
-        return judge_scene(scene, labels.found.label, np.array([0, markers]), 0, body.distances)
-    positions = np.full((len(clouds), markers, 3), np.nan)
-    given = labels.label != NULL
-    positions[frame_of[given], labels.label[given]] = clouds.xyz[given]
-    return judge(positions, clouds.counts, body.distances)
-
-
-def _exchangeable(label: Ints, rival: Ints, certainty: Floats, frames: int, markers: int) -> tuple[tuple[int, int], ...]:
-    """What `verdict.exchangeable` gives, in one pass over the points."""
-    own = np.bincount(label[label != NULL], minlength=markers)
-    doubtful = np.nonzero((label != NULL) & (rival != NULL) & (certainty < VerdictRules().either_way))[0]
-    table = np.bincount(label[doubtful] * markers + rival[doubtful], minlength=markers * markers).reshape(markers, markers)
-    usual = np.where((own > 0) & (2 * own >= frames) & (2 * table.sum(axis=1) > own), table.argmax(axis=1), NULL)
-    return tuple((m, int(usual[m])) for m in range(markers) if usual[m] > m and usual[usual[m]] == m)
+        return judge_scene(scene, labels.found.label, offsets, number, body.distances)
+    own, frames = labels_of_body(labels.label, offsets, number), len(clouds)
+    positions = np.full((frames, int(offsets[number + 1] - offsets[number]), 3), np.nan)
+    given = own != NULL
+    positions[clouds.frame_of[given], own[given]] = clouds.xyz[given]
+    free = given | (labels.label == NULL)  # the points of other bodies are theirs
+    counts = np.bincount(clouds.frame_of, weights=free, minlength=frames).astype(np.int64)
+    return judge(positions, counts, body.distances)

@@ -24,17 +24,9 @@ from asterism.labelling.whole.certainty import overlaps_unlabelled
 from asterism.labelling.whole.fits import point_fits
 from asterism.labelling.whole.foreign import ForeignConfidence
 from asterism.labelling.whole.joint import SceneLabelling
-from asterism.labelling.whole.label import (
-    BodyInRecording,
-    LongTracklets,
-    PointLabels,
-    label_all_points,
-    label_long_tracklets,
-    labelling_of,
-    with_short_points,
-)
+from asterism.labelling.whole.label import LongTracklets, label_all_points, label_long_tracklets, with_short_points
 from asterism.labelling.whole.plausibility import compare_with_training, ghost_penalty
-from asterism.labelling.whole.point_labels import TieOrder, fast_labelling
+from asterism.labelling.whole.point_labels import BodyInRecording, PointLabels, labelling_of
 from asterism.labelling.whole.scene import (
     RecordingLabellingSettings,
     Scene,
@@ -99,11 +91,6 @@ class LabelledTracklets:
     def xyz(self) -> Floats:
         """(P, 3) m, z up."""
         return rotate_z_up(self.clouds.xyz, self.clouds.vertical)
-
-    @cached_property
-    def ties(self) -> TieOrder:
-        """The order of the points where their labels do not tell."""
-        return TieOrder.of(self.clouds)
 
     @cached_property
     def upright(self) -> Scene:
@@ -184,7 +171,7 @@ def relabel_tracklets(before: LabelledTracklets, tracklets: Tracklets, fixed: In
         foreign = _of_tracklets(foreign, problem)
     long = LongTracklets(tracklets, kept, found, foreign)
     labels = _point_labels(before, long, problem)
-    labelling = fast_labelling(before.body, before.clouds, labels, problem.of_points, before.ties)
+    labelling = labelling_of(before.body, 0, before.clouds, labels, marker_offsets([before.body.labeller]))
     return _with_known(labelling, before.body, before.clouds, of_point)
 
 
@@ -198,7 +185,6 @@ class _Problem:
     penalty    (J,) nats by which their margins were lowered then
     earlier    (J,) their numbers in the first labelling's scene, -1 for those that were short
     scores     (Q, M) nats of the sampled points under the first labels; None where there are none for this scene
-    of_points  (P,) the number of each point's long tracklet, -1 for others
     """
 
     scene: Scene
@@ -207,7 +193,6 @@ class _Problem:
     penalty: Floats
     earlier: Ints
     scores: Floats | None
-    of_points: Ints
 
 
 def _problem(before: LabelledTracklets, tracklets: Tracklets, kept: NDArray[np.bool_], fixed: Ints, anew: bool) -> _Problem:
@@ -219,13 +204,11 @@ def _problem(before: LabelledTracklets, tracklets: Tracklets, kept: NDArray[np.b
         plain = prepare_scene(before.clouds.select(kept), tracklets_of(tracklets, kept), _SETTINGS)
         scene = _turned(plain, found)
     points = np.nonzero(kept)[0][scene.order]
-    of_points = np.full(len(kept), NULL, dtype=np.int64)
-    of_points[points] = scene.track
     known, earlier = np.empty(len(scene.first), dtype=np.int64), np.empty(len(scene.first), dtype=np.int64)
     known[scene.track], earlier[scene.track] = fixed[points], was_long[points]
     start = np.where(earlier >= 0, found.label[earlier], NULL)
     penalty = np.where(earlier >= 0, before.penalty[earlier], 0.0)
-    return _Problem(scene, known, start, penalty, earlier, None if anew else before.scores, of_points)
+    return _Problem(scene, known, start, penalty, earlier, None if anew else before.scores)
 
 
 def _turned(scene: Scene, found: SceneLabelling) -> Scene:
@@ -346,8 +329,7 @@ def _point_labels(before: LabelledTracklets, long: LongTracklets, problem: _Prob
     if not long.kept.all():
         labels = with_short_points([labeller], clouds, before.xyz, long.kept, labels, _SETTINGS)
     same = labels.label == before.points.label
-    of_points = problem.of_points
-    other = ~same & (labels.label != NULL) & ~((of_points != NULL) & (problem.fixed[of_points] != FREE))
+    other = ~same & (labels.label != NULL) & ~((labels.track != NULL) & (problem.fixed[labels.track] != FREE))
     fit = np.where(same, before.points.fit, 0.0)
     if other.any():
         scored = np.isin(np.arange(len(clouds)), found.scene.sampled_frames)

@@ -98,8 +98,10 @@ def frames_with_bodies(clouds: Clouds, long: NDArray[np.bool_], markers: int, ru
 
 def tracklets_of(tracklets: Tracklets, kept: NDArray[np.bool_]) -> Tracklets:
     """The tracklets all of whose points (P,) are kept, numbered anew."""
-    numbers, of_point = np.unique(tracklets.of_point[kept], return_inverse=True)
-    return Tracklets(of_point.astype(np.int64), tracklets.first[numbers], tracklets.last[numbers])
+    shown = np.zeros(len(tracklets), dtype=np.bool_)
+    shown[tracklets.of_point[kept]] = True
+    number = np.cumsum(shown) - 1
+    return Tracklets(number[tracklets.of_point[kept]], tracklets.first[shown], tracklets.last[shown])
 
 
 def label_short_points(

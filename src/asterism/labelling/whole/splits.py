@@ -20,10 +20,11 @@ from asterism.tracking.linking import Tracklets
 def sample_scores(labellers: Sequence[BodyLabeller], scene: Scene, label: Ints, rules: RecordingLabellingSettings) -> Floats:
     """Nats of each sampled point as each column of all bodies, (Q, L), given the labels (J,) of all tracklets."""
     offsets = marker_offsets(labellers)
-    scores = np.empty((len(scene.sampled_xyz), offsets[-1]))
-    for number, labeller in enumerate(labellers):
-        of_body = labels_of_body(label, offsets, number)
-        scores[:, offsets[number] : offsets[number + 1]] = score_scene(scene, of_body, labeller.body, labeller.settings).scores
+    of_bodies = [
+        score_scene(scene, labels_of_body(label, offsets, number), labeller.body, labeller.settings).scores
+        for number, labeller in enumerate(labellers)
+    ]
+    scores = of_bodies[0] if len(of_bodies) == 1 else np.concatenate(of_bodies, axis=1)
     return np.clip(scores, rules.min_score, rules.max_score, out=scores)
 
 
@@ -39,22 +40,20 @@ def split_tracklets(
     order = np.argsort(scene.sampled_track, kind="stable")
     begins = np.searchsorted(scene.sampled_track[order], np.arange(len(label) + 1))
     of_point, first, last = tracklets.of_point.copy(), tracklets.first.tolist(), tracklets.last.tolist()
-    frame_of = np.repeat(np.arange(len(scene.offsets) - 1), np.diff(scene.offsets))
-    by_track = np.argsort(scene.track, kind="stable")
-    track_begins = np.searchsorted(scene.track[by_track], np.arange(len(label) + 1))
     for j in range(len(label)):
         samples = order[begins[j] : begins[j + 1]]
         gain, at = best_split(scores[samples])
         if gain < rules.split_gain:
             continue
-        own = by_track[track_begins[j] : track_begins[j + 1]]
+        begin, end = scene.offsets[scene.first[j]], scene.offsets[scene.last[j] + 1]
+        own = begin + np.nonzero(scene.track[begin:end] == j)[0]
         frames = scene.sampled_frames[scene.sampled_frame[samples[at - 1 : at + 1]]]
         cut = _sharpest_link(scene.xyz[own], *(frames - scene.first[j]))
         number = int(of_point[points[own[0]]])
         of_point[points[own[cut:]]] = len(first)
-        first.append(int(frame_of[own[cut]]))
+        first.append(int(scene.first[j]) + cut)
         last.append(last[number])
-        last[number] = int(frame_of[own[cut - 1]])
+        last[number] = first[-1] - 1
     return None if len(first) == len(tracklets) else Tracklets(of_point, np.array(first), np.array(last))
 
 

@@ -15,9 +15,6 @@ from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole.scene import RecordingLabellingSettings, SceneScores
 from asterism.recording import NULL, Floats, Ints
 
-AT_ONCE = 10_000
-"""Points that are turned at once: their rotations fit into the cache."""
-
 
 def upright_turns(labeller: BodyLabeller, scores: SceneScores, label: Ints, rules: RecordingLabellingSettings) -> Floats | None:
     """The rotation (E, 3, 3) that sets each sampled frame's body upright, the identity for most; None where no frame is turned.
@@ -56,8 +53,7 @@ def _upright_turn(labeller: BodyLabeller, points: Floats, marker: Ints, rules: R
 
 def turned(xyz: Floats, frame: Ints, turns: Floats) -> Floats:
     """Points (P, 3) m, turned about the origin by the rotation of the frame (P,) that each is in."""
-    out = np.empty(xyz.shape)
-    for begin in range(0, len(xyz), AT_ONCE):
-        some = slice(begin, begin + AT_ONCE)
-        np.einsum("pij,pj->pi", turns[frame[some]], xyz[some], out=out[some])
+    out = xyz.copy()
+    points = np.nonzero((turns != np.eye(3)).any(axis=(1, 2))[frame])[0]
+    out[points] = np.einsum("pij,pj->pi", turns[frame[points]], xyz[points])
     return out

@@ -262,19 +262,30 @@ def _kind_by_points(verdict: Verdict, counts: Ints, markers: int, rules: Verdict
     return OTHER_BODY if np.minimum(counts, markers).mean() >= rules.min_shown * markers else FITS
 
 
-def exchangeable(label: Ints, rival: Ints, certainty: Floats, frames: int, rules: VerdictRules) -> tuple[tuple[int, ...], ...]:
-    """Groups of markers that may carry each other's labels in most frames of a recording.
+class RivalCounts:
+    """How often each of M markers is labelled, and how often it may as well be another one; `add` takes in points of more frames."""
 
-    label, rival, certainty (P,): marker of each point, -1 for none; the best other marker; how certain the label is. Two markers belong
-    together where each is labelled in half of the frames or more, doubtful in most of them, and the other one's usual rival. O(P).
-    """
-    rivals: dict[int, int] = {}
-    for marker in np.unique(label[label != NULL]).tolist():
-        own = label == marker
-        doubtful = own & (certainty < rules.either_way) & (rival != NULL)
-        if 2 * own.sum() >= frames and 2 * doubtful.sum() > own.sum():
-            rivals[marker] = int(np.bincount(rival[doubtful]).argmax())
-    return tuple((marker, other) for marker, other in rivals.items() if marker < other and rivals.get(other) == marker)
+    def __init__(self, markers: int) -> None:
+        self.labelled = np.zeros(markers, dtype=np.int64)
+        self.doubtful = np.zeros((markers, markers), dtype=np.int64)
+
+    def add(self, label: Ints, rival: Ints, certainty: Floats, rules: VerdictRules) -> None:
+        """label, rival, certainty (P,): marker of each point, -1 for none; the best other marker; how certain the label is. O(P + M^2)."""
+        shape = self.doubtful.shape
+        self.labelled += np.bincount(label[label != NULL], minlength=shape[0])
+        doubtful = np.nonzero((certainty < rules.either_way) & (label != NULL) & (rival != NULL))[0]
+        pairs = label[doubtful] * shape[1] + rival[doubtful]
+        self.doubtful += np.bincount(pairs, minlength=self.doubtful.size).reshape(shape)
+
+    def exchangeable(self, frames: int) -> tuple[tuple[int, ...], ...]:
+        """Groups of markers that may carry each other's labels in most frames of a recording of so many.
+
+        Two markers belong together where each is labelled in half of the frames or more, doubtful in most of them, and the other one's
+        usual rival.
+        """
+        often = (2 * self.labelled >= frames) & (2 * self.doubtful.sum(axis=1) > self.labelled)
+        usual = {int(marker): int(self.doubtful[marker].argmax()) for marker in np.nonzero(often)[0]}
+        return tuple((marker, other) for marker, other in usual.items() if marker < other and usual.get(other) == marker)
 
 
 def confidence_limit(verdict: Verdict | None) -> float:
