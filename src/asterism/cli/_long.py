@@ -15,7 +15,8 @@ from asterism.formats import LabelConfidence
 from asterism.formats.c3d._confidence import LabelSummary
 from asterism.formats.c3d._file import ranges
 from asterism.formats.c3d._long import LabelledRanges, LongRecording
-from asterism.labelling import ReviewItem, review
+from asterism.labelling import ReviewItem
+from asterism.labelling.review_in_pieces import ReviewInPieces
 from asterism.labelling.stretches import StretchRules, join_verdicts, label_in_stretches, stretches_of
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Disagreement, Floats, Ints, Labelling, MarkerSet, Recording, label_states
@@ -58,15 +59,16 @@ class _Found:
     indices: Ints
     confidence: Floats
     origins: Ints
+    review: ReviewInPieces
     rest: set[int] = field(default_factory=set)
-    items: list[ReviewItem] = field(default_factory=list)
     against: list[Disagreement] = field(default_factory=list)
     verdicts: list[tuple[int, Verdict]] = field(default_factory=list)
 
     @classmethod
     def of(cls, marker_set: MarkerSet, frames: int, points: int) -> _Found:
         shape = (frames, len(marker_set))
-        return cls(marker_set, np.full(shape, NULL, dtype=_COMPACT), np.zeros(shape), np.zeros((len(marker_set), points), dtype=np.int64))
+        origins = np.zeros((len(marker_set), points), dtype=np.int64)
+        return cls(marker_set, np.full(shape, NULL, dtype=_COMPACT), np.zeros(shape), origins, ReviewInPieces(marker_set.names))
 
     def add(self, begin: int, labelling: Labelling, recording: Recording, clouds: Clouds) -> None:
         """Take in the labels of the frames from `begin` on, held against the names of the file; recording: these frames, so named."""
@@ -77,11 +79,7 @@ class _Found:
             frame, marker = np.nonzero(origin[:, :markers] >= 0)
             np.add.at(self.origins, (marker, origin[frame, marker]), 1)
             self.rest |= set(origin[:, markers:].max(axis=0, initial=NULL).tolist())
-        empty = np.empty(0, dtype=np.int64)
-        self.items += [
-            replace(i, first_frame=i.first_frame + begin, last_frame=i.last_frame + begin, frame=i.frame + begin, points=empty)
-            for i in review(labelling, clouds)
-        ]
+        self.review.add(labelling, clouds)
         if labelling.verdict is not None:
             self.verdicts.append((int((labelling.indices >= 0).sum()), labelling.verdict))
 
@@ -132,7 +130,7 @@ def label_long_file(
     findings += in_stretches(path, len(parts))
     findings += findings_on_names(path, long.sampled, found.disagreements(), known)
     written = _written(long, found, labelling, counted, one_frame, known, by)
-    return LongLabelled(labelling, counted, trial, known, found.items, findings), written
+    return LongLabelled(labelling, counted, trial, known, found.review.items(), findings), written
 
 
 def _counted(counts: Ints, recording: Recording) -> Clouds:
