@@ -81,7 +81,7 @@ def test_frames_without_a_point_at_a_seam_end_what_was_there() -> None:
     gone = clouds.select(empty[clouds.frame_of])
     indices = np.where(empty[:, None], labelling.indices, NULL)
     labelling = replace(labelling, indices=indices, confidence=0.9 * labelling.confidence, candidates=None)
-    whole, found = review(labelling, gone), in_pieces(labelling, gone, [130, 170]).items()
+    whole, found = review(labelling, gone), in_pieces(labelling, gone, [120, 170]).items()
     assert {(i.first_frame, i.last_frame, i.marker) for i in found} == {(i.first_frame, i.last_frame, i.marker) for i in whole}
 
 
