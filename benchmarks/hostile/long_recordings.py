@@ -85,8 +85,8 @@ def _repeated(walk: Recording, frames: int) -> Recording:
 def _times_as_long(ensemble: asterism.SolverEnsemble, short: Clouds, long: Clouds) -> float:
     """How many times as long one recording takes as another.
 
-    The machine's speed changes from second to second. So the short one is labelled as often as the long one takes times as many frames, half
-    of that before it and half after, and its mean time counts.
+    The machine's speed changes from second to second. So the short one is labelled as often as the long one has times its frames, half of
+    that before the long one and half after, and its mean time counts.
     """
     half = max(1, round(len(long) / len(short) / 2))
     before = [_seconds(ensemble, short) for _ in range(half)]
