@@ -15,13 +15,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 
 import numpy as np
 
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enough
-from asterism.labelling.whole._kernels import margins_of, overlaps, rivals_weight, sum_scores
+from asterism.labelling.whole._kernels import FrameScores, margins_of, overlaps, rivals_weight, sum_scores
 from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.bodies import find_bodies, follow_bodies, votes_of_bodies
 from asterism.labelling.whole.plausibility import compare_with_training, ghost_penalty
@@ -60,6 +61,14 @@ class SceneLabelling:
     stages: dict[str, Ints] = field(default_factory=dict)
     turns: Floats | None = None
 
+    def turns_of(self, frames: int) -> Floats | None:
+        """The rotation of each of so many frames of the recording (T, 3, 3), the identity for those not sampled; None as `turns`."""
+        if self.turns is None:
+            return None
+        found = np.tile(np.eye(3), (frames, 1, 1))
+        found[self.scene.sampled_frames] = self.turns
+        return found
+
 
 def label_scene(
     labellers: Sequence[BodyLabeller],
@@ -70,11 +79,14 @@ def label_scene(
     workers: int = 1,
     progress: Progress | None = None,
     start: Ints | None = None,
+    arrays: list[FrameScores] | None = None,
 ) -> SceneLabelling:
     """Label all tracklets of a recording together; see the module's head.
 
-    start: labels (J,) to begin with, -1 for none, instead of what the sampled frames vote for.
+    start: labels (J,) to begin with, -1 for none, instead of what the sampled frames vote for. arrays: scores by body that nobody needs any
+    more, to be written over; they are written over again by the next call that is given this list.
     """
+    arrays = [] if arrays is None else arrays
     report = progress or (lambda fraction, what: None)
     bodies = [labeller.model for labeller in labellers]
     if start is not None:
@@ -83,7 +95,7 @@ def label_scene(
         label = assign_tracklets(_votes_of_one(labellers[0], scene, rules, workers, report), scene.first, scene.last)
     else:
         label = assign_tracklets(_votes_of_several(labellers, scene, rules, workers, report), scene.first, scene.last)
-    upright, state = scene, _coordinate_ascent(labellers, _scores(labellers, bodies, scene), label, rules)
+    upright, state = scene, _coordinate_ascent(labellers, _scores(labellers, bodies, scene, arrays), label, rules)
     stages = {"votes": label, "tracks": state.label}
     turns = upright_turns(labellers[0], state.scores[0], state.label, rules) if len(labellers) == 1 else None
     if turns is not None:
@@ -91,7 +103,6 @@ def label_scene(
         scores = state.scores[0].with_frames(upright, (turns != np.eye(3)).any(axis=(1, 2)))
         state = _coordinate_ascent(labellers, [scores], state.label, rules)
         stages["upright"] = state.label
-    spent: list[SceneScores] = []
     for turn in range(rules.adapt_rounds):
         if ((state.label != NULL) & (state.margin > rules.no_adapt_margin)).all():
             break
@@ -99,14 +110,17 @@ def label_scene(
         adapted = [
             _adapted_body(labeller, number, upright, state, rules, subject_rules, body_rules) for number, labeller in enumerate(labellers)
         ]
-        trial = _coordinate_ascent(labellers, _scores(labellers, adapted, upright, spent), state.label, rules)
+        arrays[:] = state.arrays  # one set for all: memory that is new costs as much as the scores
+        trial = _coordinate_ascent(labellers, _scores(labellers, adapted, upright, arrays), state.label, rules)
         firm = (state.label != NULL) & (state.margin >= rules.adapt_margin)
         if trial.total < state.total or not np.array_equal(trial.label[firm], state.label[firm]):
+            state = replace(state, scores=_scores(labellers, bodies, upright, arrays))
             break
-        spent, state, bodies = state.scores, trial, adapted
+        state, bodies = trial, adapted
         stages[f"adapted {turn + 1}"] = state.label
     report(1.0, "labelled")
     found = _judged(labellers, bodies, upright, state, rules, body_rules)
+    arrays[:] = state.arrays
     return replace(found, scene=scene, stages=stages, turns=turns)
 
 
@@ -147,6 +161,11 @@ class _State:
     poses: list[Ints]
     total: float
     scores: list[SceneScores]
+
+    @property
+    def arrays(self) -> list[FrameScores]:
+        """What the scores are written to."""
+        return [scores.scored for scores in self.scores if scores.scored is not None]
 
 
 def _votes_of_one(labeller: BodyLabeller, scene: Scene, rules: RecordingLabellingSettings, workers: int, report: Progress) -> Floats:
@@ -204,13 +223,12 @@ def _votes_of_several(
 
 
 def _scores(
-    labellers: Sequence[BodyLabeller], bodies: Sequence[BodyModel], scene: Scene, arrays: Sequence[SceneScores] = ()
+    labellers: Sequence[BodyLabeller], bodies: Sequence[BodyModel], scene: Scene, arrays: Sequence[FrameScores]
 ) -> list[SceneScores]:
     """What the scene scores by each body, to be asked for labels; written over scores that nobody needs any more, where given."""
-    reused = [spent.scored for spent in arrays] or [None] * len(bodies)
     return [
         SceneScores(scene, labeller.body if body is labeller.model else body.arrays(), labeller.settings, scored=scored)
-        for labeller, body, scored in zip(labellers, bodies, reused, strict=True)
+        for labeller, body, scored in zip_longest(labellers, bodies, arrays)
     ]
 
 

@@ -26,7 +26,6 @@ from asterism.labelling.whole.point_labels import BodyInRecording, PointLabels, 
 from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, prepare_scene
 from asterism.labelling.whole.short import frames_with_bodies, label_short_points, long_points, tracklets_of
 from asterism.labelling.whole.splits import split_tracklets
-from asterism.labelling.whole.upright import turned
 from asterism.labelling.whole.verdict import judge_scene
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
@@ -62,6 +61,18 @@ class LongTracklets:
         track = np.full(points, NULL, dtype=np.int64)
         track[long] = scene.track
         return PointLabels(label, margin, rival, left_over, np.zeros(points), foreign, np.zeros(points, dtype=np.bool_), track, self.found)
+
+    def fit_frames(self, clouds: Clouds, labels: PointLabels) -> NDArray[np.bool_]:
+        """The frames (T,) by which the fit of labels is judged: those sampled, and those with a labelled point of a short tracklet."""
+        found = np.isin(np.arange(len(clouds)), self.found.scene.sampled_frames)
+        found[clouds.frame_of[~self.kept & (labels.label != NULL)]] = True
+        return found
+
+    def fit_groups(self, labels: PointLabels) -> Ints:
+        """(P,) which points share their fit: those of a tracklet; a point labelled alone in its frame has its own."""
+        group = self.tracklets.of_point.copy()
+        group[labels.alone] = len(self.tracklets) + np.arange(labels.alone.sum())
+        return group
 
 
 def label_points(
@@ -103,10 +114,13 @@ def label_long_tracklets(
     if len(labellers) == 1 and whole is not None:
         check_single_body(labellers[0], points)
 
-    def label_from(scene: Scene, start: Ints | None) -> SceneLabelling:
-        return label_scene(labellers, scene, rules, subject_rules, body_rules, workers, progress if start is None else None, start)
+    arrays = list[FrameScores]()
 
-    tracklets, found = _label_and_split(labellers, points, tracklets, kept, rules, label_from)
+    def label_from(scene: Scene, start: Ints | None) -> SceneLabelling:
+        report = progress if start is None else None
+        return label_scene(labellers, scene, rules, subject_rules, body_rules, workers, report, start, arrays)
+
+    tracklets, found = _label_and_split(labellers, points, tracklets, kept, rules, label_from, arrays)
     foreign = None
     if whole is not None:
         again = label_if_foreign(whole, found, label_from)
@@ -132,16 +146,17 @@ def _label_and_split(
     kept: NDArray[np.bool_],
     rules: RecordingLabellingSettings,
     label_from: Callable[[Scene, Ints | None], SceneLabelling],
+    arrays: Sequence[FrameScores],
 ) -> tuple[Tracklets, SceneLabelling]:
     """All tracklets, those cut that go over from one marker to another, and the labels of the kept ones.
 
     points: those of the tracklets to label, which `kept` (P,) marks among all; label_from: labels a scene, from given labels (J,) on where
-    there are some.
+    there are some; arrays: see `label_scene`.
     """
     scene = prepare_scene(points, tracklets_of(tracklets, kept), rules)
     found = label_from(scene, None)
     for _ in range(rules.max_splits):
-        split = split_tracklets(tracklets, np.nonzero(kept)[0][scene.order], labellers, scene, found.label, rules)
+        split = split_tracklets(tracklets, np.nonzero(kept)[0][scene.order], labellers, scene, found.label, rules, arrays)
         if split is None:
             break
         tracklets, before = split, scene
@@ -160,9 +175,8 @@ def with_short_points(
     labels: PointLabels,
     rules: RecordingLabellingSettings,
 ) -> PointLabels:
-    """The labels, with those of points of short tracklets; kept (P,): the points of the long ones."""
-    label, margin, alone, left_over = labels.label.copy(), labels.margin.copy(), labels.alone.copy(), labels.left_over.copy()
-    offsets = marker_offsets(labellers)
+    """The labels, with those of points of short tracklets, written over those given; kept (P,): the points of the long ones."""
+    label, margin, alone, left_over, offsets = labels.label, labels.margin, labels.alone, labels.left_over, marker_offsets(labellers)
     for number, (labeller, body) in enumerate(zip(labellers, labels.found.bodies, strict=True)):
         arrays = labeller.body if body is labeller.model else body.arrays()
         of_body = labels_of_body(label, offsets, number)
@@ -171,7 +185,7 @@ def with_short_points(
         label[taken], margin[taken], alone[taken] = short.label[taken] + offsets[number], short.margin[taken], short.alone[taken]
     unlabelled = np.bincount(clouds.frame_of, weights=label == NULL, minlength=len(clouds)) > 0
     left_over[alone] = unlabelled[clouds.frame_of[alone]]
-    return replace(labels, label=label, margin=margin, alone=alone, left_over=left_over)
+    return labels
 
 
 def _fits(labellers: Sequence[BodyLabeller], clouds: Clouds, xyz: Floats, long: LongTracklets, labels: PointLabels) -> Floats:
@@ -180,17 +194,10 @@ def _fits(labellers: Sequence[BodyLabeller], clouds: Clouds, xyz: Floats, long: 
     By the body of people at large: that is what trials on other people were judged by.
     """
     fit, offsets = np.zeros(len(labels.label)), marker_offsets(labellers)
-    scored = np.isin(np.arange(len(clouds)), long.found.scene.sampled_frames)
-    scored[clouds.frame_of[~long.kept & (labels.label != NULL)]] = True
-    if long.found.turns is not None:
-        turns = np.tile(np.eye(3), (len(clouds), 1, 1))
-        turns[long.found.scene.sampled_frames] = long.found.turns
-        xyz = turned(xyz, clouds.frame_of, turns)
-    group = long.tracklets.of_point.copy()
-    group[labels.alone] = group.max(initial=-1) + 1 + np.arange(labels.alone.sum())
+    scored, group, turns = long.fit_frames(clouds, labels), long.fit_groups(labels), long.found.turns_of(len(clouds))
     for number, labeller in enumerate(labellers):
         of_body = labels_of_body(labels.label, offsets, number)
-        own = point_fits(clouds, xyz, of_body, labeller.body, labeller.settings, scored, group)
+        own = point_fits(clouds, xyz, of_body, labeller.body, labeller.settings, scored, group, turns)
         fit = np.where(of_body != NULL, own, fit)
     return fit
 

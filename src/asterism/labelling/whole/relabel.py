@@ -332,18 +332,10 @@ def _point_labels(before: LabelledTracklets, long: LongTracklets, problem: _Prob
     other = ~same & (labels.label != NULL) & ~((labels.track != NULL) & (problem.fixed[labels.track] != FREE))
     fit = np.where(same, before.points.fit, 0.0)
     if other.any():
-        scored = np.isin(np.arange(len(clouds)), found.scene.sampled_frames)
-        scored[clouds.frame_of[~long.kept & (labels.label != NULL)]] = True
+        scored, group, turns = long.fit_frames(clouds, labels), long.fit_groups(labels), before.long.found.turns_of(len(clouds))
         shown = np.zeros(len(clouds), dtype=np.bool_)
         shown[clouds.frame_of[other]] = True
-        xyz = before.xyz
-        if before.long.found.turns is not None:
-            turns = np.tile(np.eye(3), (len(clouds), 1, 1))
-            turns[before.long.found.scene.sampled_frames] = before.long.found.turns
-            xyz = turned(xyz, clouds.frame_of, turns)
-        group = long.tracklets.of_point.copy()
-        group[labels.alone] = group.max(initial=-1) + 1 + np.arange(labels.alone.sum())
-        anew = point_fits(clouds, xyz, labels.label, labeller.body, labeller.settings, scored & shown, group)
+        anew = point_fits(clouds, before.xyz, labels.label, labeller.body, labeller.settings, scored & shown, group, turns)
         fit = np.where(other, anew, fit)
     return replace(labels, fit=fit)
 

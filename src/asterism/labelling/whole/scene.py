@@ -201,10 +201,10 @@ def _sampled_frames(frames: int, step: int, first: Ints, last: Ints) -> NDArray[
 def score_scene(scene: Scene, label: Ints, body: BodyArrays, settings: FrameSettings, out: FrameScores | None = None) -> FrameScores:
     """Score every sampled point as every marker of a body, given the labels (J,) of all tracklets as its markers. See `score_frames`.
 
-    Written over `out`, where it is given.
+    Written over `out`, where it is given and as large.
     """
     frames = len(scene.sampled_frames)
-    if out is None:
+    if out is None or len(out.scores) != len(scene.sampled_xyz) or len(out.totals) != frames:
         out = FrameScores(np.empty((len(scene.sampled_xyz), body.mean.shape[1])), np.empty(frames), np.empty(frames, dtype=np.int64))
     score_frames(scene.sampled_xyz, scene.sampled_offsets, scene.sampled_track, label, body, settings, out)
     return out

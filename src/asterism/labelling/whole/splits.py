@@ -7,36 +7,48 @@ and go on as another. Then the frames before and after fit different markers.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import zip_longest
 
 import numpy as np
 
 from asterism.labelling.body.labeller import BodyLabeller
-from asterism.labelling.whole._kernels import best_split
+from asterism.labelling.whole._kernels import FrameScores, best_split
 from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, score_scene
 from asterism.recording import Floats, Ints
 from asterism.tracking.linking import Tracklets
 
 
-def sample_scores(labellers: Sequence[BodyLabeller], scene: Scene, label: Ints, rules: RecordingLabellingSettings) -> Floats:
-    """Nats of each sampled point as each column of all bodies, (Q, L), given the labels (J,) of all tracklets."""
+def sample_scores(
+    labellers: Sequence[BodyLabeller], scene: Scene, label: Ints, rules: RecordingLabellingSettings, arrays: Sequence[FrameScores] = ()
+) -> Floats:
+    """Nats of each sampled point as each column of all bodies, (Q, L), given the labels (J,) of all tracklets.
+
+    arrays: see `label_scene`.
+    """
     offsets = marker_offsets(labellers)
     of_bodies = [
-        score_scene(scene, labels_of_body(label, offsets, number), labeller.body, labeller.settings).scores
-        for number, labeller in enumerate(labellers)
+        score_scene(scene, labels_of_body(label, offsets, number), labeller.body, labeller.settings, out).scores
+        for number, (labeller, out) in enumerate(zip_longest(labellers, arrays))
     ]
     scores = of_bodies[0] if len(of_bodies) == 1 else np.concatenate(of_bodies, axis=1)
     return np.clip(scores, rules.min_score, rules.max_score, out=scores)
 
 
 def split_tracklets(
-    tracklets: Tracklets, points: Ints, labellers: Sequence[BodyLabeller], scene: Scene, label: Ints, rules: RecordingLabellingSettings
+    tracklets: Tracklets,
+    points: Ints,
+    labellers: Sequence[BodyLabeller],
+    scene: Scene,
+    label: Ints,
+    rules: RecordingLabellingSettings,
+    arrays: Sequence[FrameScores] = (),
 ) -> Tracklets | None:
     """The tracklets of clouds, those cut in two whose beginning and end fit different markers; None where there is no such one.
 
     points (P,): the point of the clouds that each point of the scene is; label (J,): the labels of the scene's tracklets.
-    O(Q L) beyond the scores.
+    arrays: see `label_scene`. O(Q L) beyond the scores.
     """
-    scores = sample_scores(labellers, scene, label, rules)
+    scores = sample_scores(labellers, scene, label, rules, arrays)
     order = np.argsort(scene.sampled_track, kind="stable")
     begins = np.searchsorted(scene.sampled_track[order], np.arange(len(label) + 1))
     of_point, first, last = tracklets.of_point.copy(), tracklets.first.tolist(), tracklets.last.tolist()
