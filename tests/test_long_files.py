@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -18,7 +17,6 @@ from asterism.formats.c3d import _long
 from asterism.formats.c3d._file import C3DFile
 from asterism.labelling import stretches
 from asterism.recording import Event, Floats, Recording
-from asterism.recording.verdict import FITS, OTHER_BODY
 from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
 
 FRAMES = 1500
@@ -168,77 +166,3 @@ def test_a_run_that_is_stopped_leaves_no_file(model: Path, walk: Recording, tmp_
     assert source.read_bytes() == before
     assert not list(folder.glob("*.c3d"))
     assert not list(folder.glob(".*.part"))
-
-
-@pytest.mark.usefixtures("short_stretches")
-def test_ranges_of_a_long_file_are_those_of_the_recording(walk: Recording, tmp_path: Path) -> None:
-    """Also of a column that has points in the first range only."""
-    recording = anonymous(walk)
-    recording = replace(recording, positions=np.where(np.arange(FRAMES)[:, None, None] < 100, recording.positions, np.nan))
-    recording.positions[:, 1:] = anonymous(walk).positions[:, 1:]
-    asterism.write(tmp_path / "walk.c3d", recording)
-    long, whole = _long.read_long(tmp_path / "walk.c3d", None, 100), asterism.read(tmp_path / "walk.c3d")
-    assert long is not None
-    for some in (slice(0, 10), slice(140, 400), slice(1490, None)):
-        np.testing.assert_array_equal(long.frames(some).positions, whole.frames(some).positions)
-        assert long.frames(some).first_frame == whole.frames(some).first_frame
-    counts, shown = long.shown()
-    np.testing.assert_array_equal(counts, whole.visible.sum(axis=1))
-    np.testing.assert_array_equal(shown, whole.visible.any(axis=0))
-
-
-@pytest.mark.parametrize(("behind", "by_ranges"), [(b"\0" * 20, True), (b"\0" * 20 + b"a note", False)], ids=["blank", "data"])
-def test_a_file_with_something_behind_its_data_is_not_read_by_ranges(
-    walk: Recording, tmp_path: Path, behind: bytes, by_ranges: bool
-) -> None:
-    asterism.write(tmp_path / "walk.c3d", walk)
-    with (tmp_path / "walk.c3d").open("ab") as stream:
-        stream.write(behind)
-    assert (_long.read_long(tmp_path / "walk.c3d", None, 100) is not None) == by_ranges
-
-
-@pytest.mark.usefixtures("short_stretches")
-def test_what_does_not_fit_the_model_is_said_of_a_long_file_as_of_a_short_one(
-    model: Path, walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    source = tmp_path / "giant.c3d"
-    asterism.write(source, replace(anonymous(walk), positions=3.0 * anonymous(walk).positions))
-    by_ranges, row = label(model, source, tmp_path / "ranges")
-    monkeypatch.setattr(_long, "read_long", lambda *_: None)
-    whole, row_of_whole = label(model, source, tmp_path / "whole")
-    assert by_ranges == whole and row == row_of_whole
-    assert row["verdict"] == OTHER_BODY
-    findings = row["findings"]
-    assert isinstance(findings, list)
-    assert any("label-foreign" in finding["code"] for finding in findings)
-
-
-def test_a_full_disk_leaves_no_file(
-    model: Path, walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, short_stretches: None, capsys: pytest.CaptureFixture[str]
-) -> None:
-    source, folder = tmp_path / "walk.c3d", tmp_path / "labelled"
-    asterism.write(source, anonymous(walk))
-
-    def full(*_: object) -> bytes:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(_long, "tail_of", full)  # all frames have been written by then
-    assert main(["label", str(source), "--model", str(model), "-o", str(folder)]) in (1, 2)
-    assert "No space left on device" in capsys.readouterr().err
-    assert not list(folder.glob("*.c3d"))
-    assert not list(folder.glob(".*.part"))
-
-
-@pytest.mark.usefixtures("short_stretches")
-def test_frames_without_a_point_at_a_seam_and_all_through_a_stretch(
-    model: Path, walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    recording = anonymous(walk)
-    recording.positions[480:1100] = np.nan
-    source = tmp_path / "walk.c3d"
-    asterism.write(source, recording)
-    by_ranges, row = label(model, source, tmp_path / "ranges")
-    monkeypatch.setattr(_long, "read_long", lambda *_: None)
-    whole, row_of_whole = label(model, source, tmp_path / "whole")
-    assert by_ranges == whole and row == row_of_whole
-    assert row["verdict"] == FITS
