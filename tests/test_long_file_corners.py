@@ -29,7 +29,7 @@ from asterism.formats.c3d._file import C3DFile, open_c3d
 from asterism.formats.c3d._long import LongRecording, read_long
 from asterism.formats.c3d._numbers import PC
 from asterism.formats.c3d._parameters import make_group
-from asterism.labelling import SeveralBodies, review, stretches
+from asterism.labelling import review, stretches
 from asterism.recording import NULL, Clouds, Event, Labelling, MarkerSet, Recording
 from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, Verdict
 
@@ -151,13 +151,10 @@ class ByColumn:
     """A model that gives the point of each column the marker of its place, with a confidence that its place tells.
 
     verdicts  those of the stretches, one after the other, the last one of all that follow
-    blind     frames, by the height of their points, in which the first marker gets no label
     """
 
     marker_set: MarkerSet
     verdicts: Sequence[Verdict | None] = (None,)
-    blind: float = np.inf
-    crowd: bool = False
     about: dict[str, Any] | None = None
     labelled: int = 0
 
@@ -165,12 +162,10 @@ class ByColumn:
         shape = (len(clouds), len(self.marker_set))
         indices, confidence = np.full(shape, NULL), np.zeros(shape)
         place = np.arange(len(clouds.xyz)) - clouds.offsets[clouds.frame_of]
-        known = (clouds.columns < shape[1]) & ~((clouds.columns == 0) & (clouds.xyz[:, 2] > self.blind))
+        known = clouds.columns < shape[1]
         frame, marker = clouds.frame_of[known], clouds.columns[known]
         indices[frame, marker] = place[known]
         confidence[frame, marker] = 0.9 + 0.1 * np.abs(np.sin(100 * clouds.xyz[known, 0]))
-        if len(clouds) > 1 and self.crowd:
-            raise SeveralBodies("two bodies")
         verdict = self.verdicts[min(self.labelled, len(self.verdicts) - 1)]
         self.labelled += len(clouds) > 1
         return Labelling(indices, confidence, self.marker_set.names, verdict=verdict)
@@ -316,13 +311,13 @@ def test_a_computed_point_that_is_left_out_gets_no_other_name(labels: Labels, tm
 
 @pytest.mark.usefixtures("in_short_stretches")
 def test_what_should_be_checked_of_a_long_file_is_in_its_frames(tmp_path: Path) -> None:
-    """The first marker loses its label late: each item has the frames of the recording, not those of its stretch."""
+    """Each item has the frames of the recording, not those of its stretch; the last one begins and ends in the last stretch."""
     path = tmp_path / "walk.c3d"
     recording = moving()
     positions = recording.positions.copy()
     positions[660:700, 0] = np.nan
     asterism.write(path, replace(recording, positions=positions))
-    model: Any = ByColumn(MarkerSet(MARKERS), blind=0.695)
+    model: Any = ByColumn(MarkerSet(MARKERS))
     clouds = asterism.read(path, vertical="z").clouds()
     expected = review(model.label(clouds), clouds)
     labeller = _labelling.Labeller([model], ["any"], StandingTrials([path], (), False, None))
