@@ -131,7 +131,17 @@ def test_data_that_begin_late_are_read_from_there(tmp_path: Path) -> None:
     np.testing.assert_allclose(whole.positions, recorded().positions, atol=1e-6)
 
 
-@pytest.mark.parametrize("odd", [parameters_behind, rotations_behind])
+def a_few_bytes_behind(file: C3DFile) -> bytes:
+    """The file's bytes with less than a block behind its data."""
+    return bytes(file.raw[: file.layout.stop]) + b"\x05" * 10
+
+
+def zeros_behind(file: C3DFile) -> bytes:
+    """The file's bytes with more zeros behind its data than fill a block."""
+    return bytes(file.raw[: file.layout.stop]) + bytes(2 * BLOCK)
+
+
+@pytest.mark.parametrize("odd", [parameters_behind, rotations_behind, a_few_bytes_behind, zeros_behind])
 def test_a_file_with_something_behind_its_data_is_read_whole(odd: Callable[[C3DFile], bytes], tmp_path: Path) -> None:
     path = tmp_path / "odd.c3d"
     file = written(path, replace(recorded(), metadata={"subject": "Ann " * 25}))
@@ -281,6 +291,16 @@ def test_markers_that_one_stretch_may_exchange_are_named(labels: Labels, tmp_pat
     by_ranges, whole = labels.both(tmp_path / "walk.c3d", model)
     told = [finding["sentence"] for finding in by_ranges.findings if finding["code"] == "label-exchangeable"]
     assert labels.was_long and ["A and B" in told[0], "C and D" in told[1]] == [True, True]
+    same(by_ranges, whole)
+
+
+@pytest.mark.parametrize("options", [[], ["--known-labels", "check"]], ids=["as the file decides", "names checked"])
+def test_names_that_contradict_are_told_with_the_frames_of_the_file(options: list[str], labels: Labels, tmp_path: Path) -> None:
+    named = replace(moving(), labels=("B", "A", "*3", "*4", "*5"), first_frame=11)
+    asterism.write(tmp_path / "walk.c3d", named)
+    by_ranges, whole = labels.both(tmp_path / "walk.c3d", ByColumn(MarkerSet(MARKERS)), *options)
+    (told,) = [finding["sentence"] for finding in by_ranges.findings if finding["code"] == "label-names-differ"]
+    assert labels.was_long and f"to {LONG + 10})" in told
     same(by_ranges, whole)
 
 
