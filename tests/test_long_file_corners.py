@@ -419,6 +419,30 @@ def test_frames_without_any_point_stay_empty(gone: list[slice], labels: Labels, 
     np.testing.assert_array_equal(~after.visible.any(axis=1), np.isnan(positions).all(axis=(1, 2)))
 
 
+@pytest.mark.parametrize("shown", [0, 1, 15], ids=["no frame", "one frame", "some frames"])
+def test_a_long_file_with_few_points_in_it_is_labelled_at_once(shown: int, labels: Labels, tmp_path: Path) -> None:
+    recording = moving()
+    positions = recording.positions.copy()
+    positions[shown:] = np.nan
+    asterism.write(tmp_path / "walk.c3d", replace(recording, positions=positions))
+    by_ranges, whole = labels.both(tmp_path / "walk.c3d", ByColumn(MarkerSet(MARKERS)))
+    assert labels.was_long and not any(finding["code"] == "label-in-stretches" for finding in by_ranges.findings)
+    same(by_ranges, whole)
+
+
+def test_a_long_file_may_be_replaced_by_its_labelled_copy(labels: Labels, tmp_path: Path) -> None:
+    found = list[Run]()
+    for labels.whole in (False, True):
+        path = tmp_path / ("short" if labels.whole else "long") / "walk.c3d"
+        path.parent.mkdir()
+        asterism.write(path, moving())
+        found.append(labels.run(path, ByColumn(MarkerSet(MARKERS))))
+        assert labels.was_long is not labels.whole
+    assert found[0].status == found[1].status == 0
+    assert found[0].output == found[1].output
+    assert set(MARKERS) <= set(asterism.read(tmp_path / "long" / "walk.c3d").labels)
+
+
 def test_more_frames_than_a_header_counts_are_all_labelled(labels: Labels, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stretches, "StretchRules", partial(stretches.StretchRules, whole=100, points=150_000, overlap=0.5))
     monkeypatch.setattr("asterism.formats.c3d._file._FRAMES_AT_ONCE", 20_000)
