@@ -358,6 +358,28 @@ def test_ends_and_beginnings_are_joined_as_the_twin_joins_them() -> None:
     assert joined > 20 and refused > 20
 
 
+@pytest.mark.parametrize("largest", [12, 40_000, 2**40], ids=["few numbers", "more than 16 bits", "more than points"])
+def test_links_along_numbers_join_neighbouring_frames_only(largest: int) -> None:
+    rng = np.random.default_rng(largest)
+    linked = 0
+    for _ in range(20):
+        known = rng.choice(min(largest, 100_000), 6, replace=False) * (largest // min(largest, 100_000))
+        counts = rng.integers(0, 6, 12)
+        frame = np.repeat(np.arange(12), counts)
+        numbers = np.concatenate([np.where(rng.random(n) < 0.2, -1, rng.permutation(known)[:n]) for n in counts]).astype(np.int64)
+        wanted = [
+            next((q for q in range(p) if numbers[p] >= 0 and numbers[q] == numbers[p] and frame[q] == frame[p] - 1), -1)
+            for p in range(len(numbers))
+        ]
+        links = _along_numbers(numbers, frame)
+        np.testing.assert_array_equal(links.previous, wanted)
+        following = np.full(len(numbers), -1)
+        following[links.previous[links.previous >= 0]] = np.nonzero(links.previous >= 0)[0]
+        np.testing.assert_array_equal(links.following, following)
+        linked += int((links.previous >= 0).sum())
+    assert linked > 100
+
+
 def test_points_are_sorted_and_chains_numbered() -> None:
     rng = np.random.default_rng(0)
     counts = rng.integers(0, 6, 12)

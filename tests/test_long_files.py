@@ -116,6 +116,25 @@ def test_a_standing_trial_counts_as_for_a_short_file(
     assert by_ranges == whole
 
 
+@pytest.mark.parametrize("from_frame", [0, 350], ids=["from the beginning", "late"])
+@pytest.mark.usefixtures("short_stretches")
+def test_two_people_in_a_long_file_are_told_as_in_a_short_one(
+    model: Path, walk: Recording, from_frame: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = tmp_path / "walk.c3d"
+    other = walk.positions[100:550] + np.array([0.8, 0.6, 0.0])
+    other[:from_frame] = np.nan
+    positions = np.concatenate([walk.positions[:450], other], axis=1)
+    nameless = tuple(f"*{number + 1}" for number in range(positions.shape[1]))
+    asterism.write(source, Recording(positions, nameless, 100.0, walk.vertical))
+    by_ranges, row = label(model, source, tmp_path / "ranges")
+    monkeypatch.setattr(_long, "read_long", lambda *_: None)
+    whole, row_of_whole = label(model, source, tmp_path / "whole")
+    assert "label-two-bodies" in json.dumps(row["findings"])
+    assert by_ranges == whole
+    assert row == row_of_whole
+
+
 @pytest.mark.usefixtures("short_stretches")
 def test_a_long_file_is_never_in_memory_as_positions(model: Path, walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = tmp_path / "walk.c3d"

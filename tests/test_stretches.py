@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -174,6 +174,7 @@ def test_a_name_that_is_held_is_not_given_twice() -> None:
 def test_the_verdict_of_most_labels_counts() -> None:
     fits, other = Verdict(FITS, 0.01, 0.06, 1.0, 1.0, 0.0), Verdict(OTHER_BODY, 0.5, 0.06, 1.0, 0.1, 5.0, (("A", "B"),))
     assert join_verdicts([]) is None
+    assert join_verdicts([(9000, replace(fits, rough=3)), (10, replace(fits, rough=4))]) == replace(fits, rough=7)
     assert join_verdicts([(9000, fits), (10, other)]) == Verdict(FITS, 0.01, 0.06, 1.0, 1.0, 0.0, (("A", "B"),))
     joined = join_verdicts([(10, fits), (9000, other)])
     assert joined is not None

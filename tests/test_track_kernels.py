@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 import twins_tracks as twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,6 +19,7 @@ from asterism.labelling.whole._residual_kernels import ResidualLimits, predictio
 from asterism.labelling.whole._short_kernels import Expected, ShortLabels, ShortLimits, label_short, take_best_pairs
 from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.short import ShortTrackletRules, expect_by_motion, marker_shares
+from asterism.recording.verdict import FITS, OTHER_BODY, Verdict
 
 SETTINGS = FrameLabellingSettings().with_usual_score(1.0)
 MARKERS, LATENTS, POSES = 6, 4, 2
@@ -168,7 +172,8 @@ def test_the_best_assignment(seed: int) -> None:
     first = rng.integers(0, 30, rng.integers(1, 25))
     last = first + rng.integers(0, 20, len(first))
     gain = rng.normal(0.0, 5.0, (len(first), rng.integers(1, 6)))
-    label, by_highs = assign_tracklets(gain, first, last), assignment._solve_by_highs(gain, first, last)
+    label, by_highs = assign_tracklets(gain, first, last).label, assignment._solve_by_highs(gain, first, last)
+    assert by_highs is not None
     for frame in range(60):
         there = label[(first <= frame) & (frame <= last) & (label >= 0)]
         assert len(np.unique(there)) == len(there)
@@ -183,10 +188,58 @@ def test_the_best_assignment_of_many_tracklets_at_one_time(seed: int) -> None:
     rng = np.random.default_rng(seed)
     gain = rng.normal(0.2, 1.0, (60, 12))
     first, last = rng.integers(0, 10, 60), rng.integers(10, 20, 60)
-    label, by_highs = assign_tracklets(gain, first, last), assignment._solve_by_highs(gain, first, last)
+    label, by_highs = assign_tracklets(gain, first, last).label, assignment._solve_by_highs(gain, first, last)
+    assert by_highs is not None
     assert len(np.unique(label[label >= 0])) == (label >= 0).sum()
     total, wanted = (gain[found >= 0, found[found >= 0]].sum() for found in (label, by_highs))
     assert np.isclose(total, wanted)
+
+
+@given(seeds)
+@settings(races, max_examples=30)
+def test_more_than_can_be_compared_exactly_is_nearly_the_best(seed: int) -> None:
+    """Every tracklet could be every marker, as of a body that the model does not know."""
+    rng = np.random.default_rng(seed)
+    first = rng.integers(0, 300, rng.integers(20, 60))
+    last = first + rng.integers(0, 80, len(first))
+    gain = rng.normal(20.0, 8.0, len(first))[:, None] + rng.normal(0.0, 5.0, (len(first), rng.integers(2, 12)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(assignment, "EXACT_CHOICES", 0)
+        patch.setattr(assignment, "BRANCHES", 0)
+        rough = assign_tracklets(gain, first, last)
+    exact = assign_tracklets(gain, first, last)
+    for frame in range(380):
+        there = rough.label[(first <= frame) & (frame <= last) & (rough.label >= 0)]
+        assert len(np.unique(there)) == len(there)
+    total, wanted = (gain[found >= 0, found[found >= 0]].sum() for found in (rough.label, exact.label))
+    assert 0.85 * wanted <= total <= wanted + 1e-6
+    assert not exact.rough.any()
+    assert rough.rough.any() or np.array_equal(rough.label, exact.label)
+    again = rng.permutation(len(first))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(assignment, "EXACT_CHOICES", 0)
+        patch.setattr(assignment, "BRANCHES", 0)
+        shuffled = assign_tracklets(gain[again], first[again], last[again]).label
+    assert gain[again][shuffled >= 0, shuffled[shuffled >= 0]].sum() >= 0.85 * wanted
+
+
+def test_a_program_of_thousands_of_choices_ends() -> None:
+    """500 tracklets of which each could be any of 40 markers: exactly, hours."""
+    rng = np.random.default_rng(0)
+    first = np.sort(rng.integers(0, 3000, 500))
+    last = first + rng.integers(20, 400, 500)
+    gain = rng.normal(20.0, 8.0, (500, 1)) + rng.normal(0.0, 5.0, (500, 40))
+    found = assign_tracklets(gain, first, last)
+    assert found.rough.any()
+    assert (found.label >= 0).mean() > 0.7
+
+
+def test_a_verdict_names_what_was_not_compared_exactly() -> None:
+    verdict = Verdict(FITS, 0.01, 0.06, 1.0, 1.0, 0.0, rough=12)
+    (finding,) = verdict.findings("run.c3d")
+    assert finding.code == "label-rough"
+    assert "12 pieces of tracks" in finding.sentence
+    assert all(each.code != "label-rough" for each in replace(verdict, kind=OTHER_BODY).findings()), "no label was given there"
 
 
 @given(seeds)

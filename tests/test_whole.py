@@ -12,8 +12,11 @@ from models import trained
 from scipy.spatial.transform import Rotation
 
 import asterism
+from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
+from asterism.labelling.whole import joint
+from asterism.labelling.whole._kernels import FrameScores
 from asterism.labelling.whole.fits import point_fits
 from asterism.labelling.whole.joint import voting_frames
 from asterism.labelling.whole.scene import RecordingLabellingSettings, SceneScores, prepare_scene, score_scene
@@ -129,6 +132,35 @@ def test_scores_that_are_kept_are_those_of_scoring_all_frames_again(
         kept.with_frames(moved, frames).of(label), score_scene(moved, label, labeller.body, labeller.settings), strict=True
     ):
         np.testing.assert_array_equal(part, fresh)
+
+
+def test_a_body_that_explains_less_changes_nothing(
+    ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its scores are written over those of the labels that stay."""
+    labeller, rules = ensemble.body_labeller, RecordingLabellingSettings()
+    clouds, _ = simulate_gaps_and_ghosts(walks[4], 5, 3, seed=2)
+    scene = prepare_scene(clouds, find_tracklets(clouds), rules)
+    twice = replace(labeller.model, mean=2.0 * labeller.model.mean)
+    monkeypatch.setattr(joint, "_adapted_body", lambda *_: twice)
+    tried = joint.label_scene([labeller], scene, rules, SubjectRules(), ensemble.state.body_rules)
+    plain = joint.label_scene([labeller], scene, replace(rules, adapt_rounds=0), SubjectRules(), ensemble.state.body_rules)
+    assert tried.bodies == [labeller.model]
+    assert (plain.margin < rules.no_adapt_margin).any(), "there is something to adapt for"
+    for name in ("label", "margin", "rival", "by_body"):
+        np.testing.assert_array_equal(getattr(tried, name), getattr(plain, name))
+
+
+def test_scores_are_written_over_those_of_an_earlier_recording(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+    labeller, rules, arrays = ensemble.body_labeller, RecordingLabellingSettings(), list[FrameScores]()
+    for walk, seed in ((walks[4], 2), (walks[4], 3), (walks[3].frames(slice(0, 200)), 4)):
+        clouds, _ = simulate_gaps_and_ghosts(walk, 5, 3, seed=seed)
+        scene = prepare_scene(clouds, find_tracklets(clouds), rules)
+        plain = joint.label_scene([labeller], scene, rules, SubjectRules(), ensemble.state.body_rules)
+        found = joint.label_scene([labeller], scene, rules, SubjectRules(), ensemble.state.body_rules, arrays=arrays)
+        assert len(arrays) == 1
+        for name in ("label", "margin", "rival", "by_body"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(plain, name))
 
 
 def test_points_turn_with_their_frames() -> None:

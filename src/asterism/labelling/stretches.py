@@ -173,7 +173,7 @@ def join_verdicts(verdicts: Sequence[tuple[int, Verdict]]) -> Verdict | None:
     """One verdict of all stretches: each with the number of its labels. None where there is none.
 
     Its kind is that of most labels, so that a stretch from which the person has gone does not decide; of those verdicts that of most labels
-    counts, with the groups of exchangeable markers of all.
+    counts, with the groups of exchangeable markers and the number of roughly compared pieces of all.
     """
     if not verdicts:
         return None
@@ -183,7 +183,7 @@ def join_verdicts(verdicts: Sequence[tuple[int, Verdict]]) -> Verdict | None:
     kind = max(weight, key=lambda each: (weight[each], each != FITS))
     chosen = max((each for each in verdicts if each[1].kind == kind), key=lambda each: each[0])[1]
     groups = dict.fromkeys(group for _, verdict in verdicts for group in verdict.exchangeable)
-    return replace(chosen, exchangeable=tuple(groups))
+    return replace(chosen, exchangeable=tuple(groups), rough=sum(verdict.rough for _, verdict in verdicts))
 
 
 def label_long(

@@ -32,6 +32,7 @@ class Verdict:
     labelled      share of the points that could be markers to which a label was found, accepted or not
     surplus       points of a usual frame to which none was found
     exchangeable  groups of markers, each of which may carry another's label throughout
+    rough         number of pieces of tracks whose labels compete in too many ways to compare all; theirs are the best that were found
     """
 
     kind: str
@@ -41,6 +42,7 @@ class Verdict:
     labelled: float
     surplus: float
     exchangeable: tuple[tuple[str, ...], ...] = ()
+    rough: int = 0
 
     @property
     def fits(self) -> bool:
@@ -58,4 +60,10 @@ class Verdict:
             mend = "Compare them with the person or a picture, and correct them with `asterism review`."
             sentence = f"{where}: {names} may be exchanged throughout."
             found.append(Finding("label-exchangeable", Severity.WARNING, where, sentence, mend))
+        if self.rough and self.kind != OTHER_BODY:
+            sentence = (
+                f"{where}: {self.rough} pieces of tracks compete for markers in too many ways to compare all; the best labels found count."
+            )
+            mend = "Check them with `asterism review`; fewer gaps and ghosts leave fewer pieces."
+            found.append(Finding("label-rough", Severity.WARNING, where, sentence, mend))
         return found

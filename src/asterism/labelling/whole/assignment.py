@@ -9,18 +9,24 @@ Where the best markers of all tracklets do not conflict, they are the solution. 
 themselves, as if all others kept their best markers and could share them: this relaxation is an upper bound. If its solution takes a marker
 that another tracklet has at the same time, that one joins, and it is solved again; if not, it is the best labelling of all. Few tracklets
 are solved by branch and bound, many that are all there at one time as a linear assignment, others by HiGHS.
+
+Where nearly any tracklet could be any marker, as of a body that the model does not know, hundreds are in conflict, and an exact solution
+may take hours. Above a size, which does not depend on the machine, the best labels that an ascent marker by marker finds are taken; which
+tracklets these are is told.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from asterism.labelling.whole._kernels import branch_and_bound, overlaps, settle_dominant
+from asterism.labelling.whole._kernels import assign_roughly, branch_and_bound, overlaps, settle_dominant
 from asterism.recording import NULL, Floats, Ints
 
 BRANCHES = 20_000
@@ -34,11 +40,26 @@ DOMINANT_ROUNDS = 20
 """How often tracklets whose best marker no other use can outweigh are looked for; what is left is solved exactly."""
 
 
-def assign_tracklets(gain: Floats, first: Ints, last: Ints) -> Ints:
-    """Labels (J,) of the greatest total gain, -1 for none.
+EXACT_CHOICES = 1_500
+"""Gains above 0 among tracklets in conflict up to which HiGHS solves the program exactly, in less than a second."""
+
+NODES = 50
+"""Nodes of the search tree of HiGHS; nearly all programs need one."""
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """Labels (J,) of the greatest total gain, -1 for none; and whether each is one of those that could not be compared exactly (J,)."""
+
+    label: Ints
+    rough: NDArray[np.bool_]
+
+
+def assign_tracklets(gain: Floats, first: Ints, last: Ints) -> Assignment:
+    """The labels of the greatest total gain.
 
     gain (J, L) for each of L markers (of all bodies), only what is above 0 is ever taken; first, last (J,) frames of the tracklets.
-    O(J L) where nothing conflicts.
+    O(J L) where nothing conflicts. The same on any machine.
     """
     gain = gain.copy()
     order = np.argsort(first, kind="stable")
@@ -47,7 +68,8 @@ def assign_tracklets(gain: Floats, first: Ints, last: Ints) -> Ints:
     best = np.argmax(gain, axis=1) if gain.shape[1] else np.zeros(len(gain), dtype=np.int64)
     label = np.where(gain[np.arange(len(gain)), best] > 0, best, NULL).astype(np.int64) if gain.shape[1] else np.full(len(gain), NULL)
     free = np.zeros(len(gain), dtype=np.bool_)
-    solved: dict[bytes, Ints] = {}
+    solved: dict[bytes, tuple[Ints, bool]] = {}
+    rough = np.zeros(len(gain), dtype=np.bool_)
     for turn in count():
         clash = pairs[(label[pairs[:, 0]] == label[pairs[:, 1]]) & (label[pairs[:, 0]] != NULL)]
         if not len(clash):
@@ -62,20 +84,23 @@ def assign_tracklets(gain: Floats, first: Ints, last: Ints) -> Ints:
             members = np.nonzero((part == p) & free)[0]
             if members.tobytes() not in solved:
                 solved[members.tobytes()] = _solve(gain[members], first[members], last[members])
-            label[members] = solved[members.tobytes()]
-    return label
+            label[members], rough[members] = solved[members.tobytes()]
+    return Assignment(label, rough)
 
 
-def _solve(gain: Floats, first: Ints, last: Ints) -> Ints:
-    """The integer program itself."""
+def _solve(gain: Floats, first: Ints, last: Ints) -> tuple[Ints, bool]:
+    """The integer program itself: its labels, and whether they may not be the best."""
     label = np.empty(len(gain), dtype=np.int64)
     order = np.argsort(-gain.max(axis=1), kind="stable")
     done = branch_and_bound(gain[order], first[order], last[order], BRANCHES, label)
     if not done:
-        return _solve_at_once(gain) if first.max() <= last.min() else _solve_by_highs(gain, first, last)
+        if first.max() <= last.min():
+            return _solve_at_once(gain), False
+        best = _solve_by_highs(gain, first, last) if (gain > 0).sum() <= EXACT_CHOICES else None
+        return (_solve_roughly(gain, first, last), True) if best is None else (best, False)
     found = np.empty_like(label)
     found[order] = label
-    return found
+    return found, False
 
 
 def _solve_at_once(gain: Floats) -> Ints:
@@ -87,8 +112,15 @@ def _solve_at_once(gain: Floats) -> Ints:
     return label
 
 
-def _solve_by_highs(gain: Floats, first: Ints, last: Ints) -> Ints:
-    """The integer program with every variable and constraint written out."""
+def _solve_roughly(gain: Floats, first: Ints, last: Ints) -> Ints:
+    """Labels of a great total gain: see `assign_roughly`."""
+    label, by_end = np.empty(len(gain), dtype=np.int64), np.argsort(last, kind="stable")
+    assign_roughly(gain, by_end, np.searchsorted(last[by_end], first[by_end]), label)
+    return label
+
+
+def _solve_by_highs(gain: Floats, first: Ints, last: Ints) -> Ints | None:
+    """The integer program with every variable and constraint written out; None where that needs more nodes than allowed."""
     track, marker = np.nonzero(gain > 0)
     rows, columns, count = [], [], 0
     for j in np.unique(track):
@@ -98,17 +130,25 @@ def _solve_by_highs(gain: Floats, first: Ints, last: Ints) -> Ints:
         count += 1
     for m in np.unique(marker):
         members = np.nonzero(marker == m)[0]
-        for time in np.unique(first[track[members]]):
+        starts = np.unique(first[track[members]])
+        for time, next_time in zip(starts, [*starts[1:], np.inf], strict=True):
             there = members[(first[track[members]] <= time) & (last[track[members]] >= time)]
-            if len(there) > 1:
+            # where none of them ends before the next one begins, the next constraint holds all of them
+            if len(there) > 1 and last[track[there]].min() < next_time:
                 rows.append(np.full(len(there), count))
                 columns.append(there)
                 count += 1
     row, column = np.concatenate(rows), np.concatenate(columns)
     limits = coo_array((np.ones(len(row)), (row, column)), shape=(count, len(track))).tocsr()
     found = milp(
-        -gain[track, marker], constraints=LinearConstraint(limits, -np.inf, 1.0), integrality=np.ones(len(track)), bounds=Bounds(0, 1)
+        -gain[track, marker],
+        constraints=LinearConstraint(limits, -np.inf, 1.0),
+        integrality=np.ones(len(track)),
+        bounds=Bounds(0, 1),
+        options={"node_limit": NODES},
     )
+    if not found.success:
+        return None
     label = np.full(len(gain), NULL, dtype=np.int64)
     taken = found.x > 0.5
     label[track[taken]] = marker[taken]

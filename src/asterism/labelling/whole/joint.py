@@ -23,7 +23,7 @@ from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enough
 from asterism.labelling.whole._kernels import FrameScores, margins_of, overlaps, rivals_weight, sum_scores
-from asterism.labelling.whole.assignment import assign_tracklets
+from asterism.labelling.whole.assignment import Assignment, assign_tracklets
 from asterism.labelling.whole.bodies import find_bodies, follow_bodies, votes_of_bodies
 from asterism.labelling.whole.plausibility import compare_with_training, ghost_penalty
 from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, SceneScores, labels_of_body, marker_offsets
@@ -48,6 +48,7 @@ class SceneLabelling:
     total   nats, the total gain of the labels
     by_body (J,) nats, the margin before labels whose distances are off lost theirs
     stages  labels (J,) after each stage, by name
+    rough   number of tracklets that could not all be compared exactly, see `assignment.py`
     turns   (E, 3, 3) rotations that set the body upright in each sampled frame, see `upright.py`; None where none is turned
     """
 
@@ -60,6 +61,7 @@ class SceneLabelling:
     by_body: Floats
     stages: dict[str, Ints] = field(default_factory=dict)
     turns: Floats | None = None
+    rough: int = 0
 
     def turns_of(self, frames: int) -> Floats | None:
         """The rotation of each of so many frames of the recording (T, 3, 3), the identity for those not sampled; None as `turns`."""
@@ -92,9 +94,9 @@ def label_scene(
     if start is not None:
         label = start
     elif len(labellers) == 1:
-        label = assign_tracklets(_votes_of_one(labellers[0], scene, rules, workers, report), scene.first, scene.last)
+        label = assign_tracklets(_votes_of_one(labellers[0], scene, rules, workers, report), scene.first, scene.last).label
     else:
-        label = assign_tracklets(_votes_of_several(labellers, scene, rules, workers, report), scene.first, scene.last)
+        label = assign_tracklets(_votes_of_several(labellers, scene, rules, workers, report), scene.first, scene.last).label
     upright, state = scene, _coordinate_ascent(labellers, _scores(labellers, bodies, scene, arrays), label, rules)
     stages = {"votes": label, "tracks": state.label}
     turns = upright_turns(labellers[0], state.scores[0], state.label, rules) if len(labellers) == 1 else None
@@ -140,7 +142,7 @@ def _judged(
         scores = state.scores[number].of(own).scores
         doubtful = (own != NULL) & compare_with_training(labeller, scores, scene, own, rules, body_rules).are_off(rules)
         margin[doubtful] = np.minimum(margin[doubtful], -rules.no_adapt_margin)
-    return SceneLabelling(scene, state.label, margin, state.rival, list(bodies), state.total, by_body)
+    return SceneLabelling(scene, state.label, margin, state.rival, list(bodies), state.total, by_body, rough=state.rough)
 
 
 @dataclass(frozen=True)
@@ -152,6 +154,7 @@ class _State:
     poses          key pose of each sampled frame (E,), by body
     total          their total gain in nats
     scores         what the scene scores by each body
+    rough          tracklets that could not all be compared exactly
     """
 
     label: Ints
@@ -161,6 +164,7 @@ class _State:
     poses: list[Ints]
     total: float
     scores: list[SceneScores]
+    rough: int
 
     @property
     def arrays(self) -> list[FrameScores]:
@@ -240,11 +244,11 @@ def _coordinate_ascent(
     for _ in range(rules.max_rounds):
         gain, poses = _gains(labellers, scores, label, rules)
         gain, found, total = _with_ghost_credit(gain, scene, labellers, rules)
-        if np.array_equal(found, label):
+        if np.array_equal(found.label, label):
             break
-        label = found
-    margin, rival = margins_of(gain, found, scene.first, scene.last, np.argsort(scene.first, kind="stable"))
-    return _State(found, margin, rival, marker_offsets(labellers), poses, total, scores)
+        label = found.label
+    margin, rival = margins_of(gain, found.label, scene.first, scene.last, np.argsort(scene.first, kind="stable"))
+    return _State(found.label, margin, rival, marker_offsets(labellers), poses, total, scores, int(found.rough.sum()))
 
 
 def _gains(
@@ -264,7 +268,7 @@ def _gains(
 
 def _with_ghost_credit(
     gain: Floats, scene: Scene, labellers: Sequence[BodyLabeller], rules: RecordingLabellingSettings
-) -> tuple[Floats, Ints, float]:
+) -> tuple[Floats, Assignment, float]:
     """The gains with what a tracklet earns for being a marker rather than a ghost, the best labels, and their total.
 
     Three explanations compete: no ghosts, short ghosts only, ghosts of any length. A ghost that is not allowed costs `first_ghost_cost` for
@@ -275,11 +279,12 @@ def _with_ghost_credit(
     best = -np.inf
     for allowed, costly in ((0, np.ones(len(long), dtype=np.bool_)), (1, long), (2, np.zeros(len(long), dtype=np.bool_))):
         credited = gain + (full * costly)[:, None]
-        label = assign_tracklets(_by_length(credited, scene), scene.first, scene.last)
+        assignment = assign_tracklets(_by_length(credited, scene), scene.first, scene.last)
+        label = assignment.label
         taken = label != NULL
         total = credited[taken, label[taken]].sum() - (full * costly).sum() - rules.ghosts_cost * allowed
         if total > best:
-            best, chosen, found = float(total), credited, label
+            best, chosen, found = float(total), credited, assignment
         if not ((label == NULL) & costly).any():
             break
     return chosen, found, best

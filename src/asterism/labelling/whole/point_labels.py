@@ -125,7 +125,7 @@ def labelling_of(body: BodyInRecording, number: int, clouds: Clouds, labels: Poi
     if verdict is not None:
         pairs = rivals.exchangeable(len(clouds))
         named = tuple(tuple(body.names[body.markers[marker]] for marker in pair) for pair in pairs)
-        verdict = replace(verdict, exchangeable=named)
+        verdict = replace(verdict, exchangeable=named, rough=labels.found.rough)
     indices, confidence, candidates = out
     return Labelling(indices, confidence, body.names, candidates, verdict)
 

@@ -234,7 +234,7 @@ def _ascent(before: LabelledTracklets, problem: _Problem) -> SceneLabelling:
     for last in range(_RULES.rounds):
         gain = _gain(scores, scene, fixed, before)
         by_length = np.maximum(1.0, before.rivals_weight * scene.samples / np.maximum(scene.independent, 1e-12))
-        found = assign_tracklets(gain * by_length[:, None], scene.first, scene.last)
+        found = assign_tracklets(gain * by_length[:, None], scene.first, scene.last).label
         changed = found != label
         label = found
         if not changed.any() or last == _RULES.rounds - 1:
