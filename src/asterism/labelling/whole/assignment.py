@@ -40,7 +40,7 @@ DOMINANT_ROUNDS = 20
 """How often tracklets whose best marker no other use can outweigh are looked for; what is left is solved exactly."""
 
 
-EXACT_CHOICES = 1_500
+EXACT_CHOICES = 2_500
 """Gains above 0 among tracklets in conflict up to which HiGHS solves the program exactly, in less than a second."""
 
 NODES = 50
