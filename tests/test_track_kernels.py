@@ -196,7 +196,7 @@ def test_the_best_assignment_of_many_tracklets_at_one_time(seed: int) -> None:
 
 
 @given(seeds)
-@settings(races, max_examples=30)
+@settings(races, max_examples=10)
 def test_more_than_can_be_compared_exactly_is_nearly_the_best(seed: int) -> None:
     """Every tracklet could be every marker, as of a body that the model does not know."""
     rng = np.random.default_rng(seed)
