@@ -18,7 +18,9 @@ import pytest
 import asterism
 
 ROOT = Path(__file__).parent.parent
-WRITTEN_BY_HAND = sorted({ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "gallery").glob("*.*")} - {ROOT / "docs" / "index.md"})
+WRITTEN_BY_HAND = sorted(
+    {ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "gallery").glob("*.*")} - {ROOT / "docs" / "index.md"}
+)
 
 sys.path.insert(0, str(ROOT / "docs" / "_site"))
 import contents  # noqa: E402
@@ -34,7 +36,11 @@ def test_every_exported_name_has_a_place_in_the_reference(module: str) -> None:
     page = "\n".join(contents._page(room)) if public_names.modules_of(room) else ""
     for name in public_names.exports(module):
         home = public_names.homes()[module, name]
-        line = rf"^\.\. auto(class|exception|function|data):: {re.escape(module)}\.{name}$" if home == module else rf"`~{re.escape(home)}\.{name}`"
+        line = (
+            rf"^\.\. auto(class|exception|function|data):: {re.escape(module)}\.{name}$"
+            if home == module
+            else rf"`~{re.escape(home)}\.{name}`"
+        )
         assert re.search(line, page, re.MULTILINE), f"{module}.{name}"
 
 
@@ -57,7 +63,11 @@ def test_every_room_exports_what_it_offers() -> None:
 
 def test_every_page_is_in_the_table_of_contents() -> None:
     listed = {name for pages in contents.GUIDE.values() for name in pages} | {"index"}
-    written = {page.relative_to(ROOT / "docs").with_suffix("").as_posix() for page in WRITTEN_BY_HAND if page.suffix == ".md" and page.parent != ROOT}
+    written = {
+        page.relative_to(ROOT / "docs").with_suffix("").as_posix()
+        for page in WRITTEN_BY_HAND
+        if page.suffix == ".md" and page.parent != ROOT
+    }
     assert written == {page for page in listed if page not in contents.BESIDE_DOCS.values()}
 
 

@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from public_names import exports, homes, modules_of, rooms
+from sphinx.errors import ExtensionError
 
 GUIDE = {
     "First steps": ["from-the-box", "commands", "python", "gallery/README"],
     "How it works": ["how-it-works", "labelling", "recordings", "confidence", "cameras", "views", "garment", "motion", "thesis"],
     "Look it up": ["reference", "findings", "formats", "marker-sets", "conventions", "glossary"],
-    "Figures": ["figures", "figures-all"],
+    "Figures": ["figures"],
     "Project": ["project/contributing", "project/changes"],
 }
 BESIDE_DOCS = {"README.md": "index", "CONTRIBUTING.md": "project/contributing", "CHANGELOG.md": "project/changes"}
@@ -96,8 +97,19 @@ def _directive(module: str, name: str) -> str:
     return "autofunction" if inspect.isroutine(thing) else "autodata"
 
 
+def ask_for_nothing_outside(app: Any, failure: Exception | None) -> None:
+    """A page that loads a script, a style, a font or a picture from another server is an error; called when the site is built."""
+    loads = re.compile(
+        r"""<(?:script|img|iframe|source)\b[^>]*\bsrc\s*=\s*["']?(?:https?:)?//|<link\b[^>]*\bhref\s*=\s*["']?(?:https?:)?//|url\(["']?(?:https?:)?//"""
+    )
+    for page in sorted(Path(app.outdir).rglob("*.[hc][ts][ms]*")) if failure is None else ():
+        if found := loads.search(page.read_text(encoding="utf-8")):
+            raise ExtensionError(f"{page.relative_to(app.outdir)} loads something from outside: {found[0]}...")
+
+
 def setup(app: Any) -> dict[str, bool]:
     """Register with Sphinx."""
     app.connect("builder-inited", write_pages)
     app.connect("source-read", add_contents)
+    app.connect("build-finished", ask_for_nothing_outside)
     return {"parallel_read_safe": True}
