@@ -8,8 +8,8 @@ import twins_body as twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from asterism.geometry import _kernels as geometry_kernels
 from asterism.geometry import align_about_z
+from asterism.geometry import shared_kernels as geometry_kernels
 from asterism.labelling.body._anchor_kernels import anchor_key_pose, score_from_anchor
 from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
 from asterism.labelling.body._score_kernels import _cholesky, evidence, leave_one_out_scores, predict_markers

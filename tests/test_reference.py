@@ -101,7 +101,7 @@ def asterism_exports(module: str) -> set[str]:
 
 def test_a_page_that_uses_a_private_name_is_noticed(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    page.write_text("`asterism.formats.read` and\n```python\nfrom asterism.formats._text import decoded\n```\n", encoding="utf-8")
+    page.write_text("`asterism.formats.read` and\n```python\nfrom asterism.files.text import decoded\n```\n", encoding="utf-8")
     found = list(_used_names(page))
-    assert ("asterism.formats", "read") in found and ("asterism.formats._text", "decoded") in found
-    assert "decoded" not in asterism_exports("asterism.formats._text") and asterism.__all__
+    assert ("asterism.formats", "read") in found and ("asterism.files.text", "decoded") in found
+    assert "decoded" not in asterism_exports("asterism.files.text") and asterism.__all__
