@@ -25,6 +25,8 @@ from asterism.tracking._prediction_kernels import predict_tracks
 from asterism.tracking.columns import columns_of, pack_tracklets
 from asterism.tracking.linking import LinkRules, Tracklets, _along_numbers, find_tracklets
 
+pytestmark = pytest.mark.kernels
+
 MOVEMENT = (
     "cmu41/01_01_climb.c3d",
     "cmu41/02_05_punch.c3d",

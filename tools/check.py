@@ -2,8 +2,10 @@
 
     python tools/check.py                    # all of it, tests on all cores
     python tools/check.py -n 4 tests/test_cli.py   # options of pytest, and what it shall run
+    python tools/check.py --bounds           # the tests of all kernels, with each access to an array checked, and nothing else
 
-Lint, format, types and imports run at the same time as the tests. What they find is printed in full after the tests, and
+Lint, format, types and imports run at the same time as the tests. So do the tests of the kernels that read what others write (images,
+files, clouds), a second time: with each access to an array checked. What they find is printed in full after the tests, and
 pytest's closing line comes last. The exit status is 0 only if all passed.
 """
 
@@ -21,13 +23,19 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 
+MARKED = [str(path) for path in sorted((ROOT / "tests").glob("test_*.py")) if "mark.bounds" in path.read_text(encoding="utf-8")]
+
 # As modules of this interpreter: the same on all systems, and never a tool of another environment.
 TOOLS = {
     "ruff check": ["-m", "ruff", "check", "."],
     "ruff format --check": ["-m", "ruff", "format", "--check", "."],
     "lint-imports": ["-c", "from importlinter.cli import lint_imports_command; lint_imports_command()"],
     "mypy": ["-m", "mypy"],
+    # Only the files that have the marker: to collect the others takes longer than to run these.
+    "kernels within bounds": ["-m", "pytest", "-q", "-m", "bounds", *MARKED],
 }
+# Numba checks each index against its array then. Kernels compile anew for it, so not all tests run this way each time.
+CHECKED = {"NUMBA_BOUNDSCHECK": "1"}
 # A file's tests share models and recordings, so a file stays with one worker.
 PYTEST = ["-m", "pytest", "-q", "-n", "auto", "--dist", "loadfile"]
 
@@ -53,7 +61,7 @@ def run_tool(name: str) -> Report:
     done = subprocess.run(
         [sys.executable, *TOOLS[name]],
         cwd=ROOT,
-        env=environment(),
+        env=environment() | (CHECKED if "bounds" in name else {}),
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         encoding="utf-8",
@@ -92,6 +100,9 @@ def show(report: Report) -> None:
 
 def main(arguments: Sequence[str]) -> int:
     """Run everything; return the exit status."""
+    if "--bounds" in arguments:
+        chosen = [argument for argument in arguments if argument != "--bounds"]
+        return subprocess.run([sys.executable, *PYTEST, "-m", "kernels", *chosen], cwd=ROOT, env=environment() | CHECKED).returncode
     for stream in (sys.stdout, sys.stderr):  # a console of another encoding shows a question mark, and goes on
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
