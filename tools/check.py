@@ -1,4 +1,4 @@
-"""Everything that must hold before a change goes in: lint, format, types and the order of the rooms, beside the tests.
+"""Everything that must hold before a change goes in: lint, format, types, the order of the rooms and the site, beside the tests.
 
     python tools/check.py                          # all but the tests that are marked as slow, on all cores
     python tools/check.py --all                    # the slow ones too: damaged files by the thousand, browsers, waiting
@@ -49,6 +49,8 @@ STEPS = [
     Step("mypy", ["-m", "mypy"]),
     # Kernels of what others write (images, files, clouds). To collect all files takes longer than to run these, so they are named.
     Step("kernels within bounds", ["-m", "pytest", "-q", "-m", "bounds", *MARKED], CHECKED),
+    # -E: what an earlier build found is found again.
+    Step("site", ["-m", "sphinx", "-W", "-E", "--keep-going", "-q", "docs", "build/site"]),
 ]
 """What runs beside the tests. A line more here is a step more."""
 
