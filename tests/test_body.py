@@ -19,6 +19,8 @@ from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, length_scale, names_of, subsample
 from asterism.labelling.partial._search_kernels import search
 
+pytestmark = pytest.mark.kernels
+
 SETTINGS = FrameLabellingSettings().with_usual_score(1.0)
 MARKERS, LATENTS, POSES = 6, 5, 2
 races = settings(max_examples=40, deadline=None, derandomize=True)

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pytest
 from models import trained
 
 import asterism
@@ -16,6 +17,8 @@ from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.labelling.whole import _distance_kernels, _kernels, _residual_kernels
 from asterism.simulation import simulate_walks
 from asterism.tracking import _cut_kernels, chain_kernels, link_kernels
+
+pytestmark = pytest.mark.kernels
 
 ENTRIES: dict[str, Any] = {
     f"{module.__name__}.{name}": getattr(module, name)

@@ -33,10 +33,7 @@ from tests import hanging_trials, models
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
-trials, specimens_of, mutations, damaged_files = (
-    import_module(f"benchmarks.hostile.{name}") for name in ("trials", "specimens", "mutations", "damaged_files")
-)
-BenchmarkRun = import_module("benchmarks.benchmark_run").BenchmarkRun
+trials, specimens_of, mutations = (import_module(f"benchmarks.hostile.{name}") for name in ("trials", "specimens", "mutations"))
 
 
 @pytest.fixture(scope="module")
@@ -76,27 +73,6 @@ def test_trials_go_on_after_a_hang_and_a_crash(monkeypatch: pytest.MonkeyPatch) 
         (hanging_trials.HANGS, "hang"),
         (hanging_trials.CRASHES, "crash"),
     ]
-
-
-def test_the_row_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    read: list[range] = []
-
-    def run(numbers: range, jobs: int) -> Any:
-        read.append(numbers)
-        if len(read) == 2:
-            raise KeyboardInterrupt
-        yield len(numbers), [trials.Fault(numbers[0], "c3d", "hang", "")]
-
-    monkeypatch.setattr(damaged_files, "run", run)
-    monkeypatch.setattr(damaged_files, "COPIES", 3000)
-    monkeypatch.setattr(damaged_files, "STRETCH", 1000)
-    monkeypatch.setattr(damaged_files, "_code", lambda: "code")
-    benchmark = BenchmarkRun(models=tmp_path)
-    with pytest.raises(KeyboardInterrupt):
-        list(damaged_files.damaged_files(benchmark))
-    figures = list(damaged_files.damaged_files(benchmark))
-    assert read == [range(1000), range(1000, 2000), range(1000, 2000), range(2000, 3000)]
-    assert [figure.measured for figure in figures] == [0, 3, 0, 0] and {figure.n for figure in figures} == {3000}
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,8 @@ from asterism.geometry import (
     z_up_rotation,
 )
 
+pytestmark = pytest.mark.kernels
+
 seeds = st.integers(0, 2**32 - 1)
 coordinates = st.floats(-1.0, 1.0)
 verticals = st.tuples(coordinates, coordinates, coordinates).filter(lambda v: np.linalg.norm(v) > 0.1)

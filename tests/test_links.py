@@ -25,6 +25,8 @@ from asterism.tracking.link_kernels import link_frames, link_step
 from asterism.tracking.link_workspace_kernels import Links, make_link_workspace, make_track_ends
 from asterism.tracking.linking import LinkRules, Tracklets, _along_numbers, find_tracklets
 
+pytestmark = pytest.mark.kernels
+
 MOVEMENT = (
     "cmu41/01_01_climb.c3d",
     "cmu41/02_05_punch.c3d",
