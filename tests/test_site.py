@@ -131,7 +131,7 @@ def _importable(module: str) -> set[str]:
 
 def test_a_page_that_uses_a_private_name_is_noticed(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    page.write_text("`asterism.formats.read` and\n```python\nfrom asterism.formats._text import decoded\n```\n", encoding="utf-8")
+    page.write_text("`asterism.formats.read` and\n```python\nfrom asterism.formats._tables import rate_of\n```\n", encoding="utf-8")
     found = list(_used_names(page))
-    assert ("asterism.formats", "read") in found and ("asterism.formats._text", "decoded") in found
-    assert "decoded" not in _importable("asterism.formats._text") and asterism.__all__
+    assert ("asterism.formats", "read") in found and ("asterism.formats._tables", "rate_of") in found
+    assert "rate_of" not in _importable("asterism.formats._tables") and asterism.__all__
