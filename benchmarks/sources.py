@@ -45,8 +45,8 @@ where a row only reads: the values read do. A model is written and read by the s
 READING_FUNCTIONS = {
     "asterism.recording.marker_set": ("MarkerSet.load", "MarkerSet.from_toml"),
     "asterism.calibration.boards.board": ("Board.from_toml", "_caliscope_square"),
-    "asterism.labelling.training.ensemble_state": (
-        *("EnsembleState.load", "_marker_set", "_certainty", "_label_calibration", "_solvers"),
+    "asterism.labelling.training.model_state": (
+        *("ModelState.load", "_marker_set", "_certainty", "_label_calibration", "_solvers"),
         *("_with_prefix", "_body", "_two_curves", "_finite", "_check_shapes"),
     ),
 }

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from faults import Fault, is_kernel
 
-TRAINED, FITTED = "tests/models.py:trained", "src/asterism/labelling/ensemble.py:SolverEnsemble.fit"
+TRAINED, FITTED = "tests/models.py:trained", "src/asterism/labelling/marker_model.py:MarkerModel.fit"
 """A test that takes a kept model reaches all that fitting one reaches: with a fault in it the model is fitted anew."""
 
 

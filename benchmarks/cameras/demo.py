@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from asterism.cameras.accuracy import covariance
-from asterism.labelling import SolverEnsemble
+from asterism.labelling import MarkerModel
 from asterism.recording import Floats
 from asterism.simulation import simulate_walks
 from asterism.simulation.pipeline import PipelineResult, run_pipeline
@@ -42,7 +42,7 @@ def demo(benchmark: BenchmarkRun) -> Iterator[Figure]:
     seconds: list[float] = []
     for seed in range(1 if benchmark.quick else SEEDS):
         walks = simulate_walks(subjects=WALKERS, frames=FRAMES, rate=100.0, markers=MARKERS, seed=seed)
-        ensemble: SolverEnsemble = benchmark.fit(walks[:-1], [str(walk.metadata["subject"]) for walk in walks[:-1]])
+        ensemble: MarkerModel = benchmark.fit(walks[:-1], [str(walk.metadata["subject"]) for walk in walks[:-1]])
         session = simulate_session(walks[-1], seed)
         started = time.perf_counter()
         results.append(run_pipeline(session, ensemble))

@@ -25,10 +25,10 @@ KILLS = 50
 TAKES_TOUCHES = """
 import sys
 from pathlib import Path
-from asterism import SolverEnsemble, formats
+from asterism import MarkerModel, formats
 from asterism.labelling.correction import Correction, CorrectionLog, Ghost, Name, log_path
 file = Path(sys.argv[1])
-correction = Correction(SolverEnsemble.load(sys.argv[2]), formats.read(file))
+correction = Correction(MarkerModel.load(sys.argv[2]), formats.read(file))
 correction.attach(CorrectionLog(log_path(file), *correction.identity))
 pieces, number = [int(piece) for piece in correction.pieces.id], 0
 print(len(correction.touches), flush=True)
@@ -84,7 +84,7 @@ def _killed(file: Path, model: Path, seconds: float) -> int:
     return int(answered[-1])
 
 
-def _replayed(ensemble: asterism.SolverEnsemble, file: Path) -> tuple[int, bool] | None:
+def _replayed(ensemble: asterism.MarkerModel, file: Path) -> tuple[int, bool] | None:
     """How many touches the log holds, and whether taking them one by one gives the same labels; None where it cannot be read."""
     recording = formats.read(file)
     correction, again = Correction(ensemble, recording), Correction(ensemble, recording)

@@ -68,13 +68,13 @@ def unnumbered(clouds: Clouds) -> Clouds:
     return replace(clouds, tracks=None)
 
 
-def ensemble_of(benchmark: BenchmarkRun, subject: str, markers: Markers = "helen-hayes") -> asterism.SolverEnsemble:
+def ensemble_of(benchmark: BenchmarkRun, subject: str, markers: Markers = "helen-hayes") -> asterism.MarkerModel:
     """A model of all others, trained once for all rows of the chapter and kept in a temporary folder while the code is the same."""
     kept = benchmark.models or Path(tempfile.gettempdir()) / "asterism-benchmark-models"
     return unseen_ensemble(replace(benchmark, models=kept), subject, markers)
 
 
-def label_whole(ensemble: asterism.SolverEnsemble, clouds: Clouds, truth: Ints) -> Labelling:
+def label_whole(ensemble: asterism.MarkerModel, clouds: Clouds, truth: Ints) -> Labelling:
     """The recording labelled as a whole; no label at all where it is refused."""
     try:
         return ensemble.label(clouds, time=True)

@@ -101,7 +101,7 @@ def training(benchmark: BenchmarkRun) -> Iterator[Figure]:
     if benchmark.quick:
         recordings = [evenly(recording, 60) for recording in recordings]
     started = time.perf_counter()
-    asterism.SolverEnsemble.fit(recordings, seed=0, subjects=people)
+    asterism.MarkerModel.fit(recordings, seed=0, subjects=people)
     yield Figure(
         f"training, 15 markers, {len(recordings)} recordings, 2 cores", "< 300", time.perf_counter() - started, "s", len(recordings)
     )
@@ -114,7 +114,7 @@ def full_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
         people, recordings = people[:6], [evenly(recording, 60) for recording in recordings[:6]]
     train = [blocks(recording, odd=False) for recording in recordings]
     started = time.perf_counter()
-    ensemble = asterism.SolverEnsemble.fit(train, seed=0, subjects=people)
+    ensemble = asterism.MarkerModel.fit(train, seed=0, subjects=people)
     markers = len(GAIT_BODY)
     yield Figure(f"full body, {markers} markers: training", "< 1200", time.perf_counter() - started, "s", len(train))
     test = _joined([evenly(blocks(recording, odd=True), 64) for recording in recordings])
@@ -130,7 +130,7 @@ def full_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
             yield Figure(f"full body, {markers} markers: labelling, one core", "> 1000", rate, "frames/s", len(clouds))
 
 
-def _ensemble(benchmark: BenchmarkRun, target: float) -> asterism.SolverEnsemble:
+def _ensemble(benchmark: BenchmarkRun, target: float) -> asterism.MarkerModel:
     people, recordings = people_and_trials(gait())
     train = [blocks(recording, odd=False) for recording in recordings]
     if benchmark.quick:

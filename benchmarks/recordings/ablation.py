@@ -26,8 +26,8 @@ from benchmarks.score import Tally
 class Case:
     """A subject left out: the ensemble of the others, and the same after it has seen the subject's standing trial."""
 
-    ensemble: asterism.SolverEnsemble
-    adapted: asterism.SolverEnsemble
+    ensemble: asterism.MarkerModel
+    adapted: asterism.MarkerModel
 
 
 def uncalibrated(case: Case, clouds: Clouds) -> Labelling:

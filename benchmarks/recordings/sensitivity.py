@@ -82,7 +82,7 @@ def _label_unseen(benchmark: BenchmarkRun) -> Tally:
     for subject in list(gait())[:FOLDS]:
         straight = {name: trial for name, trials in gait().items() for trial in trials if file_of(trial).stem == "straight"}
         train = {name: trial for name, trial in straight.items() if name != subject}
-        ensemble = asterism.SolverEnsemble.fit(list(train.values()), seed=0, subjects=list(train))
+        ensemble = asterism.MarkerModel.fit(list(train.values()), seed=0, subjects=list(train))
         for clouds, truth in with_gaps(benchmark, subject, HIDDEN, GHOSTS):
             tally.add(ensemble.label(clouds, time=True), truth)
     return tally

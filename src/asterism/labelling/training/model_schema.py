@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from asterism.labelling.body.model import BodyModel
-    from asterism.labelling.training.ensemble_state import EnsembleState
+    from asterism.labelling.training.model_state import ModelState
 
 _HEAD = {
     "version": int,
@@ -67,7 +67,7 @@ def check_contents(head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) 
     _check_sample(arrays, len(markers))
 
 
-def check_state(state: EnsembleState) -> None:
+def check_state(state: ModelState) -> None:
     """Raise ValueError where what was made of a model file could not label: a covariance that is none, or a setting of another kind."""
     for body in (state.body, *([state.general_body] if state.general_body is not None else [])):
         _check_body(body)

@@ -1,4 +1,4 @@
-"""What an ensemble has learned, as one frozen record; and its model file."""
+"""What a model has learned, as one frozen record; and its model file."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _SOLVER_PREFIXES = {"partial-solvers": "partial_", "thesis": "thesis_"}
 
 
 @dataclass(frozen=True)
-class EnsembleState:
-    """All that an ensemble has learned.
+class ModelState:
+    """All that a model has learned.
 
     marker_set        names of the markers
     markers           (M,) those of them that the training showed, by place in the set
@@ -119,7 +119,7 @@ class EnsembleState:
         return arrays
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> EnsembleState:
+    def load(cls, path: str | os.PathLike[str]) -> ModelState:
         """Read a model file. Raises AsterismError where it is missing, damaged, no model, or of a later version."""
         from asterism.labelling.training.model_schema import check_state
 
