@@ -1,8 +1,7 @@
 """The kernels that decide which point is which marker, or which blobs make a point, and the test that checks each decision.
 
 A check is either a plain twin that the kernel must equal, or, where the decision has no simpler form, all small cases by exhaustion.
-`test_deciding_kernels.py` holds this table together with the kernels and the tests; `python -m benchmarks house --rows kernels` counts
-those that have no check.
+`test_deciding_kernels.py` holds this table together with the kernels and the tests.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ def detection(benchmark: BenchmarkRun) -> Iterator[Figure]:
         for row, (asked, run) in ways.items():
             assert len(run()) == 300, row
             milliseconds = 1e3 * _seconds(run, 11 if benchmark.quick else 101)
-            yield Figure(row, asked, milliseconds, "ms", 300, ours="threshold told" in row)
+            yield Figure(row, asked, milliseconds, "ms", 300)
     finally:
         cv2.setNumThreads(threads)
 

@@ -62,14 +62,14 @@ def wand(benchmark: BenchmarkRun) -> Iterator[Figure]:
     yield Figure(f"{row}: final adjustment, one core", "< 1", median(final), "s", seeds)
     yield Figure(f"{row}: in all, one core", "< 5", median(seconds), "s", seeds)
     yield Figure(f"{row}: focal length, RMS", "<= 0.05", 100.0 * float(np.sqrt(np.mean(np.square(focal)))), "%", len(focal))
-    yield Figure(f"{row}: focal length, worst camera", "<= 0.05", 100.0 * max(focal), "%", len(focal), ours=True)
+    yield Figure(f"{row}: focal length, worst camera", "<= 0.05", 100.0 * max(focal), "%", len(focal))
     yield Figure(f"{row}: 3D of unseen points, their blobs with noise, RMS", "<= 0.61", 1000.0 * _rms(noisy), "mm", seeds * UNSEEN)
-    yield Figure(f"{row}: 3D of unseen points, their blobs exact, RMS", "<= 0.61", 1000.0 * _rms(unseen), "mm", seeds * UNSEEN, ours=True)
+    yield Figure(f"{row}: 3D of unseen points, their blobs exact, RMS", "<= 0.61", 1000.0 * _rms(unseen), "mm", seeds * UNSEEN)
     yield Figure(f"{row}: the same, Cramer-Rao bound", "none", 1000.0 * _rms(bound), "mm", seeds * UNSEEN)
     yield Figure(f"{row}: the same over the bound", "none", _rms(unseen) / _rms(bound), "times", seeds)
     over = "3D of unseen points over those of the likeliest rig, found from the truth"
     yield Figure(f"{row}: {over}", "<= 1.05", _rms(unseen) / _rms(likely), "times", seeds)
-    yield Figure(f"{row}: wand length error, std", "<= 0.66", median(lengths), "mm", seeds * FRAMES, ours=True)
+    yield Figure(f"{row}: wand length error, std", "<= 0.66", median(lengths), "mm", seeds * FRAMES)
     yield Figure(f"{row}: wand length, mean's error", "none", max(arms), "mm", seeds * FRAMES)
 
 

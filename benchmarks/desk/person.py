@@ -49,17 +49,17 @@ def person(benchmark: BenchmarkRun) -> Iterator[Figure]:
         followed, possible = zip(*pairs, strict=True)
         yield from _figures(row, followed)
         if sum(course.points for course in possible) < sum(course.points for course in followed):
-            yield from _figures(f"{row}, without hand labels that the body contradicts", possible, ours=True)
+            yield from _figures(f"{row}, without hand labels that the body contradicts", possible)
 
 
-def _figures(row: str, courses: Sequence[Course], ours: bool = False) -> Iterator[Figure]:
+def _figures(row: str, courses: Sequence[Course]) -> Iterator[Figure]:
     touches, tracks, points = (sum(getattr(course, name) for course in courses) for name in ("touches", "tracks", "points"))
     before, after = (sum(getattr(course, name) for course in courses) for name in ("wrong_before", "wrong_after"))
     share = touches / tracks
-    yield Figure(f"{row}: touches to a perfect recording, as a share of the tracks", "<= 0.1", share, "fraction", tracks, ours=ours)
+    yield Figure(f"{row}: touches to a perfect recording, as a share of the tracks", "<= 0.1", share, "fraction", tracks)
     yield Figure(f"{row}: touches", "none", touches, "touches", tracks)
     yield Figure(f"{row}: points wrong before", "none", before / points, "fraction", points)
-    yield Figure(f"{row}: points wrong after", "<= 0", after, "points", points, ours=ours)
+    yield Figure(f"{row}: points wrong after", "<= 0", after, "points", points)
 
 
 @cache

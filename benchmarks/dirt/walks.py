@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -69,9 +67,8 @@ def unnumbered(clouds: Clouds) -> Clouds:
 
 
 def ensemble_of(benchmark: BenchmarkRun, subject: str, markers: Markers = "helen-hayes") -> asterism.MarkerModel:
-    """A model of all others, trained once for all rows of the chapter and kept in a temporary folder while the code is the same."""
-    kept = benchmark.models or Path(tempfile.gettempdir()) / "asterism-benchmark-models"
-    return unseen_ensemble(replace(benchmark, models=kept), subject, markers)
+    """A model of all others."""
+    return unseen_ensemble(benchmark, subject, markers)
 
 
 def label_whole(ensemble: asterism.MarkerModel, clouds: Clouds, truth: Ints) -> Labelling:

@@ -71,8 +71,8 @@ def _growth(ensemble: asterism.MarkerModel, walk: Recording, what: str, ghosts: 
     lengths = f"{frames[1]:,} frames of 39 markers {what} against {frames[0]:,}"
     yield Figure(f"long recordings, {lengths}: time", asked, ratio, "times", REPEATS)
     rights = [_right(ensemble, clouds, truth) for clouds, truth in trials]
-    yield Figure(f"long recordings, {lengths}: right, less", "<= 0.001", rights[0] - rights[1], "fraction", frames[1], ours=True)
-    yield Figure(f"long recordings, {lengths}: right", ">= 0.99", rights[1], "fraction", frames[1], ours=True)
+    yield Figure(f"long recordings, {lengths}: right, less", "<= 0.001", rights[0] - rights[1], "fraction", frames[1])
+    yield Figure(f"long recordings, {lengths}: right", ">= 0.99", rights[1], "fraction", frames[1])
 
 
 def _repeated(walk: Recording, frames: int) -> Recording:

@@ -37,7 +37,7 @@ def conformance(benchmark: BenchmarkRun) -> Iterator[Figure]:
     for kind, pattern, asked in (("three real", "*_real", 0.001), ("three integer", "*_int", ONE_STEP_MM), ("six", "*", ONE_STEP_MM)):
         some = [read(path) for path in sorted(sample.glob(f"{pattern}.c3d"))]
         apart = max(_millimetres_apart(some[0], other) for other in some[1:])
-        yield Figure(f"conformance: {kind} encodings of one trial, farthest apart", f"<= {asked}", apart, "mm", len(some), ours=True)
+        yield Figure(f"conformance: {kind} encodings of one trial, farthest apart", f"<= {asked}", apart, "mm", len(some))
     for suffix in ("trc", "mot", "sto", "csv"):
         paths = sorted(root.rglob(f"*.{suffix}"))
         yield Figure(

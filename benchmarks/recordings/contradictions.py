@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, binary_opening
 
-import asterism
 from asterism.recording import Ints, Labelling, Recording
-from benchmarks.data import file_of
+from benchmarks.data import file_of, true_names
 
 GROUPS = (
     (("LWRA", "LWRB", "LFIN"), "LELB"),
@@ -74,7 +73,7 @@ def contradicted(walk: Recording) -> list[str]:
     out = list(HEAD) if _head_turned(walk) else []
     if not Path(static).exists():
         return out
-    standing = asterism.read(static)
+    standing = true_names(static)
     for names, neighbour in GROUPS:
         if not {*names, neighbour} <= {*standing.labels} & {*walk.labels}:
             continue

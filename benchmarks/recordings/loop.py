@@ -19,7 +19,6 @@ from asterism.recording import NULL, Clouds, Ints, Labelling, MarkerSet, Recordi
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import file_of, gait
 from benchmarks.figures import Figure
-from benchmarks.recordings.loop_picture import PICTURE, Line, picture
 from benchmarks.score import Tally
 
 CONDITIONS = {"as recorded": (0, 0), "3 hidden": (3, 0), "3 hidden + 3 ghosts": (3, 3)}
@@ -89,7 +88,7 @@ class Course:
 
 
 def loop(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """The loop from each start; draws docs/loop.svg in a full run."""
+    """The loop from each start."""
     people = list(gait())
     few = people[:: max(1, len(people) // FEW_STARTS)][: 1 if benchmark.quick else FEW_STARTS]
     kinds = [(condition, named) for condition, (hidden, _) in CONDITIONS.items() for named in ((False, True) if hidden else (False,))]
@@ -100,10 +99,6 @@ def loop(benchmark: BenchmarkRun) -> Iterator[Figure]:
     for condition, named in kinds:
         some = [course for course in courses if course.task[1:] == (condition, named)]
         yield from _figures(f"loop, {condition}, one trial {'named' if named else 'labelled'}", some)
-    if not benchmark.quick:
-        haunted = [course for course in courses if course.task[0] in few and course.task[1] == list(CONDITIONS)[-1]]
-        lines = [Line(f"{course.task[0]}{', named' if course.task[2] else ''}", course.task[2], course.line) for course in haunted]
-        PICTURE.write_text(picture(lines, len(people)), encoding="utf-8")
 
 
 def _figures(row: str, courses: Sequence[Course]) -> Iterator[Figure]:

@@ -197,7 +197,7 @@ def bad_input(benchmark: BenchmarkRun) -> Iterator[Figure]:
             confident += int((wrong & (result.confidence >= 0.9)).sum())
             given += int((result.labels >= 0).sum())
             said += bool(result.findings)
-        yield Figure(f"bad input, {name}: wrong labels at 0.9 or more", "<= 0.003", confident / total, "fraction", total, ours=True)
+        yield Figure(f"bad input, {name}: wrong labels at 0.9 or more", "<= 0.003", confident / total, "fraction", total)
         yield Figure(f"bad input, {name}: recordings of which it is said", "none", said / recordings, "fraction", recordings)
         yield Figure(f"bad input, {name}: labels given", "none", given / total, "fraction", total)
 
