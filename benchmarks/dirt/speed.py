@@ -64,7 +64,7 @@ def _seconds(ensemble: asterism.MarkerModel, clouds: list[Clouds]) -> float:
         started = time.perf_counter()
         for cloud in clouds:
             with suppress(AsterismError):
-                ensemble.label(cloud, time=True)
+                ensemble.label(cloud)
         times.append(time.perf_counter() - started)
         if repeat and times[-1] > PATIENCE / 10:
             break
@@ -108,7 +108,7 @@ def _seconds_apart(ensemble: asterism.MarkerModel, clouds: Clouds) -> float:
 
 def _label_and_tell(path: Path, clouds: Clouds, told: Connection) -> None:
     ensemble = asterism.MarkerModel.load(path)
-    ensemble.label(clouds.frames(slice(0, len(clouds) // 10)), time=True)
+    ensemble.label(clouds.frames(slice(0, len(clouds) // 10)))
     started = time.perf_counter()
-    ensemble.label(clouds, time=True)
+    ensemble.label(clouds)
     told.send(time.perf_counter() - started)

@@ -74,7 +74,7 @@ def ensemble_of(benchmark: BenchmarkRun, subject: str, markers: Markers = "helen
 def label_whole(ensemble: asterism.MarkerModel, clouds: Clouds, truth: Ints) -> Labelling:
     """The recording labelled as a whole; no label at all where it is refused."""
     try:
-        return ensemble.label(clouds, time=True)
+        return ensemble.label(clouds)
     except AsterismError:
         return silence(truth, ensemble.marker_set.names)
 

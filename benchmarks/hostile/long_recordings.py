@@ -66,7 +66,7 @@ def _memory(folder: Path, walk: Recording, ensemble: asterism.MarkerModel, frame
 def _growth(ensemble: asterism.MarkerModel, walk: Recording, what: str, ghosts: int, frames: list[int], asked: str) -> Iterator[Figure]:
     """How much longer the longer of two lengths of the same walk takes: the median of some turns."""
     trials = [simulate_gaps_and_ghosts(_repeated(walk, count), HIDDEN, ghosts, seed=1) for count in frames]
-    ensemble.label(trials[0][0], time=True)
+    ensemble.label(trials[0][0])
     ratio = median(_times_as_long(ensemble, *(clouds for clouds, _ in trials)) for _ in range(REPEATS))
     lengths = f"{frames[1]:,} frames of 39 markers {what} against {frames[0]:,}"
     yield Figure(f"long recordings, {lengths}: time", asked, ratio, "times", REPEATS)
@@ -97,14 +97,14 @@ def _times_as_long(ensemble: asterism.MarkerModel, short: Clouds, long: Clouds) 
 
 def _seconds(ensemble: asterism.MarkerModel, clouds: Clouds) -> float:
     started = time.perf_counter()
-    ensemble.label(clouds, time=True)
+    ensemble.label(clouds)
     return time.perf_counter() - started
 
 
 def _right(ensemble: asterism.MarkerModel, clouds: Clouds, truth: Ints) -> float:
     """Of the markers that have a point, the share that got it."""
     seen = truth >= 0
-    return float((ensemble.label(clouds, time=True).indices == truth)[seen].mean())
+    return float((ensemble.label(clouds).indices == truth)[seen].mean())
 
 
 def _peak(command: list[str]) -> float:

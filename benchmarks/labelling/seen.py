@@ -51,7 +51,7 @@ def _column(benchmark: BenchmarkRun, target: float) -> list[Figure]:
     ensemble, column, figures = _ensemble(benchmark, target), TARGETS.index(target), []
     for hidden in (4,) if benchmark.quick else range(1, 6):
         clouds, truth = simulate_occlusions(test_frames(1024 if benchmark.quick else FRAMES), hidden, 0, seed=hidden)
-        labelling = ensemble.label(clouds)
+        labelling = ensemble.label_frames(clouds)
         tally = redrawn(labelling, truth)
         fa, fo = tally.false_assignments, tally.false_occlusions
         cell = f"{RULES}, subjects seen, {hidden} occlusion{'s' * (hidden > 1)}, target {target * 100:g} %"
@@ -121,7 +121,7 @@ def full_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
     for hidden in (0, 3):
         clouds, truth = simulate_occlusions(test, hidden, 0, seed=hidden)
         tally = Tally()
-        tally.add(ensemble.label(clouds), truth)
+        tally.add(ensemble.label_frames(clouds), truth)
         row = f"full body, {markers} markers, subjects seen, {hidden} occlusions"
         yield tally.figure(f"{row}: FA", "none", tally.false_assignments)
         yield tally.figure(f"{row}: missed", "none", tally.missed_share)

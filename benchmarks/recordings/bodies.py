@@ -86,7 +86,7 @@ def _right(labelling: Labelling, truth: Ints) -> float:
 def _crowd(ensemble: asterism.MarkerModel, recording: Recording) -> int:
     """1 where the ensemble says that a recording shows several bodies."""
     try:
-        ensemble.label(recording.clouds(), time=True)
+        ensemble.label(recording.clouds())
     except SeveralBodies:
         return 1
     return 0

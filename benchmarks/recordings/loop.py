@@ -156,7 +156,7 @@ def run(benchmark: BenchmarkRun, task: tuple[str, str, bool]) -> Course:
         waiting = [trial for i, trial in enumerate(waiting) if i not in chosen]
     course.line.append((course.touched / course.samples, errors / course.samples))
     for trial, given in done:
-        labelling = apply_answers(ensemble.label(trial.clouds, time=True), trial.clouds, given)
+        labelling = apply_answers(ensemble.label(trial.clouds), trial.clouds, given)
         answered = {int(item.points[0]) for item, _ in given}
         items = [item for item in review(labelling, trial.clouds, least_gain=WORTH) if int(item.points[0]) not in answered]
         settled, _ = _settled(trial, labelling, items, course)
@@ -198,7 +198,7 @@ def _named(trial: Trial, course: Course) -> Recording:
 
 def _look(ensemble: asterism.MarkerModel, trial: Trial) -> tuple[Labelling, list[ReviewItem]]:
     """The trial's labels and what a person should look at."""
-    labelling = ensemble.label(trial.clouds, time=True)
+    labelling = ensemble.label(trial.clouds)
     return labelling, review(labelling, trial.clouds, least_gain=WORTH)
 
 
