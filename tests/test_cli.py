@@ -15,6 +15,7 @@ from models import SHORT, examining_briefly, training_with
 
 from asterism import MarkerModel, formats
 from asterism.cli import _console, main
+from asterism.cli.demo import Part
 from asterism.recording import Recording
 from asterism.simulation import simulate_walks
 
@@ -405,7 +406,11 @@ def test_capturability(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
 
 def besides_compiling(said: str) -> list[str]:
     """Lines on standard error; without the one that a run says whose kernels no earlier run has compiled."""
-    return [line for line in said.splitlines() if not line.startswith("Compiling numerical kernels; this happens once (about ")]
+    return [
+        line
+        for line in said.splitlines()
+        if not line.startswith("Compiling the numerical kernels of this command; this happens once (about ")
+    ]
 
 
 def test_piped_output_has_no_escape_codes_and_no_bar(folder: Path, model: Path, tmp_path: Path) -> None:
@@ -413,6 +418,14 @@ def test_piped_output_has_no_escape_codes_and_no_bar(folder: Path, model: Path, 
     assert shown.returncode == 0, shown.stderr
     assert "\x1b" not in shown.stdout + shown.stderr and besides_compiling(shown.stderr) == []
     assert shown.stdout.count("\n") == 1
+
+
+def test_the_help_of_the_demo_names_all_its_demos(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("demo", "--help") == 0
+    first, *rest = capsys.readouterr().out.splitlines()
+    for part in Part:
+        if part is not Part.LABELLING:
+            assert part in first and f"`asterism demo {part}`" in " ".join(" ".join(rest).split()), part
 
 
 def test_the_demo_labels_whole_recordings_as_label_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -28,13 +28,22 @@ _CONDITIONS = ((0, 0), (2, 0), (4, 0), (2, 3))
 
 
 class Part(StrEnum):
-    """What the demo shows: labelling, the way from cameras to labels, a printed garment, or joint angles under moving skin."""
+    """What the demo shows; without a word it is labelling."""
 
     LABELLING = "labelling"
     CAMERAS = "cameras"
     GARMENT = "garment"
     VIEWS = "views"
     MOTION = "motion"
+
+
+_SHOWS = {
+    Part.CAMERAS: "calibrate, reconstruct, label",
+    Part.GARMENT: "capture a printed suit",
+    Part.VIEWS: "label in the images",
+    Part.MOTION: "joint angles under moving skin",
+}
+"""What each demo but the first does, as `asterism demo --help` says it."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +53,8 @@ class DemoOptions:
     part: Annotated[
         Part,
         typer.Argument(
-            metavar="[cameras|garment|motion]",
-            help="cameras: calibrate, reconstruct, label. garment: capture a printed suit. motion: joint angles under moving skin.",
+            metavar="|".join(_SHOWS),
+            help=" ".join(f"{part}: {what}." for part, what in _SHOWS.items()),
             show_default=False,
         ),
     ] = Part.LABELLING
@@ -56,7 +65,7 @@ class DemoOptions:
 
 @takes(DemoOptions)
 def demo(options: DemoOptions) -> None:
-    """Try everything in under a minute, on simulated people.
+    """Try the labelling in about a minute, on simulated people; or another part, by its name.
 
     Ten people of different sizes walk for three seconds, 15 markers each. Eight train a model. It labels the recordings of the other two
     as `asterism label` does, each as a whole: markers vanish for up to a second and come back under new track numbers, and ghosts
