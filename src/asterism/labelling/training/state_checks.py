@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from asterism.labelling.body.model import BodyModel
-from asterism.labelling.training.ensemble_state import EnsembleState
+from asterism.labelling.training.model_state import ModelState
 
 _TIMES_DEFAULT, _BEYOND_DEFAULT = 1000.0, 1000.0
 """A setting is at most so many times its default, and so much more: settings bound loops and sizes."""
 
 
-def check_state(state: EnsembleState) -> None:
+def check_state(state: ModelState) -> None:
     """Raise ValueError where what was made of a model file could not label: a covariance that is none, or a setting of another kind."""
     for body in (state.body, *([state.general_body] if state.general_body is not None else [])):
         _check_body(body)

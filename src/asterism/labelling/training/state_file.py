@@ -1,4 +1,4 @@
-"""What an ensemble has learned in; its model file out, and back."""
+"""What a model has learned in; its model file out, and back."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyModel
 from asterism.labelling.partial.matrix import PartialSolvers
 from asterism.labelling.training.calibration import MAX_SLOPE, PIECES, Calibration, LabelCalibration
-from asterism.labelling.training.ensemble_state import EnsembleState
 from asterism.labelling.training.learning import TrainingConfig, TrainingState
 from asterism.labelling.training.model_file import reading, write_arrays
+from asterism.labelling.training.model_state import ModelState
 from asterism.labelling.training.sample import Sample
 from asterism.labelling.training.state_checks import check_state
 from asterism.labelling.whole.certainty import Certainty
@@ -25,12 +25,12 @@ _SOLVER_PREFIXES = {"partial-solvers": "partial_", "thesis": "thesis_"}
 """How the arrays of a model's partial solvers begin, by the rules that use them."""
 
 
-def save_state(state: EnsembleState, path: str | os.PathLike[str]) -> None:
+def save_state(state: ModelState, path: str | os.PathLike[str]) -> None:
     """Write a model file. Raises AsterismError where the place cannot be written."""
     write_arrays(path, _head(state), _arrays(state))
 
 
-def _head(state: EnsembleState) -> dict[str, Any]:
+def _head(state: ModelState) -> dict[str, Any]:
     """What is plain text in the file."""
     return {
         "marker_set": {
@@ -50,7 +50,7 @@ def _head(state: EnsembleState) -> dict[str, Any]:
     }
 
 
-def _arrays(state: EnsembleState) -> dict[str, Any]:
+def _arrays(state: ModelState) -> dict[str, Any]:
     """What is arrays in the file."""
     arrays: dict[str, Any] = {
         "markers": state.markers,
@@ -78,7 +78,7 @@ def _arrays(state: EnsembleState) -> dict[str, Any]:
     return arrays
 
 
-def load_state(path: str | os.PathLike[str]) -> EnsembleState:
+def load_state(path: str | os.PathLike[str]) -> ModelState:
     """Read a model file. Raises AsterismError where it is missing, damaged, no model, or of a later version."""
     with reading(path) as (head, arrays):
         marker_set = _marker_set(head["marker_set"])
@@ -90,7 +90,7 @@ def load_state(path: str | os.PathLike[str]) -> EnsembleState:
         training = None
         if sample:
             training = TrainingState(Sample.from_arrays(sample, len(marker_set)), TrainingConfig.from_dict(head["recipe"]))
-        state = EnsembleState(
+        state = ModelState(
             marker_set=marker_set,
             markers=arrays["markers"],
             body=body,

@@ -113,7 +113,7 @@ def segment_limbs(
         raise AsterismError(f"only {len(kept)} points are seen in two frames or more; limbs need three points each.")
     if limbs is not None and limbs > len(kept) // 3:
         raise AsterismError(f"{len(kept)} points cannot form {limbs} limbs of three points each; ask for {len(kept) // 3} at most.")
-    shown = np.ascontiguousarray(given[:, kept])
+    shown = np.ascontiguousarray(given[seen[:, kept].any(axis=1)][:, kept])  # a frame without any point compares none
     if progress is not None:
         progress(0.1, "comparing trajectories")
     coordinates, affinity = _affinity(shown, rules)

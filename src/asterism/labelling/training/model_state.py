@@ -1,4 +1,4 @@
-"""What an ensemble has learned, as one frozen record."""
+"""What a model has learned, as one frozen record."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from asterism.recording import Ints, MarkerSet
 
 
 @dataclass(frozen=True)
-class EnsembleState:
-    """All that an ensemble has learned.
+class ModelState:
+    """All that a model has learned.
 
     marker_set        names of the markers
     markers           (M,) those of them that the training showed, by place in the set
