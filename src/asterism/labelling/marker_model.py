@@ -24,6 +24,7 @@ from asterism.labelling.training.markers import learned_marker_set
 from asterism.labelling.training.model_state import ModelState
 from asterism.labelling.training.people import one_person_each
 from asterism.labelling.training.sample import Sample
+from asterism.labelling.training.state_file import load_state, save_state
 from asterism.labelling.training.train import train_model
 from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.labelling.whole.label import label_whole, subject_body, subject_body_gain
@@ -326,12 +327,12 @@ class MarkerModel:
 
         Raises AsterismError where the place cannot be written.
         """
-        self.state.save(path)
+        save_state(self.state, path)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> MarkerModel:
         """Read a model. Raises AsterismError where the file is missing, damaged, no model, or of a later version."""
-        return cls(ModelState.load(path))
+        return cls(load_state(path))
 
 
 def _of_one_person_each(

@@ -11,7 +11,7 @@ from asterism.findings import Finding, Severity
 from asterism.labelling import MarkerModel
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints
-from asterism.views.label import ViewsLabelling
+from asterism.views.result import ViewsLabelling
 
 _MANY = 0.05
 """Share of the compared points on which both disagree, from which a person is told."""
