@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from models import SHORT, examining_briefly, training_with
 
-from asterism import SolverEnsemble, formats
+from asterism import MarkerModel, formats
 from asterism.cli import _console, main
 from asterism.cli.demo import Part
 from asterism.recording import Recording
@@ -225,7 +225,7 @@ def test_train_learns_a_marker_from_the_files_that_have_it(
     files = [folder / "walk-0.c3d", tmp_path / "kneeless.c3d"]
     assert run("train", *files, "-o", tmp_path / "m.model", "--markers", MARKERS) == 0
     assert "not all of the 2 files have each marker, which is learned from those that do: LKNE (in 1)." in capsys.readouterr().err
-    assert len(SolverEnsemble.load(tmp_path / "m.model").state.markers) == len(walks[0].labels)
+    assert len(MarkerModel.load(tmp_path / "m.model").state.markers) == len(walks[0].labels)
 
 
 def test_train_names_the_file_that_lacks_most_markers_and_a_marker_that_no_file_has(

@@ -57,14 +57,14 @@ def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
     yield Figure("median speed in clutter, of that without clutter", "none", median(ratios), "fraction", len(ratios))
 
 
-def _seconds(ensemble: asterism.SolverEnsemble, clouds: list[Clouds]) -> float:
+def _seconds(ensemble: asterism.MarkerModel, clouds: list[Clouds]) -> float:
     """Seconds of all the recordings together, after one call to warm up: the median of some; of one where a call is slow."""
     times = []
     for repeat in range(REPEATS + 1):
         started = time.perf_counter()
         for cloud in clouds:
             with suppress(AsterismError):
-                ensemble.label(cloud, time=True)
+                ensemble.label(cloud)
         times.append(time.perf_counter() - started)
         if repeat and times[-1] > PATIENCE / 10:
             break
@@ -91,7 +91,7 @@ def _looped(recording: Recording, frames: int) -> Recording:
     return recording.frames(np.resize(np.concatenate([there, there[-2:0:-1]]), frames))
 
 
-def _seconds_apart(ensemble: asterism.SolverEnsemble, clouds: Clouds) -> float:
+def _seconds_apart(ensemble: asterism.MarkerModel, clouds: Clouds) -> float:
     """Seconds of one call in a process of its own, which is ended where it does not come back; a tenth of the frames compile before."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "long.model"
@@ -107,8 +107,8 @@ def _seconds_apart(ensemble: asterism.SolverEnsemble, clouds: Clouds) -> float:
 
 
 def _label_and_tell(path: Path, clouds: Clouds, told: Connection) -> None:
-    ensemble = asterism.SolverEnsemble.load(path)
-    ensemble.label(clouds.frames(slice(0, len(clouds) // 10)), time=True)
+    ensemble = asterism.MarkerModel.load(path)
+    ensemble.label(clouds.frames(slice(0, len(clouds) // 10)))
     started = time.perf_counter()
-    ensemble.label(clouds, time=True)
+    ensemble.label(clouds)
     told.send(time.perf_counter() - started)

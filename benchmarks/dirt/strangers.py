@@ -171,7 +171,7 @@ def _measure(benchmark: BenchmarkRun, pair: Pair, outcomes: dict[str, Outcome]) 
     for condition, (clouds, truth) in conditions.items():
         outcome = outcomes.setdefault(condition, Outcome(Tally()))
         try:
-            outcome.add(ensemble.label(clouds, time=True), truth, _file(pair.test))
+            outcome.add(ensemble.label(clouds), truth, _file(pair.test))
         except AsterismError:
             outcome.add(silence(truth, test.labels), truth, _file(pair.test))
     benchmark.report(f"{pair.name}: {', '.join(f'{c} {o.tally.false_assignments:.4f}' for c, o in outcomes.items())} wrong so far")
@@ -218,7 +218,7 @@ def _other_trials(benchmark: BenchmarkRun, item: tuple[str, bool]) -> Outcome:
     ensemble, outcome = benchmark.fit(_some(benchmark, [trial for _, trial in train]), [who for who, _ in train]), Outcome(Tally())
     for trial in (trial for trial in gait()[left_out] if _is_standing(trial) == standing):
         clouds, truth = simulate_gaps_and_ghosts(trial, HIDDEN, 0, seed=0)
-        outcome.add(ensemble.label(clouds, time=True), truth)
+        outcome.add(ensemble.label(clouds), truth)
     return outcome
 
 
@@ -236,14 +236,14 @@ def _own_kind(benchmark: BenchmarkRun, left_out: str) -> Outcome:
     for number, trial in enumerate(gait()[left_out]):
         for hidden in (0, HIDDEN):
             clouds, truth = simulate_gaps_and_ghosts(trial, hidden, 0, seed=number)
-            outcome.add(ensemble.label(clouds, time=True), truth)
+            outcome.add(ensemble.label(clouds), truth)
     return outcome
 
 
 def _other_bodies(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """A mouse by a model of children, and two children side by side who were learned as one body and have changed places."""
     subjects, mouse = gait(), everything(MOUSE)
-    labelling = ensemble_of(benchmark, next(iter(subjects))).label(mouse.frames(_middle(mouse)).clouds(), time=True)
+    labelling = ensemble_of(benchmark, next(iter(subjects))).label(mouse.frames(_middle(mouse)).clouds())
     said = labelling.verdict is not None and labelling.verdict.kind == OTHER_BODY
     yield Figure(
         "strangers, a mouse by a model of children: labelled", "<= 0.005", _labelled(labelling), "fraction", len(labelling.indices)
@@ -254,7 +254,7 @@ def _other_bodies(benchmark: BenchmarkRun) -> Iterator[Figure]:
     ensemble = benchmark.fit(_some(benchmark, [_side_by_side(first, second)]), ["both"])
     clouds, truth = simulate_gaps_and_ghosts(_side_by_side(first, second, changed=True), 0, 0, seed=0)
     outcome = Outcome(Tally())
-    outcome.add(ensemble.label(clouds, time=True), truth)
+    outcome.add(ensemble.label(clouds), truth)
     yield Figure(
         "strangers, two learned as one body, places changed: wrong", "none", outcome.tally.false_assignments, "fraction", len(truth)
     )

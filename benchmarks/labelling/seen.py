@@ -51,7 +51,7 @@ def _column(benchmark: BenchmarkRun, target: float) -> list[Figure]:
     ensemble, column, figures = _ensemble(benchmark, target), TARGETS.index(target), []
     for hidden in (4,) if benchmark.quick else range(1, 6):
         clouds, truth = simulate_occlusions(test_frames(1024 if benchmark.quick else FRAMES), hidden, 0, seed=hidden)
-        labelling = ensemble.label(clouds)
+        labelling = ensemble.label_frames(clouds)
         tally = redrawn(labelling, truth)
         fa, fo = tally.false_assignments, tally.false_occlusions
         cell = f"{RULES}, subjects seen, {hidden} occlusion{'s' * (hidden > 1)}, target {target * 100:g} %"
@@ -101,7 +101,7 @@ def training(benchmark: BenchmarkRun) -> Iterator[Figure]:
     if benchmark.quick:
         recordings = [evenly(recording, 60) for recording in recordings]
     started = time.perf_counter()
-    asterism.SolverEnsemble.fit(recordings, seed=0, subjects=people)
+    asterism.MarkerModel.fit(recordings, seed=0, subjects=people)
     yield Figure(
         f"training, 15 markers, {len(recordings)} recordings, 2 cores", "< 300", time.perf_counter() - started, "s", len(recordings)
     )
@@ -114,14 +114,14 @@ def full_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
         people, recordings = people[:6], [evenly(recording, 60) for recording in recordings[:6]]
     train = [blocks(recording, odd=False) for recording in recordings]
     started = time.perf_counter()
-    ensemble = asterism.SolverEnsemble.fit(train, seed=0, subjects=people)
+    ensemble = asterism.MarkerModel.fit(train, seed=0, subjects=people)
     markers = len(GAIT_BODY)
     yield Figure(f"full body, {markers} markers: training", "< 1200", time.perf_counter() - started, "s", len(train))
     test = _joined([evenly(blocks(recording, odd=True), 64) for recording in recordings])
     for hidden in (0, 3):
         clouds, truth = simulate_occlusions(test, hidden, 0, seed=hidden)
         tally = Tally()
-        tally.add(ensemble.label(clouds), truth)
+        tally.add(ensemble.label_frames(clouds), truth)
         row = f"full body, {markers} markers, subjects seen, {hidden} occlusions"
         yield tally.figure(f"{row}: FA", "none", tally.false_assignments)
         yield tally.figure(f"{row}: missed", "none", tally.missed_share)
@@ -130,7 +130,7 @@ def full_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
             yield Figure(f"full body, {markers} markers: labelling, one core", "> 1000", rate, "frames/s", len(clouds))
 
 
-def _ensemble(benchmark: BenchmarkRun, target: float) -> asterism.SolverEnsemble:
+def _ensemble(benchmark: BenchmarkRun, target: float) -> asterism.MarkerModel:
     people, recordings = people_and_trials(gait())
     train = [blocks(recording, odd=False) for recording in recordings]
     if benchmark.quick:

@@ -84,23 +84,23 @@ def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:
     for condition, (hidden, ghosts) in CONDITIONS.items():
         for draw, (clouds, truth) in enumerate(with_gaps(benchmark, subject, hidden, ghosts)):
             walk = walk_of_draw(benchmark, subject, draw)
-            tallies[condition, WHOLE].add(ensemble.label(clouds, time=True), truth, recording=walk)
-            tallies[condition, FRAMEWISE].add(ensemble.label(clouds), truth, recording=walk)
+            tallies[condition, WHOLE].add(ensemble.label(clouds), truth, recording=walk)
+            tallies[condition, FRAMEWISE].add(ensemble.label_frames(clouds), truth, recording=walk)
             bare = replace(clouds, tracks=None)
-            tallies[f"{condition}, {VARIANTS[0]}", WHOLE].add(ensemble.label(bare, time=True), truth, recording=walk)
+            tallies[f"{condition}, {VARIANTS[0]}", WHOLE].add(ensemble.label(bare), truth, recording=walk)
             reverse, reverse_truth = some_frames(clouds, truth, np.arange(len(truth))[::-1])
-            tallies[f"{condition}, {VARIANTS[1]}", WHOLE].add(ensemble.label(reverse, time=True), reverse_truth, recording=walk)
+            tallies[f"{condition}, {VARIANTS[1]}", WHOLE].add(ensemble.label(reverse), reverse_truth, recording=walk)
     still = standing(subject)
     for seed in range(1 if benchmark.quick else SEEDS):
         for number, recording in enumerate(walks(subject)):
             clouds, truth = simulate_gaps(recording, 5, seed=SEEDS * number + seed)
             walk = f"{subject}, walk {number}"
-            tallies[FEW, WHOLE].add(ensemble.label(clouds, time=True), truth, recording=walk)
-            tallies[FEW, FRAMEWISE].add(ensemble.label(clouds), truth, recording=walk)
+            tallies[FEW, WHOLE].add(ensemble.label(clouds), truth, recording=walk)
+            tallies[FEW, FRAMEWISE].add(ensemble.label_frames(clouds), truth, recording=walk)
         if still:
             clouds, truth = simulate_gaps_and_ghosts(still, 3, 0, seed=seed)
-            tallies[STANDING, WHOLE].add(ensemble.label(clouds, time=True), truth, recording=f"{subject}, standing")
-            tallies[STANDING, FRAMEWISE].add(ensemble.label(clouds), truth, recording=f"{subject}, standing")
+            tallies[STANDING, WHOLE].add(ensemble.label(clouds), truth, recording=f"{subject}, standing")
+            tallies[STANDING, FRAMEWISE].add(ensemble.label_frames(clouds), truth, recording=f"{subject}, standing")
     told = (f"{c} {tallies[c, WHOLE].right_share:.5f}, FA {tallies[c, WHOLE].false_assignments:.5f}" for c in CONDITIONS)
     benchmark.report(f"{subject} left out: {'; '.join(told)}")
     return dict(tallies)

@@ -132,7 +132,7 @@ def run(benchmark: BenchmarkRun, task: tuple[str, str, bool]) -> Course:
     waiting = trials if named else [trial for trial in trials if trial is not one]
     course = Course(task, sum(trial.samples for trial in waiting))
     first = _named(one, course) if named else one.recording
-    ensemble = asterism.SolverEnsemble.fit([first], subjects=[start], miner=None, marker_set=MarkerSet(one.recording.labels))
+    ensemble = asterism.MarkerModel.fit([first], subjects=[start], miner=None, marker_set=MarkerSet(one.recording.labels))
     done: list[tuple[Trial, list[Answer]]] = []
     errors = 0
     while waiting:
@@ -156,7 +156,7 @@ def run(benchmark: BenchmarkRun, task: tuple[str, str, bool]) -> Course:
         waiting = [trial for i, trial in enumerate(waiting) if i not in chosen]
     course.line.append((course.touched / course.samples, errors / course.samples))
     for trial, given in done:
-        labelling = apply_answers(ensemble.label(trial.clouds, time=True), trial.clouds, given)
+        labelling = apply_answers(ensemble.label(trial.clouds), trial.clouds, given)
         answered = {int(item.points[0]) for item, _ in given}
         items = [item for item in review(labelling, trial.clouds, least_gain=WORTH) if int(item.points[0]) not in answered]
         settled, _ = _settled(trial, labelling, items, course)
@@ -196,9 +196,9 @@ def _named(trial: Trial, course: Course) -> Recording:
     return name_groups(recording, groups, names)
 
 
-def _look(ensemble: asterism.SolverEnsemble, trial: Trial) -> tuple[Labelling, list[ReviewItem]]:
+def _look(ensemble: asterism.MarkerModel, trial: Trial) -> tuple[Labelling, list[ReviewItem]]:
     """The trial's labels and what a person should look at."""
-    labelling = ensemble.label(trial.clouds, time=True)
+    labelling = ensemble.label(trial.clouds)
     return labelling, review(labelling, trial.clouds, least_gain=WORTH)
 
 

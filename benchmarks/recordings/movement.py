@@ -56,8 +56,8 @@ def _tested(benchmark: BenchmarkRun, number: int) -> tuple[Tally, Tally]:
         spare = max(0, len(test.frames) - LONGEST) // 2
         clouds, truth = simulate_gaps_and_ghosts(test.recording.frames(test.frames[spare : spare + LONGEST]), 3, 0, seed=place)
         nothing = silence(truth, fold.train[0].labels)
-        tally.add(ensemble.label(clouds, time=True) if ensemble else nothing, truth)
-        framewise.add(ensemble.label(clouds) if ensemble else nothing, truth)
+        tally.add(ensemble.label(clouds) if ensemble else nothing, truth)
+        framewise.add(ensemble.label_frames(clouds) if ensemble else nothing, truth)
     told = f"right {tally.right_share:.5f}, FA {tally.false_assignments:.5f}, frame by frame {framewise.right_share:.5f}"
     benchmark.report(f"{fold.label}, {fold.person}: {told}")
     return tally, framewise

@@ -28,7 +28,7 @@ def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
         clouds = [cloud for cloud, _ in pairs]
         few = [some_frames(cloud, truth, spread(len(cloud), POSES_FRAMES))[0] for cloud, truth in pairs]
         row = f"speed, 15 markers, {condition}"
-        yield _rate(f"{row}, {WHOLE}", "> 5000", lambda cloud: ensemble.label(cloud, time=True), clouds)
+        yield _rate(f"{row}, {WHOLE}", "> 5000", lambda cloud: ensemble.label(cloud), clouds)
         yield _rate(f"{row}, {FRAMEWISE}", "none", ensemble.label, clouds)
         places = dict(zip(map(id, clouds), first, strict=True))
         yield _rate(f"{row}, {TRACKING}", "none", lambda cloud, at=places: follow(at[id(cloud)], cloud, poses.names), clouds)
@@ -37,7 +37,7 @@ def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
         body = unseen_ensemble(benchmark, SUBJECT, GAIT_BODY)
         clouds = [cloud for cloud, _ in with_gaps(benchmark, SUBJECT, 3, 0, GAIT_BODY, seeds=1)]
         row = f"speed, {len(GAIT_BODY)} markers, 3 hidden"
-        yield _rate(f"{row}, {WHOLE}", "> 1000", lambda cloud: body.label(cloud, time=True), clouds)
+        yield _rate(f"{row}, {WHOLE}", "> 1000", lambda cloud: body.label(cloud), clouds)
         yield _rate(f"{row}, {FRAMEWISE}", "none", body.label, clouds)
 
 

@@ -96,6 +96,14 @@ def analyse_motion(
     Angles are NaN in frames that do not show both limbs.
     Raises AsterismError where a marker is absent, a limb is given fewer than three, no limb is found, or fewer than two limbs remain.
     For costs see `segment_limbs` and `estimate_limb_motion`.
+
+    >>> from asterism.simulation.soft_tissue import TrialPlan, simulate_soft_tissue
+    >>> knee = simulate_soft_tissue(TrialPlan("knee", points=40, frames=30), seed=1).recording
+    >>> analysis = analyse_motion(knee, limbs=2)
+    >>> [joint.name for joint in analysis.angles]
+    ['limb 1 / limb 2']
+    >>> bool(90 < np.degrees(analysis.angles[0].angle.max()) < 100)
+    True
     """
     rules = rules or MotionRules()
     segmentation = None

@@ -118,7 +118,11 @@ def visible_text(value: Any) -> Any:
 
 
 def percent(share: float, digits: int = 1) -> str:
-    """A share 0..1 as text: 99.2 %; a dash where it is not known."""
+    """A share 0..1 as text: 99.2 %; a dash where it is not known.
+
+    >>> percent(0.9921), percent(float("nan"))
+    ('99.2 %', '–')
+    """
     return NOTHING if share is None or math.isnan(share) else f"{100 * share:.{digits}f} %"
 
 

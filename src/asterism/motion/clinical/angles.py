@@ -64,6 +64,12 @@ def clinical_angles(recording: Recording, sides: Sequence[str] | None = None) ->
     the tibia is taken off: against Plug-in-Gait the angles of a subject differ by an offset. The foot is the line from ankle to TOE,
     as in Plug-in-Gait; a line leaves its own turn open, so the ankle's adduction (inversion) is NaN. Without TOE there is no ankle.
     Raises AsterismError where a side lacks a marker or is none, and where no side has all markers. O(T).
+
+    >>> from asterism.simulation import simulate_walks
+    >>> walk = simulate_walks(1, frames=120, seed=0)[0]
+    >>> angles = {joint.name: np.degrees(joint.angles[:, 0]) for joint in clinical_angles(walk).joints}
+    >>> bool(50 < angles["left knee"].max() < 90)
+    True
     """
     chosen = complete_legs(recording) if sides is None else tuple(sides)
     for side in chosen if sides is not None else ():

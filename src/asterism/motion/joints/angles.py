@@ -32,6 +32,12 @@ def joint_rotation(
     parent_axes, child_axes    (3, 3) anatomical axes as columns, in the limb's axes; by default the limb's own
     zero                       a frame whose rotation counts as none, or None; `LimbMotion` has the world's axes in its reference frame, so
                                without anatomical axes the angle is that since this frame
+
+    >>> still = np.tile(np.eye(3), (2, 1, 1))
+    >>> turned = still.copy()
+    >>> turned[1] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    >>> np.degrees(rotation_vectors(joint_rotation(still, turned, zero=0)))[:, 2].round(6).tolist()
+    [0.0, 90.0]
     """
     turned = relative_rotations(_with_axes(parent, parent_axes), _with_axes(child, child_axes))
     if zero is not None:
@@ -54,6 +60,11 @@ def cardan_angles(rotations: ArrayLike, sequence: str = "zxy") -> Floats:
     With ISB axes (x forward, y up, z to the right) the three are flexion, adduction, internal rotation of a right limb. The second angle
     lies within a quarter turn; where it is a quarter turn, first and third are not determined and the third is 0. NaN where missing.
     Raises AsterismError where the sequence does not name each axis once.
+
+    >>> a = np.radians(30.0)
+    >>> flexed = [[[np.cos(a), -np.sin(a), 0.0], [np.sin(a), np.cos(a), 0.0], [0.0, 0.0, 1.0]]]
+    >>> np.degrees(cardan_angles(flexed, "zxy"))[0, 0].round(6)
+    np.float64(30.0)
     """
     if sequence.lower() not in SEQUENCES:
         raise AsterismError(f"{sequence} is no Cardan sequence; choose from {', '.join(SEQUENCES)}.")

@@ -94,6 +94,12 @@ def estimate_limb_motion(
     world in the first frame with most points, as GaMoCap's rotations are against the first frame.
     Raises AsterismError for unknown methods, other shapes, infinite positions, weights that are negative or not finite, and where fewer
     than three points not in a line are ever present together. O(rounds T N) time, O(T N) memory.
+
+    >>> box = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.3]])
+    >>> quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    >>> motion = estimate_limb_motion([box, box @ quarter.T + [1.0, 0.0, 0.0]])
+    >>> np.allclose(motion.rotations[1], quarter), np.allclose(motion.translations[1], [1.0, 0.0, 0.0])
+    (True, True)
     """
     given = _checked(positions)
     prior = _prior(weights, given.shape[1])

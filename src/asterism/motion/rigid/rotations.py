@@ -40,7 +40,11 @@ def relative_rotations(parent: ArrayLike, child: ArrayLike) -> Floats:
 
 
 def rotation_vectors(rotations: ArrayLike) -> Floats:
-    """(T, 3) rad: direction is the axis, length the angle, 0 to pi (Rodrigues; GaMoCap section 3.1). NaN where a rotation is missing."""
+    """(T, 3) rad: direction is the axis, length the angle, 0 to pi (Rodrigues; GaMoCap section 3.1). NaN where a rotation is missing.
+
+    >>> rotation_vectors([[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]]).round(4)
+    array([[0. , 0. , 1.5708]])
+    """
     given = as_rotations(rotations)
     out = np.full((len(given), 3), np.nan)
     present = np.isfinite(given).all(axis=(1, 2))
@@ -69,6 +73,10 @@ def angular_velocity(rotations: ArrayLike, rate: float) -> Floats:
 
     One-sided at the ends and beside gaps; NaN where a frame has no neighbour. Noise in the rotations is not filtered: smooth first
     where the rate is high. Raises AsterismError where the rate is not positive.
+
+    >>> turns = np.array([[[np.cos(a), -np.sin(a), 0.0], [np.sin(a), np.cos(a), 0.0], [0.0, 0.0, 1.0]] for a in (0.0, 0.1, 0.2)])
+    >>> angular_velocity(turns, rate=100.0)[:, 2].round(6)
+    array([10., 10., 10.])
     """
     given = as_rotations(rotations)
     if not rate > 0:

@@ -77,6 +77,14 @@ def estimate_uncertainty(
     trials' deviations from their own mean, added to it. All are NaN exactly in the frames in which the angle is; without a joint there is
     nothing to tell, and no trial is made.
     Raises AsterismError where a calibration does not fit. O(trials T N), some 60 ms a trial for 3,000 points in 100 frames.
+
+    >>> from asterism.motion import analyse_motion
+    >>> from asterism.simulation.soft_tissue import TrialPlan, simulate_soft_tissue
+    >>> knee = simulate_soft_tissue(TrialPlan("knee", points=40, frames=20), seed=1).recording
+    >>> certain = estimate_uncertainty(analyse_motion(knee, 2), rules=MonteCarloRules(most=50), budget_trials=50)
+    >>> low, high = certain.joints[0].angle_intervals[0.95]
+    >>> bool((low <= certain.joints[0].angle).all() and (certain.joints[0].angle <= high).all())
+    True
     """
     sources = sources or ErrorSources()
     rules = rules or MonteCarloRules()
@@ -261,7 +269,7 @@ def _findings(sources: ErrorSources, total: MonteCarlo, joints: tuple[AngleUncer
     found = []
     if sources.calibration is None:
         sentence = "no covariance of the calibration was given: of the cameras only the noise of single points counts."
-        mend = "Give one, such as that of the bundle adjustment (`CalibrationErrors`)."
+        mend = "Give the rig and its covariance, by --rig and --covariance."
         found.append(Finding("motion-no-calibration", Severity.NOTE, "the cameras", sentence, mend))
     if not total.converged:
         sentence = f"{total.trials} trials do not fix a significant digit of every interval's ends."

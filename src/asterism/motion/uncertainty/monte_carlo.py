@@ -69,6 +69,10 @@ def run_monte_carlo(
     have twice their standard deviation below the tolerance, which is half a unit of the last of `digits` digits of the standard
     uncertainty (its median over the outputs). Blocks are smaller than the Supplement's 10,000, because a trial is a whole analysis;
     intervals are therefore taken from all trials together. Raises AsterismError where the rules make no sense.
+
+    >>> length = run_monte_carlo(lambda rng: np.linalg.norm(rng.normal([3.0, 4.0], 0.01), keepdims=True), seed=1)
+    >>> round(float(length.estimate[0]), 1), round(float(length.standard[0]), 2)
+    (5.0, 0.01)
     """
     _check(rules, workers)
     values: list[Floats] = []
@@ -129,6 +133,9 @@ def shortest_interval(values: Floats, probability: float) -> tuple[Floats, Float
 
     Of the M values that are not NaN q = pM, rounded, lie above the lower end and up to the upper one. NaN where all values are. Raises
     AsterismError where there is no value.
+
+    >>> shortest_interval([0.0, 1.0, 1.1, 1.2, 9.0], 0.4)
+    (array(1.), array(1.2))
     """
     ordered = np.sort(np.asarray(values, dtype=np.float64), axis=0)  # NaN last
     if not len(ordered):
