@@ -18,7 +18,7 @@ from asterism.garment import Piece
 from asterism.garment.dense import DenseTrajectories
 from asterism.garment.rig_covariance import RigCovariance
 from asterism.simulation import compare_rigs
-from asterism.simulation.garment import PhotoSettings, Wearer, sheet_of, suit_masks
+from asterism.simulation.garment import PhotoSettings, Wearer, photograph, sheet_of, suit_masks
 from asterism.simulation.garment.target import wave_target
 
 POSES = 10

@@ -16,7 +16,7 @@ from asterism.cameras import Rig
 from asterism.errors import AsterismError
 from asterism.garment.target import coded_target
 from asterism.simulation import compare_rigs
-from asterism.simulation.garment import PhotoSettings, Wearer, garment_rig, sheet_of, suit_masks
+from asterism.simulation.garment import PhotoSettings, Wearer, garment_rig, photograph, sheet_of, suit_masks
 from asterism.simulation.garment.target import wave_target
 
 NOISE = 0.03
