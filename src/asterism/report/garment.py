@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from asterism.cameras import Rig
     from asterism.garment import Pattern
     from asterism.garment.capture import Capture
-    from asterism.garment.dense import Circles
+    from asterism.garment.dense import UsedCircles
 
 _WIDEST = 1000
 """px of a picture on the page; larger ones are reduced."""
@@ -38,7 +38,7 @@ class Picture:
 
     name: str
     image: NDArray[np.uint8]
-    circles: Circles | None = None
+    circles: UsedCircles | None = None
 
 
 def garment_report(

@@ -15,7 +15,7 @@ from asterism.report.page import NOTHING, Cell, Page, Section, Table, decimal, m
 from asterism.report.space import rig_in_space, slices
 
 if TYPE_CHECKING:
-    from asterism.cameras.plan import Plan
+    from asterism.cameras.plan import RigPlan
 
 SEEN_SHADES = [[0, "#7d1a2d"], [0.25, "#dd6b4d"], [0.375, "#f6c177"], [0.5, "#a5d8dc"], [1, "#0b5563"]]
 ERROR_SHADES = [[0, "#0b5563"], [0.3, "#5fb6be"], [0.6, "#f6c177"], [1, "#7d1a2d"]]
@@ -30,7 +30,7 @@ def rig_report(
     title: str = "What this rig measures",
     wand: WandAccuracy | None = None,
     still: Floats | None = None,
-    plan: Plan | None = None,
+    plan: RigPlan | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> None:
     """Write an HTML page on a rig.
@@ -190,7 +190,7 @@ def _still(still: Floats) -> Section:
     )
 
 
-def _against_the_ring(plan: Plan, result: RigMap) -> Section:
+def _against_the_ring(plan: RigPlan, result: RigMap) -> Section:
     ring = map_rig(plan.ring, result.volume, noise=result.noise)
 
     def row(name: str, value_of: Any) -> list[str | Cell]:

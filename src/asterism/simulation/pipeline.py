@@ -14,7 +14,7 @@ from asterism.progress import Progress
 from asterism.reconstruction import Reconstruction, reconstruct
 from asterism.recording import Labelling
 from asterism.simulation.comparison import PointErrors, RigErrors, compare_points, compare_rigs
-from asterism.simulation.session import L_FRAME, WAND, Session
+from asterism.simulation.session import L_FRAME, WAND, SimulatedSession
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class PipelineResult:
         ]
 
 
-def run_pipeline(session: Session, model: MarkerModel, progress: Progress | None = None) -> PipelineResult:
+def run_pipeline(session: SimulatedSession, model: MarkerModel, progress: Progress | None = None) -> PipelineResult:
     """Calibrate by the wand, put the world into the L-frame, reconstruct the walker, label, and compare with the truth.
 
     The steps use the blobs, the image sizes and the lengths of wand and L-frame; the truth is used for the comparison only. Raises
