@@ -24,7 +24,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -177,14 +177,9 @@ def _cache_class() -> type:
         def load_overload(self, sig: Any, target_context: Any) -> Any:
             target_context.refresh()
             if self.known:
-                name = self._file_name(sig, target_context.codegen())
-                for folder in _folders(self.module, self.stamp):
-                    try:
-                        content = (folder / name).read_bytes()
-                    except OSError:
-                        continue
-                    if content[:_DIGEST] == hashlib.sha256(content[_DIGEST:]).digest():
-                        return CompileResult._rebuild(target_context, *pickle.loads(content[_DIGEST:]))
+                compiled = _kept_in(_folders(self.module, self.stamp), self._file_name(sig, target_context.codegen()))
+                if compiled is not None:
+                    return CompileResult._rebuild(target_context, *pickle.loads(compiled))
             report_first_compile(lambda: self.known and _is_kept(self.module, self.stamp))
             return None
 
@@ -215,6 +210,18 @@ def _cache_class() -> type:
         def flush(self) -> None: ...
 
     return KernelCache
+
+
+def _kept_in(folders: Iterable[Path], name: str) -> bytes | None:
+    """A compiled kernel from the first folder that has it whole; None where none has."""
+    for folder in folders:
+        try:
+            content = (folder / name).read_bytes()
+        except OSError:
+            continue
+        if content[:_DIGEST] == hashlib.sha256(content[_DIGEST:]).digest():
+            return content[_DIGEST:]
+    return None
 
 
 def _described(sig: Any) -> str:
