@@ -266,7 +266,7 @@ def _cache_class() -> type:
             """Wait until no other process compiles the same, unless it is there already."""
             target_context.refresh()
             name = self._file_name(sig, target_context.codegen())
-            if not self.known or any((folder / name).exists() for folder in _folders(self.module, self.stamp)):
+            if not self.known or _kept_in(_folders(self.module, self.stamp), name) is not None:
                 yield
                 return
             report_first_compile(lambda: _is_kept(self.module, self.stamp))
@@ -288,18 +288,16 @@ def _cache_class() -> type:
             return None
 
         def save_overload(self, sig: Any, data: Any) -> None:
+            # What depends on values outside the source cannot be told apart by it.
             if not self.known or any(not lifted.can_cache for lifted in data.lifted) or data.library.has_dynamic_globals:
                 return
             folder = _writable_folder(self.module, self.stamp)
             if folder is None:
                 return
-            name = self._file_name(sig, data.codegen)
             compiled = dumps(data._reduce())
-            try:
-                _replace(folder / name, hashlib.sha256(compiled).digest() + compiled)
+            with suppress(OSError):  # the disk is full, or another process holds the file
+                _replace(folder / self._file_name(sig, data.codegen), hashlib.sha256(compiled).digest() + compiled)
                 _remove_outdated(folder, f"{self.module.rpartition('.')[2]}.{self.name}-", self.stamp)
-            except OSError:  # the disk is full, or another process holds the file
-                return
 
         def _file_name(self, sig: Any, codegen: Any) -> str:
             config = numba.config
