@@ -231,6 +231,17 @@ def _locked(path: Path) -> Iterator[None]:
         os.close(handle)
 
 
+@contextmanager
+def _alone(folder: Path | None, name: str) -> Iterator[None]:
+    """Hold the lock of a kernel's file; nothing where no folder can be written, or this process holds it already."""
+    lock = folder / f"{name}.lock" if folder is not None else None
+    if lock is None or lock in _ours:
+        yield
+        return
+    with _locked(lock):
+        yield
+
+
 @cache
 def _cache_class() -> type:
     """The cache as a subclass of Numba's, made when it is first needed.
@@ -270,12 +281,7 @@ def _cache_class() -> type:
                 yield
                 return
             report_first_compile(lambda: _is_kept(self.module, self.stamp))
-            folder = _writable_folder(self.module, self.stamp)
-            lock = folder / f"{name}.lock" if folder is not None else None
-            if lock is None or lock in _ours:
-                yield
-                return
-            with _locked(lock):
+            with _alone(_writable_folder(self.module, self.stamp), name):
                 yield
 
         def load_overload(self, sig: Any, target_context: Any) -> Any:
