@@ -66,7 +66,7 @@ def plain_state(trial: Trial, correction: Correction) -> dict[str, Any]:
     return {
         "revision": correction.revision,
         "markers": list(names),
-        "side": marker_sides(names, correction.model.marker_set),
+        "side": marker_sides(names, correction.marker_set),
         "bones": _bones(correction),
         "rate": correction.recording.rate,
         "first_frame": correction.recording.first_frame,
@@ -132,7 +132,7 @@ def _bones(correction: Correction) -> list[list[int]]:
     positions = np.full((len(frames), len(correction.names), 3), np.nan)
     row, marker = np.nonzero(labelling.indices[frames] >= 0)
     positions[row, marker] = some.xyz[some.offsets[row] + labelling.indices[frames[row], marker]]
-    return [[int(a), int(b)] for a, b in marker_bones(positions, correction.names, correction.model.marker_set)]
+    return [[int(a), int(b)] for a, b in marker_bones(positions, correction.names, correction.marker_set)]
 
 
 def _number(value: float) -> float | None:
