@@ -11,7 +11,7 @@ from asterism.cameras import Rig
 from asterism.errors import AsterismError
 from asterism.recording import Ints
 from asterism.simulation.views_laboratory import ViewsSession
-from asterism.views import BodyModel, ViewsRules, label_views, load_body
+from asterism.views import ArticulatedBody, ViewsRules, label_views, load_body
 from asterism.views.body_fit import fit_body
 from asterism.views.frame import FrameLabeller
 from asterism.views.plain import label_stepwise, minimise_plain
@@ -30,7 +30,7 @@ from benchmarks.views.sessions import (
     visibility_agreement,
 )
 
-Sessions = Iterable[tuple[str, BodyModel, ViewsSession]]
+Sessions = Iterable[tuple[str, ArticulatedBody, ViewsSession]]
 
 
 @dataclass
@@ -216,7 +216,7 @@ def _knocked(rig: Rig) -> Rig:
     return replace(rig, cameras=(moved, *rig.cameras[1:]))
 
 
-def _renamed(body: BodyModel) -> BodyModel:
+def _renamed(body: ArticulatedBody) -> ArticulatedBody:
     other = {"L": "R", "R": "L"}
     names = {marker.name: (other[marker.name[0]] + marker.name[1:]) if marker.name[0] in other else marker.name for marker in body.markers}
     return replace(body, markers=tuple(replace(marker, name=names[marker.name]) for marker in body.markers), aliases={})

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from asterism.labelling.audit import LabelError, audit, remove_errors
-from asterism.labelling.capturability import Capturability, CapturabilityRules, Change, capturability
+from asterism.labelling.capturability import Capturability, CapturabilityRules, MarkerSetChange, capturability
 from asterism.labelling.evaluation import Condition, Evaluation, evaluate, leave_one_subject_out
 from asterism.labelling.marker_model import MarkerModel, label_together
 from asterism.labelling.naming import MarkerGroups, group_tracklets, name_groups
@@ -19,7 +19,6 @@ from asterism.labelling.whole.bodies import SeveralBodies
 __all__ = [
     "Capturability",
     "CapturabilityRules",
-    "Change",
     "Condition",
     "ConfidenceScore",
     "ConfidenceTally",
@@ -29,6 +28,7 @@ __all__ = [
     "LabelError",
     "MarkerGroups",
     "MarkerModel",
+    "MarkerSetChange",
     "Reliability",
     "ReviewItem",
     "SeveralBodies",

@@ -17,7 +17,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
 from asterism.labelling.audit._kernels import exchange_gains
-from asterism.labelling.audit.errors import ALWAYS, EXCHANGED, MISPLACED, LabelError, Run, joined, sentence
+from asterism.labelling.audit.errors import ALWAYS, EXCHANGED, MISPLACED, ErrorRun, LabelError, joined, sentence
 from asterism.labelling.audit.paths import exchanges, jumps, pairs_of
 from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.labelling.body.labeller import FrameLabellingSettings
@@ -140,7 +140,7 @@ def audit(
     people = names_of(given)[1]
     several = people.max() > 0
     groups = people % rules.folds if several else np.arange(len(frames))
-    runs: dict[int, list[Run]] = {}
+    runs: dict[int, list[ErrorRun]] = {}
     for number in np.unique(groups).tolist():
         left_out = np.nonzero(groups == number)[0].tolist()
         others = np.nonzero(groups != number)[0].tolist()
@@ -224,10 +224,10 @@ class _Case:
     rules: AuditRules
 
 
-def _find_runs(case: _Case) -> list[Run]:
+def _find_runs(case: _Case) -> list[ErrorRun]:
     """All that is wrong with one recording."""
     positions, rate, rules, reference, evidence = case.positions, case.rate, case.rules, case.reference, case.evidence
-    runs: list[Run] = []
+    runs: list[ErrorRun] = []
     emission = np.full((len(pairs_of(positions.shape[1])), len(positions)), -1e-3)
     if reference is not None and evidence is not None:
         runs, positions, evidence = _exchanged_throughout(case, reference, evidence)
@@ -244,14 +244,14 @@ def _find_runs(case: _Case) -> list[Run]:
     runs += jumps(corrected, rate, rules.jump_distance, rules.jump_speed, rules.jump_errors, rules.longest_jump)
     if reference is not None and evidence is not None:
         level = (reference.score(corrected) if exchanged else evidence).usual_scores()
-        runs += [Run(0, len(positions) - 1, (int(m),), MISPLACED, -float(level[m])) for m in np.nonzero(level < rules.misplaced)[0]]
+        runs += [ErrorRun(0, len(positions) - 1, (int(m),), MISPLACED, -float(level[m])) for m in np.nonzero(level < rules.misplaced)[0]]
     return sorted(joined(runs), key=lambda run: (run.first, run.last, run.markers))
 
 
-def _exchanged_throughout(case: _Case, reference: _ReferenceBody, evidence: _BodyEvidence) -> tuple[list[Run], Floats, _BodyEvidence]:
+def _exchanged_throughout(case: _Case, reference: _ReferenceBody, evidence: _BodyEvidence) -> tuple[list[ErrorRun], Floats, _BodyEvidence]:
     """Pairs that are exchanged in nearly every frame, the largest gain first; the corrected positions, and the evidence for these."""
     positions, rules = case.positions, case.rules
-    runs: list[Run] = []
+    runs: list[ErrorRun] = []
     pairs = pairs_of(positions.shape[1])
     for _ in range(positions.shape[1]):
         usual = evidence.usual_gains()
@@ -262,14 +262,14 @@ def _exchanged_throughout(case: _Case, reference: _ReferenceBody, evidence: _Bod
         a, b = pairs[best].tolist()
         everywhere = all(level[best] > 0.0 for level in case.siblings)
         gain = float(usual[best]) * max(1.0, len(positions) / case.rate / rules.correlation)
-        runs.append(Run(0, len(positions) - 1, (a, b), ALWAYS if everywhere else EXCHANGED, gain))
+        runs.append(ErrorRun(0, len(positions) - 1, (a, b), ALWAYS if everywhere else EXCHANGED, gain))
         positions = positions.copy()
         positions[:, [a, b]] = positions[:, [b, a]]
         evidence = reference.score(positions)
     return runs, positions, evidence
 
 
-def _error(run: Run, number: int, recording: Recording, subject: str, labels: Sequence[str]) -> LabelError:
+def _error(run: ErrorRun, number: int, recording: Recording, subject: str, labels: Sequence[str]) -> LabelError:
     names = tuple(labels[m] for m in run.markers)
     count = run.last - run.first + 1
     words = sentence(run.kind, names, count / recording.rate, count, count == len(recording), subject)

@@ -45,7 +45,7 @@ class CandidateLabellings(NamedTuple):
     last_vote: np.ndarray
 
 
-class SearchWorkspace(NamedTuple):
+class AnchorSearchWorkspace(NamedTuple):
     """Working arrays of one thread for the search in frames of n points: see `make_search_workspace`.
 
     body            BodyWorkspace
@@ -92,7 +92,7 @@ def make_search_workspace(body, candidates, proposals):
     """
     n = len(body.aligned)
     triples = max(64, n * n)
-    return SearchWorkspace(
+    return AnchorSearchWorkspace(
         body,
         candidates,
         np.arange(n),
