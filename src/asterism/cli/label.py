@@ -12,6 +12,7 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._folders import Trial, check_output, trials
+from asterism.cli._labelling import check_labelling, file_names, labelling_options
 from asterism.cli._options import (
     DropComputed,
     Files,
@@ -30,7 +31,6 @@ from asterism.cli._options import (
     Subjects,
     Vertical,
     Workers,
-    vertical_axis,
 )
 from asterism.errors import AsterismError
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from asterism.progress import Progress
     from asterism.recording import Clouds, Labelling
     from asterism.report import LabelledRecording
-    from asterism.session import FileLabeller, FinishedFiles, LabelledFile, LabellingOptions
+    from asterism.session import FileLabeller, FinishedFiles, LabelledFile
 
 PAGE = "asterism-label.html"
 """The page on a folder of recordings, among the outputs, where --report names none."""
@@ -69,44 +69,19 @@ class LabelOptions:
     json: Json = None
 
     @property
-    def in_time(self) -> bool:
-        """Whether recordings are labelled as a whole, by their tracks."""
-        return self.rules is Rules.WHOLE_BODY and not self.frame_wise
-
-    @property
     def page(self) -> Path | None:
         """The report: that which was asked for; of a folder, one beside the outputs."""
         in_folder = self.output / PAGE if any(path.is_dir() for path in self.files) else None
         return self.report or in_folder
 
-    def for_session(self) -> LabellingOptions:
-        """The same, as the files are labelled."""
-        from asterism import __version__
-        from asterism.session import LabellingOptions, LabellingSettings
-
-        return LabellingOptions(
-            settings=LabellingSettings(method=self.rules.value, frame_wise=self.frame_wise, workers=self.workers),
-            file_names=self.known,
-            standing=self.subject or (),
-            find_standing=not self.no_static,
-            vertical=vertical_axis(self.vertical),
-            by=f"asterism {__version__}, {', '.join(model.name for model in self.model)}",
-            in_memory=self.program is not None or self.page is not None,
-        )
-
-    @property
-    def known(self) -> KnownLabels | None:
-        """What becomes of the names that points have already; None where each file decides."""
-        return KnownLabels.KEEP if self.keep_labels else self.known_labels
-
     @property
     def how(self) -> dict[str, Any]:
         """The options that an output depends on, as plain values."""
         return {
-            "known_labels": None if self.known is None else self.known.value,
+            "known_labels": file_names(self),
             "drop_computed": self.drop_computed,
             "for": None if self.program is None else self.program.value,
-            "rules": self.rules.value,
+            "rules": self.rules,
             "frame_wise": self.frame_wise,
             "subject": self.subject,
             "no_static": self.no_static,
@@ -152,7 +127,7 @@ def label(options: LabelOptions) -> None:
             "model": options.model if len(options.model) > 1 else options.model[0],
             **options.how,
             "subject": options.subject[0] if options.subject and len(options.subject) == 1 else options.subject,
-            "keep_labels": options.known is KnownLabels.KEEP,
+            "keep_labels": file_names(options) is KnownLabels.KEEP,
             "files": rows,
             "passed_over": batch.passed_over,
             "failed": batch.failed,
@@ -184,7 +159,8 @@ class _Run:
     def of(cls, options: LabelOptions, files: Sequence[Trial], batch: _console.Batch) -> _Run:
         from asterism.session import FileLabeller, FinishedFiles
 
-        labeller = FileLabeller.of_models(options.model, options.for_session(), [trial.path for trial in files])
+        chosen = labelling_options(options, rules=options.rules, in_memory=options.program is not None or options.page is not None)
+        labeller = FileLabeller.of_models(options.model, chosen, [trial.path for trial in files])
         return cls(options, labeller, FinishedFiles(options.output, options.how, options.model), batch, len(files))
 
     def result(self, trial: Trial, progress: Progress | None) -> _Result:
@@ -254,18 +230,7 @@ class _Run:
 
 def _check(options: LabelOptions) -> None:
     """Raise AsterismError where options contradict each other, or an output cannot be made."""
-    if len(options.model) > 1 and not options.in_time:
-        raise AsterismError(
-            "several bodies are separated by their tracks over time; leave out --frame-wise and --rules, or give one --model."
-        )
-    if len(options.model) > 1 and options.subject:
-        raise AsterismError("a trial of the subject narrows one model; leave out --subject, or give one --model.")
-    if options.subject and options.rules is not Rules.WHOLE_BODY:
-        raise AsterismError(
-            f"the rules {options.rules.value} do not use a body model that a trial could narrow; leave out --subject, or --rules."
-        )
-    if options.keep_labels and options.known_labels not in (None, KnownLabels.KEEP):
-        raise AsterismError(f"--keep-labels contradicts --known-labels {options.known_labels.value}; give one of them.")
+    check_labelling(options, options.rules)
     if options.output.exists() and not options.output.is_dir():
         raise AsterismError(f"{options.output} is a file; -o takes the folder for the labelled files.")
     _console.check_new(options.report, options.overwrite)
@@ -299,7 +264,11 @@ def _report(path: Path, options: LabelOptions, labeller: FileLabeller, results: 
             _console.notice(f"{path} was not written, because an earlier run labelled all files; --overwrite labels them again.")
         return
     rows = [result.row for result in (*shown, *(result for result in results if result.shown is None))]
-    about = {"model": ", ".join(map(str, options.model)), "rules": options.rules.value, "keep_labels": options.known is KnownLabels.KEEP}
+    about = {
+        "model": ", ".join(map(str, options.model)),
+        "rules": options.rules.value,
+        "keep_labels": file_names(options) is KnownLabels.KEEP,
+    }
     label_report(
         path,
         [result.shown for result in shown if result.shown is not None],

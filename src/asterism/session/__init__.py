@@ -3,7 +3,7 @@
 from asterism.labelling.recording_labeller import LabellingSettings
 from asterism.session.finished import FinishedFiles
 from asterism.session.labelled import LabelledFile
-from asterism.session.labeller import FileLabeller, label_file
+from asterism.session.labeller import FileLabeller, body_names, label_file
 from asterism.session.options import CHECK, IGNORE, KEEP, LabellingOptions
 
 __all__ = [
@@ -15,5 +15,6 @@ __all__ = [
     "LabelledFile",
     "LabellingOptions",
     "LabellingSettings",
+    "body_names",
     "label_file",
 ]

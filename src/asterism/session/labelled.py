@@ -8,7 +8,8 @@ from functools import cached_property
 from pathlib import Path
 
 from asterism.findings import Finding
-from asterism.labelling import ReviewItem
+from asterism.labelling import MarkerModel, ReviewItem
+from asterism.labelling.correction import Correction, FirstLabels
 from asterism.labelling.correction.readiness import Readiness, readiness
 from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabeller
 from asterism.recording import Clouds, Labelling, MarkerSet, Recording
@@ -26,7 +27,8 @@ class LabelledFile:
     findings    what a person should know before they use the labels
     standing    the trial by which the model was narrowed to the person; None where none was used
     file_names  what was done with the names that the points had: "keep", "check", "ignore"; None where they played no part
-    labeller    what labelled it: the models, narrowed to the person, and the settings
+    models      one for each body, as they were given
+    labeller    what labelled it: the models, perhaps narrowed to the person, and the settings
     bodies      what the models alone say; None where the recording was labelled in stretches
     seconds     that labelling took, without reading
     about       the recording as it was read. Of one that is not in memory, a frame that shows each column
@@ -39,6 +41,7 @@ class LabelledFile:
     findings: tuple[Finding, ...]
     standing: Path | None
     file_names: str | None
+    models: tuple[MarkerModel, ...]
     labeller: RecordingLabeller
     bodies: LabelledBodies | None
     seconds: float
@@ -69,6 +72,14 @@ class LabelledFile:
     def readiness(self) -> Readiness:
         """Whether the labels can be used."""
         return readiness(self.labelling, self.clouds, self.items)
+
+    def correction(self) -> Correction:
+        """The labels, to be corrected by a person; of a recording that is in memory."""
+        return Correction(self.models, self.about, first=FirstLabels(self.labeller, self.labelling, self.bodies))
+
+    def corrected(self, correction: Correction) -> LabelledFile:
+        """The same file under the labels that a person has corrected."""
+        return replace(self, labelling=correction.labelling, copy=self.copy.corrected(correction))
 
     def without_file(self) -> LabelledFile:
         """The same without what only writing needs: half of the memory of a recording of an hour."""

@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from asterism.errors import AsterismError
@@ -20,7 +20,7 @@ from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabel
 from asterism.labelling.stretches import JoinedLabelling, label_in_stretches, stretches_of
 from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.progress import Progress
-from asterism.recording import Clouds, Disagreement, Labelling
+from asterism.recording import Clouds, Disagreement, Labelling, MarkerSet
 from asterism.session.labelled import LabelledFile
 from asterism.session.names import choose_name_policy, findings_on_names, join_disagreements, merge_file_names
 from asterism.session.options import LabellingOptions
@@ -82,8 +82,17 @@ class FileLabeller:
     @classmethod
     def of_models(cls, models: Sequence[Path], options: LabellingOptions, files: Sequence[Path] = ()) -> FileLabeller:
         """With the models in these files. Raises AsterismError where one cannot be loaded, or the one trial given cannot be used."""
+        from asterism import __version__
+
         loaded = {path: MarkerModel.load(path) for path in dict.fromkeys(models)}
-        return cls([loaded[path] for path in models], options, files, body_names(models))
+        # files say what labelled them, unless somebody has said it otherwise
+        by = options.by or f"asterism {__version__}, {', '.join(path.name for path in models)}"
+        return cls([loaded[path] for path in models], replace(options, by=by), files, body_names(models))
+
+    @property
+    def marker_set(self) -> MarkerSet:
+        """The names of the markers of all bodies."""
+        return self._plain.marker_set
 
     def label(self, path: Path, progress: Progress | None = None) -> LabelledFile:
         """Label a file.
@@ -114,6 +123,7 @@ class FileLabeller:
             tuple(findings),
             person.trial,
             policy,
+            tuple(self.models),
             person.labeller,
             found.bodies,
             seconds,
@@ -146,7 +156,7 @@ class FileLabeller:
     ) -> _Labels:
         """The labels of a source in these stretches. two: whether two people wear the one model's markers."""
         labeller, marker_set = person.labeller, self._plain.marker_set
-        keep = self.options.keep_tracklets and len(parts) == 1
+        keep = self.options.keep_tracklets and len(parts) == 1 and len(person.labeller.models) == 1
         bodies = list[LabelledBodies]()
 
         def label(clouds: Clouds, report: Progress | None) -> Labelling:

@@ -15,6 +15,7 @@ from asterism.errors import NoMarkers
 from asterism.formats import LabelConfidence
 from asterism.formats.c3d import LabelledRanges, LabelSummary, LongRecording, ranges, read_long, write_long
 from asterism.labelling import ReviewItem, review
+from asterism.labelling.correction import Correction
 from asterism.labelling.review_in_pieces import ReviewInPieces
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording, label_states
 from asterism.session.names import under_names_of_set
@@ -85,6 +86,10 @@ class LabelledCopy(Protocol):
         """Write it; returns what the file cannot hold."""
         ...
 
+    def corrected(self, correction: Correction) -> LabelledCopy:
+        """The recording under labels that a person has corrected."""
+        ...
+
     def without_file(self) -> LabelledCopy:
         """The same without what only writing needs."""
         ...
@@ -148,10 +153,12 @@ class _CopyInMemory:
     labelling: Labelling
     keep_names: bool
     by: str
+    correction: Correction | None = None
 
     @cached_property
     def recording(self) -> Recording:
-        return self.named.with_labelling(self.labelling, self.clouds, keep_names=self.keep_names, by=self.by)
+        labelled = self.named.with_labelling(self.labelling, self.clouds, keep_names=self.keep_names, by=self.by)
+        return labelled if self.correction is None else self.correction.logged(labelled)
 
     def items(self) -> list[ReviewItem]:
         return review(self.labelling, self.clouds)
@@ -162,6 +169,9 @@ class _CopyInMemory:
         if program is not None:
             written, left = formats.for_program(written, program, target)
         return [*left, *formats.write(target, written, labelling=self.labelling, clouds=self.clouds)]
+
+    def corrected(self, correction: Correction) -> _CopyInMemory:
+        return replace(self, labelling=correction.labelling, correction=correction)
 
     def without_file(self) -> _CopyInMemory:
         return self
@@ -258,6 +268,9 @@ class _CopyByRanges:
             labelled = replace(labelled, head=formats.without_computed(labelled.head))
         assert self.long is not None
         return write_long(target, self.long.file, labelled)
+
+    def corrected(self, correction: Correction) -> _CopyByRanges:
+        raise ValueError("a recording is corrected in memory; label it so")
 
     def without_file(self) -> _CopyByRanges:
         return replace(self, long=None, labelled=None)

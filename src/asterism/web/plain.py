@@ -23,7 +23,7 @@ def plain_trials(session: CorrectionSession) -> dict[str, Any]:
     out = session.options.output
     return {
         "trials": [_plain_trial(trial) for trial in session.trials],
-        "markers_of_model": list(session.model.marker_set.names),
+        "markers_of_model": list(session.labeller.marker_set.names),
         "out": CORRECTED if out is None else str(out),
     }
 
@@ -36,6 +36,7 @@ def _plain_trial(trial: CorrectionTrial) -> dict[str, Any]:
         "state": trial.state,
         "error": trial.error,
         "notes": list(trial.notes),
+        "findings": [finding.to_dict() for finding in trial.findings],
         "saved": trial.is_saved,
     }
     if trial.state != READY:

@@ -281,7 +281,10 @@ class Correction:
 
     def labelled_recording(self, by: str = "", *, keep_names: bool = False) -> Recording:
         """The recording under its labels, what was said counted in its processing log; by: what labelled, such as the model's file."""
-        labelled = self.recording.with_labelling(self.labelling, self.clouds, keep_names=keep_names, by=by)
+        return self.logged(self.recording.with_labelling(self.labelling, self.clouds, keep_names=keep_names, by=by))
+
+    def logged(self, labelled: Recording) -> Recording:
+        """A recording under these labels, with what was said counted in its processing log."""
         if not self._done:
             return labelled
         kinds = [touch.kind for touch in self._done]

@@ -1,0 +1,97 @@
+"""What commands that label are asked to do in; the same as the session room labels, out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from asterism.cli._options import KnownLabels, Rules, vertical_axis
+from asterism.errors import AsterismError
+
+if TYPE_CHECKING:
+    from asterism.session import FileLabeller, LabellingOptions
+
+
+class LabellingCommand(Protocol):
+    """The options that commands which label have in common."""
+
+    @property
+    def model(self) -> list[Path]:
+        """The models' files, one for each body."""
+        ...
+
+    @property
+    def subject(self) -> list[Path] | None:
+        """Trials of the person."""
+        ...
+
+    @property
+    def no_static(self) -> bool:
+        """Whether no standing trial is looked for."""
+        ...
+
+    @property
+    def frame_wise(self) -> bool:
+        """Whether each frame is labelled by itself."""
+        ...
+
+    @property
+    def known_labels(self) -> KnownLabels | None:
+        """What becomes of the names that points have already."""
+        ...
+
+    @property
+    def keep_labels(self) -> bool:
+        """Whether they are kept."""
+        ...
+
+    @property
+    def workers(self) -> int:
+        """Threads."""
+        ...
+
+    @property
+    def vertical(self) -> str | None:
+        """What points up."""
+        ...
+
+
+def labelling_options(command: LabellingCommand, *, rules: Rules = Rules.WHOLE_BODY, in_memory: bool) -> LabellingOptions:
+    """What the session room is asked to do. in_memory: whether whole recordings are needed, and not only what is written."""
+    from asterism.session import LabellingOptions, LabellingSettings
+
+    return LabellingOptions(
+        settings=LabellingSettings(method=rules.value, frame_wise=command.frame_wise, workers=command.workers),
+        file_names=file_names(command),
+        standing=command.subject or (),
+        find_standing=not command.no_static,
+        vertical=vertical_axis(command.vertical),
+        in_memory=in_memory,
+    )
+
+
+def file_labeller(command: LabellingCommand, files: Sequence[Path], *, in_memory: bool = True) -> FileLabeller:
+    """What labels the files of a run by the whole body. Raises AsterismError where a model or the one trial given cannot be used."""
+    from asterism.session import FileLabeller
+
+    return FileLabeller.of_models(command.model, labelling_options(command, in_memory=in_memory), files)
+
+
+def file_names(command: LabellingCommand) -> KnownLabels | None:
+    """What becomes of the names that points have already; None where each file decides."""
+    return KnownLabels.KEEP if command.keep_labels else command.known_labels
+
+
+def check_labelling(command: LabellingCommand, rules: Rules = Rules.WHOLE_BODY) -> None:
+    """Raise AsterismError where options contradict each other."""
+    if len(command.model) > 1 and (command.frame_wise or rules is not Rules.WHOLE_BODY):
+        raise AsterismError(
+            "several bodies are separated by their tracks over time; leave out --frame-wise and --rules, or give one --model."
+        )
+    if len(command.model) > 1 and command.subject:
+        raise AsterismError("a trial of the subject narrows one model; leave out --subject, or give one --model.")
+    if command.subject and rules is not Rules.WHOLE_BODY:
+        raise AsterismError(f"the rules {rules.value} do not use a body model that a trial could narrow; leave out --subject, or --rules.")
+    if command.keep_labels and command.known_labels not in (None, KnownLabels.KEEP):
+        raise AsterismError(f"--keep-labels contradicts --known-labels {command.known_labels.value}; give one of them.")
