@@ -5,22 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from asterism.errors import NoMarkers
 from asterism.labelling.body.model import BodyRules
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.stretches import StretchRules, label_long
 from asterism.labelling.together import join_labellings
+from asterism.labelling.training.model_state import ModelState
 from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.labelling.whole.label import label_whole
+from asterism.labelling.whole.point_labels import BodyInRecording
 from asterism.labelling.whole.relabel import LabelledTracklets, label_tracklets
 from asterism.labelling.whole.scene import RecordingLabellingSettings
 from asterism.progress import Progress
 from asterism.recording import Clouds, Labelling, MarkerSet
-
-if TYPE_CHECKING:
-    from asterism.labelling.marker_model import MarkerModel
 
 METHODS = ("whole-body", "partial-solvers", "thesis")
 """How single frames are labelled: by the whole body; by the votes of partial solvers, completed by the strong classifier of all markers; by
@@ -52,6 +51,29 @@ class LabellingSettings:
         return self.method == METHODS[0] and not self.frame_wise
 
 
+class TrainedModel(Protocol):
+    """What labels recordings of one body: a `MarkerModel`."""
+
+    state: ModelState
+
+    @property
+    def marker_set(self) -> MarkerSet:
+        """Names of its markers."""
+        ...
+
+    def in_recording(self) -> BodyInRecording:
+        """The model as one of the bodies of a recording."""
+        ...
+
+    def label_frames(self, recording: Clouds, *, method: str, workers: int, progress: Progress | None) -> Labelling:
+        """Each frame labelled by itself."""
+        ...
+
+    def label_one_body(self, clouds: Clouds, progress: Progress | None, *, settings: LabellingSettings | None) -> Labelling:
+        """Clouds labelled as those of one body."""
+        ...
+
+
 @dataclass(frozen=True)
 class LabelledBodies:
     """Clouds labelled at once.
@@ -70,7 +92,7 @@ class RecordingLabeller:
     """Labels recordings with one model, or with one for each body in the volume, by one set of settings."""
 
     def __init__(
-        self, models: MarkerModel | Sequence[MarkerModel], settings: LabellingSettings | None = None, names: Sequence[str] | None = None
+        self, models: TrainedModel | Sequence[TrainedModel], settings: LabellingSettings | None = None, names: Sequence[str] | None = None
     ) -> None:
         """names: what each body is called where two have markers of one name; by default 1, 2, ..."""
         self.models = tuple(models) if isinstance(models, Sequence) else (models,)
@@ -154,7 +176,7 @@ class RecordingLabeller:
 
 
 def label_together(
-    models: Sequence[MarkerModel], clouds: Clouds, settings: LabellingSettings, progress: Progress | None = None
+    models: Sequence[TrainedModel], clouds: Clouds, settings: LabellingSettings, progress: Progress | None = None
 ) -> list[Labelling]:
     """One labelling for each model, each point given to one of them at most. A model may be given twice, for two people.
 

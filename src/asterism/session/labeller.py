@@ -24,7 +24,7 @@ from asterism.recording import Clouds, Disagreement, Labelling, MarkerSet
 from asterism.session.labelled import LabelledFile
 from asterism.session.names import choose_name_policy, findings_on_names, join_disagreements, merge_file_names
 from asterism.session.options import LabellingOptions
-from asterism.session.sources import Source, open_source
+from asterism.session.sources import FrameSource, open_source
 from asterism.session.standing import StandingTrials
 
 _NARROWED_KEPT = 8
@@ -37,9 +37,10 @@ class _OtherSubject(Exception):
 
 @dataclass(frozen=True)
 class _Person:
-    """Who is labelled: the models, the trial that narrowed them, and whether it still has to show that it is of this person."""
+    """Who is labelled: the models, or the one that a trial has narrowed to the person, and this trial."""
 
     labeller: RecordingLabeller
+    narrowed: MarkerModel | None = None
     trial: Path | None = None
 
 
@@ -50,7 +51,7 @@ class _Labels:
     labelling: Labelling
     bodies: LabelledBodies | None
     against: list[Disagreement]
-    source: Source
+    source: FrameSource
 
 
 @dataclass
@@ -131,7 +132,7 @@ class FileLabeller:
             copy,
         )
 
-    def _labels(self, path: Path, source: Source, person: _Person, policy: str | None, progress: Progress | None) -> _Labels:
+    def _labels(self, path: Path, source: FrameSource, person: _Person, policy: str | None, progress: Progress | None) -> _Labels:
         """The labels of a source, and the names that contradict them. Raises _OtherSubject where the trial is of somebody else."""
         rules, frames = self.options.settings.stretches, slice(0, len(source.counts))
         parts = stretches_of(source.counts, source.about.rate, rules) if self._plain.can_divide else [frames]
@@ -147,7 +148,7 @@ class FileLabeller:
         self,
         parts: Sequence[slice],
         path: Path,
-        source: Source,
+        source: FrameSource,
         person: _Person,
         policy: str | None,
         progress: Progress | None,
@@ -164,17 +165,17 @@ class FileLabeller:
             return bodies[0].labelling
 
         joined = JoinedLabelling(marker_set.names, len(source.counts), len(parts), compact=source.compact)
-        against, undecided = list[tuple[int, Disagreement]](), person.trial is not None
+        against, undecided = list[tuple[int, Disagreement]](), person.narrowed
         source.begin(marker_set)
         for begin, piece in label_in_stretches(label, source.clouds, parts, progress=progress):
             here = slice(begin, begin + len(piece.indices))
             recording, clouds = source.frames(here), source.clouds(here)
-            if undecided:
+            if undecided is not None:
                 # the first piece that shows enough of the person tells whose body it is
-                same = _shows_subject(labeller.models[0], clouds, piece)
+                same = _shows_subject(undecided, clouds, piece)
                 if same is False:
                     raise _OtherSubject
-                undecided = same is None
+                undecided = None if same else undecided
             held, differ = merge_file_names(path, recording, clouds, piece, marker_set, policy)
             joined.add(begin, held)
             against += [(begin, each) for each in differ]
@@ -192,7 +193,7 @@ class FileLabeller:
             if self.options.standing:
                 raise
             return _Person(self._plain)  # nobody named the trial: it is named when it is labelled itself
-        return _Person(RecordingLabeller([model], self.options.settings, self.names), trial)
+        return _Person(RecordingLabeller([model], self.options.settings, self.names), model, trial)
 
     def _narrowed_by(self, trial: Path) -> MarkerModel:
         """The model narrowed by a trial, made once; the last few are kept."""
@@ -211,7 +212,7 @@ class FileLabeller:
             raise narrowed
         return narrowed
 
-    def _compile(self, source: Source) -> None:
+    def _compile(self, source: FrameSource) -> None:
         """Compile the kernels by one frame, so that the time of the first file leaves that out."""
         if not self._compiled:
             first = int(source.counts.argmax())
@@ -243,7 +244,7 @@ def body_names(models: Sequence[Path]) -> list[str]:
     return names if len(set(names)) == len(names) else [str(i + 1) for i in range(len(names))]
 
 
-def _of_reading(source: Source) -> list[Finding]:
+def _of_reading(source: FrameSource) -> list[Finding]:
     """What the reader of the file found, without its notes, which `asterism info` shows."""
     return [finding for finding in source.about.metadata.get("findings", ()) if finding.severity > Severity.NOTE]
 

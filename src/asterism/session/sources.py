@@ -22,7 +22,7 @@ from asterism.session.names import under_names_of_set
 from asterism.session.options import IGNORE, LabellingOptions
 
 
-class Source(Protocol):
+class FrameSource(Protocol):
     """A recording that is labelled range by range, the ranges in their order and without a gap."""
 
     @property
@@ -95,14 +95,18 @@ class LabelledCopy(Protocol):
         ...
 
 
-def open_source(path: Path, options: LabellingOptions, *, by_ranges: bool) -> Source:
+def open_source(path: Path, options: LabellingOptions, *, by_ranges: bool) -> FrameSource:
     """A file's recording. by_ranges: whether a long C3D file stays on the disk.
 
     Raises AsterismError as `asterism.read` does, and NoMarkers where no frame has a point.
     """
-    # a file that fits into memory is read as every other one: all that can be read has this way
-    long = read_long(path, options.vertical, options.settings.stretches.whole) if by_ranges else None
-    source: Source = _InMemory(formats.read(path, vertical=options.vertical)) if long is None else _ByRanges(path, options.vertical, long)
+    source: FrameSource | None = None
+    if by_ranges:
+        # a file that fits into memory is read as every other one: all that can be read has this way
+        long = read_long(path, options.vertical, options.settings.stretches.whole)
+        source = None if long is None else _ByRanges(path, options.vertical, long)
+    if source is None:
+        source = _InMemory(formats.read(path, vertical=options.vertical))
     if not source.counts.any():
         raise NoMarkers(f"{path}: the recording has no points to label.")
     return source

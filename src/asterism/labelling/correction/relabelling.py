@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asterism.labelling.correction.pieces import by_first_points
-from asterism.labelling.marker_model import MarkerModel
-from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabeller
+from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabeller, TrainedModel
 from asterism.labelling.review import labels_of_points
 from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.labelling.whole.relabel import FREE, LabelledTracklets, label_tracklets, marker_chances, relabel_tracklets
@@ -23,7 +22,7 @@ from asterism.tracking.linking import Tracklets, find_tracklets
 
 
 @dataclass(frozen=True)
-class _Body:
+class _RelabelledBody:
     """One body of the recording.
 
     before  its first labelling, of its points alone
@@ -38,7 +37,7 @@ class _Body:
     column: Ints
 
     @classmethod
-    def of(cls, before: LabelledTracklets, points: Ints, start: int) -> _Body:
+    def of(cls, before: LabelledTracklets, points: Ints, start: int) -> _RelabelledBody:
         column = np.full(len(before.body.names), NULL, dtype=np.int64)
         column[before.body.markers] = np.arange(len(before.body.markers))
         return cls(before, points, start, column)
@@ -56,7 +55,7 @@ class Relabelling:
         """labelling: the first one; bodies: what the models alone say, None where they said it of stretches only."""
         self.clouds, self.first = clouds, labelling
         if bodies is not None and bodies.tracklets is not None:
-            self._bodies = [_Body.of(bodies.tracklets, np.arange(len(clouds.xyz)), 0)]
+            self._bodies = [_RelabelledBody.of(bodies.tracklets, np.arange(len(clouds.xyz)), 0)]
         else:
             self._bodies = _bodies(labeller, clouds, [labelling] if bodies is None else bodies.bodies)
         self.tracklets = by_first_points(self._all_tracklets())
@@ -88,7 +87,7 @@ class Relabelling:
                 chances[body.markers] = marker_chances(body.before, self._of_body(body, labelling), places)
         return chances
 
-    def _again(self, body: _Body, tracklets: Tracklets, said: Ints) -> Labelling:
+    def _again(self, body: _RelabelledBody, tracklets: Tracklets, said: Ints) -> Labelling:
         """A body's labels with what was said, of its points alone."""
         shown = np.zeros(len(self.clouds.xyz), dtype=np.bool_)
         shown[body.points] = True
@@ -125,13 +124,13 @@ class Relabelling:
         indices[frames[lost], markers[lost]], confidence[frames[lost], markers[lost]] = NULL, 0.0
         return replace(first, indices=indices, confidence=confidence, candidates=candidates)
 
-    def _places(self, body: _Body, indices: Ints, frames: Ints, markers: Ints) -> Ints:
+    def _places(self, body: _RelabelledBody, indices: Ints, frames: Ints, markers: Ints) -> Ints:
         """Places (n,) of a body's points in their frames, among all points; -1 stays."""
         given = indices[frames, markers]
         point = body.points[np.where(given == NULL, 0, body.before.clouds.offsets[frames] + given)]
         return np.where(given == NULL, NULL, point - self.clouds.offsets[frames])
 
-    def _of_body(self, body: _Body, labelling: Labelling) -> Labelling:
+    def _of_body(self, body: _RelabelledBody, labelling: Labelling) -> Labelling:
         """A labelling of all bodies as one of a body and its points alone."""
         if len(body.points) == len(self.clouds.xyz) and len(labelling.names) == len(body.column):
             return labelling
@@ -182,10 +181,10 @@ class Relabelling:
         return Tracklets(of_point, np.concatenate(first), np.concatenate(last))
 
 
-def _bodies(labeller: RecordingLabeller, clouds: Clouds, labellings: Sequence[Labelling]) -> list[_Body]:
+def _bodies(labeller: RecordingLabeller, clouds: Clouds, labellings: Sequence[Labelling]) -> list[_RelabelledBody]:
     """The bodies of a recording, each labelled by itself; labellings: of each of them, and perhaps of others that are not corrected."""
     body_of = _body_of_points(clouds, labellings)
-    bodies, start = list[_Body](), 0
+    bodies, start = list[_RelabelledBody](), 0
     for number, model in enumerate(labeller.models):
         shown = body_of == number
         if shown.any():
@@ -194,12 +193,12 @@ def _bodies(labeller: RecordingLabeller, clouds: Clouds, labellings: Sequence[La
             except SeveralBodies:  # a third person, whose points no body has: only what has a label is surely of this one
                 shown = labels_of_points(labellings[number], clouds)[0] != NULL
                 before = _labelled_alone(labeller, model, clouds.select(shown))
-            bodies.append(_Body.of(before, np.nonzero(shown)[0], start))
+            bodies.append(_RelabelledBody.of(before, np.nonzero(shown)[0], start))
         start += len(model.marker_set)
     return bodies
 
 
-def _labelled_alone(labeller: RecordingLabeller, model: MarkerModel, clouds: Clouds) -> LabelledTracklets:
+def _labelled_alone(labeller: RecordingLabeller, model: TrainedModel, clouds: Clouds) -> LabelledTracklets:
     return label_tracklets(model.in_recording(), clouds, model.state.body_rules, labeller.settings.workers)
 
 
