@@ -161,10 +161,11 @@ def _add(found: _Review, labelled: LabelledFile, options: ReviewOptions, batch: 
 
 def _print(found: _Review) -> None:
     from asterism.cli._recordings import shares_text
+    from asterism.recording.display import counted
     from asterism.report.review import alternatives_text, label_text
 
     for row in found.shares:
-        _console.result(f"{row['file']}: {row['frames']:,} frames, {shares_text(row)}")
+        _console.result(f"{row['file']}: {counted(row['frames'], 'frame')}, {shares_text(row)}")
     entries = [line.entry for line in found.lines]
     rows = [
         [
@@ -184,8 +185,8 @@ def _print(found: _Review) -> None:
         _console.table("Labels to check first", columns, rows, left=4)
     listed = sum(entry.item.gain for entry in entries)
     _console.result(
-        f"{found.pieces:,} pieces of tracks to check, with {found.gain:,.1f} samples expected to be wrong or missing; "
-        f"{listed:,.1f} of these are in the {len(rows)} pieces listed."
+        f"{counted(found.pieces, 'piece')} of tracks to check, with {found.gain:,.1f} samples expected to be wrong or missing; "
+        f"{listed:,.1f} of these are in the {counted(len(rows), 'piece')} listed."
         if found.pieces
         else "No label needs a check."
     )
