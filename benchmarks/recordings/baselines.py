@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 
-from asterism.labelling.simulated_occlusions import simulate_gaps
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import gait, spread
 from benchmarks.figures import Figure
 from benchmarks.peer import KeyPoses
-from benchmarks.recordings.gaps import FEW, Tallies, rates, summed
+from benchmarks.recordings.gaps import Tallies, rates, summed
 from benchmarks.recordings.walks import CONDITIONS, SEEDS, unseen_training, walk_of_draw, walks, with_gaps
 from benchmarks.score import Tally, some_frames
 from benchmarks.tracking import follow
@@ -21,9 +20,9 @@ POSES_FRAMES = 8
 
 
 def baselines(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Right, FA and missed of both peers by condition."""
+    """Right, wrong and missed of both peers by condition."""
     subjects = list(gait())[: 1 if benchmark.quick else None]
-    for (condition, method), tally in summed(list(benchmark.each(_left_out, subjects))).items():
+    for (condition, method), tally in summed(benchmark.each(_left_out, subjects)).items():
         yield from rates(condition, method, tally, asked=False)
 
 
@@ -38,10 +37,5 @@ def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:
             tallies[condition, TRACKING].add(follow(first, clouds, poses.names), truth, recording=walk)
             few, few_truth = some_frames(clouds, truth, spread(len(truth), POSES_FRAMES))
             tallies[condition, POSES].add(poses.label(few), few_truth, recording=walk)
-    for number, recording in enumerate(own):
-        for seed in range(repeats):
-            clouds, truth = simulate_gaps(recording, 5, seed=SEEDS * number + seed)
-            labelling = follow(recording.positions[0], clouds, recording.labels)
-            tallies[FEW, TRACKING].add(labelling, truth, recording=f"{subject}, walk {number}")
     benchmark.report(f"{subject} left out: {'; '.join(f'{c}, {m} {tally.right_share:.4f}' for (c, m), tally in tallies.items())}")
     return dict(tallies)

@@ -10,7 +10,7 @@ import numpy as np
 
 from asterism.simulation.views_laboratory import ViewsSession
 from asterism.views.frame import FrameLabeller, FrameLabels
-from asterism.views.label import ViewsLabelling, label_views
+from asterism.views.label import label_views
 from asterism.views.plain import PlainRules, label_stepwise, minimise_plain
 from asterism.views.rules import QUICK, RULES
 from asterism.views.scene import scene_of
@@ -50,9 +50,6 @@ def parts(benchmark: BenchmarkRun) -> Iterator[Figure]:
         asked = {"one labelling from a given start": f"< {most:g}", "one labelling with nothing known": "< 100"}
         for name, values in taken.items():
             yield Figure(f"{kind}, {name}", asked.get(name, "none"), median(values), "ms", len(values))
-        truth = label_views(session.blobs, session.rig, body)
-        name = f"{kind}, one labelling from a start within 45 degrees, 0.4, 0.5 m, sought without it where that is in doubt"
-        yield Figure(name, "none", *_from_afar(truth, session, labeller, 2 if benchmark.quick else 8))
         yield Figure(f"{kind}, tracking, 4 cameras", "> 500", _frames_per_second(session, labeller), "frames/s", len(session.blobs))
         yield from _whole_recordings(kind, session, labeller)
 
@@ -70,16 +67,6 @@ def _parts_of(labeller: FrameLabeller, t: int, start: tuple[np.ndarray, np.ndarr
         "one labelling from a given start, sought without it where that is in doubt": lambda: labeller.from_near(t, *start),
         "one labelling with nothing known": lambda: labeller.from_nothing(t),
     }
-
-
-def _from_afar(truth: ViewsLabelling, session: ViewsSession, labeller: FrameLabeller, most: int) -> tuple[float, str, int]:
-    """Milliseconds of a labelling from starts that are as far off as the row `basin` has them, the median over frames; how many."""
-    taken = list[float]()
-    for t in chosen_frames(session, most):
-        if np.isfinite(truth.poses[t, 0]):
-            start = off_start(truth, t, np.random.default_rng([t, 7]), *_WIDE)
-            taken.append(_milliseconds(lambda t=t, start=start: labeller.from_near(t, *start), 3))  # type: ignore[misc]
-    return median(taken), "ms", len(taken)
 
 
 def _whole_recordings(kind: str, session: ViewsSession, labeller: FrameLabeller) -> Iterator[Figure]:
@@ -103,48 +90,6 @@ def _frames_per_second(session: ViewsSession, labeller: FrameLabeller) -> float:
             last = t
 
     return 1e3 * (len(there) - 1) / _milliseconds(run, 3)
-
-
-def basin(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Starts that are off by up to a bound in heading, size and place at once: the share that ends at the right labels."""
-    for kind, sessions, _ in KINDS:
-        for name, turn, size, place, asked in (
-            ("20 degrees, 0.25, 0.2 m (the paper's)", 20.0, 0.25, 0.2, "none"),
-            ("45 degrees, 0.4, 0.5 m", *_WIDE, ">= 0.99"),
-        ):
-            ours = quick = plain = total = 0
-            for _, body, session in sessions(benchmark):
-                labeller = FrameLabeller(scene_of(session.blobs, session.rig), body)
-                truth = label_views(session.blobs, session.rig, body)
-                for t in chosen_frames(session, 3 if benchmark.quick else 10):
-                    if not np.isfinite(truth.poses[t, 0]):
-                        continue
-                    start = off_start(truth, t, np.random.default_rng([t, 7]), turn, size, place)
-                    total += 1
-                    ours += _is_right(session, t, labeller.from_near(t, *start))
-                    quick += _is_right(session, t, labeller.from_start(t, *start))
-                    labels = label_stepwise(labeller, t, *minimise_plain(labeller, t, *start))
-                    plain += _share(session, t, labels) >= _RIGHT
-            yield Figure(f"{kind}, start within {name}: right", asked, ours / max(total, 1), "fraction", total)
-            yield Figure(f"{kind}, start within {name}, one labelling alone: right", "none", quick / max(total, 1), "fraction", total)
-            yield Figure(f"{kind}, start within {name}, the paper's algorithm: right", "none", plain / max(total, 1), "fraction", total)
-
-
-def off_start(
-    truth: ViewsLabelling, t: int, rng: np.random.Generator, turn: float, size: float, place: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """A start in the body's usual pose whose heading, size and place are off by up to these (degrees, share, m along each axis)."""
-    angle = np.radians(rng.uniform(-turn, turn))
-    about = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
-    heading = truth.rotations[t][:, 0]
-    upright = np.arctan2(heading[1], heading[0])
-    standing = np.array([[np.cos(upright), -np.sin(upright), 0.0], [np.sin(upright), np.cos(upright), 0.0], [0.0, 0.0, 1.0]])
-    pose = truth.poses[t].copy()
-    grown = truth.person.height / truth.body.height
-    pose[:3] = grown * (1.0 + rng.uniform(-size, size))
-    pose[3:6] += rng.uniform(-place, place, 3)
-    pose[9:] = truth.body.arrays.usual
-    return pose, about @ standing
 
 
 def nothing_known(benchmark: BenchmarkRun) -> Iterator[Figure]:
