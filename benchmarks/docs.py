@@ -20,44 +20,10 @@ BEGIN, END = "<!-- figures: begin -->", "<!-- figures: end -->"
 Release = Mapping[str, Any]
 """What a release's file holds, see `release.release_of`."""
 
-INTRODUCTION = """# Figures
+TEMPLATE = Path(__file__).with_name("page.md")
+"""The page's own words, with the places of what is measured."""
 
-{measured}
-
-Written by `python -m benchmarks docs`; do not edit. `python -m benchmarks release` measures all of these at one commit. What is asked was written down
-before it was measured; **no** marks a figure that misses it. Speeds belong to the machine: the row *reference* is a fixed piece of work
-on the same one. Each figure belongs to its release. Between releases the canaries (`pytest -m canary`) fail where one falls by
-more than its own noise.
-
-- **right**: visible markers with their own point. **wrong**: labels on another point, of the labels given.
-- *People not seen*: each person is left out in turn, and labelled by a model of all others.
-- *k hidden*: k markers are in a gap of 0.1 to 1 s at every moment, and come back under a new track number. *Ghosts* are tracks of 0.05
-  to 0.5 s that move with a marker at a fixed offset of up to 150 mm, so many at every moment. *Flickering*: points beside markers for one frame.
-- *n*: different samples: frames, points, labels, files. Frames of one walk resemble each other; an interval over people is wider than n suggests.
-- *Six other laboratories*: cmu41, pig39, clinical-lower, qtm-fullbody (a person left out), lab51-multiactivity, rizzoli24 (a movement left out).
-- *Standing*: of a whole body that is labelled turned round every label is wrong; *sure* is a confidence of 0.99 or more.
-"""
-
-NONE_YET = """No release has been measured yet. `python -m benchmarks release` measures the key figures of one commit, and this page is written from its file."""
-
-FOUND = """## What was found
-
-Facts that earlier measurements showed, once; nothing measures them again.
-
-- **Deliberate faults** (25 November 2026, 313 single changes of labelling, reconstruction, cameras and formats): the tests noticed 282, 90.1 % (95 % interval
-  86.3 to 92.9 %); 30 survived, 1 was undecided. Of the survivors 26 change nothing that could be noticed: without them 98.3 % of 287 (96.0 to 99.3 %). Before
-  tests were written for what had survived, 86.6 % were noticed. [CONTRIBUTING](https://github.com/asterism-mocap/asterism/blob/main/CONTRIBUTING.md#the-tests) says how to try others.
-- **What a part contributes** to the labels of whole recordings: [recordings](recordings.md#what-each-part-contributes).
-- **Peers** on the same walks, 3 hidden: an optimal assignment to key poses 96.7 % right and 2.5 % wrong, with 3 ghosts 93.7 and 9.9 %
-  (`python -m benchmarks recordings baselines`).
-- **Against aniposelib** on the same simulated wand (8 cameras, 2,000 frames, 0.2 px), which needs a start and got one 1 % off: points that neither had seen
-  are off by 0.59 mm with ours, which starts from nothing.
-
-Thesis: J. L. Jiménez Bascones, "Cloud Point Labelling in Optical Motion Capture Systems", 2019, chapters 4 and 5. Recordings (their
-licences lie beside them; none is part of this repository): the sample study of biomechZoo (11 children, Vicon, 100 Hz); CMU Graphics Lab (mocap.cs.cmu.edu),
-auto-marker-label, nimblephysics, pyCGM, biobuddy, pyorerun, C3D-parser, OIST mouse motion capture, rewrite_lowerbodyc3d_with_IK,
-kineticstoolkit; the c3d.org samples, OpenSim, pyomeca, hmv-s16, diabolo-juggling; caliscope, OpenCV, OpenPTV and rtosim for cameras.
-"""
+NONE_YET = "No release has been measured yet; this page is written anew from the file of the first one."
 
 
 def newest(folder: Path = RELEASES) -> Release | None:
@@ -76,22 +42,21 @@ def measured_with(release: Release) -> str:
 def page_of(release: Release | None) -> str:
     """The page of all key figures."""
     if release is None:
-        return INTRODUCTION.format(measured=NONE_YET) + "\n" + FOUND
+        return TEMPLATE.read_text(encoding="utf-8").format(measured=NONE_YET, tables="")
     entries = {entry["row"]: entry for entry in release["rows"]}
     verdicts = [reached(entry["asked"], entry["measured"]) for entry in release["rows"]]
     machine, simulated = release["machine"], "" if release["recordings"] == "real" else " Its recordings of people are simulated ones."
-    first = (
-        f"{measured_with(release)} ({machine['processor']}, {machine['system']}, Python {machine['python']}; commit `{release['commit'][:12]}`)."
-        f"{simulated} {verdicts.count(True)} of {verdicts.count(True) + verdicts.count(False)} figures reach what is asked."
-    )
-    parts = [INTRODUCTION.format(measured=first)]
+    place = f"{machine['processor']}, {machine['system']}, Python {machine['python']}; commit `{release['commit'][:12]}`"
+    counts = f"{verdicts.count(True)} of {verdicts.count(True) + verdicts.count(False)} figures reach what is asked."
+    parts = []
     for title in dict.fromkeys(group.title for group in KEY):
         parts += [f"## {title}\n", "| row | asked | measured | reached | n |", "|---|---|---|---|---|"]
         for group in KEY:
             if group.title == title:
                 parts += [_line(row, entries.get(row), group.name, release["failed"]) for row in group.rows]
         parts.append("")
-    return "\n".join([*parts, FOUND])
+    words = f"{measured_with(release)} ({place}).{simulated} {counts}"
+    return TEMPLATE.read_text(encoding="utf-8").format(measured=words, tables="\n".join(parts) + "\n")
 
 
 def _line(row: str, entry: Mapping[str, Any] | None, script: str, failed: Mapping[str, str]) -> str:

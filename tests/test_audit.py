@@ -25,6 +25,8 @@ from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyRules, fit_body
 from asterism.simulation import simulate_walks
 
+pytestmark = pytest.mark.kernels
+
 PEOPLE = ("Ann", "Ben", "Cem", "Dee", "Eva")
 FRAMES = 150
 

@@ -20,6 +20,8 @@ from asterism.labelling.body.anchors import AnchorRules, Anchors, with_intervals
 from asterism.labelling.body.model import BodyModel
 from asterism.labelling.partial._search_kernels import search
 
+pytestmark = pytest.mark.kernels
+
 races = settings(max_examples=15, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**31)
 

@@ -21,7 +21,7 @@ _spec.loader.exec_module(check)
 
 
 def test_lint_format_types_and_room_order_are_checked() -> None:
-    assert {step.name for step in check.STEPS} >= {"ruff check", "ruff format --check", "mypy", "lint-imports"}
+    assert {step.name for step in check.STEPS} >= {"ruff check", "ruff format --check", "mypy", "lint-imports", "site"}
 
 
 @pytest.mark.parametrize(("tests", "tool", "status"), [(0, 0, 0), (1, 0, 1), (0, 1, 1), (1, 1, 1)])

@@ -23,9 +23,9 @@ from asterism.cameras.files.opencv import file_list
 from asterism.detection.claimed_sizes import MOST_PIXELS, claimed_size
 from asterism.detection.sources import images, open_source
 from asterism.errors import AsterismError, guarded_reading
+from asterism.files.npz import FREE_BYTES, arrays_of_npz
+from asterism.files.text import cells_of, number_of
 from asterism.formats import read_blobs, read_table
-from asterism.formats._npz_members import FREE_BYTES, arrays_of_npz
-from asterism.formats._text import cells_of, number_of
 from asterism.labelling.training.model_file import write_arrays
 from asterism.labelling.training.model_schema import check_contents
 from asterism.recording import Clouds, MarkerSet
@@ -158,7 +158,7 @@ def test_long_and_odd_cells_are_refused_by_line(tmp_path: Path, cell: str) -> No
 def test_numbers_take_time_with_their_length() -> None:
     """By the steps of the pattern's own alternatives: a run of digits is never tried again, so a junk end costs one pass."""
     code = (
-        "import sys; sys.setswitchinterval(1); from asterism.formats._text import number_of\n"
+        "import sys; sys.setswitchinterval(1); from asterism.files.text import number_of\n"
         "assert number_of('9' * 2_000_000 + 'x') is None and number_of('1.' + '9' * 2_000_000 + 'e') is None"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)  # by squares it would take a day

@@ -14,8 +14,9 @@ from models import BRIEF, trained
 from asterism import AsterismError, Clouds, MarkerSet, Recording, SolverEnsemble
 from asterism.labelling import TrainingRules
 from asterism.labelling.partial.matrix import label_by_matrix
-from asterism.labelling.partial.solver import stack_frames, subject_of
+from asterism.labelling.partial.solver import stack_frames
 from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, search_partial_solvers
+from asterism.recording import subject_of
 from asterism.simulation import simulate_occlusions, simulate_walks
 
 QUICK = {"miner": None, "training": TrainingRules(trial_frames=40, folds=5)}

@@ -15,6 +15,8 @@ from asterism.labelling.partial import _feature_kernels
 from asterism.labelling.partial._motion_kernels import G9, G10, G18, WIDTH
 from asterism.labelling.partial.features import FEATURES, TEMPORAL, describe, feature_pool, markers_read, needs_motion
 
+pytestmark = pytest.mark.kernels
+
 coordinates = st.floats(-2.0, 2.0, allow_nan=False).map(lambda x: round(x, 3))
 four_moving_points = st.integers(0, 10**6).map(lambda seed: np.round(np.random.default_rng(seed).uniform(-2, 2, (4, WIDTH)), 3))
 four_points = st.lists(st.tuples(coordinates, coordinates, coordinates), min_size=4, max_size=4, unique=True).map(np.array)

@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 
 from asterism.errors import AsterismError
 from asterism.formats import Table, convert, describe, read, read_clouds, read_table, write, write_table
-from asterism.formats._text import _timed_rate
+from asterism.formats._tables import _timed_rate
 from asterism.formats.csv_long import write_long
 from asterism.formats.csv_nexus import is_nexus
 from asterism.recording import Clouds, Event, Recording, as_vertical

@@ -17,6 +17,8 @@ from asterism.garment.design import _count, _fill, _Sheet, fill_pattern, least_d
 from asterism.garment.identities import count_rings, grid_identities
 from asterism.garment.pattern import Piece
 
+pytestmark = pytest.mark.kernels
+
 BRIEF = DesignRules(raster_steps=200_000, search_steps=3_000_000)
 
 

@@ -24,6 +24,8 @@ from asterism.labelling.training.model_file import describe_model
 from asterism.labelling.training.sample import GRID, Clip, Sample, _water_level
 from asterism.simulation import simulate_occlusions, simulate_walks
 
+pytestmark = pytest.mark.kernels
+
 QUICK = {"miner": None, "training": BRIEF}
 PEOPLE = ("Ann", "Ben", "Cem", "Dee", "Eva", "Fay")
 

@@ -22,7 +22,7 @@ import asterism
 from asterism.cli import _labelling, main
 from asterism.cli._long import label_long_file
 from asterism.cli._standing import StandingTrials
-from asterism.formats import _atomic
+from asterism.files import atomic
 from asterism.formats.c3d import _long
 from asterism.formats.c3d._edit import integers_record, strings_record
 from asterism.formats.c3d._file import C3DFile, open_c3d
@@ -383,7 +383,7 @@ def test_a_long_file_that_cannot_be_written_leaves_the_old_one(
 
     unlike = {name: getattr(os, name) for name in dir(os) if not name.startswith("__")}
     changed = {"fdopen": Full} if wanted == "full disk" else {"open": refused}
-    monkeypatch.setattr(_atomic, "os", SimpleNamespace(**{**unlike, **changed}))
+    monkeypatch.setattr(atomic, "os", SimpleNamespace(**{**unlike, **changed}))
     with monkeypatch.context() as patch:
         patch.setattr("asterism.cli.label._console.write_json", only_the_content)
         by_ranges, whole = labels.both(source, ByColumn(MarkerSet(MARKERS)))

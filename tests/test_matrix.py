@@ -16,6 +16,8 @@ from asterism.labelling.partial.solver import pack_solvers
 from asterism.labelling.partial.solver_search import SearchSettings, SolverSearch
 from asterism.labelling.simulated_occlusions import simulate_occlusions
 
+pytestmark = pytest.mark.kernels
+
 FRAMES, GROUPS = bodies(people=3, frames=40)
 NAMES = tuple("ABCDEFG")
 SUBSETS = [(0, 1, 2), (1, 2, 3, 4), (2, 4, 5, 6), (0, 3, 5), (0, 1, 2, 3, 4, 5, 6), (3, 4, 6)]

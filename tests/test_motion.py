@@ -24,6 +24,8 @@ from asterism.labelling.partial.weak import FeatureRanges, StrongClassifier
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.simulation import simulate_walks
 
+pytestmark = pytest.mark.kernels
+
 WALKS = simulate_walks(subjects=3, frames=120, seed=2)
 QUICK = SearchSettings(screening_frames=60, evaluation_frames=200, validation_frames=300, beam_width=20, max_markers=5, max_solvers=25)
 BOTH = ("g2", "g4", "g9", *TEMPORAL)

@@ -32,7 +32,7 @@ from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import ImagingSettings, render_images, ring_rig, simulate_blobs, simulate_wand, walker_capsules
 
 ROOT = Path(__file__).parent.parent
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+PAGES = sorted({*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")} - {ROOT / "docs" / "index.md"})  # a copy of README.md, for the site
 PHOTOGRAPHS = Path(os.environ.get("ASTERISM_DATA", "nowhere")) / "cameras" / "chessboard-stereo"
 NEEDS_PHOTOGRAPHS = ("find_board",)
 

@@ -34,6 +34,8 @@ from asterism.labelling.partial._search_kernels import label_by_full_solver
 from asterism.labelling.partial.features import FEATURES
 from asterism.labelling.partial.solver import Solver, factor_pair_rules, pack_solvers
 
+pytestmark = pytest.mark.kernels
+
 RULES = MatrixRules(outvote=2, slack=0.1, min_tests=3, rounds=3, budget=10**7, hand_in_all=False)
 SEEDS = range(8)
 

@@ -14,6 +14,8 @@ from asterism.cameras.aim import looking
 from asterism.cameras.plan import Mounts, Plan, _kernels, focal_length, plan_rig, search
 from asterism.errors import AsterismError
 
+pytestmark = pytest.mark.kernels
+
 SIZE = (1280, 1024)
 
 

@@ -35,6 +35,8 @@ from asterism.recording import Blobs, Clouds
 from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, walker_capsules
 from asterism.tracking.columns import columns_of
 
+pytestmark = pytest.mark.kernels
+
 EVERYWHERE = np.array([[-np.inf] * 3, [np.inf] * 3])
 
 

@@ -25,6 +25,8 @@ from asterism.reconstruction.rays import to_rays
 from asterism.recording import Blobs
 from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs
 
+pytestmark = pytest.mark.kernels
+
 EVERYWHERE = np.array([[-np.inf] * 3, [np.inf] * 3])
 Case = tuple[Rig, Blobs, RigArrays, FrameArrays, np.ndarray]
 

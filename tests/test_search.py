@@ -32,6 +32,8 @@ from asterism.labelling.partial.weak import FeatureRanges, WeakClassifiers
 from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.simulation import simulate_walks
 
+pytestmark = pytest.mark.kernels
+
 ALL = tuple(feature.name for feature in REGISTRY)
 MARKERS = np.array([1, 2, 4, 5])
 

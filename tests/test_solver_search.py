@@ -38,6 +38,8 @@ from asterism.labelling.partial.weak import WeakClassifiers
 from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.simulation import simulate_walks
 
+pytestmark = pytest.mark.kernels
+
 NO_CLASSIFIERS = WeakClassifiers(np.empty(0, dtype=np.int64), np.empty((0, 4), dtype=np.int64), np.empty(0), np.empty(0))
 WALKS = simulate_walks(subjects=3, frames=120, seed=2)
 FRAMES, GROUPS = stack_frames(WALKS)

@@ -19,6 +19,8 @@ from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds, Recording
 from asterism.simulation import simulate_walks
 
+pytestmark = pytest.mark.kernels
+
 
 @pytest.fixture(scope="module")
 def walks() -> list[Recording]:

@@ -25,6 +25,8 @@ from asterism.views.rules import ViewsRules
 from asterism.views.scene import camera_arrays
 from asterism.views.start import place_by_centroids
 
+pytestmark = pytest.mark.kernels
+
 BODY = load_body("gait15")
 RIG = paper_rig()
 CAMERAS = camera_arrays(RIG, [(656.0, 491.0)] * 4)

@@ -22,6 +22,8 @@ from asterism.labelling.partial.weak import (
     draw_wrong_labellings,
 )
 
+pytestmark = pytest.mark.kernels
+
 
 def bodies(people=4, frames=60, markers=7, seed=0):
     """(N, M, 3) m random bodies: one shape, a size per person, jitter per frame, turned about z; and whose each frame is."""

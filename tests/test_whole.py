@@ -25,6 +25,8 @@ from asterism.recording import Clouds
 from asterism.simulation import simulate_walks
 from asterism.tracking.linking import find_tracklets
 
+pytestmark = pytest.mark.kernels
+
 
 @pytest.fixture(scope="module")
 def walks() -> list[asterism.Recording]:

@@ -1,8 +1,9 @@
-"""Everything that must hold before a change goes in: lint, format, types and the order of the rooms, beside the tests.
+"""Everything that must hold before a change goes in: lint, format, types, the order of the rooms and the site, beside the tests.
 
     python tools/check.py                          # all but the tests that are marked as slow, on all cores
     python tools/check.py --all                    # the slow ones too: damaged files by the thousand, browsers, waiting
     python tools/check.py -n 4 tests/test_cli.py   # options of pytest, and what it shall run
+    python tools/check.py --bounds                 # only the tests of kernels, with each access to an array checked
 
 All steps run at the same time. A line tells when one begins and how long it took; what it found is printed when it ends, and a
 failing test when it fails. pytest's closing line comes last. The exit status is 0 only if all passed, and 130 after Ctrl-C.
@@ -19,7 +20,7 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -37,11 +38,19 @@ class Step:
     variables: Mapping[str, str] = field(default_factory=dict)
 
 
+CHECKED = {"NUMBA_BOUNDSCHECK": "1"}
+"""Each index is held against its array. Kernels compile anew for it, so not all of their tests run this way each time."""
+MARKED = [str(path) for path in sorted((ROOT / "tests").glob("test_*.py")) if "mark.bounds" in path.read_text(encoding="utf-8")]
+
 STEPS = [
     Step("ruff check", ["-m", "ruff", "check", "."]),
     Step("ruff format --check", ["-m", "ruff", "format", "--check", "."]),
     Step("lint-imports", ["-c", "from importlinter.cli import lint_imports_command; lint_imports_command()"]),
     Step("mypy", ["-m", "mypy"]),
+    # Kernels of what others write (images, files, clouds). To collect all files takes longer than to run these, so they are named.
+    Step("kernels within bounds", ["-m", "pytest", "-q", "-m", "bounds", *MARKED], CHECKED),
+    # -E: what an earlier build found is found again.
+    Step("site", ["-m", "sphinx", "-W", "-E", "--keep-going", "-q", "docs", "build/site"]),
 ]
 """What runs beside the tests. A line more here is a step more."""
 
@@ -110,9 +119,9 @@ class Runner:
             self.say(f"{step.name}: {time.perf_counter() - began:.1f} s, {verdict}")
         return process.returncode == 0
 
-    def run_tests(self, arguments: Sequence[str]) -> tuple[int, str]:
+    def run_tests(self, arguments: Sequence[str], tests: Step = TESTS) -> tuple[int, str]:
         """Pass on what pytest prints, line by line; return its exit status and its closing line, which is kept back."""
-        process, closing = self.start(TESTS, arguments), ""
+        process, closing = self.start(tests, arguments), ""
         assert process.stdout is not None
         with process.stdout:
             for line in filter(str.strip, process.stdout):
@@ -129,6 +138,18 @@ def _end(process: subprocess.Popen[str], hard: bool) -> None:
         os.killpg(process.pid, signal.SIGKILL if hard else signal.SIGTERM)
     else:
         process.terminate()
+
+
+def check_bounds(runner: Runner, arguments: Sequence[str]) -> int:
+    """Run the tests of kernels with each access checked; return the exit status."""
+    try:
+        status, closing = runner.run_tests(["-m", "kernels", *arguments], replace(TESTS, variables=CHECKED))
+    except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        runner.stop()
+        raise
+    print(closing, flush=True)
+    return status
 
 
 def check(runner: Runner, arguments: Sequence[str]) -> int:
@@ -161,6 +182,8 @@ def main(arguments: Sequence[str]) -> int:
             stream.reconfigure(errors="replace")
     runner = Runner()
     try:
+        if "--bounds" in arguments:
+            return check_bounds(runner, [word for word in arguments if word != "--bounds"])
         return check(runner, arguments)
     except KeyboardInterrupt:
         runner.say("stopped")

@@ -231,7 +231,7 @@ def check_new(given: Path | str | None, overwrite: bool) -> None:
         return
     from tempfile import TemporaryFile
 
-    from asterism.formats._atomic import on_removed
+    from asterism.files.atomic import on_removed
 
     on_removed(lambda unfinished: notice(f"{unfinished} was left by a run that was killed; it is removed."))
     path = Path(given)
@@ -273,7 +273,7 @@ def write_json(where: str | None, content: Mapping[str, Any]) -> None:
         sys.stdout.write(text)
         sys.stdout.flush()
         return
-    from asterism.formats._atomic import write_atomically
+    from asterism.files.atomic import write_atomically
 
     write_atomically(Path(where), text.encode("utf-8", "backslashreplace"))  # as JSON writes what is no character
 

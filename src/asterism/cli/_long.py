@@ -12,9 +12,7 @@ from asterism.cli._labelling import Labeller, findings_on_names, held_against_na
 from asterism.cli._options import KnownLabels
 from asterism.findings import Finding
 from asterism.formats import LabelConfidence
-from asterism.formats.c3d._confidence import LabelSummary
-from asterism.formats.c3d._file import ranges
-from asterism.formats.c3d._long import LabelledRanges, LongRecording
+from asterism.formats.c3d import LabelledRanges, LabelSummary, LongRecording, ranges
 from asterism.labelling import ReviewItem
 from asterism.labelling.review_in_pieces import ReviewInPieces
 from asterism.labelling.stretches import StretchRules, join_verdicts, label_in_stretches, stretches_of

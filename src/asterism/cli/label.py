@@ -212,7 +212,7 @@ class _Run:
         """The result of a long C3D file, which is never in memory as positions; None of any other file."""
         from asterism.cli._recordings import report_warnings
         from asterism.formats import without_computed
-        from asterism.formats.c3d._long import read_long, write_long
+        from asterism.formats.c3d import read_long, write_long
         from asterism.labelling.stretches import StretchRules
 
         options, path, rules = self.options, trial.path, StretchRules()

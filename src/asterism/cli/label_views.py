@@ -171,7 +171,7 @@ def _print(output: Path, numbers: dict[str, Any]) -> None:
 
 def _write_labels(path: Path, result: ViewsLabelling) -> None:
     """A row per blob: frame, camera, x, y, marker, confidence."""
-    from asterism.formats._atomic import write_atomically
+    from asterism.files.atomic import write_atomically
 
     blobs = result.blobs
     rows = ["frame,camera,x,y,marker,confidence"]

@@ -319,7 +319,7 @@ def _write_angles(target: Path, results: list[Result]) -> None:
 
     import numpy as np
 
-    from asterism.formats._atomic import write_atomically
+    from asterism.files.atomic import write_atomically
 
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")

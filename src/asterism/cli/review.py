@@ -143,7 +143,7 @@ def _listed(options: ReviewOptions) -> int:
         },
     )
     if options.csv is not None:
-        from asterism.formats._atomic import write_atomically
+        from asterism.files.atomic import write_atomically
         from asterism.labelling.correction import table_text
 
         write_atomically(options.csv, table_text([line.question for line in found.lines]).encode())

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError, NoMarkers, guarded_reading
+from asterism.files.text import decoded, lines_of
 from asterism.formats._columns import Points, recording_of
 from asterism.formats._confidence import LabelConfidence
 from asterism.formats._describe import described
-from asterism.formats._text import decoded, lines_of
 from asterism.formats._writing import all_points
 from asterism.recording import Clouds, Evidence, Ints, Labelling, MarkerSet, Recording, as_vertical, label_states
 

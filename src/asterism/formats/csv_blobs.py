@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError, guarded_reading
-from asterism.formats._atomic import utf8, write_atomically
-from asterism.formats._text import cell_text, cells_of, decoded, delimiter_of, lines_of, name_of_cell, number_of, read_bytes, some_of
+from asterism.files.atomic import utf8, write_atomically
+from asterism.files.text import cell_text, cells_of, decoded, delimiter_of, lines_of, name_of_cell, number_of, read_bytes, some_of
 from asterism.recording import Blobs, Floats, Ints
 from asterism.recording.arrays import checked_rate
 

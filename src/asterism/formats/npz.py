@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError, NoMarkers
-from asterism.formats._atomic import write_atomically
+from asterism.files.atomic import write_atomically
+from asterism.files.npz import arrays_of_npz, most_unpacked
+from asterism.files.text import read_bytes
 from asterism.formats._columns import Points
 from asterism.formats._confidence import LabelConfidence
-from asterism.formats._npz_members import arrays_of_npz, most_unpacked
-from asterism.formats._text import read_bytes
 from asterism.formats._writing import all_points
 from asterism.recording import Clouds, Event, Evidence, Recording, as_vertical, log_as_text, log_from_text
 

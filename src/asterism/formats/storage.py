@@ -10,22 +10,12 @@ from typing import Any
 import numpy as np
 
 from asterism.errors import AsterismError, NoMarkers, guarded_reading
+from asterism.files.atomic import utf8, write_atomically
+from asterism.files.text import cell_text, cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes, some_of
 from asterism.findings import Finding
-from asterism.formats._atomic import utf8, write_atomically
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._groups import Group, exact_groups, marker_groups
-from asterism.formats._text import (
-    cell_text,
-    cells_of,
-    decoded,
-    delimiter_of,
-    lines_of,
-    number_of,
-    rate_of,
-    read_bytes,
-    rows_of_numbers,
-    some_of,
-)
+from asterism.formats._tables import rate_of, rows_of_numbers
 from asterism.formats._writing import all_points
 from asterism.recording import Floats, Recording, as_vertical
 

@@ -9,21 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.files.atomic import utf8, write_atomically
+from asterism.files.text import cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes
 from asterism.findings import Finding
-from asterism.formats._atomic import utf8, write_atomically
-from asterism.formats._columns import _METRES, Points, as_metres, metres_per_unit
+from asterism.formats._columns import METRES_PER_UNIT, Points, as_metres, metres_per_unit
 from asterism.formats._findings import cut_off, header_conflict, point_names
-from asterism.formats._text import (
-    cells_of,
-    decoded,
-    delimiter_of,
-    frames_in_place,
-    lines_of,
-    number_of,
-    rate_of,
-    read_bytes,
-    rows_of_numbers,
-)
+from asterism.formats._tables import frames_in_place, rate_of, rows_of_numbers
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.recording import Floats, Recording, as_vertical
 
@@ -119,7 +110,7 @@ def write_trc(path: Path, recording: Recording) -> list[str]:
     positions, labels, omitted = all_points(recording, "TRC")
     units = str(recording.metadata.get("units", "")).casefold()
     units = units if units in ("mm", "cm", "m") else "mm"
-    values = positions / _METRES[units]
+    values = positions / METRES_PER_UNIT[units]
     decimals = {"mm": 5, "cm": 6, "m": 8}[units]
     frames, points = values.shape[:2]
     first, times = recording.first_frame, recording.times

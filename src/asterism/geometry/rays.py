@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.geometry import _kernels
+from asterism.geometry import shared_kernels
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -21,7 +21,7 @@ def intersect_rays(origins: Floats, directions: Floats, starts: Ints) -> Floats:
     starts[g + 1]. NaN where fewer than two rays count or all are parallel. O(n).
     """
     out = np.empty((len(starts) - 1, 3))
-    _kernels.intersect_rays(np.ascontiguousarray(origins), np.ascontiguousarray(directions), starts, _PARALLEL, out)
+    shared_kernels.intersect_rays(np.ascontiguousarray(origins), np.ascontiguousarray(directions), starts, _PARALLEL, out)
     return out
 
 

@@ -17,7 +17,6 @@ from asterism.labelling.body.labeller import BodyLabeller, usual_fits
 from asterism.labelling.body.model import BodyRules, length_scale
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.partial.matrix import label_by_matrix
-from asterism.labelling.partial.solver import subject_of
 from asterism.labelling.training.ensemble_state import EnsembleState
 from asterism.labelling.training.learning import TrainingConfig, TrainingRules, TrainingState
 from asterism.labelling.training.markers import learned_marker_set
@@ -29,7 +28,7 @@ from asterism.labelling.whole.point_labels import BodyInRecording
 from asterism.labelling.whole.scene import RecordingLabellingSettings
 from asterism.labelling.whole.verdict import RigidDistances, VerdictRules, judge
 from asterism.progress import Progress
-from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording
+from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording, subject_of
 
 if TYPE_CHECKING:
     from asterism.labelling.live.stream import Stream

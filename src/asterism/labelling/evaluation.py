@@ -12,12 +12,11 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.labelling.ensemble import RULES, SolverEnsemble, label_together
-from asterism.labelling.partial.solver import subject_of
 from asterism.labelling.reliability import ConfidenceScore, ConfidenceTally
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts, simulate_occlusions
 from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.progress import Progress
-from asterism.recording import Clouds, Floats, Ints, Labelling, Recording
+from asterism.recording import Clouds, Floats, Ints, Labelling, Recording, subject_of
 
 BINS = 20
 """Bins of equal width in which confidence is compared with the share that was right. Not tuned."""

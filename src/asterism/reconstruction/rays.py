@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from asterism.cameras import Rig
+from asterism.cameras.lens_kernels import pixel_jacobian
 from asterism.reconstruction._frame_kernels import RayArrays
-from asterism.reconstruction._input_kernels import first_of_duplicates, pixel_jacobian
+from asterism.reconstruction._input_kernels import first_of_duplicates
 from asterism.recording import Blobs, Floats
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib import import_module
-from pathlib import Path
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,24 +35,6 @@ class Event:
     context: str = ""
 
 
-@dataclass(frozen=True)
-class RecordingPage:
-    """A page that shows a recording, as `Recording.plot` writes it."""
-
-    path: Path
-
-    def open(self) -> None:
-        """Show the page in the default browser."""
-        import webbrowser
-
-        webbrowser.open(self.path.absolute().as_uri())
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        return f'<iframe srcdoc="{escape(self.path.read_text(encoding="utf-8"))}" width="100%" height="640" style="border:0"></iframe>'
-
-
 @dataclass(frozen=True, repr=False, eq=False)
 class Recording:
     """Labelled positions over time, and everything that must survive until they are written again.
@@ -70,6 +51,8 @@ class Recording:
     taken      the point columns of `source` that this recording replaces when it is written; the others stay
     first_frame  the number that the file gives the first frame; 1 for a trial that is stored from its start
     log        what was done to the recording since it was captured, oldest step first
+
+    `asterism.report.plot_recording` plays one.
 
     Two recordings are equal if they show the same: positions, labels, rate, vertical, events and number of the first frame.
     """
@@ -191,19 +174,6 @@ class Recording:
             attrs={"units": "m", "rate": self.rate, "vertical": self.vertical.tolist()},
         )
 
-    def plot(self, path: str | Path | None = None) -> RecordingPage:
-        """A page that plays the recording, written to `path`, by default to a temporary file.
-
-        In a notebook the page is shown; elsewhere `.open()` shows it in the browser. Raises AsterismError where there is nothing to plot,
-        or the file cannot be written.
-        """
-        if path is None:
-            from tempfile import mkdtemp
-
-            path = Path(mkdtemp(prefix="asterism-")) / "recording.html"
-        import_module("asterism.report").recording_report(path, self)  # a room below this one, which only this method needs
-        return RecordingPage(Path(path))
-
     @property
     def visible(self) -> NDArray[np.bool_]:
         """(T, M) whether a sample is present."""
@@ -297,6 +267,11 @@ class Recording:
             labels=(*labelling.names, *names),
             origin=np.concatenate([new_origin, rest_origin], axis=1),
         ).logged("labelled", by)
+
+
+def subject_of(recording: Recording) -> str:
+    """The subject of a recording: `metadata["subject"]`, else the folder of its file."""
+    return str(recording.metadata.get("subject") or PurePath(str(recording.metadata.get("file", ""))).parent)
 
 
 def _events_at(events: Sequence[Event], times: Floats, later: Floats, rate: float) -> tuple[Event, ...]:

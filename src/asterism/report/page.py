@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from asterism.formats._atomic import utf8, write_atomically
+from asterism.files.atomic import utf8, write_atomically
 from asterism.report.player import deflated, player_script, player_style
 
 NOTHING = "–"

@@ -43,7 +43,7 @@ def load_body(source: str | Path | BodyModel) -> BodyModel:
 
 def save_body(body: BodyModel, path: str | Path) -> None:
     """Write a body as TOML, to be read back to the same numbers within 0.1 mm and 0.1 degrees. Raises AsterismError where it cannot be."""
-    from asterism.formats._atomic import write_atomically
+    from asterism.files.atomic import write_atomically
 
     write_atomically(Path(path), body_to_toml(body).encode())
 

@@ -14,7 +14,7 @@ from asterism.cameras.bundle.sightings import PARAMETERS, Bools, Sightings
 from asterism.cameras.camera import Camera
 from asterism.errors import AsterismError
 from asterism.geometry import cross_matrix, nearest_orthogonal
-from asterism.geometry._kernels import rotate_by
+from asterism.geometry.shared_kernels import rotate_by
 from asterism.recording import Floats
 
 _GROUPS = {

@@ -13,7 +13,7 @@ import numpy as np
 from asterism.cameras.camera import LARGEST_IMAGE, Camera
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
-from asterism.formats._text import read_bytes
+from asterism.files.text import read_bytes
 from asterism.geometry import nearest_orthogonal, rotation_from_vector
 from asterism.recording import Floats
 

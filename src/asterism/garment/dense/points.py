@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from asterism.cameras import Rig
+from asterism.cameras.lens_kernels import pixel_jacobian
 from asterism.errors import AsterismError
 from asterism.garment.dense import _kernels as kernels
-from asterism.reconstruction._input_kernels import pixel_jacobian
 from asterism.recording import Floats, Ints
 
 Bools = NDArray[np.bool_]

@@ -22,10 +22,9 @@ from asterism.labelling.audit.paths import exchanges, jumps, pairs_of
 from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyRules, fit_body, names_of, subsample
-from asterism.labelling.partial.solver import subject_of
 from asterism.labelling.training.learning import renumbered
 from asterism.progress import Progress
-from asterism.recording import Floats, Ints, Recording
+from asterism.recording import Floats, Ints, Recording, subject_of
 
 FARTHEST = 1000.0
 """nats beyond which evidence is cut off."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from pathlib import PurePath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +27,7 @@ from asterism.labelling.partial.weak import (
     choose_widening,
     classifiers_over,
 )
-from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
+from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording, subject_of
 
 BUDGET = 200_000
 """Feature evaluations that a search may spend on one frame. Exhausted, it gives no label: deterministic, unlike a limit in seconds."""
@@ -197,11 +196,6 @@ def stack_frames(recordings: Sequence[Recording], subjects: Sequence[str] | None
     number = {name: i for i, name in enumerate(dict.fromkeys(names))}
     frames = np.concatenate([frames_with_motion(r) if motion else rotate_z_up(r.positions, r.vertical) for r in recordings])
     return frames, np.repeat([number[name] for name in names], [len(recording) for recording in recordings]).astype(np.int64)
-
-
-def subject_of(recording: Recording) -> str:
-    """The subject of a recording: `metadata["subject"]`, else the folder of its file."""
-    return str(recording.metadata.get("subject") or PurePath(str(recording.metadata.get("file", ""))).parent)
 
 
 class FullSolver:

@@ -20,7 +20,6 @@ from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, subsam
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.partial.features import kinds_of, needs_motion
 from asterism.labelling.partial.motion_points import frames_with_motion
-from asterism.labelling.partial.solver import subject_of
 from asterism.labelling.partial.solver_search import check_miner
 from asterism.labelling.training.calibration import IN_FRAMES, IN_TIME, Calibration, LabelCalibration, LabelTrials
 from asterism.labelling.training.sample import FEWEST_SHOWN, Sample
@@ -29,7 +28,7 @@ from asterism.labelling.whole.certainty import Certainty, least_confidence_in_ti
 from asterism.labelling.whole.label import run_trials
 from asterism.labelling.whole.scene import RecordingLabellingSettings
 from asterism.progress import Progress
-from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording
+from asterism.recording import NULL, Floats, Ints, MarkerSet, Recording, subject_of
 
 SOLVER_RULES = ("partial-solvers", "thesis")
 """The rules that label by partial solvers. Each has its own, because the thesis' intervals are those that training showed."""

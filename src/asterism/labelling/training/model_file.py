@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.formats._atomic import write_atomically
-from asterism.formats._npz_members import arrays_of_npz
+from asterism.files.atomic import write_atomically
+from asterism.files.npz import arrays_of_npz
 from asterism.labelling.training.model_schema import check_contents
 
 FORMAT = "asterism-model"

@@ -14,7 +14,7 @@ from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole._kernels import FrameScores, score_frames
 from asterism.labelling.whole.short import ShortTrackletRules
 from asterism.recording import NULL, Clouds, Floats, Ints
-from asterism.tracking._chain_kernels import sort_frames
+from asterism.tracking.chain_kernels import sort_frames
 from asterism.tracking.linking import Tracklets
 
 

@@ -1,58 +1,53 @@
-"""The API reference and what the package exports say the same, and the other pages use nothing but exported names."""
+"""The site's reference holds every public name, its docstrings become text as they are meant, and pages use public names only.
+
+`python tools/check.py` builds the site itself, strictly.
+"""
 
 from __future__ import annotations
 
 import ast
 import importlib
-import importlib.util
 import inspect
 import re
 import sys
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
 import asterism
 
 ROOT = Path(__file__).parent.parent
-WRITTEN_BY_HAND = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs" / "gallery").glob("*.*"))]
+WRITTEN_BY_HAND = sorted(
+    {ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "gallery").glob("*.*")} - {ROOT / "docs" / "index.md"}
+)
 
+sys.path.insert(0, str(ROOT / "docs" / "_site"))
+import contents  # noqa: E402
+import docstrings  # noqa: E402
+import public_names  # noqa: E402
 
-def _generator() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("make_reference", ROOT / "docs" / "make_reference.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["make_reference"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-reference = _generator()
-MODULES = reference.public_modules()
-pages = cache(reference.pages)
-
-
-def test_the_committed_pages_are_those_of_the_code_as_it_is() -> None:
-    committed = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "docs" / "reference").glob("*.md")}
-    made = pages()
-    stale = sorted(name for name in {*committed, *made} if committed.get(name) != made.get(name))
-    assert not stale, f"run `python docs/make_reference.py`; these pages are not up to date: {stale}"
+MODULES = public_names.public_modules()
 
 
 @pytest.mark.parametrize("module", MODULES)
 def test_every_exported_name_has_a_place_in_the_reference(module: str) -> None:
-    made = pages()
-    for name in reference.exports(module):
-        heading = f"\n### {reference.heading(module, name)}\n"
-        assert heading in made[reference.page_of(module)], f"{module}.{name}"
+    room = ".".join(module.split(".")[:2])
+    page = "\n".join(contents._page(room)) if public_names.modules_of(room) else ""
+    for name in public_names.exports(module):
+        home = public_names.homes()[module, name]
+        line = (
+            rf"^\.\. auto(class|exception|function|data):: {re.escape(module)}\.{name}$"
+            if home == module
+            else rf"`~{re.escape(home)}\.{name}`"
+        )
+        assert re.search(line, page, re.MULTILINE), f"{module}.{name}"
 
 
 @pytest.mark.parametrize("module", MODULES)
 def test_every_exported_name_exists_and_explains_itself(module: str) -> None:
     loaded = importlib.import_module(module)
-    exported = loaded.__all__ if hasattr(loaded, "__all__") else []
+    exported = getattr(loaded, "__all__", [])
     assert len(set(exported)) == len(exported)
     for name in exported:
         thing = getattr(loaded, name)
@@ -64,6 +59,41 @@ def test_every_exported_name_exists_and_explains_itself(module: str) -> None:
 def test_every_room_exports_what_it_offers() -> None:
     rooms = [module for module in MODULES if module.count(".") == 1]
     assert [room for room in rooms if not hasattr(importlib.import_module(room), "__all__")] == []
+
+
+def test_every_page_is_in_the_table_of_contents() -> None:
+    listed = {name for pages in contents.GUIDE.values() for name in pages} | {"index"}
+    written = {
+        page.relative_to(ROOT / "docs").with_suffix("").as_posix()
+        for page in WRITTEN_BY_HAND
+        if page.suffix == ".md" and page.parent != ROOT
+    }
+    assert written == {page for page in listed if page not in contents.BESIDE_DOCS.values()}
+
+
+def test_a_docstring_becomes_text_code_lists_and_examples() -> None:
+    text = """Points (N, 3) m, *not* markup_, of `fit_rigid`s and `x`.
+
+    name     what it is,
+             and more
+    a, b     two
+
+    Text after.
+
+        as it is
+
+    >>> 1 + 1
+    2
+    """
+    assert docstrings.as_rst(inspect.cleandoc(text)).split("\n\n") == [
+        r"Points (N, 3) m, \*not\* markup\_, of :py:obj:`~asterism.geometry.fit_rigid`\ s and ``x``.",
+        "- ``name``: what it is,\n  and more",
+        "- ``a``, ``b``: two",
+        "Text after.",
+        "::",
+        "    as it is",
+        ">>> 1 + 1\n2",
+    ]
 
 
 def _used_names(page: Path) -> Iterator[tuple[str, str]]:
@@ -89,19 +119,19 @@ OF_THE_SOURCES = ("thesis.md",)
 def test_pages_and_gallery_use_exported_names_only(page: Path) -> None:
     if page.suffix not in (".md", ".py"):
         pytest.skip("a picture")
-    private = [f"{module}.{name}" for module, name in _used_names(page) if name not in asterism_exports(module)]
+    private = [f"{module}.{name}" for module, name in _used_names(page) if name not in _importable(module)]
     assert private == [], f"{page.name} uses names that no package exports"
 
 
-def asterism_exports(module: str) -> set[str]:
+def _importable(module: str) -> set[str]:
     """What may be imported from a module: what it exports, and its public subpackages."""
     below = {name.rpartition(".")[2] for name in MODULES if name.rpartition(".")[0] == module}
-    return {*reference.exports(module), *below} if module in MODULES else set()
+    return {*public_names.exports(module), *below} if module in MODULES else set()
 
 
 def test_a_page_that_uses_a_private_name_is_noticed(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    page.write_text("`asterism.formats.read` and\n```python\nfrom asterism.formats._text import decoded\n```\n", encoding="utf-8")
+    page.write_text("`asterism.formats.read` and\n```python\nfrom asterism.formats._tables import rate_of\n```\n", encoding="utf-8")
     found = list(_used_names(page))
-    assert ("asterism.formats", "read") in found and ("asterism.formats._text", "decoded") in found
-    assert "decoded" not in asterism_exports("asterism.formats._text") and asterism.__all__
+    assert ("asterism.formats", "read") in found and ("asterism.formats._tables", "rate_of") in found
+    assert "rate_of" not in _importable("asterism.formats._tables") and asterism.__all__

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from asterism.errors import AsterismError, guarded_reading
-from asterism.formats._text import decoded, read_bytes
+from asterism.files.text import decoded, read_bytes
 
 _WIDTH = 120
 

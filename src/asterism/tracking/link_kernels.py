@@ -10,8 +10,8 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.tracking._link_workspace_kernels import make_link_workspace, make_track_ends
 from asterism.tracking._prediction_kernels import extend_tracks, predict_tracks, start_links
+from asterism.tracking.link_workspace_kernels import make_link_workspace, make_track_ends
 
 
 @kernel

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.cameras._kernels import CX, CY, FX, FY, distorted
+from asterism.cameras.lens_kernels import CX, CY, FX, FY, distorted
 
 STEPS = 20
 

@@ -108,3 +108,17 @@ def undistort_points(lens, pixels, out):
         gu, gv, ux, uy, vx, vy = distorted(lens, x, y)
         if ux * vy - uy * vx > 0.0 and ux + vy > 0.0 and math.fabs(gu - u) + math.fabs(gv - v) < 1e-9:
             out[i, 0], out[i, 1] = x, y
+
+
+@kernel
+def pixel_jacobian(lens, normalised, out):
+    """How far a blob moves in the image when its ray does.
+
+    IN  lens (LENS,); normalised (n, 2) undistorted coordinates
+    OUT out (n, 4) px: du/dx, du/dy, dv/dx, dv/dy
+    O(n), no allocation.
+    """
+    for i in range(len(normalised)):
+        _, _, ux, uy, vx, vy = distorted(lens, normalised[i, 0], normalised[i, 1])
+        out[i, 0], out[i, 1] = lens[FX] * ux, lens[FX] * uy
+        out[i, 2], out[i, 3] = lens[FY] * vx, lens[FY] * vy
