@@ -61,7 +61,7 @@ def _measure(rows: Iterable[Row], given: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory() as scratch:
         run = BenchmarkRun(given.quick, given.models or Path(scratch), given.jobs)
         for chapter, row in rows:
-            started = time.perf_counter()
+            started, processor = time.perf_counter(), time.process_time()
             try:
                 for figure in row_of(chapter, row)(run):
                     print(line_of(figure), flush=True)
@@ -69,7 +69,7 @@ def _measure(rows: Iterable[Row], given: argparse.Namespace) -> int:
             except Exception as problem:  # one row costs itself, whatever it met
                 failed.append(f"{chapter} {row}: {type(problem).__name__}: {problem}")
                 print(failed[-1], file=sys.stderr, flush=True)
-            run.report(f"{chapter} {row}: {time.perf_counter() - started:.0f} s")
+            run.report(f"{chapter} {row}: {time.perf_counter() - started:.0f} s, of one core {time.process_time() - processor:.0f} s")
     if given.json:
         given.json.write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
     return int(bool(failed))
