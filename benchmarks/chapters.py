@@ -16,12 +16,9 @@ CHAPTERS: dict[str, dict[str, str]] = {
         "physical": "files.physical",
         "strong-classifier": "solver.strong_classifier",
         "full-solver": "solver.full_solver",
-        "training": "seen.training",
-        "speed": "seen.speed",
         "tables": "seen.tables",
         "thesis": "thesis.thesis",
         "thesis-main": "thesis.thesis_main",
-        "full-body": "seen.full_body",
     },
     "recordings": {
         "speed": "speed.speed",

@@ -22,7 +22,7 @@ Row = tuple[str, str]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure what the words name; `release` and `docs` are words of their own. Returns 0; 1 where a row failed; 2 for a refused release."""
+    """Measure what the words name. Returns 0; 1 where a row failed; 2 where a release is refused."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words[:1] == ["release"]:
         return release.main(words[1:])

@@ -63,10 +63,10 @@ _UNUSED = 30 * 86_400.0
 """Seconds after which a model that nobody took is removed."""
 
 
-def trained(recordings: Sequence[asterism.Recording], **settings: Any) -> asterism.SolverEnsemble:
-    """What `SolverEnsemble.fit(recordings, **settings)` gives, read back from a file; from the disk where the same sources have trained it.
+def trained(recordings: Sequence[asterism.Recording], **settings: Any) -> asterism.MarkerModel:
+    """What `MarkerModel.fit(recordings, **settings)` gives, read back from a file; from the disk where the same sources have trained it.
 
-    Training is `SHORT` by default. A test of training itself calls `SolverEnsemble.fit`.
+    Training is `SHORT` by default. A test of training itself calls `MarkerModel.fit`.
     """
     settings = {"training": SHORT, **settings}
     path = folder() / f"{_key(recordings, settings)}.model"
@@ -75,16 +75,16 @@ def trained(recordings: Sequence[asterism.Recording], **settings: Any) -> asteri
     else:
         with _locked(path.with_suffix(".lock")):
             if not path.exists():
-                _save(asterism.SolverEnsemble.fit(list(recordings), **settings), path)
-    return asterism.SolverEnsemble.load(path)
+                _save(asterism.MarkerModel.fit(list(recordings), **settings), path)
+    return asterism.MarkerModel.load(path)
 
 
 @contextmanager
 def training_with(rules: TrainingRules) -> Iterator[None]:
-    """Whoever calls `SolverEnsemble.fit` here, a command for example, trains with these rules."""
-    plain = asterism.SolverEnsemble.fit
+    """Whoever calls `MarkerModel.fit` here, a command for example, trains with these rules."""
+    plain = asterism.MarkerModel.fit
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(asterism.SolverEnsemble, "fit", lambda recordings, **given: plain(recordings, **{**given, "training": rules}))
+        patch.setattr(asterism.MarkerModel, "fit", lambda recordings, **given: plain(recordings, **{**given, "training": rules}))
         yield
 
 
@@ -114,7 +114,7 @@ def folder() -> Path:
     return place
 
 
-def _save(model: asterism.SolverEnsemble, path: Path) -> None:
+def _save(model: asterism.MarkerModel, path: Path) -> None:
     """Write under another name, then rename: nobody reads half a model."""
     part = path.with_suffix(f".{os.getpid()}")
     model.save(part)

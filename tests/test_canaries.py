@@ -53,7 +53,7 @@ def gaps(walks: Sequence[Recording], seed: int, hidden: int, ghosts: int) -> flo
     model = models.trained(walks[1:])
     counts = np.array(
         [
-            right_of(model.label(clouds, time=True), truth)
+            right_of(model.label(clouds), truth)
             for clouds, truth in (simulate_gaps_and_ghosts(walks[0], hidden, ghosts, seed=100 * seed + i) for i in range(3))
         ]
     )

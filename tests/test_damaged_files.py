@@ -432,7 +432,7 @@ def test_a_model_is_checked_before_anything_uses_it(model: Path, tmp_path: Path,
     path = tmp_path / "damaged.model"
     write_arrays(path, head, {key: array for key, array in arrays.items() if array is not None})
     with pytest.raises(AsterismError, match=rf"damaged\.model is damaged.*({why})"):
-        asterism.SolverEnsemble.load(path)
+        asterism.MarkerModel.load(path)
 
 
 @pytest.mark.parametrize(
@@ -456,7 +456,7 @@ def test_the_head_of_a_model_is_checked(model: Path, tmp_path: Path, change: dic
     path = tmp_path / "damaged.model"
     write_arrays(path, head, arrays)
     with pytest.raises(AsterismError, match=rf"damaged\.model.*({why})"):
-        asterism.SolverEnsemble.load(path)
+        asterism.MarkerModel.load(path)
     with pytest.raises(AsterismError):
         asterism.labelling.training.model_file.describe_model(path) if key != "look" and key != "least_confidence" else _refuse(path)
 
@@ -476,7 +476,7 @@ def test_a_model_has_at_most_2000_markers(model: Path) -> None:
 def test_damaged_models_are_refused_or_label(model: Path, tmp_path: Path) -> None:
     clouds: Clouds = asterism.simulation.simulate_walks(subjects=1, frames=3, rate=50.0)[0].clouds()
     specimen = specimens_of.Specimen(
-        "model", "walks.model", model.read_bytes(), (lambda path: asterism.SolverEnsemble.load(path).label(clouds),), packed=True
+        "model", "walks.model", model.read_bytes(), (lambda path: asterism.MarkerModel.load(path).label_frames(clouds),), packed=True
     )
     faults = [fault for number in range(60) for fault in trials.read_copy(number, [specimen], tmp_path / "damaged")]
     assert not faults, faults[:3]

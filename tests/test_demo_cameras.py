@@ -105,7 +105,7 @@ def test_the_demo_keeps_its_promises_and_says_when_it_does_not(
     assert compare_rigs(read_rig(folder / "my-rig.toml"), read_rig(folder / "rig.toml")).world[0] < 1e-6
     capsys.readouterr()
 
-    model = asterism.SolverEnsemble.load(folder / "walkers.model")
+    model = asterism.MarkerModel.load(folder / "walkers.model")
     monkeypatch.setattr(_demo_cameras, "train_on_walkers", lambda walks, seed: model)
     monkeypatch.setattr(session, "simulate_session", lambda *given: sessions[0])
     damaged = replace(outcomes[0], wrong=500)

@@ -33,7 +33,7 @@ def walks() -> list[Recording]:
 
 
 @pytest.fixture(scope="module")
-def ensemble(walks: list[Recording]) -> asterism.SolverEnsemble:
+def ensemble(walks: list[Recording]) -> asterism.MarkerModel:
     return trained(walks[:4], miner=None, training=TrainingRules())
 
 
@@ -63,11 +63,11 @@ def rates(labelling: Labelling, truth: Ints) -> tuple[float, float]:
     ids=["flicker", "flicker near", "three frames", "riding", "volume", "reflections", "crossing"],
 )
 def test_the_whole_recording_is_never_worse_than_its_frames(
-    ensemble: asterism.SolverEnsemble, walks: list[Recording], clutter: Clutter, hidden: int, number_tracks: bool
+    ensemble: asterism.MarkerModel, walks: list[Recording], clutter: Clutter, hidden: int, number_tracks: bool
 ) -> None:
     clouds, truth = in_clutter(walks[4], clutter, hidden, 7, number_tracks)
-    right, wrong = rates(ensemble.label(clouds, time=True), truth)
-    own_right, own_wrong = rates(ensemble.label(clouds), truth)
+    right, wrong = rates(ensemble.label(clouds), truth)
+    own_right, own_wrong = rates(ensemble.label_frames(clouds), truth)
     assert right >= own_right - ALLOWED, f"{100 * right:.2f} % right, frame by frame {100 * own_right:.2f} %"
     assert wrong <= own_wrong + ALLOWED, f"{100 * wrong:.2f} % wrong, frame by frame {100 * own_wrong:.2f} %"
     assert right > 0.9, "neither finds the markers"
@@ -91,10 +91,10 @@ def test_ghosts_that_last_are_short_only_where_they_crowd_round_long_paths(marke
     assert long_points(clouds, Tracklets(of_point, first, last), 15, ShortTrackletRules()).sum() == 100 * long
 
 
-def test_an_oddly_worn_marker_costs_no_other_marker(ensemble: asterism.SolverEnsemble, walks: list[Recording]) -> None:
+def test_an_oddly_worn_marker_costs_no_other_marker(ensemble: asterism.MarkerModel, walks: list[Recording]) -> None:
     moved, name = displace_marker(walks[4], MarkerSet.load("helen-hayes"), (0.04, 0.04), seed=2)
     clouds, truth = simulate_gaps_and_ghosts(moved, 0, 0, seed=1)
-    labelling = ensemble.label(clouds, time=True)
+    labelling = ensemble.label(clouds)
     others = np.array(labelling.names) != name
     assert (labelling.indices == truth)[:, others].mean() > 0.99
     given_ = labelling.indices[:, ~others] != NULL
@@ -110,7 +110,7 @@ def test_an_oddly_worn_marker_costs_no_other_marker(ensemble: asterism.SolverEns
     seed=st.integers(0, 1000),
 )
 def test_the_order_of_the_points_plays_no_part_in_clutter(
-    ensemble: asterism.SolverEnsemble,
+    ensemble: asterism.MarkerModel,
     walks: list[Recording],
     per_frame: float,
     life: int | None,
@@ -123,7 +123,7 @@ def test_the_order_of_the_points_plays_no_part_in_clutter(
     order = np.lexsort((np.random.default_rng(seed).random(len(clouds.xyz)), clouds.frame_of))
     tracks = None if clouds.tracks is None else clouds.tracks[order]
     shuffled = replace(clouds, xyz=clouds.xyz[order], columns=clouds.columns[order], tracks=tracks)
-    one, other = ensemble.label(clouds, time=True), ensemble.label(shuffled, time=True)
+    one, other = ensemble.label(clouds), ensemble.label(shuffled)
     assert np.array_equal(one.positions(clouds), other.positions(shuffled), equal_nan=True)
     assert np.array_equal(one.confidence, other.confidence)
 
@@ -145,7 +145,7 @@ def test_the_same_clouds_in_every_run_and_a_person_wears_one_marker_oddly_in_all
     assert (one.walk.positions != walk.positions).any(axis=2).all(axis=0).sum() == 1
 
 
-def test_a_recording_that_is_refused_counts_as_unlabelled(ensemble: asterism.SolverEnsemble, walks: list[Recording]) -> None:
+def test_a_recording_that_is_refused_counts_as_unlabelled(ensemble: asterism.MarkerModel, walks: list[Recording]) -> None:
     class Refusing:
         marker_set = ensemble.marker_set
 

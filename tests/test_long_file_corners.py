@@ -168,7 +168,7 @@ class ByColumn:
     about: dict[str, Any] | None = None
     labelled: int = 0
 
-    def label(self, clouds: Clouds, **_: object) -> Labelling:
+    def label_one_body(self, clouds: Clouds, *_: object, **__: object) -> Labelling:
         shape = (len(clouds), len(self.marker_set))
         indices, confidence = np.full(shape, NULL), np.zeros(shape)
         place = np.arange(len(clouds.xyz)) - clouds.offsets[clouds.frame_of]
@@ -179,6 +179,9 @@ class ByColumn:
         verdict = self.verdicts[min(self.labelled, len(self.verdicts) - 1)]
         self.labelled += len(clouds) > 1
         return Labelling(indices, confidence, self.marker_set.names, verdict=verdict)
+
+    def label(self, clouds: Clouds, **_: object) -> Labelling:
+        return stretches.label_long(self.label_one_body, self.marker_set.names, clouds)
 
 
 def moving(frames: int = LONG, points: int = 5) -> Recording:
@@ -339,7 +342,7 @@ def test_what_should_be_checked_of_a_long_file_is_in_its_frames(tmp_path: Path) 
     asterism.write(path, replace(recording, positions=positions))
     model: Any = ByColumn(MarkerSet(MARKERS))
     clouds = asterism.read(path, vertical="z").clouds()
-    expected = review(model.label(clouds), clouds)
+    expected = review(model.label_one_body(clouds), clouds)
     labeller = _labelling.Labeller([model], ["any"], StandingTrials([path], (), False, None))
     found, _ = label_long_file(labeller, path, long_of(path), stretches.StretchRules())
     pieces = {(item.first_frame, item.last_frame): item for item in found.items}

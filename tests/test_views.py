@@ -23,10 +23,10 @@ from asterism.simulation.views_laboratory import ViewsSession, simulate_views
 from asterism.simulation.views_motion import simulate_motion
 from asterism.views import BodyModel, checks, fit_body, label_views, load_body, save_body, shipped_bodies
 from asterism.views.frame import FrameLabeller
-from asterism.views.label import ViewsLabelling
 from asterism.views.passes import Pass, Starts, _best_path, joined, seen
 from asterism.views.plain import label_stepwise, minimise_plain
 from asterism.views.posing import posed_points
+from asterism.views.result import ViewsLabelling
 from asterism.views.rules import QUICK, RULES
 from asterism.views.scene import scene_of
 from asterism.views.sights import AROUND

@@ -23,7 +23,7 @@ from asterism.views.rules import QUICK
 
 
 @cache
-def model() -> asterism.SolverEnsemble:
+def model() -> asterism.MarkerModel:
     return models.trained(simulate_walks(3, 80, seed=5), training=models.BRIEF)
 
 

@@ -19,7 +19,7 @@ from correcting import Browser, longest, model, served, written
 
 from asterism import formats
 from asterism.errors import AsterismError
-from asterism.labelling import SolverEnsemble
+from asterism.labelling import MarkerModel
 from asterism.recording import Recording
 
 websockets = pytest.importorskip("websockets.sync.client")
@@ -281,7 +281,7 @@ def test_the_model_learns_what_was_saved(tmp_path: Path) -> None:
         before = (tmp_path / "gait.model").read_bytes()
         answer = browser.post("/api/teach", {"trials": ["0"], "model_out": "better"})
     assert Path(answer["path"]) == tmp_path / "better.model" and (tmp_path / "gait.model").read_bytes() == before
-    assert SolverEnsemble.load(tmp_path / "better.model").about["recordings"] == model().about["recordings"] + 1
+    assert MarkerModel.load(tmp_path / "better.model").about["recordings"] == model().about["recordings"] + 1
 
 
 def test_two_files_of_one_name_need_two_folders(tmp_path: Path) -> None:

@@ -107,7 +107,7 @@ def _left_out(benchmark: BenchmarkRun, subject: str) -> Worths:
     ensemble = ensemble_of(benchmark, subject)
     for condition in CONDITIONS[: 1 if benchmark.quick else None]:
         for one in samples(subject, condition, 1):
-            worths[FRAMES].add(ensemble.label(one.clouds), one.truth, subject)
+            worths[FRAMES].add(ensemble.label_frames(one.clouds), one.truth, subject)
             worths[WHOLE].add(label_whole(ensemble, one.clouds, one.truth), one.truth, subject)
             worths[STREAM].add(pushed(ensemble, one.clouds, 10)[0], one.truth, subject)
     return dict(worths)
@@ -124,7 +124,7 @@ def _few(benchmark: BenchmarkRun, item: tuple[int, int]) -> Worths:
         subject = subjects[(first - number) % len(subjects)]
         for condition in CONDITIONS[:3]:
             for one in samples(subject, condition, 1):
-                worths[FRAMES].add(ensemble.label(one.clouds), one.truth, subject)
+                worths[FRAMES].add(ensemble.label_frames(one.clouds), one.truth, subject)
                 worths[WHOLE].add(label_whole(ensemble, one.clouds, one.truth), one.truth, subject)
     return dict(worths)
 
@@ -148,5 +148,5 @@ def _moved(benchmark: BenchmarkRun, number: int) -> Worths:
         clouds, truth = simulate_gaps_and_ghosts(trial, 3, 0, seed=place)
         worths[WHOLE].add(label_whole(ensemble, clouds, truth), truth, fold.person)
         single, own = simulate_gaps_and_ghosts(evenly(trial, FRAMES_OF_TRIAL), 3, 0, seed=place)
-        worths[FRAMES].add(ensemble.label(single), own, fold.person)
+        worths[FRAMES].add(ensemble.label_frames(single), own, fold.person)
     return dict(worths)

@@ -233,11 +233,11 @@ def _model(folder: Path) -> Specimen:
     path = folder / "walks.model"
     walks = simulate_walks(subjects=3, frames=60, rate=50.0)
     rules = TrainingRules(trial_frames=8, folds=2, trials=(Trial(),), time_trials=(Trial(0.2),), stretches=1, stretch_frames=30)
-    asterism.SolverEnsemble.fit(walks, seed=0, miner=None, training=rules).save(path)
+    asterism.MarkerModel.fit(walks, seed=0, miner=None, training=rules).save(path)
     clouds = walks[0].frames(slice(0, 3)).clouds()
 
     def label(copy: Path) -> None:
-        asterism.SolverEnsemble.load(copy).label(clouds)
+        asterism.MarkerModel.load(copy).label(clouds)
 
     return _specimen(path, "model", label, packed=True)
 

@@ -26,8 +26,8 @@ from benchmarks.score import Tally
 class Case:
     """A subject left out: the ensemble of the others, and the same after it has seen the subject's standing trial."""
 
-    ensemble: asterism.SolverEnsemble
-    adapted: asterism.SolverEnsemble
+    ensemble: asterism.MarkerModel
+    adapted: asterism.MarkerModel
 
 
 def uncalibrated(case: Case, clouds: Clouds) -> Labelling:
@@ -38,11 +38,11 @@ def uncalibrated(case: Case, clouds: Clouds) -> Labelling:
 
 
 METHODS: tuple[tuple[str, Callable[[Case, Clouds], Labelling]], ...] = (
-    ("frame only", lambda case, clouds: case.ensemble.label(clouds)),
-    ("+ tracks", lambda case, clouds: by_majority(case.ensemble.label(clouds), clouds)),
+    ("frame only", lambda case, clouds: case.ensemble.label_frames(clouds)),
+    ("+ tracks", lambda case, clouds: by_majority(case.ensemble.label_frames(clouds), clouds)),
     ("+ all tracks at once", uncalibrated),
-    ("+ own calibration", lambda case, clouds: case.ensemble.label(clouds, time=True)),
-    ("+ static trial", lambda case, clouds: case.adapted.label(clouds, time=True)),
+    ("+ own calibration", lambda case, clouds: case.ensemble.label(clouds)),
+    ("+ static trial", lambda case, clouds: case.adapted.label(clouds)),
 )
 """Each does what the one above it does, and more."""
 

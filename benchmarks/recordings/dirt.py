@@ -87,11 +87,11 @@ def _tested(benchmark: BenchmarkRun, number: int) -> Found:
         markers = len(test.recording.labels)
         clouds, truth = simulate_gaps_and_ghosts(_with_pieces(test), 0, 0, seed=place)
         nothing = silence(truth[:, :markers], test.recording.labels)
-        labelling = ensemble.label(clouds, time=True) if ensemble else nothing
+        labelling = ensemble.label(clouds) if ensemble else nothing
         found.tally.add(labelling, truth[:, :markers])
         exchanged = sides_exchanged(everything(test.file).select(test.recording.labels))[test.frames]
         found.kept.add(labelling, np.where(exchanged, NULL, truth[:, :markers]))
-        found.framewise.add(ensemble.label(clouds) if ensemble else nothing, truth[:, :markers])
+        found.framewise.add(ensemble.label_frames(clouds) if ensemble else nothing, truth[:, :markers])
         found.pieces += _pieces(labelling, truth)
     told = f"found again {found.tally.right_share:.5f}, FA {found.tally.false_assignments:.5f}, pieces {found.pieces}"
     benchmark.report(f"{fold.label}: {told}, frame by frame {found.framewise.right_share:.5f}")
@@ -126,7 +126,7 @@ def _raw(benchmark: BenchmarkRun) -> Iterator[Figure]:
     labelled = [recording for fold in folds for recording in fold.train]
     ensemble = benchmark.fit(labelled, [folds[0].label] * len(labelled))
     clouds = everything(RAW).clouds()
-    positions = ensemble.label(clouds, time=True).positions(clouds)
+    positions = ensemble.label(clouds).positions(clouds)
     given = ~np.isnan(positions[:, :, 0])
     yield Figure("dirt, clouthier62 raw trial: points that got a label", "none", given.sum() / len(clouds.xyz), "fraction", len(clouds))
     yield Figure("dirt, clouthier62 raw trial: markers that got a point", "none", float(given.mean()), "fraction", len(clouds))

@@ -37,7 +37,7 @@ def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:
     for condition, (hidden, ghosts) in CONDITIONS.items():
         trials = with_gaps(benchmark, subject, hidden, ghosts, GAIT_BODY, seeds=1)
         for walk, (clouds, truth) in zip(walks(subject, GAIT_BODY), trials, strict=True):
-            labelling = ensemble.label(clouds, time=True)
+            labelling = ensemble.label(clouds)
             tallies[condition, WHOLE].add(labelling, truth)
             tallies[condition, CONSISTENT].add(*believable(labelling, truth, walk))
     told = (f"{c}, {m} {t.right_share:.5f}, wrong {t.false_assignments:.5f}" for (c, m), t in tallies.items())

@@ -61,7 +61,7 @@ def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:
     ensemble, tallies = unseen_ensemble(benchmark, subject), defaultdict(Tally)
     for condition, (hidden, ghosts) in CONDITIONS.items():
         for draw, (clouds, truth) in enumerate(with_gaps(benchmark, subject, hidden, ghosts)):
-            tallies[condition, WHOLE].add(ensemble.label(clouds, time=True), truth, recording=walk_of_draw(benchmark, subject, draw))
+            tallies[condition, WHOLE].add(ensemble.label(clouds), truth, recording=walk_of_draw(benchmark, subject, draw))
     told = (f"{c} {tallies[c, WHOLE].right_share:.5f}, wrong {tallies[c, WHOLE].false_assignments:.5f}" for c in CONDITIONS)
     benchmark.report(f"{subject} left out: {'; '.join(told)}")
     return dict(tallies)

@@ -128,7 +128,7 @@ def run(benchmark: BenchmarkRun, task: tuple[str, bool]) -> Course:
     waiting = trials if named else [trial for trial in trials if trial is not one]
     course = Course(task, sum(trial.samples for trial in waiting))
     first = _named(one, course) if named else one.recording
-    ensemble = asterism.SolverEnsemble.fit([first], subjects=[start], miner=None, marker_set=MarkerSet(one.recording.labels))
+    ensemble = asterism.MarkerModel.fit([first], subjects=[start], miner=None, marker_set=MarkerSet(one.recording.labels))
     done: list[tuple[Trial, list[Answer]]] = []
     while waiting:
         looks = [_look(ensemble, trial) for trial in waiting]
@@ -148,7 +148,7 @@ def run(benchmark: BenchmarkRun, task: tuple[str, bool]) -> Course:
         ensemble = ensemble.learn(corrected, subjects=[waiting[i].subject for i in chosen])
         waiting = [trial for i, trial in enumerate(waiting) if i not in chosen]
     for trial, given in done:
-        labelling = apply_answers(ensemble.label(trial.clouds, time=True), trial.clouds, given)
+        labelling = apply_answers(ensemble.label(trial.clouds), trial.clouds, given)
         answered = {int(item.points[0]) for item, _ in given}
         items = [item for item in review(labelling, trial.clouds, least_gain=WORTH) if int(item.points[0]) not in answered]
         settled, _ = _settled(trial, labelling, items, course)
@@ -186,9 +186,9 @@ def _named(trial: Trial, course: Course) -> Recording:
     return name_groups(recording, groups, names)
 
 
-def _look(ensemble: asterism.SolverEnsemble, trial: Trial) -> tuple[Labelling, list[ReviewItem]]:
+def _look(ensemble: asterism.MarkerModel, trial: Trial) -> tuple[Labelling, list[ReviewItem]]:
     """The trial's labels and what a person should look at."""
-    labelling = ensemble.label(trial.clouds, time=True)
+    labelling = ensemble.label(trial.clouds)
     return labelling, review(labelling, trial.clouds, least_gain=WORTH)
 
 

@@ -68,7 +68,7 @@ def _tested(benchmark: BenchmarkRun, item: tuple[tuple[str, ...] | None, int]) -
     for place, test in enumerate(fold.test):
         spare = max(0, len(test.frames) - LONGEST) // 2
         clouds, truth = simulate_gaps_and_ghosts(test.recording.frames(test.frames[spare : spare + LONGEST]), 3, 0, seed=place)
-        tally.add(ensemble.label(clouds, time=True) if ensemble else silence(truth, fold.train[0].labels), truth)
+        tally.add(ensemble.label(clouds) if ensemble else silence(truth, fold.train[0].labels), truth)
     benchmark.report(f"{fold.label}, {fold.person}: right {tally.right_share:.5f}, wrong {tally.false_assignments:.5f}")
     return tally
 

@@ -21,16 +21,16 @@ def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
     ensemble = unseen_ensemble(benchmark, subject)
     for condition, ghosts in (("3 hidden", 0), ("3 hidden + 3 ghosts", 3)):
         clouds = [cloud for cloud, _ in with_gaps(benchmark, subject, 3, ghosts, seeds=1)]
-        yield _rate(f"speed, 15 markers, {condition}, {WHOLE}", "> 5000", lambda cloud: ensemble.label(cloud, time=True), clouds)
+        yield _rate(f"speed, 15 markers, {condition}, {WHOLE}", "> 5000", lambda cloud: ensemble.label(cloud), clouds)
     if benchmark.quick:
         return
     own, *others = simulate_walks(7, 600, markers="plug-in-gait", seed=5)
     plug_in = benchmark.fit(others, [str(n) for n in range(len(others))])
     clouds = [simulate_gaps_and_ghosts(own, 3, 0, seed=1)[0]]
-    yield _rate(f"speed, 39 markers, 3 hidden, {WHOLE}", "> 2000", lambda cloud: plug_in.label(cloud, time=True), clouds)
+    yield _rate(f"speed, 39 markers, 3 hidden, {WHOLE}", "> 2000", lambda cloud: plug_in.label(cloud), clouds)
     body = unseen_ensemble(benchmark, subject, GAIT_BODY)
     clouds = [cloud for cloud, _ in with_gaps(benchmark, subject, 3, 0, GAIT_BODY, seeds=1)]
-    yield _rate(f"speed, {len(GAIT_BODY)} markers, 3 hidden, {WHOLE}", "> 1000", lambda cloud: body.label(cloud, time=True), clouds)
+    yield _rate(f"speed, {len(GAIT_BODY)} markers, 3 hidden, {WHOLE}", "> 1000", lambda cloud: body.label(cloud), clouds)
 
 
 def _rate(row: str, asked: str, label: Callable[[Clouds], object], clouds: Sequence[Clouds]) -> Figure:

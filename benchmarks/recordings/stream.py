@@ -50,7 +50,7 @@ def stream(benchmark: BenchmarkRun) -> Iterator[Figure]:
             yield Figure(f"{row}: p99.9 of a push", "< 10", float(np.quantile(spent, 0.999)), "ms", len(spent))
 
 
-def pushed(ensemble: asterism.SolverEnsemble, clouds: Clouds, delay: int) -> tuple[Labelling, Floats]:
+def pushed(ensemble: asterism.MarkerModel, clouds: Clouds, delay: int) -> tuple[Labelling, Floats]:
     """The labelling that comes out of a stream, and what each push took (T,), in ms."""
     live = ensemble.stream(clouds.rate, delay, clouds.vertical)
     frames, spent = [], []

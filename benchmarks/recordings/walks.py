@@ -57,7 +57,7 @@ def unseen_training(benchmark: BenchmarkRun, subject: str, markers: Markers = "h
     return [person for person, _ in pairs], [trial for _, trial in pairs]
 
 
-def unseen_ensemble(benchmark: BenchmarkRun, subject: str, markers: Markers = "helen-hayes") -> asterism.SolverEnsemble:
+def unseen_ensemble(benchmark: BenchmarkRun, subject: str, markers: Markers = "helen-hayes") -> asterism.MarkerModel:
     """An ensemble that has learned from all other subjects."""
     people, train = unseen_training(benchmark, subject, markers)
     return benchmark.fit(train, people)

@@ -92,15 +92,23 @@ def keep_aliases(app: Any, config: Any) -> None:
     }
 
 
-def plain_aliases(
+def plain_signature(
     app: Any, what: str, name: str, thing: object, options: object, signature: str | None, returned: str | None
 ) -> tuple[str | None, str | None]:
-    """Write aliases inside unions and tuples as elsewhere; Sphinx prints the placeholder that it puts in their place."""
-    return _without_placeholders(signature), _without_placeholders(returned)
+    """A signature as one would write it: aliases by their names, and in place of long values three dots."""
+    return _plain(signature), _plain(returned)
 
 
-def _without_placeholders(text: str | None) -> str | None:
-    return text and re.sub(r"TypeAliasForwardRef\('([\w.]+)'\)", r"\1", text)
+def _plain(text: str | None) -> str | None:
+    if not text:
+        return text
+    text = re.sub(r"TypeAliasForwardRef\('([\w.]+)'\)", r"\1", text).replace("<factory>", "...")
+    return _RECORD.sub(r"\1(...)", text)
+
+
+_NESTED = r"(?:[^()]|\((?:[^()]|\([^()]*\))*\))+"
+_RECORD = re.compile(rf"(?<== )([A-Z]\w+)\({_NESTED}\)")
+"""A record with its fields as a default, such as `Rules(limit=2, search=Search(width=3))`."""
 
 
 def skip(app: Any, what: str, name: str, thing: object, skipped: bool, options: object) -> bool | None:
@@ -132,7 +140,7 @@ def _documented_constants(file: str) -> dict[str, str]:
 def setup(app: Any) -> dict[str, bool]:
     """Register with Sphinx."""
     app.connect("config-inited", keep_aliases)
-    app.connect("autodoc-process-signature", plain_aliases)
+    app.connect("autodoc-process-signature", plain_signature)
     app.connect("autodoc-process-docstring", convert)
     app.connect("autodoc-skip-member", skip)
     return {"parallel_read_safe": True}

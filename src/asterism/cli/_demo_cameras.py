@@ -36,13 +36,13 @@ def demo_cameras(output: Path, seed: int, json: str | None) -> int:
         f"hides some of the {len(walks[0].labels)} markers from the cameras; noise, strays, lost images."
     )
     say(f"Training on {_WALKERS - 1} other walkers ...")
-    ensemble = train_on_walkers(walks[:-1], seed)
+    model = train_on_walkers(walks[:-1], seed)
     with _console.progress("working") as progress:
-        result = run_pipeline(session, ensemble, progress)
+        result = run_pipeline(session, model, progress)
     seconds = time.perf_counter() - started
-    model = output / "walkers.model"
-    ensemble.save(model)
-    files = {**_written(output, session, result), "model": model}
+    model_file = output / "walkers.model"
+    model.save(model_file)
+    files = {**_written(output, session, result), "model": model_file}
     criteria = result.criteria()
     if json != "-":
         print_criteria(criteria, seconds)

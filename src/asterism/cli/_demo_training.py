@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 from asterism.cli import _console
 
 if TYPE_CHECKING:
-    from asterism.labelling import SolverEnsemble
+    from asterism.labelling import MarkerModel
     from asterism.recording import Recording
 
 MARKERS = "helen-hayes"
 
 
-def train_on_walkers(walks: Sequence[Recording], seed: int) -> SolverEnsemble:
+def train_on_walkers(walks: Sequence[Recording], seed: int) -> MarkerModel:
     """A quick training: two groups left out in turn, few and short trials, no partial solvers, which the whole-body rules do not use."""
-    from asterism.labelling import SolverEnsemble, TrainingRules
+    from asterism.labelling import MarkerModel, TrainingRules
     from asterism.labelling.training.trials import Trial
     from asterism.recording import MarkerSet
 
@@ -29,4 +29,4 @@ def train_on_walkers(walks: Sequence[Recording], seed: int) -> SolverEnsemble:
         stretch_frames=50,
     )
     with _console.progress("training") as progress:
-        return SolverEnsemble.fit(walks, seed=seed, miner=None, marker_set=MarkerSet.load(MARKERS), training=rules, progress=progress)
+        return MarkerModel.fit(walks, seed=seed, miner=None, marker_set=MarkerSet.load(MARKERS), training=rules, progress=progress)

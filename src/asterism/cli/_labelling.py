@@ -14,7 +14,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 
 if TYPE_CHECKING:
-    from asterism.labelling import SolverEnsemble
+    from asterism.labelling import MarkerModel
     from asterism.progress import Progress
     from asterism.recording import Clouds, Disagreement, Labelling, MarkerSet, Recording
 
@@ -46,22 +46,22 @@ class Labelled:
 class Labeller:
     """Labels files with one model, or with one for each body, narrowed to each file's person where a standing trial is known."""
 
-    ensembles: Sequence[SolverEnsemble]
+    models: Sequence[MarkerModel]
     names: Sequence[str]
     standing: StandingTrials
     rules: Rules = Rules.WHOLE_BODY
     in_time: bool = True
     workers: int = 1
-    _narrowed: dict[Path, SolverEnsemble | AsterismError] = field(default_factory=dict)
+    _narrowed: dict[Path, MarkerModel | AsterismError] = field(default_factory=dict)
 
     @classmethod
     def of_models(
         cls, models: Sequence[Path], standing: StandingTrials, *, rules: Rules = Rules.WHOLE_BODY, in_time: bool = True, workers: int = 1
     ) -> Labeller:
         """With the models in these files. Raises AsterismError where one cannot be loaded, or the one trial of a subject cannot be used."""
-        ensembles, names = _loaded(models)
-        alone = len(ensembles) == 1 and rules is Rules.WHOLE_BODY
-        labeller = cls(ensembles, names, standing if alone else replace(standing, automatic=False), rules, in_time, workers)
+        loaded, names = _loaded(models)
+        alone = len(loaded) == 1 and rules is Rules.WHOLE_BODY
+        labeller = cls(loaded, names, standing if alone else replace(standing, automatic=False), rules, in_time, workers)
         if len(standing.given) == 1:
             labeller._by(standing.given[0])
         return labeller
@@ -70,76 +70,60 @@ class Labeller:
         self, path: Path, clouds: Clouds, progress: Progress | None = None
     ) -> tuple[Labelling, MarkerSet, Path | None, list[Finding]]:
         """The labelling of a file's clouds, its marker set, the standing trial that was used, and findings."""
-        from asterism.labelling.stretches import StretchRules, stretches_of
-
         trial, findings = self.standing.of(path), list[Finding]()
-        ensemble = self.ensembles[0] if trial is None else self._narrowed_by(trial)
-        labelling, marker_set, one_of_two = self._labelled(ensemble, clouds, progress)
-        if ensemble is self.ensembles[0]:
+        model = self.models[0] if trial is None else self._narrowed_by(trial)
+        labelling, marker_set = self._labelled(model, clouds, progress)
+        if model is self.models[0]:
             trial = None
-        elif _shows_subject(ensemble, clouds, labelling) is False:
+        elif _shows_subject(model, clouds, labelling) is False:
             findings.append(_other_subject(path, trial, given=bool(self.standing.given)))
             trial = None
-            labelling, marker_set, one_of_two = self._labelled(self.ensembles[0], clouds, progress)
-        if one_of_two:
-            sentence = f"{path}: two bodies wear the model's markers, and only one of them was labelled."
-            findings.append(Finding("label-two-bodies", Severity.WARNING, str(path), sentence, "Give --model once for each of them."))
-        if labelling.verdict is not None:
-            findings += labelling.verdict.findings(str(path))
-        if self.in_time and len(self.ensembles) == 1 and not one_of_two:
-            findings += in_stretches(path, len(stretches_of(clouds.counts, clouds.rate, StretchRules())))
-        return labelling, marker_set, trial, findings
+            labelling, marker_set = self._labelled(self.models[0], clouds, progress)
+        return labelling, marker_set, trial, findings + labelling.findings(str(path))
 
-    def ensemble_of(self, path: Path, parts: Iterable[Clouds]) -> tuple[SolverEnsemble, Path | None, list[Finding]]:
+    def model_of(self, path: Path, parts: Iterable[Clouds]) -> tuple[MarkerModel, Path | None, list[Finding]]:
         """The model for a file, narrowed to its person where a trial is known; the trial; and findings.
 
         parts: of the file's clouds; the first one that shows the person tells whether the trial is of this person.
         """
         trial = self.standing.of(path)
-        ensemble = self.ensembles[0] if trial is None else self._narrowed_by(trial)
-        if ensemble is self.ensembles[0]:
-            return ensemble, None, []
+        model = self.models[0] if trial is None else self._narrowed_by(trial)
+        if model is self.models[0]:
+            return model, None, []
         for clouds in parts:
-            same = _shows_subject(ensemble, clouds, ensemble.label(clouds, time=True, workers=self.workers))
+            same = _shows_subject(model, clouds, model.label(clouds, workers=self.workers))
             if same is False:
-                return self.ensembles[0], None, [_other_subject(path, trial, given=bool(self.standing.given))]
+                return self.models[0], None, [_other_subject(path, trial, given=bool(self.standing.given))]
             if same:
                 break
-        return ensemble, trial, []
+        return model, trial, []
 
     def warm_up(self, clouds: Clouds) -> None:
         """Compile the kernels, so that the time of the first file leaves that out."""
         if len(clouds):
-            self._labelled(self.ensembles[0], clouds.frames([0]), None)
+            self._labelled(self.models[0], clouds.frames([0]), None)
 
-    def _labelled(self, ensemble: SolverEnsemble, clouds: Clouds, progress: Progress | None) -> tuple[Labelling, MarkerSet, bool]:
-        """The labelling, its marker set, and whether it is that of one of two bodies, because one was expected."""
-        from asterism.labelling import SeveralBodies, join_labellings, label_together
-        from asterism.labelling.stretches import label_long
+    def _labelled(self, model: MarkerModel, clouds: Clouds, progress: Progress | None) -> tuple[Labelling, MarkerSet]:
+        """The labelling and its marker set."""
+        from asterism.labelling import join_labellings, label_together
 
-        if len(self.ensembles) > 1:
-            found = label_together(self.ensembles, clouds, workers=self.workers, progress=progress)
-            return *join_labellings(found, [one.marker_set for one in self.ensembles], self.names), False
-        try:
-            if self.in_time:
-                given = label_long(ensemble, clouds, workers=self.workers, progress=progress)
-            else:
-                given = ensemble.label(clouds, rules=self.rules.value, workers=self.workers, progress=progress)
-            return given, ensemble.marker_set, False
-        except SeveralBodies:
-            both = label_together([ensemble, ensemble], clouds, workers=self.workers, progress=progress)
-            return max(both, key=lambda labelling: int((labelling.indices >= 0).sum())), ensemble.marker_set, True
+        if len(self.models) > 1:
+            found = label_together(self.models, clouds, workers=self.workers, progress=progress)
+            return join_labellings(found, [one.marker_set for one in self.models], self.names)
+        if self.in_time:
+            return model.label(clouds, workers=self.workers, progress=progress), model.marker_set
+        return model.label_frames(clouds, method=self.rules.value, workers=self.workers, progress=progress), model.marker_set
 
-    def _narrowed_by(self, trial: Path) -> SolverEnsemble:
+    def _narrowed_by(self, trial: Path) -> MarkerModel:
         """The model narrowed by a trial; the model itself where a trial that nobody named cannot be used."""
         try:
             return self._by(trial)
         except (AsterismError, OSError):
             if self.standing.given:
                 raise
-            return self.ensembles[0]
+            return self.models[0]
 
-    def _by(self, trial: Path) -> SolverEnsemble:
+    def _by(self, trial: Path) -> MarkerModel:
         """The model narrowed by a trial, made once; the last few are kept."""
         from asterism import formats
 
@@ -147,7 +131,7 @@ class Labeller:
             while len(self._narrowed) >= 8:
                 self._narrowed.pop(next(iter(self._narrowed)))
             try:
-                self._narrowed[trial] = self.ensembles[0].adapt(formats.read(trial, vertical=self.standing.axis))
+                self._narrowed[trial] = self.models[0].adapt(formats.read(trial, vertical=self.standing.axis))
             except AsterismError as problem:
                 sentence = str(problem)
                 self._narrowed[trial] = AsterismError(sentence if trial.name in sentence else f"{trial}: {sentence}")
@@ -229,27 +213,18 @@ def body_names(models: Sequence[Path]) -> list[str]:
     return names if len(set(names)) == len(names) else [str(i + 1) for i in range(len(names))]
 
 
-def _loaded(models: Sequence[Path]) -> tuple[list[SolverEnsemble], list[str]]:
-    from asterism.labelling import SolverEnsemble
+def _loaded(models: Sequence[Path]) -> tuple[list[MarkerModel], list[str]]:
+    from asterism.labelling import MarkerModel
 
-    loaded: Mapping[Path, SolverEnsemble] = {path: SolverEnsemble.load(path) for path in dict.fromkeys(models)}
+    loaded: Mapping[Path, MarkerModel] = {path: MarkerModel.load(path) for path in dict.fromkeys(models)}
     return [loaded[path] for path in models], body_names(models)
 
 
-def in_stretches(path: Path, count: int) -> list[Finding]:
-    """The finding that a recording was labelled in so many stretches; empty where it was labelled at once."""
-    if count == 1:
-        return []
-    sentence = f"{path} is long: it was labelled in {count} stretches, which were joined where they overlap."
-    mend = "Where there is memory for it, SolverEnsemble.label labels it at once."
-    return [Finding("label-in-stretches", Severity.NOTE, str(path), sentence, mend)]
+def _shows_subject(model: MarkerModel, clouds: Clouds, labelling: Labelling) -> bool | None:
+    """Whether a recording is of the person to whom the model is adapted; None where it shows too little of anybody."""
+    from asterism.labelling.marker_model import OTHER_SUBJECT_FIT
 
-
-def _shows_subject(ensemble: SolverEnsemble, clouds: Clouds, labelling: Labelling) -> bool | None:
-    """Whether a recording is of the person to whom the ensemble is adapted; None where it shows too little of anybody."""
-    from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
-
-    fit = ensemble.subject_fit(clouds, labelling)
+    fit = model.subject_fit(clouds, labelling)
     return None if math.isnan(fit) else fit >= OTHER_SUBJECT_FIT
 
 

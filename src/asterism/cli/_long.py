@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from asterism.cli._labelling import Labeller, findings_on_names, held_against_names, in_stretches, names_in_set, settled_names
+from asterism.cli._labelling import Labeller, findings_on_names, held_against_names, names_in_set, settled_names
 from asterism.cli._options import KnownLabels
 from asterism.findings import Finding
 from asterism.formats import LabelConfidence
@@ -112,20 +113,19 @@ def label_long_file(
     counts, shown = long.shown()
     one_frame = long.one_frame(shown)
     parts = stretches_of(counts, one_frame.rate, rules)
-    ensemble, trial, findings = labeller.ensemble_of(path, (long.frames(part).clouds() for part in parts))
-    known = settled_names(one_frame, ensemble.marker_set, known)
-    found = _Found.of(ensemble.marker_set, len(long), long.file.layout.points)
+    model, trial, findings = labeller.model_of(path, (long.frames(part).clouds() for part in parts))
+    known = settled_names(one_frame, model.marker_set, known)
+    found = _Found.of(model.marker_set, len(long), long.file.layout.points)
     for begin, labelling in label_in_stretches(
-        ensemble, lambda part: long.frames(part).clouds(), parts, workers=labeller.workers, progress=progress
+        partial(model.label_one_body, workers=labeller.workers), lambda part: long.frames(part).clouds(), parts, progress=progress
     ):
         recording = long.frames(slice(begin, begin + len(labelling.indices)))
         clouds = recording.clouds()
-        held, named, against = held_against_names(path, recording, clouds, labelling, ensemble.marker_set, known)
+        held, named, against = held_against_names(path, recording, clouds, labelling, model.marker_set, known)
         found.against += [replace(d, first_frame=d.first_frame + begin, last_frame=d.last_frame + begin) for d in against]
         found.add(begin, held, named, clouds)
-    labelling, counted = found.labelling(), _counted(counts, one_frame)
-    findings += [] if labelling.verdict is None else labelling.verdict.findings(str(path))
-    findings += in_stretches(path, len(parts))
+    labelling, counted = replace(found.labelling(), stretches=len(parts)), _counted(counts, one_frame)
+    findings += labelling.findings(str(path))
     findings += findings_on_names(path, long.sampled, found.disagreements(), known)
     written = _written(long, found, labelling, counted, one_frame, known, by)
     return LongLabelled(labelling, counted, trial, known, found.review.items(), findings), written
@@ -166,11 +166,11 @@ def _written(
 
 def _summary(labelling: Labelling, counted: Clouds) -> LabelSummary:
     """What the labels amount to, added up range by range."""
-    found = None
+    summary = None
     for some in ranges(len(counted)):
         here = replace(labelling, indices=labelling.indices[some], confidence=labelling.confidence[some])
         part = LabelSummary.of(LabelConfidence.of_labelling(here), label_states(here, counted.frames(some)))
-        found = part if found is None else found.plus(part)
-    if found is None:
+        summary = part if summary is None else summary.plus(part)
+    if summary is None:
         raise ValueError("a recording without frames has no labels to sum up")
-    return found
+    return summary

@@ -13,13 +13,13 @@ from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
     from asterism.cli.review import ReviewOptions
-    from asterism.labelling import SolverEnsemble
+    from asterism.labelling import MarkerModel
     from asterism.labelling.correction import Answer
 
 
 def correct_by_answers(options: ReviewOptions) -> int:
     """Label the files, hold the answers of the table, and write the result. Returns the exit status."""
-    from asterism.labelling import SolverEnsemble
+    from asterism.labelling import MarkerModel
     from asterism.labelling.correction import read_answers
 
     assert options.answers is not None and options.output is not None
@@ -27,18 +27,18 @@ def correct_by_answers(options: ReviewOptions) -> int:
     found = trials(options.files, batch, without=options.output)
     files, targets = [trial.path for trial in found], outputs_of(found, options.output)
     answers = _by_file(options.answers, read_answers(options.answers), files)
-    ensemble = SolverEnsemble.load(options.model)
+    model = MarkerModel.load(options.model)
     with _console.progress("labelling") as progress:
         for path, target in zip(files, targets, strict=True):
             with batch.file(path):
                 if progress:
                     progress((len(batch.done) + len(batch.failed)) / len(files), path.name)
-                _correct(path, target, answers.get(path, ()), ensemble, options, batch)
+                _correct(path, target, answers.get(path, ()), model, options, batch)
     return batch.close()
 
 
 def _correct(
-    path: Path, target: Path, answers: Sequence[Answer], ensemble: SolverEnsemble, options: ReviewOptions, batch: _console.Batch
+    path: Path, target: Path, answers: Sequence[Answer], model: MarkerModel, options: ReviewOptions, batch: _console.Batch
 ) -> None:
     from asterism import __version__, formats
     from asterism.cli._recordings import not_carried, report_warnings
@@ -47,7 +47,7 @@ def _correct(
     check_output(path, target, options.overwrite)
     recording = formats.read(path, vertical=vertical_axis(options.vertical))
     report_warnings(recording, batch)
-    correction = Correction(ensemble, recording, workers=options.workers)
+    correction = Correction(model, recording, workers=options.workers)
     if answers:
         try:
             correction.touch(*touches_of(answers, correction))

@@ -19,7 +19,7 @@ from asterism.cli._options import Json, Seed
 if TYPE_CHECKING:
     import numpy as np
 
-    from asterism.labelling import SolverEnsemble
+    from asterism.labelling import MarkerModel
     from asterism.recording import Clouds, Ints, Labelling, Recording
 
 _WALKERS, _NEW_WALKERS, _FRAMES, _RATE = 10, 2, 150, 50.0
@@ -28,13 +28,22 @@ _CONDITIONS = ((0, 0), (2, 0), (4, 0), (2, 3))
 
 
 class Part(StrEnum):
-    """What the demo shows: labelling, the way from cameras to labels, a printed garment, or joint angles under moving skin."""
+    """What the demo shows; without a word it is labelling."""
 
     LABELLING = "labelling"
     CAMERAS = "cameras"
     GARMENT = "garment"
     VIEWS = "views"
     MOTION = "motion"
+
+
+_SHOWS = {
+    Part.CAMERAS: "calibrate, reconstruct, label",
+    Part.GARMENT: "capture a printed suit",
+    Part.VIEWS: "label in the images",
+    Part.MOTION: "joint angles under moving skin",
+}
+"""What each demo but the first does, as `asterism demo --help` says it."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +53,8 @@ class DemoOptions:
     part: Annotated[
         Part,
         typer.Argument(
-            metavar="[cameras|garment|motion]",
-            help="cameras: calibrate, reconstruct, label. garment: capture a printed suit. motion: joint angles under moving skin.",
+            metavar="|".join(_SHOWS),
+            help=" ".join(f"{part}: {what}." for part, what in _SHOWS.items()),
             show_default=False,
         ),
     ] = Part.LABELLING
@@ -56,7 +65,7 @@ class DemoOptions:
 
 @takes(DemoOptions)
 def demo(options: DemoOptions) -> None:
-    """Try everything in under a minute, on simulated people.
+    """Try the labelling in about a minute, on simulated people; or another part, by its name.
 
     Ten people of different sizes walk for three seconds, 15 markers each. Eight train a model. It labels the recordings of the other two
     as `asterism label` does, each as a whole: markers vanish for up to a second and come back under new track numbers, and ghosts
@@ -96,13 +105,13 @@ def demo(options: DemoOptions) -> None:
     options.output.mkdir(parents=True, exist_ok=True)
     show = _console.result if options.json != "-" else _console.error
     walks = simulate_walks(subjects=_WALKERS, frames=_FRAMES, rate=_RATE, markers=MARKERS, seed=options.seed)
-    ensemble = _trained(walks[:-_NEW_WALKERS], options.seed, show)
+    model = _trained(walks[:-_NEW_WALKERS], options.seed, show)
     files = _Files.in_folder(options.output)
-    ensemble.save(files.model)
-    trials = [_labelled(ensemble, walks[-_NEW_WALKERS:], *condition, options.seed) for condition in _CONDITIONS]
+    model.save(files.model)
+    trials = [_labelled(model, walks[-_NEW_WALKERS:], *condition, options.seed) for condition in _CONDITIONS]
     if options.json != "-":
         _print([trial.row for trial in trials])
-    _write(files, ensemble, trials[-1])
+    _write(files, model, trials[-1])
     show(f"Open {files.report} in a browser, and {files.labelled} in any C3D viewer. Label a file yourself:")
     show(f"  asterism label {files.unlabelled} --model {files.model} -o {options.output / 'labelled'}")
     _console.write_json(
@@ -144,15 +153,15 @@ class _Trial:
     truth: Ints
 
 
-def _trained(walks: Sequence[Recording], seed: int, show: Callable[[str], None]) -> SolverEnsemble:
+def _trained(walks: Sequence[Recording], seed: int, show: Callable[[str], None]) -> MarkerModel:
     show(f"Training on {len(walks)} simulated walkers, {len(walks[0].labels)} markers ...")
     started = time.perf_counter()
-    ensemble = train_on_walkers(walks, seed)
+    model = train_on_walkers(walks, seed)
     show(f"Trained in {time.perf_counter() - started:.0f} s. Labelling recordings of {_NEW_WALKERS} walkers that it has not seen ...")
-    return ensemble
+    return model
 
 
-def _labelled(ensemble: SolverEnsemble, walks: Sequence[Recording], hidden: int, ghosts: int, seed: int) -> _Trial:
+def _labelled(model: MarkerModel, walks: Sequence[Recording], hidden: int, ghosts: int, seed: int) -> _Trial:
     """Label the walks, each as a whole, with so many markers in a gap and so many ghosts at every moment."""
     from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
     from asterism.recording import label_states
@@ -163,7 +172,7 @@ def _labelled(ensemble: SolverEnsemble, walks: Sequence[Recording], hidden: int,
     for i, walk in enumerate(walks):
         clouds, truth = simulate_gaps_and_ghosts(walk, hidden, ghosts, seed=seed + 1 + i)
         started = time.perf_counter()
-        labelling = ensemble.label(clouds, time=True)
+        labelling = model.label(clouds)
         seconds += time.perf_counter() - started
         frames += len(clouds)
         for key, value in _compared(labelling, truth).items():
@@ -175,7 +184,7 @@ def _labelled(ensemble: SolverEnsemble, walks: Sequence[Recording], hidden: int,
     return _Trial(row, clouds, labelling, truth)
 
 
-def _write(files: _Files, ensemble: SolverEnsemble, trial: _Trial) -> None:
+def _write(files: _Files, model: MarkerModel, trial: _Trial) -> None:
     """Write a trial's recording without and with labels, and the report on it."""
     from asterism import formats
     from asterism.report import LabelledRecording, label_report
@@ -186,10 +195,10 @@ def _write(files: _Files, ensemble: SolverEnsemble, trial: _Trial) -> None:
     row = {"file": files.unlabelled.name, "frames": len(clouds), "frames_per_second": trial.row["frames_per_second"]}
     label_report(
         files.report,
-        LabelledRecording(trial.labelling, clouds, ensemble.marker_set, trial.truth),
+        LabelledRecording(trial.labelling, clouds, model.marker_set, trial.truth),
         title="Asterism demo: a simulated walker that the model has not seen",
         files=[row],
-        model_info={"model": files.model.name, "labelled": "the recording as a whole, by its tracks", **ensemble.about},
+        model_info={"model": files.model.name, "labelled": "the recording as a whole, by its tracks", **model.about},
     )
 
 

@@ -78,17 +78,17 @@ def evaluate(options: EvaluateOptions) -> None:
     from asterism import labelling
     from asterism.cli._recordings import read_labelled
 
-    ensemble = None if options.model is None else labelling.SolverEnsemble.load(options.model)
+    model = None if options.model is None else labelling.MarkerModel.load(options.model)
     batch = _console.Batch("read")
     recordings = read_labelled(
-        recordings_of(options.files, batch), options.markers if ensemble is None else ensemble.marker_set, options.vertical, batch
+        recordings_of(options.files, batch), options.markers if model is None else model.marker_set, options.vertical, batch
     )
     count, hidden = len(recordings[0].labels), max(settings["occlusions"])
     if hidden > count:
         raise AsterismError(f"--occlusions {hidden} hides more than the {count} markers that there are; give smaller numbers.")
     with _console.progress("evaluating") as progress:
-        if ensemble is not None:
-            evaluation = labelling.evaluate(ensemble, recordings, **settings, progress=progress)
+        if model is not None:
+            evaluation = labelling.evaluate(model, recordings, **settings, progress=progress)
         else:
             # the whole-body rules need no partial solvers, and their search takes most of the training
             miner = None if options.rules is Rules.WHOLE_BODY or options.miner is None else options.miner.value

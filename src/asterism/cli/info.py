@@ -107,8 +107,8 @@ def _rows(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, s
         if isinstance(value, Mapping) and value and key == "points":
             yield from _rows(value, prefix="points, ")
         elif isinstance(value, Mapping) and key == "partial_solvers":
-            for rules, ensemble in value.items():
-                yield f"partial solvers, {rules}", _solvers_text(ensemble)
+            for rules, solvers in value.items():
+                yield f"partial solvers, {rules}", _solvers_text(solvers)
         elif key == "marker_sets" and content["points"]["physical"]:
             yield from _marker_set_rows(value)
         elif key == "missing" and isinstance(value, float):
@@ -136,10 +136,10 @@ def _marker_set_rows(sets: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, s
         yield "marker set, also", "; ".join(told(worn) for worn in sets[1:])
 
 
-def _solvers_text(ensemble: Mapping[str, Any]) -> str:
-    shown = ensemble["shown_hit_rates"]
+def _solvers_text(about: Mapping[str, Any]) -> str:
+    shown = about["shown_hit_rates"]
     worst = min(shown, key=shown.get)
-    return f"{ensemble['solvers']}; shown hit rates from {_console.percent(shown[worst], 3)} ({worst})"
+    return f"{about['solvers']}; shown hit rates from {_console.percent(shown[worst], 3)} ({worst})"
 
 
 def _text(value: Any, longest: int = _LONG_ENOUGH) -> str:

@@ -372,7 +372,7 @@ def _report(path: Path, options: LabelOptions, labeller: Labeller, results: Sequ
         [result.shown for result in shown if result.shown is not None],
         title=f"{len(rows)} labelled recordings" if len(rows) > 1 else f"{rows[0]['file'].name}, labelled",
         files=rows,
-        model_info={**about, **labeller.ensembles[0].about},
+        model_info={**about, **labeller.models[0].about},
     )
 
 

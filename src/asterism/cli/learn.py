@@ -30,11 +30,11 @@ def learn(
     A file that cannot be read stops the learning before it starts, and is named.
     """
     from asterism.cli._recordings import read_labelled
-    from asterism.labelling import SolverEnsemble
+    from asterism.labelling import MarkerModel
 
     _console.check_new(output, overwrite)
     _console.check_new(json, overwrite)
-    before = SolverEnsemble.load(model)
+    before = MarkerModel.load(model)
     batch = _console.Batch("read")
     recordings = read_labelled(recordings_of(files, batch), before.marker_set, vertical, batch)
     batch.tell_passed_over()

@@ -16,7 +16,7 @@ from asterism.cli._options import Files, FrameWise, Json, Model, Overwrite, Repo
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
-    from asterism.labelling import SolverEnsemble
+    from asterism.labelling import MarkerModel
     from asterism.report import ReviewEntry
 
 
@@ -103,9 +103,9 @@ def _check(options: ReviewOptions) -> None:
 
 def _listed(options: ReviewOptions) -> int:
     """List what to check; returns the exit status."""
-    from asterism.labelling import SolverEnsemble
+    from asterism.labelling import MarkerModel
 
-    ensemble = SolverEnsemble.load(options.model)
+    model = MarkerModel.load(options.model)
     batch, found = _console.Batch("reviewed"), _Review()
     files = recordings_of(options.files, batch)
     with _console.progress("labelling") as progress:
@@ -113,7 +113,7 @@ def _listed(options: ReviewOptions) -> int:
             with batch.file(path):
                 if progress:
                     progress((len(batch.done) + len(batch.failed)) / len(files), path.name)
-                _add(found, path, ensemble, options, batch)
+                _add(found, path, model, options, batch)
     if options.json != "-" and batch.done:
         _print(found)
     if options.report is not None:
@@ -123,8 +123,8 @@ def _listed(options: ReviewOptions) -> int:
             options.report,
             [line.entry for line in found.lines],
             totals=(found.pieces, found.gain),
-            model_info={"model": str(options.model), "files": len(batch.done), "keep_labels": options.keep_labels, **ensemble.about},
-            marker_set=ensemble.marker_set,
+            model_info={"model": str(options.model), "files": len(batch.done), "keep_labels": options.keep_labels, **model.about},
+            marker_set=model.marker_set,
         )
     _console.write_json(
         options.json,
@@ -169,7 +169,7 @@ class _Review:
     lines: Sequence[_Line] = field(default_factory=tuple)
 
 
-def _add(found: _Review, path: Path, ensemble: SolverEnsemble, options: ReviewOptions, batch: _console.Batch) -> None:
+def _add(found: _Review, path: Path, model: MarkerModel, options: ReviewOptions, batch: _console.Batch) -> None:
     """Label one file and add what there is to check in it."""
     from asterism import formats
     from asterism.cli._recordings import labels_kept, report_warnings
@@ -183,12 +183,12 @@ def _add(found: _Review, path: Path, ensemble: SolverEnsemble, options: ReviewOp
     if options.csv is not None:
         from asterism.labelling.correction import Correction, question_row
 
-        correction = Correction(ensemble, recording, workers=options.workers)
+        correction = Correction(model, recording, workers=options.workers)
         labelling, items = correction.labelling, correction.items()
     else:
-        labelling = ensemble.label(clouds, time=not options.frame_wise, workers=options.workers)
+        labelling = (model.label_frames if options.frame_wise else model.label)(clouds, workers=options.workers)
         if options.keep_labels:
-            labelling = labels_kept(path, labelling, recording, clouds, ensemble.marker_set)
+            labelling = labels_kept(path, labelling, recording, clouds, model.marker_set)
         items = review_labelling(labelling, clouds)
     found.shares.append({"file": path, "frames": len(clouds), **asdict(label_shares(labelling, clouds))})
     found.pieces += len(items)

@@ -75,7 +75,7 @@ class Change:
 
 @dataclass(frozen=True)
 class TargetRates:
-    """What an ensemble of partial solvers with one target hit rate gives with so many markers hidden.
+    """What a model of partial solvers with one target hit rate gives with so many markers hidden.
 
     target  hit rate that each solver reaches for the markers that it votes on
     hidden  markers hidden in each frame
@@ -184,13 +184,13 @@ def capturability(
 def _by_target(
     search: SolverSearch, found: list[EvaluatedSolver], frames: Floats, names: tuple[str, ...], rules: CapturabilityRules, seed: int
 ) -> list[TargetRates]:
-    """Both rates of the ensembles that other targets make of what was found, labelled by the labelling matrix alone."""
+    """Both rates of the models that other targets make of what was found, labelled by the labelling matrix alone."""
     rates = []
     for target in rules.targets:
-        ensemble = choose_ensemble(search.with_targets(target), found, lambda fraction, doing: None)
+        model = choose_ensemble(search.with_targets(target), found, lambda fraction, doing: None)
         for hidden in range(1, min(rules.max_hidden, len(names) - 3) + 1):
             clouds, truth = simulate_occlusions(Recording(frames, names, 1.0), hidden, 0, seed)
-            indices = label_by_matrix(clouds, ensemble, rules="agreed").indices
+            indices = label_by_matrix(clouds, model, rules="agreed").indices
             given, there = indices != NULL, truth != NULL
             wrong, missed = (given & (indices != truth)).sum(), (~given & there).sum()
             rates.append(TargetRates(target, hidden, float(wrong / max(given.sum(), 1)), float(missed / max((~given).sum(), 1))))
@@ -236,17 +236,17 @@ def _confusion(search: SolverSearch, frames: Floats, rng: np.random.Generator) -
 
 
 def _rebuilt(search: SolverSearch, subsets: Sequence[MarkerSubset]) -> PartialSolvers:
-    """The ensemble of the given subsets' solvers, on the frames of the search."""
+    """The model of the given subsets' solvers, on the frames of the search."""
     return choose_ensemble(
         search, [evaluated for subset in subsets if (evaluated := search.evaluate(subset)) is not None], lambda fraction, doing: None
     )
 
 
-def _hit_rate(ensemble: PartialSolvers, frames: Floats, hidden: NDArray[np.bool_], judged: NDArray[np.bool_]) -> float:
+def _hit_rate(model: PartialSolvers, frames: Floats, hidden: NDArray[np.bool_], judged: NDArray[np.bool_]) -> float:
     """Share of the judged markers in sight that get their label; hidden (N, M) bool."""
     there = ~np.isnan(frames[:, :, 0]) & ~hidden
     truth = np.where(there, np.cumsum(there, axis=1) - 1, NULL)
-    given = label_by_matrix(Clouds.from_points([frame[seen] for frame, seen in zip(frames, there, strict=True)], 1.0), ensemble).indices
+    given = label_by_matrix(Clouds.from_points([frame[seen] for frame, seen in zip(frames, there, strict=True)], 1.0), model).indices
     asked = there & judged
     return float((asked & (given == truth)).sum() / max(asked.sum(), 1))
 

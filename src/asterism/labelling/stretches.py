@@ -13,12 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.labelling.ensemble import SolverEnsemble
 from asterism.labelling.review import labels_of_points
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 from asterism.recording.verdict import FITS, Verdict
 from asterism.tracking.linking import find_tracklets
+
+LabelsClouds = Callable[[Clouds, Progress | None], Labelling]
+"""Labels clouds as a whole, and reports its progress."""
 
 
 @dataclass(frozen=True)
@@ -105,17 +107,16 @@ def stretches(frames: int, length: int, overlap: int) -> list[slice]:
 
 
 def label_in_stretches(
-    ensemble: SolverEnsemble,
+    label: LabelsClouds,
     clouds_of: Callable[[slice], Clouds],
     parts: Sequence[slice],
     *,
-    workers: int = 1,
     progress: Progress | None = None,
 ) -> Iterator[tuple[int, Labelling]]:
     """The labelling of a long recording, piece by piece: each piece's first frame and its labels, joined with those of its neighbours.
 
-    clouds_of: the points of a range of frames; parts: see `stretches`. The pieces follow each other without a gap. Memory for two
-    stretches.
+    label: labels the clouds of one stretch; clouds_of: the points of a range of frames; parts: see `stretches`. The pieces follow each
+    other without a gap. Memory for two stretches.
     Raises SeveralBodies where a stretch certainly shows two bodies.
     """
     before: _Part | None = None
@@ -123,7 +124,7 @@ def label_in_stretches(
     for number, frames in enumerate(parts):
         report = None if progress is None else _share(progress, number, len(parts))
         clouds = clouds_of(frames)
-        part = _Part.of(frames.start, clouds, ensemble.label(clouds, time=True, workers=workers, progress=report))
+        part = _Part.of(frames.start, clouds, label(clouds, report))
         if before is not None:
             _agree(before, part)
             seam = (frames.start + parts[number - 1].stop) // 2
@@ -187,26 +188,27 @@ def join_verdicts(verdicts: Sequence[tuple[int, Verdict]]) -> Verdict | None:
 
 
 def label_long(
-    ensemble: SolverEnsemble, clouds: Clouds, rules: StretchRules | None = None, *, workers: int = 1, progress: Progress | None = None
+    label: LabelsClouds, names: Sequence[str], clouds: Clouds, rules: StretchRules | None = None, *, progress: Progress | None = None
 ) -> Labelling:
-    """`SolverEnsemble.label` with time, in stretches where the recording has more than `rules.whole` points.
+    """What `label` gives of these clouds; in stretches where they have more than `rules.whole` points.
 
-    A label differs from that of the whole recording only where a stretch alone does not show what it is. Raises SeveralBodies as `label`.
+    label: labels clouds as a whole, with these names of markers. A label differs from that of the whole recording only where a stretch
+    alone does not show what it is. Raises what `label` raises.
     """
     parts = stretches_of(clouds.counts, clouds.rate, rules or StretchRules())
     if len(parts) == 1:
-        return ensemble.label(clouds, time=True, workers=workers, progress=progress)
-    shape = (len(clouds), len(ensemble.marker_set))
+        return label(clouds, progress)
+    shape = (len(clouds), len(names))
     indices, confidence, candidates = np.empty(shape, dtype=np.int64), np.empty(shape), np.full(shape, NULL, dtype=np.int64)
     verdicts = list[tuple[int, Verdict]]()
-    for begin, piece in label_in_stretches(ensemble, clouds.frames, parts, workers=workers, progress=progress):
+    for begin, piece in label_in_stretches(label, clouds.frames, parts, progress=progress):
         here = np.s_[begin : begin + len(piece.indices)]
         indices[here], confidence[here] = piece.indices, piece.confidence
         if piece.candidates is not None:
             candidates[here] = piece.candidates
         if piece.verdict is not None:
             verdicts.append((int((piece.indices >= 0).sum()), piece.verdict))
-    return Labelling(indices, confidence, ensemble.marker_set.names, candidates, join_verdicts(verdicts))
+    return Labelling(indices, confidence, tuple(names), candidates, join_verdicts(verdicts), stretches=len(parts))
 
 
 def stretches_of(counts: NDArray[np.integer], rate: float, rules: StretchRules) -> list[slice]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
 from asterism.recording.arrays import Floats, Ints, as_vertical, checked_rate, frame_rows, same_values
 from asterism.recording.display import Rows, as_html, as_text, duration, listed
 from asterism.recording.verdict import Verdict
@@ -168,6 +169,8 @@ class Labelling:
     names       (M,) marker names
     candidates  (T, M) int, for -1 the place of the best candidate, which was not accepted, or -1; None where they were not kept
     verdict     whether the recording shows what the model was trained on; None where it was not judged
+    bodies      how many bodies with these markers the recording certainly shows; the labels are those of one of them
+    stretches   in how many stretches a long recording was labelled
 
     Two labellings are equal if they give the same labels the same confidence: names, indices and confidence.
     """
@@ -177,6 +180,8 @@ class Labelling:
     names: tuple[str, ...]
     candidates: Ints | None = None
     verdict: Verdict | None = None
+    bodies: int = 1
+    stretches: int = 1
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Labelling):
@@ -197,6 +202,20 @@ class Labelling:
 
     def _repr_html_(self) -> str:
         return as_html("Labelling", self._facts())
+
+    def findings(self, where: str = "the recording") -> list[Finding]:
+        """What a person should know before they use the labels. where: the file."""
+        found = list[Finding]()
+        if self.bodies > 1:
+            sentence = f"{where}: two bodies wear the model's markers, and only one of them was labelled."
+            found.append(Finding("label-two-bodies", Severity.WARNING, where, sentence, "Give --model once for each of them."))
+        if self.verdict is not None:
+            found += self.verdict.findings(where)
+        if self.stretches > 1:
+            sentence = f"{where} is long: it was labelled in {self.stretches} stretches, which were joined where they overlap."
+            mend = "Nothing need be done; a label differs from that of the whole only where a stretch alone does not show what it is."
+            found.append(Finding("label-in-stretches", Severity.NOTE, where, sentence, mend))
+        return found
 
     def positions(self, clouds: Clouds) -> Floats:
         """The labelled trajectories: (T, M, 3) m, NaN where a marker has no candidate."""

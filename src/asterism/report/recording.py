@@ -36,6 +36,11 @@ def plot_recording(recording: Recording, path: str | Path | None = None) -> Reco
 
     In a notebook the page is shown; elsewhere `.open()` shows it in the browser. Raises AsterismError where there is nothing to plot,
     or the file cannot be written.
+
+    >>> from asterism.simulation import simulate_walks
+    >>> page = plot_recording(simulate_walks(1, frames=20)[0], "walk.html")
+    >>> page.path.exists()
+    True
     """
     target = Path(mkdtemp(prefix="asterism-")) / "recording.html" if path is None else Path(path)
     recording_report(target, recording)

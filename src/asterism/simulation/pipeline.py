@@ -9,7 +9,7 @@ import numpy as np
 
 from asterism.calibration.wand import WandCalibration, calibrate_wand, in_world, world_from_l_frame
 from asterism.cameras import Rig
-from asterism.labelling import SolverEnsemble
+from asterism.labelling import MarkerModel
 from asterism.progress import Progress
 from asterism.reconstruction import Reconstruction, reconstruct
 from asterism.recording import Labelling
@@ -70,7 +70,7 @@ class PipelineResult:
         ]
 
 
-def run_pipeline(session: Session, ensemble: SolverEnsemble, progress: Progress | None = None) -> PipelineResult:
+def run_pipeline(session: Session, model: MarkerModel, progress: Progress | None = None) -> PipelineResult:
     """Calibrate by the wand, put the world into the L-frame, reconstruct the walker, label, and compare with the truth.
 
     The steps use the blobs, the image sizes and the lengths of wand and L-frame; the truth is used for the comparison only. Raises
@@ -94,7 +94,7 @@ def run_pipeline(session: Session, ensemble: SolverEnsemble, progress: Progress 
     step("calibrate", 0.6, "reconstructing")
     reconstruction = reconstruct(session.blobs, rig)
     step("reconstruct", 0.8, "labelling")
-    labelling = ensemble.label(reconstruction.clouds, time=True)
+    labelling = model.label(reconstruction.clouds)
     step("label", 1.0, "comparing")
     points = compare_points(reconstruction.clouds, session.walk.positions, session.seen >= 2)
     indices = labelling.indices

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.recording import Floats, Ints, canonical
 from asterism.views.body import BodyModel
-
-if TYPE_CHECKING:
-    from asterism.views.label import ViewsLabelling
+from asterism.views.result import ViewsLabelling
 
 _MANY_LOST = 0.05
 """Share of the frames without the body from which a person is told."""

@@ -23,7 +23,7 @@ def plain_trials(session: Session) -> dict[str, Any]:
     out = session.options.output
     return {
         "trials": [_plain_trial(trial) for trial in session.trials],
-        "markers_of_model": list(session.ensemble.marker_set.names),
+        "markers_of_model": list(session.model.marker_set.names),
         "out": CORRECTED if out is None else str(out),
     }
 
@@ -66,7 +66,7 @@ def plain_state(trial: Trial, correction: Correction) -> dict[str, Any]:
     return {
         "revision": correction.revision,
         "markers": list(names),
-        "side": marker_sides(names, correction.ensemble.marker_set),
+        "side": marker_sides(names, correction.model.marker_set),
         "bones": _bones(correction),
         "rate": correction.recording.rate,
         "first_frame": correction.recording.first_frame,
@@ -132,7 +132,7 @@ def _bones(correction: Correction) -> list[list[int]]:
     positions = np.full((len(frames), len(correction.names), 3), np.nan)
     row, marker = np.nonzero(labelling.indices[frames] >= 0)
     positions[row, marker] = some.xyz[some.offsets[row] + labelling.indices[frames[row], marker]]
-    return [[int(a), int(b)] for a, b in marker_bones(positions, correction.names, correction.ensemble.marker_set)]
+    return [[int(a), int(b)] for a, b in marker_bones(positions, correction.names, correction.model.marker_set)]
 
 
 def _number(value: float) -> float | None:

@@ -16,7 +16,7 @@ from asterism.labelling.correction import Correction, CorrectionLog, log_path
 from asterism.labelling.correction.event_log import SAVED
 
 if TYPE_CHECKING:
-    from asterism.labelling import SolverEnsemble
+    from asterism.labelling import MarkerModel
     from asterism.labelling.correction import Change
 
 WAITING, LABELLING, READY, FAILED = "waiting", "labelling", "ready", "failed"
@@ -76,12 +76,12 @@ class Trial:
     _saved_hash: str = ""
     _on_disk: tuple[int, int] = (0, 0)
 
-    def label(self, ensemble: SolverEnsemble) -> None:
+    def label(self, model: MarkerModel) -> None:
         """Read and label the file, and take up the corrections of its log; a failure is kept as `error`."""
         self.state = LABELLING
         self.changed(self.id, 0)
         try:
-            self._open(ensemble)
+            self._open(model)
             self.state = READY
         except Exception as problem:  # whatever a file raises costs that file only
             self.error = _sentence(problem, self.path)
@@ -144,10 +144,10 @@ class Trial:
             if self._correction is not None:
                 self._correction.close()
 
-    def _open(self, ensemble: SolverEnsemble) -> None:
+    def _open(self, model: MarkerModel) -> None:
         stamp = _stamp(self.path)
         recording = formats.read(self.path, vertical=self.options.vertical)
-        correction = Correction(ensemble, recording, workers=self.options.workers)
+        correction = Correction(model, recording, workers=self.options.workers)
         folder = self.options.log_folder
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
@@ -179,14 +179,12 @@ class Trial:
 class Session:
     """The trials of a sitting, labelled one after the other."""
 
-    def __init__(
-        self, files: Sequence[Path], ensemble: SolverEnsemble, options: SessionOptions, targets: Sequence[Path] | None = None
-    ) -> None:
+    def __init__(self, files: Sequence[Path], model: MarkerModel, options: SessionOptions, targets: Sequence[Path] | None = None) -> None:
         """targets: where each file is saved, by default in the folder for the corrected files, under its name.
 
         Raises AsterismError where two files would be saved to one place, or the output is no folder.
         """
-        self.ensemble, self.options = ensemble, options
+        self.model, self.options = model, options
         self.listeners: list[Callable[[str, int], None]] = []
         """Called with a trial's id and revision when it has changed, from any thread."""
         targets = _targets(files, options.output) if targets is None else targets
@@ -218,7 +216,7 @@ class Session:
             raise AsterismError("no trial was chosen; save one, and teach it.")
         target = self._model_target(name)
         with self._teaching:
-            self.ensemble.learn(recordings).save(target)
+            self.model.learn(recordings).save(target)
         return target
 
     def close(self) -> None:
@@ -231,7 +229,7 @@ class Session:
         for trial in self.trials:
             if self._stopped.is_set():
                 return
-            trial.label(self.ensemble)
+            trial.label(self.model)
 
     def _changed(self, trial: str, revision: int) -> None:
         for listener in list(self.listeners):

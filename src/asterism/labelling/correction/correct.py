@@ -29,7 +29,7 @@ from asterism.recording import NULL, Ints, Labelling, Recording
 from asterism.tracking.linking import Tracklets
 
 if TYPE_CHECKING:
-    from asterism.labelling.ensemble import SolverEnsemble
+    from asterism.labelling.marker_model import MarkerModel
 
 GHOST = "ghost"
 """What a piece is that a person said to be no marker."""
@@ -83,15 +83,15 @@ class Correction:
     give the same labels, whatever was taken back between them.
     """
 
-    def __init__(self, ensemble: SolverEnsemble, recording: Recording, *, workers: int = 1, progress: Progress | None = None) -> None:
+    def __init__(self, model: MarkerModel, recording: Recording, *, workers: int = 1, progress: Progress | None = None) -> None:
         """Label the recording. Raises AsterismError where it has no points, or certainly shows two bodies of the model."""
-        self.ensemble, self.recording = ensemble, recording
+        self.model, self.recording = model, recording
         self.clouds = recording.clouds()
         if not len(self.clouds.xyz):
             raise AsterismError("the recording has no points to label.")
-        self.names = ensemble.marker_set.names
-        self._body = ensemble.in_recording()
-        self._base = label_tracklets(self._body, self.clouds, ensemble.state.body_rules, workers, progress)
+        self.names = model.marker_set.names
+        self._body = model.in_recording()
+        self._base = label_tracklets(self._body, self.clouds, model.state.body_rules, workers, progress)
         self._tracklets = by_first_points(self._base.long.tracklets)
         self._column = np.full(len(self.names), NULL, dtype=np.int64)
         self._column[self._body.markers] = np.arange(len(self._body.markers))
@@ -132,7 +132,7 @@ class Correction:
     @cached_property
     def identity(self) -> tuple[str, str]:
         """Hashes of the recording's points and of the model: to whom a log of corrections belongs."""
-        return hash_of_points(self.clouds), hash_of_model(self.ensemble)
+        return hash_of_points(self.clouds), hash_of_model(self.model)
 
     def items(self) -> list[ReviewItem]:
         """What a person should check, by expected gain, without what they have answered."""

@@ -45,7 +45,7 @@ EARLIER_NAMES = {
 
 @dataclass(frozen=True)
 class TrainingRules:
-    """How an ensemble is learned. Chosen by hand on the gait subjects, each left out in turn, where no other source is named.
+    """How a model is learned. Chosen by hand on the gait subjects, each left out in turn, where no other source is named.
 
     sample_frames_per_person  frames of one person that a model keeps, about, in clips of half a second. Not tuned: bounds the file
     sample_frames       frames of all people that a model keeps, about. Not tuned: bounds the file

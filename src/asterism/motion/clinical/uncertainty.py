@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asterism.motion.clinical.angles import SIDES, ClinicalAngles, ClinicalJoint, leg_angles, leg_axes
-from asterism.motion.uncertainty.monte_carlo import MonteCarloRules, run_monte_carlo
+from asterism.motion.uncertainty.monte_carlo import MonteCarloRules, mean_and_standard, run_monte_carlo
 from asterism.motion.uncertainty.sources import CalibrationErrors, CalibrationField, MeasurementNoise
 from asterism.progress import Progress
 from asterism.recording import Floats, Recording
@@ -115,7 +115,7 @@ def clinical_uncertainty(
     alone = {
         name: run_monte_carlo(legs.trial((name,)), seed=seed, workers=workers, rules=few, progress=progress).standard for name in SOURCES
     }
-    alone["all"] = total.values[:budget_trials].std(axis=0, ddof=1)
+    alone["all"] = mean_and_standard(total.values[:budget_trials])[1]
     standard = legs.by_joint(total.standard)
     ends = {p: tuple(legs.by_joint(end - total.estimate) for end in pair) for p, pair in total.intervals.items()}
     budgets = {name: legs.by_joint(part) for name, part in alone.items()}

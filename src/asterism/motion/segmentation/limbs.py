@@ -103,6 +103,11 @@ def segment_limbs(
     No random numbers: the same trajectories give the same limbs. Affinities to landmarks instead of all pairs: O(N (landmarks rank + T
     clusters)) time, O(N landmarks) memory. Raises AsterismError for other shapes, fewer than three points or two frames, points of which
     none is ever seen, and more limbs than the points can form.
+
+    >>> from asterism.simulation.soft_tissue import TrialPlan, simulate_soft_tissue
+    >>> leg = simulate_soft_tissue(TrialPlan("leg", points=90, frames=30), seed=3).recording
+    >>> segment_limbs(leg.positions).limbs
+    3
     """
     given = _checked(positions, limbs)
     if method not in ("lsa+rigidity", "lsa"):
@@ -113,7 +118,7 @@ def segment_limbs(
         raise AsterismError(f"only {len(kept)} points are seen in two frames or more; limbs need three points each.")
     if limbs is not None and limbs > len(kept) // 3:
         raise AsterismError(f"{len(kept)} points cannot form {limbs} limbs of three points each; ask for {len(kept) // 3} at most.")
-    shown = np.ascontiguousarray(given[:, kept])
+    shown = np.ascontiguousarray(given[seen[:, kept].any(axis=1)][:, kept])  # a frame without any point compares none
     if progress is not None:
         progress(0.1, "comparing trajectories")
     coordinates, affinity = _affinity(shown, rules)

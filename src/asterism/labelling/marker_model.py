@@ -1,11 +1,12 @@
-"""The solver ensemble: labelled recordings in; a model that labels unlabelled clouds, with calibrated confidence, out."""
+"""The model of a marker set: labelled recordings in; labels of unlabelled recordings, with calibrated confidence, out."""
 
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,12 +18,15 @@ from asterism.labelling.body.labeller import BodyLabeller, usual_fits
 from asterism.labelling.body.model import BodyRules, length_scale
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.partial.matrix import label_by_matrix
-from asterism.labelling.training.ensemble_state import EnsembleState
+from asterism.labelling.stretches import label_long
 from asterism.labelling.training.learning import TrainingConfig, TrainingRules, TrainingState
 from asterism.labelling.training.markers import learned_marker_set
+from asterism.labelling.training.model_state import ModelState
 from asterism.labelling.training.people import one_person_each
 from asterism.labelling.training.sample import Sample
-from asterism.labelling.training.train import train_ensemble
+from asterism.labelling.training.state_file import load_state, save_state
+from asterism.labelling.training.train import train_model
+from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.labelling.whole.label import label_whole, subject_body, subject_body_gain
 from asterism.labelling.whole.point_labels import BodyInRecording
 from asterism.labelling.whole.scene import RecordingLabellingSettings
@@ -37,18 +41,19 @@ OTHER_SUBJECT_FIT = 0.2
 """`subject_fit` below which another person is assumed. Walks of the gait subjects, after a standing trial: 0.27 to 0.41 for the same
 person, below 0.2 for 96 % of other people's."""
 
-RULES = ("whole-body", "partial-solvers", "thesis")
-"""By the whole body; by the votes of partial solvers, completed by the strong classifier of all markers; by these votes alone."""
+METHODS = ("whole-body", "partial-solvers", "thesis")
+"""How single frames are labelled: by the whole body; by the votes of partial solvers, completed by the strong classifier of all markers; by
+these votes alone."""
 
 
-class SolverEnsemble:
-    """Labels clouds of a marker set that it has learned.
+class MarkerModel:
+    """Labels recordings of a marker set that it has learned.
 
-    `fit` learns from labelled recordings, `label` labels, `save` and `load` write and read a model file. An ensemble never changes:
-    `learn` and `adapt` return new ones.
+    `fit` learns from labelled recordings. `label` labels whole recordings, `label_frames` each frame by itself, and `stream` live points.
+    `save` and `load` write and read a model file. A model never changes: `learn` and `adapt` return new ones.
     """
 
-    def __init__(self, state: EnsembleState) -> None:
+    def __init__(self, state: ModelState) -> None:
         self.state = state
 
     @property
@@ -94,7 +99,7 @@ class SolverEnsemble:
         marker_set: MarkerSet | None = None,
         training: TrainingRules | None = None,
         progress: Progress | None = None,
-    ) -> SolverEnsemble:
+    ) -> MarkerModel:
         """Learn from labelled recordings.
 
         target_hit_rate  share of the labels given that should be right, from 0.5 to below 1
@@ -117,7 +122,7 @@ class SolverEnsemble:
         if marker_set is None:
             marker_set, left_out = learned_marker_set(recordings, subjects)
         state = TrainingState(Sample(), config).with_recordings(recordings, subjects, marker_set)
-        return cls(train_ensemble(marker_set, state, progress, left_out=left_out))
+        return cls(train_model(marker_set, state, progress, left_out=left_out))
 
     def learn(
         self,
@@ -126,8 +131,8 @@ class SolverEnsemble:
         subjects: Sequence[str] | None = None,
         search_again: bool = False,
         progress: Progress | None = None,
-    ) -> SolverEnsemble:
-        """A new ensemble that has learned these labelled recordings, too; this one stays as it is.
+    ) -> MarkerModel:
+        """A new model that has learned these labelled recordings, too; this one stays as it is.
 
         The model carries a sample of its training, so the old files are not needed. Learning is training on all recordings ever given, and
         their order does not matter, bit for bit. A recording given twice counts once. Recordings may lack markers, and be of new people or
@@ -144,12 +149,12 @@ class SolverEnsemble:
         recordings, subjects = _of_one_person_each(recordings, subjects)
         training = self.state.training.with_recordings(recordings, subjects, self.marker_set)
         earlier = None if search_again else self.state
-        return SolverEnsemble(
-            train_ensemble(self.marker_set, training, progress, earlier=earlier, left_out=self.about.get("left_out_markers", ()))
+        return MarkerModel(
+            train_model(self.marker_set, training, progress, earlier=earlier, left_out=self.about.get("left_out_markers", ()))
         )
 
-    def adapt(self, static: Recording) -> SolverEnsemble:
-        """A new ensemble for one subject: its body model is narrowed to this person's by one recording, usually of the person standing.
+    def adapt(self, static: Recording) -> MarkerModel:
+        """A new model for one subject: its body model is narrowed to this person's by one recording, usually of the person standing.
 
         static: labelled with at least half of the model's markers, else it is labelled first, as a whole recording. Markers may be
         missing. Raises AsterismError where too few markers are visible or the labels fit no body that the model knows.
@@ -160,19 +165,19 @@ class SolverEnsemble:
             frames = np.where(columns[:, None] >= 0, static.positions[:, columns], np.nan)
         else:
             clouds = static.clouds()
-            frames = self.label(clouds, time=True).positions(clouds)[:, state.markers]
+            frames = self.label_one_body(clouds).positions(clouds)[:, state.markers]
         frames = rotate_z_up(frames, static.vertical)
         settings = self.body_labeller.settings
         body = subject_body(settings, state.body, frames, static.rate, rules, state.body_rules)
         gain = subject_body_gain(settings, body, state.body, frames, static.rate, rules)
         about = {**state.about, "adapted_to": subject_of(static), "adapted_gain": gain}
-        return SolverEnsemble(replace(state, body=body, general_body=state.body, about=about))
+        return MarkerModel(replace(state, body=body, general_body=state.body, about=about))
 
     def subject_fit(self, clouds: Clouds, labelling: Labelling) -> float:
         """How much better the subject's own body explains these labels than the body of people at large does.
 
-        1 means as much better as in the recording that the ensemble was adapted by. Below `OTHER_SUBJECT_FIT` it is another person, or the
-        markers were placed anew. NaN where the ensemble is not adapted, or no frame shows enough labelled markers.
+        1 means as much better as in the recording that the model was adapted by. Below `OTHER_SUBJECT_FIT` it is another person, or the
+        markers were placed anew. NaN where the model is not adapted, or no frame shows enough labelled markers.
         """
         state = self.state
         if state.general_body is None:
@@ -181,44 +186,69 @@ class SolverEnsemble:
         gain = subject_body_gain(self.body_labeller.settings, state.body, state.general_body, frames, clouds.rate, SubjectRules())
         return gain / max(float(self.about["adapted_gain"]), 1.0)
 
-    def label(
-        self,
-        clouds: Clouds | Recording,
-        *,
-        time: bool = False,
-        rules: str = "whole-body",
-        workers: int = 1,
-        progress: Progress | None = None,
-    ) -> Labelling:
-        """Label every frame: which candidate is which marker.
+    def label(self, recording: Clouds | Recording, *, workers: int = 1, progress: Progress | None = None, **earlier: Any) -> Labelling:
+        """Label a recording as `asterism label` does: as a whole, by its tracks.
 
-        clouds: T frames; a recording stands for its points without their names. Gives indices (T, M), -1 where it does not know, and
-        confidence (T, M): a probability by the rules "whole-body", by others the share of votes, NaN for a label that no solver proposed.
-        Without `time` each frame stands alone.
-        With it the recording is labelled as a whole: its points are linked to tracklets (`clouds.tracks` help, and are cut where they
-        swap), the tracklets are labelled together, and the most certain ones adapt the model to the subject's body (`labelling/whole`). The
-        result does not depend on the order of the points, nor on `workers`. O(T); a frame of n points costs O(n M) beyond the search, which
-        has a budget.
-        Raises AsterismError for unknown rules, where `time` is asked of other rules than "whole-body", or where the model lacks the partial
-        solvers that the rules need; and its kind SeveralBodies where whole recordings certainly show two people with these markers: see
-        `label_together`.
+        recording: T frames of points; names that its points have already play no part. Gives indices (T, M), -1 where it does not know,
+        and confidence (T, M): a probability. Points are linked to tracklets (`Clouds.tracks` help, and are cut where they swap). The
+        tracklets are labelled together, and the most certain ones adapt the model to the person (`labelling/whole`). More than two million
+        points are labelled in stretches of minutes (`labelling/stretches.py`). Where the recording certainly shows two people with these
+        markers, the one who shows more is labelled; `Labelling.findings` says so, and `label_together` labels both. The result depends
+        neither on the order of the points nor on `workers`. O(T); a frame of n points costs O(n M) beyond the search, which has a budget.
         """
-        if isinstance(clouds, Recording):
-            clouds = clouds.clouds()
-        if time:
-            if rules != "whole-body":
-                raise AsterismError(f"whole recordings are labelled by the rules whole-body, not {rules}; leave out time or the rules.")
-            return label_together([self], clouds, workers=workers, progress=progress)[0]
-        return self.label_counted(clouds, rules=rules, workers=workers, progress=progress)[0]
+        if earlier:
+            return self._label_as_earlier(recording, earlier, workers, progress)
+        clouds = recording.clouds() if isinstance(recording, Recording) else recording
+        try:
+            return label_long(partial(self.label_one_body, workers=workers), self.marker_set.names, clouds, progress=progress)
+        except SeveralBodies:
+            both = label_together([self, self], clouds, workers=workers, progress=progress)
+            shown = max(both, key=lambda labelling: int((labelling.indices >= 0).sum()))
+            return replace(shown, bodies=2)
 
-    def label_counted(
-        self, clouds: Clouds, *, rules: str = "whole-body", workers: int = 1, progress: Progress | None = None
+    def label_one_body(self, clouds: Clouds, progress: Progress | None = None, *, workers: int = 1) -> Labelling:
+        """Label clouds as those of one body, all at once. Raises SeveralBodies where they certainly show two."""
+        return label_together([self], clouds, workers=workers, progress=progress)[0]
+
+    def _label_as_earlier(
+        self, recording: Clouds | Recording, options: dict[str, Any], workers: int, progress: Progress | None
+    ) -> Labelling:
+        """`label` with the options that it had before 0.2: `time` and `rules`."""
+        unknown = options.keys() - {"time", "rules"}
+        if unknown:
+            raise TypeError(f"MarkerModel.label takes workers and progress, not {', '.join(sorted(unknown))}.")
+        time, method = options.get("time", False), options.get("rules", METHODS[0])
+        if time and method != METHODS[0]:
+            raise AsterismError(
+                f"whole recordings are labelled by the method whole-body, not {method}; use label_frames for single frames."
+            )
+        if time:
+            return self.label(recording, workers=workers, progress=progress)
+        message = "label() labels whole recordings; label_frames(clouds, method=...) labels each frame by itself."
+        warnings.warn(message, DeprecationWarning, stacklevel=3)
+        return self.label_frames(recording, method=method, workers=workers, progress=progress)
+
+    def label_frames(
+        self, recording: Clouds | Recording, *, method: str = METHODS[0], workers: int = 1, progress: Progress | None = None
+    ) -> Labelling:
+        """Label each frame by itself, without time and tracks.
+
+        recording: T frames of points. method: "whole-body", or by the votes of partial solvers "partial-solvers" or "thesis". Gives indices
+        (T, M) and confidence (T, M): a probability by "whole-body". By the others it is the share of votes, NaN for a label that no solver
+        proposed. Labels whole recordings less well than `label`.
+        Raises AsterismError for an unknown method, or where the model lacks the partial solvers that the method needs.
+        """
+        return self.label_frames_with_cost(recording, method=method, workers=workers, progress=progress)[0]
+
+    def label_frames_with_cost(
+        self, recording: Clouds | Recording, *, method: str = METHODS[0], workers: int = 1, progress: Progress | None = None
     ) -> tuple[Labelling, Ints]:
-        """`label` without time, and the number of feature evaluations of each frame (T,)."""
-        if rules not in RULES:
-            raise AsterismError(f"there are no rules {rules!r}; choose from {', '.join(RULES)}.")
-        if rules != "whole-body":
-            return self._label_by_votes(clouds, rules)
+        """`label_frames`, and the number of feature evaluations of each frame (T,)."""
+        clouds = recording.clouds() if isinstance(recording, Recording) else recording
+        if method not in METHODS:
+            raise AsterismError(f"there is no method {method!r}; choose from {', '.join(METHODS)}.")
+        if method != METHODS[0]:
+            return self._label_by_votes(clouds, method)
         rows, confidence, counters = self._best_labels(clouds, workers, progress)
         verdict = None
         if self.rigid_distances is not None:  # what all frames say changes no label; what each of them says has limited its own
@@ -227,14 +257,14 @@ class SolverEnsemble:
         indices = np.where(confidence >= self.least_confidence, rows, NULL)
         return Labelling(indices, confidence, self.marker_set.names, verdict=verdict), counters[:, 0]
 
-    def _label_by_votes(self, clouds: Clouds, rules: str) -> tuple[Labelling, Ints]:
+    def _label_by_votes(self, clouds: Clouds, method: str) -> tuple[Labelling, Ints]:
         """Label by the partial solvers' proposals: the matrix of section 4.5.4 ("thesis"), or completed by the strong classifier."""
-        partial = self.state.solvers.get(rules)
-        if partial is None:
+        solvers = self.state.solvers.get(method)
+        if solvers is None:
             raise AsterismError(
-                f"this model has no partial solvers, which the rules {rules!r} need; train it again with --miner bottom-up."
+                f"this model has no partial solvers, which the method {method!r} needs; train it again with --miner bottom-up."
             )
-        votes = label_by_matrix(clouds, partial, rules="completed" if rules == "partial-solvers" else "printed")
+        votes = label_by_matrix(clouds, solvers, rules="completed" if method == "partial-solvers" else "printed")
         # what no solver proposed, a label that completion gave or a marker that none reached, has no share of votes
         share = np.where(votes.votes > 0, votes.votes, np.nan)
         confidence = np.where(votes.indices < 0, 0.5 * share, share)
@@ -297,12 +327,12 @@ class SolverEnsemble:
 
         Raises AsterismError where the place cannot be written.
         """
-        self.state.save(path)
+        save_state(self.state, path)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> SolverEnsemble:
+    def load(cls, path: str | os.PathLike[str]) -> MarkerModel:
         """Read a model. Raises AsterismError where the file is missing, damaged, no model, or of a later version."""
-        return cls(EnsembleState.load(path))
+        return cls(load_state(path))
 
 
 def _of_one_person_each(
@@ -314,14 +344,12 @@ def _of_one_person_each(
     return one_person_each(recordings, subjects)
 
 
-def label_together(
-    ensembles: Sequence[SolverEnsemble], clouds: Clouds, *, workers: int = 1, progress: Progress | None = None
-) -> list[Labelling]:
-    """Label a recording with several bodies in it: one labelling per ensemble, each point given to one of them at most.
+def label_together(models: Sequence[MarkerModel], clouds: Clouds, *, workers: int = 1, progress: Progress | None = None) -> list[Labelling]:
+    """Label a recording with several bodies in it: one labelling per model, each point given to one of them at most.
 
-    clouds: T frames. An ensemble may be given twice, for two people who wear the same markers. Whole recordings only: see
-    `SolverEnsemble.label` with `time`. Raises SeveralBodies where one ensemble is given, and the recording certainly shows two such bodies.
+    clouds: T frames. A model may be given twice, for two people who wear the same markers. The recording is labelled as a
+    whole, see `MarkerModel.label`. Raises SeveralBodies where one model is given, and the recording certainly shows two such bodies.
     """
-    bodies = [ensemble.in_recording() for ensemble in ensembles]
-    body_rules = next((e.state.body_rules for e in ensembles if e.state.training is not None), BodyRules())
+    bodies = [model.in_recording() for model in models]
+    body_rules = next((model.state.body_rules for model in models if model.state.training is not None), BodyRules())
     return label_whole(bodies, clouds, RecordingLabellingSettings(), SubjectRules(), body_rules, workers, progress)[0]

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from models import BRIEF, trained
 
-from asterism import AsterismError, Clouds, MarkerSet, Recording, SolverEnsemble
+from asterism import AsterismError, Clouds, MarkerModel, MarkerSet, Recording
 from asterism.labelling import TrainingRules
 from asterism.labelling.partial.matrix import label_by_matrix
 from asterism.labelling.partial.solver import stack_frames
@@ -97,7 +97,7 @@ def turned(clouds, angle, shift):
 def test_walkers_never_seen_are_labelled(model, walkers, occlusions, ghosts, least_right, most_wrong):
     for person, recording in enumerate(walkers[10:]):
         clouds, truth = simulate_occlusions(recording, occlusions, ghosts, seed=person)
-        labelling = model.label(clouds)
+        labelling = model.label_frames(clouds)
         check_well_formed(labelling, clouds)
         right, wrong = rates(labelling, truth)
         assert right >= least_right, f"{right:.2%} of the visible markers are right, at least {least_right:.0%} asked"
@@ -107,13 +107,13 @@ def test_walkers_never_seen_are_labelled(model, walkers, occlusions, ghosts, lea
 def test_exchanged_truth_is_noticed(model, hard):
     """The measure above can fail: with two markers' truth exchanged, they count as wrong."""
     clouds, truth = hard
-    labelling = model.label(clouds)
+    labelling = model.label_frames(clouds)
     swapped = truth[:, [1, 0, *range(2, truth.shape[1])]]
     assert rates(labelling, swapped)[1] > rates(labelling, truth)[1] + 0.1
 
 
 def test_labels_given_are_at_least_as_sure_as_asked(model, hard):
-    labelling = model.label(hard[0])
+    labelling = model.label_frames(hard[0])
     given = labelling.indices >= 0
     assert given.any() and not given.all()
     assert labelling.confidence[given].min() >= model.least_confidence
@@ -130,7 +130,7 @@ def test_the_order_of_the_points_changes_nothing(model, hard, seed):
     rng = np.random.default_rng(seed)
     order = np.concatenate([start + rng.permutation(n) for start, n in zip(clouds.offsets[:-1], clouds.counts, strict=True)])
     shuffled = replace(clouds, xyz=clouds.xyz[order])
-    one, other = model.label(clouds), model.label(shuffled)
+    one, other = model.label_frames(clouds), model.label_frames(shuffled)
     np.testing.assert_array_equal(other.positions(shuffled), one.positions(clouds))
     np.testing.assert_array_equal(other.confidence, one.confidence)
 
@@ -138,7 +138,7 @@ def test_the_order_of_the_points_changes_nothing(model, hard, seed):
 @given(angle=st.floats(-7.0, 7.0), shift=st.tuples(*[st.floats(-20.0, 20.0)] * 3))
 @rooms
 def test_where_the_body_stands_and_faces_changes_nothing(model, hard, angle, shift):
-    one, other = model.label(hard[0]), model.label(turned(hard[0], angle, shift))
+    one, other = model.label_frames(hard[0]), model.label_frames(turned(hard[0], angle, shift))
     np.testing.assert_array_equal(other.indices, one.indices)
     np.testing.assert_allclose(other.confidence, one.confidence, atol=1e-5)
 
@@ -154,35 +154,35 @@ def test_any_axis_may_be_up_if_it_is_told(model, hard, direction):
     axes = np.stack([aside, np.cross(up, aside), up])
     assert np.linalg.det(axes) == pytest.approx(1.0)
     told = replace(clouds, xyz=clouds.xyz @ axes, vertical=up)
-    np.testing.assert_array_equal(model.label(told).indices, model.label(clouds).indices)
+    np.testing.assert_array_equal(model.label_frames(told).indices, model.label_frames(clouds).indices)
 
 
 def test_a_wrong_vertical_is_not_labelled_away(model, hard):
     """The opposite of the above: a body that lies on its side, told to stand, is left unlabelled for the most part."""
     clouds, truth = hard
     lying = replace(clouds, vertical=np.array([1.0, 0.0, 0.0]))
-    assert (model.label(lying).indices >= 0).mean() < 0.2
-    assert rates(model.label(clouds), truth)[0] > 0.9
+    assert (model.label_frames(lying).indices >= 0).mean() < 0.2
+    assert rates(model.label_frames(clouds), truth)[0] > 0.9
 
 
 @pytest.mark.parametrize("workers", [2, 3, 50])
 def test_the_number_of_workers_changes_nothing(model, hard, workers):
-    one, other = model.label(hard[0]), model.label(hard[0], workers=workers)
+    one, other = model.label_frames(hard[0]), model.label_frames(hard[0], workers=workers)
     np.testing.assert_array_equal(other.indices, one.indices)
     np.testing.assert_array_equal(other.confidence, one.confidence)
 
 
 def test_each_frame_stands_alone(model, hard):
     clouds, _ = hard
-    whole = model.label(clouds)
-    alone = model.label(Clouds.from_points([clouds[7]], clouds.rate))
+    whole = model.label_frames(clouds)
+    alone = model.label_frames(Clouds.from_points([clouds[7]], clouds.rate))
     np.testing.assert_array_equal(alone.indices[0], whole.indices[7])
     np.testing.assert_array_equal(alone.confidence[0], whole.confidence[7])
 
 
 def test_the_clouds_are_left_as_they_were(model, hard):
     before = hard[0].xyz.copy()
-    model.label(hard[0])
+    model.label_frames(hard[0])
     np.testing.assert_array_equal(hard[0].xyz, before)
 
 
@@ -192,7 +192,7 @@ def test_a_mirrored_body_has_its_sides_exchanged(model, stranger):
     names = stranger.labels
     sides = {"L": "R", "R": "L"}
     partner = np.array([names.index(sides[name[0]] + name[1:]) if name[0] in sides else m for m, name in enumerate(names)])
-    labelling = model.label(mirrored.clouds())
+    labelling = model.label_frames(mirrored.clouds())
     given = labelling.indices >= 0
     exchanged, kept = labelling.indices == partner, labelling.indices == np.arange(len(names))
     sided = partner != np.arange(len(names))
@@ -207,28 +207,28 @@ def test_a_mirrored_body_has_its_sides_exchanged(model, stranger):
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_fewer_than_three_points_stay_unlabelled(model, stranger, count):
     clouds = Clouds.from_points([stranger.positions[0, :count], stranger.positions[5, :count]], 30.0)
-    labelling = model.label(clouds)
+    labelling = model.label_frames(clouds)
     check_well_formed(labelling, clouds)
     assert (labelling.indices == -1).all()
 
 
 def test_no_frames_give_no_labels(model):
     clouds = Clouds.from_points([], 30.0)
-    assert model.label(clouds).indices.shape == (0, 15)
-    assert model.label(clouds, workers=3).confidence.shape == (0, 15)
+    assert model.label_frames(clouds).indices.shape == (0, 15)
+    assert model.label_frames(clouds, workers=3).confidence.shape == (0, 15)
 
 
 def test_an_empty_frame_between_others_changes_nothing(model, stranger):
     full = Clouds.from_points([stranger.positions[0], stranger.positions[1]], 30.0)
     holed = Clouds.from_points([stranger.positions[0], [], stranger.positions[1]], 30.0)
-    np.testing.assert_array_equal(model.label(holed).indices[[0, 2]], model.label(full).indices)
-    assert (model.label(holed).indices[1] == -1).all()
+    np.testing.assert_array_equal(model.label_frames(holed).indices[[0, 2]], model.label_frames(full).indices)
+    assert (model.label_frames(holed).indices[1] == -1).all()
 
 
 @pytest.mark.parametrize("count", [3, 15, 60])
 def test_points_that_all_coincide_stay_unlabelled(model, count):
     clouds = Clouds.from_points([np.full((count, 3), 1.0)], 30.0)
-    labelling = model.label(clouds)
+    labelling = model.label_frames(clouds)
     check_well_formed(labelling, clouds)
     assert (labelling.indices == -1).all()
 
@@ -237,7 +237,7 @@ def test_a_marker_seen_twice_is_one_label(model, stranger):
     """Each point doubled, 1 mm apart: no label goes to both, and the ones given are at the right place."""
     twice = np.concatenate([stranger.positions[0], stranger.positions[0] + 0.001])
     clouds = Clouds.from_points([twice], 30.0)
-    labelling = model.label(clouds)
+    labelling = model.label_frames(clouds)
     check_well_formed(labelling, clouds)
     given = labelling.indices[0] >= 0
     assert (labelling.indices[0, given] % 15 == np.nonzero(given)[0]).all()
@@ -246,14 +246,14 @@ def test_a_marker_seen_twice_is_one_label(model, stranger):
 def test_five_hundred_points_that_are_nobody_are_not_a_body(model):
     rng = np.random.default_rng(3)
     clouds = Clouds.from_points([rng.uniform(-1.5, 1.5, (500, 3)) for _ in range(2)], 30.0)
-    labelling = model.label(clouds)
+    labelling = model.label_frames(clouds)
     check_well_formed(labelling, clouds)
     assert (labelling.indices >= 0).mean() < 0.2, "a crowd of random points was taken for a body"
 
 
 def test_a_body_is_found_among_two_hundred_ghosts(model, stranger):
     clouds, truth = simulate_occlusions(stranger.frames(slice(0, 3)), 0, 200, seed=1)
-    labelling = model.label(clouds)
+    labelling = model.label_frames(clouds)
     check_well_formed(labelling, clouds)
     wrong = ((labelling.indices >= 0) & (labelling.indices != truth)).mean()
     assert wrong < 0.1, f"{wrong:.1%} of the markers got a ghost"
@@ -264,28 +264,28 @@ def test_a_body_is_found_among_two_hundred_ghosts(model, stranger):
 def test_whatever_comes_in_the_answer_is_well_formed(model, seed, counts):
     rng = np.random.default_rng(seed)
     clouds = Clouds.from_points([rng.normal(0.0, rng.choice([1e-9, 0.3, 1.0, 1e6]), (n, 3)).round(2) for n in counts], 30.0)
-    check_well_formed(model.label(clouds), clouds)
+    check_well_formed(model.label_frames(clouds), clouds)
 
 
 # --- training
 
 
 def test_the_same_recordings_and_seed_give_the_same_model(few, saved, tmp_path):
-    SolverEnsemble.fit(few, **QUICKEST).save(tmp_path / "again.model")
+    MarkerModel.fit(few, **QUICKEST).save(tmp_path / "again.model")
     assert (tmp_path / "again.model").read_bytes() == saved.read_bytes()
 
 
 def test_another_seed_gives_another_model(few, saved, tmp_path):
-    SolverEnsemble.fit(few, seed=1, **QUICKEST).save(tmp_path / "other.model")
+    MarkerModel.fit(few, seed=1, **QUICKEST).save(tmp_path / "other.model")
     assert (tmp_path / "other.model").read_bytes() != saved.read_bytes()
 
 
 def test_a_stricter_target_gives_no_more_labels(few, small):
     """Same seed, same margins: what the strict model labels the lenient one labels alike."""
-    lenient = SolverEnsemble.fit(few, target_hit_rate=0.9, **QUICKEST)
+    lenient = MarkerModel.fit(few, target_hit_rate=0.9, **QUICKEST)
     assert lenient.least_confidence < small.least_confidence
     clouds, _ = simulate_occlusions(few[0], 4, 2)
-    strict, free = small.label(clouds).indices, lenient.label(clouds).indices
+    strict, free = small.label_frames(clouds).indices, lenient.label_frames(clouds).indices
     assert (strict >= 0).sum() < (free >= 0).sum()
     np.testing.assert_array_equal(free[strict >= 0], strict[strict >= 0])
 
@@ -293,16 +293,16 @@ def test_a_stricter_target_gives_no_more_labels(few, small):
 def test_recordings_in_rooms_with_different_verticals_are_one_training_set(few, small):
     """Half of the recordings told with Y up: the same bodies, the same model up to rounding."""
     other = simulate_walks(subjects=4, frames=40, rate=20.0, seed=2, vertical="y")
-    mixed = SolverEnsemble.fit([few[0], other[1], few[2], other[3]], **QUICKEST)
-    np.testing.assert_array_equal(mixed.label(few[0].clouds()).indices, small.label(few[0].clouds()).indices)
+    mixed = MarkerModel.fit([few[0], other[1], few[2], other[3]], **QUICKEST)
+    np.testing.assert_array_equal(mixed.label_frames(few[0].clouds()).indices, small.label_frames(few[0].clouds()).indices)
 
 
 def test_gaps_in_the_training_data_are_bridged(few):
     """A tenth of all samples missing: still at least 90 % right on whole frames."""
     rng = np.random.default_rng(0)
     holed = [replace(r, positions=np.where(rng.random(r.visible.shape)[:, :, None] < 0.1, np.nan, r.positions)) for r in few]
-    model = SolverEnsemble.fit(holed, **QUICKEST)
-    right, wrong = rates(model.label(few[0].clouds()), np.tile(np.arange(15), (40, 1)))
+    model = MarkerModel.fit(holed, **QUICKEST)
+    right, wrong = rates(model.label_frames(few[0].clouds()), np.tile(np.arange(15), (40, 1)))
     assert right > 0.9
     assert wrong < 0.01
 
@@ -312,10 +312,10 @@ def test_a_marker_that_no_recording_shows_is_a_null_column(few):
     for p in positions:
         p[:, 4] = np.nan
     bare = [replace(r, positions=p) for r, p in zip(few, positions, strict=True)]
-    model = SolverEnsemble.fit(bare, **QUICKEST)
+    model = MarkerModel.fit(bare, **QUICKEST)
     assert model.marker_set.names == few[0].labels
     for recording in (few[0], bare[0]):
-        labelling = model.label(recording.clouds())
+        labelling = model.label_frames(recording.clouds())
         assert (labelling.indices[:, 4] == -1).all()
         assert (labelling.confidence[:, 4] == 0.0).all()
     others = np.delete(np.arange(15), 4)
@@ -323,8 +323,8 @@ def test_a_marker_that_no_recording_shows_is_a_null_column(few):
 
 
 def test_one_person_is_enough_to_train(few):
-    model = SolverEnsemble.fit(few[:1], **QUICKEST)
-    right, wrong = rates(model.label(few[0].clouds()), np.tile(np.arange(15), (40, 1)))
+    model = MarkerModel.fit(few[:1], **QUICKEST)
+    right, wrong = rates(model.label_frames(few[0].clouds()), np.tile(np.arange(15), (40, 1)))
     assert right > 0.9
     assert wrong == 0.0
 
@@ -332,17 +332,17 @@ def test_one_person_is_enough_to_train(few):
 @pytest.mark.parametrize("rate", [0.0, 0.3, 1.0, 1.5, float("nan")])
 def test_a_target_that_makes_no_sense_is_refused(few, rate):
     with pytest.raises(AsterismError, match="target hit rate"):
-        SolverEnsemble.fit(few, target_hit_rate=rate, **QUICKEST)
+        MarkerModel.fit(few, target_hit_rate=rate, **QUICKEST)
 
 
 def test_nothing_to_learn_from_is_refused():
     with pytest.raises(AsterismError, match="no recording to learn from"):
-        SolverEnsemble.fit([])
+        MarkerModel.fit([])
 
 
 def test_too_few_frames_are_refused(few):
     with pytest.raises(AsterismError, match="9 frames show at least half"):
-        SolverEnsemble.fit([few[0].frames(slice(0, 9))], **QUICKEST)
+        MarkerModel.fit([few[0].frames(slice(0, 9))], **QUICKEST)
 
 
 def test_frames_that_show_too_little_are_refused(few):
@@ -350,12 +350,12 @@ def test_frames_that_show_too_little_are_refused(few):
     bare[:, 5:] = np.nan
     bare[0] = few[0].positions[0]
     with pytest.raises(AsterismError, match="1 frames show at least half"):
-        SolverEnsemble.fit([replace(few[0], positions=bare)], **QUICKEST)
+        MarkerModel.fit([replace(few[0], positions=bare)], **QUICKEST)
 
 
 def test_too_few_markers_are_refused(few):
     with pytest.raises(AsterismError, match="training needs 4 markers"):
-        SolverEnsemble.fit([few[0].select(few[0].labels[:3])], **QUICKEST)
+        MarkerModel.fit([few[0].select(few[0].labels[:3])], **QUICKEST)
 
 
 def test_recordings_whose_markers_differ_teach_those_that_most_people_wear(few):
@@ -363,47 +363,47 @@ def test_recordings_whose_markers_differ_teach_those_that_most_people_wear(few):
     names = few[0].labels
     assert len(few) == 4 and len({subject_of(recording) for recording in few}) == 4
     differing = [few[0], few[1].select(names[::-1]), few[2].select(names[1:-1]), replace(few[3], labels=(*names[:-1], "*7"))]
-    model = SolverEnsemble.fit(differing, **QUICKEST)
+    model = MarkerModel.fit(differing, **QUICKEST)
     assert model.marker_set.names == names[:-1]
     assert model.about["left_out_markers"] == [names[-1]]
-    given = SolverEnsemble.fit(differing, marker_set=MarkerSet(names[:-1]), **QUICKEST)
+    given = MarkerModel.fit(differing, marker_set=MarkerSet(names[:-1]), **QUICKEST)
     clouds = few[0].clouds()
-    np.testing.assert_array_equal(model.label(clouds).indices, given.label(clouds).indices)
-    np.testing.assert_array_equal(model.label(clouds).confidence, given.label(clouds).confidence)
-    assert SolverEnsemble.fit(few, **QUICKEST).about["left_out_markers"] == []
+    np.testing.assert_array_equal(model.label_frames(clouds).indices, given.label_frames(clouds).indices)
+    np.testing.assert_array_equal(model.label_frames(clouds).confidence, given.label_frames(clouds).confidence)
+    assert MarkerModel.fit(few, **QUICKEST).about["left_out_markers"] == []
 
 
 def test_recordings_that_share_too_few_markers_are_refused(few):
     names = few[0].labels
     other = replace(few[1], labels=tuple(name if i < 3 else f"other {i}" for i, name in enumerate(names)))
     with pytest.raises(AsterismError, match="share 3 labelled markers, fewer than 4; name the set"):
-        SolverEnsemble.fit([few[0], other], **QUICKEST)
+        MarkerModel.fit([few[0], other], **QUICKEST)
 
 
 def test_subjects_are_one_per_recording(few):
     with pytest.raises(AsterismError, match="1 subjects for 4 recordings"):
-        SolverEnsemble.fit(few, subjects=["Ann"], **QUICKEST)
+        MarkerModel.fit(few, subjects=["Ann"], **QUICKEST)
 
 
 def test_progress_never_goes_back_and_ends_at_one(few, small):
     told = []
-    SolverEnsemble.fit(few, progress=lambda fraction, what: told.append((fraction, what)), **QUICKEST)
+    MarkerModel.fit(few, progress=lambda fraction, what: told.append((fraction, what)), **QUICKEST)
     fractions = [fraction for fraction, _ in told]
     assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] == 1.0
     assert all(what for _, what in told)
     told.clear()
-    small.label(few[0].clouds(), workers=2, progress=lambda fraction, what: told.append(fraction))
+    small.label_frames(few[0].clouds(), workers=2, progress=lambda fraction, what: told.append(fraction))
     assert told == sorted(told) and told[-1] == 1.0
 
 
 def test_rules_that_do_not_exist_are_refused(small, few):
     with pytest.raises(AsterismError, match="choose from whole-body"):
-        small.label(few[0].clouds(), rules="half-body")
+        small.label_frames(few[0].clouds(), method="half-body")
 
 
 def test_the_thesis_rules_need_their_solvers(small, few):
     with pytest.raises(AsterismError, match="train it again with --miner bottom-up"):
-        small.label(few[0].clouds(), rules="thesis")
+        small.label_frames(few[0].clouds(), method="thesis")
 
 
 def test_confidence_by_the_thesis_rules_is_the_share_of_votes(small, few):
@@ -422,9 +422,9 @@ def test_confidence_by_the_thesis_rules_is_the_share_of_votes(small, few):
     )
     solvers = search_partial_solvers(frames, groups, targets=0.97, features=PRINTED_FEATURES[:5], settings=settings, seed=0)
     solvers = replace(solvers, trusted=solvers.trusted & (solvers.solvers.markers != 3))
-    model = SolverEnsemble(replace(small.state, solvers={"thesis": solvers}))
+    model = MarkerModel(replace(small.state, solvers={"thesis": solvers}))
     clouds, _ = simulate_occlusions(few[0], 2, 1, seed=0)
-    labelling, votes = model.label(clouds, rules="thesis"), label_by_matrix(clouds, solvers, rules="printed")
+    labelling, votes = model.label_frames(clouds, method="thesis"), label_by_matrix(clouds, solvers, rules="printed")
     given, shares = labelling.indices >= 0, votes.votes
     np.testing.assert_array_equal(labelling.indices, votes.indices)
     np.testing.assert_array_equal(labelling.confidence[given], shares[given])
@@ -434,7 +434,7 @@ def test_confidence_by_the_thesis_rules_is_the_share_of_votes(small, few):
     assert np.isnan(labelling.confidence[~given & (shares == 0)]).all()
     assert np.isnan(labelling.confidence[:, 3]).all(), "no solver is trusted with it"
     with pytest.raises(AsterismError, match="partial-solvers"):
-        model.label(clouds, rules="partial-solvers")
+        model.label_frames(clouds, method="partial-solvers")
 
 
 @pytest.mark.parametrize(
@@ -450,12 +450,12 @@ def test_training_rules_that_make_no_sense_are_refused(rules, words):
 
 
 def test_a_model_read_back_is_the_same_model(small, saved, few, tmp_path):
-    again = SolverEnsemble.load(saved)
+    again = MarkerModel.load(saved)
     assert again.marker_set == small.marker_set
     assert again.least_confidence == small.least_confidence
     assert again.about == small.about
     clouds, _ = simulate_occlusions(few[1], 2, 2)
-    one, other = small.label(clouds), again.label(clouds)
+    one, other = small.label_frames(clouds), again.label_frames(clouds)
     np.testing.assert_array_equal(other.indices, one.indices)
     np.testing.assert_array_equal(other.confidence, one.confidence)
     again.save(tmp_path / "again.model")
@@ -464,8 +464,8 @@ def test_a_model_read_back_is_the_same_model(small, saved, few, tmp_path):
 
 def test_the_marker_set_travels_with_the_model(few, tmp_path):
     marker_set = MarkerSet.load("helen-hayes")
-    SolverEnsemble.fit(few, marker_set=marker_set, **QUICKEST).save(tmp_path / "named.model")
-    assert SolverEnsemble.load(tmp_path / "named.model").marker_set == marker_set
+    MarkerModel.fit(few, marker_set=marker_set, **QUICKEST).save(tmp_path / "named.model")
+    assert MarkerModel.load(tmp_path / "named.model").marker_set == marker_set
 
 
 def test_the_file_holds_no_pickle(saved):
@@ -479,7 +479,7 @@ def test_saving_leaves_nothing_else_behind(small, tmp_path):
     (tmp_path / "one.model").write_bytes(b"an older one")
     small.save(tmp_path / "one.model")
     assert [path.name for path in tmp_path.iterdir()] == ["one.model"]
-    SolverEnsemble.load(tmp_path / "one.model")
+    MarkerModel.load(tmp_path / "one.model")
 
 
 def test_a_place_that_cannot_be_written_is_a_sentence(small, tmp_path):
@@ -499,7 +499,7 @@ def with_head(saved, path, **changes):
 
 def test_a_later_version_is_refused_with_the_mend(saved, tmp_path):
     with pytest.raises(AsterismError, match=r"later Asterism \(model format 99\); update Asterism"):
-        SolverEnsemble.load(with_head(saved, tmp_path / "later.model", version=99))
+        MarkerModel.load(with_head(saved, tmp_path / "later.model", version=99))
 
 
 @pytest.mark.parametrize(
@@ -509,7 +509,7 @@ def test_a_later_version_is_refused_with_the_mend(saved, tmp_path):
 )
 def test_a_head_that_makes_no_sense_is_refused(saved, tmp_path, changes):
     with pytest.raises(AsterismError, match=r"odd\.model"):
-        SolverEnsemble.load(with_head(saved, tmp_path / "odd.model", **changes))
+        MarkerModel.load(with_head(saved, tmp_path / "odd.model", **changes))
 
 
 def test_arrays_that_do_not_fit_each_other_are_refused(saved, tmp_path):
@@ -519,20 +519,20 @@ def test_arrays_that_do_not_fit_each_other_are_refused(saved, tmp_path):
         with (tmp_path / "odd.model").open("wb") as out:
             np.savez_compressed(out, **{**arrays, name: arrays[name][:, :-1] if arrays[name].ndim > 1 else arrays[name][:-1]})
         with pytest.raises(AsterismError, match="damaged"):
-            SolverEnsemble.load(tmp_path / "odd.model")
+            MarkerModel.load(tmp_path / "odd.model")
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"\x93NUMPY", b"c3d" * 1000], ids=["empty", "zip head", "npy head", "other"])
 def test_files_that_are_no_model_are_refused(tmp_path, content):
     (tmp_path / "no.model").write_bytes(content)
     with pytest.raises(AsterismError, match=r"no\.model"):
-        SolverEnsemble.load(tmp_path / "no.model")
+        MarkerModel.load(tmp_path / "no.model")
 
 
 @pytest.mark.parametrize("name", ["absent.model", "."])
 def test_a_missing_file_is_refused(tmp_path, name):
     with pytest.raises(AsterismError, match="does not exist"):
-        SolverEnsemble.load(tmp_path / name)
+        MarkerModel.load(tmp_path / name)
 
 
 @given(seed=st.integers(0, 2**31), flips=st.integers(1, 8), kept=st.one_of(st.just(1.0), st.floats(0.0, 1.0)))
@@ -545,18 +545,18 @@ def test_a_damaged_model_is_refused_or_labels_as_before(small, saved, few, tmp_p
         content[place] ^= 1 << rng.integers(8)
     (tmp_path / "damaged.model").write_bytes(content[: round(kept * len(content))])
     try:
-        model = SolverEnsemble.load(tmp_path / "damaged.model")
+        model = MarkerModel.load(tmp_path / "damaged.model")
     except AsterismError as problem:
         assert "damaged.model" in str(problem)
         return
     clouds = few[0].frames(slice(0, 3)).clouds()
-    np.testing.assert_array_equal(model.label(clouds).indices, small.label(clouds).indices)
+    np.testing.assert_array_equal(model.label_frames(clouds).indices, small.label_frames(clouds).indices)
 
 
 def test_the_labelling_names_a_recording(model, stranger):
     """From a recording without names to one with the marker set's names, through the nouns of the house."""
     nameless = Recording(stranger.positions[:, ::-1], tuple(f"*{i}" for i in range(15)), 30.0)
-    named = nameless.with_labelling(model.label(nameless.clouds()))
+    named = nameless.with_labelling(model.label_frames(nameless.clouds()))
     assert named.labels[:15] == stranger.labels
     shown = ~np.isnan(named.positions[:, :15, 0])
     assert shown.mean() > 0.99
