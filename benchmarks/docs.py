@@ -53,7 +53,7 @@ def page_of(release: Release | None) -> str:
         parts += [f"## {title}\n", "| row | asked | measured | reached | n |", "|---|---|---|---|---|"]
         for group in KEY:
             if group.title == title:
-                parts += [_line(row, entries.get(row), group.name, release["failed"]) for row in group.rows]
+                parts += [_line(row, entries.get(row), group.script, release["failed"]) for row in group.rows]
         parts.append("")
     words = f"{measured_with(release)} ({place}).{simulated} {counts}"
     return TEMPLATE.read_text(encoding="utf-8").format(measured=words, tables="\n".join(parts) + "\n")

@@ -38,14 +38,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help="few frames, from a tree that may be dirty; nothing is written into docs")
     parser.add_argument("--only", nargs="+", metavar="SCRIPT", help='some of them, such as "recordings gaps"; nothing is written into docs')
     given = parser.parse_args(arguments)
-    strangers = set(given.only or ()) - {group.name for group in KEY}
+    strangers = set(given.only or ()) - {group.script for group in KEY}
     if strangers:
-        parser.error(f"no key figure comes from {sorted(strangers)[0]!r}; choose from {', '.join(group.name for group in KEY)}")
+        parser.error(f"no key figure comes from {sorted(strangers)[0]!r}; choose from {', '.join(group.script for group in KEY)}")
     partial = given.quick or bool(given.only)
     try:
         commit = commit_of(ROOT, dirty_is_refused=not given.quick)
         kept = KEPT / (f"{commit}-quick" if given.quick else commit)
-        failed = measure([group for group in KEY if not given.only or group.name in given.only], kept, given.quick)
+        failed = measure([group for group in KEY if not given.only or group.script in given.only], kept, given.quick)
         if not given.quick and commit_of(ROOT, dirty_is_refused=True) != commit:
             raise Refused("the commit has changed while its figures were measured; check out the first one and run this again")
     except Refused as problem:
@@ -91,25 +91,25 @@ def measure(groups: Sequence[Group], kept: Path, quick: bool, workers: int = 2) 
     waiting = sorted((group for group in groups if not _result(kept, group).exists()), key=lambda group: -group.minutes)
     for group in groups:
         if group not in waiting:
-            print(f"{group.name}: measured before", file=sys.stderr, flush=True)
+            print(f"{group.script}: measured before", file=sys.stderr, flush=True)
     failed: dict[str, str] = {}
     for count, some in ((1, [g for g in waiting if g.alone]), (workers, [g for g in waiting if not g.alone])):
         with ThreadPoolExecutor(count) as pool:
             for group, problem in zip(some, pool.map(lambda group: _run(group, kept, quick), some), strict=True):
                 if problem:
-                    failed[group.name] = problem
+                    failed[group.script] = problem
     return failed
 
 
 def _result(kept: Path, group: Group) -> Path:
-    return kept / f"{group.chapter}-{group.script}.json"
+    return kept / f"{group.script.replace(' ', '-')}.json"
 
 
 def _run(group: Group, kept: Path, quick: bool) -> str:
     """One script in a process of its own; its key figures are kept once it has given all of them. Returns what went wrong, or nothing."""
     path = _result(kept, group)
     unfinished = path.with_suffix(".part")
-    words = [sys.executable, "-m", "benchmarks", group.chapter, group.script, "--jobs", "1", "--models", str(kept / "models")]
+    words = [sys.executable, "-m", "benchmarks", *group.script.split(), "--jobs", "1", "--models", str(kept / "models")]
     words += ["--json", str(unfinished), *(["--quick"] if quick else [])]
     started = time.perf_counter()
     with path.with_suffix(".log").open("w", encoding="utf-8") as log:
@@ -126,7 +126,7 @@ def _run(group: Group, kept: Path, quick: bool) -> str:
             rows = [entries[row] for row in group.rows if row in entries]
             unfinished.write_text(json.dumps({"seconds": round(seconds, 1), "rows": rows}), encoding="utf-8")
             os.replace(unfinished, path)
-    print(f"{group.name}: {'FAILED' if problem else 'measured'}, {seconds:.0f} s", file=sys.stderr, flush=True)
+    print(f"{group.script}: {'FAILED' if problem else 'measured'}, {seconds:.0f} s", file=sys.stderr, flush=True)
     return problem
 
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from asterism.cameras import Rig
 from asterism.garment import DesignRules, Pattern, design_pattern
-from asterism.garment.check import judge_reading
 from asterism.garment.read import read_image
 from asterism.simulation.garment import Photo, PhotoSettings, Wearer, WornGarment, garment_rig, photograph, sheet_of, suit_masks, wear
 from benchmarks.benchmark_run import BenchmarkRun
@@ -55,17 +54,6 @@ def _pictures(quick: bool, parts: tuple[str, ...] = ()) -> Iterator[tuple[Photo,
     rig: Rig = garment_rig()
     for number, camera in enumerate(rig.cameras[:1] if quick else rig.cameras):
         yield photograph(worn, camera, 0.0, PhotoSettings(noise=0.01), rng=np.random.default_rng([0, number])), pattern
-
-
-def check(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """A photo that proves itself: the bound of misread colours, in good light."""
-    bounds, shares = [], []
-    for photo, pattern in _pictures(benchmark.quick):
-        judged = judge_reading(read_image(photo.image, pattern), pattern)
-        bounds.append(judged.misread_most)
-        shares.append(judged.share)
-    yield Figure("photo check: misread colours at most, by one photo without truth (median)", "none", median(bounds), "share", len(bounds))
-    yield Figure("photo check: blocks that are in the pattern (median)", "none", median(shares), "share", len(shares))
 
 
 def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:

@@ -30,7 +30,7 @@ from asterism.simulation.garment import (
 )
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
-from benchmarks.garment.warps import Warp, warped
+from tests.garment_warps import Warp, warped
 
 LIGHTS = {
     "lamps all around": {},

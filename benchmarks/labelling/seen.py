@@ -7,17 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-import asterism
-from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.recording import NULL, Ints, Labelling, Recording
-from benchmarks.benchmark_run import BenchmarkRun
-from benchmarks.data import blocks, evenly, gait, people_and_trials
+from benchmarks.data import blocks, gait, people_and_trials
 from benchmarks.figures import Figure
 from benchmarks.score import Tally
 
 FRAMES = 16384
-RULES = "whole-body rules"
-"""Whose labels these are; the thesis' own are other rows."""
 TARGETS = (0.99, 0.999, 0.9999, 0.99999)
 PRINTED_ZERO = 0.00005
 """What the thesis prints as 0.00 % was below this."""
@@ -38,31 +33,6 @@ THESIS_FO = {
 }
 
 
-def tables(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Tables 5.4 and 5.5 cell by cell, 5.3 marker by marker, and the two figures that the issue asks for by themselves."""
-    for figures in benchmark.each(_column, TARGETS[2:3] if benchmark.quick else TARGETS):
-        yield from figures
-
-
-def _column(benchmark: BenchmarkRun, target: float) -> list[Figure]:
-    """One target hit rate over all occlusions."""
-    ensemble, column, figures = _ensemble(benchmark, target), TARGETS.index(target), []
-    for hidden in (4,) if benchmark.quick else range(1, 6):
-        clouds, truth = simulate_occlusions(test_frames(1024 if benchmark.quick else FRAMES), hidden, 0, seed=hidden)
-        labelling = ensemble.label_frames(clouds)
-        tally = redrawn(labelling, truth)
-        fa, fo = tally.false_assignments, tally.false_occlusions
-        cell = f"{RULES}, subjects seen, {hidden} occlusion{'s' * (hidden > 1)}, target {target * 100:g} %"
-        figures.append(tally.figure(f"table 5.4, {cell}: FA", f"< {THESIS_FA[hidden][column]:g}", fa))
-        figures.append(tally.figure(f"table 5.5, {cell}: FO", f"< {THESIS_FO[hidden][column]:g}", fo))
-        if target == 0.9999 and hidden == 4:
-            figures.append(tally.figure(f"{cell}: FA", "<= 0.0001", fa))
-            figures.append(tally.figure(f"{cell}: FO", "<= 0.15", fo))
-            figures.append(tally.figure(f"{cell}: missed", "none", tally.missed_share))
-            figures += by_marker(cell, labelling, truth, tally)
-    return figures
-
-
 def by_marker(
     cell: str, labelling: Labelling, truth: Ints, tally: Tally, printed: dict[str, tuple[float, float]] | None = None
 ) -> Iterator[Figure]:
@@ -74,14 +44,6 @@ def by_marker(
         fa, fo = ("", "") if printed is None else (f" (printed {value:g})" for value in printed[name])
         yield tally.figure(f"table 5.3, {cell}, {name}: FA{fa}", "none", float(wrong[marker]))
         yield tally.figure(f"table 5.3, {cell}, {name}: FO{fo}", "none", float(null[marker]))
-
-
-def _ensemble(benchmark: BenchmarkRun, target: float) -> asterism.MarkerModel:
-    people, recordings = people_and_trials(gait())
-    train = [blocks(recording, odd=False) for recording in recordings]
-    if benchmark.quick:
-        train = [evenly(recording, 40) for recording in train]
-    return benchmark.fit(train, people, target_hit_rate=target)
 
 
 def test_frames(frames: int) -> Recording:

@@ -1,4 +1,4 @@
-"""The rows about accuracy: gait and whole body, two to four cameras, the baseline, the ablation, bad input."""
+"""Gait and whole body before two to four cameras, and the paper's plain algorithm on the same blobs."""
 
 from __future__ import annotations
 
