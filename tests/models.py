@@ -24,17 +24,22 @@ import asterism
 from asterism import labelling
 from asterism.labelling import CapturabilityRules, TrainingRules
 from asterism.labelling.partial.solver_search import SearchSettings
-from asterism.labelling.training.trials import Trial
+from asterism.labelling.training.trials import TrainingTrial
 
 BRIEF = TrainingRules(
-    trial_frames=8, folds=2, trials=(Trial(), Trial(0.2), Trial(0.2, 3)), time_trials=(Trial(0.2),), stretches=1, stretch_frames=30
+    trial_frames=8,
+    folds=2,
+    trials=(TrainingTrial(), TrainingTrial(0.2), TrainingTrial(0.2, 3)),
+    time_trials=(TrainingTrial(0.2),),
+    stretches=1,
+    stretch_frames=30,
 )
 """Training that tries its model on little, so that its confidence is low: for tests of what is learned, not of what is labelled."""
 
 SHORT = TrainingRules(
     folds=2,
     trial_frames=30,
-    trials=(Trial(), Trial(0.2), Trial(0.34), Trial(0.2, 3), Trial(0.2, clutter=3.0, spread=0.03)),
+    trials=(TrainingTrial(), TrainingTrial(0.2), TrainingTrial(0.34), TrainingTrial(0.2, 3), TrainingTrial(0.2, clutter=3.0, spread=0.03)),
     stretches=1,
     stretch_frames=100,
 )

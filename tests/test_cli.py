@@ -15,7 +15,7 @@ from models import SHORT, examining_briefly, training_with
 
 from asterism import MarkerModel, formats
 from asterism.cli import _console, main
-from asterism.cli.demo import Part
+from asterism.cli.demo import DemoPart
 from asterism.recording import Recording
 from asterism.simulation import simulate_walks
 
@@ -423,8 +423,8 @@ def test_piped_output_has_no_escape_codes_and_no_bar(folder: Path, model: Path, 
 def test_the_help_of_the_demo_names_all_its_demos(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("demo", "--help") == 0
     first, *rest = capsys.readouterr().out.splitlines()
-    for part in Part:
-        if part is not Part.LABELLING:
+    for part in DemoPart:
+        if part is not DemoPart.LABELLING:
             assert part in first and f"`asterism demo {part}`" in " ".join(" ".join(rest).split()), part
 
 

@@ -117,11 +117,13 @@ def _nexus(walk: Recording) -> str:
 
 def _tables(folder: Path) -> list[Specimen]:
     from asterism.detection.times import read_times
-    from asterism.formats import Table, read_blobs, read_table, write_blobs, write_table
+    from asterism.formats import TimeSeriesTable, read_blobs, read_table, write_blobs, write_table
 
     rng = np.random.default_rng(1)
     angles = folder / "angles.sto"
-    write_table(angles, Table(("hip", "knee"), rng.normal(0, 20, (FRAMES, 2)), np.arange(FRAMES) / 100, title="angles", in_degrees=True))
+    write_table(
+        angles, TimeSeriesTable(("hip", "knee"), rng.normal(0, 20, (FRAMES, 2)), np.arange(FRAMES) / 100, title="angles", in_degrees=True)
+    )
     frame, camera = np.divmod(np.arange(2 * FRAMES), 2)
     blobs, times = folder / "2d.csv", folder / "times.csv"
     write_blobs(Blobs.from_rows(frame, camera, rng.uniform(0, 500, (2 * FRAMES, 2)), ("left", "right"), rate=50.0), blobs)
@@ -228,11 +230,13 @@ def _images(folder: Path) -> list[Specimen]:
 
 def _model(folder: Path) -> Specimen:
     from asterism.labelling import TrainingRules
-    from asterism.labelling.training.trials import Trial
+    from asterism.labelling.training.trials import TrainingTrial
 
     path = folder / "walks.model"
     walks = simulate_walks(subjects=3, frames=60, rate=50.0)
-    rules = TrainingRules(trial_frames=8, folds=2, trials=(Trial(),), time_trials=(Trial(0.2),), stretches=1, stretch_frames=30)
+    rules = TrainingRules(
+        trial_frames=8, folds=2, trials=(TrainingTrial(),), time_trials=(TrainingTrial(0.2),), stretches=1, stretch_frames=30
+    )
     asterism.MarkerModel.fit(walks, seed=0, miner=None, training=rules).save(path)
     clouds = walks[0].frames(slice(0, 3)).clouds()
 

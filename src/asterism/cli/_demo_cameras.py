@@ -14,7 +14,7 @@ from asterism.findings import exit_status
 
 if TYPE_CHECKING:
     from asterism.simulation.pipeline import PipelineResult
-    from asterism.simulation.session import Session
+    from asterism.simulation.session import SimulatedSession
 
 _WALKERS, _FRAMES, _RATE = 9, 300, 100.0
 
@@ -85,11 +85,12 @@ def _facts(result: PipelineResult) -> dict[str, Any]:
     }
 
 
-def _written(output: Path, session: Session, result: PipelineResult) -> dict[str, Path]:
+def _written(output: Path, session: SimulatedSession, result: PipelineResult) -> dict[str, Path]:
     """Everything as files, those of an earlier demo replaced."""
-    from asterism import Recording, formats
+    from asterism import formats
     from asterism.cameras.accuracy import Volume, map_rig, wand_accuracy
     from asterism.cameras.files import write_rig
+    from asterism.recording import Recording
     from asterism.report import LabelledRecording, label_report, rig_report
     from asterism.simulation.session import WAND
 

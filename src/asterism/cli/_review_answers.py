@@ -12,7 +12,7 @@ from asterism.cli._options import vertical_axis
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
-    from asterism.cli.review import ReviewOptions
+    from asterism.cli._review_options import ReviewOptions
     from asterism.labelling import MarkerModel
     from asterism.labelling.correction import Answer
 

@@ -9,7 +9,7 @@ from asterism.cli._folders import Trial, outputs_of, trials
 from asterism.cli._options import vertical_axis
 
 if TYPE_CHECKING:
-    from asterism.cli.review import ReviewOptions
+    from asterism.cli._review_options import ReviewOptions
 
 
 def _is_corrected(trial: Trial) -> bool:
@@ -22,7 +22,7 @@ def _is_corrected(trial: Trial) -> bool:
 def serve_page(options: ReviewOptions) -> None:
     """Serve the page until it is interrupted."""
     from asterism.labelling import MarkerModel
-    from asterism.web import Place, Session, SessionOptions, serve
+    from asterism.web import CorrectionSession, Place, SessionOptions, serve
 
     settings = SessionOptions(
         options.model, options.output, options.log_folder, options.overwrite, vertical_axis(options.vertical), options.workers
@@ -30,7 +30,7 @@ def serve_page(options: ReviewOptions) -> None:
     batch = _console.Batch("opened")
     found = [trial for trial in trials(options.files, batch, without=options.output) if not _is_corrected(trial)]
     targets = None if options.output is None else outputs_of(found, options.output)
-    session = Session([trial.path for trial in found], MarkerModel.load(options.model), settings, targets)
+    session = CorrectionSession([trial.path for trial in found], MarkerModel.load(options.model), settings, targets)
     serve(session, Place(options.host, options.port, not options.no_browser), _console.result)
     unsaved = [trial.path.name for trial in session.trials if trial.has_unsaved]
     if unsaved:

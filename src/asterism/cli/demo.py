@@ -27,7 +27,7 @@ _CONDITIONS = ((0, 0), (2, 0), (4, 0), (2, 3))
 """The numbers of markers in a gap and of ghosts at every moment. The last condition is the hardest; the report shows it."""
 
 
-class Part(StrEnum):
+class DemoPart(StrEnum):
     """What the demo shows; without a word it is labelling."""
 
     LABELLING = "labelling"
@@ -38,10 +38,10 @@ class Part(StrEnum):
 
 
 _SHOWS = {
-    Part.CAMERAS: "calibrate, reconstruct, label",
-    Part.GARMENT: "capture a printed suit",
-    Part.VIEWS: "label in the images",
-    Part.MOTION: "joint angles under moving skin",
+    DemoPart.CAMERAS: "calibrate, reconstruct, label",
+    DemoPart.GARMENT: "capture a printed suit",
+    DemoPart.VIEWS: "label in the images",
+    DemoPart.MOTION: "joint angles under moving skin",
 }
 """What each demo but the first does, as `asterism demo --help` says it."""
 
@@ -51,13 +51,13 @@ class DemoOptions:
     """What `asterism demo` is asked to do."""
 
     part: Annotated[
-        Part,
+        DemoPart,
         typer.Argument(
             metavar="|".join(_SHOWS),
             help=" ".join(f"{part}: {what}." for part, what in _SHOWS.items()),
             show_default=False,
         ),
-    ] = Part.LABELLING
+    ] = DemoPart.LABELLING
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where the files go.")] = Path("asterism-demo")
     seed: Seed = 0
     json: Json = None
@@ -83,19 +83,19 @@ def demo(options: DemoOptions) -> None:
     `asterism demo motion` simulates a knee under skin that slides and wobbles, finds its limbs from the points alone, and compares the
     joint angle and its intervals with the bones. The exit status is 1 where the angle is more than 1.5 degrees off.
     """
-    if options.part is Part.MOTION:
+    if options.part is DemoPart.MOTION:
         from asterism.cli._demo_motion import demo_motion
 
         raise typer.Exit(demo_motion(options.output, options.seed, options.json))
-    if options.part is Part.CAMERAS:
+    if options.part is DemoPart.CAMERAS:
         from asterism.cli._demo_cameras import demo_cameras
 
         raise typer.Exit(demo_cameras(options.output, options.seed, options.json))
-    if options.part is Part.VIEWS:
+    if options.part is DemoPart.VIEWS:
         from asterism.cli._demo_views import demo_views
 
         raise typer.Exit(demo_views(options.output, options.seed, options.json))
-    if options.part is Part.GARMENT:
+    if options.part is DemoPart.GARMENT:
         from asterism.cli._demo_garment import demo_garment
 
         raise typer.Exit(demo_garment(options.output, options.seed, options.json))
@@ -144,7 +144,7 @@ class _Files:
 
 
 @dataclass(frozen=True)
-class _Trial:
+class _DemoTrial:
     """Walkers labelled under one condition: the table's row; clouds, labelling and truth of the last walker."""
 
     row: dict[str, Any]
@@ -161,7 +161,7 @@ def _trained(walks: Sequence[Recording], seed: int, show: Callable[[str], None])
     return model
 
 
-def _labelled(model: MarkerModel, walks: Sequence[Recording], hidden: int, ghosts: int, seed: int) -> _Trial:
+def _labelled(model: MarkerModel, walks: Sequence[Recording], hidden: int, ghosts: int, seed: int) -> _DemoTrial:
     """Label the walks, each as a whole, with so many markers in a gap and so many ghosts at every moment."""
     from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
     from asterism.recording import label_states
@@ -181,10 +181,10 @@ def _labelled(model: MarkerModel, walks: Sequence[Recording], hidden: int, ghost
             states[key] += int(value.sum())
     shares = {key: value / sum(states.values()) for key, value in states.items()}
     row = {"hidden": hidden, "ghosts": ghosts, **counts, "shares": shares, "frames_per_second": frames / seconds}
-    return _Trial(row, clouds, labelling, truth)
+    return _DemoTrial(row, clouds, labelling, truth)
 
 
-def _write(files: _Files, model: MarkerModel, trial: _Trial) -> None:
+def _write(files: _Files, model: MarkerModel, trial: _DemoTrial) -> None:
     """Write a trial's recording without and with labels, and the report on it."""
     from asterism import formats
     from asterism.report import LabelledRecording, label_report

@@ -136,7 +136,7 @@ def evaluate(
     Raises AsterismError where a recording's columns are not the model's markers, more markers should be hidden than there are, or `time`
     is asked of other rules than "whole-body".
     """
-    plan = _Plan(occlusions, ghosts, seed, rules, _in_time(time, rules))
+    plan = _EvaluationPlan(occlusions, ghosts, seed, rules, _in_time(time, rules))
     tallies = _run_conditions(model, recordings, _subjects(recordings, None), plan, progress)
     return _evaluation(tallies, model.marker_set.names, _subjects(recordings, None), plan)
 
@@ -164,7 +164,7 @@ def leave_one_subject_out(
     if len(people) < 2:
         raise AsterismError("leaving one subject out needs recordings of at least two; name them with `subjects`, or put each in a folder.")
     _check_occlusions(occlusions, len(recordings[0].labels))
-    plan = _Plan(occlusions, ghosts, seed, rules, _in_time(time, rules))
+    plan = _EvaluationPlan(occlusions, ghosts, seed, rules, _in_time(time, rules))
     if rules != "whole-body" and fit_options.get("miner") is None:
         fit_options["miner"] = "bottom-up"
     total: dict[tuple[int, int], _Tally] = {}
@@ -225,7 +225,7 @@ def _sub_progress(progress: Progress | None, index: int, count: int, what: str) 
 
 
 @dataclass(frozen=True)
-class _Plan:
+class _EvaluationPlan:
     """What is tried: every number of occlusions with every number of ghosts; see `evaluate`."""
 
     occlusions: Sequence[int]
@@ -257,7 +257,7 @@ def _in_time(time: bool | None, rules: str) -> bool:
 
 
 def _run_conditions(
-    model: MarkerModel, recordings: Sequence[Recording], subjects: Sequence[str], plan: _Plan, progress: Progress | None
+    model: MarkerModel, recordings: Sequence[Recording], subjects: Sequence[str], plan: _EvaluationPlan, progress: Progress | None
 ) -> dict[tuple[int, int], _Tally]:
     names = model.marker_set.names
     for recording in recordings:
@@ -288,7 +288,7 @@ def _run_conditions(
     return tallies
 
 
-def _evaluation(tallies: dict[tuple[int, int], _Tally], names: tuple[str, ...], subjects: list[str], plan: _Plan) -> Evaluation:
+def _evaluation(tallies: dict[tuple[int, int], _Tally], names: tuple[str, ...], subjects: list[str], plan: _EvaluationPlan) -> Evaluation:
     conditions, pooled = [], ConfidenceTally()
     for (k, g), tally in tallies.items():
         by_confidence = tally.by_confidence()

@@ -38,7 +38,7 @@ class StretchRules:
 
 
 @dataclass(frozen=True)
-class _Part:
+class _StretchLabels:
     """The labels of one stretch, which joining changes.
 
     first       its first frame
@@ -57,7 +57,7 @@ class _Part:
     labelling: Labelling
 
     @classmethod
-    def of(cls, first: int, clouds: Clouds, labelling: Labelling) -> _Part:
+    def of(cls, first: int, clouds: Clouds, labelling: Labelling) -> _StretchLabels:
         marker, confidence = labels_of_points(labelling, clouds)
         return cls(first, clouds, find_tracklets(clouds).of_point, marker, confidence, labelling)
 
@@ -119,12 +119,12 @@ def label_in_stretches(
     other without a gap. Memory for two stretches.
     Raises SeveralBodies where a stretch certainly shows two bodies.
     """
-    before: _Part | None = None
+    before: _StretchLabels | None = None
     begin = 0
     for number, frames in enumerate(parts):
         report = None if progress is None else _share(progress, number, len(parts))
         clouds = clouds_of(frames)
-        part = _Part.of(frames.start, clouds, label(clouds, report))
+        part = _StretchLabels.of(frames.start, clouds, label(clouds, report))
         if before is not None:
             _agree(before, part)
             seam = (frames.start + parts[number - 1].stop) // 2
@@ -140,7 +140,7 @@ def _share(progress: Progress, number: int, count: int) -> Progress:
     return lambda fraction, what: progress((number + fraction) / count, what)
 
 
-def _agree(before: _Part, after: _Part) -> None:
+def _agree(before: _StretchLabels, after: _StretchLabels) -> None:
     """Give each tracklet that two neighbouring stretches show, and name differently, one name: that of the stretch that is more certain.
 
     The name is then as uncertain as that of the other stretch.
@@ -150,7 +150,7 @@ def _agree(before: _Part, after: _Part) -> None:
     here = np.s_[start : start + shared]
     pairs = np.stack([before.track[here], before.marker[here], after.track[:shared], after.marker[:shared]], axis=1)
     differ = (pairs[:, 1] != pairs[:, 3]) & (pairs[:, 1] != NULL) & (pairs[:, 3] != NULL)
-    renamed = list[tuple[_Part, Ints, int, float]]()
+    renamed = list[tuple[_StretchLabels, Ints, int, float]]()
     for track, marker, later_track, later_marker in np.unique(pairs[differ], axis=0).tolist():
         points = np.nonzero((pairs == (track, marker, later_track, later_marker)).all(axis=1))[0]
         first, second = float(before.confidence[start + points].mean()), float(after.confidence[points].mean())

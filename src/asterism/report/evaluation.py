@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from asterism.report import figures
-from asterism.report.page import Cell, Page, Section, Table, count, percent, tinted, write_page
+from asterism.report.page import Cell, Page, Section, Table, count, decimal, percent, tinted, write_page
 
 if TYPE_CHECKING:
     from asterism.labelling import Condition, Evaluation
@@ -118,8 +118,8 @@ def _summary(conditions: list[Condition]) -> Table:
                 percent(c.fo),
                 tinted(float(c.missed), 2, 0.2),
                 percent(c.perfect, 2),
-                _nats(c.confidence.log_score),
-                _nats(c.confidence.constant_log_score),
+                decimal(c.confidence.log_score, 4),
+                decimal(c.confidence.constant_log_score, 4),
                 count(c.frames_per_second),
                 count(c.evaluations_per_frame),
             ]
@@ -154,14 +154,10 @@ def _levels(score: ConfidenceScore) -> Section:
     text = (
         "All labels given, by their confidence: the mean confidence should lie in the 95 % interval of the share that was right. "
         f"{percent(score.share_at_999, 1)} of the labels, the most confident ones, can be given at 99.9 % right. "
-        f"Log score {_nats(score.log_score)}, of the best constant {_nats(score.constant_log_score)}; "
+        f"Log score {decimal(score.log_score, 4)}, of the best constant {decimal(score.constant_log_score, 4)}; "
         f"Brier score {score.brier:.5f}, of the best constant {score.constant_brier:.5f}."
     )
     return Section("Reliability", text, table=Table(["confidence", "labels", "stated", "right", "95 % interval"], rows))
-
-
-def _nats(value: float) -> str:
-    return "–" if np.isnan(value) else f"{value:.4f}"
 
 
 def _mean(values: list[float]) -> float:

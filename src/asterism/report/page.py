@@ -17,6 +17,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from asterism.files.atomic import utf8, write_atomically
+from asterism.findings import Finding, Severity
 from asterism.report.player import deflated, player_script, player_style
 
 NOTHING = "–"
@@ -129,6 +130,33 @@ def percent(share: float, digits: int = 1) -> str:
 def count(number: float) -> str:
     """A whole number with separated thousands; a dash where it is not known."""
     return NOTHING if number is None or math.isnan(number) else f"{number:,.0f}"
+
+
+def decimal(value: float, digits: int, unit: str = "") -> str:
+    """A number with so many digits behind the point, and its unit; a dash where it is not known."""
+    return f"{value:.{digits}f}{unit}" if math.isfinite(value) else NOTHING
+
+
+def millimetres(metres: float, digits: int = 2) -> str:
+    """A length in m as text: 0.32 mm; a dash where it is not known."""
+    return decimal(1000 * metres, digits, " mm")
+
+
+_SEVERITIES = {Severity.ERROR: Cell("do not use", 1.0, "bad"), Severity.WARNING: Cell("look at this", 0.6), Severity.NOTE: Cell("note")}
+
+
+def findings_table(findings: Sequence[Finding], more: Sequence[Sequence[str | Cell]] = ()) -> Table:
+    """What was found, the more severe ones tinted, and `more` rows; one row that says so where there is nothing."""
+    rows: list[Sequence[str | Cell]] = [(_SEVERITIES[finding.severity], str(finding)) for finding in findings]
+    rows += more
+    return Table(["", "what was found"], rows or [["good", "nothing speaks against it"]], left=2)
+
+
+def short_names(files: Sequence[str]) -> list[str]:
+    """What to call each file: its name, with its folder where another file has the same name."""
+    names = {file: Path(file).name for file in files}
+    twice = {name for name in names.values() if list(names.values()).count(name) > 1}
+    return ["/".join(Path(file).parts[-2:]) if names[file] in twice else names[file] for file in files]
 
 
 def tinted(share: float, digits: int, worst: float, kind: str = "warn") -> Cell:

@@ -7,7 +7,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.recording import Floats, Ints, canonical
-from asterism.views.body import BodyModel
+from asterism.views.body import ArticulatedBody
 from asterism.views.result import ViewsLabelling
 
 _MANY_LOST = 0.05
@@ -25,7 +25,7 @@ _HARDLY_SEEN = 0.4
 _JUDGED_FRAMES = 60
 
 
-def refuse_mirrored(body: BodyModel) -> None:
+def refuse_mirrored(body: ArticulatedBody) -> None:
     """Raise AsterismError where most left markers of a body are right of their partners: x is ahead, y left, z up."""
     places = {canonical(marker.name): marker.place[1] for marker in body.markers}
     pairs = body.marker_set.pairs

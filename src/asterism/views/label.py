@@ -10,7 +10,7 @@ from asterism.cameras import Rig
 from asterism.progress import Progress
 from asterism.recording import NULL, Blobs, Ints
 from asterism.views import checks
-from asterism.views.body import BodyModel
+from asterism.views.body import ArticulatedBody
 from asterism.views.body_file import load_body
 from asterism.views.frame import FrameLabeller
 from asterism.views.passes import Pass, Seen, Starts, joined
@@ -26,7 +26,7 @@ _DOUBTFUL = 0.3
 def label_views(
     blobs: Blobs,
     rig: Rig,
-    body: BodyModel | str,
+    body: ArticulatedBody | str,
     *,
     height: float | None = None,
     rules: ViewsRules = RULES,
@@ -72,7 +72,7 @@ def _for_person(labeller: FrameLabeller) -> FrameLabeller:
 
 
 def _without(
-    blobs: Blobs, rig: Rig, cameras: Ints, body: BodyModel, height: float | None, rules: ViewsRules, least_confidence: float
+    blobs: Blobs, rig: Rig, cameras: Ints, body: ArticulatedBody, height: float | None, rules: ViewsRules, least_confidence: float
 ) -> ViewsLabelling:
     """The labelling by the other cameras; without any label where fewer than two of them, or fewer than half of all, have blobs."""
     kept = ~np.isin(blobs.camera_of, cameras)
@@ -110,7 +110,7 @@ def _withdrawn(result: ViewsLabelling) -> ViewsLabelling:
 class _Track:
     """All frames in both directions of time, and the result."""
 
-    def __init__(self, labeller: FrameLabeller, body: BodyModel) -> None:
+    def __init__(self, labeller: FrameLabeller, body: ArticulatedBody) -> None:
         self.body = body
         self.labeller = labeller
         self.seen: list[Seen | None] = []

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from asterism.cameras import Rig
 from asterism.findings import Finding
 from asterism.recording import NULL, Blobs, Clouds, Floats, Ints, Labelling, Recording
-from asterism.views.body import BodyModel
+from asterism.views.body import ArticulatedBody
 from asterism.views.sights import BEFORE, SightRules, foreseen
 
 
@@ -35,8 +35,8 @@ class ViewsLabelling:
 
     rig: Rig
     blobs: Blobs
-    body: BodyModel
-    person: BodyModel
+    body: ArticulatedBody
+    person: ArticulatedBody
     labels: Ints
     confidence: Floats
     candidates: Ints

@@ -16,10 +16,10 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from asterism.errors import AsterismError
-from asterism.labelling.correction import Change, Correction, request_of
+from asterism.labelling.correction import Correction, CorrectionChange, request_of
 from asterism.report import player_script, player_style
 from asterism.web.plain import packed_pieces, packed_points, plain_change, plain_state, plain_trials
-from asterism.web.session import Session, StaleRevision, Trial
+from asterism.web.session import CorrectionSession, CorrectionTrial, StaleRevision
 
 MAX_BODY = 1 << 16
 """Bytes of a request at most."""
@@ -34,7 +34,7 @@ class _Refused(Exception):
         self.status, self.sentence = status, sentence
 
 
-def make_app(session: Session) -> Starlette:
+def make_app(session: CorrectionSession) -> Starlette:
     """The application for a sitting; behind a `Guard`."""
     api = _Api(session)
     trial = "/api/trials/{trial}"
@@ -57,7 +57,7 @@ def make_app(session: Session) -> Starlette:
 class _Api:
     """What the addresses under /api/ answer. Each method takes the request and its JSON, and runs in a thread."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: CorrectionSession) -> None:
         self.session = session
 
     def answering(self, answer: Callable[[Request, dict[str, Any]], Response | dict[str, Any]]) -> Callable[[Request], Any]:
@@ -150,7 +150,7 @@ class _Api:
             self.session.listeners.remove(listener)
             sender.cancel()
 
-    def _trial(self, request: Request) -> Trial:
+    def _trial(self, request: Request) -> CorrectionTrial:
         try:
             return self.session.trial(request.path_params["trial"])
         except KeyError:
@@ -163,7 +163,7 @@ async def _send_all(socket: WebSocket, waiting: asyncio.Queue[tuple[str, int]]) 
         await socket.send_text(json.dumps({"trial": trial, "revision": revision}))
 
 
-def _change(correction: Correction, verb: str, given: dict[str, Any]) -> Change:
+def _change(correction: Correction, verb: str, given: dict[str, Any]) -> CorrectionChange:
     if verb == "undo":
         return correction.undo()
     if verb == "redo":

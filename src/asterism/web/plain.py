@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from asterism.geometry import rotate_z_up
-from asterism.labelling.correction import Change, Correction, Readiness
+from asterism.labelling.correction import Correction, CorrectionChange, Readiness
 from asterism.recording import label_shares
 from asterism.report import marker_bones, marker_sides
-from asterism.web.session import CORRECTED, READY, Session, Trial
+from asterism.web.session import CORRECTED, READY, CorrectionSession, CorrectionTrial
 
 ITEMS = 500
 """The list is cut after so many items."""
@@ -18,7 +18,7 @@ BONE_FRAMES = 200
 """Frames by which the bones are chosen, at most."""
 
 
-def plain_trials(session: Session) -> dict[str, Any]:
+def plain_trials(session: CorrectionSession) -> dict[str, Any]:
     """What `/api/trials` answers."""
     out = session.options.output
     return {
@@ -28,7 +28,7 @@ def plain_trials(session: Session) -> dict[str, Any]:
     }
 
 
-def _plain_trial(trial: Trial) -> dict[str, Any]:
+def _plain_trial(trial: CorrectionTrial) -> dict[str, Any]:
     row: dict[str, Any] = {
         "id": trial.id,
         "name": trial.path.name,
@@ -60,7 +60,7 @@ def plain_verdict(verdict: Readiness) -> dict[str, Any]:
     return {"kind": verdict.kind, "sentence": verdict.sentence, "look_at": verdict.look_at}
 
 
-def plain_state(trial: Trial, correction: Correction) -> dict[str, Any]:
+def plain_state(trial: CorrectionTrial, correction: Correction) -> dict[str, Any]:
     """What `/api/trials/ID/state` answers."""
     pieces, names = correction.pieces, correction.names
     return {
@@ -98,7 +98,7 @@ def plain_state(trial: Trial, correction: Correction) -> dict[str, Any]:
     }
 
 
-def plain_change(change: Change) -> list[dict[str, Any]]:
+def plain_change(change: CorrectionChange) -> list[dict[str, Any]]:
     """What a touch changed."""
     return [
         {

@@ -17,7 +17,7 @@ from asterism.labelling.correction.event_log import SAVED
 
 if TYPE_CHECKING:
     from asterism.labelling import MarkerModel
-    from asterism.labelling.correction import Change
+    from asterism.labelling.correction import CorrectionChange
 
 WAITING, LABELLING, READY, FAILED = "waiting", "labelling", "ready", "failed"
 
@@ -51,7 +51,7 @@ class SessionOptions:
 
 
 @dataclass
-class Trial:
+class CorrectionTrial:
     """One recording of a sitting. Its methods may be called from any thread.
 
     id       a short name in addresses
@@ -107,7 +107,7 @@ class Trial:
         """Whether something was said that is in no saved file."""
         return self._correction is not None and bool(self._correction.touches) and not self.is_saved
 
-    def change(self, revision: int, act: Callable[[Correction], Change]) -> Change:
+    def change(self, revision: int, act: Callable[[Correction], CorrectionChange]) -> CorrectionChange:
         """Change the labels. Raises StaleRevision where they are no longer those of this revision, else what `act` raises."""
         with self.opened() as correction:
             if revision != correction.revision:
@@ -176,7 +176,7 @@ class Trial:
             raise AsterismError(f"{self.target} exists; choose another folder with -o, or replace it with --overwrite.")
 
 
-class Session:
+class CorrectionSession:
     """The trials of a sitting, labelled one after the other."""
 
     def __init__(self, files: Sequence[Path], model: MarkerModel, options: SessionOptions, targets: Sequence[Path] | None = None) -> None:
@@ -189,7 +189,7 @@ class Session:
         """Called with a trial's id and revision when it has changed, from any thread."""
         targets = _targets(files, options.output) if targets is None else targets
         self.trials = [
-            Trial(str(number), path, target, options, self._changed)
+            CorrectionTrial(str(number), path, target, options, self._changed)
             for number, (path, target) in enumerate(zip(files, targets, strict=True))
         ]
         self._stopped = threading.Event()
@@ -201,7 +201,7 @@ class Session:
         thread.start()
         return thread
 
-    def trial(self, number: str) -> Trial:
+    def trial(self, number: str) -> CorrectionTrial:
         """The trial with this id. Raises KeyError where there is none."""
         return {trial.id: trial for trial in self.trials}[number]
 

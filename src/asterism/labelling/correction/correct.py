@@ -54,7 +54,7 @@ class PieceChange:
 
 
 @dataclass(frozen=True)
-class Change:
+class CorrectionChange:
     """What touches, or taking one back, changed.
 
     touches  what was said
@@ -100,7 +100,7 @@ class Correction:
         self._log: CorrectionLog | None = None
         self._solved = self._solve([])
         self._items: list[ReviewItem] | None = None
-        self.last_change: Change | None = None
+        self.last_change: CorrectionChange | None = None
         self.revision = 0
         """Rises with every change."""
 
@@ -172,14 +172,14 @@ class Correction:
         order = np.argsort(-chance, kind="stable")
         return [(self.names[m], float(chance[m])) for m in order]
 
-    def apply(self, request: Request) -> Change:
+    def apply(self, request: Request) -> CorrectionChange:
         """Take what a person says, and label the recording again.
 
         Raises AsterismError where the piece, marker or frame does not exist; nothing changes then.
         """
         return self.touch(self._touch_of(request))
 
-    def refuse(self, change: Change, pieces: Sequence[int]) -> Change:
+    def refuse(self, change: CorrectionChange, pieces: Sequence[int]) -> CorrectionChange:
         """Keep the labels that some pieces of a change had before it; what a person said in it stays unless it is named.
 
         pieces: their ids in the change. Raises AsterismError where one is not in it.
@@ -198,7 +198,7 @@ class Correction:
                 labels.append((point, None if part.before == GHOST else part.before))
         return self.touch(Touch("refuse", (), tuple(labels)))
 
-    def touch(self, *touches: Touch) -> Change:
+    def touch(self, *touches: Touch) -> CorrectionChange:
         """Take touches as they are written in a log, one or several at once. Raises AsterismError as `apply` does."""
         solved = self._solve([*self._done, *touches])
         self._write(*(touch.to_plain() for touch in touches))
@@ -206,7 +206,7 @@ class Correction:
         self._undone.clear()
         return self._become(solved, touches)
 
-    def undo(self) -> Change:
+    def undo(self) -> CorrectionChange:
         """Take the last touch back. Raises AsterismError where there is none."""
         if not self._done:
             raise AsterismError("there is nothing to take back.")
@@ -216,7 +216,7 @@ class Correction:
         self._undone.append(touch)
         return self._become(solved, (touch,))
 
-    def redo(self) -> Change:
+    def redo(self) -> CorrectionChange:
         """Take again what was taken back last. Raises AsterismError where there is nothing."""
         if not self._undone:
             raise AsterismError("there is nothing to take again.")
@@ -261,9 +261,9 @@ class Correction:
         if self._log is not None:
             self._log.append(*entries)
 
-    def _become(self, solved: _Solved, touches: tuple[Touch, ...]) -> Change:
+    def _become(self, solved: _Solved, touches: tuple[Touch, ...]) -> CorrectionChange:
         """Take a solved state, and say what changed."""
-        change = Change(touches, self._differences(self._solved, solved))
+        change = CorrectionChange(touches, self._differences(self._solved, solved))
         self._solved, self._items, self.last_change = solved, None, change
         self.revision += 1
         return change

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
+from asterism.geometry import best_rotation
 from asterism.motion.rigid.rotations import (
     as_rotations,
     relative_rotations,
@@ -109,8 +110,6 @@ def functional_flexion(rotations: ArrayLike) -> tuple[Floats, Floats]:
     (swing and twist), so that turns about other axes do not leak into it; its mean over time is near 0. The axis' largest component is
     positive. NaN where a rotation is missing. Raises AsterismError where no rotation is present.
     """
-    from asterism.geometry import best_rotation
-
     given = as_rotations(rotations)
     present = np.isfinite(given).all(axis=(1, 2))
     if not present.any():

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
+from asterism.geometry import best_rotation
 from asterism.motion.rigid.rotations import relative_rotations, rotation_vectors
 from asterism.recording import Floats
 
@@ -105,9 +106,9 @@ def fit_joint(
     if both.sum() < LEAST_FRAMES:
         raise AsterismError(f"the limbs are known together in {int(both.sum())} frames; a joint needs three.")
     r_p, t_p, r_c, t_c = parent.rotations[both], parent.translations[both], child.rotations[both], child.translations[both]
-    vectors = rotation_vectors(relative_rotations(r_p, r_c))
-    mean = _mean_rotation(relative_rotations(r_p, r_c))
-    spread = np.linalg.svd(rotation_vectors(mean.T @ relative_rotations(r_p, r_c)) / np.sqrt(len(vectors)), compute_uv=False)
+    turned = relative_rotations(r_p, r_c)
+    mean = best_rotation(turned.sum(axis=0))
+    spread = np.linalg.svd(rotation_vectors(mean.T @ turned) / np.sqrt(len(turned)), compute_uv=False)
     kind = "fixed" if spread[0] < rules.turn / 2 else "hinge" if spread[1] < rules.hinge * spread[0] else "ball"
     design = np.concatenate([r_p, -r_c], axis=2)
     prior, expected = _prior(near, both, (r_p, t_p, r_c, t_c), rules)
@@ -125,12 +126,6 @@ def fit_joint(
         covariance = _covariance(design, left, prior)
     axis_p, axis_c = _axis(design) if kind != "fixed" else (np.full(3, np.nan), np.full(3, np.nan))
     return Joint(solution[:3], solution[3:], axis_p, axis_c, kind, covariance[:3, :3], residual, spread, method)
-
-
-def _mean_rotation(rotations: Floats) -> Floats:
-    from asterism.geometry import best_rotation
-
-    return best_rotation(rotations.sum(axis=0))
 
 
 def _prior(

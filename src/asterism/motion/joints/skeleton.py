@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from asterism.errors import AsterismError
 from asterism.motion.joints.joint import LEAST_FRAMES, Joint, JointRules, Motion, fit_joint
@@ -93,8 +94,6 @@ def between(one: Floats, other: Floats) -> tuple[Floats, float]:
     frame = int(np.argmax(np.where(seen.all(axis=0), seen.sum(axis=0), 0)))
     if not seen[:, frame].all():
         raise AsterismError("two limbs are never seen in one frame, so nothing says how they are joined.")
-    from scipy.spatial import cKDTree
-
     sides, apart = [], 0.0
     for mine, theirs in ((one, other), (other, one)):
         here = np.nonzero(np.isfinite(mine[frame, :, 0]))[0]

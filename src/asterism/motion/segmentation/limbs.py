@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
 from asterism.errors import AsterismError
 from asterism.motion.rigid._kernels import fit_frames, point_spread
@@ -174,8 +175,6 @@ def _neighbours(coordinates: Floats) -> Ints:
     count = min(9, len(coordinates) // 12)
     if count < 2:
         return np.empty((len(coordinates), 0), dtype=np.int64)
-    from scipy.spatial import cKDTree
-
     return np.asarray(cKDTree(coordinates).query(coordinates, k=count)[1][:, 1:])
 
 

@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asterism.findings import Finding, Severity
+from asterism.geometry import best_rotation
 from asterism.motion.analysis import JointAngles, MotionAnalysis
 from asterism.motion.joints.angles import joint_rotation
 from asterism.motion.rigid.limb import LimbMotion, refit_limb_motion
 from asterism.motion.rigid.rotations import rotation_vectors
 from asterism.motion.segmentation._kernels import stray_from_motions
 from asterism.motion.uncertainty.first_order import FirstOrder, first_order_angles
-from asterism.motion.uncertainty.monte_carlo import MonteCarlo, MonteCarloRules, mean_and_standard, run_monte_carlo
+from asterism.motion.uncertainty.monte_carlo import MonteCarlo, MonteCarloRules, run_by_source
 from asterism.motion.uncertainty.sources import CalibrationField, ErrorSources, MeasurementNoise
 from asterism.progress import Progress
 from asterism.recording import Floats
@@ -93,12 +94,9 @@ def estimate_uncertainty(
     if not analysis.angles:
         return UncertaintyResult((), 0, True, noise.typical, ())
     chain = _Chain.of(analysis, complete, reassign)
-    total = run_monte_carlo(chain.trial(SOURCES), seed=seed, workers=workers, rules=rules, progress=progress)
-    alone = {}
-    few = replace(rules, most=budget_trials, block=budget_trials)
-    for name in SOURCES:
-        alone[name] = run_monte_carlo(chain.trial((name,)), seed=seed, workers=workers, rules=few, progress=progress)
-    joints = tuple(_of_joint(analysis, j, total, alone, noise.typical) for j in range(len(analysis.angles)))
+    runs = run_by_source(chain.trial, SOURCES, budget_trials, seed=seed, workers=workers, rules=rules, progress=progress)
+    total = runs[0]
+    joints = tuple(_of_joint(analysis, j, runs, noise.typical) for j in range(len(analysis.angles)))
     return UncertaintyResult(joints, total.trials, total.converged, noise.typical, tuple(_findings(complete, total, joints)))
 
 
@@ -196,8 +194,6 @@ class _Chain:
 
     def _flexion(self, joint: JointAngles, parent: Floats, child: Floats) -> Floats:
         """(T,) rad: the turn about the joint's axis, counted from the mean rotation of the nominal result."""
-        from asterism.geometry import best_rotation
-
         motions = self.analysis.motions
         nominal = joint_rotation(motions[joint.parent].rotations, motions[joint.child].rotations)
         mean = best_rotation(nominal[np.isfinite(nominal[:, 0, 0])].sum(axis=0))
@@ -239,18 +235,15 @@ def _amplitude(motion: LimbMotion, courses: list[Floats], sources: ErrorSources)
     return np.asarray(soft.scale_of(len(rms)) * np.maximum(shown / swing, soft.least_m))
 
 
-def _of_joint(analysis: MotionAnalysis, j: int, total: MonteCarlo, alone: dict[str, MonteCarlo], sigma: float) -> AngleUncertainty:
-    joint = analysis.angles[j]
+def _of_joint(analysis: MotionAnalysis, j: int, runs: tuple[MonteCarlo, dict[str, MonteCarlo], Floats], sigma: float) -> AngleUncertainty:
+    """One joint of all runs, see `run_by_source`."""
+    joint, (total, alone, together) = analysis.angles[j], runs
 
     def about(estimate: Floats, which: int) -> dict[float, tuple[Floats, Floats]]:
         shift = estimate - total.estimate[j, which]
         return {p: (low[j, which] + shift, high[j, which] + shift) for p, (low, high) in total.intervals.items()}
 
-    budgets = [
-        {name: alone[name].standard[j, which] for name in SOURCES}
-        | {"all": mean_and_standard(total.values[: alone["cameras"].trials, j, which])[1]}
-        for which in (0, 1)
-    ]
+    budgets = [{name: alone[name].standard[j, which] for name in SOURCES} | {"all": together[j, which]} for which in (0, 1)]
     cameras = alone["cameras"]
     check = replace(
         cameras,

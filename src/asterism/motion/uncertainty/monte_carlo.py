@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -98,6 +99,23 @@ def run_monte_carlo(
     every = np.array(values)
     intervals = {p: shortest_interval(every, p) for p in rules.coverage}
     return MonteCarlo(*mean_and_standard(every), intervals, len(values), tolerance, converged, every)
+
+
+def run_by_source(
+    trial: Callable[[tuple[str, ...]], Callable[[np.random.Generator], Floats]],
+    sources: Sequence[str],
+    budget_trials: int,
+    **options: Any,
+) -> tuple[MonteCarlo, dict[str, MonteCarlo], Floats]:
+    """A Monte Carlo with all sources of error; one with each alone; and the standard uncertainty (...) of all in as many trials as one.
+
+    trial    makes the model of `run_monte_carlo` with only these sources
+    options  of `run_monte_carlo`: seed, workers, rules, progress
+    """
+    total = run_monte_carlo(trial(tuple(sources)), **options)
+    few = {**options, "rules": replace(options["rules"], most=budget_trials, block=budget_trials)}
+    alone = {name: run_monte_carlo(trial((name,)), **few) for name in sources}
+    return total, alone, mean_and_standard(total.values[:budget_trials])[1]
 
 
 def _check(rules: MonteCarloRules, workers: int) -> None:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.labelling.full_solver_study import ChosenClassifier, SolverSize, boosting_table, fit_printed, solver_sizes
 from asterism.labelling.partial._matrix_kernels import count_confusions
+from asterism.labelling.partial.full_solver_study import ChosenClassifier, SolverSize, boosting_table, fit_printed, solver_sizes
 from asterism.labelling.partial.matrix import PartialSolvers, classifiers_by_marker, label_by_matrix
 from asterism.labelling.partial.solver import FullSolver, FullSolverRules, stack_frames
 from asterism.labelling.partial.solver_search import (
@@ -59,7 +59,7 @@ class CapturabilityRules:
 
 
 @dataclass(frozen=True)
-class Change:
+class MarkerSetChange:
     """What one change of the marker set would do.
 
     action      "drop", "move" or "add"
@@ -108,7 +108,7 @@ class Capturability:
     hit_rates: Floats
     confusion: Floats
     by_occlusions: list[tuple[int, float, Floats]]
-    changes: list[Change]
+    changes: list[MarkerSetChange]
     verdict: str
     by_target: list[TargetRates] = field(default_factory=list)
     first_classifiers: list[ChosenClassifier] = field(default_factory=list)
@@ -260,7 +260,7 @@ def _changes(
     seed: int,
     rules: CapturabilityRules,
     progress: Progress,
-) -> list[Change]:
+) -> list[MarkerSetChange]:
     """Every marker dropped, the hardest ones moved and given a neighbour; each judged by the markers that the set had before."""
     n, (teach, test) = len(names), halves
     hidden = random_occlusions(len(test[0]), n, rules.compared_hidden, np.random.default_rng(seed))
@@ -272,7 +272,7 @@ def _changes(
         gone, others = hidden.copy(), everyone.copy()
         gone[:, marker], others[marker] = True, False
         alone = _hit_rate(chosen, test[0], hidden, others)
-        changes.append(Change("drop", names[marker], "without it", alone, _hit_rate(chosen, test[0], gone, others)))
+        changes.append(MarkerSetChange("drop", names[marker], "without it", alone, _hit_rate(chosen, test[0], gone, others)))
 
     few = slice(None, None, max(1, len(teach[0]) // rules.change_frames))
     settings = replace(rules.search, validation_frames=rules.change_frames)
@@ -290,11 +290,13 @@ def _changes(
         progress(0.3 + 0.7 * number / len(hardest), "markers moved and added")
         one, two = int(near[marker, 0]), int(near[marker, 1])
         text = f"{rules.step * 100:.0f} cm away from its neighbour {names[one]}"
-        changes.append(Change("move", names[marker], text, before, found(partial(_moved, marker=marker, other=one, step=rules.step))))
+        changes.append(
+            MarkerSetChange("move", names[marker], text, before, found(partial(_moved, marker=marker, other=one, step=rules.step)))
+        )
         text = f"a new marker between {names[marker]}, {names[one]} and {names[two]}"
         joined = [tuple(sorted({*subset[1:], n})) for subset in subsets] + [(*subset, n) for subset in subsets if marker in subset]
         added = partial(_added, triple=(marker, one, two), step=rules.step)
-        changes.append(Change("add", names[marker], text, before, found(added, joined)))
+        changes.append(MarkerSetChange("add", names[marker], text, before, found(added, joined)))
     return sorted(changes, key=lambda change: change.hit_rate_before - change.hit_rate_after)
 
 
@@ -325,7 +327,11 @@ def _neighbours(search: SolverSearch) -> NDArray[np.int64]:
 
 
 def _verdict(
-    names: Sequence[str], hit_rates: Floats, confusion: Floats, by_occlusions: list[tuple[int, float, Floats]], changes: list[Change]
+    names: Sequence[str],
+    hit_rates: Floats,
+    confusion: Floats,
+    by_occlusions: list[tuple[int, float, Floats]],
+    changes: list[MarkerSetChange],
 ) -> str:
     worst, mean = int(hit_rates.argmin()), float(hit_rates.mean())
     if mean >= 0.99:
