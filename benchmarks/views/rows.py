@@ -10,12 +10,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.recording import Ints
 from asterism.simulation.views_laboratory import ViewsSession
-<<<<<<< HEAD
-from asterism.views import BodyModel, ViewsRules, label_views
-=======
-from asterism.views import ArticulatedBody, ViewsRules, label_views, load_body
-from asterism.views.body_fit import fit_body
->>>>>>> main
+from asterism.views import ArticulatedBody, ViewsRules, label_views
 from asterism.views.frame import FrameLabeller
 from asterism.views.plain import label_stepwise, minimise_plain
 from asterism.views.scene import scene_of
@@ -134,65 +129,6 @@ def near_start(
     return np.concatenate([np.full(3, tall), place, np.zeros(3), arrays.usual]), rotation
 
 
-<<<<<<< HEAD
-=======
-def bad_input(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """What must never get a confident wrong label: another rig, other markers, a mirrored body, images mirrored, markers not worn."""
-    cases = {
-        "cameras exchanged": lambda body, session: (body, _exchanged(session.rig)),
-        "a rig turned by 20 degrees at one camera": lambda body, session: (body, _knocked(session.rig)),
-        "a body of 26 markers for 15 worn": lambda body, session: (load_body("body26"), session.rig),
-        "a mirrored body": lambda body, session: (body.mirrored(), session.rig),
-        "left and right named the wrong way round": lambda body, session: (_renamed(body), session.rig),
-    }
-    for name, change in cases.items():
-        confident = given = total = said = recordings = 0
-        for n, (_, body, session) in enumerate(gait_sessions(benchmark)):
-            if n % 3 and not benchmark.quick:
-                continue
-            wrong_body, rig = change(body, session)
-            blobs = session.blobs.frames(slice(0, 60))
-            recordings += 1
-            total += int((session.identity[: len(blobs.xy)] >= 0).sum())
-            try:
-                result = label_views(blobs, rig, wrong_body)
-            except AsterismError:
-                said += 1
-                continue
-            names = np.array([*wrong_body.labels, ""])[result.labels]
-            identity = session.identity[: len(blobs.xy)]
-            truth = np.array([*body.labels, "", ""])[identity]
-            single = identity >= 0
-            wrong = (result.labels >= 0) & (names != truth) & single
-            confident += int((wrong & (result.confidence >= 0.9)).sum())
-            given += int((result.labels >= 0).sum())
-            said += bool(result.findings)
-        yield Figure(f"bad input, {name}: wrong labels at 0.9 or more", "<= 0.003", confident / total, "fraction", total)
-        yield Figure(f"bad input, {name}: recordings of which it is said", "none", said / recordings, "fraction", recordings)
-        yield Figure(f"bad input, {name}: labels given", "none", given / total, "fraction", total)
-
-
-def _exchanged(rig: Rig) -> Rig:
-    cameras = rig.cameras
-    order = [1, 0, *range(2, len(cameras))]
-    return replace(rig, cameras=tuple(replace(cameras[o], name=camera.name) for o, camera in zip(order, cameras, strict=True)))
-
-
-def _knocked(rig: Rig) -> Rig:
-    angle = np.radians(20.0)
-    turn = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]])
-    first = rig.cameras[0]
-    moved = replace(first, rotation=turn @ first.rotation, translation=turn @ first.translation)
-    return replace(rig, cameras=(moved, *rig.cameras[1:]))
-
-
-def _renamed(body: ArticulatedBody) -> ArticulatedBody:
-    other = {"L": "R", "R": "L"}
-    names = {marker.name: (other[marker.name[0]] + marker.name[1:]) if marker.name[0] in other else marker.name for marker in body.markers}
-    return replace(body, markers=tuple(replace(marker, name=names[marker.name]) for marker in body.markers), aliases={})
-
-
->>>>>>> main
 def _shares(row: str, tally: Tally, asked: bool, least: float = 0.995) -> Iterator[Figure]:
     yield Figure(f"{row}: right", f">= {least:g}" if asked else "none", tally.right / tally.shown, "fraction", tally.shown)
     yield Figure(f"{row}: wrong", "<= 0.003" if asked and least == 0.995 else "none", tally.wrong / tally.shown, "fraction", tally.shown)
