@@ -108,8 +108,8 @@ class ViewsRules:
     def confidence(self, margin: Floats, single: NDArray[np.bool_], rival_margin: Floats) -> Floats:
         """(N,) the probability that labels are right.
 
-        margin (N,) nats beyond the best change of the label; single (N,) whether no other camera has a blob of the marker; rival_margin (N,)
-        nats beyond the best other explanation of the frame that labels the blob otherwise, inf where none does. O(N).
+        margin (N,) nats beyond the best change of the label; single (N,) whether no other camera has a blob of the marker;
+        rival_margin (N,) nats beyond the best other explanation of the frame that labels the blob otherwise, inf where none does. O(N).
         """
         own = _logistic(self.slope * margin + self.offset + self.single * single)
         whole = _logistic(self.rival_slope * np.minimum(rival_margin, 1e3))
