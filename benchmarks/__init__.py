@@ -1,1 +1,6 @@
-"""Measures what the issues ask for, on real recordings, and writes it to `benchmarks/figures.json`."""
+"""Figures: what is asked, what is measured. `python -m benchmarks` runs its scripts."""
+
+import os
+
+for _library in ("OMP", "OPENBLAS", "MKL"):  # before NumPy is imported: every process keeps to one core
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")

@@ -1,4 +1,4 @@
-"""What the rows of the benchmark share: settings, trained ensembles, timing."""
+"""What the scripts share: how much to measure, trained models, processes, timing."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from statistics import median
@@ -16,7 +16,6 @@ from typing import TypeVar
 
 import asterism
 from asterism.recording import Recording
-from benchmarks.sources import Sources
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -24,15 +23,16 @@ Result = TypeVar("Result")
 
 @dataclass
 class BenchmarkRun:
-    """One run: `quick` takes few frames and folds; `models` is a folder that keeps trained ensembles between runs, or None.
+    """One run: `quick` takes few frames and folds, to see that a script runs.
 
-    `jobs` processes share the folds of a row; rows that measure time run in one.
+    models   a folder that keeps trained models for the processes of this run, or None. Whoever names one that outlives the code empties it.
+    jobs     processes that share the folds of a row; rows that measure time run in one
     """
 
     quick: bool = False
     models: Path | None = None
     jobs: int = 1
-    trained: dict[str, asterism.SolverEnsemble] = field(default_factory=dict)
+    trained: dict[str, asterism.MarkerModel] = field(default_factory=dict)
 
     def report(self, text: str) -> None:
         """Print what is being done, to standard error."""
@@ -47,15 +47,15 @@ class BenchmarkRun:
         with ProcessPoolExecutor(self.jobs, mp_context=get_context("spawn")) as pool:
             yield from pool.map(partial(work, alone), items)
 
-    def fit(self, recordings: Sequence[Recording], people: Sequence[str], **options: object) -> asterism.SolverEnsemble:
-        """Train an ensemble, or take the one that the same code has trained from the same recordings in this or an earlier run."""
+    def fit(self, recordings: Sequence[Recording], people: Sequence[str], **options: object) -> asterism.MarkerModel:
+        """Train a model, or take the one that this run has trained from the same recordings."""
         key = _key(recordings, people, options)
         kept = self.models / f"{key}.model" if self.models else None
         if key not in self.trained and kept and kept.exists():
-            self.trained[key] = asterism.SolverEnsemble.load(kept)
+            self.trained[key] = asterism.MarkerModel.load(kept)
         if key not in self.trained:
             started = time.perf_counter()
-            self.trained[key] = asterism.SolverEnsemble.fit(list(recordings), seed=0, subjects=list(people), miner=None, **options)
+            self.trained[key] = asterism.MarkerModel.fit(list(recordings), seed=0, subjects=list(people), miner=None, **options)
             self.report(
                 f"trained on {len(recordings)} recordings, {len(recordings[0].labels)} markers: {time.perf_counter() - started:.1f} s"
             )
@@ -76,14 +76,8 @@ def frames_per_second(run: Callable[[], object], frames: int, repeats: int = 5) 
     return frames / median(times)
 
 
-@cache
-def _training_code() -> str:
-    """A hash of all modules that training imports."""
-    return Sources.working().hash_of_module("asterism.labelling.ensemble")
-
-
 def _key(recordings: Sequence[Recording], people: Sequence[str], options: dict[str, object]) -> str:
-    digest = hashlib.sha256(repr((list(people), sorted(options.items()), recordings[0].labels, _training_code())).encode())
+    digest = hashlib.sha256(repr((list(people), sorted(options.items()), recordings[0].labels)).encode())
     for recording in recordings:
         digest.update(recording.positions.tobytes())
     return digest.hexdigest()[:24]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -13,7 +15,8 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.formats import read
-from asterism.recording import Recording
+from asterism.recording import MarkerSet, Recording
+from asterism.simulation import simulate_standing, simulate_walks, simulated_markers
 
 _MIDDLE = "LFHD RFHD LBHD RBHD C7 T2 T6 T10 T12 RBAK CLAV STRN LASI RASI SACR"
 _SIDES = "SHO ELB WRA WRB FIN THI KNE TIB ANK HEE TOE HFB TUB SHN CPG LCA STL NAV P1M P5M D5M HLX"
@@ -50,23 +53,73 @@ class Fold:
 
 def folder() -> Path:
     """Where the real recordings are. Raises AsterismError where `ASTERISM_DATA` does not name a folder."""
-    named = os.environ.get("ASTERISM_DATA")
-    if not named or not Path(named).is_dir():
-        raise AsterismError(
-            "the benchmarks need real recordings: set ASTERISM_DATA to the folder that holds gait, movement and conformance."
-        )
-    return Path(named)
+    if not has_recordings():
+        raise AsterismError("this needs real recordings: set ASTERISM_DATA to the folder that holds gait, movement and conformance.")
+    return Path(os.environ["ASTERISM_DATA"])
+
+
+def has_recordings() -> bool:
+    """Whether `ASTERISM_DATA` names a folder."""
+    return Path(os.environ.get("ASTERISM_DATA") or "?").is_dir()
 
 
 @cache
 def gait(markers: str | tuple[str, ...] = "helen-hayes") -> dict[str, tuple[Recording, ...]]:
-    """All trials of each gait subject, with the markers of a set."""
+    """All trials of each gait subject, with the markers of a set; simulated people where there are no recordings."""
+    if not has_recordings():
+        return _simulated(markers)
     wanted = markers if isinstance(markers, str) else list(markers)
     return {
-        subject.name: tuple(read(path, markers=wanted) for path in sorted(subject.glob("*.c3d")))
+        subject.name: tuple(true_names(path, wanted) for path in sorted(subject.glob("*.c3d")))
         for subject in sorted((folder() / "gait").iterdir())
         if subject.is_dir()
     }
+
+
+def _simulated(markers: str | tuple[str, ...]) -> dict[str, tuple[Recording, ...]]:
+    """A standing trial, a straight walk and a turn of each of eleven simulated people, with those of the markers that can be simulated."""
+    chosen = markers if isinstance(markers, str) else [name for name in markers if name in simulated_markers()]
+    walks, standing = simulate_walks(11, 300, markers=chosen, trials=2), simulate_standing(11, 100, markers=chosen)
+    people: dict[str, tuple[Recording, ...]] = {}
+    for number, still in enumerate(standing):
+        named = zip(("static", "straight", "turn"), (still, *walks[2 * number : 2 * number + 2]), strict=True)
+        person = f"S{number + 1:02d}"
+        people[person] = tuple(replace(trial, metadata={**trial.metadata, "file": f"{person}/{name}.c3d"}) for name, trial in named)
+    return people
+
+
+def true_names(path: Path, markers: str | list[str] | None = None) -> Recording:
+    """A recording with its markers as they are named in truth: names that `corrections.json` says are exchanged are put right."""
+    pairs = [pair for named, some in corrections().items() if _lies_in(path, named) for pair in some]
+    if not pairs:
+        return read(path, markers=markers)
+    recording = exchanged(read(path), pairs)
+    return recording if markers is None else with_columns(recording, MarkerSet.load(markers))
+
+
+@cache
+def corrections() -> dict[str, tuple[tuple[str, str], ...]]:
+    """By file or folder: pairs of markers whose names are exchanged there, from `corrections.json` beside the recordings, if it exists."""
+    path = folder() / "corrections.json"
+    if not path.exists():
+        return {}
+    found = json.loads(path.read_text(encoding="utf-8"))
+    return {
+        re.sub(r" \(.*\)$", "", named): tuple((one, other) for one, other in entry["exchange"])
+        for named, entry in found.items()
+        if isinstance(entry, dict)
+    }
+
+
+def _lies_in(path: Path, named: str) -> bool:
+    place = folder() / named
+    return path == place or place in path.parents
+
+
+def exchanged(recording: Recording, pairs: Sequence[tuple[str, str]]) -> Recording:
+    """A recording in which each pair of labels has changed places."""
+    other = {name: partner for pair in pairs for name, partner in (pair, pair[::-1])}
+    return replace(recording, labels=tuple(other.get(label, label) for label in recording.labels))
 
 
 def file_of(recording: Recording) -> Path:
@@ -193,7 +246,7 @@ def _leave_one_out(label: str, owners: list[tuple[str, str]], unseen: bool) -> I
     common = [
         label for label in dict.fromkeys(label for _, trial in named for label in trial.labels) if all(label in some for some in worn)
     ]
-    trials = [_with_columns(trial, common) for _, trial in named]
+    trials = [with_columns(trial, MarkerSet(tuple(common))) for _, trial in named]
     for left_out in dict.fromkeys(owner for owner, _ in owners):
         train = [(owner, trial) for (owner, _), trial in zip(owners, trials, strict=True) if owner != left_out]
         test = [Test(file, trial, np.arange(len(trial))) for (owner, file), trial in zip(owners, trials, strict=True) if owner == left_out]
@@ -205,7 +258,7 @@ def _leave_one_out(label: str, owners: list[tuple[str, str]], unseen: bool) -> I
 @cache
 def everything(file: str) -> Recording:
     """All points of a file of the movement recordings that the reader does not take for computed ones."""
-    return read(folder() / "movement" / file)
+    return true_names(folder() / "movement" / file)
 
 
 def _named(recording: Recording) -> Recording:
@@ -219,13 +272,11 @@ def _named(recording: Recording) -> Recording:
     )
 
 
-def _with_columns(recording: Recording, labels: list[str]) -> Recording:
-    """These columns only; a marker that the trial lacks is missing in all its frames."""
-    positions = np.full((len(recording), len(labels), 3), np.nan)
-    for column, label in enumerate(labels):
-        if label in recording.labels:
-            positions[:, column] = recording.positions[:, recording.labels.index(label)]
-    return Recording(positions, tuple(labels), recording.rate, recording.vertical, metadata=recording.metadata)
+def with_columns(recording: Recording, markers: MarkerSet) -> Recording:
+    """The markers of a set only; one that the trial lacks is missing in all its frames."""
+    columns = markers.columns_of(recording.labels)
+    positions = np.where((columns >= 0)[None, :, None], recording.positions[:, columns], np.nan)
+    return Recording(positions, markers.names, recording.rate, recording.vertical, metadata=recording.metadata)
 
 
 def is_unnamed(label: str) -> bool:

@@ -80,9 +80,9 @@ class Tally:
         """Different frames, however often each was hidden anew."""
         return self.counted_once + sum(self.recordings.values())
 
-    def figure(self, row: str, asked: str, share: float, ours: bool = False) -> Figure:
-        """A share of this tally as a figure, with the different frames behind it and the draws where there were more."""
-        return Figure(row, asked, share, "fraction", self.distinct, self.frames if self.frames > self.distinct else 0, ours)
+    def figure(self, row: str, asked: str, share: float) -> Figure:
+        """A share of this tally as a figure, with the different frames behind it."""
+        return Figure(row, asked, share, "fraction", self.distinct)
 
     @property
     def false_assignments(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 from typing import Any
@@ -32,8 +33,37 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return FromBothEnds(config, log)
 
 
+def pytest_collection_finish() -> None:
+    # What the imported packages hold stays till the end: the collector of garbage need not look through it again and again.
+    gc.collect()
+    gc.freeze()
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--record-snapshots", action="store_true", help="write tests/snapshots anew instead of comparing with them")
+    parser.addoption("--at-once", action="store_true", help="print a failure when it happens, not at the end")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--at-once") and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(FailuresAtOnce(config))
+
+
+class FailuresAtOnce:
+    """Prints a failure when it happens, and not again at the end."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self.config = config
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        terminal = self.config.pluginmanager.get_plugin("terminalreporter")
+        if report.failed and terminal is not None:
+            terminal.write_sep("_", f"{report.nodeid} ({report.when})", red=True)
+            report.toterminal(terminal._tw)
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_sessionfinish(self) -> None:
+        self.config.option.tbstyle = "no"
 
 
 @pytest.fixture(scope="session")

@@ -8,8 +8,8 @@ import twins_body as twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from asterism.geometry import _kernels as geometry_kernels
 from asterism.geometry import align_about_z
+from asterism.geometry import shared_kernels as geometry_kernels
 from asterism.labelling.body._anchor_kernels import anchor_key_pose, score_from_anchor
 from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
 from asterism.labelling.body._score_kernels import _cholesky, evidence, leave_one_out_scores, predict_markers
@@ -17,7 +17,9 @@ from asterism.labelling.body._workspace_kernels import FrameModel, make_body_wor
 from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors, with_intervals
 from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, length_scale, names_of, subsample
-from asterism.labelling.partial._search_kernels import search
+from asterism.labelling.features.search_kernels import search
+
+pytestmark = pytest.mark.kernels
 
 SETTINGS = FrameLabellingSettings().with_usual_score(1.0)
 MARKERS, LATENTS, POSES = 6, 5, 2

@@ -13,6 +13,8 @@ from asterism.cameras.bundle import PARAMETERS, AdjustSettings, Sightings, _kern
 from asterism.errors import AsterismError
 from asterism.geometry import place_objects, rotation_from_vector
 
+pytestmark = pytest.mark.kernels
+
 WAND = np.array([[0.0, 0, 0], [0.2, 0, 0], [0.6, 0, 0]])
 BOARD = np.array([[x, y, 0.0] for x in (0.0, 0.1, 0.2, 0.3) for y in (0.0, 0.1, 0.2)])
 DOT = np.zeros((1, 3))

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pytest
 from models import trained
 
 import asterism
@@ -15,13 +16,15 @@ from asterism.labelling import compile_ahead
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.labelling.whole import _distance_kernels, _kernels, _residual_kernels
 from asterism.simulation import simulate_walks
-from asterism.tracking import _chain_kernels, _cut_kernels, _link_kernels
+from asterism.tracking import _cut_kernels, chain_kernels, link_kernels
+
+pytestmark = pytest.mark.kernels
 
 ENTRIES: dict[str, Any] = {
     f"{module.__name__}.{name}": getattr(module, name)
     for module, names in {
-        _link_kernels: ["link_frames"],
-        _chain_kernels: ["combine_directions", "sort_frames", "link_numbers", "number_chains"],
+        link_kernels: ["link_frames"],
+        chain_kernels: ["combine_directions", "sort_frames", "link_numbers", "number_chains"],
         _cut_kernels: ["repair_links", "count_strays"],
         _kernels: [
             "score_frames",
@@ -51,7 +54,7 @@ def test_labelling_a_recording_as_a_whole_needs_nothing_more() -> None:
     walks = simulate_walks(subjects=5, frames=120, seed=4)
     ensemble = trained(walks[:4], miner=None)
     clouds, _ = simulate_gaps_and_ghosts(walks[4], 2, 1, seed=1)
-    ensemble.label(clouds, time=True)
+    ensemble.label(clouds)
     assert compiled() == ahead
 
 
@@ -59,7 +62,7 @@ SMALL_STEP = """
 import sys
 import numpy as np
 from asterism.labelling import compile_ahead
-from asterism.tracking._chain_kernels import number_chains
+from asterism.tracking.chain_kernels import number_chains
 
 none = np.zeros(0, dtype=np.int64)
 compile_ahead.STEPS["small"] = lambda: number_chains(none, none)
@@ -74,4 +77,4 @@ def test_a_process_that_compiles_ahead_fills_the_cache(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-m", "asterism.labelling.compile_ahead"], env=environment, check=True)
     assert not list(tmp_path.iterdir()), "without a step, nothing is compiled"
     subprocess.run([sys.executable, "-c", SMALL_STEP, "small"], env=environment, check=True)
-    assert any("number_chains" in path.name for path in tmp_path.glob("asterism.tracking._chain_kernels-*/*.nbc"))
+    assert any("number_chains" in path.name for path in tmp_path.glob("asterism.tracking.chain_kernels-*/*.nbc"))

@@ -428,10 +428,10 @@ def test_a_point_is_found_again_by_its_place_and_track() -> None:
 KILLED = """
 import sys
 from pathlib import Path
-from asterism import SolverEnsemble, formats
+from asterism import MarkerModel, formats
 from asterism.labelling.correction import Correction, CorrectionLog, Name, log_path
 file = Path(sys.argv[1])
-correction = Correction(SolverEnsemble.load(sys.argv[2]), formats.read(file))
+correction = Correction(MarkerModel.load(sys.argv[2]), formats.read(file))
 correction.attach(CorrectionLog(log_path(file), *correction.identity))
 pieces = [int(piece) for piece in correction.pieces.id]
 while True:

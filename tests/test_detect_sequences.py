@@ -22,6 +22,8 @@ from asterism.simulation.cameras import ImagingSettings, RenderSettings, render_
 from asterism.synchronization import _sync_kernels, lags
 from asterism.synchronization.lags import out_of_step, slips
 
+pytestmark = pytest.mark.kernels
+
 SIZE = (320, 256)
 
 

@@ -18,6 +18,8 @@ from asterism.detection._run_kernels import Runs, find_runs, group_runs
 from asterism.detection._split_kernels import split_at_saddles
 from asterism.errors import AsterismError
 
+pytestmark = pytest.mark.kernels
+
 
 def discs(places: np.ndarray, diameter: float = 8.0, shape: tuple[int, int] = (240, 320), **light: float) -> np.ndarray:
     """An image of soft-edged discs (y down, x right) on a dark noisy ground; light: peak, dark, noise, seed, top."""

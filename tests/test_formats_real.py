@@ -15,7 +15,8 @@ TABLES = ("conformance/motion/inverse_kin.mot", "conformance/motion/inverse_dyn.
 
 
 def text_files(data):
-    return sorted(p for p in data.rglob("*") if p.suffix in (".trc", ".csv", ".mat") and "cameras" not in p.parts)
+    folders = [data / name for name in ("conformance", "gait-events", "movement")]
+    return sorted(path for folder in folders for path in folder.rglob("*") if path.suffix in (".trc", ".csv", ".mat"))
 
 
 def test_every_trc_csv_and_mat_opens(data):

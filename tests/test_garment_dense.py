@@ -17,6 +17,8 @@ from asterism.garment.dense import _kernels as kernels
 from asterism.garment.dense.points import circle_rays, ray_points, ray_scale
 from asterism.simulation.garment import SimulatedCircles, simulated_reading
 
+pytestmark = pytest.mark.kernels
+
 CLEAN = DenseRules(least_sigma=0.0, least_scale=0.05)
 
 

@@ -17,6 +17,8 @@ from asterism.garment.read import _patch_kernels as patch_kernels
 from asterism.garment.read import _weight_kernels as weight_kernels
 from asterism.garment.read.circles import linear_light
 
+pytestmark = pytest.mark.kernels
+
 LIMITS = np.array([4.0, 6000.0, 0.88, 12.0, 120.0, 0.45])
 SIDE, SQUARE, FIT = np.array([0.6, 1.6]), 0.7, 0.34
 

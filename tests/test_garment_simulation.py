@@ -15,6 +15,8 @@ from asterism.simulation.garment import Folds, PhotoSettings, Wearer, garment_ri
 from asterism.simulation.garment import _raster_kernels as kernels
 from asterism.simulation.garment.wearer import MOTIONS, wearer_joints
 
+pytestmark = pytest.mark.kernels
+
 
 def test_a_circle_in_the_picture_is_where_its_truth_says() -> None:
     """The centre of the bright spot around each true centre, by the image alone, within a twentieth of a pixel in the mean."""

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from asterism.geometry import (
-    _kernels,
     align_about_z,
     best_rotation,
     cross_matrix,
@@ -23,9 +22,12 @@ from asterism.geometry import (
     place_objects,
     rotate_z_up,
     rotation_from_vector,
+    shared_kernels,
     vector_from_rotation,
     z_up_rotation,
 )
+
+pytestmark = pytest.mark.kernels
 
 seeds = st.integers(0, 2**32 - 1)
 coordinates = st.floats(-1.0, 1.0)
@@ -107,7 +109,7 @@ def test_rotate_by_equals_its_twin(seed, own_axes, angle):
     vector = rng.normal(size=3)
     vector *= angle / np.linalg.norm(vector)
     expected = twins.rotate_by(rotation, vector, own_axes)
-    _kernels.rotate_by(rotation, *vector, own_axes)
+    shared_kernels.rotate_by(rotation, *vector, own_axes)
     assert np.allclose(rotation, expected, atol=1e-12)
     assert_rotation(rotation)
 
@@ -194,14 +196,14 @@ def test_aligning_about_z_equals_its_twin_in_both_forms(seed, count):
     points, template = rng.normal(size=(10, 3)), rng.normal(size=(9, 3))
     rows, markers = rng.permutation(10)[:count], rng.permutation(9)[:count]
     turn, here, there = twins.fit_about_z(points[rows], template[markers])
-    cos, sin, start, goal = _kernels.fit_about_z(points, rows, template, markers)
+    cos, sin, start, goal = shared_kernels.fit_about_z(points, rows, template, markers)
     assert cos * cos + sin * sin == pytest.approx(1.0)
     assert np.allclose(start, here) and np.allclose(goal, there)
     if count == 1:
         return
     assert np.allclose([[cos, -sin], [sin, cos]], turn[:2, :2], atol=1e-9)
     out = np.empty_like(points)
-    _kernels.align_about_z(points, rows, template, markers, out)
+    shared_kernels.align_about_z(points, rows, template, markers, out)
     assert np.allclose(out, (points - here) @ turn.T + there, atol=1e-9)
     frame, wanted = np.full((1, 9, 3), np.nan), np.full((9, 3), np.nan)
     frame[0, markers], wanted[markers] = points[rows], template[markers]
@@ -211,7 +213,7 @@ def test_aligning_about_z_equals_its_twin_in_both_forms(seed, count):
 def test_points_above_each_other_are_not_turned_about_z():
     points = np.array([[1.0, 2.0, 0.0], [1.0, 2.0, 1.0]])
     rows = np.arange(2)
-    assert _kernels.fit_about_z(points, rows, points + 3.0, rows)[:2] == (1.0, 0.0)
+    assert shared_kernels.fit_about_z(points, rows, points + 3.0, rows)[:2] == (1.0, 0.0)
 
 
 # --- rays and small matrices
@@ -222,7 +224,7 @@ def test_points_above_each_other_are_not_turned_about_z():
 def test_cofactors_equal_their_twin(seed):
     matrix = np.random.default_rng(seed).normal(size=(3, 3))
     matrix = matrix + matrix.T
-    assert np.allclose(_kernels.cofactors(*matrix.ravel()), twins.cofactors(matrix), atol=1e-9)
+    assert np.allclose(shared_kernels.cofactors(*matrix.ravel()), twins.cofactors(matrix), atol=1e-9)
 
 
 @given(seeds)
@@ -231,14 +233,14 @@ def test_the_symmetric_inverse_equals_numpys(seed):
     root = np.random.default_rng(seed).normal(size=(4, 3))
     matrix = root.T @ root
     upper = np.triu_indices(3)
-    determinant, *found = _kernels.symmetric_inverse(matrix[upper])
+    determinant, *found = shared_kernels.symmetric_inverse(matrix[upper])
     assert determinant == pytest.approx(np.linalg.det(matrix), rel=1e-6)
     assert np.allclose(found, np.linalg.inv(matrix)[upper], rtol=1e-6)
 
 
 @pytest.mark.parametrize("h", [np.zeros(6), np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0]), np.array([-1.0, 0, 0, 1.0, 0, 1.0])])
 def test_a_matrix_without_positive_determinant_has_no_inverse(h):
-    assert _kernels.symmetric_inverse(h) == (0.0,) * 7
+    assert shared_kernels.symmetric_inverse(h) == (0.0,) * 7
 
 
 @given(seeds)
@@ -265,13 +267,13 @@ def test_parallel_rays_do_not_meet():
     origins, rays = np.eye(3), np.tile([0.0, 0.0, 1.0], (3, 1))
     assert np.isnan(intersect_rays(origins, rays, np.array([0, 3]))).all()
     assert np.allclose(nearest_point_to_lines(origins, rays), [1 / 3, 1 / 3, 0.0]), "the best point nearest to the world's origin"
-    assert _kernels.where_lines_approach(*rays[0], *rays[0], 1.0, 0.0, 0.0) == (0.0, 0.0, False)
+    assert shared_kernels.where_lines_approach(*rays[0], *rays[0], 1.0, 0.0, 0.0) == (0.0, 0.0, False)
 
 
 @given(seeds)
 @settings(max_examples=60, deadline=None, derandomize=True)
 def test_two_lines_approach_where_their_twin_says(seed):
     d, e, o = np.random.default_rng(seed).normal(size=(3, 3))
-    s, t, crossing = _kernels.where_lines_approach(*d, *e, *o)
+    s, t, crossing = shared_kernels.where_lines_approach(*d, *e, *o)
     assert crossing
     assert np.allclose([s, t], twins.where_lines_approach(d, e, o), rtol=1e-6, atol=1e-6)

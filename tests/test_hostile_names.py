@@ -17,10 +17,11 @@ import asterism
 from asterism.cli import _console, main
 from asterism.cli._printable import printable
 from asterism.errors import AsterismError
-from asterism.formats import _atomic, read_blobs, read_table, write_blobs, write_table
-from asterism.formats._atomic import write_atomically
-from asterism.formats._text import cell_text, name_of_cell
-from asterism.formats.storage import Table
+from asterism.files import atomic
+from asterism.files.atomic import write_atomically
+from asterism.files.text import cell_text, name_of_cell
+from asterism.formats import read_blobs, read_table, write_blobs, write_table
+from asterism.formats.storage import TimeSeriesTable
 from asterism.recording import Blobs, Recording
 from asterism.report.page import Page, Section, write_page
 
@@ -97,7 +98,7 @@ def test_labels_that_are_formulas_are_no_formulas_in_a_spreadsheet_and_come_back
 def test_formulas_stay_what_they_are_in_other_formats_and_in_tables(tmp_path: Path) -> None:
     asterism.write(tmp_path / "walk.c3d", _walk())
     assert asterism.read(tmp_path / "walk.c3d").labels == LABELS
-    table = Table(("=hip", "knee"), np.ones((3, 2)), np.arange(3) / 10)
+    table = TimeSeriesTable(("=hip", "knee"), np.ones((3, 2)), np.arange(3) / 10)
     for suffix, spelled in (("csv", "'=hip"), ("sto", "\t=hip")):
         write_table(tmp_path / f"angles.{suffix}", table)
         assert spelled in (tmp_path / f"angles.{suffix}").read_text()
@@ -213,7 +214,7 @@ def test_a_full_disk_and_a_read_only_folder_are_one_sentence_and_leave_the_old_f
             os.write(self.handle, data[:10])
             raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(_atomic.os, "fdopen", Full)
+    monkeypatch.setattr(atomic.os, "fdopen", Full)
     assert main(["convert", str(source), str(target), "--overwrite"]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and f"{target} cannot be written ({sentence})" in error
@@ -222,7 +223,7 @@ def test_a_full_disk_and_a_read_only_folder_are_one_sentence_and_leave_the_old_f
 
 def test_two_writers_of_one_file_leave_one_whole(tmp_path: Path) -> None:
     code = (
-        "import sys; from pathlib import Path; from asterism.formats._atomic import write_atomically\n"
+        "import sys; from pathlib import Path; from asterism.files.atomic import write_atomically\n"
         "for _ in range(60): write_atomically(Path(sys.argv[1]), sys.argv[2].encode() * 300_000)"
     )
     path = tmp_path / "out.csv"

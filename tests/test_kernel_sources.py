@@ -73,3 +73,16 @@ def test_lint_asks_for_types_everywhere_but_in_kernels() -> None:
     assert {"ANN001", "ANN201", "ANN202", "ANN204", "ANN205", "ANN206"} <= set(project["ruff"]["lint"]["select"])
     exempt = {pattern for pattern, rules in project["ruff"]["lint"]["per-file-ignores"].items() if "ANN" in rules}
     assert exempt <= {"**/*_kernels.py", "tests/**", "benchmarks/**"}
+
+
+def test_files_that_call_kernels_have_the_marker() -> None:
+    """`python tools/check.py --bounds` runs the files with it, and no others."""
+    calling = {}
+    for path in Path(__file__).parent.glob("test_*.py"):
+        text = path.read_text(encoding="utf-8")
+        imports = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom)]
+        names = [f"{node.module}.{alias.name}" for node in imports for alias in node.names]
+        if any(name.startswith("asterism.") and "_kernels" in name for name in names):
+            calling[path.name] = "mark.kernels" in text
+    assert len(calling) > 20, "the test looks at what it means to look at"
+    assert [name for name, marked in calling.items() if not marked] == []

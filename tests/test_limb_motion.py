@@ -23,6 +23,8 @@ from asterism.motion.rigid import (
 from asterism.motion.rigid._kernels import eigenvalue_weights, fit_frames, local_positions, point_spread
 from asterism.simulation.soft_tissue import TrialPlan, simulate_soft_tissue
 
+pytestmark = pytest.mark.kernels
+
 SEEDS = st.integers(0, 2**32 - 1)
 
 

@@ -17,13 +17,15 @@ from asterism.formats import read
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds, Recording
 from asterism.simulation import simulate_walks
-from asterism.tracking._chain_kernels import combine_directions, number_chains, sort_frames
 from asterism.tracking._cut_kernels import count_strays, find_cuts, repair_links
-from asterism.tracking._link_kernels import link_frames, link_step
-from asterism.tracking._link_workspace_kernels import Links, make_link_workspace, make_track_ends
 from asterism.tracking._prediction_kernels import predict_tracks
+from asterism.tracking.chain_kernels import combine_directions, number_chains, sort_frames
 from asterism.tracking.columns import columns_of, pack_tracklets
+from asterism.tracking.link_kernels import link_frames, link_step
+from asterism.tracking.link_workspace_kernels import Links, make_link_workspace, make_track_ends
 from asterism.tracking.linking import LinkRules, Tracklets, _along_numbers, find_tracklets
+
+pytestmark = pytest.mark.kernels
 
 MOVEMENT = (
     "cmu41/01_01_climb.c3d",

@@ -12,11 +12,11 @@ import pytest
 from asterism.simulation.soft_tissue import TrialPlan, simulate_soft_tissue
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-benchmark_run, motion, trials = (import_module(f"benchmarks.{name}") for name in ("benchmark_run", "motion", "motion.trials"))
+benchmark_run, chapters, trials = (import_module(f"benchmarks.{name}") for name in ("benchmark_run", "chapters", "motion.trials"))
 
 
 def figures_of(row: str) -> dict[str, float]:
-    return {figure.row: figure.measured for figure in motion.ROWS[row](benchmark_run.BenchmarkRun(quick=True))}
+    return {figure.row: figure.measured for figure in chapters.row_of("motion", row)(benchmark_run.BenchmarkRun(quick=True))}
 
 
 def test_the_paper_rows_are_what_its_table_says() -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import inspect
 import re
-import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -16,12 +14,6 @@ import asterism
 
 ROOT = Path(__file__).parent.parent
 
-_spec = importlib.util.spec_from_file_location("check", ROOT / "tools" / "check.py")
-assert _spec is not None and _spec.loader is not None
-check = importlib.util.module_from_spec(_spec)
-sys.modules["check"] = check
-_spec.loader.exec_module(check)
-
 
 def _project() -> dict[str, Any]:
     return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -31,32 +23,28 @@ def test_the_readme_checks_what_ci_checks() -> None:
     [line] = re.findall(r'^pip install -e ".*', (ROOT / ".ci" / "run").read_text(encoding="utf-8"), re.MULTILINE)
     assert f"\n{line}\n" in (ROOT / "README.md").read_text(encoding="utf-8")
     assert line.endswith("&& python tools/check.py")
-    assert set(check.TOOLS) == {"ruff check", "ruff format --check", "mypy", "lint-imports"}
 
 
-@pytest.mark.parametrize(("tests", "tool", "status"), [(0, 0, 0), (1, 0, 1), (0, 1, 1), (1, 1, 1)])
-def test_one_failure_among_the_checks_fails_them_all(
-    tests: int, tool: int, status: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The tool that fails is named with its output; pytest's closing line comes last."""
-    monkeypatch.setattr(check, "TOOLS", {"passes": ["-c", ""], "judges": ["-c", f"print('as it is'); raise SystemExit({tool})"]})
-    monkeypatch.setattr(check, "PYTEST", ["-c", f"print('..'); print('9 passed in 1 s'); raise SystemExit({tests})"])
-    assert check.main([]) == status
-    shown = capsys.readouterr().out.splitlines()
-    assert shown[0] == ".." and shown[-1] == "9 passed in 1 s"
-    assert ("judges: FAILED (exit status 1)" in shown) == ("as it is" in shown) == ("failed: judges" in shown) == (tool == 1)
+def test_the_workflow_runs_the_two_commands_of_the_readme() -> None:
+    workflow = (ROOT / ".github" / "workflows" / "checks.yml").read_text(encoding="utf-8")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for command in ("pip install . && asterism demo", 'pip install -e ".[dev]" && python tools/check.py'):
+        assert command in workflow and command in readme
+    for python in re.findall(r"Python :: (3\.\d+)", "\n".join(_project()["project"]["classifiers"])):
+        assert f'"{python}"' in workflow
 
 
 def test_one_version() -> None:
     version = _project()["project"]["version"]
     assert asterism.__version__ in (version, "0+unknown"), "0+unknown: a source tree that is not installed"
     assert f"## {version}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
 def test_every_room_stands_in_the_contract_and_in_the_documents() -> None:
     package = Path(asterism.__file__).parent
     rooms = {p.stem for p in package.iterdir() if p.suffix == ".py" or (p / "__init__.py").is_file()} - {"__init__", "__main__"}
-    [contract] = _project()["tool"]["importlinter"]["contracts"]
+    [contract] = [contract for contract in _project()["tool"]["importlinter"]["contracts"] if contract["type"] == "layers"]
     assert rooms == set(contract["layers"])
     text = (ROOT / "docs" / "conventions.md").read_text(encoding="utf-8")
     assert [room for room in rooms if f"`{room}`" not in text] == []

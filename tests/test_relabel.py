@@ -57,7 +57,7 @@ def longest(tracklets: Tracklets) -> int:
 
 def test_the_first_labelling_is_that_of_label(walk: tuple[LabelledTracklets, Ints]) -> None:
     before, _ = walk
-    assert same(before.labelling, model().label(before.clouds, time=True))
+    assert same(before.labelling, model().label(before.clouds))
 
 
 def test_nothing_known_gives_back_the_first_labelling(walk: tuple[LabelledTracklets, Ints]) -> None:

@@ -18,11 +18,19 @@ import pytest
 
 from asterism.errors import AsterismError
 from asterism.labelling import ConfidenceScore, ConfidenceTally, Reliability
-from asterism.labelling.capturability import TargetRates
-from asterism.labelling.full_solver_study import ChosenClassifier, SolverSize
+from asterism.labelling.partial.capturability import TargetRates
+from asterism.labelling.partial.full_solver_study import ChosenClassifier, SolverSize
 from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.recording import Clouds, Ints, Labelling, MarkerSet, Recording
-from asterism.report import LabelledRecording, capturability_report, evaluation_report, label_report, marker_bones, marker_sides
+from asterism.report import (
+    LabelledRecording,
+    capturability_report,
+    evaluation_report,
+    label_report,
+    marker_bones,
+    marker_sides,
+    plot_recording,
+)
 from asterism.report.player import PageRules, ShownRecording, pack_recordings
 from asterism.simulation import simulate_walks
 
@@ -352,7 +360,7 @@ def test_a_recording_plots_itself_under_its_own_labels(tmp_path: Path, walk: Rec
     positions = walk.positions.copy()
     positions[3:9, 2] = np.nan
     recording = replace(walk, positions=positions, labels=(*walk.labels[:-1], "*1"), first_frame=41)
-    shown = recording.plot(tmp_path / "walk.html")
+    shown = plot_recording(recording, tmp_path / "walk.html")
     page = Reader(shown.path.read_text(encoding="utf-8"))
     (packed,) = shown_in(page)
     points = unpacked(packed)
@@ -360,9 +368,9 @@ def test_a_recording_plots_itself_under_its_own_labels(tmp_path: Path, walk: Rec
     for m in range(len(walk.labels) - 1):
         assert (points["marker"] == m).sum() == recording.visible[:, m].sum()
     assert (points["marker"] == -1).sum() == recording.visible[:, -1].sum()
-    assert not page.loads and "<iframe" in shown._repr_html_() and recording.plot().path.exists()
+    assert not page.loads and "<iframe" in shown._repr_html_() and plot_recording(recording).path.exists()
     with pytest.raises(AsterismError, match="nothing to plot"):
-        replace(recording, positions=positions[:0]).plot()
+        plot_recording(replace(recording, positions=positions[:0]))
 
 
 @pytest.mark.parametrize("frames", [0, 1, 5])

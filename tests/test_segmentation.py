@@ -13,6 +13,8 @@ from asterism.motion.segmentation._kernels import stray_from_motions
 from asterism.motion.segmentation.affinity import fill_trajectories, local_subspaces, subspace_affinity
 from asterism.simulation.soft_tissue import SoftTissueTrial, TrialPlan, simulate_soft_tissue
 
+pytestmark = pytest.mark.kernels
+
 
 def share_right(limb_of: np.ndarray, truth: np.ndarray) -> float:
     """The share of points on the right limb, limbs named as fits best."""

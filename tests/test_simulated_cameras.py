@@ -29,6 +29,8 @@ from asterism.simulation.cameras import (
     walker_capsules,
 )
 
+pytestmark = pytest.mark.kernels
+
 
 def _one_capsule(start: list[float], end: list[float], radius: float, frames: int = 1) -> Capsules:
     return Capsules(np.tile(start, (frames, 1, 1)), np.tile(end, (frames, 1, 1)), np.array([radius]), ("limb",))

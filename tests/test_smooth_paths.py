@@ -23,6 +23,8 @@ from asterism.recording import Clouds
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, walker_capsules
 
+pytestmark = pytest.mark.kernels
+
 Case = tuple[Rig, np.ndarray, Reconstruction]
 
 

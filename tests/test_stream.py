@@ -19,6 +19,8 @@ from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds, Recording
 from asterism.simulation import simulate_walks
 
+pytestmark = pytest.mark.kernels
+
 
 @pytest.fixture(scope="module")
 def walks() -> list[Recording]:
@@ -26,7 +28,7 @@ def walks() -> list[Recording]:
 
 
 @pytest.fixture(scope="module")
-def ensemble(walks: list[Recording]) -> asterism.SolverEnsemble:
+def ensemble(walks: list[Recording]) -> asterism.MarkerModel:
     return trained(walks[:5], miner=None, subjects=list("abcde"))
 
 

@@ -22,6 +22,8 @@ from asterism.labelling.whole.assignment import assign_tracklets
 from asterism.labelling.whole.short import ShortTrackletRules, expect_by_motion, marker_shares
 from asterism.recording.verdict import FITS, OTHER_BODY, Verdict
 
+pytestmark = pytest.mark.kernels
+
 SETTINGS = FrameLabellingSettings().with_usual_score(1.0)
 MARKERS, LATENTS, POSES = 6, 4, 2
 races = settings(max_examples=25, deadline=None, derandomize=True)

@@ -21,12 +21,12 @@ from asterism.simulation import simulate_standing, simulate_walks
 from asterism.simulation.cameras import Capsules
 from asterism.simulation.views_laboratory import ViewsSession, simulate_views
 from asterism.simulation.views_motion import simulate_motion
-from asterism.views import BodyModel, checks, fit_body, label_views, load_body, save_body, shipped_bodies
+from asterism.views import ArticulatedBody, checks, fit_body, label_views, load_body, save_body, shipped_bodies
 from asterism.views.frame import FrameLabeller
-from asterism.views.label import ViewsLabelling
 from asterism.views.passes import Pass, Starts, _best_path, joined, seen
 from asterism.views.plain import label_stepwise, minimise_plain
 from asterism.views.posing import posed_points
+from asterism.views.result import ViewsLabelling
 from asterism.views.rules import QUICK, RULES
 from asterism.views.scene import scene_of
 from asterism.views.sights import AROUND
@@ -35,7 +35,7 @@ GAIT = MarkerSet.load("helen-hayes")
 
 
 @cache
-def body_of_four() -> BodyModel:
+def body_of_four() -> ArticulatedBody:
     """The mean of four simulated people, none of whom is tested."""
     standing, walking = simulate_standing(4, 20, seed=5), simulate_walks(4, 120, seed=5)
     people = [str(trial.metadata["subject"]) for trial in (*standing, *walking)]

@@ -37,13 +37,9 @@ def full_solver(benchmark: BenchmarkRun) -> Iterator[Figure]:
     first, in_all = solver.evaluations, solver.evaluations_in_all
     rate = frames_per_second(partial(solver.label, clouds), len(clouds))
     row = "full solver, no occlusion"
-    yield Figure(
-        f"{row}: feature evaluations per frame to the right labelling", "< 300", first, "evaluations", tally.distinct, tally.frames
-    )
-    yield Figure(
-        f"{row}: feature evaluations per frame until no other is left", "none", in_all, "evaluations", tally.distinct, tally.frames
-    )
-    yield Figure(f"{row}: labelling, one core", "> 100000", rate, "frames/s", tally.distinct, tally.frames)
+    yield Figure(f"{row}: feature evaluations per frame to the right labelling", "< 300", first, "evaluations", tally.distinct)
+    yield Figure(f"{row}: feature evaluations per frame until no other is left", "none", in_all, "evaluations", tally.distinct)
+    yield Figure(f"{row}: labelling, one core", "> 100000", rate, "frames/s", tally.distinct)
     yield tally.figure(f"{row}: right", "none", tally.right_share)
     yield tally.figure(f"{row}: FA", "none", tally.false_assignments)
 

@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from asterism.cameras import _kernels
+from asterism.cameras import lens_kernels
 from asterism.errors import AsterismError
 from asterism.geometry import rotation_from_vector
 from asterism.recording import Floats
@@ -128,7 +128,7 @@ class Camera:
 
     @property
     def lens(self) -> Floats:
-        """The intrinsic parameters as the kernels take them, see `cameras._kernels`."""
+        """The intrinsic parameters as the kernels take them, see `cameras.lens_kernels`."""
         return np.array([*self.focal, *self.centre, *self.tangential, *self.denominator, *self.radial])
 
     @property
@@ -141,14 +141,16 @@ class Camera:
         """World points (..., 3) m as pixels (..., 2); NaN where one is missing, behind the camera or beyond the lens model."""
         points = np.asarray(points, dtype=np.float64)
         out = np.empty((*points.shape[:-1], 2))
-        _kernels.project_points(self.lens, self.rotation, self.translation, np.ascontiguousarray(points.reshape(-1, 3)), out.reshape(-1, 2))
+        lens_kernels.project_points(
+            self.lens, self.rotation, self.translation, np.ascontiguousarray(points.reshape(-1, 3)), out.reshape(-1, 2)
+        )
         return out
 
     def undistort(self, pixels: ArrayLike) -> Floats:
         """Pixels (..., 2) as points of the normalized plane (..., 2), x/z and y/z in the camera's axes; NaN where no ray leads there."""
         pixels = np.asarray(pixels, dtype=np.float64)
         out = np.empty(pixels.shape)
-        _kernels.undistort_points(self.lens, np.ascontiguousarray(pixels.reshape(-1, 2)), out.reshape(-1, 2))
+        lens_kernels.undistort_points(self.lens, np.ascontiguousarray(pixels.reshape(-1, 2)), out.reshape(-1, 2))
         return out
 
     def rays(self, pixels: ArrayLike) -> Floats:

@@ -99,7 +99,7 @@ def _photograph(session: GarmentSession, output: Path) -> Views:
 def _write_picture(path: Path, image: NDArray[np.uint8]) -> None:
     import cv2
 
-    from asterism.formats._atomic import write_atomically
+    from asterism.files.atomic import write_atomically
 
     whole_colour = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
     write_atomically(path, cv2.imencode(".jpg", image, whole_colour)[1].tobytes())

@@ -198,10 +198,10 @@ def marker_targets(given: list[str] | None) -> dict[str, float]:
 
 
 def feature_names(given: str | None) -> tuple[str, ...] | None:
-    """What --features means to `SolverEnsemble.fit`. Raises AsterismError for a name that is not known, before any file is read."""
+    """What --features means to `MarkerModel.fit`. Raises AsterismError for a name that is not known, before any file is read."""
     if given is None:
         return None
-    from asterism.labelling.partial.features import kinds_of
+    from asterism.labelling.features.registry import kinds_of
 
     names = tuple(name.strip() for name in given.split(",") if name.strip())
     kinds_of(names)

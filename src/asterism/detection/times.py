@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError, guarded_reading
-from asterism.formats._text import cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes, some_of
+from asterism.files.text import cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes, some_of
 from asterism.recording import Floats
 
 _COLUMNS = {

@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
+from asterism.files.text import some_of
 from asterism.findings import Finding
 from asterism.formats._findings import located, missing_samples, units_assumed, vertical_conflict
 from asterism.formats._physical import COMPUTED, UNNAMED, kinds_by_name
-from asterism.formats._text import some_of
 from asterism.formats._vertical import estimate_vertical, vertical_from_positions
 from asterism.recording import Event, Floats, MarkerSet, ProcessingStep, Recording, as_vertical, canonical, without_subject
 from asterism.recording.arrays import nan_median
+from asterism.recording.display import metres
 
 __all__ = [
     "Points",
@@ -30,7 +31,7 @@ __all__ = [
     "without_common_subject",
 ]
 
-_METRES = {
+METRES_PER_UNIT = {
     "m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0,
     "dm": 0.1, "cm": 0.01, "centimeter": 0.01, "centimeters": 0.01, "centimetre": 0.01, "centimetres": 0.01,
     "mm": 0.001, "millimeter": 0.001, "millimeters": 0.001, "millimetre": 0.001, "millimetres": 0.001,
@@ -226,28 +227,28 @@ def metres_per_unit(path: Path, declared: str | None, raw: Floats, others: Seque
     Raises AsterismError where the unit that the file names makes a body of less than 5 mm or more than 60 m.
     """
     size = body_size(raw)
-    scale = _METRES.get((declared or "").strip().casefold())
+    scale = METRES_PER_UNIT.get((declared or "").strip().casefold())
     if scale is not None:
         if np.isfinite(size) and not _SMALLEST_BODY <= size * scale <= _LARGEST_BODY:
             likely = _unit_by_size(size, raw)
-            if _METRES[likely] == scale:
-                return scale, _short_unit(scale), [units_assumed(f"the points lie {size * scale:.3g} m apart")]
+            if METRES_PER_UNIT[likely] == scale:
+                return scale, _short_unit(scale), [units_assumed(f"the points lie {metres(size * scale)} apart")]
             raise AsterismError(
-                f"{path} gives its units as {declared}, which makes its points {size * scale:.3g} m wide; "
+                f"{path} gives its units as {declared}, which makes its points {metres(size * scale)} wide; "
                 f"the units are probably {likely}: correct the units field."
             )
         return scale, _short_unit(scale), []
-    misplaced = next((other.strip() for other in others if other.strip().casefold() in _METRES), None)
+    misplaced = next((other.strip() for other in others if other.strip().casefold() in METRES_PER_UNIT), None)
     what = f"the units {declared.strip()!r} are not known" if declared and declared.strip() else "no units in the file"
     if misplaced is not None:
         found, name, _ = metres_per_unit(path, misplaced, raw)
         return found, name, [units_assumed(f"{what}; {name} stands in another field of the header")]
     name = _unit_by_size(size, raw)
-    return _METRES[name], name, [units_assumed(f"{what}; {name} fits the size of the body")]
+    return METRES_PER_UNIT[name], name, [units_assumed(f"{what}; {name} fits the size of the body")]
 
 
 def _short_unit(scale: float) -> str:
-    return next(name for name, metres in _METRES.items() if metres == scale and len(name) <= 2)
+    return next(name for name, metres in METRES_PER_UNIT.items() if metres == scale and len(name) <= 2)
 
 
 def body_size(raw: Floats) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from asterism.errors import AsterismError
-from asterism.formats._text import number_of
+from asterism.files.text import number_of
 from asterism.recording import Event, Floats, as_vertical
 
 

@@ -10,23 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
+from asterism.files.atomic import utf8, write_atomically
+from asterism.files.text import cell_text, cells_of, decoded, delimiter_of, lines_of, name_of_cell, number_of, read_bytes, some_of
 from asterism.findings import Finding
-from asterism.formats._atomic import utf8, write_atomically
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
 from asterism.formats._confidence import LabelConfidence
-from asterism.formats._text import (
-    cell_text,
-    cells_of,
-    decoded,
-    delimiter_of,
-    lines_of,
-    name_of_cell,
-    number_of,
-    rate_of,
-    read_bytes,
-    some_of,
-)
+from asterism.formats._tables import rate_of
 from asterism.formats._writing import all_points
 from asterism.recording import Clouds, Floats, Ints, Recording
 

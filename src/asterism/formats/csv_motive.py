@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.files.text import cells_of, decoded, lines_of, number_of, read_bytes
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._findings import header_conflict
 from asterism.formats._physical import COMPUTED, MARKER, UNNAMED, kinds_by_name
-from asterism.formats._text import cells_of, decoded, frames_in_place, lines_of, number_of, rate_of, read_bytes, rows_of_numbers
+from asterism.formats._tables import frames_in_place, rate_of, rows_of_numbers
 from asterism.recording import Floats, as_vertical
 
 _TYPES = {"marker", "rigid body", "rigid body marker", "bone", "bone marker", "skeleton", "marker set", "unlabeled marker"}

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from asterism.errors import AsterismError, NoMarkers
+from asterism.files.text import cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes
 from asterism.formats._columns import Points, as_metres, metres_per_unit
-from asterism.formats._text import cells_of, decoded, delimiter_of, frames_in_place, lines_of, number_of, read_bytes, rows_of_numbers
+from asterism.formats._tables import frames_in_place, rows_of_numbers
 from asterism.recording import Event, as_vertical
 
 _SECTIONS = {"trajectories", "devices", "model outputs", "joints", "segments", "events", "emg", "force plates", "unlabeled trajectories"}

@@ -8,25 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from asterism.errors import AsterismError, NoMarkers
+from asterism.files.atomic import utf8, write_atomically
+from asterism.files.text import cell_text, cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes, some_of
 from asterism.findings import Finding
-from asterism.formats._atomic import utf8, write_atomically
-from asterism.formats._columns import _METRES, Points, as_metres, metres_per_unit
+from asterism.formats._columns import METRES_PER_UNIT, Points, as_metres, metres_per_unit
 from asterism.formats._comments import comment_lines, comments_of, data_start
 from asterism.formats._confidence import LabelConfidence
 from asterism.formats._groups import exact_groups, marker_groups
-from asterism.formats._text import (
-    cell_text,
-    cells_of,
-    decoded,
-    delimiter_of,
-    frames_in_place,
-    lines_of,
-    number_of,
-    rate_of,
-    read_bytes,
-    rows_of_numbers,
-    some_of,
-)
+from asterism.formats._tables import frames_in_place, rate_of, rows_of_numbers
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.recording import Recording
 
@@ -107,7 +96,7 @@ def write_wide(path: Path, recording: Recording, confidence: LabelConfidence | N
     )
     bare = [cell_text(re.sub(r'[,;"#]', " ", label)) for label in _unrepeated(labels)]
     names = [f"{label}_{axis}" for label in bare for axis in "xyz"]
-    body = spelled_numbers(dense_rows(positions / _METRES[units], decimals), ",", decimals)
+    body = spelled_numbers(dense_rows(positions / METRES_PER_UNIT[units], decimals), ",", decimals)
     if confidence is not None:
         bare_of = dict(zip(reversed(labels), reversed(bare), strict=True))
         names += [f"{bare_of.get(name, name)}{_CONFIDENCE}" for name in confidence.names]
@@ -161,7 +150,7 @@ def _header(lines: list[str], at: int, delimiter: str | None) -> tuple[list[str]
         names, body = joined, at + 2
         below = cells_of(lines[body], delimiter) if body < len(lines) else []
     words = [cell.strip("[]()").casefold() for cell in below if cell.strip()]
-    lengths = [word for word in words if word in _METRES]
+    lengths = [word for word in words if word in METRES_PER_UNIT]
     if len(lengths) >= 3 and all(number_of(word) is None for word in words):
         return names, lengths[0], body + 1
     return names, None, body

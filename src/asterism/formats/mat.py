@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from asterism.errors import AsterismError, NoMarkers
-from asterism.formats._atomic import write_atomically
+from asterism.files.atomic import write_atomically
+from asterism.files.text import read_bytes
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._mat5 import variables_of
 from asterism.formats._physical import MARKER, UNNAMED
-from asterism.formats._text import read_bytes
 from asterism.formats._writing import all_points
 from asterism.recording import Event, Floats, Recording, as_vertical
 

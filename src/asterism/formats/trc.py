@@ -9,21 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.files.atomic import utf8, write_atomically
+from asterism.files.text import cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes
 from asterism.findings import Finding
-from asterism.formats._atomic import utf8, write_atomically
-from asterism.formats._columns import _METRES, Points, as_metres, metres_per_unit
+from asterism.formats._columns import METRES_PER_UNIT, Points, as_metres, metres_per_unit
 from asterism.formats._findings import cut_off, header_conflict, point_names
-from asterism.formats._text import (
-    cells_of,
-    decoded,
-    delimiter_of,
-    frames_in_place,
-    lines_of,
-    number_of,
-    rate_of,
-    read_bytes,
-    rows_of_numbers,
-)
+from asterism.formats._tables import frames_in_place, rate_of, rows_of_numbers
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.recording import Floats, Recording, as_vertical
 
@@ -31,7 +22,7 @@ Y_UP = as_vertical("y")
 
 
 @dataclass(frozen=True)
-class _Sheet:
+class _TrcParts:
     """The parts of a TRC file: its header's values, its markers' names and its table.
 
     header     the values by their lower-case keys
@@ -89,7 +80,7 @@ def read_trc(path: Path) -> Points:
     )
 
 
-def _sheet(path: Path, lines: list[str]) -> _Sheet:
+def _sheet(path: Path, lines: list[str]) -> _TrcParts:
     """The parts of a file. Raises AsterismError where the header is not that of a TRC file or a cell is not a number."""
     at = next((i for i, line in enumerate(lines[:12]) if "datarate" in line.casefold()), None)
     if at is None or at + 2 >= len(lines):
@@ -108,7 +99,7 @@ def _sheet(path: Path, lines: list[str]) -> _Sheet:
     if letters and has_letters and not _in_order(letters):
         raise AsterismError(f"{path}, line {names_at + 2}: the coordinates are not in the order X, Y, Z; export the file in that order.")
     rows, more = rows_of_numbers(path, lines[data_at:], data_at + 1, delimiter, 2 + 3 * len(labels))
-    return _Sheet(header, labels, rows, delimiter, [*findings, *more])
+    return _TrcParts(header, labels, rows, delimiter, [*findings, *more])
 
 
 def write_trc(path: Path, recording: Recording) -> list[str]:
@@ -119,7 +110,7 @@ def write_trc(path: Path, recording: Recording) -> list[str]:
     positions, labels, omitted = all_points(recording, "TRC")
     units = str(recording.metadata.get("units", "")).casefold()
     units = units if units in ("mm", "cm", "m") else "mm"
-    values = positions / _METRES[units]
+    values = positions / METRES_PER_UNIT[units]
     decimals = {"mm": 5, "cm": 6, "m": 8}[units]
     frames, points = values.shape[:2]
     first, times = recording.first_frame, recording.times

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.files.atomic import utf8, write_atomically
+from asterism.files.text import decoded, lines_of, number_of, read_bytes
 from asterism.findings import Finding
-from asterism.formats._atomic import utf8, write_atomically
 from asterism.formats._columns import Points, as_metres, metres_per_unit
 from asterism.formats._findings import header_conflict
-from asterism.formats._text import decoded, frames_in_place, lines_of, number_of, rate_of, read_bytes, rows_of_numbers
+from asterism.formats._tables import frames_in_place, rate_of, rows_of_numbers
 from asterism.formats._writing import all_points, dense_rows, spelled_numbers
 from asterism.formats.csv_long import is_long, read_long
 from asterism.formats.csv_wide import read_wide

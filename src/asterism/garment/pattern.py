@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from asterism.cameras.files._toml import read_toml, toml_line
 from asterism.errors import AsterismError, guarded_reading
-from asterism.formats._atomic import utf8, write_atomically
-from asterism.formats._npz_members import arrays_of_npz
-from asterism.formats._text import read_bytes
+from asterism.files.atomic import utf8, write_atomically
+from asterism.files.npz import arrays_of_npz
+from asterism.files.text import read_bytes
+from asterism.files.toml import read_toml, toml_line
 from asterism.garment.identities import RING, count_rings, grid_identities, identities
 from asterism.recording import Floats, Ints
 

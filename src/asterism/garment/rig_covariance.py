@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from asterism.calibration.boards import BoardCalibration
 from asterism.cameras.bundle import PARAMETERS
 from asterism.errors import AsterismError, guarded_reading
-from asterism.formats._atomic import write_atomically
-from asterism.formats._npz_members import arrays_of_npz
-from asterism.formats._text import read_bytes
+from asterism.files.atomic import write_atomically
+from asterism.files.npz import arrays_of_npz
+from asterism.files.text import read_bytes
 from asterism.recording import Floats
 
 FORMAT_VERSION = 1

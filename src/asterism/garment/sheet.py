@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.files.atomic import utf8, write_atomically
 from asterism.findings import Finding, Severity
-from asterism.formats._atomic import utf8, write_atomically
 from asterism.garment.pattern import Pattern
 from asterism.recording import Floats
 

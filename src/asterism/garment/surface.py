@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from asterism.errors import AsterismError
-from asterism.formats._atomic import utf8, write_atomically
+from asterism.files.atomic import utf8, write_atomically
 from asterism.garment.dense import DensePoints
 from asterism.garment.pattern import Pattern
 from asterism.recording import Floats, Ints

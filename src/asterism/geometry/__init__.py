@@ -1,7 +1,7 @@
 """Arrays in; rotations, rigid motions, ray intersections and small matrices out.
 
 Points are rows (..., 3) in metres. A rotation R (3, 3) acts as R @ point, for rows as points @ R.T. Kernels for other rooms are in
-`geometry._kernels`.
+`geometry.shared_kernels`.
 """
 
 from asterism.geometry.rays import intersect_rays, nearest_point_to_lines

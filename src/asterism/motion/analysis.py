@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -92,8 +92,18 @@ def analyse_motion(
 
     limbs  which markers are on which limb, such as `MarkerSet.segments`; or how many limbs there are; or None to find them all
 
-    Raises AsterismError where a marker is absent, a limb has fewer than three points that are not in a line, or no limb is found.
+    A limb that never shows three points at once that are not in a line is left out, with a finding, where two or more others remain.
+    Angles are NaN in frames that do not show both limbs.
+    Raises AsterismError where a marker is absent, a limb is given fewer than three, no limb is found, or fewer than two limbs remain.
     For costs see `segment_limbs` and `estimate_limb_motion`.
+
+    >>> from asterism.simulation.soft_tissue import TrialPlan, simulate_soft_tissue
+    >>> knee = simulate_soft_tissue(TrialPlan("knee", points=40, frames=30), seed=1).recording
+    >>> analysis = analyse_motion(knee, limbs=2)
+    >>> [joint.name for joint in analysis.angles]
+    ['limb 1 / limb 2']
+    >>> bool(90 < np.degrees(analysis.angles[0].angle.max()) < 100)
+    True
     """
     rules = rules or MotionRules()
     segmentation = None
@@ -102,20 +112,30 @@ def analyse_motion(
     else:
         segmentation = segment_limbs(recording.positions, limbs, rules=rules.segmentation, progress=progress)
         limb_of, names = segmentation.limb_of, tuple(f"limb {i + 1}" for i in range(segmentation.limbs))
-    points = [recording.positions[:, limb_of == limb] for limb in range(len(names))]
-    motions = []
-    for name, own in zip(names, points, strict=True):
+    file = recording.metadata.get("file", "recording")
+    motions, kept, left_out, problems = [], [], [], []
+    for limb, name in enumerate(names):
+        own = recording.positions[:, limb_of == limb]
         try:
             motions.append(estimate_limb_motion(own, rules.method, rules=rules.limb))
-        except AsterismError as problem:
-            raise AsterismError(f"{recording.metadata.get('file', 'recording')}, {name}: {problem}") from None
+            kept.append(limb)
+        except AsterismError as error:
+            problems.append(f"{file}, {name}: {error}")
+            if own.shape[1] < 3:
+                raise AsterismError(problems[-1]) from None
+            left_out.append(_left_out(name, str(error)))
         if progress is not None:
-            progress(len(motions) / len(names), "following limbs")
+            progress((limb + 1) / len(names), "following limbs")
+    if problems and len(kept) < 2:  # one limb alone has no joint, so there is no angle to give in spite of the other
+        raise AsterismError(problems[0])
+    limb_of = np.array([kept.index(limb) if limb in kept else -1 for limb in limb_of])
+    names = tuple(names[limb] for limb in kept)
+    points = [recording.positions[:, limb_of == limb] for limb in range(len(names))]
     skeleton = find_skeleton(motions, points, method=rules.joint_method)
     angles = tuple(joint_angles(motions[a], motions[b], (a, b), f"{names[a]} / {names[b]}") for a, b in skeleton.pairs)
     joints = [skeleton.joints[child] for _, child in skeleton.pairs]
     centres = np.array([joint.centres(motions[a], motions[b]) for (a, b), joint in zip(skeleton.pairs, joints, strict=True) if joint])
-    found = tuple(_findings(recording, limb_of, angles))
+    found = (*left_out, *_findings(recording, limb_of, angles), *_apart(names, skeleton))
     logged = recording.logged("motion estimated", "asterism", method=rules.method, joints=rules.joint_method, limbs=len(names))
     return MotionAnalysis(
         logged, limb_of, names, tuple(motions), skeleton, angles, centres.reshape(len(angles), len(recording), 3), segmentation, found
@@ -134,14 +154,6 @@ def joint_angles(parent: LimbMotion, child: LimbMotion, pair: tuple[int, int] = 
     return JointAngles(*pair, name, rotation_vectors(since), flexion, axis, zero)
 
 
-def with_motions(analysis: MotionAnalysis, motions: Sequence[LimbMotion]) -> tuple[JointAngles, ...]:
-    """The angles that other motions of the same limbs give, as `analysis` names them."""
-    return tuple(
-        replace(joint_angles(motions[one.parent], motions[one.child]), parent=one.parent, child=one.child, name=one.name)
-        for one in analysis.angles
-    )
-
-
 def _given_limbs(recording: Recording, limbs: Mapping[str, Sequence[str]]) -> tuple[tuple[str, ...], Ints]:
     limb_of, taken = np.full(len(recording.labels), -1), dict[str, str]()
     file = recording.metadata.get("file", "the recording")
@@ -156,6 +168,19 @@ def _given_limbs(recording: Recording, limbs: Mapping[str, Sequence[str]]) -> tu
     if not limbs:
         raise AsterismError("no limb was named; name the markers of one or more, or let them be found.")
     return tuple(limbs), limb_of
+
+
+def _left_out(name: str, why: str) -> Finding:
+    sentence = f"{name} is left out: {why}"
+    return Finding("motion-limb-left-out", Severity.WARNING, name, sentence, "Fill the gaps of its markers, or leave it out of the limbs.")
+
+
+def _apart(names: Sequence[str], skeleton: Skeleton) -> list[Finding]:
+    """A finding for each limb without a joint, where there are others."""
+    joined = {limb for pair in skeleton.pairs for limb in pair}
+    alone = [name for limb, name in enumerate(names) if limb not in joined]
+    said, mend = "is seen with no other limb in three frames, so it has no joint.", "Record or fill frames that show it with its neighbour."
+    return [Finding("motion-limb-alone", Severity.WARNING, name, f"{name} {said}", mend) for name in alone if len(names) > 1]
 
 
 def _findings(recording: Recording, limb_of: Ints, angles: Sequence[JointAngles]) -> list[Finding]:

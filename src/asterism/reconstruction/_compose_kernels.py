@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.geometry._kernels import symmetric_inverse
+from asterism.geometry.shared_kernels import symmetric_inverse
 from asterism.reconstruction._fit_kernels import FitWorkspace, add_ray, closest_point, fit, fit_and_prune, fit_workspace, set_zero
 from asterism.reconstruction._hypothesis_kernels import append_hypothesis, empty_hypotheses, same_rays
 from asterism.reconstruction._input_kernels import END, FEWEST, FIRST, GATE, NOISE, inside_volume

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.geometry._kernels import symmetric_inverse, where_lines_approach
+from asterism.geometry.shared_kernels import symmetric_inverse, where_lines_approach
 from asterism.reconstruction._input_kernels import GATE, NOISE, in_camera_axes
 
 MOST_DROPPED = 4

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.geometry._kernels import symmetric_inverse
+from asterism.geometry.shared_kernels import symmetric_inverse
 from asterism.reconstruction._compose_kernels import compose
 from asterism.reconstruction._fit_kernels import add_ray, fit, fit_and_prune, fit_workspace, set_zero
 from asterism.reconstruction._input_kernels import NOISE, frame_arrays, inside_volume

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.cameras._kernels import FX, FY, distorted
 from asterism.reconstruction._order_kernels import ascending
 
 NOISE, GAIN, MISSING, LOW, HIGH, LENS = 15, 16, 17, 18, 20, 22
@@ -50,20 +49,6 @@ class FrameArrays(NamedTuple):
     blobs: np.ndarray
     grid: np.ndarray
     bins: np.ndarray
-
-
-@kernel
-def pixel_jacobian(lens, normalised, out):
-    """How far a blob moves in the image when its ray does.
-
-    IN  lens (LENS,); normalised (n, 2) undistorted coordinates
-    OUT out (n, 4) px: du/dx, du/dy, dv/dx, dv/dy
-    O(n), no allocation.
-    """
-    for i in range(len(normalised)):
-        _, _, ux, uy, vx, vy = distorted(lens, normalised[i, 0], normalised[i, 1])
-        out[i, 0], out[i, 1] = lens[FX] * ux, lens[FX] * uy
-        out[i, 2], out[i, 3] = lens[FY] * vx, lens[FY] * vy
 
 
 @kernel

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.cameras.accuracy._kernels import pixel_jacobians
-from asterism.geometry._kernels import symmetric_inverse
+from asterism.cameras.accuracy.jacobian_kernels import pixel_jacobians
+from asterism.geometry.shared_kernels import symmetric_inverse
 from asterism.reconstruction._fit_kernels import add_ray, closest_point, fit, fit_workspace, set_zero
 from asterism.reconstruction._frame_kernels import write_point
 from asterism.reconstruction._input_kernels import END, FEWEST, FIRST, GATE, LENS, NOISE, frame_arrays, inside_volume

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.cameras._kernels import CX, CY, FX, FY, distorted
-from asterism.geometry._kernels import symmetric_inverse
+from asterism.cameras.lens_kernels import CX, CY, FX, FY, distorted
+from asterism.geometry.shared_kernels import symmetric_inverse
 from asterism.reconstruction._input_kernels import (
     CELLS,
     END,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.cameras import Camera, Rig
-from asterism.cameras.accuracy._kernels import pixel_jacobians
+from asterism.cameras.accuracy.jacobian_kernels import pixel_jacobians
 from asterism.findings import Finding, Severity
 from asterism.reconstruction.problem import image_bounds
 from asterism.reconstruction.result import Reconstruction

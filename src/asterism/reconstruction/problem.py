@@ -37,7 +37,7 @@ class ObservationModel:
 
 
 @dataclass(frozen=True)
-class Problem:
+class ReconstructionProblem:
     """What is given, whatever the observation model.
 
     rig          the cameras, in the order of the blobs' cameras

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from asterism.cameras import Rig
+from asterism.cameras.lens_kernels import pixel_jacobian
 from asterism.reconstruction._frame_kernels import RayArrays
-from asterism.reconstruction._input_kernels import first_of_duplicates, pixel_jacobian
+from asterism.reconstruction._input_kernels import first_of_duplicates
 from asterism.recording import Blobs, Floats
 
 
 @dataclass(frozen=True)
-class Rays:
+class BlobRays:
     """Blobs as rays.
 
     blobs       those that have a ray
@@ -31,7 +32,7 @@ class Rays:
         return RayArrays(self.normalised, self.jacobian, self.blobs.offsets)
 
 
-def to_rays(blobs: Blobs, rig: Rig) -> tuple[Rays, int, int]:
+def to_rays(blobs: Blobs, rig: Rig) -> tuple[BlobRays, int, int]:
     """The rays of all blobs; how many blobs were left out because the lens model has no ray there, and how many as duplicates."""
     normalised = np.empty_like(blobs.xy)
     camera_of = blobs.camera_of
@@ -50,4 +51,4 @@ def to_rays(blobs: Blobs, rig: Rig) -> tuple[Rays, int, int]:
         of_camera = np.empty((len(rows), 4))
         pixel_jacobian(camera.lens, normalised[rows], of_camera)
         jacobian[rows] = of_camera
-    return Rays(blobs, normalised, jacobian), int((~reached).sum()), int((reached & ~single).sum())
+    return BlobRays(blobs, normalised, jacobian), int((~reached).sum()), int((reached & ~single).sum())

@@ -17,8 +17,8 @@ from asterism.reconstruction._frame_kernels import PointArrays, reconstruct_fram
 from asterism.reconstruction._input_kernels import RigArrays
 from asterism.reconstruction._plain_kernels import reconstruct_frame_plain
 from asterism.reconstruction.observation_model import RULES, estimate_observation_model
-from asterism.reconstruction.problem import ObservationModel, Problem, common_view, image_bounds
-from asterism.reconstruction.rays import Rays, to_rays
+from asterism.reconstruction.problem import ObservationModel, ReconstructionProblem, common_view, image_bounds
+from asterism.reconstruction.rays import BlobRays, to_rays
 from asterism.reconstruction.result import Reconstruction
 from asterism.reconstruction.settings import ReconstructionSettings
 from asterism.recording import Blobs, Clouds, Floats, Ints, as_vertical
@@ -58,7 +58,7 @@ def reconstruct(
     blobs, masked = _masked(blobs, settings.mask_static, findings)
     rays = _rays(_on_common_clock(blobs, findings), rig, findings)
     bounds, corners = image_bounds(rays.blobs, rig), settings.corners
-    problem = Problem(rig, bounds, corners, common_view(rig, bounds, corners), settings.min_cameras, settings.gate)
+    problem = ReconstructionProblem(rig, bounds, corners, common_view(rig, bounds, corners), settings.min_cameras, settings.gate)
     run = partial(_points_and_residuals, rays)
     model, noise_known, looked_at = estimate_observation_model(problem, rays.blobs.counts, run, settings.noise)
     if not noise_known:
@@ -146,7 +146,7 @@ def _on_common_clock(blobs: Blobs, findings: list[Finding]) -> Blobs:
     return blobs
 
 
-def _rays(blobs: Blobs, rig: Rig, findings: list[Finding]) -> Rays:
+def _rays(blobs: Blobs, rig: Rig, findings: list[Finding]) -> BlobRays:
     rays, no_ray, duplicates = to_rays(blobs, rig)
     if no_ray:
         findings.append(
@@ -191,7 +191,7 @@ def _noise_unknown(blobs: int) -> Finding:
 
 
 @dataclass(frozen=True)
-class _Part:
+class _FramesPart:
     """What a run of frames gave: counts (T,) points of each frame; notes (T, 2), see `reconstruct_frames`."""
 
     points: PointArrays
@@ -199,7 +199,7 @@ class _Part:
     notes: Ints
 
 
-def _run_all(arrays: RigArrays, rays: Rays, method: str, progress: Progress | None) -> list[_Part]:
+def _run_all(arrays: RigArrays, rays: BlobRays, method: str, progress: Progress | None) -> list[_FramesPart]:
     run = _run_global if method == "global" else partial(_run_plain, method == "plain-covariance")
     parts = []
     for begin in range(0, len(rays.blobs), _CHUNK):
@@ -210,20 +210,20 @@ def _run_all(arrays: RigArrays, rays: Rays, method: str, progress: Progress | No
     return parts
 
 
-def _points_and_residuals(rays: Rays, arrays: RigArrays, begin: int, end: int) -> tuple[Ints, Floats, Floats]:
+def _points_and_residuals(rays: BlobRays, arrays: RigArrays, begin: int, end: int) -> tuple[Ints, Floats, Floats]:
     points = _run_global(arrays, rays, begin, end).points
     return points.rays, points.points, points.residual
 
 
-def _run_global(arrays: RigArrays, rays: Rays, begin: int, end: int) -> _Part:
+def _run_global(arrays: RigArrays, rays: BlobRays, begin: int, end: int) -> _FramesPart:
     offsets, cameras = rays.blobs.offsets, len(rays.blobs.cameras)
     out = _empty_points(int(offsets[end * cameras] - offsets[begin * cameras]) // 2, cameras)
     counts, notes = np.zeros(end - begin, dtype=np.int64), np.zeros((end - begin, 2), dtype=np.int64)
     total = reconstruct_frames(arrays, rays.arrays, begin, end, out, counts, notes)
-    return _Part(_first_points(out, total), counts, notes)
+    return _FramesPart(_first_points(out, total), counts, notes)
 
 
-def _run_plain(by_covariance: bool, arrays: RigArrays, rays: Rays, begin: int, end: int) -> _Part:
+def _run_plain(by_covariance: bool, arrays: RigArrays, rays: BlobRays, begin: int, end: int) -> _FramesPart:
     cameras, capacity = len(rays.blobs.cameras), _FIRST_CAPACITY
     frames = []
     notes = np.zeros((end - begin, 2), dtype=np.int64)
@@ -237,7 +237,7 @@ def _run_plain(by_covariance: bool, arrays: RigArrays, rays: Rays, begin: int, e
         frames.append(_first_points(out, kept))
         notes[t - begin] = versions, 1
     counts = np.array([len(frame.rays) for frame in frames], dtype=np.int64)
-    return _Part(_joined(frames, cameras), counts, notes)
+    return _FramesPart(_joined(frames, cameras), counts, notes)
 
 
 def _empty_points(size: int, cameras: int) -> PointArrays:
@@ -253,9 +253,9 @@ def _joined(parts: list[PointArrays], cameras: int) -> PointArrays:
 
 
 def _assembled(
-    parts: list[_Part],
+    parts: list[_FramesPart],
     blobs: Blobs,
-    problem: Problem,
+    problem: ReconstructionProblem,
     model: ObservationModel,
     method: str,
     masked: Ints,

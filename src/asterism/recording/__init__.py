@@ -7,7 +7,7 @@ from asterism.recording.known_labels import Disagreement, check_labels, is_partl
 from asterism.recording.marker_set import MarkerSet, canonical, is_unnamed, shipped_marker_sets, without_subject
 from asterism.recording.processing import ProcessingStep, log_as_text, log_from_text
 from asterism.recording.shares import SURE, LabelShares, LabelStates, label_shares, label_states
-from asterism.recording.trajectories import Event, Recording, RecordingPage, keep_labels
+from asterism.recording.trajectories import Event, Recording, keep_labels, subject_of
 from asterism.recording.verdict import Verdict
 from asterism.recording.worn_set import WornSet, worn_marker_sets
 
@@ -27,7 +27,6 @@ __all__ = [
     "MarkerSet",
     "ProcessingStep",
     "Recording",
-    "RecordingPage",
     "Verdict",
     "WornSet",
     "as_vertical",
@@ -41,6 +40,7 @@ __all__ = [
     "log_as_text",
     "log_from_text",
     "shipped_marker_sets",
+    "subject_of",
     "without_subject",
     "worn_marker_sets",
 ]

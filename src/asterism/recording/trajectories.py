@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib import import_module
-from pathlib import Path
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,29 +28,14 @@ class Event:
 
     `time` is in seconds on the file's clock (0 is the first sample of the trial, which need not be the first frame
     that is stored); `context` is the side or subject that the file names ("Left", "Right", "General", or empty).
+
+    >>> Event("Foot Strike", time=1.25, context="Left")
+    Event(label='Foot Strike', time=1.25, context='Left')
     """
 
     label: str
     time: float
     context: str = ""
-
-
-@dataclass(frozen=True)
-class RecordingPage:
-    """A page that shows a recording, as `Recording.plot` writes it."""
-
-    path: Path
-
-    def open(self) -> None:
-        """Show the page in the default browser."""
-        import webbrowser
-
-        webbrowser.open(self.path.absolute().as_uri())
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        return f'<iframe srcdoc="{escape(self.path.read_text(encoding="utf-8"))}" width="100%" height="640" style="border:0"></iframe>'
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -71,7 +55,15 @@ class Recording:
     first_frame  the number that the file gives the first frame; 1 for a trial that is stored from its start
     log        what was done to the recording since it was captured, oldest step first
 
+    `asterism.report.plot_recording` plays one.
+
     Two recordings are equal if they show the same: positions, labels, rate, vertical, events and number of the first frame.
+
+    >>> walk = Recording(np.zeros((200, 2, 3)), ("LKNE", "RKNE"), rate=100.0)
+    >>> walk
+    Recording(frames: 200 at 100 Hz (2 s), labels: LKNE, RKNE)
+    >>> walk.select(["RKNE"]).frames(slice(50, 150)).times[[0, -1]]
+    array([0.5 , 1.49])
     """
 
     positions: Floats
@@ -191,19 +183,6 @@ class Recording:
             attrs={"units": "m", "rate": self.rate, "vertical": self.vertical.tolist()},
         )
 
-    def plot(self, path: str | Path | None = None) -> RecordingPage:
-        """A page that plays the recording, written to `path`, by default to a temporary file.
-
-        In a notebook the page is shown; elsewhere `.open()` shows it in the browser. Raises AsterismError where there is nothing to plot,
-        or the file cannot be written.
-        """
-        if path is None:
-            from tempfile import mkdtemp
-
-            path = Path(mkdtemp(prefix="asterism-")) / "recording.html"
-        import_module("asterism.report").recording_report(path, self)  # a room below this one, which only this method needs
-        return RecordingPage(Path(path))
-
     @property
     def visible(self) -> NDArray[np.bool_]:
         """(T, M) whether a sample is present."""
@@ -268,6 +247,12 @@ class Recording:
         that name. `clouds` are the clouds that were labelled, by default `self.clouds()`. The source, events and metadata stay,
         and `by`, such as the model's file, goes into the processing log.
         Raises AsterismError where the clouds are not this recording's.
+
+        >>> from asterism.recording import Labelling
+        >>> cloud = Recording(np.array([[[0.0, 0.0, 1.0], [0.3, 0.0, 1.0]]]), ("*1", "*2"), rate=100.0)
+        >>> given = Labelling(np.array([[1]]), np.array([[0.998]]), ("LKNE",))
+        >>> cloud.with_labelling(given).labels
+        ('LKNE', '*1')
         """
         clouds = self.clouds() if clouds is None else clouds
         frames, markers = np.nonzero(labelling.indices >= 0)
@@ -297,6 +282,11 @@ class Recording:
             labels=(*labelling.names, *names),
             origin=np.concatenate([new_origin, rest_origin], axis=1),
         ).logged("labelled", by)
+
+
+def subject_of(recording: Recording) -> str:
+    """The subject of a recording: `metadata["subject"]`, else the folder of its file."""
+    return str(recording.metadata.get("subject") or PurePath(str(recording.metadata.get("file", ""))).parent)
 
 
 def _events_at(events: Sequence[Event], times: Floats, later: Floats, rate: float) -> tuple[Event, ...]:

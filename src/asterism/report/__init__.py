@@ -7,7 +7,7 @@ from asterism.report.evaluation import evaluation_report
 from asterism.report.label import LabelledRecording, label_report
 from asterism.report.naming import naming_report
 from asterism.report.player import player_script, player_style
-from asterism.report.recording import recording_report
+from asterism.report.recording import RecordingPage, plot_recording, recording_report
 from asterism.report.refinement import refinement_report
 from asterism.report.review import ReviewEntry, review_report
 from asterism.report.rig import rig_report
@@ -16,6 +16,7 @@ from asterism.report.wand import wand_report
 
 __all__ = [
     "LabelledRecording",
+    "RecordingPage",
     "ReviewEntry",
     "board_report",
     "capturability_report",
@@ -27,6 +28,7 @@ __all__ = [
     "naming_report",
     "player_script",
     "player_style",
+    "plot_recording",
     "recording_report",
     "refinement_report",
     "review_report",

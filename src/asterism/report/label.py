@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from asterism.recording import Clouds, Floats, Ints, Labelling, LabelStates, MarkerSet, label_states
 from asterism.recording.shares import SURE
 from asterism.recording.verdict import FITS, OTHER_BODY
-from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, tinted, write_page
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, short_names, tinted, write_page
 from asterism.report.player import WRONG, ShownRecording, pack_recordings
 
 
@@ -91,7 +91,7 @@ def label_report(
     unnamed = ["the recording"] if len(recordings) == 1 else [f"recording {i + 1}" for i in range(len(recordings))]
     given_rows = [*files, *({"file": name} for name in unnamed[len(files) :])]
     rows = [{**_counted(recordings, i, row), **row} for i, row in enumerate(given_rows)]
-    names = _short_names([str(row.get("file", "")) or "the recording" for row in rows])
+    names = short_names([str(row.get("file", "")) or "the recording" for row in rows])
     sections = [
         Section("Files", table=_files(rows, names), note=_note(recordings)),
         *([_against_truth(recordings)] if any(one.truth is not None for one in recordings) else []),
@@ -236,12 +236,6 @@ def _verdict(row: Mapping[str, Any]) -> Cell:
     verdict = ", ".join([*([str(use)] if use else []), *([str(kind)] if kind and not (use and kind == FITS) else [])]) or NOTHING
     fine = kind in (None, FITS) and row.get("readiness") in (None, "ready")
     return Cell(verdict, 0.0 if fine else 1.0, "bad" if kind == OTHER_BODY or row.get("readiness") == "do-not-use" else "warn")
-
-
-def _short_names(files: Sequence[str]) -> list[str]:
-    """What to call each file: its name, with its folder where another file has the same name."""
-    names = [Path(file).name for file in files]
-    return [name if names.count(name) == 1 else "/".join(Path(file).parts[-2:]) for file, name in zip(files, names, strict=True)]
 
 
 def _against_truth(recordings: Sequence[LabelledRecording]) -> Section:

@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cache
 from importlib import metadata, resources
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,8 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from asterism.formats._atomic import utf8, write_atomically
+from asterism.files.atomic import utf8, write_atomically
+from asterism.findings import Finding, Severity
 from asterism.report.player import deflated, player_script, player_style
 
 NOTHING = "–"
@@ -83,7 +85,7 @@ def write_page(path: str | Path, page: Page) -> None:
     facts = {"Asterism": _version(), **page.facts, "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")}
     html = environment.get_template("page.html").render(
         page=page,
-        facts={name: _fact_text(value) for name, value in facts.items() if value is not None},
+        facts={name.replace("_", " "): _fact_text(value) for name, value in facts.items() if not _says_nothing(value)},
         style=_template("page.css") + player_style(),
         script=player_script() + _template("page.js") if figures or players else "",
         plotly=_plotly() if figures else "",
@@ -117,13 +119,44 @@ def visible_text(value: Any) -> Any:
 
 
 def percent(share: float, digits: int = 1) -> str:
-    """A share 0..1 as text: 99.2 %; a dash where it is not known."""
+    """A share 0..1 as text: 99.2 %; a dash where it is not known.
+
+    >>> percent(0.9921), percent(float("nan"))
+    ('99.2 %', '–')
+    """
     return NOTHING if share is None or math.isnan(share) else f"{100 * share:.{digits}f} %"
 
 
 def count(number: float) -> str:
     """A whole number with separated thousands; a dash where it is not known."""
     return NOTHING if number is None or math.isnan(number) else f"{number:,.0f}"
+
+
+def decimal(value: float, digits: int, unit: str = "") -> str:
+    """A number with so many digits behind the point, and its unit; a dash where it is not known."""
+    return f"{value:.{digits}f}{unit}" if math.isfinite(value) else NOTHING
+
+
+def millimetres(metres: float, digits: int = 2) -> str:
+    """A length in m as text: 0.32 mm; a dash where it is not known."""
+    return decimal(1000 * metres, digits, " mm")
+
+
+_SEVERITIES = {Severity.ERROR: Cell("do not use", 1.0, "bad"), Severity.WARNING: Cell("look at this", 0.6), Severity.NOTE: Cell("note")}
+
+
+def findings_table(findings: Sequence[Finding], more: Sequence[Sequence[str | Cell]] = ()) -> Table:
+    """What was found, the more severe ones tinted, and `more` rows; one row that says so where there is nothing."""
+    rows: list[Sequence[str | Cell]] = [(_SEVERITIES[finding.severity], str(finding)) for finding in findings]
+    rows += more
+    return Table(["", "what was found"], rows or [["good", "nothing speaks against it"]], left=2)
+
+
+def short_names(files: Sequence[str]) -> list[str]:
+    """What to call each file: its name, with its folder where another file has the same name."""
+    names = {file: Path(file).name for file in files}
+    twice = {name for name in names.values() if list(names.values()).count(name) > 1}
+    return ["/".join(Path(file).parts[-2:]) if names[file] in twice else names[file] for file in files]
 
 
 def tinted(share: float, digits: int, worst: float, kind: str = "warn") -> Cell:
@@ -147,7 +180,15 @@ def plain(value: Any) -> Any:
     return value
 
 
+def _says_nothing(value: Any) -> bool:
+    return value is None or (isinstance(value, str | list | tuple | Mapping) and not value)
+
+
 def _fact_text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{str(key).replace('_', ' ')} {_fact_text(item)}" for key, item in value.items() if not _says_nothing(item))
     return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
@@ -156,8 +197,9 @@ def _as_script(value: Any) -> str:
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
+@cache
 def _plotly() -> str:
-    """Plotly's script, deflated: 2 MB of a page instead of 5."""
+    """Plotly's script, deflated: 2 MB of a page instead of 5. Half a second, once for all pages of a process."""
     from plotly.offline import get_plotlyjs
 
     load: Callable[[], str] = get_plotlyjs

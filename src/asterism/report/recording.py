@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import webbrowser
+from dataclasses import dataclass
+from html import escape
 from pathlib import Path
+from tempfile import mkdtemp
 
 import numpy as np
 
@@ -13,8 +17,38 @@ from asterism.report.page import Page, Section, count, percent, write_page
 from asterism.report.player import ShownRecording, pack_recordings
 
 
+@dataclass(frozen=True)
+class RecordingPage:
+    """A page that shows a recording, as `plot_recording` writes it."""
+
+    path: Path
+
+    def open(self) -> None:
+        """Show the page in the default browser."""
+        webbrowser.open(self.path.absolute().as_uri())
+
+    def _repr_html_(self) -> str:
+        return f'<iframe srcdoc="{escape(self.path.read_text(encoding="utf-8"))}" width="100%" height="640" style="border:0"></iframe>'
+
+
+def plot_recording(recording: Recording, path: str | Path | None = None) -> RecordingPage:
+    """A page that plays the recording, written to `path`, by default to a temporary file.
+
+    In a notebook the page is shown; elsewhere `.open()` shows it in the browser. Raises AsterismError where there is nothing to plot,
+    or the file cannot be written.
+
+    >>> from asterism.simulation import simulate_walks
+    >>> page = plot_recording(simulate_walks(1, frames=20)[0], "walk.html")
+    >>> page.path.exists()
+    True
+    """
+    target = Path(mkdtemp(prefix="asterism-")) / "recording.html" if path is None else Path(path)
+    recording_report(target, recording)
+    return RecordingPage(target)
+
+
 def recording_report(path: str | Path, recording: Recording) -> None:
-    """Write an HTML page that plays a recording under its own labels. `Recording.plot` calls it.
+    """Write an HTML page that plays a recording under its own labels. `plot_recording` calls it.
 
     Columns without a name are drawn as points without a label. A recording that is too long for the page is shown with fewer frames per
     second. Raises AsterismError where the recording has no frames or no columns, or the file cannot be written.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from asterism.recording import Clouds, Labelling, MarkerSet
-from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, write_page
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, short_names, write_page
 from asterism.report.player import IN_QUESTION, ShownRecording, pack_recordings
 
 if TYPE_CHECKING:
@@ -66,7 +66,8 @@ def review_report(
 
     Raises AsterismError where the file cannot be written.
     """
-    names = _short_names([entry.file for entry in entries])
+    files = [entry.file for entry in entries]
+    names = dict(zip(files, short_names(files), strict=True))
     head = sum(entry.item.gain for entry in entries)
     number, gain = totals or (len(entries), head)
     merits = [
@@ -106,12 +107,6 @@ def _advice(item: ReviewItem) -> str:
     if item.alternatives:
         return f"It could be {alternatives_text(item)}."
     return "Only some of its frames have a low confidence." if item.marker else "It may be a ghost."
-
-
-def _short_names(files: Sequence[str]) -> dict[str, str]:
-    """What to call each file: its name, with its folder where another file has the same name."""
-    names = [Path(file).name for file in dict.fromkeys(files)]
-    return {file: Path(file).name if names.count(Path(file).name) == 1 else "/".join(Path(file).parts[-2:]) for file in files}
 
 
 def _table(entries: Sequence[ReviewEntry], names: Mapping[str, str], opens: bool) -> Table:

@@ -53,6 +53,9 @@ def marker_sides(names: Sequence[str], marker_set: MarkerSet | None = None) -> l
 
     By the pairs of the marker set, or of a shipped one with these markers; other markers by their names: LKNE beside RKNE, L.Knee,
     KneeOut_L, left_heel.
+
+    >>> marker_sides(["LKNE", "RKNE", "SACR", "left_heel"])
+    ['left', 'right', 'middle', 'left']
     """
     known = marker_set if marker_set is not None and marker_set.pairs else known_set(names)
     side: dict[str, str] = {}

@@ -11,7 +11,7 @@ from asterism.cameras import Camera, Rig
 from asterism.cameras.accuracy import RigMap, Volume
 from asterism.geometry import z_up_rotation
 from asterism.recording import Floats, as_vertical
-from asterism.report.figures import PALETTE, Figure, figure
+from asterism.report.figures import PALETTE, Figure, cell_axes, colour_bar, figure, in_space, titled
 
 LAYERS = 4
 """So many slices through a volume."""
@@ -32,46 +32,23 @@ def rig_in_space(
     data.append(_lines(edges, turn, PALETTE[0], 3))
     if volume is not None:
         data.append(_lines(_box(volume), turn, "#9aa4b5", 2))
-    x, y, z = (eyes @ turn.T).T
-    data.append(
-        {
-            "type": "scatter3d",
-            "mode": "markers+text",
-            "x": np.round(x, 3),
-            "y": np.round(y, 3),
-            "z": np.round(z, 3),
-            "text": list(rig.names),
-            "textposition": "top center",
-            "textfont": {"size": 11},
-            "marker": {"size": 3, "color": PALETTE[0]},
-            "hovertemplate": "%{text}: %{x:.2f}, %{y:.2f}, %{z:.2f} m<extra></extra>",
-            "showlegend": False,
-        }
-    )
-    if points is not None and len(points):
-        x, y, z = (np.asarray(points) @ turn.T).T
-        shade: Any = PALETTE[2] if values is None else np.round(np.asarray(values, dtype=np.float64), 4)
-        bar = {"title": {"text": what, "side": "right"}, "thickness": 12, "outlinewidth": 0}
-        data.append(
-            {
-                "type": "scatter3d",
-                "mode": "markers",
-                "x": np.round(x, 3),
-                "y": np.round(y, 3),
-                "z": np.round(z, 3),
-                "marker": {"size": 3, "color": shade, **({} if values is None else {"colorscale": "Viridis", "colorbar": bar})},
-                "hovertemplate": "%{x:.2f}, %{y:.2f}, %{z:.2f} m" + ("" if values is None else ": %{marker.color:.3g}") + "<extra></extra>",
-                "showlegend": False,
-            }
-        )
-    axis = {
-        "title": {"text": ""},
-        "backgroundcolor": "#f7f9fc",
-        "gridcolor": "#dfe5ee",
-        "showspikes": False,
-        "ticksuffix": " m",
-        "nticks": 6,
+    named: dict[str, Any] = {
+        "text": list(rig.names),
+        "textposition": "top center",
+        "textfont": {"size": 11},
+        "mode": "markers+text",
+        "showlegend": False,
     }
+    place = "%{x:.2f}, %{y:.2f}, %{z:.2f} m"
+    hover = "%{text}: " + place + "<extra></extra>"
+    data.append(in_space(eyes @ turn.T, marker={"size": 3, "color": PALETTE[0]}, hovertemplate=hover, **named))
+    if points is not None and len(points):
+        marker: dict[str, Any] = {"size": 3, "color": PALETTE[2]}
+        if values is not None:
+            marker |= {"color": np.round(np.asarray(values, dtype=np.float64), 4), "colorscale": "Viridis", "colorbar": colour_bar(what)}
+        hover = place + ("" if values is None else ": %{marker.color:.3g}") + "<extra></extra>"
+        data.append(in_space(np.asarray(points) @ turn.T, marker=marker, hovertemplate=hover, showlegend=False))
+    axis = titled("", backgroundcolor="#f7f9fc", gridcolor="#dfe5ee", showspikes=False, ticksuffix=" m", nticks=6)
     view = {"eye": {"x": 1.1, "y": -1.35, "z": 0.95}, "center": {"x": 0, "y": 0, "z": -0.12}}
     scene = {"aspectmode": "data", "xaxis": axis, "yaxis": axis, "zaxis": axis, "camera": view}
     return figure(data, height=520, scene=scene)
@@ -86,42 +63,23 @@ def slices(result: RigMap, values: Floats, vertical: Floats, what: str, shades: 
     layers = np.unique(np.linspace(0, count - 1, min(LAYERS, count)).round().astype(np.int64))
     layers = layers if vertical[axis] > 0 else layers[::-1]
     wide, deep = result.volume.size[across], result.volume.size[along]
-    data, layout = [], {}
+    data: list[dict[str, Any]] = []
+    layout: dict[str, Any] = {}
     for n, layer in enumerate(layers):
         left, right = (n + 0.05) / len(layers), (n + 0.91) / len(layers)
-        suffix = "" if n == 0 else str(n + 1)
+        side = {"showgrid": False, "zeroline": False, "ticksuffix": " m", "nticks": 4, "tickfont": {"size": 10}, "constrain": "domain"}
+        height = float(result.axes[axis][layer] * np.sign(vertical[axis]))
+        title = {"text": f"{height:.1f} m high", "font": {"size": 12}}
+        up = {**side, "scaleanchor": "x" + ("" if n == 0 else str(n + 1)), "showticklabels": n == 0}
+        axes, sides = cell_axes(n, {**side, "title": title, "domain": [left, right]}, up)
+        layout |= sides
         data.append(
             {
-                "type": "heatmap",
-                "x": np.round(result.axes[across], 3),
-                "y": np.round(result.axes[along], 3),
-                "z": np.round(grid[layer].T, 4),
-                "xaxis": f"x{suffix}",
-                "yaxis": f"y{suffix}",
-                "zmin": low,
-                "zmax": high,
-                "colorscale": list(shades),
-                "showscale": n == len(layers) - 1,
-                "hovertemplate": "%{x:.2f}, %{y:.2f} m: %{z:.3g} " + what + "<extra></extra>",
-                "colorbar": {"title": {"text": what, "side": "right"}, "thickness": 12, "outlinewidth": 0},
+                "type": "heatmap", "x": np.round(result.axes[across], 3), "y": np.round(result.axes[along], 3),
+                "z": np.round(grid[layer].T, 4), "zmin": low, "zmax": high, "colorscale": list(shades), "colorbar": colour_bar(what),
+                "showscale": n == len(layers) - 1, "hovertemplate": "%{x:.2f}, %{y:.2f} m: %{z:.3g} " + what + "<extra></extra>", **axes,
             }
-        )
-        side = {"showgrid": False, "zeroline": False, "ticksuffix": " m", "nticks": 4, "tickfont": {"size": 10}}
-        height = float(result.axes[axis][layer] * np.sign(vertical[axis]))
-        layout[f"xaxis{suffix}"] = {
-            "title": {"text": f"{height:.1f} m high", "font": {"size": 12}},
-            **side,
-            "domain": [left, right],
-            "anchor": f"y{suffix}",
-            "constrain": "domain",
-        }
-        layout[f"yaxis{suffix}"] = {
-            **side,
-            "anchor": f"x{suffix}",
-            "scaleanchor": f"x{suffix}",
-            "constrain": "domain",
-            "showticklabels": n == 0,
-        }
+        )  # fmt: skip
     drawn = int(np.clip(90 + 900 / len(layers) * deep / wide, 220, 460))
     return figure(data, height=drawn, plot_bgcolor="#eef1f6", **layout)
 

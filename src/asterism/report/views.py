@@ -10,6 +10,7 @@ import numpy as np
 
 from asterism.cameras import Camera
 from asterism.recording import Floats
+from asterism.report.figures import line
 from asterism.report.page import Page, Section, Table, percent, write_page
 from asterism.views import ViewsLabelling
 from asterism.views.posing import posed_points
@@ -128,34 +129,23 @@ def _capsule(camera: Camera, start: Floats, end: Floats, radii: Floats) -> dict[
     seen = seen[np.isfinite(seen[:, 0])]
     outline = seen[ConvexHull(seen).vertices] if len(seen) >= 3 else np.empty((0, 2))
     closed = np.concatenate([outline, outline[:1]])
-    shape = {"type": "scatter", "mode": "lines", "fill": "toself", "fillcolor": _BODY, "hoverinfo": "skip", "showlegend": False}
-    return {**shape, "x": closed[:, 0].tolist(), "y": closed[:, 1].tolist(), "line": {"color": "rgba(11, 85, 99, 0.4)", "width": 1}}
+    shape: dict[str, Any] = {"fill": "toself", "fillcolor": _BODY, "hoverinfo": "skip", "showlegend": False}
+    return line(closed[:, 0].tolist(), closed[:, 1].tolist(), line={"color": "rgba(11, 85, 99, 0.4)", "width": 1}, **shape)
 
 
 def _lines(links: list[tuple[Floats, Floats]]) -> dict[str, Any]:
     """From where the body has its markers to their blobs."""
     x = [value for one, other in links for value in (float(one[0]), float(other[0]), None)]
     y = [value for one, other in links for value in (float(one[1]), float(other[1]), None)]
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": x,
-        "y": y,
-        "line": {"color": "#d9480f", "width": 1.5},
-        "name": "from the body to the blob",
-    }
+    return line(x, y, "from the body to the blob", line={"color": "#d9480f", "width": 1.5})
 
 
 def _dots(xy: Floats, names: np.ndarray, colour: str, symbol: str, what: str) -> dict[str, Any]:
     there = np.isfinite(xy[:, 0])
-    return {
-        "type": "scatter",
-        "mode": "markers+text",
-        "x": xy[there, 0].tolist(),
-        "y": xy[there, 1].tolist(),
+    text: dict[str, Any] = {
         "text": [str(name) for name in names[there]],
         "textposition": "top center",
         "textfont": {"size": 10, "color": colour},
-        "marker": {"color": colour, "symbol": symbol, "size": 7, "line": {"width": 1.5, "color": colour}},
-        "name": what,
     }
+    marker = {"color": colour, "symbol": symbol, "size": 7, "line": {"width": 1.5, "color": colour}}
+    return line(xy[there, 0].tolist(), xy[there, 1].tolist(), what, mode="markers+text", marker=marker, **text)

@@ -74,6 +74,11 @@ def compare_points(clouds: Clouds, positions: ArrayLike, wanted: ArrayLike, reac
     positions  (T, M, 3) m, where the markers were, NaN where they were not; wanted: (T, M) bool, those that should have been found
     reach      m: a point farther from every marker is a ghost
     Nearest pairs first, each point and marker once. Raises AsterismError where the numbers of frames differ.
+
+    >>> markers = np.array([[[0.0, 0.0, 1.0], [0.5, 0.0, 1.0]]])
+    >>> found = compare_points(Clouds.from_points(markers + 0.001, rate=100.0), markers, wanted=[[True, True]])
+    >>> found.truth.tolist(), found.found(within=0.003), found.ghosts
+    ([[0, 1]], 1.0, 0)
     """
     markers = np.asarray(positions, dtype=np.float64)
     if len(markers) != len(clouds):

@@ -8,7 +8,7 @@ import numpy as np
 
 from asterism.recording import Floats, Recording
 from asterism.simulation.cameras import Capsules
-from asterism.views.body import BodyModel, as_point
+from asterism.views.body import ArticulatedBody, as_point
 from asterism.views.posing import posed_points
 
 _FREE_ARMS = ("upper arm raising", "upper arm abduction", "forearm flexion")
@@ -17,7 +17,7 @@ _FREE_DEGREES = {"upper arm raising": (0.0, 110.0), "upper arm abduction": (0.0,
 
 
 def simulate_motion(
-    body: BodyModel, frames: int = 180, rate: float = 60.0, *, rng: np.random.Generator, offsets: float = 1.0
+    body: ArticulatedBody, frames: int = 180, rate: float = 60.0, *, rng: np.random.Generator, offsets: float = 1.0
 ) -> tuple[Recording, Capsules]:
     """A person of another size, with other marker places, who steps, bends, turns around and raises the arms within 0.4 m of the origin.
 

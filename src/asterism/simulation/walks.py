@@ -40,6 +40,10 @@ def simulate_walks(
     noise 0.5 mm, skin that slides 2 to 10 mm. Events: "Foot Strike" and "Foot Off" with context "Left" or "Right". Metadata: subject,
     height (m), trial, path. The same arguments give the same recordings, and the same seed the same people (`simulate_standing` too).
     Raises AsterismError where a number is not positive or a marker is not known.
+
+    >>> walk = simulate_walks(subjects=1, frames=60, seed=0)[0]
+    >>> walk.positions.shape, walk.labels[:3], walk.metadata["path"]
+    ((60, 15, 3), ('RASI', 'LASI', 'SACR'), 'straight')
     """
     _check(subjects=subjects, frames=frames, trials=trials, rate=rate)
     marker_set = MarkerSet.load(markers)
@@ -68,6 +72,10 @@ def simulate_standing(
 
     They stand upright with the arms a little away from the body and sway by some millimetres. For arguments, metadata and errors see
     `simulate_walks`; there are no events.
+
+    >>> standing = simulate_standing(subjects=1, frames=50, seed=0)[0]
+    >>> bool(np.ptp(standing.positions, axis=0).max() < 0.05)
+    True
     """
     _check(subjects=subjects, frames=frames, rate=rate)
     marker_set = MarkerSet.load(markers)

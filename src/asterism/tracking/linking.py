@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from asterism.recording import Clouds, Floats, Ints
-from asterism.tracking._chain_kernels import combine_directions, link_numbers, number_chains, sort_frames
 from asterism.tracking._cut_kernels import count_strays, find_cuts, repair_links
-from asterism.tracking._link_kernels import link_frames
-from asterism.tracking._link_workspace_kernels import LinkLimits, Links
+from asterism.tracking.chain_kernels import combine_directions, link_numbers, number_chains, sort_frames
+from asterism.tracking.link_kernels import link_frames
+from asterism.tracking.link_workspace_kernels import LinkLimits, Links
 
 
 @dataclass(frozen=True)

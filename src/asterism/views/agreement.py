@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.findings import Finding, Severity
-from asterism.labelling import SolverEnsemble
+from asterism.labelling import MarkerModel
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints
-from asterism.views.label import ViewsLabelling
+from asterism.views.result import ViewsLabelling
 
 _MANY = 0.05
 """Share of the compared points on which both disagree, from which a person is told."""
@@ -22,9 +22,9 @@ _DOUBT = 0.001
 
 
 def check_by_model(
-    result: ViewsLabelling, model: SolverEnsemble, *, least_confidence: float = 0.9, progress: Progress | None = None
+    result: ViewsLabelling, model: MarkerModel, *, least_confidence: float = 0.9, progress: Progress | None = None
 ) -> ViewsLabelling:
-    """The labelling, held against what a solver ensemble says of the points that two cameras or more show.
+    """The labelling, held against what a solver model says of the points that two cameras or more show.
 
     The model gets these points without names and labels them as a recording, without a look at the images. Where it names a point as the
     images do, or does not know, the confidence stays. Where it gives another name with the probability q, a label of the probability p is
@@ -38,7 +38,7 @@ def check_by_model(
     """
     columns = model.marker_set.columns_of(result.body.labels)
     frame, marker = np.nonzero(result.views >= 2)
-    named = model.label(_points_of(result, frame, marker), time=True, progress=progress) if len(frame) else None
+    named = model.label(_points_of(result, frame, marker), progress=progress) if len(frame) else None
     if named is None or not (columns >= 0).any():
         return result
     other = np.full(result.views.shape, NULL, dtype=np.int64)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from asterism.recording import Floats, Ints
 
 
-class BodyArrays(NamedTuple):
+class ArticulatedBodyArrays(NamedTuple):
     """A body model on flat arrays; rest positions are relative to the root's pivot, in metres.
 
     parents (B,), pivots (B, 3), hinge_starts (B + 1,), axes (J, 3), moves (B, J), low, high, usual (J,) rad, precision (J,) rad-2: bones
@@ -35,7 +35,7 @@ class BodyArrays(NamedTuple):
     radii: Floats
 
 
-class CameraArrays(NamedTuple):
+class PinholeArrays(NamedTuple):
     """Pinholes without lenses: blobs are undistorted before. Pixels are of the undistorted image around the principal point.
 
     rotations (C, 3, 3), translations (C, 3) m: camera from world; focals (C, 2) px; eyes (C, 3) m; limits (C, 4) px: left, right, top,

@@ -1,4 +1,4 @@
-"""Body models as TOML: files and shipped names in, `BodyModel` out, and back."""
+"""Body models as TOML: files and shipped names in, `ArticulatedBody` out, and back."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from asterism.errors import AsterismError, guarded_reading
-from asterism.views.body import BodyMarker, BodyModel, Bone, Capsule, Hinge, Point
+from asterism.views.body import ArticulatedBody, BodyMarker, Bone, Capsule, Hinge, Point
 
 _VERSION = 1
 _MOST = 2000
@@ -24,12 +24,12 @@ def shipped_bodies() -> tuple[str, ...]:
     return tuple(sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml")))
 
 
-def load_body(source: str | Path | BodyModel) -> BodyModel:
+def load_body(source: str | Path | ArticulatedBody) -> ArticulatedBody:
     """A shipped body by name ("gait15"), a TOML file by path, or a body model as it is.
 
     Raises AsterismError where the name is not shipped, or the file is missing, damaged or of a later version.
     """
-    if isinstance(source, BodyModel):
+    if isinstance(source, ArticulatedBody):
         return source
     if isinstance(source, str) and source in shipped_bodies():
         text = resources.files("asterism").joinpath("bodies", f"{source}.toml").read_text(encoding="utf-8")
@@ -41,14 +41,14 @@ def load_body(source: str | Path | BodyModel) -> BodyModel:
         return body_from_toml(path.read_text(encoding="utf-8", errors="replace"), str(path))
 
 
-def save_body(body: BodyModel, path: str | Path) -> None:
+def save_body(body: ArticulatedBody, path: str | Path) -> None:
     """Write a body as TOML, to be read back to the same numbers within 0.1 mm and 0.1 degrees. Raises AsterismError where it cannot be."""
-    from asterism.formats._atomic import write_atomically
+    from asterism.files.atomic import write_atomically
 
     write_atomically(Path(path), body_to_toml(body).encode())
 
 
-def body_from_toml(text: str, origin: str) -> BodyModel:
+def body_from_toml(text: str, origin: str) -> ArticulatedBody:
     """A body model from its TOML text; `origin` names it in messages. Raises AsterismError that names the first entry that is wrong."""
     try:
         table = tomllib.loads(text)
@@ -61,7 +61,7 @@ def body_from_toml(text: str, origin: str) -> BodyModel:
         raise AsterismError(f"{origin} is not a body model ({problem}); make one with `asterism body fit`.") from problem
 
 
-def _body(table: Mapping[str, Any], origin: str) -> BodyModel:
+def _body(table: Mapping[str, Any], origin: str) -> ArticulatedBody:
     bones = tuple(_bone(entry) for entry in _tables(table, "bones"))
     hinges = [hinge.name for bone in bones for hinge in bone.hinges]
     poses = {}
@@ -86,7 +86,7 @@ def _body(table: Mapping[str, Any], origin: str) -> BodyModel:
     }
     spread = _pair(table, "scale_spread") if "scale_spread" in table else (0.12, 0.04)
     title = table.get("title", origin)
-    return BodyModel(str(title), _number(table.get("height"), "height"), bones, markers, capsules, poses, aliases, spread)
+    return ArticulatedBody(str(title), _number(table.get("height"), "height"), bones, markers, capsules, poses, aliases, spread)
 
 
 def _bone(entry: Mapping[str, Any]) -> Bone:
@@ -154,7 +154,7 @@ def _pair(entry: Mapping[str, Any], key: str) -> tuple[float, float]:
     return (first, second)
 
 
-def body_to_toml(body: BodyModel) -> str:
+def body_to_toml(body: ArticulatedBody) -> str:
     """The body as the text of its TOML file."""
     lines = ['format = "asterism body"', f"version = {_VERSION}", f"title = {_quoted(body.title)}", f"height = {body.height:.4f} # m"]
     lines += [f"scale_spread = [{body.scale_spread[0]:.4f}, {body.scale_spread[1]:.4f}]"]

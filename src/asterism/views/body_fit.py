@@ -14,7 +14,7 @@ from asterism.views import anatomy
 from asterism.views._fit_kernels import fit_positions
 from asterism.views._pose_kernels import HINGES, PLACE, place_bones
 from asterism.views.arrays import Known
-from asterism.views.body import BodyMarker, BodyModel, as_point
+from asterism.views.body import ArticulatedBody, BodyMarker, as_point
 
 _ASIS_HEIGHT = 0.555
 """Height of the front of the pelvis as a share of stature, near the tables of Drillis and Contini (1966) for the hip (0.530)."""
@@ -60,7 +60,7 @@ def fit_body(
     title: str = "body",
     height: float | None = None,
     rules: BodyFitRules = RULES,
-) -> BodyModel:
+) -> ArticulatedBody:
     """A body model of one person, or the mean of several.
 
     standing  one standing trial of each person, upright; labels by their usual names (Helen Hayes, Plug-in Gait, Oxford foot)
@@ -138,7 +138,7 @@ def _common_names(standing: Sequence[Recording], posed: Sequence[Mapping[str, Fl
     return wanted.names
 
 
-def _rest_body(mean: Mapping[str, Floats], names: Sequence[str], title: str, height: float) -> BodyModel:
+def _rest_body(mean: Mapping[str, Floats], names: Sequence[str], title: str, height: float) -> ArticulatedBody:
     joints = anatomy.joints_of(mean)
     worn = {bone for name in names if (bone := anatomy.bone_of(name)) is not None}
     bones = anatomy.bones_of(joints, worn)
@@ -148,7 +148,7 @@ def _rest_body(mean: Mapping[str, Floats], names: Sequence[str], title: str, hei
         place = mean[canonical(name)]
         bone = anatomy.bone_of(name) or min(capsules, key=lambda part: _outside(place, part.start, part.end, part.radii[0])).bone
         markers.append(BodyMarker(name, bone, as_point(place)))
-    return BodyModel(title, height, bones, tuple(markers), capsules)
+    return ArticulatedBody(title, height, bones, tuple(markers), capsules)
 
 
 def _outside(place: Floats, start: Sequence[float], end: Sequence[float], radius: float) -> float:
@@ -167,7 +167,7 @@ class PosedFrames:
     costs: Floats
 
 
-def pose_recording(body: BodyModel, positions: Floats, *, scales: Floats | None = None, rules: BodyFitRules = RULES) -> PosedFrames:
+def pose_recording(body: ArticulatedBody, positions: Floats, *, scales: Floats | None = None, rules: BodyFitRules = RULES) -> PosedFrames:
     """The poses of a body whose markers' positions (T, M, 3) m are known, z up; each frame starts at the last one's pose.
 
     scales (3,): the person's, then fixed; by default every frame finds its own. Frames with fewer than four markers are NaN.
@@ -199,13 +199,15 @@ def pose_recording(body: BodyModel, positions: Floats, *, scales: Floats | None 
     return PosedFrames(poses, rotations, costs)
 
 
-def known_of(body: BodyModel, vertical: Floats, *, tilt: float = 0.25, scale: tuple[float, float] | None = None) -> Known:
+def known_of(body: ArticulatedBody, vertical: Floats, *, tilt: float = 0.25, scale: tuple[float, float] | None = None) -> Known:
     """What is known of a body before any image: about upright (`tilt` rad), about the model's size."""
     common, single = body.scale_spread if scale is None else scale
     return Known(np.asarray(vertical, dtype=np.float64), np.ones(3), np.array([common**-2.0, single**-2.0]), tilt**-2.0)
 
 
-def _learned(body: BodyModel, recordings: Sequence[Recording], people: Sequence[str], moving: bool, rules: BodyFitRules) -> BodyModel:
+def _learned(
+    body: ArticulatedBody, recordings: Sequence[Recording], people: Sequence[str], moving: bool, rules: BodyFitRules
+) -> ArticulatedBody:
     """The body with mean places of the markers, their spreads, and where there are moving trials the hinges' usual angles and poses."""
     points = [_chosen_positions(recording, body, rules.frames) for recording in recordings]
     who = sorted(set(people))
@@ -225,7 +227,7 @@ def _learned(body: BodyModel, recordings: Sequence[Recording], people: Sequence[
     return body
 
 
-def _chosen_positions(recording: Recording, body: BodyModel, most: int) -> Floats:
+def _chosen_positions(recording: Recording, body: ArticulatedBody, most: int) -> Floats:
     columns = MarkerSet(body.labels, aliases=body.aliases).columns_of(recording.labels)
     points = rotate_z_up(recording.positions, recording.vertical)
     chosen = np.unique(np.linspace(0, len(points) - 1, min(most, len(points))).round().astype(np.int64))
@@ -234,7 +236,7 @@ def _chosen_positions(recording: Recording, body: BodyModel, most: int) -> Float
     return out
 
 
-def rest_places(body: BodyModel, fit: PosedFrames, positions: Floats) -> Floats:
+def rest_places(body: ArticulatedBody, fit: PosedFrames, positions: Floats) -> Floats:
     """(T, M, 3) m: where each measured marker sits on its bone, in the rest pose relative to the root's pivot."""
     arrays = body.arrays
     out = np.full(positions.shape, np.nan)
@@ -261,7 +263,7 @@ def rest_places(body: BodyModel, fit: PosedFrames, positions: Floats) -> Floats:
     return out
 
 
-def _with_offsets(body: BodyModel, offsets: Sequence[Floats], rules: BodyFitRules) -> BodyModel:
+def _with_offsets(body: ArticulatedBody, offsets: Sequence[Floats], rules: BodyFitRules) -> ArticulatedBody:
     means = np.array([np.nanmean(part, axis=0) for part in offsets])
     mean = np.nanmean(means, axis=0)
     within = np.nanmean(np.array([np.nanvar(part, axis=0).mean(axis=1) for part in offsets]), axis=0)
@@ -278,7 +280,7 @@ def _with_offsets(body: BodyModel, offsets: Sequence[Floats], rules: BodyFitRule
     )
 
 
-def _with_motion(body: BodyModel, angles: Floats, rules: BodyFitRules) -> BodyModel:
+def _with_motion(body: ArticulatedBody, angles: Floats, rules: BodyFitRules) -> ArticulatedBody:
     angles = angles[np.isfinite(angles).all(axis=1)]
     spread = np.maximum(rules.hinge_share * angles.std(axis=0), rules.least_angle)
     usual = angles.mean(axis=0)
@@ -295,7 +297,7 @@ def _with_motion(body: BodyModel, angles: Floats, rules: BodyFitRules) -> BodyMo
     return replace(body, bones=tuple(bones), poses=poses | _raised_arms(body, usual))
 
 
-def _raised_arms(body: BodyModel, usual: Floats) -> dict[str, tuple[float, ...]]:
+def _raised_arms(body: ArticulatedBody, usual: Floats) -> dict[str, tuple[float, ...]]:
     """Poses with the arms ahead and aside, from which no walk starts; none for a body without arms."""
     poses = {}
     for name, hinge_name, degrees in (("arms ahead", "upper arm raising", 80.0), ("arms aside", "upper arm abduction", 70.0)):
@@ -320,7 +322,7 @@ def _apart(points: Floats, count: int) -> Floats:
     return found
 
 
-def _with_sizes(body: BodyModel, scales: Floats) -> BodyModel:
+def _with_sizes(body: ArticulatedBody, scales: Floats) -> ArticulatedBody:
     """People's sizes among those seen; few people show little of it, so it is never below the spread of a usual group."""
     common = scales.mean(axis=1)
     single = (scales - common[:, None]).std() if len(scales) > 2 else 0.04

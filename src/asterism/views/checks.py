@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
 from asterism.recording import Floats, Ints, canonical
-from asterism.views.body import BodyModel
-
-if TYPE_CHECKING:
-    from asterism.views.label import ViewsLabelling
+from asterism.views.body import ArticulatedBody
+from asterism.views.result import ViewsLabelling
 
 _MANY_LOST = 0.05
 """Share of the frames without the body from which a person is told."""
@@ -29,7 +25,7 @@ _HARDLY_SEEN = 0.4
 _JUDGED_FRAMES = 60
 
 
-def refuse_mirrored(body: BodyModel) -> None:
+def refuse_mirrored(body: ArticulatedBody) -> None:
     """Raise AsterismError where most left markers of a body are right of their partners: x is ahead, y left, z up."""
     places = {canonical(marker.name): marker.place[1] for marker in body.markers}
     pairs = body.marker_set.pairs

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asterism.recording import Ints
-from asterism.views.body import BodyModel
+from asterism.views.body import ArticulatedBody
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +22,7 @@ class Exchange:
     hinges: Ints
 
 
-def exchanges_of(body: BodyModel) -> tuple[Exchange, ...]:
+def exchanges_of(body: ArticulatedBody) -> tuple[Exchange, ...]:
     """Each bone with markers of both sides, and each bone with all that hangs on it, once. O(bones^2 + bones pairs)."""
     arrays, number = body.arrays, {name: m for m, name in enumerate(body.labels)}
     pairs = [(number[left], number[right]) for left, right in body.marker_set.pairs]
@@ -43,7 +43,7 @@ def _is_below(parents: Ints, bone: int, above: int) -> bool:
     return bone == above
 
 
-def _exchange(body: BodyModel, group: tuple[tuple[int, int], ...]) -> Exchange:
+def _exchange(body: ArticulatedBody, group: tuple[tuple[int, int], ...]) -> Exchange:
     arrays, names = body.arrays, np.arange(-1, len(body.markers))
     for left, right in group:
         names[left + 1], names[right + 1] = right, left

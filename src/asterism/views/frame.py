@@ -13,15 +13,15 @@ from asterism.views._carry_kernels import carry_labels
 from asterism.views._fit_kernels import minimise, predict_visible, project_linear
 from asterism.views._label_kernels import label_globally, place_priors, unseen_cost
 from asterism.views._pose_kernels import HINGES, add_priors
-from asterism.views.arrays import BodyArrays, CameraArrays, Known, Observing
-from asterism.views.body import BodyModel
+from asterism.views.arrays import ArticulatedBodyArrays, Known, Observing, PinholeArrays
+from asterism.views.body import ArticulatedBody
 from asterism.views.body_fit import known_of
 from asterism.views.exchanges import Exchange, exchanges_of
 from asterism.views.limbs import RULES as LIMB_RULES
-from asterism.views.limbs import Limb, LimbRules, LimbScreen, limbs_of
+from asterism.views.limbs import Limb, LimbScreen, LimbSearchRules, limbs_of
 from asterism.views.posing import posed_points
 from asterism.views.rules import RULES, ViewsRules
-from asterism.views.scene import Scene
+from asterism.views.scene import ViewsScene
 from asterism.views.start import starts
 
 _UNKNOWN = np.empty(0, dtype=np.int64)
@@ -30,7 +30,7 @@ _BETTER = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class FrameLabels:
+class BlobLabels:
     """What was found in one frame.
 
     labels       (N,) the marker of each blob, -1 for none
@@ -52,7 +52,7 @@ class FrameLabels:
     gain: float
     leads: Floats
 
-    def against(self, other: FrameLabels, by: float = 0.0) -> FrameLabels:
+    def against(self, other: BlobLabels, by: float = 0.0) -> BlobLabels:
         """This explanation of a frame, or another one that is better by more than `by` nats; its leads know both. O(N)."""
         if other.gain > self.gain + by:
             return other.against(self)
@@ -65,12 +65,12 @@ class FrameLabels:
 class FrameLabeller:
     """Labels frames of one scene with one body; holds what the kernels need."""
 
-    scene: Scene
-    body: BodyModel
+    scene: ViewsScene
+    body: ArticulatedBody
     rules: ViewsRules = RULES
     size: float | None = None
     """The person's size as a multiple of the body's, where it is known."""
-    limb_rules: LimbRules = LIMB_RULES
+    limb_rules: LimbSearchRules = LIMB_RULES
 
     @property
     def known(self) -> Known:
@@ -90,27 +90,27 @@ class FrameLabeller:
         """Which numbers of the pose are fitted."""
         return np.arange(HINGES + (len(self.body.hinges) if self.rules.joints else 0), dtype=np.int64)
 
-    def expected(self, found: FrameLabels) -> Floats:
+    def expected(self, found: BlobLabels) -> Floats:
         """(C, M) the probability that a camera has a blob of a marker, by the fitted body."""
         shares = np.empty((len(self.scene.rig), len(self.body.markers)))
         predict_visible(self.body.arrays, self.scene.cameras, self.observing, found.pose, found.rotation, shares)
         return shares
 
-    def placed(self, found: FrameLabels) -> Floats:
+    def placed(self, found: BlobLabels) -> Floats:
         """(M, 3) m, the markers of the fitted body, wherever their blobs are."""
         return posed_points(self.body, found.pose, found.rotation)[0]
 
-    def from_start(self, t: int, pose: Floats, rotation: Floats) -> FrameLabels:
+    def from_start(self, t: int, pose: Floats, rotation: Floats) -> BlobLabels:
         """The labels of frame t, from a pose (9 + J,) and a rotation (3, 3) that may be far off; see `ViewsRules.blur`."""
         return self._fitted(t, pose, rotation, self.rules.blur, self.rules.steps)
 
-    def from_near(self, t: int, pose: Floats, rotation: Floats) -> FrameLabels:
+    def from_near(self, t: int, pose: Floats, rotation: Floats) -> BlobLabels:
         """The labels of frame t from a start that may be wrong: as `from_start`; where that explains the blobs worse than is usual, also
         as `from_nothing`, and the better explanation counts. Raises as `from_nothing`."""
         found = self.from_start(t, pose, rotation)
         return found if self._explains(found, self.rules.sure_gain) else found.against(self.from_nothing(t))
 
-    def follow(self, t: int, pose: Floats, rotation: Floats, last: tuple[int, FrameLabels] | None = None) -> FrameLabels:
+    def follow(self, t: int, pose: Floats, rotation: Floats, last: tuple[int, BlobLabels] | None = None) -> BlobLabels:
         """The labels of frame t, from the pose that the last frames let expect.
 
         last: a frame beside t and its labels. Then blobs that are where its blobs are expected keep their labels at first; where that
@@ -125,12 +125,12 @@ class FrameLabeller:
             found = found.against(self._fitted(t, pose, rotation, rules.follow, rules.follow_steps))
         return found
 
-    def again(self, t: int, found: FrameLabels) -> FrameLabels:
+    def again(self, t: int, found: BlobLabels) -> BlobLabels:
         """The labels of frame t from labels and a pose that are known, which another body may explain otherwise."""
         rules = self.rules
         return self._fitted(t, found.pose, found.rotation, rules.follow[-1:], rules.follow_steps, found.labels)
 
-    def _carried(self, t: int, pose: Floats, rotation: Floats, before: int, found: FrameLabels) -> Ints | None:
+    def _carried(self, t: int, pose: Floats, rotation: Floats, before: int, found: BlobLabels) -> Ints | None:
         """The labels (N,) of the blobs that are where those of the frame before are expected; None where they are fewer than half."""
         (old_xy, old_offsets), (xy, offsets) = self.scene.frame(before), self.scene.frame(t)
         cameras, count = self.scene.cameras, len(self.body.markers)
@@ -142,7 +142,7 @@ class FrameLabeller:
         carry_labels(uv[0], uv[1], old_xy, old_offsets, found.labels, xy, offsets, self.rules.carry, labels)
         return labels if 2 * (labels >= 0).sum() >= (found.labels >= 0).sum() > 0 else None
 
-    def from_nothing(self, t: int) -> FrameLabels:
+    def from_nothing(self, t: int) -> BlobLabels:
         """The labels of frame t when nothing is known: any heading, size and place. Raises as `starts`.
 
         Where the best of the starts explains the blobs worse than is usual, more starts are tried.
@@ -154,12 +154,12 @@ class FrameLabeller:
             found = found.against(replace(self, rules=more)._best_start(t))
         return found
 
-    def _explains(self, found: FrameLabels, share: float) -> bool:
+    def _explains(self, found: BlobLabels, share: float) -> bool:
         """Whether the gain of an expected sighting is at least this share of that of one that is exactly where it is expected."""
         most = -np.log(2 * np.pi * self.rules.noise**2 * self.observing.strays)
         return bool(found.gain >= share * most * self.expected(found).sum())
 
-    def _best_start(self, t: int) -> FrameLabels:
+    def _best_start(self, t: int) -> BlobLabels:
         """The labels from the best of the starts of `ViewsRules.headings`."""
         xy, offsets = self.scene.frame(t)
         rules = self.rules
@@ -185,7 +185,7 @@ class FrameLabeller:
             best = best.against(other)
         return best
 
-    def _about(self, found: FrameLabels) -> tuple[Floats, Floats]:
+    def _about(self, found: BlobLabels) -> tuple[Floats, Floats]:
         """The pose and the rotation of a body in the same place that faces the other way, its joints as usual."""
         up = self.scene.vertical
         half = 2.0 * np.outer(up, up) - np.eye(3)
@@ -213,7 +213,7 @@ class FrameLabeller:
         costs[left] = found
         return costs
 
-    def turned(self, t: int, found: FrameLabels, *, hands: bool = False) -> FrameLabels:
+    def turned(self, t: int, found: BlobLabels, *, hands: bool = False) -> BlobLabels:
         """The labels of frame t with the two markers of a bone of a limb exchanged, where that explains the blobs better.
 
         A wrist with a marker on each side looks nearly the same when the forearm is turned by half a turn, and no fit leads from one to the
@@ -231,7 +231,7 @@ class FrameLabeller:
                     found = found.against(other, by=_BETTER)
         return found
 
-    def with_limbs_sought(self, t: int, found: FrameLabels) -> FrameLabels:
+    def with_limbs_sought(self, t: int, found: BlobLabels) -> BlobLabels:
         """The labels of frame t with each loose limb sought anew over all its angles, where that explains the blobs better.
 
         A fit of the whole body follows an arm as far as its blobs are near; raised or bent arms are not. O(limbs) labellings.
@@ -241,7 +241,7 @@ class FrameLabeller:
                 found = found.against(self._with_limbs(t, pose, found.rotation), by=_BETTER)
         return found
 
-    def with_limbs_parted(self, t: int, found: FrameLabels) -> FrameLabels:
+    def with_limbs_parted(self, t: int, found: BlobLabels) -> BlobLabels:
         """The labels of frame t with two limbs sought anew, one after the other, where that explains the blobs better.
 
         Two arms that have each other's blobs keep each other from being found by themselves. O(limbs) labellings.
@@ -255,7 +255,7 @@ class FrameLabeller:
                 found = found.against(self._with_limbs(t, pose, before.rotation), by=_BETTER)
         return found
 
-    def exchanged(self, t: int, found: FrameLabels) -> FrameLabels:
+    def exchanged(self, t: int, found: BlobLabels) -> BlobLabels:
         """The labels of frame t with parts of the body left and right exchanged, where that explains the blobs better.
 
         No fit leads from crossed legs, or a trunk that is turned about, to the other way round. O(bones) labellings.
@@ -268,13 +268,13 @@ class FrameLabeller:
                 found = found.against(self._fitted(t, pose, found.rotation, self.rules.exchange, self.rules.steps, labels), by=_BETTER)
         return found
 
-    def _with_limbs(self, t: int, pose: Floats, rotation: Floats) -> FrameLabels:
+    def _with_limbs(self, t: int, pose: Floats, rotation: Floats) -> BlobLabels:
         return self._fitted(t, pose, rotation, self.limb_rules.fit, self.rules.steps)
 
-    def _from(self, found: FrameLabels) -> tuple[Floats, Floats, Known, LimbRules]:
+    def _from(self, found: BlobLabels) -> tuple[Floats, Floats, Known, LimbSearchRules]:
         return found.pose, found.rotation, self._kit[2], self.limb_rules
 
-    def _free(self, t: int, found: FrameLabels, markers: Ints) -> LimbScreen:
+    def _free(self, t: int, found: BlobLabels, markers: Ints) -> LimbScreen:
         """The blobs of frame t without a label, or with that of one of these markers."""
         xy, offsets = self.scene.frame(t)
         free = (found.labels < 0) | np.isin(found.labels, markers)
@@ -300,7 +300,7 @@ class FrameLabeller:
 
     def _fitted(
         self, t: int, pose: Floats, rotation: Floats, blur: tuple[float, ...], steps: int, thought: Ints | None = None
-    ) -> FrameLabels:
+    ) -> BlobLabels:
         """Fit the pose to blobs without labels, label them by it, fit it to the labels, and label again, until the labels stay.
 
         thought: labels (N,) to which the pose is fitted at first instead.
@@ -330,7 +330,7 @@ class FrameLabeller:
             before[:] = labels
             minimise(arrays, cameras, known, observing, xy, offsets, labels, noise, rules.label_steps, free, pose, rotation, hessian)
         gain -= unseen_cost(shares) + self._pose_cost(pose, rotation)
-        return FrameLabels(labels, worth, pose, rotation, points + means, covariances, float(gain), np.full(len(labels), np.inf))
+        return BlobLabels(labels, worth, pose, rotation, points + means, covariances, float(gain), np.full(len(labels), np.inf))
 
     def _pose_cost(self, pose: Floats, rotation: Floats) -> float:
         """nats, what a pose costs before any image."""
@@ -342,7 +342,7 @@ class FrameLabeller:
         return float(cost)
 
     @cached_property
-    def _kit(self) -> tuple[BodyArrays, CameraArrays, Known, Observing, Ints, ViewsRules]:
+    def _kit(self) -> tuple[ArticulatedBodyArrays, PinholeArrays, Known, Observing, Ints, ViewsRules]:
         return self.body.arrays, self.scene.cameras, self.known, self.observing, self.free, self.rules
 
 

@@ -11,15 +11,15 @@ import numpy as np
 from asterism.recording import Floats, Ints
 from asterism.views._limb_kernels import fit_limb, screen_limb
 from asterism.views._pose_kernels import HINGES, PLACE
-from asterism.views.arrays import BodyArrays, CameraArrays, Known, Observing
-from asterism.views.body import BodyModel
+from asterism.views.arrays import ArticulatedBodyArrays, Known, Observing, PinholeArrays
+from asterism.views.body import ArticulatedBody
 from asterism.views.posing import posed_bones
 
 _NONE = np.empty(0, dtype=np.int64)
 
 
 @dataclass(frozen=True)
-class LimbRules:
+class LimbSearchRules:
     """How limbs are sought. Chosen on simulated motion (`simulate_motion`) with seeds that no row uses.
 
     loose   rad, a limb is sought where the standard deviations of its hinges are more than this in all (root of the sum of squares)
@@ -48,7 +48,7 @@ class LimbRules:
     steps: int = 12
 
 
-RULES = LimbRules()
+RULES = LimbSearchRules()
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class Limb:
     hinges: Ints
     markers: Ints
     rest: Ints
-    arrays: BodyArrays
+    arrays: ArticulatedBodyArrays
     tried: Floats
 
     @property
@@ -79,7 +79,7 @@ class Limb:
         return tuple((pair, beyond if len(beyond) == 1 else beyond[:0]) for pair, beyond in pairwise(of_bone) if len(pair) == 2)
 
 
-def limbs_of(body: BodyModel, rules: LimbRules = RULES) -> tuple[Limb, ...]:
+def limbs_of(body: ArticulatedBody, rules: LimbSearchRules = RULES) -> tuple[Limb, ...]:
     """The limbs that are sought: chains of two bones or more without a branch, below the root or a bone with branches. O(bones^2)."""
     arrays = body.arrays
     children = [np.nonzero(arrays.parents == b)[0].tolist() for b in range(len(arrays.parents))]
@@ -96,12 +96,12 @@ def limbs_of(body: BodyModel, rules: LimbRules = RULES) -> tuple[Limb, ...]:
     return tuple(limbs)
 
 
-def _limb(body: BodyArrays, chain: Ints, rules: LimbRules) -> Limb:
+def _limb(body: ArticulatedBodyArrays, chain: Ints, rules: LimbSearchRules) -> Limb:
     of_bone = [np.arange(body.hinge_starts[b], body.hinge_starts[b + 1]) for b in chain]
     hinges = np.concatenate(of_bone)
     starts = np.concatenate([[0], np.cumsum([len(each) for each in of_bone])]).astype(np.int64)
     on_limb = np.isin(body.bones, chain)
-    arrays = BodyArrays(
+    arrays = ArticulatedBodyArrays(
         np.arange(-1, len(chain) - 1),
         body.pivots[chain],
         starts,
@@ -121,7 +121,7 @@ def _limb(body: BodyArrays, chain: Ints, rules: LimbRules) -> Limb:
     return Limb(int(chain[0]), hinges, np.nonzero(on_limb)[0], np.nonzero(~on_limb)[0], arrays, _tried(arrays, int(starts[-2]), rules))
 
 
-def _tried(limb: BodyArrays, sought: int, rules: LimbRules) -> Floats:
+def _tried(limb: ArticulatedBodyArrays, sought: int, rules: LimbSearchRules) -> Floats:
     """(N, L) rad, the angles that are tried: the first hinges vary."""
     spread = rules.reach * limb.precision**-0.5
     low, high = np.maximum(limb.low, limb.usual - spread), np.minimum(limb.high, limb.usual + spread)
@@ -134,8 +134,8 @@ def _tried(limb: BodyArrays, sought: int, rules: LimbRules) -> Floats:
 class LimbScreen:
     """Tries angles of limbs on the blobs of one frame: xy (P, 2) px, offsets (C + 1,) where each camera's begin."""
 
-    body: BodyModel
-    cameras: CameraArrays
+    body: ArticulatedBody
+    cameras: PinholeArrays
     observing: Observing
     xy: Floats
     offsets: Ints
@@ -148,7 +148,7 @@ class LimbScreen:
         angles, costs = self._screened(limb, limb.rest, pose, rotation, tried, blur)
         return self._with_angles(limb, pose, _apart(angles, costs, kept, apart))
 
-    def alone(self, limb: Limb, pose: Floats, rotation: Floats, known: Known, rules: LimbRules, kept: int) -> Floats:
+    def alone(self, limb: Limb, pose: Floats, rotation: Floats, known: Known, rules: LimbSearchRules, kept: int) -> Floats:
         """Poses (N, 9 + J), best first, N at most `kept`, with a limb sought and then fitted as if all blobs were its own.
 
         O(tried (bones + blobs) + first steps blobs).

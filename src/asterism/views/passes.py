@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.recording import Floats, Ints
-from asterism.views.frame import FrameLabeller, FrameLabels
+from asterism.views.frame import BlobLabels, FrameLabeller
 from asterism.views.personal import quality_of
 
 
@@ -21,7 +21,7 @@ class Seen:
     quality  nats per expected sighting, see `quality_of`
     """
 
-    labels: FrameLabels
+    labels: BlobLabels
     quality: float
 
 
@@ -42,7 +42,7 @@ class Starts:
         return self._known[t]
 
 
-def seen(labeller: FrameLabeller, labels: FrameLabels) -> Seen:
+def seen(labeller: FrameLabeller, labels: BlobLabels) -> Seen:
     """A frame's labels, judged."""
     return Seen(labels, quality_of(labeller, labels))
 

@@ -10,9 +10,9 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.recording import Floats, Ints
 from asterism.views._pose_kernels import PLACE
-from asterism.views.body import BodyModel, as_point
+from asterism.views.body import ArticulatedBody, as_point
 from asterism.views.body_fit import PosedFrames, rest_places
-from asterism.views.frame import FrameLabeller, FrameLabels
+from asterism.views.frame import BlobLabels, FrameLabeller
 from asterism.views.scene import cameras_with_blobs
 
 
@@ -39,7 +39,7 @@ class PersonalRules:
 PERSONAL = PersonalRules()
 
 
-def personal_body(labeller: FrameLabeller, rules: PersonalRules = PERSONAL) -> BodyModel:
+def personal_body(labeller: FrameLabeller, rules: PersonalRules = PERSONAL) -> ArticulatedBody:
     """The body of the person whose blobs these are: the model where nothing is learned. O(frames) labellings.
 
     Places of the markers that two cameras show are medians over frames, in the axes of their bones. A marker that is hardly found where the
@@ -67,11 +67,11 @@ def personal_body(labeller: FrameLabeller, rules: PersonalRules = PERSONAL) -> B
     return _learned(labeller, found, good, rules)
 
 
-def _learned(labeller: FrameLabeller, found: dict[int, FrameLabels], frames: list[int], rules: PersonalRules) -> BodyModel:
+def _learned(labeller: FrameLabeller, found: dict[int, BlobLabels], frames: list[int], rules: PersonalRules) -> ArticulatedBody:
     return _with_own_places(labeller.body, [found[t] for t in frames], [_views(labeller, found[t]) for t in frames], rules)
 
 
-def _is_better(labeller: FrameLabeller, own: BodyModel, found: list[FrameLabels], frames: list[int]) -> bool:
+def _is_better(labeller: FrameLabeller, own: ArticulatedBody, found: list[BlobLabels], frames: list[int]) -> bool:
     """Whether a person's body explains frames that were not used for it better than the model does."""
     personal = replace(labeller, body=own, size=None)
     gain = 0.0
@@ -82,7 +82,7 @@ def _is_better(labeller: FrameLabeller, own: BodyModel, found: list[FrameLabels]
     return gain > 0.0
 
 
-def quality_of(labeller: FrameLabeller, found: FrameLabels) -> float:
+def quality_of(labeller: FrameLabeller, found: BlobLabels) -> float:
     """nats of gain per sighting that the body lets expect; 0 where fewer of them are there than `ViewsRules.least_shown`."""
     expected = max(float(labeller.expected(found).sum()), 1.0)
     shown = int((found.labels >= 0).sum())
@@ -96,13 +96,13 @@ def _spread(labeller: FrameLabeller, most: int) -> Ints:
     return np.array(some, dtype=np.int64)[np.unique(np.linspace(0, len(some) - 1, min(most, len(some))).round().astype(np.int64))]
 
 
-def _labelled(labeller: FrameLabeller, frames: Ints) -> dict[int, FrameLabels]:
+def _labelled(labeller: FrameLabeller, frames: Ints) -> dict[int, BlobLabels]:
     """These frames labelled, each from nothing, and then from the poses of its neighbours where those explain it better.
 
     No frame depends on one start: a wrong one is a minority, and its neighbours mend it. Where the body is in none of every third frame,
     the others are not tried.
     """
-    out = dict[int, FrameLabels]()
+    out = dict[int, BlobLabels]()
     for part in (frames[::3], frames[1::3], frames[2::3]):
         for t in part.tolist():
             try:
@@ -120,7 +120,7 @@ def _labelled(labeller: FrameLabeller, frames: Ints) -> dict[int, FrameLabels]:
     return out
 
 
-def _astray(labeller: FrameLabeller, found: dict[int, FrameLabels], good: list[int], rules: PersonalRules) -> np.ndarray:
+def _astray(labeller: FrameLabeller, found: dict[int, BlobLabels], good: list[int], rules: PersonalRules) -> np.ndarray:
     markers = len(labeller.body.markers)
     expected, seen = np.zeros(markers), np.zeros(markers)
     for t in good:
@@ -129,12 +129,12 @@ def _astray(labeller: FrameLabeller, found: dict[int, FrameLabels], good: list[i
     return np.asarray((seen < rules.least_found * expected) & (expected > 1.0))
 
 
-def _views(labeller: FrameLabeller, found: FrameLabels) -> Ints:
+def _views(labeller: FrameLabeller, found: BlobLabels) -> Ints:
     """(M,) how many cameras show each marker."""
     return np.bincount(found.labels[found.labels >= 0], minlength=len(labeller.body.markers))
 
 
-def _with_own_places(body: BodyModel, found: list[FrameLabels], views: list[Ints], rules: PersonalRules) -> BodyModel:
+def _with_own_places(body: ArticulatedBody, found: list[BlobLabels], views: list[Ints], rules: PersonalRules) -> ArticulatedBody:
     poses = np.array([each.pose for each in found])
     scale: Floats = np.median(poses[:, :PLACE], axis=0)
     positions = np.array([np.where(seen[:, None] >= 2, each.points, np.nan) for each, seen in zip(found, views, strict=True)])
@@ -152,7 +152,7 @@ def _with_own_places(body: BodyModel, found: list[FrameLabels], views: list[Ints
     return _scaled(replace(body, markers=tuple(markers)), scale)
 
 
-def _scaled(body: BodyModel, scale: Floats) -> BodyModel:
+def _scaled(body: ArticulatedBody, scale: Floats) -> ArticulatedBody:
     """The body with the person's scales in it, which then hardly vary."""
 
     def grown(place: tuple[float, float, float]) -> tuple[float, float, float]:

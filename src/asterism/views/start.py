@@ -9,8 +9,8 @@ from asterism.errors import AsterismError
 from asterism.geometry import z_up_rotation
 from asterism.recording import Floats, Ints
 from asterism.views._pose_kernels import HINGES
-from asterism.views.body import BodyModel
-from asterism.views.scene import Scene, cameras_with_blobs
+from asterism.views.body import ArticulatedBody
+from asterism.views.scene import ViewsScene, cameras_with_blobs
 
 
 def place_by_centroids(rig: Rig, centroids: Floats, body_centroid: Floats) -> Floats:
@@ -42,7 +42,7 @@ def place_by_centroids(rig: Rig, centroids: Floats, body_centroid: Floats) -> Fl
     return np.asarray(place, dtype=np.float64)
 
 
-def middle_of_rays(scene: Scene, xy: Floats, offsets: Ints) -> Floats:
+def middle_of_rays(scene: ViewsScene, xy: Floats, offsets: Ints) -> Floats:
     """(3,) m: where the middles of the images' blobs meet. Medians, because strays shift a mean. Raises as `place_by_centroids`."""
     centroids = np.full((len(scene.rig), 2), np.nan)
     for c, camera in enumerate(scene.rig):
@@ -52,7 +52,9 @@ def middle_of_rays(scene: Scene, xy: Floats, offsets: Ints) -> Floats:
     return place_by_centroids(scene.rig, centroids, np.zeros(3))
 
 
-def starts(scene: Scene, body: BodyModel, xy: Floats, offsets: Ints, headings: int, size: float | None = None) -> tuple[Floats, Floats]:
+def starts(
+    scene: ViewsScene, body: ArticulatedBody, xy: Floats, offsets: Ints, headings: int, size: float | None = None
+) -> tuple[Floats, Floats]:
     """Poses (N, 9 + J) and rotations (N, 3, 3) from which a frame may be fitted when nothing is known: all headings, all poses of the body.
 
     size: the person's as a multiple of the body's, where known; else from how far blobs spread along the vertical. O(N).
@@ -75,7 +77,7 @@ def starts(scene: Scene, body: BodyModel, xy: Floats, offsets: Ints, headings: i
     return poses, rotations
 
 
-def _size_by_spread(scene: Scene, body: BodyModel, xy: Floats, offsets: Ints, middle: Floats) -> float:
+def _size_by_spread(scene: ViewsScene, body: ArticulatedBody, xy: Floats, offsets: Ints, middle: Floats) -> float:
     """The person's size as a multiple of the body's, from the middle half of the blobs along each image's vertical; within 0.6 to 1.6."""
     own = np.diff(np.quantile(body.arrays.places[:, 2], [0.2, 0.8]))[0]
     ratios = []

@@ -16,10 +16,11 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from asterism.errors import AsterismError
-from asterism.labelling.correction import Change, Correction, request_of
+from asterism.labelling.correction import Correction, CorrectionChange, request_of
+from asterism.recording.display import counted
 from asterism.report import player_script, player_style
 from asterism.web.plain import packed_pieces, packed_points, plain_change, plain_state, plain_trials
-from asterism.web.session import Session, StaleRevision, Trial
+from asterism.web.session import CorrectionSession, CorrectionTrial, StaleRevision
 
 MAX_BODY = 1 << 16
 """Bytes of a request at most."""
@@ -34,7 +35,7 @@ class _Refused(Exception):
         self.status, self.sentence = status, sentence
 
 
-def make_app(session: Session) -> Starlette:
+def make_app(session: CorrectionSession) -> Starlette:
     """The application for a sitting; behind a `Guard`."""
     api = _Api(session)
     trial = "/api/trials/{trial}"
@@ -57,7 +58,7 @@ def make_app(session: Session) -> Starlette:
 class _Api:
     """What the addresses under /api/ answer. Each method takes the request and its JSON, and runs in a thread."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: CorrectionSession) -> None:
         self.session = session
 
     def answering(self, answer: Callable[[Request, dict[str, Any]], Response | dict[str, Any]]) -> Callable[[Request], Any]:
@@ -129,7 +130,7 @@ class _Api:
         if name is not None and not isinstance(name, str):
             raise _Refused(400, "the field model_out is no text; give the name of a file, or null.")
         path = self.session.teach(trials, name)
-        return {"path": str(path), "sentence": f"The model has learned {len(trials)} trials; it was written as {path}."}
+        return {"path": str(path), "sentence": f"The model has learned {counted(len(trials), 'trial')}; it was written as {path}."}
 
     async def tell(self, socket: WebSocket) -> None:
         """Tell a page whatever changes, for as long as it is open."""
@@ -150,7 +151,7 @@ class _Api:
             self.session.listeners.remove(listener)
             sender.cancel()
 
-    def _trial(self, request: Request) -> Trial:
+    def _trial(self, request: Request) -> CorrectionTrial:
         try:
             return self.session.trial(request.path_params["trial"])
         except KeyError:
@@ -163,7 +164,7 @@ async def _send_all(socket: WebSocket, waiting: asyncio.Queue[tuple[str, int]]) 
         await socket.send_text(json.dumps({"trial": trial, "revision": revision}))
 
 
-def _change(correction: Correction, verb: str, given: dict[str, Any]) -> Change:
+def _change(correction: Correction, verb: str, given: dict[str, Any]) -> CorrectionChange:
     if verb == "undo":
         return correction.undo()
     if verb == "redo":

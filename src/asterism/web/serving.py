@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from asterism.errors import AsterismError
-from asterism.web.session import Session
+from asterism.web.session import CorrectionSession
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Place:
     browser: bool = True
 
 
-def serve(session: Session, place: Place, say: Callable[[str], None], ready: Callable[[str], None] | None = None) -> None:
+def serve(session: CorrectionSession, place: Place, say: Callable[[str], None], ready: Callable[[str], None] | None = None) -> None:
     """Serve the page of a sitting until it is interrupted.
 
     say: told sentences for the person, the page's address among them; ready: told the address once the server answers.

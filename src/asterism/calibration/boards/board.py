@@ -66,7 +66,7 @@ class Board:
 
         Raises AsterismError where a value is missing or impossible.
         """
-        from asterism.cameras.files._toml import read_toml
+        from asterism.files.toml import read_toml
 
         path = Path(path)
         table = read_toml(path)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from asterism.calibration.boards import checks
-from asterism.calibration.boards.extrinsics import Links, first_boards, first_rig, links_between, numbered_alike
+from asterism.calibration.boards.extrinsics import CameraLinks, first_boards, first_rig, links_between, numbered_alike
 from asterism.calibration.boards.flatness import bend_of
 from asterism.calibration.boards.intrinsics import Intrinsics, calibrate_intrinsics
 from asterism.calibration.boards.views import BoardViews
@@ -57,7 +57,7 @@ class BoardCalibration:
     rejected_views: tuple[tuple[int, str], ...]
     excluded: tuple[str, ...]
     focal_std: tuple[float, ...]
-    links: Links
+    links: CameraLinks
     linked_cameras: tuple[str, ...]
     bend: float
     findings: tuple[Finding, ...]
@@ -156,7 +156,7 @@ class _Start:
     views: BoardViews
     intrinsics: dict[int, Intrinsics]
     order: tuple[int, ...]
-    links: Links
+    links: CameraLinks
     group: tuple[int, ...]
     cameras: dict[int, Camera]
 

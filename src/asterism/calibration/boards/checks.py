@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asterism.calibration.boards.board import Board
-from asterism.calibration.boards.extrinsics import Links
+from asterism.calibration.boards.extrinsics import CameraLinks
 from asterism.calibration.boards.intrinsics import Intrinsics, calibrate_intrinsics
 from asterism.calibration.boards.views import BoardViews
 from asterism.cameras.camera import Camera
@@ -124,7 +124,7 @@ def check_in_step(together: float, single: float) -> Iterator[Finding]:
         )
 
 
-def check_links(rig: Rig, shared: Ints, kept: Links, board: Board) -> Iterator[Finding]:
+def check_links(rig: Rig, shared: Ints, kept: CameraLinks, board: Board) -> Iterator[Finding]:
     """Why cameras cannot be trusted to stand to each other as the rig has it: most of the views that they share contradict it.
 
     shared  (C, C) views that two cameras share; kept: the links by those that were not left out
@@ -160,7 +160,7 @@ def check_links(rig: Rig, shared: Ints, kept: Links, board: Board) -> Iterator[F
             )
 
 
-def check_few_shared(rig: Rig, kept: Links) -> Iterator[Finding]:
+def check_few_shared(rig: Rig, kept: CameraLinks) -> Iterator[Finding]:
     """Which cameras are linked by few views."""
     for start, end in kept.tree:
         if kept.shared[start, end] < RULES.shared_views:

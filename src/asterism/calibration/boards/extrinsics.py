@@ -17,7 +17,7 @@ _MOST_COMPARED = 80
 
 
 @dataclass(frozen=True)
-class Links:
+class CameraLinks:
     """How cameras hang together by views that they share.
 
     shared     (C, C) frames that two cameras share
@@ -30,7 +30,7 @@ class Links:
     tree: tuple[tuple[int, int], ...]
 
 
-def links_between(frames: Sequence[Ints]) -> Links:
+def links_between(frames: Sequence[Ints]) -> CameraLinks:
     """The view graph of cameras that saw the board in these frames, and its maximum spanning tree. O(C2 T)."""
     count = len(frames)
     shared = np.array([[len(np.intersect1d(a, b)) for b in frames] for a in frames], dtype=np.int64).reshape(count, count)
@@ -53,10 +53,10 @@ def links_between(frames: Sequence[Ints]) -> Links:
         _, start, end = max((shared[i, j], -i, -j) for i in inside for j in groups[0] if j not in inside)
         tree.append((-start, -end))
         inside.append(-end)
-    return Links(shared, tuple(groups), tuple(tree))
+    return CameraLinks(shared, tuple(groups), tuple(tree))
 
 
-def first_rig(intrinsics: dict[int, Intrinsics], links: Links, middle: Floats | None = None) -> dict[int, Camera]:
+def first_rig(intrinsics: dict[int, Intrinsics], links: CameraLinks, middle: Floats | None = None) -> dict[int, Camera]:
     """Poses along the tree, the root's axes being the world: each link is the relative pose that most shared views agree on.
 
     middle  (3,) m of a board that looks the same upside down, else None: each view then allows two poses, of which one is right

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from asterism.cameras.accuracy._kernels import pixel_jacobians
+from asterism.cameras.accuracy.jacobian_kernels import pixel_jacobians
 from asterism.cameras.bundle import Adjustment, Sightings
 from asterism.recording import Floats
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from asterism.errors import AsterismError, guarded_reading
+from asterism.files.text import decoded, read_bytes
 from asterism.findings import Finding, Severity
-from asterism.formats._text import decoded, read_bytes
 from asterism.recording import Ints
 
 _IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".pgm", ".webp")

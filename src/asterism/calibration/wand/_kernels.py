@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.cameras._kernels import CX, CY, FX, FY, distorted
-from asterism.geometry._kernels import nearest_to_rays
+from asterism.cameras.lens_kernels import CX, CY, FX, FY, distorted
+from asterism.geometry.shared_kernels import nearest_to_rays
 
 MOST_BLOBS = 40
 """Images with more blobs than this are not searched for a wand."""

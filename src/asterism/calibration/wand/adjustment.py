@@ -75,7 +75,7 @@ class FinalAdjustment:
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _WandProblem:
     """The wand's images to be explained: placements (rotations, translations) to begin with, known lenses, and each camera's noise."""
 
     wand: Wand
@@ -122,7 +122,7 @@ def adjust_cameras(recording: WandRecording, cameras: Sequence[Camera | None], n
     own = [camera for camera in cameras if camera is not None]
     rotations, translations = (part[used] for part in poses.placements())
     lenses = [recording.lenses[c] for c in posed]
-    problem = _Problem(recording.wand, sightings, (rotations, translations), lenses, noise, relative[posed])
+    problem = _WandProblem(recording.wand, sightings, (rotations, translations), lenses, noise, relative[posed])
     result = problem.fit(own, _GROUPS, tolerance=1e-5, covariance=False)
     each = problem.relative[sightings.camera]
     own, noise = list(result.cameras), max(robust_noise(result.residuals / each[:, None]), 1e-3)

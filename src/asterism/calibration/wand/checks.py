@@ -4,22 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asterism.calibration.wand.drift import PARTS, residual_steps
 from asterism.calibration.wand.frames import widest_image
+from asterism.calibration.wand.result import WandCalibration
+from asterism.calibration.wand.synchronise import CameraLags
 from asterism.calibration.wand.world import default_world
 from asterism.findings import Finding, Severity
 from asterism.recording import Floats
 
-if TYPE_CHECKING:
-    from asterism.calibration.wand.calibrate import WandCalibration
-    from asterism.calibration.wand.synchronise import CameraLags
-
-SCALE_UNKNOWN, UPSIDE_DOWN = "wand-no-scale", "wand-looks-up"
-"""The codes of findings that a world frame settles: the scale of the rig, and which way is up."""
 CELLS = (6, 8)
 """Rows and columns that an image is divided into to say which part of it saw the wand."""
 

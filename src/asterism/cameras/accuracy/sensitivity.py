@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from asterism.cameras.accuracy import _kernels
+from asterism.cameras.accuracy import jacobian_kernels
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
 from asterism.recording import Floats, Ints
@@ -74,7 +74,7 @@ def sensitivity(rig: Rig, places: ArrayLike, shift: float = 0.1, method: str = "
             known[known] = np.linalg.cond(both[known]) < 1e6
             out[q, known] = 2 * shift * np.abs(np.linalg.pinv(both[known]))
         else:
-            _kernels.one_at_a_time(*_parameters(rig, a), *_parameters(rig, b), points, shift, out[q])
+            jacobian_kernels.one_at_a_time(*_parameters(rig, a), *_parameters(rig, b), points, shift, out[q])
     return Sensitivity(pairs, out)
 
 
@@ -114,5 +114,5 @@ def _jacobians(rig: Rig, points: Floats) -> Floats:
     """(C, N, 2, 3) px/m."""
     out = np.empty((len(rig), len(points), 2, 3))
     for c in range(len(rig)):
-        _kernels.pixel_jacobians(*_parameters(rig, c), points, out[c])
+        jacobian_kernels.pixel_jacobians(*_parameters(rig, c), points, out[c])
     return out

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.cameras._kernels import CX, CY, DENOMINATOR, FX, FY, distorted
-from asterism.geometry._kernels import rotate_by
+from asterism.cameras.lens_kernels import CX, CY, DENOMINATOR, FX, FY, distorted
+from asterism.geometry.shared_kernels import rotate_by
 
 PARAMETERS = 15
 FOCAL, ASPECT, CENTRE, K1, TANGENTIAL = 6, 7, 8, 10, 13
@@ -22,8 +22,8 @@ BEHIND = 1e4
 """px, the residual of a point behind its camera: a step that moves one there is no step down."""
 
 
-class CameraArrays(NamedTuple):
-    """Cameras: lens (C, LENS), see `cameras._kernels`; rotation (C, 3, 3), translation (C, 3) m: camera from world."""
+class BundleCameras(NamedTuple):
+    """Cameras: lens (C, LENS), see `cameras.lens_kernels`; rotation (C, 3, 3), translation (C, 3) m: camera from world."""
 
     lens: np.ndarray
     rotation: np.ndarray

@@ -14,7 +14,7 @@ from asterism.cameras.bundle.sightings import PARAMETERS, Bools, Sightings
 from asterism.cameras.camera import Camera
 from asterism.errors import AsterismError
 from asterism.geometry import cross_matrix, nearest_orthogonal
-from asterism.geometry._kernels import rotate_by
+from asterism.geometry.shared_kernels import rotate_by
 from asterism.recording import Floats
 
 _GROUPS = {
@@ -169,9 +169,9 @@ def adjust(
         raise AsterismError(f"sightings name frame {int(sightings.frame[-1])}, but only {len(rotations)} placements were given.")
     model, turn_back, axes = _principal_axes(np.asarray(template, dtype=np.float64).reshape(-1, 3))
     wanted: Bools = free_parameters(len(cameras), "pose", "focal") if free is None else np.array(free, dtype=bool)
-    state = _State.of(cameras, rotations @ turn_back, translations)
+    state = _AdjustmentState.of(cameras, rotations @ turn_back, translations)
     _hold_the_world(wanted, state, single=len(axes) == 3)
-    problem = _Problem(model, sightings, wanted, axes, settings, prior)
+    problem = _BundleProblem(model, sightings, wanted, axes, settings, prior)
     state, cost, done, converged = _descend(problem, state)
     residuals, weights = problem.residuals(state)[:2]
     noise = problem.noise(residuals, weights)
@@ -186,7 +186,7 @@ def adjust(
 
 
 @dataclass
-class _State:
+class _AdjustmentState:
     """Cameras and objects as arrays, the adjustment's working copy."""
 
     lens: Floats
@@ -196,7 +196,7 @@ class _State:
     placed: Floats
 
     @classmethod
-    def of(cls, cameras: Sequence[Camera], turned: Floats, placed: Floats) -> _State:
+    def of(cls, cameras: Sequence[Camera], turned: Floats, placed: Floats) -> _AdjustmentState:
         radial = max(3, *(len(camera.radial) for camera in cameras)) if len(cameras) > 1 else max(3, len(cameras[0].radial))
         lens = np.zeros((len(cameras), 9 + radial))
         for c, camera in enumerate(cameras):
@@ -204,14 +204,14 @@ class _State:
         turns, shifts = (np.array([getattr(camera, name) for camera in cameras]) for name in ("rotation", "translation"))
         return cls(lens, turns, shifts, np.ascontiguousarray(turned), np.array(placed))
 
-    def camera_arrays(self) -> kernels.CameraArrays:
-        return kernels.CameraArrays(self.lens, self.rotation, self.translation)
+    def camera_arrays(self) -> kernels.BundleCameras:
+        return kernels.BundleCameras(self.lens, self.rotation, self.translation)
 
     def objects(self, template: Floats) -> kernels.ObjectArrays:
         return kernels.ObjectArrays(self.turned, self.placed, template)
 
-    def copy(self) -> _State:
-        return _State(self.lens.copy(), self.rotation.copy(), self.translation.copy(), self.turned.copy(), self.placed.copy())
+    def copy(self) -> _AdjustmentState:
+        return _AdjustmentState(self.lens.copy(), self.rotation.copy(), self.translation.copy(), self.turned.copy(), self.placed.copy())
 
     def values(self) -> Floats:
         """(C, 15) in the order of PARAMETERS, turns and shifts 0."""
@@ -259,7 +259,7 @@ class _Normal:
     shifted: Floats
 
 
-class _Problem:
+class _BundleProblem:
     """What stays the same from step to step."""
 
     def __init__(
@@ -282,14 +282,14 @@ class _Problem:
         starts = np.searchsorted(seen.frame, np.arange(frames + 1))
         return kernels.SightingArrays(seen.frame, starts, seen.camera, seen.point, seen.xy)
 
-    def distance_from_prior(self, state: _State, moved: Floats) -> Floats:
+    def distance_from_prior(self, state: _AdjustmentState, moved: Floats) -> Floats:
         """(C, 15) how far the cameras are from what was expected; of turns and shifts, how far they have moved."""
         distance: Floats = moved.copy()
         if self.expected is not None:
             distance[:, 6:] = state.values()[:, 6:] - self.expected[:, 6:]
         return distance
 
-    def residuals(self, state: _State) -> tuple[Floats, Floats, float]:
+    def residuals(self, state: _AdjustmentState) -> tuple[Floats, Floats, float]:
         """Residuals (n, 2) px, weights (n,), and their cost."""
         residuals, weights = np.empty((len(self.seen), 2)), np.empty(len(self.seen))
         seen = self.sightings(len(state.placed))
@@ -305,7 +305,7 @@ class _Problem:
     def prior_cost(self, off: Floats) -> float:
         return 0.5 * float((self.stiffness * np.square(off))[self.wanted].sum())
 
-    def normal(self, state: _State, residuals: Floats, weights: Floats, damping: float) -> _Normal:
+    def normal(self, state: _AdjustmentState, residuals: Floats, weights: Floats, damping: float) -> _Normal:
         """Gauss-Newton's equations, damped; without the gradient of the priors."""
         dof, frames = len(self.axes), len(state.placed)
         out = kernels.NormalArrays(
@@ -331,10 +331,10 @@ class _Problem:
 
 
 @dataclass(frozen=True)
-class _Trial:
+class _AdjustmentTrial:
     """A state of the search and its cost, priors included."""
 
-    state: _State
+    state: _AdjustmentState
     moved: Floats
     residuals: Floats
     weights: Floats
@@ -342,17 +342,17 @@ class _Trial:
     cost: float
 
     @classmethod
-    def at(cls, problem: _Problem, state: _State, moved: Floats) -> _Trial:
+    def at(cls, problem: _BundleProblem, state: _AdjustmentState, moved: Floats) -> _AdjustmentTrial:
         residuals, weights, cost = problem.residuals(state)
         from_prior = problem.distance_from_prior(state, moved)
         return cls(state, moved, residuals, weights, from_prior, cost + problem.prior_cost(from_prior))
 
 
-def _descend(problem: _Problem, state: _State) -> tuple[_State, float, int, bool]:
+def _descend(problem: _BundleProblem, state: _AdjustmentState) -> tuple[_AdjustmentState, float, int, bool]:
     """Levenberg-Marquardt until a step changes nothing: the state, its cost, the steps tried, and whether it converged."""
     settings = problem.settings
     damping, tolerance = settings.damping, settings.tolerance
-    best = _Trial.at(problem, state, np.zeros(problem.wanted.shape))
+    best = _AdjustmentTrial.at(problem, state, np.zeros(problem.wanted.shape))
     done = 0
     while done < settings.steps and damping < settings.hopeless:
         done += 1
@@ -372,7 +372,7 @@ def _descend(problem: _Problem, state: _State) -> tuple[_State, float, int, bool
     return best.state, best.cost, done, False
 
 
-def _step(problem: _Problem, best: _Trial, damping: float) -> _Trial | None:
+def _step(problem: _BundleProblem, best: _AdjustmentTrial, damping: float) -> _AdjustmentTrial | None:
     """One damped step of cameras and objects; None where the equations are singular or the step leads to impossible cameras."""
     normal = problem.normal(best.state, best.residuals, best.weights, damping)
     move: Floats = np.zeros(0)
@@ -389,10 +389,10 @@ def _step(problem: _Problem, best: _Trial, damping: float) -> _Trial | None:
     kernels.move_objects(state.turned, state.placed, normal.factors, normal.shifted - normal.reduced @ move, problem.axes)
     if not (np.isfinite(step).all() and (state.lens[:, :2] > 1.0).all()):
         return None
-    return _Trial.at(problem, state, best.moved + step)
+    return _AdjustmentTrial.at(problem, state, best.moved + step)
 
 
-def _hold_the_world(wanted: Bools, state: _State, single: bool) -> None:
+def _hold_the_world(wanted: Bools, state: _AdjustmentState, single: bool) -> None:
     """Fix what images leave open: where the world begins and how it is turned, and its size where the object is a single point."""
     if not wanted[:, :6].any(axis=1).all():
         return

@@ -9,9 +9,9 @@ from typing import Any
 from asterism.cameras.camera import Camera
 from asterism.cameras.files import anipose, datasets, opencv, openptv, own, qualisys, vicon
 from asterism.cameras.files._common import UNIT_TAKEN
-from asterism.cameras.files._toml import read_toml
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError, guarded_reading
+from asterism.files.toml import read_toml
 
 _OPENCV = (".yml", ".yaml", ".xml")
 _SUFFIXES = (".toml", ".xcp", ".ori", ".json", *_OPENCV)

@@ -8,10 +8,10 @@ from typing import Any
 from asterism.cameras.camera import Camera
 from asterism.cameras.files._common import image_size, in_metres, numbers, of_whom, read_otherwise, rig_of, rotation_of, within
 from asterism.cameras.files._lens import OPENCV, lens_lost, with_fisheye, with_shapes
-from asterism.cameras.files._toml import toml_line
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
-from asterism.formats._atomic import utf8, write_atomically
+from asterism.files.atomic import utf8, write_atomically
+from asterism.files.toml import toml_line
 from asterism.geometry import vector_from_rotation
 
 ANIPOSE, CALISCOPE = "anipose TOML", "caliscope TOML"

@@ -10,7 +10,7 @@ from asterism.cameras.camera import Camera
 from asterism.cameras.files._common import numbers, rig_of, rotation_of, within
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
-from asterism.formats._text import decoded, read_bytes
+from asterism.files.text import decoded, read_bytes
 
 
 def read_json(path: Path) -> Rig:

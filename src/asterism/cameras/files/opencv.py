@@ -16,8 +16,8 @@ from asterism.cameras.files._lens import OPENCV, lens_lost, with_fisheye, with_s
 from asterism.cameras.files._opencv_text import values_of_xml, values_of_yaml
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
-from asterism.formats._atomic import utf8, write_atomically
-from asterism.formats._text import decoded, read_bytes
+from asterism.files.atomic import utf8, write_atomically
+from asterism.files.text import decoded, read_bytes
 from asterism.recording import Floats
 
 KIND = "OpenCV"

@@ -13,8 +13,8 @@ from asterism.cameras.files._common import OPENCV_FROM_UPRIGHT, image_size, numb
 from asterism.cameras.files._lens import TOLERABLE_PX, corner_radius, lens_lost
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
-from asterism.formats._atomic import utf8, write_atomically
-from asterism.formats._text import decoded, read_bytes
+from asterism.files.atomic import utf8, write_atomically
+from asterism.files.text import decoded, read_bytes
 from asterism.geometry import rotation_from_vector
 from asterism.recording import Floats
 

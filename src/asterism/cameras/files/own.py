@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from asterism.cameras.camera import Camera
-from asterism.cameras.files._toml import toml_line
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
-from asterism.formats._atomic import utf8, write_atomically
+from asterism.files.atomic import utf8, write_atomically
+from asterism.files.toml import toml_line
 
 FORMAT = "asterism-rig"
 FORMAT_VERSION = 1

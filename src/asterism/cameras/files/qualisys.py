@@ -12,7 +12,7 @@ from asterism.cameras.files._common import OPENCV_FROM_UPRIGHT, attribute, image
 from asterism.cameras.files._lens import POLYNOMIALS, lens_lost, with_shapes
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
-from asterism.formats._atomic import write_atomically
+from asterism.files.atomic import write_atomically
 
 SUBPIXELS = 64.0
 """Per pixel: QTM's unit for focal lengths, centres and sensor limits."""

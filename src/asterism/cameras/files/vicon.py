@@ -13,7 +13,7 @@ from asterism.cameras.files._common import attribute, image_size, numbers, rig_o
 from asterism.cameras.files._lens import POLYNOMIALS, RATIONALS, TOLERABLE_PX, Radial, corner_radius, fitted_radial, lens_lost
 from asterism.cameras.rig import Rig
 from asterism.errors import AsterismError
-from asterism.formats._atomic import write_atomically
+from asterism.files.atomic import write_atomically
 from asterism.recording import Floats
 
 _RADII = 400

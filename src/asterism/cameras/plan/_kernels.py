@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.geometry._kernels import cofactors
+from asterism.geometry.shared_kernels import cofactors
 
 COVERED = (0.0, 0.1, 0.4, 1.0)
 """What a place is worth that none, one, two, or three cameras and more see."""

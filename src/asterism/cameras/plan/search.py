@@ -59,7 +59,7 @@ _PAIRS = np.array([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)])
 
 
 @dataclass(frozen=True)
-class Plan:
+class RigPlan:
     """A proposal, and the ring that the thesis' guidelines (3.2.2) would give, with the same cameras on the same mounts.
 
     rig, ring              z is up
@@ -88,7 +88,7 @@ def plan_rig(
     mounts: Mounts | None = None,
     noise: float = NOISE,
     progress: Progress | None = None,
-) -> Plan:
+) -> RigPlan:
     """Where to hang cameras of one kind for a volume: coverage by three of them, and the precision that they give (thesis 3.2, 3.3).
 
     volume  z is up
@@ -122,7 +122,7 @@ def plan_rig(
     best = max(polished, key=lambda poses: hall.worth(poses, least))
     best = best[np.argsort([_azimuth(given.position(pose[:3]), hall.centre) for pose in best], kind="stable")]
     glare = hall.glare(best), hall.glare(ring)
-    return Plan(hall.rig(best), hall.rig(ring), hall.worth(best), hall.worth(ring), *glare)
+    return RigPlan(hall.rig(best), hall.rig(ring), hall.worth(best), hall.worth(ring), *glare)
 
 
 def _azimuth(position: Floats, centre: Floats) -> float:

@@ -65,7 +65,7 @@ def check(options: CheckOptions) -> None:
 
 def _check(path: Path, pattern: Any) -> PhotoCheck:
     from asterism.errors import guarded_reading
-    from asterism.formats._text import read_bytes
+    from asterism.files.text import read_bytes
     from asterism.garment.check import check_photo
 
     with guarded_reading(path, "take the photo again"):

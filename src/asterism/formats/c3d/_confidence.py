@@ -13,11 +13,11 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.formats._confidence import LabelConfidence
+from asterism.formats.c3d._assemble import assembled
 from asterism.formats.c3d._edit import LOG_GROUP, MOST_STRINGS, floats_record, integers_record, strings_record, with_group, with_number
 from asterism.formats.c3d._file import C3DFile, numbered, ranges
 from asterism.formats.c3d._numbers import Words
 from asterism.formats.c3d._parameters import BYTE, CHARACTER, FLOAT, INTEGER, Parameters, Record, make_parameter
-from asterism.formats.c3d._writer import assembled
 from asterism.recording import Floats, LabelStates
 
 ENDING = " confidence"

@@ -58,7 +58,7 @@ def points_of(file: C3DFile, some: slice | None = None) -> Points:
         fallback=as_vertical("z"),
         first_frame=file.first_frame,
         events=file.events,
-        subject=subject_of(file),
+        subject=one_subject(file),
         findings=(*file.findings, *found),
         extra={"encoding": encoding_of(file), "metres_per_unit": scale},
         log=log_of(file.parameters),
@@ -124,7 +124,7 @@ def declared_vertical(file: C3DFile) -> Floats | None:
     return as_vertical(axis if file.by_asterism else axis[-1])
 
 
-def subject_of(file: C3DFile) -> str:
+def one_subject(file: C3DFile) -> str:
     """The one subject that SUBJECTS:NAMES names, else ""."""
     names = [name for name in file.parameters.strings("SUBJECTS", "NAMES") if name]
     return names[0] if len(names) == 1 else ""

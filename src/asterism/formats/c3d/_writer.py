@@ -14,12 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.formats._atomic import write_atomically
+from asterism.files.atomic import write_atomically
 from asterism.formats._columns import without_common_subject
 from asterism.formats._confidence import LabelConfidence
 from asterism.formats._physical import is_unnamed
+from asterism.formats.c3d._assemble import assembled
+from asterism.formats.c3d._confidence import with_confidence
 from asterism.formats.c3d._edit import label_parameters, log_of, with_declared, with_events, with_log, with_number
-from asterism.formats.c3d._file import BLOCK, C3DFile, parse_c3d, ranges
+from asterism.formats.c3d._file import C3DFile, parse_c3d, ranges
 from asterism.formats.c3d._fresh import fresh_c3d
 from asterism.formats.c3d._numbers import Words
 from asterism.formats.c3d._parameters import Parameters, Record, text_of
@@ -55,8 +57,6 @@ def write_c3d(path: Path, recording: Recording, confidence: LabelConfidence | No
         renamed = renamed_computed(parse_c3d(data, str(path)), recording.source)
         lost += [f"the label of the computed point {label}, which a marker has now; the point is {label}_computed" for label in renamed]
     if confidence is not None and states is not None:
-        from asterism.formats.c3d._confidence import with_confidence
-
         try:
             data = with_confidence(parse_c3d(data, str(path)), confidence, states)
         except AsterismError as problem:
@@ -86,7 +86,7 @@ class _Slot:
 
 
 @dataclass(frozen=True)
-class Plan:
+class RewritePlan:
     """How a recording is written into a copy of its file.
 
     slots       the point columns of the new file
@@ -119,7 +119,7 @@ def rewritten(file: C3DFile, recording: Recording, target: str) -> bytearray:
     return data
 
 
-def planned(file: C3DFile, recording: Recording, main: Sequence[int], target: str) -> Plan:
+def planned(file: C3DFile, recording: Recording, main: Sequence[int], target: str) -> RewritePlan:
     """How a recording is written; main: the place in the file that most samples of each column came from, -1 for none.
 
     Of the recording only labels, events, log, rate and `taken` are looked at.
@@ -149,7 +149,7 @@ def planned(file: C3DFile, recording: Recording, main: Sequence[int], target: st
     rate = recording.rate if recording.rate != file.rate else None
     if rate is not None:
         parameters = _with_rate(parameters, rate / file.rate)
-    return Plan(slots, parameters, rate)
+    return RewritePlan(slots, parameters, rate)
 
 
 def _slots(seen: Sequence[str], recording: Recording, main: Sequence[int], points: int) -> list[_Slot]:
@@ -319,64 +319,3 @@ def _with_rate(parameters: Parameters, factor: float) -> Parameters:
         if old is not None:
             changes[group, "RATE"] = with_number(parameters, group, "RATE", old * factor)
     return parameters.replaced(changes)
-
-
-def assembled(file: C3DFile, parameters: Parameters, width: int, points: int, rate: float | None) -> tuple[bytearray, Words]:
-    """A new file with header, parameters and what follows the data, pointers updated; and its data block, to be filled: (frames, width).
-
-    The block's words are in the file's byte order.
-    """
-    raw, start, kind = file.raw, file.layout.start, file.point_words.dtype
-    begin, size = min(file.header.parameters_at, start), file.layout.frames * width * kind.itemsize
-    section, shift = raw[begin:start], 0
-    tail, tail_shift = tail_of(file, size - (file.layout.stop - start))
-    if parameters is not file.parameters or tail_shift:
-        if begin == start:
-            raise AsterismError(
-                f"{file.path} keeps its parameters behind its data, so its points cannot be renamed; export it again first."
-            )
-        section, shift = _fitted_section(file, parameters, tail_shift)
-    head = bytearray(raw[:begin])
-    processor = file.processor
-    if points != file.header.points and points != file.layout.points:
-        head[2:4] = processor.bytes_of_unsigned(points)
-    if shift:
-        head[16:18] = processor.bytes_of_unsigned(start // BLOCK + 1 + shift)
-    if rate is not None:
-        head[20:24] = processor.store(processor.words_of_floats([rate]))
-    at = len(head) + len(section)
-    data = bytearray(at + size + len(tail))
-    data[: len(head)], data[len(head) : at], data[at + size :] = head, section, tail
-    words = np.frombuffer(data, dtype=kind.newbyteorder(processor.order), count=file.layout.frames * width, offset=at)
-    return data, words.reshape(file.layout.frames, width)
-
-
-def tail_of(file: C3DFile, growth: int) -> tuple[bytes, int]:
-    """What follows the data, padded so that it begins at the same place in a block; and by how many blocks it moves."""
-    tail = bytes(file.raw[file.layout.stop :])
-    if not growth:
-        return tail, 0
-    if not tail.strip(b"\0") and len(tail) <= BLOCK:
-        return (bytes(-(file.layout.stop + growth) % BLOCK) if len(file.raw) % BLOCK == 0 else tail), 0
-    pad = -growth % BLOCK
-    return bytes(pad) + tail, (growth + pad) // BLOCK
-
-
-def _fitted_section(file: C3DFile, parameters: Parameters, tail_shift: int) -> tuple[bytes, int]:
-    """The parameter section in whole blocks, and by how many blocks it has grown."""
-    start = file.layout.start
-    room = start - file.header.parameters_at
-    parameters = parameters.repaired()
-    blocks = -(-len(parameters.to_bytes()) // BLOCK)
-    shift = max(0, blocks - room // BLOCK)
-    changes: dict[tuple[str, str], Record | None] = {}
-    for group in parameters.groups:
-        block = parameters.count(group, "DATA_START")
-        if block is not None and block >= start // BLOCK + 1 and (shift or (tail_shift and block > start // BLOCK + 1)):
-            moved = block + shift + (tail_shift if block > start // BLOCK + 1 else 0)
-            changes[group, "DATA_START"] = with_number(parameters, group, "DATA_START", moved)
-    parameters = parameters.replaced(changes)
-    section = parameters.to_bytes()
-    counted = section[2] + shift if section[2] else 0
-    section = section[:2] + bytes([min(counted, 255)]) + section[3:]
-    return section.ljust(room + shift * BLOCK, b"\0"), shift

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.geometry._kernels import symmetric_inverse
+from asterism.geometry.shared_kernels import symmetric_inverse
 
 STEPS, STILL, LEAST_DEPTH = 0, 1, 2
 """Places in the rules of `refine_points`."""

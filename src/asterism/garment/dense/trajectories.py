@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError, guarded_reading
-from asterism.formats._atomic import write_atomically
-from asterism.formats._npz_members import arrays_of_npz
-from asterism.formats._text import read_bytes
+from asterism.files.atomic import write_atomically
+from asterism.files.npz import arrays_of_npz
+from asterism.files.text import read_bytes
 from asterism.garment.dense.points import DensePoints
 from asterism.recording import Floats, Recording, as_vertical
 

@@ -114,7 +114,11 @@ def _runs_above(grey, threshold):
 
 @kernel
 def _runs_within(grey, threshold, within, runs):
-    """The same of the pixels in other runs (m, 4), which are in the order of rows and columns. Returns how many."""
+    """The same of the pixels in other runs (m, 4), which are in the order of rows and columns. Returns how many.
+
+    OUT runs (n, 4): n is at least the sum of (length + 1) // 2 of the runs within. Two runs of one are apart by a pixel at least, so that k
+    of them take 2 k - 1 pixels.
+    """
     count = 0
     for k in range(len(within)):
         y, last = np.uint64(within[k, 0]), np.int64(within[k, 2])
@@ -144,7 +148,8 @@ def _connect(runs, count, roots, starts, order):
     WORK roots (n,)
     OUT  starts (n + 1,), order (n,): the runs of part k are order[starts[k] : starts[k + 1]]
 
-    Returns how many parts. O(n), but for the search of roots. Union-find, the root is a part's first run.
+    Returns how many parts; each has a run, so they are `count` at most. O(n), but for the search of roots. Union-find, the root is a part's
+    first run.
     """
     other = 0
     for k in range(count):
@@ -230,8 +235,11 @@ def _sort_out(size, limits, threshold, depth, runs, starts, order, first_part, l
     """Of the parts above a threshold, put those of an ellipse's shape among the regions, and let the others wait for a higher threshold.
 
     IN  size (2,) of the image; limits; threshold, depth: how many were lower; runs (n, 4), starts, order of `_connect`; first and last part
-    IO  regions, held of `find_regions`; waiting (4096, 3): first run in `inner`, next threshold, depth; inner (n, 4); state (4,)
+    IO  regions, held of `find_regions`; waiting (n, 3): first run in `inner`, next threshold, depth; inner (n, 4); state (4,)
     WORK box (4,), sums (5,)
+
+    The caller sees to it that `held` has room for all runs between `first_part` and `last_part`, and `waiting` and `inner` for those of
+    a region of the lowest threshold.
     """
     for part in range(first_part, last_part):
         begin, end = np.int64(starts[part]), np.int64(starts[part + 1])
@@ -253,7 +261,7 @@ def _sort_out(size, limits, threshold, depth, runs, starts, order, first_part, l
                 kept += 1
             regions[count, 7] = kept
             state[COUNT], state[KEPT] = count + 1, kept
-        elif depth < 8 and state[WAITS] < len(waiting) and area > 2 * limits[0]:
+        elif depth < 8 and area > 2 * limits[0]:
             step = threshold + max(limits[3], (most - threshold) // 4)
             if small:
                 step = max(step, limits[5] * most)
@@ -277,24 +285,28 @@ def find_regions(grey, lowest, limits, regions):
         above the threshold, longest side of the box px, threshold as a share of the highest value
     OUT regions (most, 8) int32: smallest and largest x and y, highest value, threshold, first of its runs, first of the next one's
 
-    Returns the number of regions and their runs (m, 3) int32: row, first and last column. O(h w + pixels of regions times thresholds);
-    allocates some 40 bytes a run of the lowest threshold, and 30 a pixel of the largest region there. Twin: tests/twins_garment_read.py
+    Returns the number of regions and their runs (m, 3) int32: row, first and last column. Regions beyond `most` are left out.
+    O(h w + pixels of regions times thresholds); allocates some 40 bytes a run of the lowest threshold, and 68 for each run that the
+    largest region there can have at higher ones. Twin: tests/twins_garment_read.py
+
+    Bounds. `room` is the largest sum over a region's runs of (length + 1) // 2. Two runs above a higher threshold are apart by a pixel at
+    least, so that a run of n pixels holds (n + 1) // 2 of them at most; n = 1 holds one, which is why half of the pixels is too little.
+    That bounds `parted`. Parts that wait share no pixel, and no two of their runs touch within a row: it bounds `inner`. Each part that
+    waits has a run: it bounds `waiting`. `held` is made longer where the next part's runs may not fit.
     """
     size = grey.shape
     box, sums, state = np.empty(4, np.int64), np.empty(5), np.zeros(4, np.int64)
-    waiting = np.empty((4096, 3), np.int64)
     whole, number = _runs_above(grey, lowest)
     ends = np.empty((3, number + 1), np.int32)
     starts, order = ends[1], ends[2]
     tops = _connect(whole, number, ends[0], starts, order)
-    largest = 0
+    room = 0
     for top in range(tops):
-        area = 0
+        divided = 0
         for i in range(starts[top], starts[top + 1]):
-            area += whole[order[i], 2] - whole[order[i], 1] + 1
-        largest = max(largest, area)
-    # Runs that do not touch one another are at most half as many as pixels.
-    room = largest // 2 + 2
+            divided += (np.int64(whole[order[i], 2]) - whole[order[i], 1] + 2) // 2
+        room = max(room, divided)
+    waiting = np.empty((room, 3), np.int64)
     inner, parted, inner_ends = np.empty((room, 4), np.int32), np.empty((room, 4), np.int32), np.empty((3, room + 1), np.int32)
     inner_starts, inner_order = inner_ends[1], inner_ends[2]
     held = np.empty((number + room, 3), np.int32)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.geometry._kernels import fit_about_z
+from asterism.geometry.shared_kernels import fit_about_z
 from asterism.labelling.body._workspace_kernels import LOG_2PI
 
 

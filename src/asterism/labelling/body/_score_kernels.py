@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.geometry._kernels import align_about_z, cofactors, symmetric_inverse
+from asterism.geometry.shared_kernels import align_about_z, cofactors, symmetric_inverse
 from asterism.labelling.body._workspace_kernels import LOG_2PI
 
 NO_TAIL = 1e9

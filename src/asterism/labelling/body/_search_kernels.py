@@ -15,7 +15,7 @@ from asterism.labelling.body._assignment_kernels import assign_greedily, assign_
 from asterism.labelling.body._refine_kernels import refine_until_known
 from asterism.labelling.body._score_kernels import best_pose
 from asterism.labelling.body._workspace_kernels import BodyWorkspace, copy_labels, count_labelled, index_of
-from asterism.labelling.partial._search_kernels import search
+from asterism.labelling.features.search_kernels import search
 
 MAX_LABELLINGS = 24
 """Labellings of one frame that are kept apart."""
@@ -53,7 +53,7 @@ class CandidateLabellings(NamedTuple):
     last_vote: np.ndarray
 
 
-class SearchWorkspace(NamedTuple):
+class AnchorSearchWorkspace(NamedTuple):
     """Working arrays of one thread for the search in frames of n points: see `make_search_workspace`.
 
     body            BodyWorkspace
@@ -100,7 +100,7 @@ def make_search_workspace(body, candidates, proposals):
     """
     n = len(body.aligned)
     triples = max(64, n * n)
-    return SearchWorkspace(
+    return AnchorSearchWorkspace(
         body,
         candidates,
         np.arange(n),

@@ -137,7 +137,7 @@ class _RefinedLabelling:
 
 
 class Stream:
-    """Labels live points with a fixed delay and bounded memory. Made by `SolverEnsemble.stream`.
+    """Labels live points with a fixed delay and bounded memory. Made by `MarkerModel.stream`.
 
     The cost of a push does not grow with time. The memory grows with the points of a frame and the delay only.
     """

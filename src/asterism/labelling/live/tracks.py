@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from asterism.recording import Floats, Ints
-from asterism.tracking._link_kernels import link_step
-from asterism.tracking._link_workspace_kernels import LinkLimits, make_link_workspace, make_track_ends
+from asterism.tracking.link_kernels import link_step
+from asterism.tracking.link_workspace_kernels import LinkLimits, make_link_workspace, make_track_ends
 
 
 class TrackEvidence:

@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from pathlib import PurePath
 
 import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
+from asterism.labelling.features.feature_kernels import G1, G2, G4, G6, G7, LAST_INLINED, mark_rejections
+from asterism.labelling.features.motion_kernels import G14
+from asterism.labelling.features.motion_points import feature_points, frames_with_motion
+from asterism.labelling.features.registry import FEATURES, THESIS, kinds_of, markers_read, needs_motion
+from asterism.labelling.features.search_kernels import SolverArrays, search
 from asterism.labelling.partial._build_kernels import order_tests
-from asterism.labelling.partial._feature_kernels import G1, G2, G4, G6, G7, LAST_INLINED, mark_rejections
-from asterism.labelling.partial._motion_kernels import G14
+from asterism.labelling.partial._full_solver_kernels import label_by_full_solver
 from asterism.labelling.partial._pair_search_kernels import PairRules
-from asterism.labelling.partial._search_kernels import SolverArrays, label_by_full_solver, search
-from asterism.labelling.partial.features import FEATURES, THESIS, kinds_of, markers_read, needs_motion
-from asterism.labelling.partial.motion_points import feature_points, frames_with_motion
 from asterism.labelling.partial.weak import (
     Bits,
     FeatureRanges,
@@ -28,7 +28,7 @@ from asterism.labelling.partial.weak import (
     choose_widening,
     classifiers_over,
 )
-from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording
+from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, Recording, subject_of
 
 BUDGET = 200_000
 """Feature evaluations that a search may spend on one frame. Exhausted, it gives no label: deterministic, unlike a limit in seconds."""
@@ -197,11 +197,6 @@ def stack_frames(recordings: Sequence[Recording], subjects: Sequence[str] | None
     number = {name: i for i, name in enumerate(dict.fromkeys(names))}
     frames = np.concatenate([frames_with_motion(r) if motion else rotate_z_up(r.positions, r.vertical) for r in recordings])
     return frames, np.repeat([number[name] for name in names], [len(recording) for recording in recordings]).astype(np.int64)
-
-
-def subject_of(recording: Recording) -> str:
-    """The subject of a recording: `metadata["subject"]`, else the folder of its file."""
-    return str(recording.metadata.get("subject") or PurePath(str(recording.metadata.get("file", ""))).parent)
 
 
 class FullSolver:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from asterism.errors import AsterismError
-from asterism.labelling.partial.solver import subject_of
-from asterism.recording import MarkerSet, Recording, is_unnamed
+from asterism.recording import MarkerSet, Recording, is_unnamed, subject_of
 
 FEWEST_MARKERS = 4
 """Markers that recordings must share to be learned from together."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from asterism.labelling.partial.solver import subject_of
-from asterism.recording import Recording, canonical, is_unnamed
+from asterism.recording import Recording, canonical, is_unnamed, subject_of
 
 FEWEST_SHARED = 4
 """Markers that two prefixes share from which they are two people, where these are also half of the markers of one: parts of a body that

@@ -18,12 +18,12 @@ from scipy.special import expit, gammaln, logit
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole.joint import SceneLabelling
 from asterism.labelling.whole.plausibility import own_deviations
-from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, with_fewer_samples
+from asterism.labelling.whole.scene import RecordingLabellingSettings, RecordingScene, with_fewer_samples
 from asterism.labelling.whole.turned import joint_evidence
 from asterism.labelling.whole.verdict import RigidDistances, median_and_std
 from asterism.recording import NULL, Floats, Ints
 
-Relabel = Callable[[Scene, Ints], SceneLabelling]
+Relabel = Callable[[RecordingScene, Ints], SceneLabelling]
 """Labels a scene from given labels (J,) on."""
 
 
@@ -234,7 +234,7 @@ class Samples:
     tracks: int
 
     @classmethod
-    def of_scene(cls, scene: Scene) -> Samples:
+    def of_scene(cls, scene: RecordingScene) -> Samples:
         """The sampled frames of a scene."""
         order = np.lexsort((scene.sampled_track, scene.sampled_frame))
         frame, track, xyz = scene.sampled_frame[order], scene.sampled_track[order], scene.sampled_xyz[order]
@@ -333,7 +333,7 @@ def forward_travel(found: SceneLabelling, names: Sequence[str], rules: ForeignRu
     return forward_share(positions, _seconds(found.scene), _side_pairs(names), rules.min_speed)
 
 
-def _seconds(scene: Scene) -> Floats:
+def _seconds(scene: RecordingScene) -> Floats:
     """When each sampled frame is (E,)."""
     return scene.sampled_frames / scene.rate
 

@@ -19,7 +19,7 @@ from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole._twin_kernels import TwinScores, score_twins
 from asterism.labelling.whole.scene import (
     RecordingLabellingSettings,
-    Scene,
+    RecordingScene,
     labels_of_body,
     marker_offsets,
     score_scene,
@@ -51,7 +51,7 @@ def twin_limits(lead: Floats, label: Ints, rules: TwinRules) -> Floats:
     return np.append(expit(lead / rules.scale), 1.0)[label]
 
 
-def joint_evidence(labellers: Sequence[BodyLabeller], scene: Scene, label: Ints) -> float:
+def joint_evidence(labellers: Sequence[BodyLabeller], scene: RecordingScene, label: Ints) -> float:
     """What the labels (J,) explain of a frame, the mean over the sampled ones in nats, by the bodies of people at large."""
     offsets, total = marker_offsets(labellers), 0.0
     for number, labeller in enumerate(labellers):
@@ -63,7 +63,7 @@ def joint_evidence(labellers: Sequence[BodyLabeller], scene: Scene, label: Ints)
 
 def hold_against_twins(
     labellers: Sequence[BodyLabeller],
-    scene: Scene,
+    scene: RecordingScene,
     label: Ints,
     relabel: Callable[[Ints], Ints],
     rules: TwinRules,
@@ -91,7 +91,7 @@ def hold_against_twins(
 
 
 def _lead_over_twins(
-    labeller: BodyLabeller, few: Scene, label: Ints, offsets: Ints, number: int, rules: TwinRules
+    labeller: BodyLabeller, few: RecordingScene, label: Ints, offsets: Ints, number: int, rules: TwinRules
 ) -> tuple[Floats, Ints | None]:
     """The lead (M,) of the labels of the body with this number over its twins, in nats a frame; and the labels (J,) of the best twin that
     is ahead, None where there is none."""

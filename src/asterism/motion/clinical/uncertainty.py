@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asterism.motion.clinical.angles import SIDES, ClinicalAngles, ClinicalJoint, leg_angles, leg_axes
-from asterism.motion.uncertainty.monte_carlo import MonteCarloRules, run_monte_carlo
+from asterism.motion.uncertainty.monte_carlo import MonteCarloRules, run_by_source
 from asterism.motion.uncertainty.sources import CalibrationErrors, CalibrationField, MeasurementNoise
 from asterism.progress import Progress
 from asterism.recording import Floats, Recording
@@ -110,15 +110,12 @@ def clinical_uncertainty(
     errors = errors or ClinicalErrors()
     rules = rules or MonteCarloRules()
     legs = _Legs.of(recording, clinical, errors)
-    total = run_monte_carlo(legs.trial(SOURCES), seed=seed, workers=workers, rules=rules, progress=progress)
-    few = replace(rules, most=budget_trials, block=min(budget_trials, rules.block))
-    alone = {
-        name: run_monte_carlo(legs.trial((name,)), seed=seed, workers=workers, rules=few, progress=progress).standard for name in SOURCES
-    }
-    alone["all"] = total.values[:budget_trials].std(axis=0, ddof=1)
+    options = {"seed": seed, "workers": workers, "rules": rules, "progress": progress}
+    total, alone, together = run_by_source(legs.trial, SOURCES, budget_trials, **options)
     standard = legs.by_joint(total.standard)
     ends = {p: tuple(legs.by_joint(end - total.estimate) for end in pair) for p, pair in total.intervals.items()}
-    budgets = {name: legs.by_joint(part) for name, part in alone.items()}
+    parts = {name: run.standard for name, run in alone.items()} | {"all": together}
+    budgets = {name: legs.by_joint(part) for name, part in parts.items()}
     joints = tuple(
         JointUncertainty(
             joint,

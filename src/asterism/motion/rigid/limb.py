@@ -11,6 +11,7 @@ from asterism.errors import AsterismError
 from asterism.motion.rigid._kernels import eigenvalue_weights, fit_frames, local_positions, point_spread
 from asterism.recording import Floats
 
+_IN_A_LINE = "the limb's points lie in a line, which leaves its rotation open; add a point beside the line."
 METHODS = ("robust", "svd", "pct", "pct-half-mean", "interval-deformation")
 """robust: points weighed by how far they stray (default). svd: all points alike. pct: Andriacchi's weights. pct-half-mean: those, points
 below half the mean weight left out (GaMoCap 4.1). interval-deformation: each point's own course is estimated and taken off."""
@@ -93,6 +94,12 @@ def estimate_limb_motion(
     world in the first frame with most points, as GaMoCap's rotations are against the first frame.
     Raises AsterismError for unknown methods, other shapes, infinite positions, weights that are negative or not finite, and where fewer
     than three points not in a line are ever present together. O(rounds T N) time, O(T N) memory.
+
+    >>> box = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.3]])
+    >>> quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    >>> motion = estimate_limb_motion([box, box @ quarter.T + [1.0, 0.0, 0.0]])
+    >>> np.allclose(motion.rotations[1], quarter), np.allclose(motion.translations[1], [1.0, 0.0, 0.0])
+    (True, True)
     """
     given = _checked(positions)
     prior = _prior(weights, given.shape[1])
@@ -148,21 +155,30 @@ def _prior(weights: ArrayLike | None, points: int) -> Floats:
 def _reference_frame(positions: Floats, prior: Floats, rules: LimbRules) -> int:
     """The first of the frames with the most points of weight whose points are not in a line."""
     counts = (np.isfinite(positions[:, :, 0]) & (prior > 0)).sum(axis=1)
-    for frame in np.argsort(-counts, kind="stable")[:10]:
+    most = int(counts.max(initial=0))
+    if most < 3:
+        raise AsterismError(f"at most {most} of the limb's points are present in one frame; a rotation needs three.")
+    for frame in np.argsort(-counts, kind="stable")[: (counts >= 3).sum()]:
         rotation, translation = np.empty((1, 3, 3)), np.empty((1, 3))
         here = positions[frame]
         fit_frames(here, positions[frame : frame + 1], prior[None], rules.flat, rotation, translation)
         if np.isfinite(rotation).all():
             return int(frame)
-    most = int(counts.max(initial=0))
-    if most < 3:
-        raise AsterismError(f"at most {most} of the limb's points are present in one frame; a rotation needs three.")
-    raise AsterismError("the limb's points lie in a line, which leaves its rotation open; add a point beside the line.")
+    raise AsterismError(_IN_A_LINE)
 
 
 def _fit(positions: Floats, template: Floats, weights: Floats, rules: LimbRules) -> tuple[Floats, Floats]:
+    """Rotations and translations of all frames. Raises AsterismError where none has any: the mean shape of points may lie in a line
+    although that of the reference frame does not."""
+    rotations, translations = _fit_frames(positions, template, weights, rules.flat)
+    if not np.isfinite(rotations[:, 0, 0]).any():
+        raise AsterismError(_IN_A_LINE)
+    return rotations, translations
+
+
+def _fit_frames(positions: Floats, template: Floats, weights: Floats, flat: float) -> tuple[Floats, Floats]:
     rotations, translations = np.empty((len(positions), 3, 3)), np.empty((len(positions), 3))
-    fit_frames(template, positions, np.ascontiguousarray(np.atleast_2d(weights)), rules.flat, rotations, translations)
+    fit_frames(template, positions, np.ascontiguousarray(np.atleast_2d(weights)), flat, rotations, translations)
     return rotations, translations
 
 
@@ -237,9 +253,10 @@ def _fit_by_clusters(positions: Floats, fit: _Fit, prior: Floats, rules: LimbRul
         kept = weights >= rules.rejected * weights.sum(axis=1, keepdims=True) / present
         enough = (kept & (weights > 0)).sum(axis=1) >= 3
         weights = np.where(kept | ~enough[:, None], np.where(enough[:, None], 1.0 * (weights > 0) * prior, weights), 0.0)
-    rotations, translations = _fit(positions, fit.template, weights, rules)
+    rotations, translations = _fit_frames(positions, fit.template, weights, rules.flat)
+    # Weights that leave a frame no rotation tell nothing of it: there the plain fit stands, with the weights that it had.
     lost = ~np.isfinite(rotations).all(axis=(1, 2))
-    rotations[lost], translations[lost] = fit.rotations[lost], fit.translations[lost]
+    rotations[lost], translations[lost], weights[lost] = fit.rotations[lost], fit.translations[lost], prior
     return _Fit(fit.template, rotations, translations, fit.squares), weights
 
 
@@ -274,6 +291,9 @@ def _fit_with_deformation(positions: Floats, prior: Floats, reference: int, rule
 
 def _as_motion(positions: Floats, fit: _Fit, weights: Floats, method: str, reference: int, rules: LimbRules) -> LimbMotion:
     """The motion with the limb's axes turned to those of the world at the reference frame."""
+    if np.isnan(fit.rotations[reference, 0, 0]):  # its points lie in a line once the mean shape is known: the fullest frame that is left
+        known = np.isfinite(fit.rotations[:, 0, 0])
+        reference = int(np.argmax(np.where(known, np.isfinite(positions[:, :, 0]).sum(axis=1), -1)))
     turn, shift = fit.rotations[reference], fit.translations[reference]
     rotations = fit.rotations @ turn.T
     translations = fit.translations - rotations @ shift
@@ -294,16 +314,22 @@ def refit_limb_motion(
     """Rotations (T, 3, 3) and translations (T, 3) m of a limb whose points have moved a little since `motion` was estimated.
 
     positions (T, N, 3) m of the same points. Template and weights begin where they were, so that a trial of a Monte Carlo costs a few
-    passes over the points. Robust weights are estimated anew in each round; those of the other methods stay. O(rounds T N).
+    passes over the points. Robust weights are estimated anew in each round; those of the other methods stay. NaN where `motion` is, and
+    where fewer than three points are left. O(rounds T N).
     """
     robust = (method or motion.method) in ("robust", "interval-deformation")
     given = np.ascontiguousarray(positions)
     weights: Floats = np.ascontiguousarray(motion.weights)
     template = motion.template
-    rotations, translations = _fit(given, template, weights, rules)
+    # `motion` says which frames have a rotation: noise on points that lie nearly in a line must not decide it again (flat 0).
+    rotations, translations = _fit_frames(given, template, weights, 0.0)
     for _ in range(rounds - 1):
+        if not np.isfinite(rotations[:, 0, 0]).any():
+            break
         template, squares = _spread(given, rotations, translations)
         if robust:
             weights = _robust_weights(squares, np.ones(len(squares)), _core_scale(squares, np.ones(len(squares)), rules), rules)
-        rotations, translations = _fit(given, template, weights, rules)
+        rotations, translations = _fit_frames(given, template, weights, 0.0)
+    unknown = np.isnan(motion.rotations[:, 0, 0])
+    rotations[unknown], translations[unknown] = np.nan, np.nan
     return rotations, translations

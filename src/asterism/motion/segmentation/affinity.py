@@ -7,9 +7,9 @@ origin. Nearby points span (nearly) their body's subspace, and the angles betwee
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+from scipy.linalg import qr
+from scipy.spatial import cKDTree
 
 from asterism.recording import Floats, Ints
 
@@ -40,8 +40,6 @@ def _follow_neighbours(positions: Floats, seen: np.ndarray) -> Floats:
     out = positions.copy()
     mean = np.nanmean(np.where(seen[:, :, None], positions, np.nan), axis=1, keepdims=True)
     steady = np.nanmean(positions - mean, axis=0)
-    from scipy.spatial import cKDTree
-
     count = min(9, positions.shape[1])
     near = cKDTree(steady).query(steady, k=count)[1].reshape(len(steady), count)[:, 1:]
     for n in np.nonzero(~seen.all(axis=0))[0]:
@@ -82,17 +80,10 @@ def spread_landmarks(coordinates: Floats, count: int) -> Ints:
 
 def local_subspaces(coordinates: Floats, neighbours: int, dimension: int) -> Floats:
     """(N, rank, dimension): orthonormal bases of the subspaces that each row and its nearest rows span. O(N rank^2 neighbours)."""
-    tree: Any = _tree(coordinates)
-    near = tree.query(coordinates, k=min(neighbours, len(coordinates)))[1].reshape(len(coordinates), -1)
+    near = cKDTree(coordinates).query(coordinates, k=min(neighbours, len(coordinates)))[1].reshape(len(coordinates), -1)
     patches = coordinates[near]
     scatter = np.einsum("nki,nkj->nij", patches, patches)
     return np.asarray(np.linalg.eigh(scatter)[1][:, :, -dimension:])
-
-
-def _tree(coordinates: Floats) -> Any:
-    from scipy.spatial import cKDTree
-
-    return cKDTree(coordinates)
 
 
 def subspace_affinity(bases: Floats, landmarks: Ints) -> Floats:
@@ -119,8 +110,6 @@ def spectral_clusters(affinity: Floats, clusters: int) -> tuple[Ints, Floats]:
     values, vectors = np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1][:, :clusters]
     places = scaled @ vectors
     places /= np.maximum(np.linalg.norm(places, axis=1, keepdims=True), 1e-12)
-    from scipy.linalg import qr
-
     starts = qr(places.T, mode="r", pivoting=True)[1][:clusters]
     centres = places[starts]
     label = np.full(len(places), -1)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
 from asterism.errors import AsterismError
 from asterism.motion.rigid._kernels import fit_frames, point_spread
@@ -103,6 +104,11 @@ def segment_limbs(
     No random numbers: the same trajectories give the same limbs. Affinities to landmarks instead of all pairs: O(N (landmarks rank + T
     clusters)) time, O(N landmarks) memory. Raises AsterismError for other shapes, fewer than three points or two frames, points of which
     none is ever seen, and more limbs than the points can form.
+
+    >>> from asterism.simulation.soft_tissue import TrialPlan, simulate_soft_tissue
+    >>> leg = simulate_soft_tissue(TrialPlan("leg", points=90, frames=30), seed=3).recording
+    >>> segment_limbs(leg.positions).limbs
+    3
     """
     given = _checked(positions, limbs)
     if method not in ("lsa+rigidity", "lsa"):
@@ -113,7 +119,7 @@ def segment_limbs(
         raise AsterismError(f"only {len(kept)} points are seen in two frames or more; limbs need three points each.")
     if limbs is not None and limbs > len(kept) // 3:
         raise AsterismError(f"{len(kept)} points cannot form {limbs} limbs of three points each; ask for {len(kept) // 3} at most.")
-    shown = np.ascontiguousarray(given[:, kept])
+    shown = np.ascontiguousarray(given[seen[:, kept].any(axis=1)][:, kept])  # a frame without any point compares none
     if progress is not None:
         progress(0.1, "comparing trajectories")
     coordinates, affinity = _affinity(shown, rules)
@@ -169,8 +175,6 @@ def _neighbours(coordinates: Floats) -> Ints:
     count = min(9, len(coordinates) // 12)
     if count < 2:
         return np.empty((len(coordinates), 0), dtype=np.int64)
-    from scipy.spatial import cKDTree
-
     return np.asarray(cKDTree(coordinates).query(coordinates, k=count)[1][:, 1:])
 
 

@@ -29,6 +29,14 @@ class MeasurementNoise:
     sigma: float = 0.0
     root: Floats | None = None
 
+    @property
+    def typical(self) -> float:
+        """m: standard deviation per coordinate, root mean square over the points that are present."""
+        if self.root is None:
+            return self.sigma
+        variance = (self.root**2).sum(axis=(2, 3)) / 3
+        return float(np.sqrt(variance.sum() / max(int((variance > 0).sum()), 1)))
+
     def draw(self, shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
         """(T, N, 3) m, one draw."""
         white = rng.standard_normal(shape)
@@ -57,8 +65,10 @@ class CalibrationErrors:
 
     def field(self, positions: Floats) -> CalibrationField:
         """What these errors do to points anywhere in the volume of (T, N, 3) m."""
-        flat = positions.reshape(-1, 3)
-        low, high = np.nanmin(flat, axis=0), np.nanmax(flat, axis=0)
+        seen = positions[np.isfinite(positions).all(axis=-1)]
+        if not len(seen):
+            raise AsterismError("no point is ever seen, so the calibration's errors have no place to count; give a recording with points.")
+        low, high = seen.min(axis=0), seen.max(axis=0)
         middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.05)
         axis = np.linspace(-1, 1, NODES)
         unit = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -66,8 +76,8 @@ class CalibrationErrors:
         values, vectors = np.linalg.eigh(np.asarray(self.covariance))
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         pixels = self.rig.project(nodes)
-        seen = np.asarray(sees(self.rig, nodes) if all(camera.size for camera in self.rig) else np.isfinite(pixels).all(axis=2))
-        pixels = np.where(seen[:, :, None], pixels, np.nan)
+        in_view = np.asarray(sees(self.rig, nodes) if all(camera.size for camera in self.rig) else np.isfinite(pixels).all(axis=2))
+        pixels = np.where(in_view[:, :, None], pixels, np.nan)
         terms = _cubic((positions - middle) / half)
         return CalibrationField(self, root, pixels, nodes, _cubic(unit), terms)
 

@@ -77,6 +77,11 @@ def simulate_blobs(
     Returns the blobs, in each image from top to bottom, and what each of them shows, (P,) int: the marker, STRAY (-1; outliers too) or
     MERGED (-2: several in one). Blobs outside the image are left out. The same arguments and generator give the same blobs. O(T C M K)
     for K capsules. Raises AsterismError where a camera's image size is not known or a setting is out of range.
+
+    >>> from asterism.simulation.cameras import ring_rig
+    >>> blobs, identity = simulate_blobs(ring_rig(4), [[0.0, 0.0, 1.0], [0.3, 0.0, 1.2]], rng=np.random.default_rng(0))
+    >>> len(blobs.xy), sorted(set(identity.tolist()))
+    (8, [0, 1])
     """
     settings = ImagingSettings() if settings is None else settings
     points = np.asarray(positions, dtype=np.float64)

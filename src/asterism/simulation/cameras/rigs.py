@@ -33,6 +33,10 @@ def ring_rig(
     rng             hangs each camera a little elsewhere (0.15 m, 2 degrees, 1 % of the focal length, principal points off the centre),
                     as hands do; without it the circle is exact
     Raises AsterismError where a number is not positive.
+
+    >>> rig = ring_rig(4, radius=3.0)
+    >>> rig.names, rig.cameras[0].position.round(3).tolist()
+    (('c1', 'c2', 'c3', 'c4'), [3.0, 0.0, 2.5])
     """
     focal = 0.86 * size[0] if focal is None else focal
     if cameras < 1 or not min(radius, *size, focal) > 0:

@@ -47,6 +47,11 @@ def simulate_wand(
     settings  how the cameras see it; None: 0.2 px of noise
 
     Raises AsterismError as `simulate_blobs` does, and where no place is seen by two cameras.
+
+    >>> from asterism.simulation.cameras import ring_rig
+    >>> blobs, truth = simulate_wand(ring_rig(4), frames=50, rng=np.random.default_rng(0))
+    >>> np.linalg.norm(truth.positions[:, 2] - truth.positions[:, 0], axis=1).round(3).max()
+    np.float64(0.6)
     """
     along = np.asarray(lengths, dtype=np.float64)
     if len(along) < 1 or frames < 1 or not rate > 0 or np.any(np.diff(along) <= 0):

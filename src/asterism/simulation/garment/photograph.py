@@ -25,7 +25,7 @@ _STEP = 1e-4
 """m, by which a circle's middle is moved to measure its ellipse in the image."""
 
 
-class Scene(Protocol):
+class GarmentScene(Protocol):
     """What can be photographed: a garment on a wearer, a sheet in somebody's hands."""
 
     @property
@@ -146,7 +146,9 @@ class Photo:
     truth: CircleTruth
 
 
-def photograph(worn: Scene, camera: Camera, time: float = 0.0, settings: PhotoSettings | None = None, *, rng: np.random.Generator) -> Photo:
+def photograph(
+    worn: GarmentScene, camera: Camera, time: float = 0.0, settings: PhotoSettings | None = None, *, rng: np.random.Generator
+) -> Photo:
     """Take a picture of a dressed wearer, or of a waved sheet.
 
     time  s; the truth is that of the middle of the shutter's open time, which ends half of it later
@@ -179,7 +181,7 @@ def ink_colours(hsv: Floats, settings: PhotoSettings) -> Floats:
     return np.concatenate([inks, np.full((1, 3), settings.black), np.array([[0.45, 0.27, 0.20]])])
 
 
-def _expose(worn: Scene, mesh: Mesh, camera: Camera, settings: PhotoSettings, light: Floats, seen: NDArray[Any]) -> None:
+def _expose(worn: GarmentScene, mesh: Mesh, camera: Camera, settings: PhotoSettings, light: Floats, seen: NDArray[Any]) -> None:
     """Add the light of one moment to an image (h, w, 4), and the samples of each circle to `seen`."""
     height, width = light.shape[:2]
     xy = camera.project(mesh.vertices)
@@ -263,7 +265,7 @@ def _linear(shown: Floats) -> Floats:
     return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
 
 
-def _truth(worn: Scene, camera: Camera, time: float, seen: Floats) -> CircleTruth:
+def _truth(worn: GarmentScene, camera: Camera, time: float, seen: Floats) -> CircleTruth:
     """The truth of each circle; seen: (rows, cols) px2 that it covers in the image."""
     cells = np.argwhere(worn.pattern.colours >= 0)
     at = (cells[:, 0], cells[:, 1])

@@ -18,7 +18,7 @@ from asterism.recording import Floats
 from asterism.simulation.garment.photograph import Photo, PhotoSettings, photograph
 from asterism.simulation.garment.rigs import garment_rig
 from asterism.simulation.garment.suit import Wearer, WornGarment, wear
-from asterism.simulation.garment.target import WavedTarget, photograph_target, wave_target
+from asterism.simulation.garment.target import WavedTarget, wave_target
 
 Image = NDArray[np.uint8]
 Moment = tuple[int, list[Image | None]]
@@ -53,7 +53,7 @@ class GarmentSession:
             if not self._shows_target(t, c):
                 return None
             rng = np.random.default_rng([self.seed, 1, t, c])
-            return photograph_target(self.target, self.rig.cameras[c], t, self.settings, rng=rng).image
+            return photograph(self.target, self.rig.cameras[c], float(t), self.settings, rng=rng).image
 
         yield from _by_moment(picture, len(self.target), len(self.rig), workers)
 

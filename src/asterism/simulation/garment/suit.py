@@ -193,8 +193,7 @@ def _tube_mesh(worn: WornGarment, tube: Tube, joints: dict[str, Floats]) -> Mesh
     points = tube_surface(tube, joints, along, around, worn.wearer.folds)
     normals = _normals(points)
     n, m = around.shape
-    corner = (np.arange(n - 1)[:, None] * m + np.arange(m - 1)).ravel()
-    triangles = np.concatenate([np.stack([corner, corner + m, corner + 1], 1), np.stack([corner + 1, corner + m, corner + m + 1], 1)])
+    triangles = grid_triangles(n, m)
     vertices, normals, sheet = points.reshape(-1, 3), normals.reshape(-1, 3), sheet.reshape(-1, 2)
     for ring, sign in ((0, 1), (n - 1, -1)):
         middle = len(vertices)
@@ -211,6 +210,13 @@ def _tube_mesh(worn: WornGarment, tube: Tube, joints: dict[str, Floats]) -> Mesh
         sheet[np.isnan(sheet[:, 0])] = -1000.0
         owner[:] = max(place, 0)
     return Mesh(vertices, normals, sheet, triangles.astype(np.int32), owner)
+
+
+def grid_triangles(rows: int, columns: int) -> Ints:
+    """(t, 3): two triangles for each cell of a grid of vertices that are numbered row by row."""
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    upper, lower = [corner, corner + columns, corner + 1], [corner + 1, corner + columns, corner + columns + 1]
+    return np.concatenate([np.stack(upper, 1), np.stack(lower, 1)])
 
 
 def _normals(points: Floats) -> Floats:

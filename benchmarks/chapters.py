@@ -1,0 +1,36 @@
+"""The scripts by chapter: each row is a generator of figures, named by its module and function in the chapter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from importlib import import_module
+
+from benchmarks.benchmark_run import BenchmarkRun
+from benchmarks.figures import Figure
+
+Row = Callable[[BenchmarkRun], Iterator[Figure]]
+
+_SCRIPTS = {
+    "labelling": "files.conformance solver.strong_classifier solver.full_solver thesis.thesis thesis.thesis_main",
+    "recordings": "speed.speed bodies.bodies stream.stream loop.loop gaps.gaps baselines.baselines ablation.ablation dirt.dirt "
+    "full_body.full_body movement.movement movement.laboratories",
+    "dirt": "accuracy.flicker accuracy.volume accuracy.riding reliability.reliability standing.standing",
+    "cameras": "boards.rig_files boards.stereo boards.charuco accuracy.accuracy detection.detection detection.centroids "
+    "detection.particles reconstruction.speed reconstruction.ghosts walk.walk wand.real_wand wand.wand wand.wand_rigs refine.refine",
+    "views": "rows.gait rows.whole_body rows.baseline",
+    "garment": "pattern.speed pattern.code capture.whole_speed reading.hard_images reading.captured_identities capture.dense",
+    "hostile": "long_recordings.long_recordings damaged_files.damaged_files",
+    "motion": "paper.paper paper.toy gait.knee angles.sparse angles.dense coverage.coverage",
+    "house": "startup.startup training.training install.install install.ci",
+}
+CHAPTERS = {
+    chapter: {script.partition(".")[2].replace("_", "-"): script for script in scripts.split()} for chapter, scripts in _SCRIPTS.items()
+}
+"""Chapter and row, such as "recordings" and "full-body"; the row is its function's name."""
+
+
+def row_of(chapter: str, row: str) -> Row:
+    """The generator that measures a row, imported when it is asked for."""
+    module, _, function = CHAPTERS[chapter][row].partition(".")
+    generator: Row = getattr(import_module(f"benchmarks.{chapter}.{module}"), function)
+    return generator
