@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.files.text import some_of
 from asterism.findings import Finding, Severity
 from asterism.motion.joints.angles import functional_flexion, joint_rotation
 from asterism.motion.joints.skeleton import Skeleton, find_skeleton
@@ -56,6 +57,12 @@ class JointAngles:
     def angle(self) -> Floats:
         """(T,) rad, 0 to pi: how far the joint has turned since frame `zero`, which is what GaMoCap compares."""
         return np.asarray(np.linalg.norm(self.vectors, axis=1))
+
+    @property
+    def directions(self) -> Floats:
+        """(T, 3) the axes about which the joint has turned since frame `zero`; its main axis where that is less than 0.06 degrees."""
+        angle = self.angle[:, None]
+        return np.where(angle > 1e-3, self.vectors / np.maximum(angle, 1e-12), self.axis)
 
 
 @dataclass(frozen=True)
@@ -188,13 +195,11 @@ def _findings(recording: Recording, limb_of: Ints, angles: Sequence[JointAngles]
     share = 1 - recording.visible.mean(axis=0)
     often = [label for label, missing, limb in zip(recording.labels, share, limb_of, strict=True) if missing > OFTEN_MISSING and limb >= 0]
     if often:
-        few = ", ".join(often[:6]) + (", ..." if len(often) > 6 else "")
-        sentence = f"{len(often)} points are missing in more than half of the frames ({few}); they count where they are seen."
+        sentence = f"{len(often)} points are missing in more than half of the frames ({some_of(often, 6)}); they count where they are seen."
         found.append(Finding("motion-points-missing", Severity.NOTE, "the points", sentence, "Fill or record them anew if a limb has few."))
     unseen = [label for label, limb in zip(recording.labels, limb_of, strict=True) if limb < 0 and label]
     if unseen:
-        few = ", ".join(unseen[:6]) + (", ..." if len(unseen) > 6 else "")
-        sentence = f"{len(unseen)} points belong to no limb ({few})."
+        sentence = f"{len(unseen)} points belong to no limb ({some_of(unseen, 6)})."
         found.append(Finding("motion-points-unused", Severity.NOTE, "the points", sentence))
     for joint in angles:
         turned = float(np.nanmax(joint.angle))

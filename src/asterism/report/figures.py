@@ -183,7 +183,7 @@ def reliability(lines: Mapping[str, Sequence[tuple[float, float, int]]], drawn: 
     for name, bins in lines.items():
         data += _reliability_traces(name, bins, colors[name], name in drawn)
     scale = {
-        "tickvals": [_nines(tick) for tick in (0.0, 0.5, 0.9, 0.99, 0.999, 0.9999)],
+        "tickvals": nines((0.0, 0.5, 0.9, 0.99, 0.999, 0.9999)),
         "ticktext": ["0 %", "50 %", "90 %", "99 %", "99.9 %", "≥ 99.99 %"],
         "range": [-0.1, MOST_NINES + 0.1],
     }
@@ -199,13 +199,14 @@ def _reliability_traces(name: str, bins: Sequence[tuple[float, float, int]], col
     text = [f"confidence {100 * confidence:.4g} %, right {100 * right:.4g} % of {n:,}" for confidence, right, n in kept]
     shared = {"legendgroup": name, "visible": True if drawn else "legendonly", "text": text, "mode": "lines+markers"}
 
-    def drawn_line(y: list[Any], width: int, size: int, **more: Any) -> dict[str, Any]:
+    def drawn_line(y: Any, width: int, size: int, **more: Any) -> dict[str, Any]:
         style = {"line": {"color": color, "width": width}, "marker": {"size": size}}
-        return line([_nines(confidence) for confidence, _, _ in kept], y, name, name + ": %{text}", **shared, **style, **more)
+        return line(nines([confidence for confidence, _, _ in kept]), y, name, name + ": %{text}", **shared, **style, **more)
 
-    shares = drawn_line([_nines(right) for _, right, _ in kept], 2, 7)
+    shares = drawn_line(nines([right for _, right, _ in kept]), 2, 7)
     return [shares, drawn_line([n for _, _, n in kept], 1, 5, yaxis="y2", showlegend=False)]
 
 
-def _nines(share: float) -> float:
-    return float(np.clip(-np.log10(max(1.0 - share, 10.0**-MOST_NINES)), 0.0, MOST_NINES))
+def nines(shares: Any) -> Floats:
+    """Shares on a scale on which each step means ten times fewer errors: 0.9 is 1, 0.99 is 2; from 0 to `MOST_NINES`."""
+    return np.clip(-np.log10(np.maximum(1.0 - np.asarray(shares, dtype=np.float64), 10.0**-MOST_NINES)), 0.0, MOST_NINES)

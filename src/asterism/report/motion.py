@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from asterism.files.text import some_of
 from asterism.recording import Floats, Recording
 from asterism.report import figures
 from asterism.report.motion_angles import clinical_section, methods_section
@@ -34,7 +35,7 @@ def segmentation_report(path: str | Path, results: Sequence[tuple[str, Recording
             stray = found.stray[points, k]
             known = stray[np.isfinite(stray)]
             typical = 1000 * float(np.median(known)) if len(known) else np.nan
-            rows.append([limb, _few([recording.labels[n] for n in points]), str(len(points)), decimal(typical, 1)])
+            rows.append([limb, some_of([recording.labels[n] for n in points], 10), str(len(points)), decimal(typical, 1)])
         sections.append(
             Section(
                 name,
@@ -178,7 +179,3 @@ def _budget_section(joint: JointAngles, one: AngleUncertainty, times: Floats) ->
         table=Table(["root mean square over the frames, °", *names], rows),
         note="Misplaced landmarks shift the flexion by one angle in all frames. They leave the angle since a frame as it is.",
     )
-
-
-def _few(labels: Sequence[str]) -> str:
-    return ", ".join(labels[:10]) + (", ..." if len(labels) > 10 else "")

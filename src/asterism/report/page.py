@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
-from importlib import metadata, resources
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from asterism.files.atomic import utf8, write_atomically
 from asterism.findings import Finding, Severity
-from asterism.report.player import deflated, player_script, player_style
+from asterism.report.player import deflated, player_script, player_style, template
 
 NOTHING = "–"
 
@@ -86,8 +86,8 @@ def write_page(path: str | Path, page: Page) -> None:
     html = environment.get_template("page.html").render(
         page=page,
         facts={name: _fact_text(value) for name, value in facts.items() if value is not None},
-        style=_template("page.css") + player_style(),
-        script=player_script() + _template("page.js") if figures or players else "",
+        style=template("page.css") + player_style(),
+        script=player_script() + template("page.js") if figures or players else "",
         plotly=_plotly() if figures else "",
         data=_as_script({"figures": _without_markup(figures), "players": players}),
         is_cell=lambda cell: isinstance(cell, Cell),
@@ -196,10 +196,6 @@ def _plotly() -> str:
 
     load: Callable[[], str] = get_plotlyjs
     return deflated(np.frombuffer(load().encode("utf-8"), dtype=np.uint8))
-
-
-def _template(name: str) -> str:
-    return resources.files("asterism.report").joinpath("templates", name).read_text(encoding="utf-8")
 
 
 def _version() -> str:

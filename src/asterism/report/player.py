@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from asterism.geometry import rotate_z_up
 from asterism.recording import Clouds, Floats, Ints, Labelling, MarkerSet
+from asterism.report.figures import MOST_NINES, nines
 from asterism.report.skeleton import marker_bones, marker_sides
 
 WRONG, IN_QUESTION = 1, 2
@@ -21,7 +22,6 @@ WRONG, IN_QUESTION = 1, 2
 HIDDEN, UNSURE, LOWEST, HIGHEST, WRONG_HERE = 0, 1, 2, 200, 255
 """A timeline's codes: no label and out of view, no label, labels of the lowest and the highest confidence, a wrong label."""
 SCRIPTS = ("recording", "body", "camera", "scene", "timeline", "player")
-_MOST_NINES = 4.0
 _FARTHEST = 1e6
 """m: points that are farther from the origin are drawn there."""
 
@@ -53,12 +53,12 @@ RULES = PageRules()
 
 def player_script() -> str:
     """The player's script, which defines `Asterism`."""
-    return "\n".join(_template(f"player/{name}.js") for name in SCRIPTS)
+    return "\n".join(template(f"player/{name}.js") for name in SCRIPTS)
 
 
 def player_style() -> str:
     """The player's style sheet."""
-    return _template("player/player.css")
+    return template("player/player.css")
 
 
 @dataclass(frozen=True)
@@ -198,8 +198,7 @@ def _span(xyz: Floats) -> float:
 
 def _codes(confidence: Floats, given: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """The confidence of labels as codes from LOWEST to HIGHEST, by nines; 0 without a label."""
-    nines = np.clip(-np.log10(np.maximum(1.0 - confidence, 10.0**-_MOST_NINES)), 0.0, _MOST_NINES)
-    return np.where(given, LOWEST + np.rint((HIGHEST - LOWEST) * nines / _MOST_NINES), 0).astype(np.uint8)
+    return np.where(given, LOWEST + np.rint((HIGHEST - LOWEST) * nines(confidence) / MOST_NINES), 0).astype(np.uint8)
 
 
 def _timeline(one: ShownRecording, rules: PageRules) -> dict[str, Any]:
@@ -258,5 +257,6 @@ def deflated(data: NDArray[np.uint8]) -> str:
     return base64.b64encode(zlib.compress(data.tobytes(), 9)).decode("ascii")
 
 
-def _template(name: str) -> str:
+def template(name: str) -> str:
+    """One of the pages' own files."""
     return resources.files("asterism.report").joinpath("templates", *name.split("/")).read_text(encoding="utf-8")

@@ -123,7 +123,7 @@ def fit_joint(
     left = np.einsum("tij,j->ti", design, solution) + t_p - t_c
     residual = float(np.sqrt((left**2).sum(axis=1).mean()))
     if covariance is None:
-        covariance = _covariance(design, left, prior)
+        covariance = np.linalg.inv(np.einsum("tki,tkj->ij", design, design) / _variance(left) + prior)
     axis_p, axis_c = _axis(design) if kind != "fixed" else (np.full(3, np.nan), np.full(3, np.nan))
     return Joint(solution[:3], solution[3:], axis_p, axis_c, kind, covariance[:3, :3], residual, spread, method)
 
@@ -165,10 +165,6 @@ def _variance(left: Floats) -> float:
     lagged = float((left[1:] * left[:-1]).sum() / max((left**2).sum(), 1e-30)) if frames > 3 else 0.0
     lagged = min(max(lagged, 0.0), 0.98)
     return max(square, 1e-10) * (1 + lagged) / (1 - lagged)
-
-
-def _covariance(design: Floats, left: Floats, prior: Floats) -> Floats:
-    return np.linalg.inv(np.einsum("tki,tkj->ij", design, design) / _variance(left) + prior)
 
 
 def _axis(design: Floats) -> tuple[Floats, Floats]:

@@ -101,7 +101,9 @@ def estimate_limb_motion(
     >>> np.allclose(motion.rotations[1], quarter), np.allclose(motion.translations[1], [1.0, 0.0, 0.0])
     (True, True)
     """
-    given = _checked(positions)
+    given = checked_positions(positions)
+    if given.shape[1] < 3:
+        raise AsterismError(f"a limb of {given.shape[1]} points has no rotation; give at least three points that are not in a line.")
     prior = _prior(weights, given.shape[1])
     if method not in METHODS:
         raise AsterismError(f"{method} is no method; choose from {', '.join(METHODS)}.")
@@ -130,14 +132,13 @@ class _Fit:
     squares: Floats
 
 
-def _checked(positions: ArrayLike) -> Floats:
+def checked_positions(positions: ArrayLike) -> Floats:
+    """(T, N, 3) m, contiguous. Raises AsterismError for other shapes and infinite positions."""
     given = np.ascontiguousarray(positions, dtype=np.float64)
     if given.ndim != 3 or given.shape[2] != 3:
         raise AsterismError(f"positions have shape {given.shape}, expected (frames, points, 3).")
     if np.isinf(given).any():
         raise AsterismError("a position is infinite; write missing samples as NaN.")
-    if given.shape[1] < 3:
-        raise AsterismError(f"a limb of {given.shape[1]} points has no rotation; give at least three points that are not in a line.")
     return given
 
 

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from asterism.errors import AsterismError
 from asterism.motion.rigid._kernels import fit_frames, point_spread
+from asterism.motion.rigid.limb import checked_positions
 from asterism.motion.segmentation._kernels import stray_from_motions
 from asterism.motion.segmentation.affinity import (
     fill_trajectories,
@@ -110,7 +111,11 @@ def segment_limbs(
     >>> segment_limbs(leg.positions).limbs
     3
     """
-    given = _checked(positions, limbs)
+    given = checked_positions(positions)
+    if given.shape[0] < 2 or given.shape[1] < 3:
+        raise AsterismError(f"{given.shape[1]} points in {given.shape[0]} frames have no limbs; three points and two frames are needed.")
+    if limbs is not None and limbs < 1:
+        raise AsterismError(f"{limbs} limbs were asked for; ask for one or more.")
     if method not in ("lsa+rigidity", "lsa"):
         raise AsterismError(f"{method} is no method; choose lsa+rigidity or lsa.")
     seen = np.isfinite(given[:, :, 0])
@@ -144,19 +149,6 @@ def segment_limbs(
     if progress is not None:
         progress(1.0, "finding limbs")
     return Segmentation(limb_of, count, stray, method, spectrum[: min(20, len(spectrum))], merges)
-
-
-def _checked(positions: ArrayLike, limbs: int | None) -> Floats:
-    given = np.asarray(positions, dtype=np.float64)
-    if given.ndim != 3 or given.shape[2] != 3:
-        raise AsterismError(f"positions have shape {given.shape}, expected (frames, points, 3).")
-    if np.isinf(given).any():
-        raise AsterismError("a position is infinite; write missing samples as NaN.")
-    if given.shape[0] < 2 or given.shape[1] < 3:
-        raise AsterismError(f"{given.shape[1]} points in {given.shape[0]} frames have no limbs; three points and two frames are needed.")
-    if limbs is not None and limbs < 1:
-        raise AsterismError(f"{limbs} limbs were asked for; ask for one or more.")
-    return given
 
 
 def _affinity(positions: Floats, rules: SegmentationRules) -> tuple[Floats, Floats]:

@@ -207,9 +207,7 @@ def signed_angle(vectors: Floats, joint: JointAngles) -> Floats:
 
     To first order it is the change of the angle; unlike a length it is not folded at 0, so noise about a small angle has mean 0.
     """
-    length = np.linalg.norm(joint.vectors, axis=1, keepdims=True)
-    axes = np.where(length > 1e-3, joint.vectors / np.maximum(length, 1e-12), joint.axis)
-    return np.asarray(np.einsum("ti,ti->t", vectors, axes))
+    return np.asarray(np.einsum("ti,ti->t", vectors, joint.directions))
 
 
 def _course(joint: JointAngles) -> Floats:

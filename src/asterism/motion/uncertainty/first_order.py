@@ -70,9 +70,7 @@ def first_order_angles(
     r = parent.rotations
     local = r.swapaxes(1, 2) @ spread @ r
     both = local + local[angles.zero]
-    length = np.linalg.norm(angles.vectors, axis=1, keepdims=True)
-    axes = np.where(length > 1e-3, angles.vectors / np.maximum(length, 1e-12), angles.axis)
-    variance = np.einsum("ti,tij,tj->t", axes, both, axes)
+    variance = np.einsum("ti,tij,tj->t", angles.directions, both, angles.directions)
     variance[angles.zero] = 0.0
     standard = np.where(np.isfinite(angles.angle), np.sqrt(np.maximum(variance, 0.0)), np.nan)
     if check is None:

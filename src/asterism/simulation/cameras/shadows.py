@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asterism.errors import AsterismError
+from asterism.motion.rigid.rotations import unit_vectors
 from asterism.recording import Floats, Recording, canonical
 
 PELVIS_WIDTH = 0.24
@@ -56,8 +57,8 @@ def walker_capsules(recording: Recording) -> Capsules:
         raise AsterismError("a body needs the pelvis' markers (LASI, RASI, and LPSI and RPSI or SACR); label them.")
     width = float(np.nanmedian(np.linalg.norm(left_front - right_front, axis=1)))
     scale = width / PELVIS_WIDTH
-    left = _unit(left_front - right_front)
-    up = _unit(recording.vertical - left * (left @ recording.vertical)[:, None])
+    left = unit_vectors(left_front - right_front)
+    up = unit_vectors(recording.vertical - left * (left @ recording.vertical)[:, None])
     ahead = np.cross(left, up)
     middle = 0.5 * (front + back)
 
@@ -131,9 +132,4 @@ def _knee(markers: _Markers, side: str, sign: float, left: Floats, scale: float,
     if cluster is None:
         return 0.5 * (hip + ankle)
     shank = 0.5 * float(np.nanmax(np.linalg.norm(hip - ankle, axis=1)))
-    return ankle + shank * _unit(cluster - 0.05 * scale * sign * left - ankle)
-
-
-def _unit(vectors: Floats) -> Floats:
-    unit: Floats = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return unit
+    return ankle + shank * unit_vectors(cluster - 0.05 * scale * sign * left - ankle)
