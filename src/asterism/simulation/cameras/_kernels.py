@@ -25,9 +25,12 @@ def hidden(eye, points, starts, ends, radii, clearance, out):
             for k in range(len(radii)):
                 start, end = starts[t, k], ends[t, k]
                 from_point, _ = nearest_on_segments(point, point, start, end)
+                # A capsule is thicker than the limb in places; it must not hide the marker on its own skin.
                 radius = min(radii[k], math.sqrt(from_point) - clearance)
+                if not radius > 0.0:
+                    continue
                 from_sight, _ = nearest_on_segments(eye, point, start, end)
-                if radius > 0.0 and from_sight < radius * radius:
+                if from_sight < radius * radius:
                     out[t, m] = True
                     break
 
@@ -42,8 +45,10 @@ def merge(offsets, xy, sizes, out):
     """
     for cell in range(len(offsets) - 1):
         first, last = offsets[cell], offsets[cell + 1]
+        # Each blob is a group of its own, ...
         for i in range(first, last):
             out[i] = i
+        # ... and two that touch become one: chains grow pair by pair.
         for i in range(first, last):
             for j in range(i + 1, last):
                 reach = 0.5 * (sizes[i] + sizes[j])
@@ -52,6 +57,7 @@ def merge(offsets, xy, sizes, out):
                     a, b = out[i], out[j]
                     low, high = min(a, b), max(a, b)
                     if low != high:
+                        # The whole group takes the lower number, so that a chain has one head.
                         for k in range(first, last):
                             if out[k] == high:
                                 out[k] = low
