@@ -29,7 +29,7 @@ CHECKED_BY: dict[str, str] = {
     f"{_PARTIAL}._matrix_kernels.complete_labels": "test_partial_twins.py::test_complete_labels",
     f"{_PARTIAL}._matrix_kernels.count_confusions": "test_partial_twins.py::test_count_confusions",
     f"{_PARTIAL}._build_kernels.order_tests": "test_partial_twins.py::test_order_tests",
-    f"{_PARTIAL}._search_kernels.label_by_full_solver": "test_partial_twins.py::test_label_by_full_solver",
+    f"{_PARTIAL}._full_solver_kernels.label_by_full_solver": "test_partial_twins.py::test_label_by_full_solver",
     f"{_POINTS}._shared_kernels.add_without_shared": f"{_TWINS}::test_hypotheses_without_shared_blobs_are_those_of_the_twin",
     f"{_POINTS}._frame_kernels.attach_available": f"{_TWINS}::test_available_blobs_are_attached_as_by_the_twin",
     f"{_POINTS}._frame_kernels.count_visibility": f"{_TWINS}::test_visibility_is_counted_as_by_the_rigs_own_projection",

@@ -18,7 +18,7 @@ from asterism.labelling.body._search_kernels import MAX_LABELLINGS, find_labelli
 from asterism.labelling.body._workspace_kernels import FrameLabelling, FrameModel, make_body_workspace
 from asterism.labelling.body.anchors import AnchorRules, Anchors, with_intervals
 from asterism.labelling.body.model import BodyModel
-from asterism.labelling.partial._search_kernels import search
+from asterism.labelling.features.search_kernels import search
 
 pytestmark = pytest.mark.kernels
 

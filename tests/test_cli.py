@@ -367,7 +367,7 @@ def test_evaluate_a_model(folder: Path, model: Path, tmp_path: Path, capsys: pyt
     words = ("evaluate", "--model", model, folder / "walk-4.c3d", "--occlusions", "0", "2", "--ghosts", "0", "3")
     assert run(*words, "--json", tmp_path / "e.json", "--report", tmp_path / "e.html") == 0
     shown = capsys.readouterr().out
-    assert "FA" in shown and "FO" in shown and "RKNE" in shown
+    assert "Wrong labels, of those given" in shown and "Markers in view, of those without a label" in shown and "RKNE" in shown
     told = json.loads((tmp_path / "e.json").read_text())
     conditions = told["evaluation"]["conditions"]
     assert sorted((c["occlusions"], c["ghosts"]) for c in conditions) == [(0, 0), (0, 3), (2, 0), (2, 3)]

@@ -33,7 +33,7 @@ from tests import hanging_trials, models
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
-trials, specimens_of, mutations = (import_module(f"benchmarks.hostile.{name}") for name in ("trials", "specimens", "mutations"))
+trials, specimens_of, mutations = (import_module(f"tests.damage.{name}") for name in ("trials", "specimens", "mutations"))
 
 
 @pytest.fixture(scope="module")
@@ -78,12 +78,12 @@ def test_trials_go_on_after_a_hang_and_a_crash(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.parametrize(
     ("problem", "sentence"),
     [
-        (ValueError("bad\nthing"), r"walk.csv is damaged \(ValueError: bad thing\); export it again"),
-        (OverflowError(), r"walk.csv is damaged \(OverflowError\)"),
+        (ValueError("bad\nthing"), r"walk.csv is damaged \(bad thing\); export it again"),
+        (OverflowError(), r"walk.csv is damaged \(a number in it is too large\)"),
         (RecursionError(), "nested too deeply"),
         (MemoryError(), "more than fits into the memory"),
         (PermissionError(13, "Permission denied"), r"walk.csv cannot be read \(Permission denied\)"),
-        (struct.error("unpack"), r"\(error: unpack\)"),
+        (struct.error("unpack"), r"\(its bytes are not what its head announces\)"),
         (AsterismError("line 3 is bad."), "walk.csv: line 3 is bad."),
     ],
 )
@@ -445,7 +445,7 @@ def test_a_model_is_checked_before_anything_uses_it(model: Path, tmp_path: Path,
         ({"look": {"reward": "much"}}, "look.reward is 'much'"),
         ({"look": {"votes_needed": 2.5}}, "look.votes_needed"),
         ({"about": [1]}, "about is list"),
-        ({"version": None}, "TypeError"),
+        ({"version": None}, "wrong kind"),
         ({"format": 3}, "no Asterism model"),
     ],
 )

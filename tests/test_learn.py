@@ -16,7 +16,7 @@ from asterism.cli import main
 from asterism.geometry import rotate_z_up
 from asterism.labelling.body._score_kernels import best_pose
 from asterism.labelling.body._workspace_kernels import make_body_workspace
-from asterism.labelling.partial._feature_kernels import G2, G4
+from asterism.labelling.features.feature_kernels import G2, G4
 from asterism.labelling.partial.solver import unpack_solvers
 from asterism.labelling.partial.weak import StrongClassifier
 from asterism.labelling.training.learning import TrainingConfig, TrainingRules, TrainingState, _some_stretches

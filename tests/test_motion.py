@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism import AsterismError, Clouds, MarkerModel, Recording
+from asterism.labelling.features.feature_kernels import feature_value
+from asterism.labelling.features.motion_kernels import WIDTH
+from asterism.labelling.features.motion_points import frames_with_motion, motion_of_points
+from asterism.labelling.features.registry import FEATURES, TEMPORAL, feature_pool, kinds_of, needs_motion
+from asterism.labelling.features.search_kernels import search
 from asterism.labelling.marker_model import TrainingRules
-from asterism.labelling.partial._feature_kernels import feature_value
-from asterism.labelling.partial._motion_kernels import WIDTH
-from asterism.labelling.partial._search_kernels import search
-from asterism.labelling.partial.features import FEATURES, TEMPORAL, feature_pool, kinds_of, needs_motion
 from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
-from asterism.labelling.partial.motion_points import frames_with_motion, motion_of_points
 from asterism.labelling.partial.solver import FullSolver, FullSolverRules, stack_frames
 from asterism.labelling.partial.solver_search import SearchSettings, search_partial_solvers
 from asterism.labelling.partial.weak import FeatureRanges, StrongClassifier

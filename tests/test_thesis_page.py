@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from asterism.labelling.full_solver_study import PRINTED_RULES, SIZES
-from asterism.labelling.partial.features import THESIS, feature_pool
+from asterism.labelling.features.registry import THESIS, feature_pool
+from asterism.labelling.partial.full_solver_study import PRINTED_RULES, SIZES
 from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES
 
 PAGE = (Path(__file__).parent.parent / "docs" / "thesis.md").read_text(encoding="utf-8")

@@ -159,7 +159,7 @@ def test_scores_are_written_over_those_of_an_earlier_recording(ensemble: asteris
         clouds, _ = simulate_gaps_and_ghosts(walk, 5, 3, seed=seed)
         scene = prepare_scene(clouds, find_tracklets(clouds), rules)
         plain = joint.label_scene([labeller], scene, rules, SubjectRules(), ensemble.state.body_rules)
-        found = joint.label_scene([labeller], scene, rules, SubjectRules(), ensemble.state.body_rules, arrays=arrays)
+        found = joint.label_scene([labeller], scene, rules, SubjectRules(), ensemble.state.body_rules, work=joint.SceneWork(arrays=arrays))
         assert len(arrays) == 1
         for name in ("label", "margin", "rival", "by_body"):
             np.testing.assert_array_equal(getattr(found, name), getattr(plain, name))

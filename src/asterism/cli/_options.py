@@ -201,7 +201,7 @@ def feature_names(given: str | None) -> tuple[str, ...] | None:
     """What --features means to `MarkerModel.fit`. Raises AsterismError for a name that is not known, before any file is read."""
     if given is None:
         return None
-    from asterism.labelling.partial.features import kinds_of
+    from asterism.labelling.features.registry import kinds_of
 
     names = tuple(name.strip() for name in given.split(",") if name.strip())
     kinds_of(names)

@@ -65,10 +65,10 @@ def evaluate(options: EvaluateOptions) -> None:
     with the truth. The rules whole-body label recordings as a whole, as asterism label does; --frame-wise turns that off.
 
     Labelled: share of all markers in all frames with a label of a confidence of 99 % or more. Likely: with less.
-    FA: share of wrong labels among those given. FO: share of visible markers among those left without a label.
-    Missed: share of visible markers left without a label.
-    Perfect: share of frames without an error. Log score: how little the confidence said of what came, in
-    nats per label; in brackets that of the best constant confidence. Less is better.
+    Right: share of the visible markers that have their own point. Missed: share of them that have no label.
+    Wrong: share of wrong labels among those given. In view: share of visible markers among those left without a label.
+    Perfect: share of frames without an error. Log score: how little the confidence said of what came, as the mean of -ln of the
+    probability that it gave to it; in brackets that of the best constant confidence. Less is better.
 
     With --leave-one-subject-out the figures hold for people that
     the model has not seen; --markers, --target-hit-rate and --miner belong to it. Rules other than whole-body need a miner:
@@ -138,7 +138,21 @@ def _print(evaluation: Evaluation) -> None:
     counted = [] if evaluation.time else ["evaluations/frame"]
     _console.table(
         f"Hidden markers and ghosts at every moment, {'recordings as a whole' if evaluation.time else 'each frame by itself'}",
-        ["hidden", "ghosts", "frames", "labelled", "likely", "right", "FA", "FO", "missed", "perfect", "log score", "frames/s", *counted],
+        [
+            "hidden",
+            "ghosts",
+            "frames",
+            "labelled",
+            "likely",
+            "right",
+            "wrong",
+            "in view",
+            "missed",
+            "perfect",
+            "log score",
+            "frames/s",
+            *counted,
+        ],
         [
             [
                 str(c.occlusions),
@@ -160,7 +174,7 @@ def _print(evaluation: Evaluation) -> None:
     )
     _print_reliability(evaluation)
     names = [f"{c.occlusions}+{c.ghosts}" if c.ghosts else f"{c.occlusions}" for c in evaluation.conditions]
-    for key, title, digits in (("fa", "FA, wrong among the labels given", 3), ("fo", "FO, visible among the labels not given", 1)):
+    for key, title, digits in (("fa", "Wrong labels, of those given", 3), ("fo", "Markers in view, of those without a label", 1)):
         _console.table(
             f"{title}, by marker and hidden{' + ghost' if any('+' in name for name in names) else ''} points per frame",
             ["marker", *names],

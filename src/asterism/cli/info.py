@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 _UNITS = {"rate": " frames/s", "duration": " s"}
 _LONGEST_LIST = {"physical": 200, "events": 40}
 _LONG_ENOUGH = 12
+_CALLED = {"miner": "search of partial solvers", "features": "features of partial solvers", "left_out_markers": "markers left out"}
+"""What rows are called, where the name in the file is not a laboratory's word."""
 _CAMERA_COLUMNS = ("camera", "image, px", "focal length, px", "centre, px", "lens terms", "position, m", "error, px")
 
 
@@ -103,7 +105,7 @@ def _camera_row(camera: Mapping[str, Any]) -> list[str]:
 
 def _rows(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
     for key, value in content.items():
-        name = f"{prefix}{key.replace('_', ' ')}"
+        name = f"{prefix}{_CALLED.get(key, key.replace('_', ' '))}"
         if isinstance(value, Mapping) and value and key == "points":
             yield from _rows(value, prefix="points, ")
         elif isinstance(value, Mapping) and key == "partial_solvers":

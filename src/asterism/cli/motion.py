@@ -246,6 +246,8 @@ def show(path: Path, analysis: MotionAnalysis, certain: UncertaintyResult | None
     """Print a table of the joints of one file."""
     import numpy as np
 
+    from asterism.recording.display import counted
+
     rows = []
     for number, joint in enumerate(analysis.angles):
         fitted = analysis.skeleton.joints[joint.child]
@@ -263,13 +265,13 @@ def show(path: Path, analysis: MotionAnalysis, certain: UncertaintyResult | None
         rows.append(row)
     head = ["joint", "kind", "largest angle (°)", "range (°)", "centre ± (mm)"]
     head += ["angle ± (°)", "cameras", "soft tissue", "placement", "flexion ± (°)"] if certain else []
-    limbs = f"{len(analysis.names)} limbs: " + ", ".join(
-        f"{name} ({int((analysis.limb_of == k).sum())} points)" for k, name in enumerate(analysis.names)
+    limbs = f"{counted(len(analysis.names), 'limb')}: " + ", ".join(
+        f"{name} ({counted(int((analysis.limb_of == k).sum()), 'point')})" for k, name in enumerate(analysis.names)
     )
     _console.table(f"{path}: {limbs}", head, rows, left=2)
     if certain is not None:
         said = "± is the largest standard uncertainty over the frames"
-        _console.result(f"{certain.trials} trials; {said}; noise of a point {1000 * certain.noise:.2f} mm.")
+        _console.result(f"{counted(certain.trials, 'trial')}; {said}; noise of a point {1000 * certain.noise:.2f} mm.")
 
 
 def _known(values: Any) -> Any:

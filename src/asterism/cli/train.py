@@ -175,10 +175,12 @@ def _without_damage(recordings: Sequence[Recording], marker_set: MarkerSet | Non
 
 
 def _print(output: Path, markers: int, recordings: int, about: dict[str, Any], seconds: float) -> None:
+    from asterism.recording.display import counted
+
     people = len(about["subjects"])
     _console.result(
-        f"{output}: {markers} markers, from {recordings} recording{'s' if recordings > 1 else ''} of {people} "
-        f"subject{'s' if people > 1 else ''} ({about['frames']:,} frames) in {seconds:.0f} s"
+        f"{output}: {markers} markers, from {counted(recordings, 'recording')} of {counted(people, 'subject')} "
+        f"({counted(about['frames'], 'frame')}) in {seconds:.0f} s"
     )
     if people == 1:
         _console.result(

@@ -105,7 +105,13 @@ def _first_of_its_kind(rows: Floats) -> NDArray[np.bool_]:
 
 
 def write_blobs(blobs: Blobs, path: str | Path) -> None:
-    """Write blobs as 2D CSV, with 17 digits, to be read back unchanged. Raises AsterismError where the file cannot be written."""
+    """Write blobs as 2D CSV, with 17 digits, to be read back unchanged. Raises AsterismError where the file cannot be written.
+
+    >>> blobs = Blobs.from_rows([0, 0, 1], [0, 1, 0], [[320.5, 240.0], [300.0, 250.25], [321.0, 240.0]], ["left", "right"], rate=50.0)
+    >>> write_blobs(blobs, "2d.csv")
+    >>> read_blobs("2d.csv", rate=50.0)
+    Blobs(frames: 2 at 50 Hz (0.04 s), cameras: left, right, blobs: 3)
+    """
     path = Path(path)
     spoilt = next((name for name in blobs.cameras if re.search(r'[,;\t"|\r\n]', name) or name != name.strip()), None)
     if spoilt is not None:

@@ -114,6 +114,12 @@ def write_table(path: str | Path, table: TimeSeriesTable) -> list[str]:
     """Write a table as .mot, .sto or .csv; values keep 17 digits, so that they are read back unchanged.
 
     Returns an empty list: these formats carry everything. Raises AsterismError for another suffix or where the file cannot be written.
+
+    >>> knee = TimeSeriesTable(("knee_flexion",), np.array([[12.5], [13.0]]), np.array([0.0, 0.01]), in_degrees=True)
+    >>> write_table("angles.mot", knee)
+    []
+    >>> read_table("angles.mot").values[:, 0]
+    array([12.5, 13. ])
     """
     path = Path(path)
     suffix = path.suffix.casefold()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import islice
@@ -94,14 +94,13 @@ def capture(
     rules: CaptureRules | None = None,
     workers: int = 1,
     progress: Progress | None = None,
-    total: int = 0,
 ) -> Capture:
     """Read the images of each moment, and reconstruct the garment's points.
 
     moments  number and images (h, w, 3) uint8 of each, one per camera in the rig's order, None where there is none
     read     what one image shows; called from several threads where there are several workers
     rate     moments per second
-    total    how many moments there are, for progress; 0: not known
+    progress is told the share that is done where `moments` has a length, else 0
 
     The result does not depend on the number of workers. Points that the cloth contradicts are left out. Memory: the images of
     `rules.together` moments, and the points of all. Raises AsterismError where there is no moment, or where no image shows an identity.
@@ -113,6 +112,7 @@ def capture(
     first: list[Future[CircleRays]] = []
     under_way: deque[Future[DensePoints]] = deque()
     scale: float | None = None
+    total = len(moments) if isinstance(moments, Sized) else 0
     ahead = rules.together if workers > 1 else 0
 
     def finish(left: int) -> None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from asterism.labelling.audit import LabelError, audit, remove_errors
-from asterism.labelling.capturability import Capturability, CapturabilityRules, MarkerSetChange, capturability
 from asterism.labelling.evaluation import Condition, Evaluation, evaluate, leave_one_subject_out
 from asterism.labelling.marker_model import MarkerModel, label_together
 from asterism.labelling.naming import MarkerGroups, group_tracklets, name_groups
+from asterism.labelling.partial.capturability import Capturability, CapturabilityRules, MarkerSetChange, capturability
 from asterism.labelling.partial.solver import FullSolver, FullSolverRules
 from asterism.labelling.reliability import ConfidenceScore, ConfidenceTally, Reliability
 from asterism.labelling.review import ReviewItem, apply_answers, review

@@ -97,6 +97,12 @@ def group_tracklets(clouds: Clouds, rules: JoinRules | None = None) -> MarkerGro
     The join with the most evidence is made first. The evidence of all pairs that it concerns is then computed again, until no join has
     enough evidence and a clear lead over those that it would exclude. A tracklet without such a join stays a group: a wrong join costs
     a person more than one more name. O(J^2) comparisons for J tracklets.
+
+    >>> from asterism.simulation import simulate_walks
+    >>> walk = simulate_walks(1, frames=60, markers="helen-hayes", seed=0)[0]
+    >>> groups = group_tracklets(walk.clouds())
+    >>> len(groups)
+    15
     """
     rules = rules or JoinRules()
     of_tracklet = find_tracklets(clouds).of_point

@@ -109,6 +109,12 @@ class ConfidenceTally:
     usually a person, and intervals come from a bootstrap over the groups. Labels of one marker in frames that follow each other are one
     *run* as long as they stay in one level of confidence and remain right or wrong. Where no label is wrong the bootstrap says nothing, so
     no interval is narrower than that of as many independent labels as there are runs. Labels whose confidence is NaN are not counted.
+
+    >>> tally = ConfidenceTally()
+    >>> confidence, right = np.array([[0.995, 0.93], [0.999, 0.92]]), np.array([[True, True], [True, False]])
+    >>> tally.add(confidence, given=np.ones((2, 2), bool), right=right)
+    >>> [(level.least, level.labels, float(level.right)) for level in tally.score().levels if level.labels]
+    [(0.9, 2, 0.5), (0.99, 1, 1.0), (0.999, 1, 1.0)]
     """
 
     groups: dict[str, _LabelGroup] = field(default_factory=dict)

@@ -32,6 +32,12 @@ class Clouds:
               A track has at most one point in a frame. It may jump from one marker to another
 
     Two clouds are equal if all of these are.
+
+    >>> clouds = Clouds.from_points([[[0.0, 0.0, 1.0], [0.3, 0.0, 1.0]], [[0.0, 0.0, 1.1]]], rate=100.0)
+    >>> clouds[1]
+    array([[0. , 0. , 1.1]])
+    >>> clouds.frames([0]).counts
+    array([2])
     """
 
     xyz: Floats
@@ -53,6 +59,10 @@ class Clouds:
 
         tracks: one (N_t,) array of whole numbers per frame, the track that each point belongs to, -1 for none.
         Raises AsterismError where an array has another shape, a coordinate is not finite, or two points of a frame share a track.
+
+        >>> clouds = Clouds.from_points([[[0.0, 0.0, 1.0], [0.3, 0.0, 1.0]], [[0.0, 0.0, 1.0]]], rate=100.0)
+        >>> len(clouds), clouds.counts.tolist()
+        (2, [2, 1])
         """
         frames = []
         for t, given in enumerate(points):
@@ -218,7 +228,14 @@ class Labelling:
         return found
 
     def positions(self, clouds: Clouds) -> Floats:
-        """The labelled trajectories: (T, M, 3) m, NaN where a marker has no candidate."""
+        """The labelled trajectories: (T, M, 3) m, NaN where a marker has no candidate.
+
+        >>> clouds = Clouds.from_points([[[0.0, 0.0, 1.0], [0.3, 0.0, 1.0]]], rate=100.0)
+        >>> labelling = Labelling(np.array([[1, -1]]), np.array([[0.998, 0.02]]), ("LKNE", "RKNE"))
+        >>> labelling.positions(clouds)
+        array([[[0.3, 0. , 1. ],
+                [nan, nan, nan]]])
+        """
         out = np.full((*self.indices.shape, 3), np.nan)
         frames, markers = np.nonzero(self.indices >= 0)
         out[frames, markers] = clouds.xyz[clouds.offsets[frames] + self.indices[frames, markers]]

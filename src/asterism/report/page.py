@@ -87,7 +87,7 @@ def write_page(path: str | Path, page: Page) -> None:
     # Scripts only where something is drawn: a page of tables stays readable by any program.
     html = environment.get_template("page.html").render(
         page=page,
-        facts={name: _fact_text(value) for name, value in facts.items() if value is not None},
+        facts={name.replace("_", " "): _fact_text(value) for name, value in facts.items() if not _says_nothing(value)},
         style=template("page.css") + player_style(),
         script=player_script() + template("page.js") if figures or players else "",
         plotly=_plotly() if figures else "",
@@ -186,7 +186,15 @@ def plain(value: Any) -> Any:
     return value
 
 
+def _says_nothing(value: Any) -> bool:
+    return value is None or (isinstance(value, str | list | tuple | Mapping) and not value)
+
+
 def _fact_text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{str(key).replace('_', ' ')} {_fact_text(item)}" for key, item in value.items() if not _says_nothing(item))
     return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 

@@ -17,6 +17,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from asterism.errors import AsterismError
 from asterism.labelling.correction import Correction, CorrectionChange, request_of
+from asterism.recording.display import counted
 from asterism.report import player_script, player_style
 from asterism.web.plain import packed_pieces, packed_points, plain_change, plain_state, plain_trials
 from asterism.web.session import CorrectionSession, CorrectionTrial, StaleRevision
@@ -134,7 +135,7 @@ class _Api:
         if name is not None and not isinstance(name, str):
             raise _Refused(400, "the field model_out is no text; give the name of a file, or null.")
         path = self.session.teach(trials, name)
-        return {"path": str(path), "sentence": f"The model has learned {len(trials)} trials; it was written as {path}."}
+        return {"path": str(path), "sentence": f"The model has learned {counted(len(trials), 'trial')}; it was written as {path}."}
 
     async def tell(self, socket: WebSocket) -> None:
         """Tell a page whatever changes, for as long as it is open."""

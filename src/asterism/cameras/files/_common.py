@@ -16,6 +16,7 @@ from asterism.errors import AsterismError
 from asterism.files.text import read_bytes
 from asterism.geometry import nearest_orthogonal, rotation_from_vector
 from asterism.recording import Floats
+from asterism.recording.display import metres
 
 MILLIMETRES_ABOVE = 50.0
 """Cameras that stand further from the origin than this many units are in millimetres: no room is 50 m, no rig 50 mm wide."""
@@ -121,7 +122,7 @@ def in_metres(cameras: list[Camera]) -> tuple[list[Camera], list[str]]:
     middle = float(np.median(far))
     scale, unit = (1e-3, "millimetres") if middle > MILLIMETRES_ABOVE else (1.0, "metres")
     made = [replace(camera, translation=scale * camera.translation) for camera in cameras]
-    return made, [f"{UNIT_TAKEN} ({unit} taken: the cameras then stand {middle * scale:.2g} m from the origin)"]
+    return made, [f"{UNIT_TAKEN} ({unit} taken: the cameras then stand {metres(middle * scale)} from the origin)"]
 
 
 def read_otherwise(rig: Rig, units_per_metre: float) -> list[str]:

@@ -128,6 +128,13 @@ def audit(
 
     With recordings of several people, each person's are compared with the others' bodies. Errors come in the order of recordings and
     frames. Raises AsterismError where there is no recording, or not one subject for each. O(T M^2) for the paths.
+
+    >>> from asterism.simulation import simulate_walks
+    >>> walk = simulate_walks(1, frames=100, seed=0)[0]
+    >>> left, right = walk.labels.index("LKNE"), walk.labels.index("RKNE")
+    >>> walk.positions[60:, [left, right]] = walk.positions[60:, [right, left]]
+    >>> [error.description for error in audit([walk])]
+    ['RKNE and LKNE exchanged for 40 frames (0.40 s)']
     """
     if not recordings:
         raise AsterismError("there is no recording to audit; give at least one labelled file.")
@@ -157,7 +164,16 @@ def audit(
 
 
 def remove_errors(recordings: Sequence[Recording], errors: Sequence[LabelError]) -> list[Recording]:
-    """The recordings without the wrong labels: NaN in the frames and markers of each error. Hints remove nothing."""
+    """The recordings without the wrong labels: NaN in the frames and markers of each error. Hints remove nothing.
+
+    >>> from asterism.simulation import simulate_walks
+    >>> walk = simulate_walks(1, frames=100, seed=0)[0]
+    >>> left, right = walk.labels.index("LKNE"), walk.labels.index("RKNE")
+    >>> walk.positions[60:, [left, right]] = walk.positions[60:, [right, left]]
+    >>> [clean] = remove_errors([walk], audit([walk]))
+    >>> int(np.isnan(clean.positions[60:, [left, right]]).all(axis=2).sum())
+    80
+    """
     kept = []
     for i, recording in enumerate(recordings):
         positions = recording.positions.copy()

@@ -14,7 +14,7 @@ from asterism.labelling.body._anchor_kernels import anchor_key_pose, score_from_
 from asterism.labelling.body._assignment_kernels import assign_greedily, assign_unambiguous
 from asterism.labelling.body._refine_kernels import refine_until_known
 from asterism.labelling.body._workspace_kernels import BodyWorkspace, copy_labels, count_labelled, index_of
-from asterism.labelling.partial._search_kernels import search
+from asterism.labelling.features.search_kernels import search
 
 MAX_LABELLINGS = 24
 """Labellings of one frame that are kept apart."""

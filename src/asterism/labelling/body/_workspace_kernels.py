@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.labelling.partial._search_kernels import SolverArrays
+from asterism.labelling.features.search_kernels import SolverArrays
 
 LOG_2PI = math.log(2.0 * math.pi)
 

@@ -15,7 +15,7 @@ from asterism.labelling.body._frame_kernels import label_clouds
 from asterism.labelling.body._workspace_kernels import AnchorArrays, BodyArrays, FrameLabelling, FrameModel, FrameSettings
 from asterism.labelling.body.anchors import Anchors
 from asterism.labelling.body.model import BodyModel
-from asterism.labelling.partial._search_kernels import SolverArrays
+from asterism.labelling.features.search_kernels import SolverArrays
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints
 

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.labelling.features.feature_kernels import LAST_INLINED, feature_or_cosine, later_feature, point_distances
+from asterism.labelling.features.motion_kernels import motion_feature
 from asterism.labelling.partial._bit_kernels import popcount, set_first_bits
-from asterism.labelling.partial._feature_kernels import LAST_INLINED, feature_or_cosine, later_feature, point_distances
-from asterism.labelling.partial._motion_kernels import motion_feature
-from asterism.labelling.partial._search_kernels import sort_highest_first
+from asterism.labelling.partial._full_solver_kernels import sort_highest_first
 
 
 class PairRules(NamedTuple):

@@ -18,8 +18,8 @@ from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors
 from asterism.labelling.body.labeller import BodyLabeller, FrameLabellingSettings, usual_fits
 from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, subsample
 from asterism.labelling.body.subject import SubjectRules
-from asterism.labelling.partial.features import kinds_of, needs_motion
-from asterism.labelling.partial.motion_points import frames_with_motion
+from asterism.labelling.features.motion_points import frames_with_motion
+from asterism.labelling.features.registry import kinds_of, needs_motion
 from asterism.labelling.partial.solver_search import check_miner
 from asterism.labelling.training.calibration import IN_FRAMES, IN_TIME, Calibration, LabelCalibration, LabelTrials
 from asterism.labelling.training.sample import FEWEST_SHOWN, Sample

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from asterism.labelling.partial.features import MANY_MARKERS, THESIS
+from asterism.labelling.features.registry import MANY_MARKERS, THESIS
 from asterism.labelling.partial.matrix import PartialSolvers
 from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, SearchSettings, search_partial_solvers
 from asterism.labelling.training.learning import TrainingConfig, TrainingState, learn_body, least_confidence

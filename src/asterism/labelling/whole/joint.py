@@ -72,24 +72,34 @@ class SceneLabelling:
         return found
 
 
+@dataclass(frozen=True)
+class SceneWork:
+    """How a scene is worked on: threads, who is told how far it is, and arrays of an earlier scene to be written over.
+
+    arrays: scores by body that nobody needs any more; they are written over again by the next call that is given this list
+    """
+
+    workers: int = 1
+    progress: Progress | None = None
+    arrays: list[FrameScores] = field(default_factory=list)
+
+
 def label_scene(
     labellers: Sequence[BodyLabeller],
     scene: RecordingScene,
     rules: RecordingLabellingSettings,
     subject_rules: SubjectRules,
     body_rules: BodyRules,
-    workers: int = 1,
-    progress: Progress | None = None,
+    work: SceneWork | None = None,
     start: Ints | None = None,
-    arrays: list[FrameScores] | None = None,
 ) -> SceneLabelling:
     """Label all tracklets of a recording together; see the module's head.
 
-    start: labels (J,) to begin with, -1 for none, instead of what the sampled frames vote for. arrays: scores by body that nobody needs any
-    more, to be written over; they are written over again by the next call that is given this list.
+    start: labels (J,) to begin with, -1 for none, instead of what the sampled frames vote for.
     """
-    arrays = [] if arrays is None else arrays
-    report = progress or (lambda fraction, what: None)
+    work = work or SceneWork()
+    workers, arrays = work.workers, work.arrays
+    report = work.progress or (lambda fraction, what: None)
     bodies = [labeller.model for labeller in labellers]
     if start is not None:
         label = start

@@ -21,7 +21,7 @@ from asterism.labelling.whole.bodies import check_single_body
 from asterism.labelling.whole.certainty import overlaps_unlabelled
 from asterism.labelling.whole.fits import point_fits
 from asterism.labelling.whole.foreign import ForeignConfidence, ForeignLabels, ForeignRules, forward_travel, label_foreign
-from asterism.labelling.whole.joint import SceneLabelling, label_scene
+from asterism.labelling.whole.joint import SceneLabelling, SceneWork, label_scene
 from asterism.labelling.whole.point_labels import BodyInRecording, PointLabels, empty_labelling, labelling_of
 from asterism.labelling.whole.scene import RecordingLabellingSettings, RecordingScene, labels_of_body, marker_offsets, prepare_scene
 from asterism.labelling.whole.short import frames_with_bodies, label_short_points, long_points, tracklets_of
@@ -117,8 +117,8 @@ def label_long_tracklets(
     arrays = list[FrameScores]()
 
     def label_from(scene: RecordingScene, start: Ints | None) -> SceneLabelling:
-        report = progress if start is None else None
-        return label_scene(labellers, scene, rules, subject_rules, body_rules, workers, report, start, arrays)
+        work = SceneWork(workers, progress if start is None else None, arrays)
+        return label_scene(labellers, scene, rules, subject_rules, body_rules, work, start)
 
     tracklets, found = _label_and_split(labellers, points, tracklets, kept, rules, label_from, arrays)
     foreign = None

@@ -130,7 +130,7 @@ def run_garment_session(
     calibration = calibrate_target(seen)
     steps.begin("capture", 0.6, "reading the suit")
     pattern = session.worn.pattern
-    captured = capture(calibration.rig, pattern, film, readers("suit"), rate=session.rate, workers=workers, total=frames)
+    captured = capture(calibration.rig, pattern, film, readers("suit"), rate=session.rate, workers=workers)
     steps.end(0.95, "comparing")
     errors = compare_dense(captured.trajectories, session.truth(frames))
     possible, found = 0, 0

@@ -12,7 +12,7 @@ import numpy as np
 
 from asterism._jit import kernel
 
-# Order of `features.FEATURES`, going on from the constants in `_feature_kernels`.
+# Order of `registry.FEATURES`, going on from the constants in `feature_kernels`.
 G10, G11, G12, G13, G14, G15, G16, G17, G18, G9 = range(9, 19)
 
 BEFORE, AFTER, VELOCITY, ACCELERATION, WIDTH = 3, 6, 9, 12, 15
@@ -22,7 +22,7 @@ BEFORE, AFTER, VELOCITY, ACCELERATION, WIDTH = 3, 6, 9, 12, 15
 def motion_feature(kind, points, a, b, c):
     """One feature over neighbouring frames or derivatives, of the points at rows a, b and (G18) c.
 
-    IN  kind, place in `features.FEATURES`; points (n, WIDTH), z up; rows
+    IN  kind, place in `registry.FEATURES`; points (n, WIDTH), z up; rows
     Returns m, m2, m/s or m2/s2; NaN where a point's motion is not known. The same when time runs backwards. O(1).
     Thesis eq. 6.1 and 6.2. Twin: tests/twins.py
     """

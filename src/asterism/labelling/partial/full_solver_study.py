@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.labelling.partial._search_kernels import label_by_full_solver
-from asterism.labelling.partial.features import describe
+from asterism.labelling.features.registry import describe
+from asterism.labelling.partial._full_solver_kernels import label_by_full_solver
 from asterism.labelling.partial.solver import BUDGET, FullSolver, FullSolverRules, build_search_tree, pack_solvers, replacement_table
 from asterism.labelling.partial.weak import StrongClassifier
 from asterism.recording import Floats, Ints

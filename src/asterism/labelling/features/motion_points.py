@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from asterism.geometry import rotate_z_up
-from asterism.labelling.partial._motion_kernels import WIDTH, estimate_motion
+from asterism.labelling.features.motion_kernels import WIDTH, estimate_motion
 from asterism.recording import Clouds, Floats, Ints, Recording
 from asterism.tracking.linking import find_tracklets
 

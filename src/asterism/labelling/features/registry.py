@@ -1,6 +1,6 @@
 """Features of points (thesis table 4.1) and of their motion (6.1, 6.2): the registry, and the pool of all over all subsets of a marker set.
 
-One more feature is one more branch in `_feature_kernels.later_feature` and one more line at the end of `FEATURES` here, with a
+One more feature is one more branch in `feature_kernels.later_feature` and one more line at the end of `FEATURES` here, with a
 constant G20 beside the others; the pool, the training, the search and the files that models are saved in take it from there.
 """
 
@@ -77,7 +77,7 @@ FEATURES: tuple[Feature, ...] = (
     Feature("g18", "mean of g19 over three frames", 3, TRIPLE, "m2", _NEIGHBOURS, True),
     Feature("g9", "vertical part of the unit normal of a triangle", 3, TRIPLE, "1", _SIGNED),
 )
-"""The registry; its order is that of the constants in `_feature_kernels` and `_motion_kernels`, and model files keep features
+"""The registry; its order is that of the constants in `feature_kernels` and `motion_kernels`, and model files keep features
 by their place. g19 has the place that g9 had in earlier models, which computed g19 under that name.
 
 None of them changes when the recording is turned about the vertical or shifted, nor when it is played backwards.
@@ -134,7 +134,7 @@ def needs_motion(kinds: Ints) -> bool:
 def check_motion(kinds: Ints, frames: Floats) -> None:
     """Raise AsterismError where features read a motion that the frames (..., 3 or more) do not carry."""
     if frames.shape[-1] == 3 and needs_motion(kinds):
-        raise AsterismError("features of motion need frames that carry their motion; make them with labelling.partial.motion_points.")
+        raise AsterismError("features of motion need frames that carry their motion; make them with labelling.features.motion_points.")
 
 
 def markers_read(kinds: Ints, slots: Ints, n_markers: int) -> NDArray[np.bool_]:

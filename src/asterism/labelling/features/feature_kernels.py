@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.labelling.partial._motion_kernels import G9, motion_feature
+from asterism.labelling.features.motion_kernels import G9, motion_feature
 
 # Order of `features.FEATURES`: the registry and `feature_value` agree, and a test holds them to it.
 G1, G2, G3, G4, G5, G6, G7, G8, G19 = range(9)
@@ -50,7 +50,7 @@ def feature_value(kind, points, a, b, c, d):
     IN  kind, place in `features.FEATURES`; points (n, 3) m, z up, or with their motion (n, WIDTH); a, b, c, d rows
     Returns m, m2, rad, a ratio, m/s or m2/s2; 0 where points coincide and the value is undefined; NaN where a point is missing, or its
     motion where the kind reads it. O(1).
-    Thesis table 4.1; `_motion_kernels.motion_feature`. Twin: `feature` in tests/twins.py
+    Thesis table 4.1; `motion_kernels.motion_feature`. Twin: `feature` in tests/twins.py
     """
     if kind > LAST_INLINED:
         return later_feature(kind, points, a, b, c)

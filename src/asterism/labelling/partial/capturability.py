@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
-from asterism.labelling.full_solver_study import ChosenClassifier, SolverSize, boosting_table, fit_printed, solver_sizes
 from asterism.labelling.partial._matrix_kernels import count_confusions
+from asterism.labelling.partial.full_solver_study import ChosenClassifier, SolverSize, boosting_table, fit_printed, solver_sizes
 from asterism.labelling.partial.matrix import PartialSolvers, classifiers_by_marker, label_by_matrix
 from asterism.labelling.partial.solver import FullSolver, FullSolverRules, stack_frames
 from asterism.labelling.partial.solver_search import (
