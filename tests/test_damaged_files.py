@@ -33,7 +33,7 @@ from tests import hanging_trials, models
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
-trials, specimens_of, mutations = (import_module(f"benchmarks.hostile.{name}") for name in ("trials", "specimens", "mutations"))
+trials, specimens_of, mutations = (import_module(f"tests.damage.{name}") for name in ("trials", "specimens", "mutations"))
 
 
 @pytest.fixture(scope="module")

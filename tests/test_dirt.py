@@ -21,9 +21,7 @@ from asterism.simulation import Clutter, add_clutter, displace_marker, simulate_
 from asterism.tracking.linking import Tracklets
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-accuracy, speed, walks_of, figures = (
-    import_module(f"benchmarks.{name}") for name in ("dirt.accuracy", "dirt.speed", "dirt.walks", "figures")
-)
+accuracy, walks_of, figures = (import_module(f"benchmarks.{name}") for name in ("dirt.accuracy", "dirt.walks", "figures"))
 
 ALLOWED = 0.001
 """Share of markers that the whole recording may lose, or label wrongly, against its frames."""
@@ -163,11 +161,3 @@ def test_what_is_asked_is_asked_of_conditions_that_are_measured() -> None:
     conditions = {**accuracy.FLICKER, **accuracy.VOLUME, **accuracy.RIDING}
     assert set(accuracy.ASKED) == set(conditions)
     assert all(figures.reached(asked, 0.5) is not None for pair in accuracy.ASKED.values() for asked in pair)
-
-
-def test_a_loop_of_a_recording_never_jumps() -> None:
-    walk = simulate_walks(subjects=1, frames=30, seed=1)[0]
-    looped = speed._looped(walk, 100)
-    assert len(looped) == 100
-    step = np.linalg.norm(np.diff(looped.positions, axis=0), axis=2)
-    assert step.max() <= np.linalg.norm(np.diff(walk.positions, axis=0), axis=2).max() + 1e-12 and (step.max(axis=1) > 0).all()

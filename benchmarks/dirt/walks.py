@@ -32,7 +32,7 @@ class Condition:
 
 def reporting() -> list[str]:
     """The gait subjects on which nothing is chosen."""
-    return [subject for subject in gait() if subject not in CHOOSING]
+    return [subject for subject in gait() if subject not in CHOOSING][:5]
 
 
 @dataclass(frozen=True)

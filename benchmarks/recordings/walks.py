@@ -18,7 +18,7 @@ CONDITIONS = {
 }
 """Markers hidden and ghost tracks there at every moment."""
 
-SEEDS = 3
+SEEDS = 2
 """Times that each walk is hidden anew: the walks last 2 to 6 seconds."""
 
 Markers = str | tuple[str, ...]

@@ -46,6 +46,7 @@ _ROOMS = (
     "reconstruction",
     "recording",
     "report",
+    "session",
     "simulation",
     "synchronization",
     "tracking",

@@ -8,7 +8,19 @@ from typing import Annotated
 
 import typer
 
-from asterism.cli._options import Files, FrameWise, Json, Model, Overwrite, Report, Vertical, Workers
+from asterism.cli._options import (
+    Files,
+    FrameWise,
+    Json,
+    KnownLabelsOption,
+    Models,
+    NoStatic,
+    Overwrite,
+    Report,
+    Subjects,
+    Vertical,
+    Workers,
+)
 
 
 @dataclass(frozen=True)
@@ -16,12 +28,15 @@ class ReviewOptions:
     """What `asterism review` is asked to do."""
 
     files: Files
-    model: Model
+    model: Models
     top: Annotated[int, typer.Option("--top", metavar="N", min=1, help="How many lines to list, of all files together.")] = 20
     keep_labels: Annotated[
         bool, typer.Option("--keep-labels", help="Take labels that a file already has as right; review only the others.")
     ] = False
+    known_labels: KnownLabelsOption = None
     frame_wise: FrameWise = False
+    subject: Subjects = None
+    no_static: NoStatic = False
     workers: Workers = 1
     vertical: Vertical = None
     overwrite: Overwrite = False

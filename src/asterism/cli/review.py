@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -12,20 +11,20 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._folders import recordings_of
-from asterism.cli._options import vertical_axis
+from asterism.cli._labelling import check_labelling, file_labeller
 from asterism.cli._review_options import ReviewOptions
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
-    from asterism.labelling import MarkerModel
     from asterism.report import ReviewEntry
+    from asterism.session import LabelledFile
 
 
 @takes(ReviewOptions)
 def review(options: ReviewOptions) -> None:
     """List the labels that a person should check first, or correct them.
 
-    The files are labelled as `asterism label` does it, whatever names their points have now. Nothing is written to them. A line is
+    The files are labelled as `asterism label` does it, with the same options. Nothing is written to them. A line is
     a piece of a track between two gaps: one name for it corrects all its frames. The gain is the expected number of its samples whose
     label is wrong or missing. The list begins where a check corrects most.
 
@@ -47,13 +46,14 @@ def review(options: ReviewOptions) -> None:
 
 def _check(options: ReviewOptions) -> None:
     """Raise AsterismError where options contradict each other, or an output cannot be made."""
+    check_labelling(options)
     correcting = "--serve" if options.serve else "--answers" if options.answers is not None else "--csv" if options.csv is not None else ""
     if options.serve and (options.answers is not None or options.csv is not None):
         raise AsterismError("--serve takes the answers on its page; leave out --csv and --answers.")
     if options.answers is not None and options.csv is not None:
         raise AsterismError("--answers takes a table that an earlier run wrote; leave out --csv.")
-    if correcting and (options.frame_wise or options.keep_labels):
-        raise AsterismError(f"{correcting} corrects whole recordings by the model; leave out --frame-wise and --keep-labels.")
+    if correcting and options.frame_wise:
+        raise AsterismError(f"{correcting} corrects whole recordings by the model; leave out --frame-wise.")
     if correcting in ("--serve", "--answers") and (options.report is not None or options.json is not None):
         raise AsterismError(f"{correcting} writes no list; leave out --report and --json.")
     if options.answers is not None and options.output is None:
@@ -64,17 +64,15 @@ def _check(options: ReviewOptions) -> None:
 
 def _listed(options: ReviewOptions) -> int:
     """List what to check; returns the exit status."""
-    from asterism.labelling import MarkerModel
-
-    model = MarkerModel.load(options.model)
     batch, found = _console.Batch("reviewed"), _Review()
     files = recordings_of(options.files, batch)
+    labeller = file_labeller(options, files)
     with _console.progress("labelling") as progress:
         for path in files:
             with batch.file(path):
                 if progress:
                     progress((len(batch.done) + len(batch.failed)) / len(files), path.name)
-                _add(found, path, model, options, batch)
+                _add(found, labeller.label(path), options, batch)
     if options.json != "-" and batch.done:
         _print(found)
     if options.report is not None:
@@ -84,14 +82,19 @@ def _listed(options: ReviewOptions) -> int:
             options.report,
             [line.entry for line in found.lines],
             totals=(found.pieces, found.gain),
-            model_info={"model": str(options.model), "files": len(batch.done), "keep_labels": options.keep_labels, **model.about},
-            marker_set=model.marker_set,
+            model_info={
+                "model": ", ".join(map(str, options.model)),
+                "files": len(batch.done),
+                "keep_labels": options.keep_labels,
+                **labeller.models[0].about,
+            },
+            marker_set=labeller.marker_set,
         )
     _console.write_json(
         options.json,
         {
             "command": "review",
-            "model": options.model,
+            "model": options.model if len(options.model) > 1 else options.model[0],
             "keep_labels": options.keep_labels,
             "frame_wise": options.frame_wise,
             "files": batch.done,
@@ -130,27 +133,20 @@ class _Review:
     lines: Sequence[_Line] = field(default_factory=tuple)
 
 
-def _add(found: _Review, path: Path, model: MarkerModel, options: ReviewOptions, batch: _console.Batch) -> None:
-    """Label one file and add what there is to check in it."""
-    from asterism import formats
-    from asterism.cli._recordings import labels_kept, report_warnings
-    from asterism.labelling import review as review_labelling
+def _add(found: _Review, labelled: LabelledFile, options: ReviewOptions, batch: _console.Batch) -> None:
+    """Add what there is to check in a file."""
     from asterism.recording import label_shares
     from asterism.report import ReviewEntry
 
-    recording = formats.read(path, vertical=vertical_axis(options.vertical))
-    report_warnings(recording, batch)
-    clouds, correction = recording.clouds(), None
+    for finding in labelled.findings:
+        batch.found(finding)
+    path, recording, clouds, labelling, correction = labelled.path, labelled.about, labelled.clouds, labelled.labelling, None
+    items = labelled.items
     if options.csv is not None:
-        from asterism.labelling.correction import Correction, question_row
+        from asterism.labelling.correction import question_row
 
-        correction = Correction(model, recording, workers=options.workers)
-        labelling, items = correction.labelling, correction.items()
-    else:
-        labelling = (model.label_frames if options.frame_wise else model.label)(clouds, workers=options.workers)
-        if options.keep_labels:
-            labelling = labels_kept(path, labelling, recording, clouds, model.marker_set)
-        items = review_labelling(labelling, clouds)
+        correction = labelled.correction()
+        items = correction.items()
     found.shares.append({"file": path, "frames": len(clouds), **asdict(label_shares(labelling, clouds))})
     found.pieces += len(items)
     found.gain += sum(item.gain for item in items)

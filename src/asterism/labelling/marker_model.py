@@ -6,7 +6,7 @@ import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,11 +14,12 @@ from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
+from asterism.labelling import recording_labeller
 from asterism.labelling.body.labeller import BodyLabeller, usual_fits
-from asterism.labelling.body.model import BodyRules, length_scale
+from asterism.labelling.body.model import length_scale
 from asterism.labelling.body.subject import SubjectRules
 from asterism.labelling.partial.matrix import label_by_matrix
-from asterism.labelling.stretches import label_long
+from asterism.labelling.recording_labeller import METHODS, LabellingSettings, RecordingLabeller
 from asterism.labelling.training.learning import TrainingConfig, TrainingRules, TrainingState
 from asterism.labelling.training.markers import learned_marker_set
 from asterism.labelling.training.model_state import ModelState
@@ -26,10 +27,8 @@ from asterism.labelling.training.people import one_person_each
 from asterism.labelling.training.sample import Sample
 from asterism.labelling.training.state_file import load_state, save_state
 from asterism.labelling.training.train import train_model
-from asterism.labelling.whole.bodies import SeveralBodies
-from asterism.labelling.whole.label import label_whole, subject_body, subject_body_gain
+from asterism.labelling.whole.label import subject_body, subject_body_gain
 from asterism.labelling.whole.point_labels import BodyInRecording
-from asterism.labelling.whole.scene import RecordingLabellingSettings
 from asterism.labelling.whole.verdict import RigidDistances, VerdictRules, judge
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling, MarkerSet, Recording, subject_of
@@ -40,10 +39,6 @@ if TYPE_CHECKING:
 OTHER_SUBJECT_FIT = 0.2
 """`subject_fit` below which another person is assumed. Walks of the gait subjects, after a standing trial: 0.27 to 0.41 for the same
 person, below 0.2 for 96 % of other people's."""
-
-METHODS = ("whole-body", "partial-solvers", "thesis")
-"""How single frames are labelled: by the whole body; by the votes of partial solvers, completed by the strong classifier of all markers; by
-these votes alone."""
 
 
 class MarkerModel:
@@ -196,21 +191,17 @@ class MarkerModel:
         tracklets are labelled together, and the most certain ones adapt the model to the person (`labelling/whole`). More than two million
         points are labelled in stretches of minutes (`labelling/stretches.py`). Where the recording certainly shows two people with these
         markers, the one who shows more is labelled; `Labelling.findings` says so, and `label_together` labels both. The result depends
-        neither on the order of the points nor on `workers`. O(T); a frame of n points costs O(n M) beyond the search, which has a budget.
+        neither on the order of the points nor on `workers`. Other settings are given to `RecordingLabeller`. O(T); a frame of n points
+        costs O(n M) beyond the search, which has a budget. Raises NoMarkers where no frame has a point.
         """
         if earlier:
             return self._label_as_earlier(recording, earlier, workers, progress)
         clouds = recording.clouds() if isinstance(recording, Recording) else recording
-        try:
-            return label_long(partial(self.label_one_body, workers=workers), self.marker_set.names, clouds, progress=progress)
-        except SeveralBodies:
-            both = label_together([self, self], clouds, workers=workers, progress=progress)
-            shown = max(both, key=lambda labelling: int((labelling.indices >= 0).sum()))
-            return replace(shown, bodies=2)
+        return RecordingLabeller(self, LabellingSettings(workers=workers)).label(clouds, progress)
 
-    def label_one_body(self, clouds: Clouds, progress: Progress | None = None, *, workers: int = 1) -> Labelling:
+    def label_one_body(self, clouds: Clouds, progress: Progress | None = None, *, settings: LabellingSettings | None = None) -> Labelling:
         """Label clouds as those of one body, all at once. Raises SeveralBodies where they certainly show two."""
-        return label_together([self], clouds, workers=workers, progress=progress)[0]
+        return recording_labeller.label_together([self], clouds, settings or LabellingSettings(), progress)[0]
 
     def _label_as_earlier(
         self, recording: Clouds | Recording, options: dict[str, Any], workers: int, progress: Progress | None
@@ -352,6 +343,4 @@ def label_together(models: Sequence[MarkerModel], clouds: Clouds, *, workers: in
     clouds: T frames. A model may be given twice, for two people who wear the same markers. The recording is labelled as a
     whole, see `MarkerModel.label`. Raises SeveralBodies where one model is given, and the recording certainly shows two such bodies.
     """
-    bodies = [model.in_recording() for model in models]
-    body_rules = next((model.state.body_rules for model in models if model.state.training is not None), BodyRules())
-    return label_whole(bodies, clouds, RecordingLabellingSettings(), SubjectRules(), body_rules, workers, progress)[0]
+    return recording_labeller.label_together(models, clouds, LabellingSettings(workers=workers), progress)

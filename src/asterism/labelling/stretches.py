@@ -119,6 +119,9 @@ def label_in_stretches(
     other without a gap. Memory for two stretches.
     Raises SeveralBodies where a stretch certainly shows two bodies.
     """
+    if len(parts) == 1:  # nothing to join: what joining needs is not looked for
+        yield parts[0].start, label(clouds_of(parts[0]), progress)
+        return
     before: _StretchLabels | None = None
     begin = 0
     for number, frames in enumerate(parts):
@@ -187,6 +190,40 @@ def join_verdicts(verdicts: Sequence[tuple[int, Verdict]]) -> Verdict | None:
     return replace(chosen, exchangeable=tuple(groups), rough=sum(verdict.rough for _, verdict in verdicts))
 
 
+class JoinedLabelling:
+    """Pieces of a recording's labelling, added one after the other; and the labelling of all of it."""
+
+    def __init__(self, names: tuple[str, ...], frames: int, stretches: int, *, compact: bool = False) -> None:
+        """compact: half of the memory, without candidates."""
+        self._names, self._frames, self._stretches, self._compact = names, frames, stretches, compact
+        self._whole: Labelling | None = None
+        self._verdicts: list[tuple[int, Verdict]] = []
+
+    def add(self, begin: int, piece: Labelling) -> None:
+        """Take in the labels of the frames from `begin` on."""
+        if len(piece.indices) == self._frames and not self._compact:
+            self._whole = piece  # all there is: it stays as it was labelled
+            return
+        if self._whole is None:
+            shape = (self._frames, len(self._names))
+            places = np.full(shape, NULL, dtype=np.int32 if self._compact else np.int64)
+            candidates = None if self._compact else np.full(shape, NULL, dtype=np.int64)
+            self._whole = Labelling(places, np.zeros(shape), self._names, candidates)
+        here = np.s_[begin : begin + len(piece.indices)]
+        self._whole.indices[here], self._whole.confidence[here] = piece.indices, piece.confidence
+        if piece.candidates is not None and self._whole.candidates is not None:
+            self._whole.candidates[here] = piece.candidates
+        if piece.verdict is not None:
+            self._verdicts.append((int((piece.indices >= 0).sum()), piece.verdict))
+
+    def labelling(self) -> Labelling:
+        """The labels of all frames."""
+        if self._whole is None:
+            raise ValueError("no piece of the recording was labelled")
+        verdict = join_verdicts(self._verdicts) if self._verdicts else self._whole.verdict
+        return replace(self._whole, verdict=verdict, stretches=self._stretches)
+
+
 def label_long(
     label: LabelsClouds, names: Sequence[str], clouds: Clouds, rules: StretchRules | None = None, *, progress: Progress | None = None
 ) -> Labelling:
@@ -196,19 +233,10 @@ def label_long(
     alone does not show what it is. Raises what `label` raises.
     """
     parts = stretches_of(clouds.counts, clouds.rate, rules or StretchRules())
-    if len(parts) == 1:
-        return label(clouds, progress)
-    shape = (len(clouds), len(names))
-    indices, confidence, candidates = np.empty(shape, dtype=np.int64), np.empty(shape), np.full(shape, NULL, dtype=np.int64)
-    verdicts = list[tuple[int, Verdict]]()
+    joined = JoinedLabelling(tuple(names), len(clouds), len(parts))
     for begin, piece in label_in_stretches(label, clouds.frames, parts, progress=progress):
-        here = np.s_[begin : begin + len(piece.indices)]
-        indices[here], confidence[here] = piece.indices, piece.confidence
-        if piece.candidates is not None:
-            candidates[here] = piece.candidates
-        if piece.verdict is not None:
-            verdicts.append((int((piece.indices >= 0).sum()), piece.verdict))
-    return Labelling(indices, confidence, tuple(names), candidates, join_verdicts(verdicts), stretches=len(parts))
+        joined.add(begin, piece)
+    return joined.labelling()
 
 
 def stretches_of(counts: NDArray[np.integer], rate: float, rules: StretchRules) -> list[slice]:

@@ -23,7 +23,7 @@ def plain_trials(session: CorrectionSession) -> dict[str, Any]:
     out = session.options.output
     return {
         "trials": [_plain_trial(trial) for trial in session.trials],
-        "markers_of_model": list(session.model.marker_set.names),
+        "markers_of_model": list(session.labeller.marker_set.names),
         "out": CORRECTED if out is None else str(out),
     }
 
@@ -36,6 +36,7 @@ def _plain_trial(trial: CorrectionTrial) -> dict[str, Any]:
         "state": trial.state,
         "error": trial.error,
         "notes": list(trial.notes),
+        "findings": [finding.to_dict() for finding in trial.findings],
         "saved": trial.is_saved,
     }
     if trial.state != READY:
@@ -66,7 +67,7 @@ def plain_state(trial: CorrectionTrial, correction: Correction) -> dict[str, Any
     return {
         "revision": correction.revision,
         "markers": list(names),
-        "side": marker_sides(names, correction.model.marker_set),
+        "side": marker_sides(names, correction.marker_set),
         "bones": _bones(correction),
         "rate": correction.recording.rate,
         "first_frame": correction.recording.first_frame,
@@ -132,7 +133,7 @@ def _bones(correction: Correction) -> list[list[int]]:
     positions = np.full((len(frames), len(correction.names), 3), np.nan)
     row, marker = np.nonzero(labelling.indices[frames] >= 0)
     positions[row, marker] = some.xyz[some.offsets[row] + labelling.indices[frames[row], marker]]
-    return [[int(a), int(b)] for a, b in marker_bones(positions, correction.names, correction.model.marker_set)]
+    return [[int(a), int(b)] for a, b in marker_bones(positions, correction.names, correction.marker_set)]
 
 
 def _number(value: float) -> float | None:

@@ -6,14 +6,16 @@ import hashlib
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from asterism import formats
+from asterism import __version__
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.labelling.correction import Correction, CorrectionLog, log_path
 from asterism.labelling.correction.event_log import SAVED
+from asterism.session import FileLabeller, LabelledFile, LabellingOptions, body_names
 
 if TYPE_CHECKING:
     from asterism.labelling import MarkerModel
@@ -34,20 +36,18 @@ CORRECTED = "corrected"
 class SessionOptions:
     """How a sitting works.
 
-    model       the model's file
+    models      the models' files, one for each body
     output      the folder for the corrected files; None for a folder `corrected` beside each
     log_folder  the folder for the logs of corrections; None for beside each file
     overwrite   whether files that were there before may be replaced
-    vertical    what points up, as `asterism.read` takes it
-    workers     threads that share the work of labelling
+    labelling   how the files are labelled
     """
 
-    model: Path
+    models: Sequence[Path]
     output: Path | None = None
     log_folder: Path | None = None
     overwrite: bool = False
-    vertical: Any = None
-    workers: int = 1
+    labelling: LabellingOptions = field(default_factory=LabellingOptions)
 
 
 @dataclass
@@ -59,6 +59,8 @@ class CorrectionTrial:
     target   where it is saved
     state    "waiting", "labelling", "ready" or "failed"
     error    why it failed, in one sentence
+    notes    what a person should know when it is opened
+    findings of labelling it
     """
 
     id: str
@@ -69,19 +71,21 @@ class CorrectionTrial:
     state: str = WAITING
     error: str = ""
     notes: list[str] = field(default_factory=list)
+    findings: Sequence[Finding] = ()
     _lock: threading.RLock = field(default_factory=threading.RLock)
+    _labelled: LabelledFile | None = None
     _correction: Correction | None = None
     _log: CorrectionLog | None = None
     _saved: int = -1
     _saved_hash: str = ""
     _on_disk: tuple[int, int] = (0, 0)
 
-    def label(self, model: MarkerModel) -> None:
+    def label(self, labeller: FileLabeller) -> None:
         """Read and label the file, and take up the corrections of its log; a failure is kept as `error`."""
         self.state = LABELLING
         self.changed(self.id, 0)
         try:
-            self._open(model)
+            self._open(labeller)
             self.state = READY
         except Exception as problem:  # whatever a file raises costs that file only
             self.error = _sentence(problem, self.path)
@@ -122,15 +126,13 @@ class CorrectionTrial:
 
         Raises AsterismError where the recording's file has changed on the disk, or the target is there and not ours.
         """
-        from asterism import __version__
-
         with self.opened() as correction:
             if _stamp(self.path) != self._on_disk:
                 raise AsterismError(f"{self.path} has changed on the disk since it was opened; start again to correct the new one.")
             self._check_target()
             self.target.parent.mkdir(parents=True, exist_ok=True)
-            by = f"asterism {__version__}, {self.options.model.name}"
-            lost = formats.write(self.target, correction.labelled_recording(by))
+            assert self._labelled is not None
+            lost = self._labelled.corrected(correction).write(self.target)
             self._saved, self._saved_hash = correction.revision, _hash_of_file(self.target)
             if self._log is not None:
                 self._log.append({"kind": SAVED, "file": str(self.target), "sha256": self._saved_hash})
@@ -144,10 +146,12 @@ class CorrectionTrial:
             if self._correction is not None:
                 self._correction.close()
 
-    def _open(self, model: MarkerModel) -> None:
+    def _open(self, labeller: FileLabeller) -> None:
         stamp = _stamp(self.path)
-        recording = formats.read(self.path, vertical=self.options.vertical)
-        correction = Correction(model, recording, workers=self.options.workers)
+        labelled = labeller.label(self.path)
+        correction = labelled.correction()
+        self.findings = labelled.findings
+        self.notes += [finding.sentence for finding in labelled.findings]
         folder = self.options.log_folder
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
@@ -163,7 +167,7 @@ class CorrectionTrial:
         self._saved_hash = str(saves[-1].get("sha256")) if saves else ""
         if saves and log.entries[-1] is saves[-1] and self._is_ours():
             self._saved = correction.revision
-        self._correction, self._log, self._on_disk = correction, log, stamp
+        self._labelled, self._correction, self._log, self._on_disk = labelled, correction, log, stamp
 
     def _is_ours(self) -> bool:
         """Whether the target is the file that was saved last."""
@@ -179,12 +183,24 @@ class CorrectionTrial:
 class CorrectionSession:
     """The trials of a sitting, labelled one after the other."""
 
-    def __init__(self, files: Sequence[Path], model: MarkerModel, options: SessionOptions, targets: Sequence[Path] | None = None) -> None:
-        """targets: where each file is saved, by default in the folder for the corrected files, under its name.
+    def __init__(
+        self,
+        files: Sequence[Path],
+        models: MarkerModel | Sequence[MarkerModel],
+        options: SessionOptions,
+        targets: Sequence[Path] | None = None,
+    ) -> None:
+        """models: one, or one for each body.
+
+        targets: where each file is saved, by default in the folder for the corrected files, under its name.
 
         Raises AsterismError where two files would be saved to one place, or the output is no folder.
         """
-        self.model, self.options = model, options
+        several = tuple(models) if isinstance(models, Sequence) else (models,)
+        by = options.labelling.by or f"asterism {__version__}, {', '.join(path.name for path in options.models)}"
+        labelling = replace(options.labelling, by=by, in_memory=True, keep_tracklets=True)
+        self.labeller = FileLabeller(several, labelling, files, body_names(options.models) if len(several) > 1 else None)
+        self.options = options
         self.listeners: list[Callable[[str, int], None]] = []
         """Called with a trial's id and revision when it has changed, from any thread."""
         targets = _targets(files, options.output) if targets is None else targets
@@ -214,9 +230,11 @@ class CorrectionSession:
         recordings = [self._taught(number) for number in trials]
         if not recordings:
             raise AsterismError("no trial was chosen; save one, and teach it.")
+        if len(self.labeller.models) > 1:
+            raise AsterismError("a sitting with several models teaches none of them; start again with the one to teach.")
         target = self._model_target(name)
         with self._teaching:
-            self.model.learn(recordings).save(target)
+            self.labeller.models[0].learn(recordings).save(target)
         return target
 
     def close(self) -> None:
@@ -229,7 +247,7 @@ class CorrectionSession:
         for trial in self.trials:
             if self._stopped.is_set():
                 return
-            trial.label(self.model)
+            trial.label(self.labeller)
 
     def _changed(self, trial: str, revision: int) -> None:
         for listener in list(self.listeners):
@@ -246,7 +264,7 @@ class CorrectionSession:
             return correction.labelled_recording()
 
     def _model_target(self, name: str | None) -> Path:
-        model = self.options.model
+        model = self.options.models[0]
         if name is None:
             number = 2
             while (target := model.with_name(f"{model.stem}-{number}{model.suffix}")).exists():

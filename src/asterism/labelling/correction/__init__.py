@@ -1,7 +1,7 @@
 """A person corrects labels: a model and a recording in; touches, their consequences and a log of them out."""
 
 from asterism.labelling.correction.answers import Answer, question_row, read_answers, table_text, touches_of
-from asterism.labelling.correction.correct import Correction, CorrectionChange, PieceChange
+from asterism.labelling.correction.correct import Correction, CorrectionChange, FirstLabels, PieceChange
 from asterism.labelling.correction.event_log import CorrectionLog, log_path
 from asterism.labelling.correction.pieces import Pieces
 from asterism.labelling.correction.readiness import Readiness, ReadinessRules, readiness
@@ -13,6 +13,7 @@ __all__ = [
     "CorrectionChange",
     "CorrectionLog",
     "Cut",
+    "FirstLabels",
     "Ghost",
     "Name",
     "PieceChange",

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.labelling.correction.event_log import REDO, SAVED, UNDO, CorrectionLog, hash_of_model, hash_of_points
+from asterism.labelling.correction.event_log import REDO, SAVED, UNDO, CorrectionLog, hash_of_models, hash_of_points
 from asterism.labelling.correction.pieces import (
     Pieces,
-    by_first_points,
     cut_before,
     described,
     found_again,
@@ -21,11 +20,13 @@ from asterism.labelling.correction.pieces import (
     table_of_pieces,
 )
 from asterism.labelling.correction.readiness import Readiness, readiness
+from asterism.labelling.correction.relabelling import Relabelling
 from asterism.labelling.correction.touches import Cut, Ghost, Name, PointInFrame, Request, Right, Swap, SwapMarkers, Touch
+from asterism.labelling.recording_labeller import LabelledBodies, LabellingSettings, RecordingLabeller
 from asterism.labelling.review import ReviewItem, review
-from asterism.labelling.whole.relabel import FREE, label_tracklets, marker_chances, relabel_tracklets
+from asterism.labelling.whole.relabel import FREE
 from asterism.progress import Progress
-from asterism.recording import NULL, Ints, Labelling, Recording
+from asterism.recording import NULL, Clouds, Ints, Labelling, Recording
 from asterism.tracking.linking import Tracklets
 
 if TYPE_CHECKING:
@@ -66,6 +67,26 @@ class CorrectionChange:
 
 
 @dataclass(frozen=True)
+class FirstLabels:
+    """The labels that a person corrects.
+
+    labeller   what labelled: the models, perhaps narrowed to the person, and the settings
+    labelling  of the recording's clouds, perhaps with names of its file
+    bodies     what the models alone say; None where they said it of stretches
+    """
+
+    labeller: RecordingLabeller
+    labelling: Labelling
+    bodies: LabelledBodies | None
+
+    @classmethod
+    def of(cls, labeller: RecordingLabeller, clouds: Clouds, progress: Progress | None = None) -> FirstLabels:
+        """What the models give of a recording that is in memory. Raises NoMarkers where it has no points."""
+        labelling, bodies = labeller.label_with_bodies(clouds, progress)
+        return cls(labeller, labelling, bodies)
+
+
+@dataclass(frozen=True)
 class _Solved:
     """The recording labelled with all that was said; said (J,): each tracklet's marker by its place, -1 for none, `FREE` for nothing."""
 
@@ -83,18 +104,28 @@ class Correction:
     give the same labels, whatever was taken back between them.
     """
 
-    def __init__(self, model: MarkerModel, recording: Recording, *, workers: int = 1, progress: Progress | None = None) -> None:
-        """Label the recording. Raises AsterismError where it has no points, or certainly shows two bodies of the model."""
-        self.model, self.recording = model, recording
+    def __init__(
+        self,
+        model: MarkerModel | Sequence[MarkerModel],
+        recording: Recording,
+        *,
+        first: FirstLabels | None = None,
+        workers: int = 1,
+        progress: Progress | None = None,
+    ) -> None:
+        """Label the recording, as `MarkerModel.label` does, or begin with the labels that it has.
+
+        model: one for each body. Raises NoMarkers where the recording has no points.
+        """
+        self.models = tuple(model) if isinstance(model, Sequence) else (model,)
+        self.recording = recording
         self.clouds = recording.clouds()
-        if not len(self.clouds.xyz):
-            raise AsterismError("the recording has no points to label.")
-        self.names = model.marker_set.names
-        self._body = model.in_recording()
-        self._base = label_tracklets(self._body, self.clouds, model.state.body_rules, workers, progress)
-        self._tracklets = by_first_points(self._base.long.tracklets)
-        self._column = np.full(len(self.names), NULL, dtype=np.int64)
-        self._column[self._body.markers] = np.arange(len(self._body.markers))
+        if first is None:
+            labeller = RecordingLabeller(self.models, LabellingSettings(workers=workers))
+            first = FirstLabels.of(labeller, self.clouds, progress)
+        self.marker_set = first.labeller.marker_set
+        self.names = self.marker_set.names
+        self._relabelling = Relabelling(first.labeller, self.clouds, first.labelling, first.bodies)
         self._done: list[Touch] = []
         self._undone: list[Touch] = []
         self._log: CorrectionLog | None = None
@@ -132,7 +163,7 @@ class Correction:
     @cached_property
     def identity(self) -> tuple[str, str]:
         """Hashes of the recording's points and of the model: to whom a log of corrections belongs."""
-        return hash_of_points(self.clouds), hash_of_model(self.model)
+        return hash_of_points(self.clouds), hash_of_models(self.models)
 
     def items(self) -> list[ReviewItem]:
         """What a person should check, by expected gain, without what they have answered."""
@@ -155,7 +186,7 @@ class Correction:
         pieces = self.pieces
         place = pieces.place_of(piece)
         points = np.nonzero(pieces.of_point == place)[0]
-        chance = marker_chances(self._base, self.labelling, points)
+        chance = self._relabelling.chances(self.labelling, points)
         # what the list says of the piece is calibrated; the body alone is too sure, and ranks the other markers
         known = {int(pieces.marker[place]): float(pieces.confidence[place])} if pieces.marker[place] != NULL else {}
         none = 0.0
@@ -250,7 +281,10 @@ class Correction:
 
     def labelled_recording(self, by: str = "", *, keep_names: bool = False) -> Recording:
         """The recording under its labels, what was said counted in its processing log; by: what labelled, such as the model's file."""
-        labelled = self.recording.with_labelling(self.labelling, self.clouds, keep_names=keep_names, by=by)
+        return self.logged(self.recording.with_labelling(self.labelling, self.clouds, keep_names=keep_names, by=by))
+
+    def logged(self, labelled: Recording) -> Recording:
+        """A recording under these labels, with what was said counted in its processing log."""
         if not self._done:
             return labelled
         kinds = [touch.kind for touch in self._done]
@@ -271,16 +305,12 @@ class Correction:
     def _solve(self, touches: Sequence[Touch]) -> _Solved:
         """The recording labelled with these touches held; from the first labelling on, whatever was solved between."""
         cuts = np.array([found_again(point, self.clouds) for touch in touches for point in touch.cuts], dtype=np.int64)
-        tracklets = cut_before(self._tracklets, self.clouds, cuts)
+        tracklets = cut_before(self._relabelling.tracklets, self.clouds, cuts)
         said = np.full(len(tracklets), FREE, dtype=np.int64)
         for touch in touches:
             for point, marker in touch.labels:
                 self._say(said, tracklets, int(tracklets.of_point[found_again(point, self.clouds)]), marker)
-        labelling = self._base.labelling
-        if touches:
-            column = np.where(said >= 0, self._column[said], said)
-            labelling = relabel_tracklets(self._base, tracklets, column)
-            labelling = self._with_unlearned(labelling, tracklets, np.where((said >= 0) & (column == NULL), said, FREE))
+        labelling = self._relabelling.label(tracklets, said) if touches else self._relabelling.first
         pieces = table_of_pieces(tracklets, self.clouds, labelling, said == NULL, said != FREE)
         return _Solved(tracklets, said, labelling, pieces)
 
@@ -299,16 +329,6 @@ class Correction:
             listed = ", ".join(self.names[:8])
             raise AsterismError(f"{marker[:60]!r} is no marker of the model ({listed}, ...); give one of its markers.")
         return self.names.index(marker)
-
-    def _with_unlearned(self, labelling: Labelling, tracklets: Tracklets, said: Ints) -> Labelling:
-        """The labelling with what was said of markers that the model has not learned: said (J,), `FREE` for others."""
-        points = np.nonzero(said[tracklets.of_point] != FREE)[0]
-        if not len(points):
-            return labelling
-        indices, confidence = labelling.indices.copy(), labelling.confidence.copy()
-        frames, markers = self.clouds.frame_of[points], said[tracklets.of_point[points]]
-        indices[frames, markers], confidence[frames, markers] = points - self.clouds.offsets[frames], 1.0
-        return replace(labelling, indices=indices, confidence=confidence)
 
     def _touch_of(self, request: Request) -> Touch:
         """What a request says, in terms that survive another labelling."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +29,12 @@ def hash_of_points(clouds: Clouds) -> str:
     digest.update(np.ascontiguousarray(clouds.offsets, dtype="<i8").tobytes())
     digest.update(np.ascontiguousarray(clouds.xyz, dtype="<f8").tobytes())
     return digest.hexdigest()
+
+
+def hash_of_models(models: Sequence[MarkerModel]) -> str:
+    """A hash of what the models of several bodies label by; of one model, its own."""
+    hashes = [hash_of_model(model) for model in models]
+    return hashes[0] if len(hashes) == 1 else hashlib.sha256(" ".join(hashes).encode()).hexdigest()
 
 
 def hash_of_model(model: MarkerModel) -> str:

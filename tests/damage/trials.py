@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from asterism.errors import AsterismError
-from benchmarks.hostile.mutations import damaged
-from benchmarks.hostile.specimens import Specimen, place_beside, specimens
+from tests.damage.mutations import damaged
+from tests.damage.specimens import Specimen, place_beside, specimens
 
 SEED = 19
 HANG_S, CRASH = 10.0, "the process ended"

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
 
@@ -73,7 +74,7 @@ class StandingTrials:
     files: Sequence[Path]
     given: Sequence[Path] = ()
     automatic: bool = True
-    axis: str | list[float] | None = None
+    axis: ArrayLike | str | None = None
     _by_posture: dict[Path, list[Path]] = field(default_factory=dict)
 
     def of(self, path: Path) -> Path | None:

@@ -1,4 +1,4 @@
-"""What an earlier run of `asterism label` has finished in a folder: a file of JSON lines, which a run that was stopped goes on from."""
+"""What an earlier run has labelled in a folder: a file of JSON lines, by which a run that was stopped goes on."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from asterism.cli._console import as_json
+from asterism.files.plain import as_json
 
 NAME = "asterism-label.jsonl"
 _SLACK = 2 * 10**9
 """ns by which a file system may round the time of a file down."""
 
 
-class Finished:
+class FinishedFiles:
     """The record in a folder of outputs: for each output what it was made from, how, and with which result.
 
     A line is written before an output, and another one after it. A line that was cut off is as if it were not there.
