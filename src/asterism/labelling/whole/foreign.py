@@ -54,14 +54,14 @@ class ForeignRules:
     scale            nats of evidence between two whole labellings that make the odds e to 1
     crowded          points left over, as a share of the markers, from which a recording is crowded
     log_odds         log odds that a label of a foreign recording is right: a logistic regression on clinical-lower and pig39, of each label
-    by_lead          what 4 nats add by which its distances beat the best exchange, counted within `leads`
+    by_margin        log odds per 4 nats by which its distances beat the best exchange; that margin is clipped to `margin_range`
     by_deviation     what each standard deviation takes away by which the distances of a tracklet differ from its marker's elsewhere in the
                      recording, beyond `max_deviation`
     max_deviation    see above
-    leads            see above
-    by_hidden        what each nat takes away that its distances lack to beat those of the best hidden marker by `hidden_lead`: a heel looks
-                     like the ankle beside it where only one of the two is seen, and fewer than `hidden_people` people taught the distances
-    hidden_lead      see above
+    margin_range     see above
+    by_hidden        what each nat takes away that its distances lack to beat those of the best hidden marker by `hidden_margin`: a heel
+                     looks like the ankle beside it where only one of the two is seen, and fewer than `hidden_people` people taught them
+    hidden_margin    see above
     hidden_people    see above
     by_fit           what 2 nats of the tracklet's fit add, counted within `fits`
     fits             see above
@@ -93,12 +93,12 @@ class ForeignRules:
     scale: float = 5.0
     crowded: float = 0.25
     log_odds: float = 3.1
-    by_lead: float = 2.23
+    by_margin: float = 2.23
     by_deviation: float = 0.29
     max_deviation: float = 1.5
-    leads: tuple[float, float] = (-6.0, 12.0)
+    margin_range: tuple[float, float] = (-6.0, 12.0)
     by_hidden: float = 1.0
-    hidden_lead: float = 2.0
+    hidden_margin: float = 2.0
     hidden_people: int = 3
     by_fit: float = 0.73
     fits: tuple[float, float] = (-8.0, 2.0)
@@ -138,7 +138,7 @@ class ForeignConfidence:
         return self.rules.least_confidence[self.crowded]
 
     def of_points(self, points: int, long: Ints, track: Ints) -> ForeignConfidence:
-        """That of P points from that of tracklets; long: the points of tracklets, track: theirs. Others have no lead and no rival."""
+        """That of P points from that of tracklets; long: the points of tracklets, track: theirs. Others have no margin and no rival."""
         log_odds, limit = np.full(points, float(np.median(self.log_odds))), np.ones(points)
         log_odds[long], limit[long] = self.log_odds[track], self.limit[track]
         return replace(self, log_odds=log_odds, limit=limit)
@@ -402,16 +402,16 @@ def label_evidence(
 ) -> tuple[Floats, float]:
     """Log odds (J,) that labels are right: their distances against those of another marker, and what is left over; and how much that is."""
     gain = distance_gains(found.label, samples, markers, reference, rules)
-    lead = distance_margins(gain, found.label, found.scene.first, found.scene.last)
-    by_lead = rules.by_lead * np.clip(lead, *rules.leads) / 4.0
+    margin = distance_margins(gain, found.label, found.scene.first, found.scene.last)
+    by_margin = rules.by_margin * np.clip(margin, *rules.margin_range) / 4.0
     by_hidden: Floats | float = 0.0
     if len(reference.median) < rules.hidden_people:
         over_hidden = hidden_margins(gain, found.label, found.scene.first, found.scene.last)
-        by_hidden = rules.by_hidden * np.clip(rules.hidden_lead - over_hidden, 0.0, 2.0 * rules.hidden_lead)
+        by_hidden = rules.by_hidden * np.clip(rules.hidden_margin - over_hidden, 0.0, 2.0 * rules.hidden_margin)
     deviation = own_deviations(found.scene, found.label, np.array([0, markers]), RecordingLabellingSettings())
     by_deviation = rules.by_deviation * np.clip(deviation - rules.max_deviation, 0.0, 4.0)
     surplus = _surplus(found)
-    return rules.log_odds + by_lead - by_hidden - by_deviation - rules.by_surplus * float(np.log1p(surplus)) / 2.0, surplus
+    return rules.log_odds + by_margin - by_hidden - by_deviation - rules.by_surplus * float(np.log1p(surplus)) / 2.0, surplus
 
 
 def distance_gains(label: Ints, samples: Samples, markers: int, reference: RigidDistances, rules: ForeignRules) -> Floats:
@@ -444,8 +444,8 @@ def distance_margins(gain: Floats, label: Ints, first: Ints, last: Ints) -> Floa
     for j in np.nonzero(label != NULL)[0]:
         other = (first <= last[j]) & (last >= first[j]) & (rows != j) & (label != label[j])
         theirs = np.where(label != NULL, gain[rows, label] - gain[j, label], 0.0)
-        lead = gain[j, label[j]] - gain[:, label[j]] + theirs
-        margin[j] = lead[other].min(initial=60.0)
+        over_others = gain[j, label[j]] - gain[:, label[j]] + theirs
+        margin[j] = over_others[other].min(initial=60.0)
     return margin
 
 
