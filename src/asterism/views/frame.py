@@ -34,31 +34,31 @@ class BlobLabels:
     """What was found in one frame.
 
     labels       (N,) the marker of each blob, -1 for none
-    worth        (N,) nats, by how much the label is better than the best change of it
+    margin       (N,) nats, by how much the label is better than the best change of it
     pose         (9 + J,), rotation (3, 3): the body
     points       (M, 3) m, markers by all their blobs and the body
     covariances  (M, 3, 3) m2
     gain         nats, of the whole against no body at all: all blobs strays
-    leads        (N,) nats, by how much the gain exceeds that of the best other explanation that was tried and labels the blob otherwise;
+    rival_margin (N,) nats, by how much the gain exceeds that of the best other explanation that was tried and labels the blob otherwise;
                  inf where none does
     """
 
     labels: Ints
-    worth: Floats
+    margin: Floats
     pose: Floats
     rotation: Floats
     points: Floats
     covariances: Floats
     gain: float
-    leads: Floats
+    rival_margin: Floats
 
     def against(self, other: BlobLabels, by: float = 0.0) -> BlobLabels:
-        """This explanation of a frame, or another one that is better by more than `by` nats; its leads know both. O(N)."""
+        """This explanation of a frame, or another one that is better by more than `by` nats; its margins know both. O(N)."""
         if other.gain > self.gain + by:
             return other.against(self)
         ahead = max(self.gain - other.gain, 0.0)
         differ = self.labels != other.labels
-        return replace(self, leads=np.where(differ, np.minimum(self.leads, ahead), np.minimum(self.leads, ahead + other.leads)))
+        return replace(self, rival_margin=np.minimum(self.rival_margin, np.where(differ, ahead, ahead + other.rival_margin)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,7 +309,7 @@ class FrameLabeller:
         arrays, cameras, known, observing, free, rules = self._kit
         pose, rotation = pose.copy(), rotation.copy()
         hessian, shares = np.empty((len(pose), len(pose))), np.empty((len(self.scene.rig), len(self.body.markers)))
-        labels, worth = np.full(len(xy), -1, dtype=np.int64), np.zeros(len(xy))
+        labels, margin = np.full(len(xy), -1, dtype=np.int64), np.zeros(len(xy))
         points, covariances = np.empty((len(arrays.bones), 3)), np.empty((len(arrays.bones), 3, 3))
         means, priors = np.empty_like(points), np.empty_like(covariances)
         noise = np.array([rules.noise])
@@ -323,14 +323,14 @@ class FrameLabeller:
             place_priors(arrays, pose, rotation, hessian, free, points, priors)
             gain = label_globally(
                 *(cameras, observing, shares, points, priors, xy, offsets, rules.rounds, rules.together),
-                *(labels, worth, means, covariances),
+                *(labels, margin, means, covariances),
             )
             if turn == rules.turns or np.array_equal(labels, before):
                 break
             before[:] = labels
             minimise(arrays, cameras, known, observing, xy, offsets, labels, noise, rules.label_steps, free, pose, rotation, hessian)
         gain -= unseen_cost(shares) + self._pose_cost(pose, rotation)
-        return BlobLabels(labels, worth, pose, rotation, points + means, covariances, float(gain), np.full(len(labels), np.inf))
+        return BlobLabels(labels, margin, pose, rotation, points + means, covariances, float(gain), np.full(len(labels), np.inf))
 
     def _pose_cost(self, pose: Floats, rotation: Floats) -> float:
         """nats, what a pose costs before any image."""
