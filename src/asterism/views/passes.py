@@ -38,6 +38,7 @@ class Starts:
             try:
                 self._known[t] = seen(self._labeller, self._labeller.from_nothing(t))
             except AsterismError:
+                # Fewer than two cameras have blobs here; that stays so for the other direction.
                 self._known[t] = None
         return self._known[t]
 
@@ -68,6 +69,7 @@ class Pass:
         rules = self.labeller.rules
         found = self._followed(t)
         checked = t % rules.turn_frames == 0 or t in (0, len(self.labeller.scene.blobs) - 1)
+        # The followed body is compared in regular steps, since a pass that took a wrong turn explains its own blobs well.
         if found is not None and checked:
             found = self._compared(t, seen(self.labeller, self.labeller.turned(t, found.labels)))
         if found is None or found.quality < rules.lost:
@@ -81,6 +83,7 @@ class Pass:
         pose = last.labels.pose.copy()
         before = self.seen.get(t - 2 * self._step)
         if before is not None and before.quality >= lost:
+            # The place goes on with its velocity; angles with less of it, since limbs swing back.
             pose[3:6] += pose[3:6] - before.labels.pose[3:6]
             pose[9:] += 0.8 * (pose[9:] - before.labels.pose[9:])
         return seen(self.labeller, self.labeller.follow(t, pose, last.labels.rotation, (t - self._step, last.labels)))
@@ -91,11 +94,13 @@ class Pass:
         if fresh is None:
             return followed
         ahead = fresh.labels.gain - followed.labels.gain
+        # The followed body stays unless the fresh one is clearly better, so that equal explanations do not alternate.
         better, other = (fresh, followed) if ahead > self.labeller.rules.taken_over else (followed, fresh)
         return _against(better, other.labels.labels, better.labels.gain - other.labels.gain)
 
     def _sought(self, t: int, otherwise: Seen | None) -> Seen | None:
         """The body found without a start; after tries without success it is tried in fewer frames."""
+        # An empty room costs a search only now and then, and less often the longer it stays empty.
         if self._wait > 0:
             self._wait -= 1
             return otherwise
@@ -128,12 +133,15 @@ def joined(forward: Pass, backward: Pass) -> list[Seen | None]:
     rules = forward.labeller.rules
     pairs = [(forward.seen[t], backward.seen[t]) for t in range(len(forward.seen))]
     ahead, differ = np.zeros(len(pairs)), np.zeros(len(pairs))
+    # Only frames in which both directions differ can tell them apart.
     for t, (one, other) in enumerate(pairs):
         if one is not None and other is not None and not np.array_equal(one.labels.labels, other.labels.labels):
             ahead[t], differ[t] = one.labels.gain - other.labels.gain, 1.0
     around = np.ones(2 * rules.window + 1)
     inside = slice(rules.window, rules.window + len(pairs))
+    # A single frame decides little; the frames around it have the same body.
     lead = np.convolve(ahead, around)[inside] / np.maximum(np.convolve(differ, around)[inside], 1.0)
+    # Viterbi keeps one direction over stretches: going over between two frames means a limb that turned about.
     first = _best_path(ahead, differ > 0, rules.jump)
     return [_better(one, other, float(lead[t]), bool(first[t]), rules.lost) for t, (one, other) in enumerate(pairs)]
 
@@ -145,6 +153,7 @@ def _best_path(ahead: Floats, differ: NDArray[np.bool_], jump: float) -> NDArray
     they differ in both frames. O(T).
     """
     frames = len(ahead)
+    # Best sums that end in each direction, and from where they came.
     total, came = np.zeros(2), np.zeros((frames, 2), dtype=np.int64)
     for t in range(frames):
         cost = jump if t > 0 and differ[t] and differ[t - 1] else 0.0
@@ -153,6 +162,7 @@ def _best_path(ahead: Floats, differ: NDArray[np.bool_], jump: float) -> NDArray
         total = through.max(axis=1) + np.array([ahead[t], 0.0])
     first = np.empty(frames, dtype=np.bool_)
     state = 0 if frames == 0 or total[0] >= total[1] else 1
+    # Back from the end along the way that each best sum came.
     for t in range(frames - 1, -1, -1):
         first[t] = state == 0
         state = int(came[t, state])
@@ -163,6 +173,7 @@ def _better(one: Seen | None, other: Seen | None, lead: float, first: bool, lost
     """The explanation of the path; lead: nats of the first over the second. One that is lost gives way to one that is not."""
     if one is None or other is None:
         return one if other is None else other
+    # A body that was found beats one that was lost, whatever the path says.
     if (one.quality < lost) != (other.quality < lost):
         return one if one.quality >= lost else other
     return _against(one, other.labels.labels, max(lead, 0.0)) if first else _against(other, one.labels.labels, max(-lead, 0.0))

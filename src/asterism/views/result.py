@@ -100,6 +100,7 @@ class ViewsLabelling:
 
     def _points(self) -> tuple[Ints, Ints, Ints]:
         """Frame and marker of each point of the clouds, and its place in its frame."""
+        # Points of several cameras first: programs that take so many points of a frame get the exact ones.
         order = np.argsort(np.where(self.views >= 2, 0, np.where(self.views == 1, 1, 2)), axis=1, kind="stable")
         frame = np.repeat(np.arange(len(self.views)), (self.views > 0).sum(axis=1))
         place = np.concatenate([np.arange(n) for n in (self.views > 0).sum(axis=1)] or [np.empty(0)]).astype(np.int64)
@@ -111,6 +112,7 @@ class ViewsLabelling:
             kept = (self.views >= least_views) & (self.deviations <= most_deviation)
         vertical = np.array([0.0, 0.0, 1.0]) if self.rig.vertical is None else self.rig.vertical
         positions = np.where(kept[:, :, None], self.positions, np.nan)
+        # Blob files of most systems count from 1, and those without numbers are counted so.
         first = self.blobs.first_frame if self.blobs.first_frame > 0 else 1
         made = Recording(positions, self.body.labels, self.blobs.rate, vertical, first_frame=first, metadata={"units": "m"})
         return made.logged("labelled in the images", self.body.title)

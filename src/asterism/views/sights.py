@@ -40,8 +40,10 @@ def foreseen(expected: Floats, shown: NDArray[np.bool_], there: NDArray[np.bool_
     blob with the marker's label; there (T,): whether the body was found, else the frame says nothing of those beside it, and nothing is
     in view. O(T C M).
     """
+    # A prediction of exactly 0 or 1 has no log odds, and no model is that sure.
     certain = np.clip(expected, 1e-3, 1.0 - 1e-3)
     odds = rules.body * np.log(certain / (1.0 - certain)) + rules.usual
+    # Frames without the body say nothing about those beside them.
     sights = np.where(there[:, None, None], np.where(shown, 1.0, -1.0), 0.0)
     odds[1:] += rules.before * sights[:-1]
     odds[:-1] += rules.after * sights[1:]
