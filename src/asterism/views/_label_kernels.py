@@ -191,12 +191,12 @@ def combine_sights(uv, slopes, chosen, xy, offsets, without, weight, information
 
 
 @kernel
-def label_globally(cameras, observing, shares, points, priors, xy, offsets, rounds, together, labels, worth, means, covariances):
+def label_globally(cameras, observing, shares, points, priors, xy, offsets, rounds, together, labels, blob_margins, means, covariances):
     """Blobs to markers in all cameras at once: each camera assigns exactly, by what the other cameras' blobs say of where a marker is.
 
     IN  shares (C, M); points (M, 3) m, priors (M, 3, 3) m2: where the posed body has its markers, and how exactly; xy (P, 2) px,
         offsets (C + 1,); rounds: how often each camera assigns at most; together: whether cameras inform each other
-    OUT labels (P,): the marker of each blob, -1 for none; worth (P,) nats: gain beyond the best change; means (M, 3) m off `points`,
+    OUT labels (P,): the marker of each blob, -1 for none; blob_margins (P,) nats: gain beyond the best change; means (M, 3) m off `points`,
         covariances (M, 3, 3) m2: markers by all their blobs. Returns the total gain, nats
     O(rounds C M^2 (M + K)). Coordinate ascent on the joint probability of labels and places; it ends where nothing changes.
     """
@@ -209,7 +209,7 @@ def label_globally(cameras, observing, shares, points, priors, xy, offsets, roun
     margin = np.empty(markers)
     weight = 1.0 / (observing.noise * observing.noise)
     labels[:] = -1
-    worth[:] = 0.0
+    blob_margins[:] = 0.0
     total = 0.0
     for turn in range(rounds + 1):
         total = 0.0
@@ -227,12 +227,12 @@ def label_globally(cameras, observing, shares, points, priors, xy, offsets, roun
             margins(gain, chosen[c], margin)
             for k in range(first, last):
                 labels[k] = -1
-                worth[k] = 0.0
+                blob_margins[k] = 0.0
             for m in range(markers):
                 if chosen[c, m] >= 0:
                     total += gain[m, chosen[c, m]]
                     labels[first + chosen[c, m]] = m
-                    worth[first + chosen[c, m]] = margin[m]
+                    blob_margins[first + chosen[c, m]] = margin[m]
         if turn > 0 and (before == chosen).all():
             break
     combine_sights(uv, slopes, chosen, xy, offsets, -1, weight, information, means, covariances)

@@ -34,7 +34,7 @@ class BlobLabels:
     """What was found in one frame.
 
     labels       (N,) the marker of each blob, -1 for none
-    worth        (N,) nats, by how much the label is better than the best change of it
+    margin        (N,) nats, by how much the label is better than the best change of it
     pose         (9 + J,), rotation (3, 3): the body
     points       (M, 3) m, markers by all their blobs and the body
     covariances  (M, 3, 3) m2
@@ -44,7 +44,7 @@ class BlobLabels:
     """
 
     labels: Ints
-    worth: Floats
+    margin: Floats
     pose: Floats
     rotation: Floats
     points: Floats
@@ -325,7 +325,7 @@ class FrameLabeller:
         arrays, cameras, known, observing, free, rules = self._kit
         pose, rotation = pose.copy(), rotation.copy()
         hessian, shares = np.empty((len(pose), len(pose))), np.empty((len(self.scene.rig), len(self.body.markers)))
-        labels, worth = np.full(len(xy), -1, dtype=np.int64), np.zeros(len(xy))
+        labels, margin = np.full(len(xy), -1, dtype=np.int64), np.zeros(len(xy))
         points, covariances = np.empty((len(arrays.bones), 3)), np.empty((len(arrays.bones), 3, 3))
         means, priors = np.empty_like(points), np.empty_like(covariances)
         noise = np.array([rules.noise])
@@ -341,7 +341,7 @@ class FrameLabeller:
             place_priors(arrays, pose, rotation, hessian, free, points, priors)
             gain = label_globally(
                 *(cameras, observing, shares, points, priors, xy, offsets, rules.rounds, rules.together),
-                *(labels, worth, means, covariances),
+                *(labels, margin, means, covariances),
             )
             if turn == rules.turns or np.array_equal(labels, before):
                 break
@@ -349,7 +349,7 @@ class FrameLabeller:
             minimise(arrays, cameras, known, observing, xy, offsets, labels, noise, rules.label_steps, free, pose, rotation, hessian)
         # What the cameras should have shown and did not, and how unusual the pose is, count against it.
         gain -= unseen_cost(shares) + self._pose_cost(pose, rotation)
-        return BlobLabels(labels, worth, pose, rotation, points + means, covariances, float(gain), np.full(len(labels), np.inf))
+        return BlobLabels(labels, margin, pose, rotation, points + means, covariances, float(gain), np.full(len(labels), np.inf))
 
     def _pose_cost(self, pose: Floats, rotation: Floats) -> float:
         """nats, what a pose costs before any image."""

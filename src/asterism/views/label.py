@@ -13,7 +13,7 @@ from asterism.views import checks
 from asterism.views.body import ArticulatedBody
 from asterism.views.body_file import load_body
 from asterism.views.frame import FrameLabeller
-from asterism.views.passes import Pass, Seen, Starts, joined
+from asterism.views.passes import DirectionalTracker, ScoredFrame, Starts, joined
 from asterism.views.personal import personal_body
 from asterism.views.result import ViewsLabelling
 from asterism.views.rules import RULES, ViewsRules
@@ -117,14 +117,14 @@ class _Track:
     def __init__(self, labeller: FrameLabeller, body: ArticulatedBody) -> None:
         self.body = body
         self.labeller = labeller
-        self.seen: list[Seen | None] = []
+        self.seen: list[ScoredFrame | None] = []
         self.restarts: list[int] = []
 
     def run(self, progress: Progress | None = None) -> None:
         """Label all frames."""
         frames, both = len(self.labeller.scene.blobs), self.labeller.rules.both_ways
         starts, total = Starts(self.labeller), frames * (2 if both else 1)
-        forward, backward = Pass(self.labeller, starts, 1), Pass(self.labeller, starts, -1)
+        forward, backward = DirectionalTracker(self.labeller, starts, 1), DirectionalTracker(self.labeller, starts, -1)
         for n in range(total):
             # The second direction ends where the first began, so that both have seen the whole recording.
             if n < frames:
@@ -152,7 +152,7 @@ class _Track:
             first, last = scene.blobs.offsets[t * cameras], scene.blobs.offsets[(t + 1) * cameras]
             sights = np.bincount(found.labels.labels[found.labels.labels >= 0], minlength=markers)
             # A label seen by one camera alone has no second ray to contradict it, so its confidence is judged apart.
-            sure = rules.confidence(found.labels.worth, sights[found.labels.labels] < 2, found.labels.leads)
+            sure = rules.confidence(found.labels.margin, sights[found.labels.labels] < 2, found.labels.leads)
             given = (found.labels.labels >= 0) & (sure >= least_confidence)
             confidence[first:last] = np.where(found.labels.labels >= 0, sure, 0.0)
             candidates[first:last] = found.labels.labels

@@ -14,7 +14,7 @@ from asterism.views.personal import quality_of
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class ScoredFrame:
     """A frame's labels with what is judged of them.
 
     labels   the labels and the pose, with their leads over what else was tried
@@ -30,9 +30,9 @@ class Starts:
 
     def __init__(self, labeller: FrameLabeller) -> None:
         self._labeller = labeller
-        self._known: dict[int, Seen | None] = {}
+        self._known: dict[int, ScoredFrame | None] = {}
 
-    def at(self, t: int) -> Seen | None:
+    def at(self, t: int) -> ScoredFrame | None:
         """Frame t labelled from nothing; None where fewer than two cameras have blobs."""
         if t not in self._known:
             try:
@@ -43,12 +43,12 @@ class Starts:
         return self._known[t]
 
 
-def seen(labeller: FrameLabeller, labels: BlobLabels) -> Seen:
+def seen(labeller: FrameLabeller, labels: BlobLabels) -> ScoredFrame:
     """A frame's labels, judged."""
-    return Seen(labels, quality_of(labeller, labels))
+    return ScoredFrame(labels, quality_of(labeller, labels))
 
 
-class Pass:
+class DirectionalTracker:
     """Frames one after the other, in one direction: predicts, follows, notices that the body is lost, and seeks it anew.
 
     Every `ViewsRules.turn_frames` frames, and in the first and the last, the followed body is compared with the one that is found without
@@ -57,7 +57,7 @@ class Pass:
 
     def __init__(self, labeller: FrameLabeller, starts: Starts, step: int) -> None:
         self.labeller = labeller
-        self.seen: dict[int, Seen | None] = {}
+        self.seen: dict[int, ScoredFrame | None] = {}
         self.restarts: list[int] = []
         self._starts = starts
         self._step = step
@@ -73,10 +73,10 @@ class Pass:
         if found is not None and checked:
             found = self._compared(t, seen(self.labeller, self.labeller.turned(t, found.labels)))
         if found is None or found.quality < rules.lost:
-            found = self._sought(t, found)
+            found = self._reacquire(t, found)
         self.seen[t] = found
 
-    def _followed(self, t: int) -> Seen | None:
+    def _followed(self, t: int) -> ScoredFrame | None:
         last, lost = self.seen.get(t - self._step), self.labeller.rules.lost
         if last is None or last.quality < lost:
             return None
@@ -88,7 +88,7 @@ class Pass:
             pose[9:] += 0.8 * (pose[9:] - before.labels.pose[9:])
         return seen(self.labeller, self.labeller.follow(t, pose, last.labels.rotation, (t - self._step, last.labels)))
 
-    def _compared(self, t: int, followed: Seen) -> Seen:
+    def _compared(self, t: int, followed: ScoredFrame) -> ScoredFrame:
         """The better one of the followed body and the one found without a start."""
         fresh = self._starts.at(t)
         if fresh is None:
@@ -96,9 +96,9 @@ class Pass:
         ahead = fresh.labels.gain - followed.labels.gain
         # The followed body stays unless the fresh one is clearly better, so that equal explanations do not alternate.
         better, other = (fresh, followed) if ahead > self.labeller.rules.taken_over else (followed, fresh)
-        return _against(better, other.labels.labels, better.labels.gain - other.labels.gain)
+        return _with_rival(better, other.labels.labels, better.labels.gain - other.labels.gain)
 
-    def _sought(self, t: int, otherwise: Seen | None) -> Seen | None:
+    def _reacquire(self, t: int, otherwise: ScoredFrame | None) -> ScoredFrame | None:
         """The body found without a start; after tries without success it is tried in fewer frames."""
         # An empty room costs a search only now and then, and less often the longer it stays empty.
         if self._wait > 0:
@@ -116,14 +116,14 @@ class Pass:
         return found
 
 
-def _against(one: Seen, labels: Ints, lead: float) -> Seen:
+def _with_rival(one: ScoredFrame, labels: Ints, lead: float) -> ScoredFrame:
     """A frame's labels with one more explanation that it leads by so many nats."""
     own = one.labels
     leads = np.where(labels == own.labels, own.leads, np.minimum(own.leads, lead))
     return replace(one, labels=replace(own, leads=leads))
 
 
-def joined(forward: Pass, backward: Pass) -> list[Seen | None]:
+def joined(forward: DirectionalTracker, backward: DirectionalTracker) -> list[ScoredFrame | None]:
     """The better one of both directions in each frame, with the other one as its rival.
 
     The path through the frames with the greatest sum of gains is taken; where the directions differ, going over from one to the other
@@ -169,11 +169,11 @@ def _best_path(ahead: Floats, differ: NDArray[np.bool_], jump: float) -> NDArray
     return first
 
 
-def _better(one: Seen | None, other: Seen | None, lead: float, first: bool, lost: float) -> Seen | None:
+def _better(one: ScoredFrame | None, other: ScoredFrame | None, lead: float, first: bool, lost: float) -> ScoredFrame | None:
     """The explanation of the path; lead: nats of the first over the second. One that is lost gives way to one that is not."""
     if one is None or other is None:
         return one if other is None else other
     # A body that was found beats one that was lost, whatever the path says.
     if (one.quality < lost) != (other.quality < lost):
         return one if one.quality >= lost else other
-    return _against(one, other.labels.labels, max(lead, 0.0)) if first else _against(other, one.labels.labels, max(-lead, 0.0))
+    return _with_rival(one, other.labels.labels, max(lead, 0.0)) if first else _with_rival(other, one.labels.labels, max(-lead, 0.0))

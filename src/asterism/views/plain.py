@@ -43,7 +43,9 @@ def minimise_plain(labeller: FrameLabeller, t: int, pose: Floats, rotation: Floa
     a rotation vector. Visibility is tested once for each iteration.
     """
     xy, offsets = labeller.scene.frame(t)
-    observing: Observing = labeller.observing._replace(nearest=True, reach=rules.reach, doubt=0.0, softness=1e-9, hidden=0.0, shown=1.0)
+    observing: Observing = labeller.observing._replace(
+        nearest=True, reach=rules.reach, occlusion_tolerance=0.0, softness=1e-9, hidden=0.0, shown=1.0
+    )
     known = labeller.known
     # The paper knows neither the size nor the tilt before; a hundredth of the usual precision keeps the system solvable.
     loose = known._replace(scale_precision=np.full(2, 1e-6), tilt_precision=1e-6)
@@ -69,7 +71,7 @@ def label_stepwise(labeller: FrameLabeller, t: int, pose: Floats, rotation: Floa
     count, markers = len(labeller.scene.rig), len(points)
     shares, uv = np.empty((count, markers)), np.empty((count, markers, 2))
     # The paper's test is sharp: a marker is hidden or it is not.
-    observing = labeller.observing._replace(doubt=0.0, softness=1e-9, hidden=0.0, shown=1.0)
+    observing = labeller.observing._replace(occlusion_tolerance=0.0, softness=1e-9, hidden=0.0, shown=1.0)
     predict_visible(labeller.body.arrays, labeller.scene.cameras, observing, pose, rotation, shares)
     project_linear(labeller.scene.cameras, points, uv, np.empty((count, markers, 2, 3)))
     labels = np.full(len(xy), -1, dtype=np.int64)

@@ -11,7 +11,7 @@ from asterism.cameras import Rig
 from asterism.findings import Finding
 from asterism.recording import NULL, Blobs, Clouds, Floats, Ints, Labelling, Recording
 from asterism.views.body import ArticulatedBody
-from asterism.views.sights import BEFORE, SightRules, foreseen
+from asterism.views.sights import FROM_PREVIOUS, SightRules, predict_visibility
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +74,12 @@ class ViewsLabelling:
         out[self.blobs.frame_of[given], self.blobs.camera_of[given], self.labels[given]] = True
         return out
 
-    def foreseen(self, rules: SightRules = BEFORE) -> Floats:
+    def predict_visibility(self, rules: SightRules = FROM_PREVIOUS) -> Floats:
         """(T, C, M) the probability that a marker is in view of a camera, by the body, and by the labels of the frames beside.
 
-        By default that of the frame before alone; see `foreseen` in `sights`. O(T C M).
+        By default that of the frame before alone; see `predict_visibility` in `sights`. O(T C M).
         """
-        return foreseen(self.expected, self.shown, np.isfinite(self.poses[:, 0]), rules)
+        return predict_visibility(self.expected, self.shown, np.isfinite(self.poses[:, 0]), rules)
 
     @property
     def clouds(self) -> Clouds:

@@ -29,11 +29,11 @@ class SightRules:
     usual: float = 0.37
 
 
-BEFORE = SightRules()
-AROUND = SightRules(body=0.88, before=3.13, after=3.13, usual=0.18)
+FROM_PREVIOUS = SightRules()
+FROM_BOTH_SIDES = SightRules(body=0.88, before=3.13, after=3.13, usual=0.18)
 
 
-def foreseen(expected: Floats, shown: NDArray[np.bool_], there: NDArray[np.bool_], rules: SightRules = BEFORE) -> Floats:
+def predict_visibility(expected: Floats, shown: NDArray[np.bool_], there: NDArray[np.bool_], rules: SightRules = FROM_PREVIOUS) -> Floats:
     """(T, C, M) the probability that a marker is in view of a camera: by the body in the frame, and by the labels of the frames beside.
 
     The frame's own labels take no part but in the body's pose. expected (T, C, M): by the body; shown (T, C, M): whether the camera has a
@@ -47,5 +47,5 @@ def foreseen(expected: Floats, shown: NDArray[np.bool_], there: NDArray[np.bool_
     sights = np.where(there[:, None, None], np.where(shown, 1.0, -1.0), 0.0)
     odds[1:] += rules.before * sights[:-1]
     odds[:-1] += rules.after * sights[1:]
-    told: Floats = np.where(there[:, None, None], 1.0 / (1.0 + np.exp(-odds)), 0.0)
-    return told
+    probability: Floats = np.where(there[:, None, None], 1.0 / (1.0 + np.exp(-odds)), 0.0)
+    return probability
