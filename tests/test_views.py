@@ -112,7 +112,7 @@ def test_a_start_that_faces_the_wrong_way_is_turned_by_the_frames_that_follow() 
     assert all(each is not None for each in both)
     first = both[0]
     assert first is not None and (first.labels.labels == right.labels.labels).mean() > 0.9
-    assert np.isfinite(first.labels.leads).any(), "the other explanation must be known as a rival"
+    assert np.isfinite(first.labels.rival_margin).any(), "the other explanation must be known as a rival"
 
 
 def test_a_marker_that_one_camera_shows_is_placed_within_its_stated_deviation() -> None:
@@ -242,16 +242,16 @@ def test_a_frames_own_labels_take_no_part_in_what_is_predicted_of_it() -> None:
 def test_the_better_explanation_of_a_frame_leads_the_other_one_only_where_they_differ() -> None:
     given = session(2)
     labeller = FrameLabeller(scene_of(given.blobs, given.rig), body_of_four())
-    found = replace(labeller.from_nothing(3), leads=np.full(len(given.blobs.frames(slice(3, 4)).xy), np.inf))
+    found = replace(labeller.from_nothing(3), rival_margin=np.full(len(given.blobs.frames(slice(3, 4)).xy), np.inf))
     first, last = np.nonzero(found.labels >= 0)[0][[0, -1]]
     other = found.labels.copy()
     other[[first, last]] = other[[last, first]]
-    worse = replace(found, labels=other, gain=found.gain - 4.0, leads=np.full(len(other), 3.0))
+    worse = replace(found, labels=other, gain=found.gain - 4.0, rival_margin=np.full(len(other), 3.0))
     expected = np.full(len(other), 7.0)
     expected[[first, last]] = 4.0
     for better in (found.against(worse), worse.against(found)):
         assert np.array_equal(better.labels, found.labels)
-        np.testing.assert_allclose(better.leads, expected, err_msg="what was nearly as good as the worse one is worse by both")
+        np.testing.assert_allclose(better.rival_margin, expected, err_msg="what was nearly as good as the worse one is worse by both")
 
 
 def test_a_path_goes_over_to_the_other_explanation_only_where_that_gains_more_than_the_jump() -> None:

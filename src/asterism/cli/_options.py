@@ -78,7 +78,7 @@ Report = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="W
 MinerOption = Annotated[
     Miner | None,
     typer.Option(
-        "--miner",
+        "--partial-solvers",
         help="Also search the partial solvers that the rules partial-solvers and thesis need, in this way; takes minutes.",
         show_default=False,
     ),
@@ -88,7 +88,7 @@ Features = Annotated[
     typer.Option(
         "--features",
         metavar="NAMES",
-        help="What the partial solvers read, such as g2,g4,g9,g13 (docs/labelling.md lists all); implies --miner bottom-up.",
+        help="What the partial solvers read, such as g2,g4,g9,g13 (docs/labelling.md lists all); implies --partial-solvers bottom-up.",
         show_default=False,
     ),
 ]

@@ -71,7 +71,7 @@ def evaluate(options: EvaluateOptions) -> None:
     probability that it gave to it; in brackets that of the best constant confidence. Less is better.
 
     With --leave-one-subject-out the figures hold for people that
-    the model has not seen; --markers, --target-hit-rate and --miner belong to it. Rules other than whole-body need a miner:
+    the model has not seen; --markers, --target-hit-rate and --partial-solvers belong to it. Rules other than whole-body need a strategy:
     bottom-up where none is named.
     """
     settings = _settings(options)

@@ -34,12 +34,12 @@ class BlobLabels:
     """What was found in one frame.
 
     labels       (N,) the marker of each blob, -1 for none
-    margin        (N,) nats, by how much the label is better than the best change of it
+    margin       (N,) nats, by how much the label is better than the best change of it
     pose         (9 + J,), rotation (3, 3): the body
     points       (M, 3) m, markers by all their blobs and the body
     covariances  (M, 3, 3) m2
     gain         nats, of the whole against no body at all: all blobs strays
-    leads        (N,) nats, by how much the gain exceeds that of the best other explanation that was tried and labels the blob otherwise;
+    rival_margin (N,) nats, by how much the gain exceeds that of the best other explanation that was tried and labels the blob otherwise;
                  inf where none does
     """
 
@@ -50,17 +50,17 @@ class BlobLabels:
     points: Floats
     covariances: Floats
     gain: float
-    leads: Floats
+    rival_margin: Floats
 
     def against(self, other: BlobLabels, by: float = 0.0) -> BlobLabels:
-        """This explanation of a frame, or another one that is better by more than `by` nats; its leads know both. O(N)."""
-        # A single place that compares two explanations, so that a label's lead knows all that was tried.
+        """This explanation of a frame, or another one that is better by more than `by` nats; its margins know both. O(N)."""
+        # A single place that compares two explanations, so that a label's margin knows all that was tried.
         if other.gain > self.gain + by:
             return other.against(self)
         ahead = max(self.gain - other.gain, 0.0)
         differ = self.labels != other.labels
-        # Where both agree on a blob, the lead is that over whatever the better explanation's rivals would have it be.
-        return replace(self, leads=np.where(differ, np.minimum(self.leads, ahead), np.minimum(self.leads, ahead + other.leads)))
+        # Where both agree on a blob, it is as far ahead of whatever the other explanation's rivals would have it be.
+        return replace(self, rival_margin=np.minimum(self.rival_margin, np.where(differ, ahead, ahead + other.rival_margin)))
 
 
 @dataclass(frozen=True, eq=False)

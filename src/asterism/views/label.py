@@ -152,7 +152,7 @@ class _Track:
             first, last = scene.blobs.offsets[t * cameras], scene.blobs.offsets[(t + 1) * cameras]
             sights = np.bincount(found.labels.labels[found.labels.labels >= 0], minlength=markers)
             # A label seen by one camera alone has no second ray to contradict it, so its confidence is judged apart.
-            sure = rules.confidence(found.labels.margin, sights[found.labels.labels] < 2, found.labels.leads)
+            sure = rules.confidence(found.labels.margin, sights[found.labels.labels] < 2, found.labels.rival_margin)
             given = (found.labels.labels >= 0) & (sure >= least_confidence)
             confidence[first:last] = np.where(found.labels.labels >= 0, sure, 0.0)
             candidates[first:last] = found.labels.labels

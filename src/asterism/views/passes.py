@@ -17,7 +17,7 @@ from asterism.views.personal import quality_of
 class ScoredFrame:
     """A frame's labels with what is judged of them.
 
-    labels   the labels and the pose, with their leads over what else was tried
+    labels   the labels and the pose, with their margins over what else was tried
     quality  nats per expected sighting, see `quality_of`
     """
 
@@ -116,18 +116,18 @@ class DirectionalTracker:
         return found
 
 
-def _with_rival(one: ScoredFrame, labels: Ints, lead: float) -> ScoredFrame:
-    """A frame's labels with one more explanation that it leads by so many nats."""
+def _with_rival(one: ScoredFrame, labels: Ints, margin: float) -> ScoredFrame:
+    """A frame's labels with one more explanation than which they are better by so many nats."""
     own = one.labels
-    leads = np.where(labels == own.labels, own.leads, np.minimum(own.leads, lead))
-    return replace(one, labels=replace(own, leads=leads))
+    rival_margin = np.where(labels == own.labels, own.rival_margin, np.minimum(own.rival_margin, margin))
+    return replace(one, labels=replace(own, rival_margin=rival_margin))
 
 
 def joined(forward: DirectionalTracker, backward: DirectionalTracker) -> list[ScoredFrame | None]:
     """The better one of both directions in each frame, with the other one as its rival.
 
     The path through the frames with the greatest sum of gains is taken; where the directions differ, going over from one to the other
-    costs `ViewsRules.jump`, since a limb does not turn about between two frames. The lead of a frame over its rival is the mean of the
+    costs `ViewsRules.jump`, since a limb does not turn about between two frames. The margin of a frame over its rival is the mean of the
     frames around, `ViewsRules.window` on both sides. O(T window).
     """
     rules = forward.labeller.rules
@@ -140,10 +140,10 @@ def joined(forward: DirectionalTracker, backward: DirectionalTracker) -> list[Sc
     around = np.ones(2 * rules.window + 1)
     inside = slice(rules.window, rules.window + len(pairs))
     # A single frame decides little; the frames around it have the same body.
-    lead = np.convolve(ahead, around)[inside] / np.maximum(np.convolve(differ, around)[inside], 1.0)
+    margin = np.convolve(ahead, around)[inside] / np.maximum(np.convolve(differ, around)[inside], 1.0)
     # Viterbi keeps one direction over stretches: going over between two frames means a limb that turned about.
     first = _best_path(ahead, differ > 0, rules.jump)
-    return [_better(one, other, float(lead[t]), bool(first[t]), rules.lost) for t, (one, other) in enumerate(pairs)]
+    return [_better(one, other, float(margin[t]), bool(first[t]), rules.lost) for t, (one, other) in enumerate(pairs)]
 
 
 def _best_path(ahead: Floats, differ: NDArray[np.bool_], jump: float) -> NDArray[np.bool_]:
@@ -169,11 +169,11 @@ def _best_path(ahead: Floats, differ: NDArray[np.bool_], jump: float) -> NDArray
     return first
 
 
-def _better(one: ScoredFrame | None, other: ScoredFrame | None, lead: float, first: bool, lost: float) -> ScoredFrame | None:
-    """The explanation of the path; lead: nats of the first over the second. One that is lost gives way to one that is not."""
+def _better(one: ScoredFrame | None, other: ScoredFrame | None, margin: float, first: bool, lost: float) -> ScoredFrame | None:
+    """The explanation of the path; margin: nats of the first over the second. One that is lost gives way to one that is not."""
     if one is None or other is None:
         return one if other is None else other
     # A body that was found beats one that was lost, whatever the path says.
     if (one.quality < lost) != (other.quality < lost):
         return one if one.quality >= lost else other
-    return _with_rival(one, other.labels.labels, max(lead, 0.0)) if first else _with_rival(other, one.labels.labels, max(-lead, 0.0))
+    return _with_rival(one, other.labels.labels, max(margin, 0.0)) if first else _with_rival(other, one.labels.labels, max(-margin, 0.0))
