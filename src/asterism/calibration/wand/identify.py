@@ -105,9 +105,11 @@ def identify(blobs: Blobs, wand: Wand) -> Ints:
         )  # fmt: skip
         detections[~certain] = -1
     else:
+        # One or two dots have no shape that would tell them from strays, so only images without strays count.
         exact = np.nonzero(np.diff(blobs.offsets) == markers)[0]
         detections[exact] = blobs.offsets[exact, None] + np.arange(markers)
         if markers == 2:
             apart = np.linalg.norm(blobs.xy[detections[exact, 1]] - blobs.xy[detections[exact, 0]], axis=1)
+            # Two markers this near each other are seen end on: which is which, and where the wand points, stay open.
             detections[exact[apart < SEARCH.shortest]] = -1
     return detections.reshape(frames, cameras, markers)

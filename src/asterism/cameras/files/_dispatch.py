@@ -46,6 +46,7 @@ def read_rig(*paths: str | Path) -> Rig:
     if not files:
         raise AsterismError("no rig file was named; name one.")
     kinds = {_kind(file) for file in files}
+    # Only OpenCV's and OpenPTV's rigs come in parts.
     if len(kinds) > 1 or (len(files) > 1 and kinds <= {"one"}):
         raise AsterismError(f"{', '.join(map(str, files[:4]))} are not parts of one rig; name one of them.")
     with guarded_reading(", ".join(map(str, files[:4])), _MEND):
@@ -109,6 +110,7 @@ def _files(path: Path) -> Sequence[Path]:
     if not path.is_dir():
         return [path]
     inside = sorted(file for file in path.iterdir() if file.is_file() and is_rig_file(file))
+    # Many small files are one rig; only without such does a single whole file have to be the one.
     parts = [file for file in inside if file.suffix.casefold() == ".ori"] or [file for file in inside if _holds_cameras(file)]
     if parts:
         return parts
