@@ -97,7 +97,7 @@ def grow_from_peaks(weight, step, lowest, ys, xs, label):
     centres = np.zeros((len(ys), 4))
     for y in range(1, tall - 1):
         for x in range(1, wide - 1):
-            if weight[y, x] <= lowest or label[y, x] >= 0 or not _is_peak(weight, y, x):
+            if weight[y, x] <= 0 or not weight[y, x] > lowest or label[y, x] >= 0 or not _is_peak(weight, y, x):
                 continue
             label[y, x] = peaks
             centres[peaks, 3] = weight[y, x]

@@ -10,6 +10,19 @@ from asterism._jit import kernel
 
 
 @kernel(inline=True)
+def clamped_index(value, low, high):
+    """A real number cut to a whole one, from `low` to `high`; `low` for NaN.
+
+    IN  value; low, high whole. What infinity, NaN or a number beyond 64 bits becomes as a whole number depends on the processor, so it is
+        clamped before, not after.
+    O(1), no allocation.
+    """
+    if not value > low:
+        return low
+    return int(value) if value < high else high
+
+
+@kernel(inline=True)
 def cofactors(xx, xy, xz, yx, yy, yz, zx, zy, zz):
     """Determinant and upper cofactors (xx, xy, xz, yy, yz, zz) of a 3 x 3 matrix, whose inverse is their quotient where it is symmetric.
 

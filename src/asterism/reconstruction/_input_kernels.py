@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.geometry.shared_kernels import clamped_index
 from asterism.reconstruction._order_kernels import ascending
 
 NOISE, GAIN, MISSING, LOW, HIGH, LENS = 15, 16, 17, 18, 20, 22
@@ -126,8 +127,8 @@ def _filled_bins(blobs, grid, first, cells):
 def _cell(grid, c, x, y):
     """Returns the cell of camera c in which a place on its normalised plane lies, or the nearest one. O(1)."""
     side = int(grid[c, SIDE])
-    column = min(max(int((x - grid[c, LEFT]) * grid[c, PER_X]), 0), side - 1)
-    row = min(max(int((y - grid[c, TOP]) * grid[c, PER_Y]), 0), side - 1)
+    column = clamped_index((x - grid[c, LEFT]) * grid[c, PER_X], 0, side - 1)
+    row = clamped_index((y - grid[c, TOP]) * grid[c, PER_Y], 0, side - 1)
     return row * side + column
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from asterism._jit import kernel
 from asterism.cameras.lens_kernels import CX, CY, FX, FY, distorted
-from asterism.geometry.shared_kernels import symmetric_inverse
+from asterism.geometry.shared_kernels import clamped_index, symmetric_inverse
 from asterism.reconstruction._input_kernels import (
     CELLS,
     END,
@@ -72,10 +72,10 @@ def best_blob(rig, frame, c, work, available):
     wide_x, wide_y = rig.limits[GATE] * math.sqrt(cxx + floor * floor), rig.limits[GATE] * math.sqrt(cyy + floor * floor)
     grid = frame.grid
     side = int(grid[c, SIDE])
-    left = int(max(0.0, (px - wide_x - grid[c, LEFT]) * grid[c, PER_X]))
-    right = int(min(side - 1.0, math.floor((px + wide_x - grid[c, LEFT]) * grid[c, PER_X])))
-    top = int(max(0.0, (py - wide_y - grid[c, TOP]) * grid[c, PER_Y]))
-    bottom = int(min(side - 1.0, math.floor((py + wide_y - grid[c, TOP]) * grid[c, PER_Y])))
+    left = clamped_index((px - wide_x - grid[c, LEFT]) * grid[c, PER_X], 0, side)
+    right = clamped_index(np.floor((px + wide_x - grid[c, LEFT]) * grid[c, PER_X]), -1, side - 1)
+    top = clamped_index((py - wide_y - grid[c, TOP]) * grid[c, PER_Y], 0, side)
+    bottom = clamped_index(np.floor((py + wide_y - grid[c, TOP]) * grid[c, PER_Y]), -1, side - 1)
     best, chosen = rig.limits[GATE] * rig.limits[GATE], -1
     if left > right:
         return -1, np.inf
@@ -104,10 +104,10 @@ def _has_blob_near(frame, c, x, y, wide_x, wide_y):
     side = int(grid[c, SIDE])
     if frame.grid[c, FIRST] == frame.grid[c, END]:
         return False
-    left = int(max(0.0, (x - wide_x - grid[c, LEFT]) * grid[c, PER_X]))
-    right = int(min(side - 1.0, math.floor((x + wide_x - grid[c, LEFT]) * grid[c, PER_X])))
-    top = int(max(0.0, (y - wide_y - grid[c, TOP]) * grid[c, PER_Y]))
-    bottom = int(min(side - 1.0, math.floor((y + wide_y - grid[c, TOP]) * grid[c, PER_Y])))
+    left = clamped_index((x - wide_x - grid[c, LEFT]) * grid[c, PER_X], 0, side)
+    right = clamped_index(np.floor((x + wide_x - grid[c, LEFT]) * grid[c, PER_X]), -1, side - 1)
+    top = clamped_index((y - wide_y - grid[c, TOP]) * grid[c, PER_Y], 0, side)
+    bottom = clamped_index(np.floor((y + wide_y - grid[c, TOP]) * grid[c, PER_Y]), -1, side - 1)
     if left > right:
         return False
     for row in range(top, bottom + 1):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.geometry.shared_kernels import clamped_index
 
 _DOWN = np.array([0, 1, 0, -1])
 _RIGHT = np.array([1, 0, -1, 0])
@@ -140,6 +141,12 @@ def bucket_circles(centres, side, heads, following):
         heads[row, col] = i
 
 
+@kernel(inline=True)
+def buckets_within(middle, reach, side, count):
+    """Gives the first and the last of `count` buckets within reach of a place along one axis. IN middle, reach, side px. O(1)."""
+    return clamped_index((middle - reach) / side, 0, count), clamped_index((middle + reach) / side, -1, count - 1)
+
+
 @kernel
 def grow(centres, likelihood, colours, heads, following, side, gate, cells, at, fits, queue):
     """Give circles without a cell the empty cell beside those that have one, where they lie as the rows and columns around go on.
@@ -172,8 +179,8 @@ def grow(centres, likelihood, colours, heads, following, side, gate, cells, at, 
             if colours[row, col] < 0 or at[row, col] != -1 or expect(centres, at, fits, row, col, near, expected) == 0:
                 continue
             reach = 2.0 * gate * max(abs(expected[2]) + abs(expected[4]), abs(expected[3]) + abs(expected[5]))
-            x0, x1 = max(int((expected[0] - reach) / side), 0), min(int((expected[0] + reach) / side), heads.shape[1] - 1)
-            y0, y1 = max(int((expected[1] - reach) / side), 0), min(int((expected[1] + reach) / side), heads.shape[0] - 1)
+            x0, x1 = buckets_within(expected[0], reach, side, heads.shape[1])
+            y0, y1 = buckets_within(expected[1], reach, side, heads.shape[0])
             best, nearest, next_best = -1, np.inf, np.inf
             for y in range(y0, y1 + 1):
                 for x in range(x0, x1 + 1):
@@ -223,8 +230,8 @@ def rivals(centres, colours, heads, following, side, cells, at, fits, out):
             if expect(centres, at, fits, row, col, near, expected) == 0:
                 continue
             reach = max(abs(expected[2]) + abs(expected[4]), abs(expected[3]) + abs(expected[5]))
-            x0, x1 = max(int((expected[0] - reach) / side), 0), min(int((expected[0] + reach) / side), heads.shape[1] - 1)
-            y0, y1 = max(int((expected[1] - reach) / side), 0), min(int((expected[1] + reach) / side), heads.shape[0] - 1)
+            x0, x1 = buckets_within(expected[0], reach, side, heads.shape[1])
+            y0, y1 = buckets_within(expected[1], reach, side, heads.shape[0])
             for y in range(y0, y1 + 1):
                 for x in range(x0, x1 + 1):
                     j = heads[y, x]

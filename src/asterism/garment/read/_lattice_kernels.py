@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.geometry.shared_kernels import clamped_index
 
 _STEP = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 _ROUNDING = 1e-9
@@ -46,10 +47,10 @@ def candidates(centres, whiten, reach, side, found, offsets):
         a, b, c, d = whiten[i, 0, 0], whiten[i, 0, 1], whiten[i, 1, 0], whiten[i, 1, 1]
         whole = abs(a * d - b * c)
         wide, tall = reach * np.sqrt(b * b + d * d) / whole, reach * np.sqrt(a * a + c * c) / whole
-        x0 = max(int((centres[i, 0] - wide - low_x) / side), 0)
-        x1 = min(int((centres[i, 0] + wide - low_x) / side), across - 1)
-        y0 = max(int((centres[i, 1] - tall - low_y) / side), 0)
-        y1 = min(int((centres[i, 1] + tall - low_y) / side), down - 1)
+        x0 = clamped_index((centres[i, 0] - wide - low_x) / side, 0, across)
+        x1 = clamped_index((centres[i, 0] + wide - low_x) / side, 0, across - 1)
+        y0 = clamped_index((centres[i, 1] - tall - low_y) / side, 0, down)
+        y1 = clamped_index((centres[i, 1] + tall - low_y) / side, 0, down - 1)
         count = 0
         for row in range(y0, y1 + 1):
             for place in range(starts[row * across + x0], starts[row * across + x1 + 1]):

@@ -108,7 +108,7 @@ def place_patches(links, read, colours, least, misses, cells, turns, placed, tak
     Returns how many got one. A patch has up to a quarter more circles than `least`; circles next to a root that failed are not tried again.
     O(patches rows cols). Twin: tests/twins_garment_read.py
     """
-    most = least + least // 4
+    most = max(least + least // 4, 1)
     members, place, found = np.empty(most, np.int32), np.empty((most, 3), np.int32), np.empty(3, np.int32)
     count = 0
     taken[:] = -1
