@@ -20,6 +20,7 @@ from asterism.garment.read import _patch_kernels as patch_kernels
 from asterism.geometry.shared_kernels import clamped_index
 from asterism.recording import Blobs, Clouds
 from asterism.tracking import find_tracklets
+from asterism.views._label_kernels import assign_best
 
 pytestmark = [pytest.mark.kernels, pytest.mark.bounds]
 
@@ -158,6 +159,16 @@ def test_neighbours_of_unusual_circles(scale: float) -> None:
 def test_buckets_within_reach_are_there(middle: float, reach: float) -> None:
     first, last = growth_kernels.buckets_within.py_func(middle, reach, 8.0, 10)
     assert 0 <= first <= 10 and -1 <= last <= 9
+
+
+@pytest.mark.parametrize("worth", [np.nan, np.inf, -np.inf, 1e308])
+def test_assignments_end_where_gains_are_no_numbers(worth: float) -> None:
+    """What a blob gains is a quotient: a search for a column must end also where nothing can be compared."""
+    for gain in (np.full((4, 3), worth), np.array([[worth, 1.0], [1.0, worth], [2.0, 3.0]]), np.full((3, 1), worth), np.empty((2, 0))):
+        chosen = np.empty(len(gain), np.int64)
+        assign_best(gain, chosen)
+        given_columns = chosen[chosen >= 0]
+        assert len(set(given_columns.tolist())) == len(given_columns) and (given_columns < gain.shape[1]).all()
 
 
 @pytest.mark.parametrize("least", [0, 1, 3])

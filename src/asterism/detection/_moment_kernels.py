@@ -74,6 +74,9 @@ def measure(arrays, components, limits, out, flags):
     IN  arrays ImageArrays; components Components; limits MeasureLimits
     OUT out (capacity, COLUMNS), flags (capacity,): one row per blob
     Returns how many blobs there are. O(pixels above the level), n log n in components with several peaks. Twin: tests/twins_detection.py
+
+    Bounds: `capacity` is the number of pixels in all components. A blob has a pixel of its own, so a component gives no more blobs than it
+    has pixels; what is kept is written over what was measured.
     """
     blobs = 0
     for component in range(len(components.starts) - 1):

@@ -24,6 +24,8 @@ def raise_threshold(image, level, components, largest, noise, top):
     OUT level (H, W): in those components the median plus six standard deviations, by the lower quartile, where that is higher
     Returns whether there is such a component. O(pixels above the level), but for some thousand values sorted per component.
     Twin: tests/twins_detection.py
+
+    Bounds: of `area` pixels every `every`-th is taken, the first one too: (area + every - 1) // every.
     """
     rows, firsts, lasts, order, starts = components.rows, components.firsts, components.lasts, components.order, components.starts
     raised = False

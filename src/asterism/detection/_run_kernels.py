@@ -65,6 +65,8 @@ def find_runs(image, level, reach, runs):
     IN  image, level (H, W) of the same unsigned type; reach 1 joins diagonal neighbours too (8-connected), 0 does not (4-connected)
     OUT runs Runs, with room for H * ((W + 1) // 2)
     Returns how many runs there are. O(H W), dark stretches skipped; no allocation. Twin: cv2.connectedComponentsWithStats
+
+    Bounds: two runs of a row are apart by a pixel, so a row of W pixels has (W + 1) // 2 at most.
     """
     rows, firsts, lasts, parents = runs.rows, runs.firsts, runs.lasts, runs.parents
     height, width = image.shape

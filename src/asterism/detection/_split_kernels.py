@@ -24,6 +24,8 @@ def split_at_saddles(weight, share, ys, xs, label):
     IN  weight (h, w), 0 around the component; share: of the height
     OUT ys, xs (n,) the component's pixels; label (h, w) the peak that each belongs to, where there are several
     Returns n and the number of peaks. O(n log n), O(n) where there is one peak. Twin: tests/twins_detection.py
+
+    Bounds: ys and xs have room for the component's area, see `_heights`.
     """
     height, n = _heights(weight, ys, xs)
     peaks = 0
@@ -63,7 +65,10 @@ def split_at_saddles(weight, share, ys, xs, label):
 
 @kernel
 def _heights(weight, ys, xs):
-    """Returns the height of each pixel in the flood (h, w), and how many there are. OUT ys, xs (n,): where they are. O(h w)."""
+    """Returns the height of each pixel in the flood (h, w), and how many there are. OUT ys, xs (n,): where they are. O(h w).
+
+    Bounds: pixels of the component have a weight above 0 and all others 0, so n is no larger than the component's area.
+    """
     tall, wide = weight.shape
     height = _distance_from_edge(weight)
     n = 0
@@ -91,6 +96,9 @@ def grow_from_peaks(weight, step, lowest, ys, xs, label):
     IN  weight (h, w), 0 around the component
     OUT ys, xs (n,) the pixels that some blob has; label (h, w) which blob that is
     Returns n and the number of blobs. O(n), and the touching pixels times the centres' distance. Twin: tests/twins_detection.py
+
+    Bounds: ys and xs have room for the component's area. Only pixels with a weight are taken, whatever `lowest` is, and each once; a blob
+    begins with a pixel of its own.
     """
     tall, wide = weight.shape
     n = peaks = 0

@@ -71,6 +71,9 @@ def fill_in_raster_order(
     The last cell of a block is always the fourth place of its ring. Of the colours possible there the one is taken that leaves the
     contexts of its identity the most free identities (a context without one is a dead end). O(steps * (colours * 16 + k)), no allocation
     but of two small arrays. GaMoCap 2.1 undoes three cells at a dead end and has no weights.
+
+    Bounds: `position` is a cell of `order` and falls no further than 0. `free` starts as the number of rings in each context, `colours` at
+    most, and no identity is placed twice, so it stays within 0 to `colours`: `weights` has two more.
     """
     rings, context, used = members.size, np.zeros(8, np.int64), np.zeros(colours, np.int64)
     position, furthest, since, jump = state[POSITION], state[FURTHEST], state[SINCE], state[JUMP]
@@ -168,6 +171,8 @@ def recolour(cell, colour, flat, is_block, around, colours, classes, rings, code
     IN  is_block (cells,), around (8,), classes (colours ** 8,), near (ids, k)
     OUT flat, codes (cells,) rings; number (cells,) identities; counts (ids,); others (ids,) exclusive or of the blocks with an identity
     O(9 (k + 1)). Twin: tests/twins_garment_design.py
+
+    Bounds: flat has a border of one cell outside the mask, so the blocks around a cell are in it.
     """
     step = colour - flat[cell]
     flat[cell] = colour
@@ -216,6 +221,9 @@ def remove_conflicts(
     IN  is_cell, is_block (cells,); apart: whether cells side by side must differ; cap: the most cells of one colour; accept (m,)
     OUT all others; queue (cells,) holds every block in conflict but at most one of each identity. Returns the conflicts left.
     O(steps * 18 (k + 1)), no allocation.
+
+    Bounds: a block is in the queue once (`queued`), so `queue` needs no more room than there are cells. flat has a border of one cell
+    outside the mask.
     """
     waiting, conflicts, random = state[QUEUED], state[CONFLICTS], word[0]
     for _ in range(steps):

@@ -38,6 +38,8 @@ def smooth_path(measured, information, model, path, covariance):
     IN  measured (n, 3) m, n >= 4; information (n, 6) 1/m2, the inverse covariance of each as (xx, xy, xz, yy, yz, zz); model JerkModel
     OUT path (n, 3) m, covariance (n, 3, 3) m2
     O(rounds * n) time, O(n) memory: all matrices are banded.
+
+    Bounds: n >= 4, so that there is a third difference.
     """
     weights = model.weights
     n = len(measured)

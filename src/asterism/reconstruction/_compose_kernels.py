@@ -60,6 +60,9 @@ def compose(rig, frame):
 
     Returns Hypotheses, how many there are, and how many pairs passed the gate. O(C blobs log blobs + gated pairs * C).
     Twin: tests/twins_reconstruction.py
+
+    Bounds: `most` is the number of blobs of the fullest camera, which `epipolar` holds of each of two; hypotheses are appended to lists
+    that grow.
     """
     cameras, blobs = len(rig.cameras), len(frame.blobs)
     most = 1

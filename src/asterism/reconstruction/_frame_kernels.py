@@ -48,6 +48,9 @@ def reconstruct_frames(rig, rays, begin, end, out, counts, notes):
         notes (T, 2): pairs that passed the gate; components of conflicting hypotheses that were not solved to the end
     Returns the number of points. O(gated pairs * C) for each frame, and the search of `pack`. Twins of its steps:
     tests/test_reconstruction.py, tests/twins_reconstruction.py
+
+    Bounds: a chosen point has two blobs or more and shares none, so a frame of B blobs gives B // 2 points at most; the sum of B // 2 is no
+    larger than half of all.
     """
     cameras = len(rig.cameras)
     total = 0

@@ -77,6 +77,8 @@ def holders_by_blob(rays, members, blobs):
 
     IN  rays (n, C); members (m,) the hypotheses that count, in the order in which they are to be listed; blobs: how many there are
     Returns starts (blobs + 1,) and holders (starts[-1],): blob b is held by holders[starts[b]:starts[b + 1]]. O(m C + blobs).
+
+    Bounds: entries are counted before `holders` is made.
     """
     cameras = rays.shape[1]
     starts = np.zeros(blobs + 1, np.int64)

@@ -81,6 +81,8 @@ def frame_arrays(normalised, jacobian, first):
 
     IN  normalised (B, 2); jacobian (B, 4) px; first (C + 1,) where each camera's blobs begin
     Returns FrameArrays. O(B).
+
+    Bounds: cells and their ends are counted before `bins` is made; `_cell` clamps to the grid.
     """
     cameras, count = len(first) - 1, len(normalised)
     blobs = np.empty((count, 6))

@@ -130,6 +130,8 @@ def _conflict_component(problem, open_, n, members, place):
 
     OUT members, the first of which they are; place, not -1 for them
     Returns how many. O(members * rivals), no allocation: frames can have thousands of components.
+
+    Bounds: a hypothesis has one place, so there are no more members than hypotheses.
     """
     place[n] = 0
     members[0] = n
@@ -155,6 +157,8 @@ def _search(problem, component, chosen):
     OUT chosen (n,), the best set added
     Returns whether that set is proved to be the best. O(2^m), at most MOST_WORK looks at rivals.
     Twin: all sets (tests/test_reconstruction_twins.py)
+
+    Bounds: `depth` counts members that are taken, each once, m at most; path has one more.
     """
     scores, members = problem.scores, component.members
     many = len(members)
@@ -305,7 +309,10 @@ def _set_member(problem, component, k, best, blocked, chosen):
 
 @kernel
 def _remove_rivals(problem, component, k, best, blocked, removed):
-    """Put all rivals of member k out of a set, into removed (m,). Returns how many, their worth, and the looks. O(rivals^2)."""
+    """Put all rivals of member k out of a set, into removed (m,). Returns how many, their worth, and the looks. O(rivals^2).
+
+    Bounds: a rival is out of the set once it is removed, so each comes once: m.
+    """
     leaving, lost, looks = 0, 0.0, 0
     for c in range(problem.rays.shape[1]):
         blob = problem.rays[component.members[k], c]
@@ -326,6 +333,8 @@ def _add_freed(problem, component, removed, worth, best, blocked, added):
     """Put in all members that share a blob with a removed one and have no rival in the set any more, into added (m,).
 
     Returns how many, and `worth` with what they are worth added. O(removed * rivals^2).
+
+    Bounds: a member is in the set once it is added, so each comes once: m.
     """
     coming = 0
     for r in removed:

@@ -58,6 +58,8 @@ def _compose_pairs(rig, frame, rays, points, spreads):
 
     OUT rays (n, C), points (n, 3) m, spreads (n,) m2, the trace of each point's covariance
     Returns how many there are; the arrays are filled as far as they reach. O(all pairs of blobs).
+
+    Bounds: what does not fit is counted and not written; the caller comes again with more room.
     """
     one, work = np.empty(len(rig.cameras), np.int64), fit_workspace()
     limit = rig.limits[GATE] ** 2
@@ -93,6 +95,8 @@ def merge_versions(rig, rays, points, spreads, count, by_covariance):
         by_covariance: near are versions within GATE deviations, by the sum of both spreads; those with the least spread come first
     OUT rays (n, C), points (n, 3) m: groups are written over the versions
     Returns how many groups there are. O(versions * groups * C). Twin: tests/twins_reconstruction.py
+
+    Bounds: there are no more groups than versions.
     """
     groups = 0
     members, first = np.empty(count, np.int64), np.empty(count, np.int64)
@@ -135,6 +139,8 @@ def _sensitivity(rig, rays, place, slopes):
     IN  rays (C,) blobs of two cameras; place (1, 3) m
     OUT slopes (2, 1, 2, 3): workspace
     Returns m; NaN where one of the two cannot see the place. O(C). Twin: asterism.cameras.accuracy.sensitivity
+
+    Bounds: of more than two cameras the first two are taken.
     """
     information, side = np.zeros(6), 0
     for c in range(len(rays)):

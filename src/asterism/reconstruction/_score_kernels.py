@@ -42,6 +42,8 @@ def best_blob(rig, frame, c, work, available):
     IN  work: the point and its information; available (B,) whether a blob may be taken
     Returns the blob, -1 where none is within the gate, and its squared distance in standard deviations. O(blobs within the spread), no
     allocation. Twin: tests/test_reconstruction.py
+
+    Bounds: cells beyond the grid are clamped to it before they become whole numbers, however far the point is.
     """
     x, h = work.point, work.information
     u, v, w = in_camera_axes(rig.cameras, c, x[0], x[1], x[2])

@@ -55,7 +55,10 @@ def add_without_shared(rig, frame, found, count):
 
 @kernel
 def _multi_camera(found, count):
-    """Returns the hypotheses of MULTI_CAMERA cameras or more, in their order. O(count * C)."""
+    """Returns the hypotheses of MULTI_CAMERA cameras or more, in their order. O(count * C).
+
+    Bounds: some of `count` hypotheses.
+    """
     out = np.empty(count, np.int64)
     total = 0
     for n in range(count):

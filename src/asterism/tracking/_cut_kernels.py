@@ -183,6 +183,8 @@ def repair_links(xyz, offsets, links, forbidden, limits):
     IN     xyz (P, 3) m; offsets (T + 1,); forbidden (P,) the previous point that a point was cut from, -1 for none; limits LinkLimits
     IN/OUT links Links
     O(P), and O(ends x beginnings) a frame.
+
+    Bounds: a frame has no more ends, or beginnings, than points: `most` of the fullest frame.
     """
     most = 0
     for t in range(len(offsets) - 1):

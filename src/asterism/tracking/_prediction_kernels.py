@@ -20,6 +20,8 @@ def predict_tracks(ends, count, limits, predicted, gate):
     moves as its three nearest neighbours that have a velocity, or stays where it is.
     IN  ends TrackEnds of `count` tracks; limits LinkLimits. OUT predicted (count, 3) m; gate (count,) m
     O(count), and O(count) more for each single point.
+
+    Bounds: the three nearest are kept, the third in place of what is farther.
     """
     near, near2 = np.empty(3, dtype=np.int64), np.empty(3)
     for a in range(count):
@@ -79,6 +81,8 @@ def start_links(ends, count, points, limits, next_point, previous):
     that moves by its own spacing might deceive one point, but not its neighbourhood.
     IN  ends TrackEnds of `count` tracks; points (n, 3) m; limits LinkLimits
     OUT next_point (count,), previous (n,), written where a link is made. O(count (count + n)).
+
+    Bounds: the three nearest are kept, the third in place of what is farther.
     """
     n = len(points)
     nearest, back = np.full(count, -1, dtype=np.int64), np.full(n, -1, dtype=np.int64)

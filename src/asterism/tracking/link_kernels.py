@@ -31,6 +31,9 @@ def link_step(ends, count, points, limits, workspace, previous, following):
     IN   ends TrackEnds of `count` tracks; points (n, 3) m, sorted by x; limits LinkLimits; workspace LinkWorkspace for count and n
     OUT  previous (n,) the track that a point continues, -1 for none; following TrackEnds in this frame
     O((count + n) log n) and the pairs that come near; O(count (count + n)) where tracks begin.
+
+    Bounds: arrays of pairs are made twice as long where they are full; where all points of two frames lie within reach of each other, that
+    is up to twice count n pairs of 24 bytes. Pairs that are kept are written over those before.
     """
     n = len(points)
     predicted, gate, next_point = workspace.predicted, workspace.gate, workspace.next_point
@@ -120,6 +123,8 @@ def link_frames(xyz, offsets, limits, backwards, linked):
     IN  xyz (P, 3) m, each frame's points sorted by x; offsets (T + 1,); limits LinkLimits
     OUT linked (P,) the point of the frame before (backwards: after) that a point continues, -1 for none
     O(frames) calls of `link_step`; memory for one frame.
+
+    Bounds: workspace and ends have room for the fullest frame.
     """
     most, frames = 0, len(offsets) - 1
     for t in range(frames):

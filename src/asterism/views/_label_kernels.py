@@ -22,6 +22,9 @@ def assign_best(gain, chosen):
     IN  gain (M, K) nats
     OUT chosen (M,): the column of each row, -1 for none
     O(M K + C M (M + K)) for C rows whose best column another row has; allocates (M + K,).
+
+    Bounds: a row is contested once: M. Each row has a column of its own that costs nothing (M more columns), so a way to a free column is
+    always found.
     """
     rows, columns = gain.shape
     wide = columns + rows
@@ -59,6 +62,9 @@ def assign_best(gain, chosen):
                 if least[j] < step:
                     step = least[j]
                     following = j
+            if following == 0:  # gains without a number lead nowhere: the row stays without
+                here = 0
+                break
             for j in range(wide + 1):
                 if used[j]:
                     u[owner[j]] += step

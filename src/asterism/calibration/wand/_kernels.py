@@ -235,7 +235,10 @@ def _improve(t, images, cameras, lengths, places, work):
 
 @kernel
 def _propose(t, images, cameras, lengths, symmetric, places, work):
-    """The best of the wands that pairs of cameras propose."""
+    """The best of the wands that pairs of cameras propose.
+
+    Bounds: rows 0 and 1 of `work.origin` and `work.ray` are written for two different cameras only, so they have two rows.
+    """
     many, markers = len(cameras.posed), len(lengths)
     possible = 0
     for c in range(many):
@@ -262,7 +265,10 @@ def _propose(t, images, cameras, lengths, symmetric, places, work):
 
 @kernel
 def _lay_again(t, images, cameras, lengths, places, work):
-    """Lay the wand through all blobs on it; whether more lie on it then."""
+    """Lay the wand through all blobs on it; whether more lie on it then.
+
+    Bounds: n counts cameras, and `work.origin` and `work.ray` have a row for each.
+    """
     for k in range(len(lengths)):
         n = 0
         for c in range(len(cameras.posed)):

@@ -179,6 +179,8 @@ def _add_sighting(columns, axes, weight, r0, r1, by_camera, by_object, local, wa
 
     IN  columns (PARAMETERS,) of its camera; axes (D,); weight; r0, r1 weighted residual; by_camera (2, PARAMETERS), by_object (2, 6)
     OUT local (2, PARAMETERS), wanted (PARAMETERS,): working memory; block, gradient, v, g, w: added to in place
+
+    Bounds: `free` counts parameters of one camera, PARAMETERS at most.
     """
     free = 0
     for p in range(PARAMETERS):

@@ -82,6 +82,8 @@ def _runs_above(grey, threshold):
 
     Returns an array with room for more, and how many there are. The image's outermost columns are 0. Eight pixels at a time are passed over
     where none is above, and within a run where all are.
+
+    Bounds: a row has no more runs than pixels, and before each row there is room for `width` more.
     """
     width = grey.shape[1]
     above = np.zeros((width + 15) // 8 * 8, np.uint8)
@@ -116,8 +118,8 @@ def _runs_above(grey, threshold):
 def _runs_within(grey, threshold, within, runs):
     """The same of the pixels in other runs (m, 4), which are in the order of rows and columns. Returns how many.
 
-    OUT runs (n, 4): n is at least the sum of (length + 1) // 2 of the runs within. Two runs of one are apart by a pixel at least, so that k
-    of them take 2 k - 1 pixels.
+    Bounds: runs within one are apart by a pixel at least, so that k of them take 2 k - 1 pixels. `runs` needs the sum of
+    (length + 1) // 2 over the other runs.
     """
     count = 0
     for k in range(len(within)):
@@ -150,6 +152,8 @@ def _connect(runs, count, roots, starts, order):
 
     Returns how many parts; each has a run, so they are `count` at most. O(n), but for the search of roots. Union-find, the root is a part's
     first run.
+
+    Bounds: each part has a run, so there are `count` at most, and `starts` has one more.
     """
     other = 0
     for k in range(count):
@@ -238,8 +242,8 @@ def _sort_out(size, limits, threshold, depth, runs, starts, order, first_part, l
     IO  regions, held of `find_regions`; waiting (n, 3): first run in `inner`, next threshold, depth; inner (n, 4); state (4,)
     WORK box (4,), sums (5,)
 
-    The caller sees to it that `held` has room for all runs between `first_part` and `last_part`, and `waiting` and `inner` for those of
-    a region of the lowest threshold.
+    Bounds: the caller sees to it that `held` has room for all runs between `first_part` and `last_part`, and `waiting` and `inner` for
+    those of a region of the lowest threshold.
     """
     for part in range(first_part, last_part):
         begin, end = np.int64(starts[part]), np.int64(starts[part + 1])
@@ -289,7 +293,7 @@ def find_regions(grey, lowest, limits, regions):
     O(h w + pixels of regions times thresholds); allocates some 40 bytes a run of the lowest threshold, and 68 for each run that the
     largest region there can have at higher ones. Twin: tests/twins_garment_read.py
 
-    Bounds. `room` is the largest sum over a region's runs of (length + 1) // 2. Two runs above a higher threshold are apart by a pixel at
+    Bounds: `room` is the largest sum over a region's runs of (length + 1) // 2. Two runs above a higher threshold are apart by a pixel at
     least, so that a run of n pixels holds (n + 1) // 2 of them at most; n = 1 holds one, which is why half of the pixels is too little.
     That bounds `parted`. Parts that wait share no pixel, and no two of their runs touch within a row: it bounds `inner`. Each part that
     waits has a run: it bounds `waiting`. `held` is made longer where the next part's runs may not fit.

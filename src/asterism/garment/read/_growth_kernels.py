@@ -19,6 +19,8 @@ def occupy(cells, at):
     OUT at (rows, cols) int32: the circle, -1 where none is, -2 where several are
 
     O(n + rows cols). Twin: tests/twins_garment_read.py
+
+    Bounds: cells are those of the sheet, -1 or from (0, 0) to (rows - 1, cols - 1).
     """
     at[:] = -1
     for i in range(len(cells)):
@@ -133,6 +135,8 @@ def bucket_circles(centres, side, heads, following):
     OUT heads (rows, columns) of buckets: the first circle in each, -1 for none; following (n,): the next one in its bucket, -1 for none
 
     O(n + buckets).
+
+    Bounds: centres are within the image (`measure`), and `heads` has a bucket for each of its pixels.
     """
     heads[:] = -1
     for i in range(len(centres) - 1, -1, -1):
@@ -159,6 +163,8 @@ def grow(centres, likelihood, colours, heads, following, side, gate, cells, at, 
     WORK queue (n,) int32
 
     O(n circles in reach). Twin: tests/twins_garment_read.py
+
+    Bounds: a circle comes into the queue when it gets its cell, which it keeps, so once: n.
     """
     n = len(centres)
     expected, near = np.empty(6), np.empty((4, 3), np.int64)

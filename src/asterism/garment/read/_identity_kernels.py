@@ -50,6 +50,9 @@ def look_up(ring, read, q, classes, cell_of, colours, cells, turns):
 
     Returns how many blocks there are, and of how many the pattern has the identity in one of the four turns. O(n).
     Twin: tests/twins_garment_read.py
+
+    Bounds: a block with an identity has all eight neighbours on the sheet, so no cell beside it is off the sheet. A ring's code is below
+    q^8, as colours are below q.
     """
     rings_of_a_colour = len(cell_of) // q
     cols = colours.shape[1]
@@ -140,6 +143,8 @@ def spread(links, colours, likelihood, order, cells, turns, queue):
     WORK queue (n,) int32
 
     O(n). Twin: tests/twins_garment_read.py
+
+    Bounds: a circle comes into the queue with its turn, which it keeps, so once: n.
     """
     rows, cols = colours.shape
     first, last = 0, 0

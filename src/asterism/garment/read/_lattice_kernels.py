@@ -23,6 +23,9 @@ def candidates(centres, whiten, reach, side, found, offsets):
     OUT found (n, most) int32, ascending by distance, -1 after the last; offsets (n, most, 2) pitches
 
     O(n most buckets). Twin: tests/twins_garment_read.py
+
+    Bounds: of more than `most` circles within reach the nearest are kept. Buckets cover the box of all centres, and places beyond it are
+    clamped to it.
     """
     n, most = found.shape
     low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
@@ -110,6 +113,8 @@ def first_frames(found, offsets, whiten, side, square, fit, frames, scores):
     OUT frames (n, 2, 2) px, a vector in each column; scores (n,), -inf where there is none
 
     O(n most^3) at worst. Twin: tests/twins_garment_read.py
+
+    Bounds: `count` is the number of candidates, `most` at most.
     """
     n, most = found.shape
     length, stretch = np.empty(most), np.empty(most)
@@ -254,7 +259,10 @@ def refine_frames(centres, found, links, frames, fit, out):
 
 @kernel(inline=True)
 def between(flat, width, x, y):
-    """Gives the value between four pixels, bilinear. IN flat (h w,) an image, row by row; its width; x, y px, inside. O(1)."""
+    """Gives the value between four pixels, bilinear. IN flat (h w,) an image, row by row; its width; x, y px, inside. O(1).
+
+    Bounds: x < w - 1 and y < h - 1, which centres of `measure` keep, and so all places on the way between two.
+    """
     left, above = int(x), int(y)
     a, b = x - left, y - above
     # Unsigned places: Numba then does not ask whether they count from the end.

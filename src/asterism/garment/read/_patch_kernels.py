@@ -19,6 +19,8 @@ def gather(links, turns, root, members, place, taken):
     OUT  members (most,) int32; place (most, 3) int32 rows down and columns right of the root, and the root's direction of their direction 0
 
     A circle to which two ways lead to different places ends the search there. Returns how many. O(most). Twin: tests/twins_garment_read.py
+
+    Bounds: the search ends when `members` is full; it needs room for one.
     """
     members[0] = root
     place[0, 0], place[0, 1], place[0, 2] = 0, 0, 0
@@ -67,6 +69,8 @@ def locate(members, place, count, read, colours, misses, found):
 
     Returns the misses there and at the next best place, `misses` + 1 where there is none. O(4 rows cols count), many columns at a time;
     allocates a sheet. Twin: tests/twins_garment_read.py
+
+    Bounds: `sheet` has a margin as wide as the patch reaches from its root, in any of four turns.
     """
     rows, cols = colours.shape
     margin = 0
@@ -107,6 +111,8 @@ def place_patches(links, read, colours, least, misses, cells, turns, placed, tak
 
     Returns how many got one. A patch has up to a quarter more circles than `least`; circles next to a root that failed are not tried again.
     O(patches rows cols). Twin: tests/twins_garment_read.py
+
+    Bounds: a circle that is placed has a cell and is in no later patch, so `placed` needs n.
     """
     most = max(least + least // 4, 1)
     members, place, found = np.empty(most, np.int32), np.empty((most, 3), np.int32), np.empty(3, np.int32)

@@ -22,6 +22,9 @@ def evidence(at, fits, cells, own, radius, out):
         sums of those not to the left, right, above and below
 
     O(n radius^2). Twin: tests/twins_garment_read.py
+
+    Bounds: each place within reach comes into the queue once, because it is taken out of `near`: (2 radius + 3)^2. The border of `near`
+    holds no circle, so that no step leaves it.
     """
     # The circles within reach, with a border of none, so that no step has to be checked; a circle that was reached is taken out.
     width = 2 * radius + 3
@@ -159,6 +162,8 @@ def usual_areas(area, cells, at, out):
     OUT out (n,) px2, NaN where there is none, and for circles without a cell
 
     O(n); allocates (8,). Twin: tests/twins_garment_read.py
+
+    Bounds: the nine cells about a circle without its own: 8.
     """
     around = np.empty(8)
     for i in range(len(cells)):

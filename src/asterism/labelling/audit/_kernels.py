@@ -109,6 +109,8 @@ def all_exchanges(positions, scales, emission, switch, pairs, gains):
     IN  positions (T, M, 3) m, NaN where missing; scales (M,) m; emission (P, T) nats; pairs (P, 2)
     OUT gains (P,) nats
     O(P T).
+
+    Bounds: a row for each frame that shows both: T.
     """
     frames = len(positions)
     paths, times, states = np.empty((frames, 2, 3)), np.empty(frames), np.empty(frames, dtype=np.int64)
@@ -133,6 +135,8 @@ def exchange_gains(frames, body, settings, pairs, least, most, gains, own_scores
     OUT  gains (P, N), within -most and most, 0 where a marker is missing; own_scores (N, M) each point's score as the marker that it
          is labelled, given all others, NaN where missing
     O(N (M r^2 + r^3 + P)) and O(M r^2 + r^3) for each exchange computed exactly.
+
+    Bounds: a point for each marker that is there: M.
     """
     markers, latents = body.load.shape[1], body.load.shape[3]
     rows, trial = np.empty(markers, dtype=np.int64), np.empty(markers, dtype=np.int64)

@@ -19,6 +19,8 @@ def choose_covering(table, wrong, weight, most, chosen, gains):
         most, how many to choose
     OUT chosen (>= most,) rows of table in order; gains (>= most,) weight of the samples that each adds in its round
     Returns how many were chosen, and how many of these the first round took. O(most F W). Twin: `choose_covering` in tests/twins_partial.py
+
+    Bounds: it ends at `most`; a classifier is taken once, so fewer where there are fewer.
     """
     features, words = table.shape
     left = wrong.copy()
@@ -109,6 +111,8 @@ def _rank_tests(table, reads, placed, missing, marker, left, rank, count):
     """Append the classifiers that a marker makes computable to `rank`, those that reject most of what is left first.
 
     IN  left (R,) uint64 is memory. OUT placed (F,) bool; rank from `count` on. Returns the new count. O(F^2 R).
+
+    Bounds: a classifier is placed once, so `rank` needs F.
     """
     left[:] = ~np.uint64(0)
     while True:

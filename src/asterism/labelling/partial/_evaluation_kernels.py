@@ -58,6 +58,8 @@ def _load_evaluation(validation, e, kinds, points, marker_of, workspace):
     IN  validation ValidationFrames; kinds, the pair features that the search needs
     OUT points (M, 3 or WIDTH); marker_of (M,) the marker of each point; workspace SearchWorkspace
     Returns the number of points. O(M^2 kinds)
+
+    Bounds: a point for each marker in sight: M.
     """
     frame = validation.frames[validation.chosen[e]]
     n = 0

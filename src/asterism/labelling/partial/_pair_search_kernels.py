@@ -110,6 +110,9 @@ def search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace):
     OUT workspace.found (rows of workspace.points) by depth; workspace.counters, both from 0
     Returns the number of labellings found, or -1 where the budget or the memory for labellings did not suffice.
     O(n ** depth) at worst. Twin: `labellings` in tests/twins.py
+
+    Bounds: where `found` is full, the search returns -1 and the solver proposes nothing, so nothing is concluded from a part of its
+    labellings. A depth has a row of `mask` and `path`.
     """
     first = solvers.first_depth[s]
     depths = solvers.first_depth[s + 1] - first

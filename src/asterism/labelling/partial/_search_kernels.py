@@ -92,6 +92,8 @@ def search_frame(solvers, s, points, n, budget, workspace):
     IN  solvers, s, points (>= n, 3), budget as in `search`; workspace TreeWorkspace with its distance, order and counters
     OUT workspace.found, workspace.counters
     Returns the same as `search`, O(n ** depth) at worst like it. Twin: `labellings` in tests/twins.py
+
+    Bounds: where `found` is full, it returns -1, so that nothing is concluded from a part of the labellings. Depths are 0 to D - 1.
     """
     distance, order, path, tried, used, found, counters = workspace
     first = solvers.first_depth[s]

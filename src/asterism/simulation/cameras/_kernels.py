@@ -81,6 +81,8 @@ def draw(xy, sizes, gaussian, peak, image):
     IN  xy (N, 2) px; sizes (N,) px; gaussian bool; peak grey values
     OUT image (H, W) grey values, added to in place; overlapping blobs take the brighter of the two
     O(sum of the blobs' areas), no allocation.
+
+    Bounds: rows and columns are cut to the image.
     """
     rows, columns = image.shape
     for i in range(len(xy)):

@@ -19,6 +19,8 @@ def rasterise(xy, nearness, triangles, samples, corner, front, owner):
         pixel and axis; corner (2,) of the window
     OUT front (h, w) the nearness of the nearest triangle, 0 where none is; owner (h, w) its number, -1 where none is; both filled before
     O(t + samples inside), no allocation. The inverse of the depth is linear in the image; lens distortion within a triangle is left out.
+
+    Bounds: the box of a triangle is cut to the window before its corners become whole numbers.
     """
     height, width = front.shape
     for t in range(len(triangles)):
