@@ -34,6 +34,7 @@ def contexts_of(identity, members, colours, out):
     centre = identity // rings
     code = members[identity - centre * rings]
     middle, top = colours**4, colours**7
+    # Each of the eight ring places may be the one that is still open.
     for k in range(8):
         out[k] = centre * top + code % middle + code // (middle * colours) * middle
         code = code // colours + code % colours * top
@@ -78,6 +79,7 @@ def fill_in_raster_order(
     rings, context, used = members.size, np.zeros(8, np.int64), np.zeros(colours, np.int64)
     position, furthest, since, jump = state[POSITION], state[FURTHEST], state[SINCE], state[JUMP]
     random = word[0]
+    # The counts are not kept between calls, since they follow from the cells.
     for k in range(position):
         used[flat[order[k]]] += 1
     for _ in range(rules[2]):
@@ -92,8 +94,10 @@ def fill_in_raster_order(
                 if k != 4:
                     base += flat[centre + around[k]] * colours**k
         random = next_word(random)
+        # A random addend below one breaks ties without outweighing a context.
         best, best_cost, best_identity = -1, np.inf, -1
         for colour in range(colours):
+            # Tried before at this place with the same cells before it, or used up.
             if (tried[position] >> colour) & 1 or used[colour] >= cap[0] + cap[1] * position:
                 continue
             if apart and (flat[cell - 1] == colour or flat[cell + around[1]] == colour):
@@ -101,12 +105,15 @@ def fill_in_raster_order(
             cost, identity = float((random >> np.uint64(7 * colour + 7)) & np.uint64(127)) / 256.0, -1
             if centre >= 0:
                 ring = classes[base + colour * colours**4]
+                # No identity, one that is taken, or one too like it.
                 if ring < 0 or taken[ring + middle * rings] > 0:
                     continue
                 identity = ring + middle * rings
                 contexts_of(identity, members, colours, context)
                 for k in range(8):
+                    # A context that loses its last free identity is a dead end for a later cell.
                     cost += weights[0, free[context[k]]]
+                # One cell ahead: what this colour leaves for the next.
                 if position + 1 < order.size and completed[position + 1] >= 0:
                     following = completed[position + 1]
                     ahead = flat[following] * colours**7
@@ -130,6 +137,7 @@ def fill_in_raster_order(
                 furthest, since, jump = position, 0, 4
             continue
         back = min(rules[0], position)
+        # Stuck: the mistake lies farther back than single steps reach, and each longer jump doubles.
         jumps = since > rules[1]
         if jumps:
             back, jump, since = min(jump, position), 2 * jump, 0
@@ -139,6 +147,7 @@ def fill_in_raster_order(
             flat[order[position]] = -1
             if chosen[position] >= 0:
                 place(chosen[position], -1, near, taken, members, colours, free, context)
+        # After a jump the colours tried here were tried with other cells before it.
         if jumps or position == 0:
             tried[position] = 0
     state[POSITION], state[FURTHEST], state[SINCE], state[JUMP] = position, furthest, since, jump
@@ -188,7 +197,9 @@ def recolour(cell, colour, flat, is_block, around, colours, classes, rings, code
         before, after = number[block], classes[codes[block]]
         if before >= 0:
             counts[before] -= 1
+            # An exclusive or of all blocks of an identity: of two, it gives the other.
             others[before] ^= block
+            # Pairs that the block made with all others of its identity.
             change -= counts[before]
             for j in range(near.shape[1]):
                 if near[before, j] >= 0:
@@ -233,6 +244,7 @@ def remove_conflicts(
         random = next_word(random)
         entry = np.int64(((random >> np.uint64(32)) * np.uint64(waiting)) >> np.uint64(32))
         block = queue[entry]
+        # Solved by a neighbour's step since it came into the queue.
         if not in_conflict(block, number, counts, near):
             waiting -= 1
             queue[entry] = queue[waiting]
@@ -240,6 +252,7 @@ def remove_conflicts(
             continue
         random = next_word(random)
         identity = number[block]
+        # Only one of the two is in the queue; half of the time the other one moves.
         if identity >= 0 and counts[identity] == 2 and (random >> np.uint64(60)) & np.uint64(1):
             block ^= others[identity]
         pick = np.int64(((random >> np.uint64(28)) & np.uint64(0xFFFFFF)) * np.uint64(9 * (colours - 1)) >> np.uint64(24))
@@ -248,10 +261,12 @@ def remove_conflicts(
         new = (old + pick % (colours - 1) + 1) % colours
         if used[new] >= cap:
             continue
+        # Equal neighbours could run into one blob in the image.
         if apart and (flat[cell - 1] == new or flat[cell + 1] == new or flat[cell + around[1]] == new or flat[cell + around[5]] == new):
             continue
         change = recolour(cell, new, flat, is_block, around, colours, classes, rings, codes, number, counts, others, near)
         random = next_word(random)
+        # Uphill now and then, or the search stays in the first valley.
         if change > 0 and (change >= accept.size or (random >> np.uint64(11)) * (1.0 / 9007199254740992.0) >= accept[change]):
             recolour(cell, old, flat, is_block, around, colours, classes, rings, codes, number, counts, others, near)
             continue

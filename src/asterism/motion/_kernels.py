@@ -46,18 +46,21 @@ def smooth_path(measured, information, model, path, covariance):
     reach = len(weights) // 2
     lower, inverse, right = np.empty((3 * n, BAND)), np.zeros((3 * n, BAND)), np.empty(3 * n)
     variance, square = np.empty(n - 3), np.empty(n - 3)
+    # The first estimate only begins the iteration: the measurements' own variance is of the right size.
     variance[:] = _usual(information)
     for done in range(model.rounds):
         _normal_equations(measured, information, variance, lower, right)
         _factor(lower)
         _solve(lower, right)
         _invert(lower, inverse)
+        # The last round needs the path, not another estimate.
         if done == model.rounds - 1:
             break
         for t in range(n - 3):
             square[t] = _expected_square(right, inverse, t)
         for t in range(n - 3):
             above, below = model.trust * model.floor, model.trust
+            # Neighbouring differences share the strength of the jerk, which changes slowly along the way.
             for k in range(max(-reach, -t), min(reach, n - 4 - t) + 1):
                 above += weights[k + reach] * square[t + k]
                 below += 3.0 * weights[k + reach]
@@ -99,6 +102,7 @@ def _normal_equations(measured, information, variance, lower, right):
 def _factor(lower):
     """OUT lower (3 n, BAND): the Cholesky factor of the banded matrix that it held. O(n BAND^2)."""
     for i in range(len(lower)):
+        # Beyond the band all is zero and stays so.
         reach = min(i, BAND - 1)
         for k in range(reach, -1, -1):
             value = lower[i, k]
@@ -110,6 +114,7 @@ def _factor(lower):
 @kernel
 def _solve(lower, right):
     """OUT right (3 n,): the solution, by a Cholesky factor. O(n BAND)."""
+    # Forward through the factor, then back through its transpose.
     for i in range(len(right)):
         value = right[i]
         for k in range(1, min(i, BAND - 1) + 1):
@@ -125,6 +130,7 @@ def _solve(lower, right):
 @kernel
 def _invert(lower, inverse):
     """Those places of the inverse that the band holds, from the last row to the first (Takahashi's equations)."""
+    # From the last row on each place needs only those behind it within the band.
     for i in range(len(lower) - 1, -1, -1):
         reach = min(len(lower) - 1 - i, BAND - 1)
         for d in range(reach, -1, -1):

@@ -38,6 +38,7 @@ def append_hypothesis(found, count, rays, point, worth):
     OUT found Hypotheses
     Returns the lists, twice as long where they were full. O(C), amortised.
     """
+    # Twice as long: each hypothesis is copied about once in all, however many there come to be.
     if count == len(found.scores):
         found = _doubled(found)
     for c in range(len(rays)):
@@ -82,6 +83,7 @@ def holders_by_blob(rays, members, blobs):
     """
     cameras = rays.shape[1]
     starts = np.zeros(blobs + 1, np.int64)
+    # Counting sort by blob: one flat array instead of a list for each blob.
     for n in members:
         for c in range(cameras):
             if rays[n, c] >= 0:
@@ -90,6 +92,7 @@ def holders_by_blob(rays, members, blobs):
         starts[blob + 1] += starts[blob]
     holders = np.empty(starts[blobs], np.int64)
     fill = np.empty(blobs + 1, np.int64)
+    # A copy to count up in, since `starts` is what is given back.
     for blob in range(blobs + 1):
         fill[blob] = starts[blob]
     for n in members:

@@ -31,6 +31,7 @@ def reconstruct_frame_plain(rig, rays, frame_number, by_covariance, out):
     frame = frame_arrays(rays.normalised[here : here + first[cameras]], rays.jacobian[here : here + first[cameras]], first)
     spreads = np.empty(len(out.points))
     versions = _compose_pairs(rig, frame, out.rays, out.points, spreads)
+    # The caller comes again with more room.
     if versions > len(out.points):
         return 0, versions
     groups = merge_versions(rig, out.rays, out.points, spreads, versions, by_covariance)
@@ -75,6 +76,7 @@ def _compose_pairs(rig, frame, rays, points, spreads):
                 square = fit(rig, frame, one, work, 1)[0]
                 if not (square <= limit and inside_volume(rig, work.point)):
                     continue
+                # Counted on without being written: so the caller learns how much room it takes.
                 if count < len(points):
                     _, i0, _, _, i3, _, i5 = symmetric_inverse(work.information)
                     rays[count], points[count], spreads[count] = one, work.point, i0 + i3 + i5
@@ -102,6 +104,7 @@ def merge_versions(rig, rays, points, spreads, count, by_covariance):
     members, first = np.empty(count, np.int64), np.empty(count, np.int64)
     out_rays, out_points = np.empty_like(rays[:count]), np.empty_like(points[:count])
     middle, slopes = np.empty((1, 3)), np.empty((2, 1, 2, 3))
+    # The least spread first, so that a group's first version is its best.
     for n in ascending(spreads, count) if by_covariance else np.arange(count):
         nearest, group = np.inf, -1
         for k in range(groups):
@@ -109,6 +112,7 @@ def merge_versions(rig, rays, points, spreads, count, by_covariance):
             for axis in range(3):
                 square += (points[n, axis] - out_points[k, axis]) ** 2
                 middle[0, axis] = (points[n, axis] + out_points[k, axis]) / 2.0
+            # Only a nearer group can win.
             if square >= nearest or not _are_compatible(rays[n], out_rays[k]):
                 continue
             if by_covariance:
@@ -123,8 +127,10 @@ def merge_versions(rig, rays, points, spreads, count, by_covariance):
             groups += 1
             continue
         members[group] += 1
+        # The running mean, without a second pass.
         out_points[group] += (points[n] - out_points[group]) / members[group]
         for c in range(rays.shape[1]):
+            # Compatible rows have equal blobs or none (-1), so that the larger is the one that is there.
             out_rays[group, c] = max(out_rays[group, c], rays[n, c])
     rays[:groups], points[:groups] = out_rays[:groups], out_points[:groups]
     return groups

@@ -25,6 +25,7 @@ def predict_tracks(ends, count, limits, predicted, gate):
     """
     near, near2 = np.empty(3, dtype=np.int64), np.empty(3)
     for a in range(count):
+        # Half of the acceleration: it is noisy, and motion that starts or stops needs some.
         if ends.age[a] > 2:
             for i in range(3):
                 predicted[a, i] = ends.position[a, i] + ends.velocity[a, i] + 0.5 * ends.acceleration[a, i]
@@ -32,6 +33,7 @@ def predict_tracks(ends, count, limits, predicted, gate):
                 limits.noise + limits.usual_change + limits.residual_gain * ends.recent_error[a], limits.noise + limits.max_change
             )
             continue
+        # No acceleration is known yet, so the gate is wider.
         if ends.age[a] == 2:
             for i in range(3):
                 predicted[a, i] = ends.position[a, i] + ends.velocity[a, i]
@@ -39,11 +41,13 @@ def predict_tracks(ends, count, limits, predicted, gate):
             continue
         neighbours = 0
         for b in range(count):
+            # Only those that have a velocity can lend one.
             if ends.age[b] < 2:
                 continue
             far2 = 0.0
             for i in range(3):
                 far2 += (ends.position[a, i] - ends.position[b, i]) ** 2
+            # Insertion into the three nearest.
             if neighbours == 3 and far2 >= near2[2]:
                 continue
             where = min(neighbours, 2)
@@ -57,12 +61,14 @@ def predict_tracks(ends, count, limits, predicted, gate):
         gate[a] = limits.max_step
         if neighbours == 0:
             continue
+        # By the inverse square of the distance: the nearest marker is likely on the same segment.
         total = 0.0
         for k in range(neighbours):
             total += 1.0 / (near2[k] + 1e-4)
         for i in range(3):
             for k in range(neighbours):
                 predicted[a, i] += ends.velocity[near[k], i] / ((near2[k] + 1e-4) * total)
+        # Where the three disagree, a joint lies between them, and the place is less sure.
         most2 = 0.0
         for k in range(neighbours):
             off2 = 0.0
@@ -105,6 +111,7 @@ def start_links(ends, count, points, limits, next_point, previous):
     for a in range(count):
         b = nearest[a]
         least_rival = limits.ratio_test * miss[a] + limits.rival_gap
+        # Both ways and without a rival: nothing but distance is known in the first frame.
         if b >= 0 and (back[b] != a or miss[a] > limits.max_step or rival[a] <= least_rival or point_rival[b] <= least_rival):
             nearest[a] = -1
     near, near2 = np.empty(3, dtype=np.int64), np.empty(3)
@@ -132,7 +139,9 @@ def start_links(ends, count, points, limits, next_point, previous):
             off2 = 0.0
             for i in range(3):
                 off2 += (points[nearest[a], i] - ends.position[a, i] - points[nearest[b], i] + ends.position[b, i]) ** 2
+            # Neighbours on one body move alike, up to a turn, which grows with their distance.
             alike += math.sqrt(off2) <= limits.noise + limits.neighbour_velocity_tol + limits.rotation_tol * math.sqrt(near2[k])
+        # Two of three, so that one wrong neighbour neither makes nor spoils it.
         if alike >= 2:
             next_point[a] = nearest[a]
             previous[nearest[a]] = a
@@ -156,4 +165,5 @@ def extend_tracks(ends, points, predicted, previous, following):
             following.acceleration[b, i] = following.velocity[b, i] - ends.velocity[a, i] if age > 2 else 0.0
             change2 += following.acceleration[b, i] ** 2
             error2 += (points[b, i] - predicted[a, i]) ** 2 if age > 3 else 0.0
+        # Errors fade, so that a track that calmed down gets its narrow gate back.
         following.recent_error[b] = max(0.8 * ends.recent_error[a], math.sqrt(error2)) if age > 3 else math.sqrt(change2)

@@ -20,6 +20,7 @@ def sort_frames(xyz, offsets, order, axes, sign):
     for t in range(len(offsets) - 1):
         for p in range(offsets[t], offsets[t + 1]):
             where = p
+            # Insertion: frames come nearly in order after the first axis.
             while where > offsets[t]:
                 q = order[where - 1]
                 if sign * xyz[q, a] < sign * xyz[p, a] or (
@@ -45,6 +46,7 @@ def link_numbers(numbers, frame, newest, links):
         if number < 0:
             continue
         before = newest[number]
+        # Across a gap a number may have passed to another marker.
         if before >= 0 and frame[p] - frame[before] == 1:
             links.previous[p], links.following[before] = before, p
         newest[number] = p
@@ -65,6 +67,7 @@ def combine_directions(forward, backward, previous, following):
         if forward[p] >= 0:
             continued[forward[p]] = p
             age[p] = age[forward[p]] + 1
+    # Ages of the way back are counted from the end.
     for p in range(count - 1, -1, -1):
         if backward[p] >= 0:
             age_back[p] = age_back[backward[p]] + 1
@@ -74,6 +77,7 @@ def combine_directions(forward, backward, previous, following):
             origin[backward[p]] = p
     for q in range(count):
         p = forward[q]
+        # A link of one direction counts where the other had seen the track for less than three frames: it could not judge.
         if p >= 0 and (backward[p] == q or (backward[p] < 0 and origin[q] < 0 and age_back[q] < 3)):
             following[p], previous[q] = q, p
         p = origin[q]

@@ -48,12 +48,14 @@ def link_step(ends, count, points, limits, workspace, previous, following):
     moving = False
     for a in range(count):
         moving = moving or ends.age[a] > 1
+    # Before anything has a velocity, distance alone would take neighbours for each other.
     if not moving:
         start_links(ends, count, points, limits, next_point, previous)
     pairs, capacity = 0, len(pair_track)
     for a in range(count):
         # a single point takes only what nothing else in its gate rivals; the others' rivals may lie farther than their own gate
         reach = gate[a] if ends.age[a] == 1 else limits.ratio_test * gate[a] + limits.rival_gap
+        # Points are sorted by x: those within reach begin here.
         low, high = 0, n
         while low < high:
             middle = (low + high) // 2
@@ -69,6 +71,7 @@ def link_step(ends, count, points, limits, workspace, previous, following):
             far2 = dx * dx + dy * dy + dz * dz
             if far2 > reach * reach:
                 continue
+            # Twice as long: rare, where many points lie within reach of each other.
             if pairs == capacity:
                 capacity *= 2
                 pair_track, pair_point, pair_distance = (
@@ -78,6 +81,7 @@ def link_step(ends, count, points, limits, workspace, previous, following):
                 )
             pair_track[pairs], pair_point[pairs], pair_distance[pairs] = a, b, math.sqrt(far2)
             pairs += 1
+    # What is linked is no rival any more, so that others become unambiguous: again until nothing is.
     while True:
         for a in range(count):
             nearest_point[a], nearest_point_distance[a], second_point_distance[a] = -1, np.inf, np.inf
@@ -86,6 +90,7 @@ def link_step(ends, count, points, limits, workspace, previous, following):
         kept = 0
         for p in range(pairs):
             a, b = pair_track[p], pair_point[p]
+            # Pairs of what is linked fall out; the list gets shorter in each round.
             if next_point[a] >= 0 or previous[b] >= 0:
                 continue
             pair_track[kept], pair_point[kept], pair_distance[kept] = a, b, pair_distance[p]
@@ -103,9 +108,11 @@ def link_step(ends, count, points, limits, workspace, previous, following):
         changed = False
         for a in range(count):
             b = nearest_point[a]
+            # Each must be the other's nearest.
             if b < 0 or nearest_track[b] != a or nearest_point_distance[a] > gate[a]:
                 continue
             rival = limits.ratio_test * nearest_point_distance[a] + limits.rival_gap
+            # A track of one point has a wide gate: whatever else lies in it is a rival.
             if ends.age[a] == 1:
                 rival = max(rival, gate[a])
             if second_point_distance[a] > rival and second_track_distance[b] > rival:
@@ -138,5 +145,6 @@ def link_frames(xyz, offsets, limits, backwards, linked):
         for p in range(first, last):
             if linked[p] >= 0:
                 linked[p] += begins
+        # Two sets of ends in turn, so that no frame allocates.
         ends, following = following, ends
         count, begins = last - first, first

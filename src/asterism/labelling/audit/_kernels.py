@@ -27,6 +27,7 @@ def step_log_density(before, at, after, early, late, scale):
     for i in range(3):
         error = after[i] - at[i] - ratio * (at[i] - before[i])
         square += error * error
+    # The error of a prediction grows with the gap that it bridges and with that it was made from.
     usual = scale * 0.5 * late * (late + early)
     return -0.5 * (DEGREES_OF_FREEDOM + 3.0) * math.log(1.0 + square / (DEGREES_OF_FREEDOM * usual * usual))
 
@@ -48,6 +49,7 @@ def path_score(paths, times, scales, emission, switch, states):
         if i >= 2:
             early, late = times[i - 1] - times[i - 2], times[i] - times[i - 1]
             for who in range(2):
+                # Where a frame is marked, each path has the other's point.
                 one, two, three = paths[i - 2, who ^ states[i - 2]], paths[i - 1, who ^ states[i - 1]], paths[i, who ^ states[i]]
                 score += step_log_density(one, two, three, early, late, scales[who])
     return score
@@ -66,6 +68,7 @@ def exchange_path(paths, times, scales, emission, switch, states):
     if n < 3:
         return 0.0
     # score[2 * s + r]: best so far with state s in the frame before last and r in the last
+    # Pairs of states, because a step is judged by three frames.
     score, updated = np.empty(4), np.empty(4)
     origin = np.zeros((n, 4), dtype=np.int8)
     for s in range(2):
@@ -82,6 +85,7 @@ def exchange_path(paths, times, scales, emission, switch, states):
                     for who in range(2):
                         step += step_log_density(paths[i - 2, who ^ q], paths[i - 1, who ^ s], paths[i, who ^ r], early, late, scales[who])
                     if q == 0 and s == 0 and r == 0:
+                        # The path without an exchange is counted beside, to be compared with.
                         never += step
                     step += score[2 * q + s] + r * emission[i] - (switch if s != r else 0.0)
                     if step > updated[2 * s + r]:
@@ -90,8 +94,10 @@ def exchange_path(paths, times, scales, emission, switch, states):
         score[:] = updated
     best = int(np.argmax(score))
     top = score[best]
+    # Rounding apart, no exchange is one of the paths.
     if top <= never:
         return 0.0
+    # Back along the origins; each pair shares a state with the one before.
     for i in range(n - 1, 1, -1):
         states[i] = best & 1
         best = 2 * origin[i, best] + (best >> 1)
@@ -119,9 +125,11 @@ def all_exchanges(positions, scales, emission, switch, pairs, gains):
         a, b = pairs[p]
         n = 0
         for t in range(frames):
+            # Gaps are bridged: only frames that show both can tell.
             if not (np.isnan(positions[t, a, 0]) or np.isnan(positions[t, b, 0])):
                 paths[n, 0], paths[n, 1], times[n], pair_emission[n] = positions[t, a], positions[t, b], t, emission[p, t]
                 n += 1
+        # Else an exchange up to a frame and one from there on would gain differently.
         pair_scales[:] = max(scales[a], scales[b])
         gains[p] = exchange_path(paths[:n], times[:n], pair_scales, pair_emission[:n], switch, states[:n])
 
@@ -151,6 +159,7 @@ def exchange_gains(frames, body, settings, pairs, least, most, gains, own_scores
                 n += 1
         gains[:, t] = 0.0
         own_scores[t] = np.nan
+        # Too few points to predict one from the others.
         if n < 4:
             continue
         workspace = make_body_workspace(n, markers, latents)
@@ -166,9 +175,12 @@ def exchange_gains(frames, body, settings, pairs, least, most, gains, own_scores
             a, b = pairs[p]
             if rows[a] < 0 or rows[b] < 0:
                 continue
+            # Leave-one-out scores are cheap and tell most exchanges off.
             estimate = scores[a, rows[b]] + scores[b, rows[a]] - max(scores[a, rows[a]], -most) - max(scores[b, rows[b]], -most)
             gain = -most
+            # Only a serious one is computed exactly.
             if estimate > -least:
+                # Once per frame, where it is needed at all.
                 if top == -np.inf:
                     top = evidence(body, k, points[:n], rows, settings, workspace)
                 trial[:] = rows

@@ -29,18 +29,22 @@ def choose_covering(table, wrong, weight, most, chosen, gains):
     while count < most:
         best, best_gain = -1, 0
         for f in range(features):
+            # Each classifier once.
             if taken[f]:
                 continue
             gain = 0
             for w in range(words):
+                # Only what is not rejected yet counts.
                 gain += weight[w] * popcount(table[f, w] & left[w])
             if gain > best_gain:
                 best, best_gain = f, gain
         if best < 0:
             if first_round < 0:
                 first_round = count
+            # Not even all samples leave anything to gain.
             if fresh:
                 break
+            # A second round, so that each sample is rejected twice: one classifier may fail on a new person.
             left[:] = wrong
             fresh = True
             continue
@@ -72,22 +76,26 @@ def order_tests(table, reads, markers, start, order, rank, first_feature):
         open_marker[m] = True
     missing = np.zeros(features, dtype=np.int64)
     for f in range(features):
+        # From all markers that a classifier reads, so that it is computable when the last of them is placed.
         for m in range(all_markers):
             missing[f] += reads[f, m]
     left = np.empty(words, dtype=np.uint64)
     count = 0
     for depth in range(len(markers)):
         best, best_share = start, -1
+        # The first marker is given.
         if depth > 0:
             for m in range(all_markers):
                 if open_marker[m]:
                     share = _share_rejected(table, reads, placed, missing, m)
+                    # Where most wrong points are rejected at once, the fewest branches live on.
                     if share > best_share:
                         best, best_share = m, share
         order[depth] = best
         open_marker[best] = False
         first_feature[depth] = count
         for f in range(features):
+            # A classifier becomes computable when nothing is missing any more.
             missing[f] -= reads[f, best]
         count = _rank_tests(table, reads, placed, missing, best, left, rank, count)
     first_feature[len(markers)] = count
@@ -114,6 +122,7 @@ def _rank_tests(table, reads, placed, missing, marker, left, rank, count):
 
     Bounds: a classifier is placed once, so `rank` needs F.
     """
+    # All wrong points are still there at this depth.
     left[:] = ~np.uint64(0)
     while True:
         chosen, most = -1, -1
@@ -123,6 +132,7 @@ def _rank_tests(table, reads, placed, missing, marker, left, rank, count):
             gain = 0
             for w in range(len(left)):
                 gain += popcount(table[f, marker, w] & left[w])
+            # First what rejects most of what the classifiers before let through.
             if gain > most:
                 chosen, most = f, gain
         if chosen < 0:

@@ -66,6 +66,7 @@ def _load_evaluation(validation, e, kinds, points, marker_of, workspace):
     for m in range(len(frame)):
         if _in_sight(validation, e, m):
             points[n] = frame[m]
+            # As behind a gap: the point is there, and its motion is not known.
             if validation.motion_unknown[e, m]:
                 points[n, 3:] = np.nan
             marker_of[n] = m
@@ -97,6 +98,7 @@ def evaluate_solver(solvers, pairs, s, validation, limits, workspace, first_id, 
     counts.abstentions[:] = 0
     for e in range(len(validation.chosen)):
         n = _load_evaluation(validation, e, pairs.kinds, points, marker_of, workspace)
+        # Where a marker of its own is hidden, a solver should say nothing: no abstention counts there.
         all_in_sight = True
         for k in range(depths):
             all_in_sight = all_in_sight and _in_sight(validation, e, solvers.markers[first + k])
@@ -111,8 +113,10 @@ def evaluate_solver(solvers, pairs, s, validation, limits, workspace, first_id, 
                 counts.hits[m] += 1
             else:
                 counts.failures[m] += 1
+            # A solver that is hardly ever sure is not worth the rest of the frames.
             abstains = counts.abstentions[m] > 50 and counts.abstentions[m] > 4 * counts.hits[m]
             out_of_reach = out_of_reach and (counts.failures[m] > limits.max_failures or abstains)
+        # No marker can reach its target any more.
         if out_of_reach:
             return e + 1
     return len(validation.chosen)

@@ -88,11 +88,13 @@ def load_frame(points, n, kinds, workspace):
     OUT workspace.points, order (highest first), distance, motion
     O(n^2 K).
     """
+    # Solvers begin at markers that are often the highest: their points are then tried first.
     sort_highest_first(points, n, workspace.order)
     for i in range(n):
         for axis in range(workspace.points.shape[1]):
             workspace.points[i, axis] = points[workspace.order[i], axis]
     point_distances(workspace.points, n, workspace.distance)
+    # Motion of pairs, as distances, once for all solvers.
     for k in range(len(kinds)):
         for i in range(n):
             for j in range(n):
@@ -121,12 +123,14 @@ def search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace):
         return 0
     words = (n + 63) // 64
     points, path, mask = workspace.points, workspace.path, workspace.mask
+    # The first marker may have any point.
     set_first_bits(mask, 0, n)
     depth, solutions, evaluations = 0, 0, 0
     while depth >= 0:
         row = -1
         for w in range(words):
             if mask[depth, w] != 0:
+                # The lowest bit that is set: points are tried in their order, highest first.
                 lowest = mask[depth, w] & (~mask[depth, w] + np.uint64(1))
                 mask[depth, w] ^= lowest
                 row = 64 * w + popcount(lowest - np.uint64(1))
@@ -136,6 +140,7 @@ def search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace):
             continue
         path[depth] = row
         accepted = True
+        # Rare kinds stand last, so that the loop over the others stays small enough to be inlined.
         later = end = solvers.first_feature[first + depth + 1]
         for f in range(solvers.first_feature[first + depth], end):
             if solvers.kinds[f] > LAST_INLINED:
@@ -156,6 +161,7 @@ def search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace):
         if accepted and later < end:
             accepted, made = later_accepted(solvers, later, end, points, path)
             evaluations += made
+        # Counted, not timed: every machine gives up at the same place.
         if evaluations > budget:
             workspace.counters[0] = evaluations
             return -1
@@ -164,6 +170,7 @@ def search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace):
         if depth == depths - 1:
             if solutions == 0:
                 workspace.counters[1] = evaluations
+            # Some of the labellings would conclude what all of them might not.
             if solutions == len(workspace.found):
                 workspace.counters[0] = evaluations
                 return -1
@@ -173,9 +180,11 @@ def search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace):
             continue
         depth += 1
         b = solvers.markers[first + depth]
+        # What the markers before allow is left: an intersection of bits, sixty-four points at once.
         set_first_bits(mask, depth, n)
         for e in range(depth):
             a, i = solvers.markers[first + e], path[e]
+            # Worked out when first asked, and kept for all solvers of this frame; the number saves clearing it.
             if workspace.stamp[a, b, i] != frame_id:
                 workspace.stamp[a, b, i] = frame_id
                 evaluations += find_allowed_points(pairs, a, b, i, n, workspace)
@@ -185,6 +194,7 @@ def search_by_pairs(solvers, pairs, s, n, frame_id, budget, workspace):
             for w in range(words):
                 mask[depth, w] &= workspace.rows[a, b, i, w]
                 living |= mask[depth, w]
+            # No point is left, whatever the other markers allow.
             if living == 0:
                 break
     workspace.counters[0] = evaluations
@@ -220,6 +230,7 @@ def find_allowed_points(pairs, a, b, i, n, workspace):
         bits = np.uint64(0)
         for j in range(64 * w, min(n, 64 * w + 64)):
             d, h = workspace.distance[i, j], height - workspace.points[j, 2]
+            # Without a branch, so that the loop runs in vector registers; a point is never two markers.
             fits = (d >= near) & (d <= far) & (h >= below) & (h <= above) & (i != j)
             bits |= np.uint64(fits) << np.uint64(j - 64 * w)
         workspace.rows[a, b, i, w] = bits
@@ -239,6 +250,7 @@ def exclude_by_motion(pairs, a, b, i, n, workspace):
         low, high = pairs.low[k, a, b], pairs.high[k, a, b]
         for j in range(n):
             bit = np.uint64(1) << np.uint64(j & 63)
+            # Only what distance and height have left.
             if workspace.rows[a, b, i, j >> 6] & bit != 0:
                 evaluations += 1
                 value = workspace.motion[k, i, j]

@@ -98,6 +98,7 @@ def search_frame(solvers, s, points, n, budget, workspace):
     distance, order, path, tried, used, found, counters = workspace
     first = solvers.first_depth[s]
     depths = solvers.first_depth[s + 1] - first
+    # Every marker of a solver must be in sight, or it says nothing.
     if n < depths:
         return 0
     known = len(distance) > 0
@@ -105,21 +106,25 @@ def search_frame(solvers, s, points, n, budget, workspace):
     used[:n] = False
     depth, solutions, evaluations = 0, 0, counters[0]
     while depth >= 0:
+        # The row that this depth had before is free again.
         if tried[depth] > 0:
             used[path[depth]] = False
         accepted = False
         begin, end = solvers.first_feature[first + depth], solvers.first_feature[first + depth + 1]
+        # Depth first: the first row that all classifiers of this depth accept.
         while tried[depth] < n and not accepted:
             row = order[tried[depth]]
             tried[depth] += 1
             if used[row]:
                 continue
+            # Before the classifiers, which read this depth's row from the path.
             path[depth] = row
             accepted = True
             for f in range(begin, end):
                 evaluations += 1
                 kind = solvers.kinds[f]
                 a, b = path[solvers.slots[f, 0]], path[solvers.slots[f, 1]]
+                # The three commonest kinds are written out, because a call costs as much as they do.
                 if known and kind == G2:
                     value = distance[a, b]
                 elif kind == G4:
@@ -133,6 +138,7 @@ def search_frame(solvers, s, points, n, budget, workspace):
                 if value < solvers.low[f] or value > solvers.high[f]:
                     accepted = False
                     break
+        # Counted, not timed: every machine gives up at the same place.
         if evaluations > budget:
             counters[0] = evaluations
             return -1
@@ -145,6 +151,7 @@ def search_frame(solvers, s, points, n, budget, workspace):
         if depth == depths - 1:
             if solutions == 0:
                 counters[1] = evaluations
+            # Some of the labellings would conclude what all of them might not.
             if solutions == len(found):
                 counters[0] = evaluations
                 return -1
@@ -168,6 +175,7 @@ def agreed_points(found, solutions, depths, out):
     for k in range(depths):
         out[k] = found[0, k] if solutions > 0 else -1
         for i in range(1, solutions):
+            # One labelling that differs leaves the marker open.
             if found[i, k] != found[0, k]:
                 out[k] = -1
                 break
@@ -183,6 +191,7 @@ def sort_highest_first(points, n, order):
     """
     for i in range(n):
         j = i
+        # Insertion keeps equal heights in row order.
         while j > 0 and points[order[j - 1], 2] < points[i, 2]:
             order[j] = order[j - 1]
             j -= 1
@@ -213,6 +222,7 @@ def label_by_full_solver(solvers, lowest_first, xyz, offsets, budget, indices, f
         sort_highest_first(points, n, order)
         if lowest_first:
             order[:n] = order[:n][::-1].copy()
+        # Distances are asked many times in one frame, so all of them are worked out once.
         point_distances(points, n, distance)
         counters[0] = 0
         solutions = search_frame(solvers, 0, points, n, budget, workspace)

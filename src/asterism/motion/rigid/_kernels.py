@@ -34,7 +34,9 @@ def fit_frames(template, positions, weights, flat, rotations, translations):
                 for i in range(3):
                     here[i] += w[n] * template[n, i]
                     there[i] += w[n] * positions[t, n, i]
+        # Beforehand, so that every way out leaves NaN.
         rotations[t], translations[t] = np.nan, np.nan
+        # Two points leave the turn about their line open.
         if count < 3:
             continue
         here /= total
@@ -48,11 +50,13 @@ def fit_frames(template, positions, weights, flat, rotations, translations):
                     mixed[j, 0] += px * x
                     mixed[j, 1] += py * x
                     mixed[j, 2] += pz * x
+                    # The points' own extent tells whether they lie in a line.
                     own[0, j] += px * p
                     own[1, j] += py * p
                     own[2, j] += pz * p
         jacobi(own, turns)
         low, high = min(own[0, 0], own[1, 1], own[2, 2]), max(own[0, 0], own[1, 1], own[2, 2])
+        # The middle one of three, without a sort.
         if not own[0, 0] + own[1, 1] + own[2, 2] - low - high > flat * flat * high:
             continue
         _nearest_rotation(mixed, four, axes, rotations[t])
@@ -78,6 +82,7 @@ def _nearest_rotation(mixed, four, axes, rotation):
         for j in range(i):
             four[i, j] = four[j, i]
     jacobi(four, axes)
+    # The eigenvector of the largest value is the best rotation; a quaternion is never a reflection.
     best = 0
     for i in range(1, 4):
         if four[i, i] > four[best, best]:
@@ -105,13 +110,16 @@ def jacobi(matrix, axes):
             size += matrix[i, i] * matrix[i, i]
             for j in range(i):
                 off += matrix[i, j] * matrix[i, j]
+        # Relative, so that it ends for millimetres and for metres alike; also for NaN.
         if not off > 1e-30 * size:
             break
         for p in range(n - 1):
             for q in range(p + 1, n):
+                # Zero already, and the ratio would be infinite.
                 if matrix[p, q] == 0.0:
                     continue
                 ratio = (matrix[q, q] - matrix[p, p]) / (2.0 * matrix[p, q])
+                # The smaller of two angles, which keeps rounding small.
                 tangent = (1.0 if ratio >= 0.0 else -1.0) / (abs(ratio) + math.sqrt(ratio * ratio + 1.0))
                 cosine = 1.0 / math.sqrt(tangent * tangent + 1.0)
                 sine = tangent * cosine
@@ -167,6 +175,7 @@ def point_spread(positions, rotations, translations, means, squares, counts):
             counts[n] += 1
             for i in range(3):
                 local = r[0, i] * x + r[1, i] * y + r[2, i] * z
+                # Mean and squares in one pass, exact also far from the origin (Welford).
                 step = local - means[n, i]
                 means[n, i] += step / counts[n]
                 squares[n] += step * (local - means[n, i])
@@ -207,19 +216,23 @@ def eigenvalue_weights(local, reference, rounds, weights):
             _slopes(reference, local[t], w, (axes_before, mean_before, axes_after, mean_after), slopes)
             normal = slopes @ slopes.T
             scale = normal[0, 0] + normal[1, 1] + normal[2, 2]
+            # No weight changes any eigenvalue.
             if not scale > 0.0:
                 break
             for k in range(3):
+                # Points in a plane make two equations alike: a little on the diagonal keeps them solvable.
                 normal[k, k] += 1e-9 * scale
             step = np.linalg.solve(normal, -change)
             total = 0.0
             for n in range(points):
                 if w[n] > 0.0:
+                    # A weight below zero would turn a point against its limb.
                     w[n] = max(w[n] + step[0] * slopes[0, n] + step[1] * slopes[1, n] + step[2] * slopes[2, n], 0.0)
                     total += w[n]
             if not total > 0.0:
                 w[:] = 0.0
                 break
+            # The sum is kept, so that weights of different frames compare.
             w *= count / total
 
 

@@ -25,6 +25,7 @@ def stray_from_motions(positions, rotations, translations, out):
         counts[:] = 0
         for t in range(frames):
             r, s = rotations[limb, t], translations[limb, t]
+            # The limb's motion is not known here.
             if math.isnan(r[0, 0]):
                 continue
             for n in range(points):
@@ -38,4 +39,5 @@ def stray_from_motions(positions, rotations, translations, out):
                     means[n, i] += step / counts[n]
                     squares[n] += step * (local - means[n, i])
         for n in range(points):
+            # One frame has no spread: it would be the steadiest of all.
             out[n, limb] = math.sqrt(squares[n] / counts[n]) if counts[n] > 1 else np.inf

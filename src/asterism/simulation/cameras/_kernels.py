@@ -19,9 +19,11 @@ def _squared_distance(p, q, a, b):
     uw, vw = ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
     across = uu * vv - uv * uv
     s = 0.0
+    # Parallel segments: any place on the first serves, and the second answers.
     if across > 1e-12 * uu * vv:
         s = min(max((uv * vw - vv * uw) / across, 0.0), 1.0)
     t = (uv * s + vw) / vv if vv > 0.0 else 0.0
+    # The nearest place lies beyond an end: that end, and the first segment answers.
     if t < 0.0 or t > 1.0:
         t = min(max(t, 0.0), 1.0)
         s = min(max((uv * t - uw) / uu, 0.0), 1.0) if uu > 0.0 else 0.0
@@ -43,6 +45,7 @@ def hidden(eye, points, starts, ends, radii, clearance, out):
             out[t, m] = False
             for k in range(len(radii)):
                 start, end = starts[t, k], ends[t, k]
+                # As thin as it must be to leave the marker outside.
                 radius = min(radii[k], math.sqrt(_squared_distance(point, point, start, end)) - clearance)
                 if radius > 0.0 and _squared_distance(eye, point, start, end) < radius * radius:
                     out[t, m] = True
@@ -67,6 +70,7 @@ def merge(offsets, xy, sizes, out):
                 dx, dy = xy[i, 0] - xy[j, 0], xy[i, 1] - xy[j, 1]
                 if dx * dx + dy * dy < reach * reach:
                     a, b = out[i], out[j]
+                    # The smaller number names the chain; all of its members are renamed, since cells are small.
                     low, high = min(a, b), max(a, b)
                     if low != high:
                         for k in range(first, last):
@@ -87,6 +91,7 @@ def draw(xy, sizes, gaussian, peak, image):
     rows, columns = image.shape
     for i in range(len(xy)):
         x, y, radius = xy[i, 0], xy[i, 1], 0.5 * sizes[i]
+        # Beyond it a pixel gets less than a grey value.
         reach = 3.0 * radius + 1.0 if gaussian else radius + 1.0
         for row in range(max(0, int(np.floor(y - reach))), min(rows, int(np.ceil(y + reach)) + 1)):
             for column in range(max(0, int(np.floor(x - reach))), min(columns, int(np.ceil(x + reach)) + 1)):

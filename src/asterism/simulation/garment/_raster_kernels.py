@@ -29,8 +29,10 @@ def rasterise(xy, nearness, triangles, samples, corner, front, owner):
         bx, by = (xy[b, 0] + 0.5) * samples - 0.5 - corner[0], (xy[b, 1] + 0.5) * samples - 0.5 - corner[1]
         cx, cy = (xy[c, 0] + 0.5) * samples - 0.5 - corner[0], (xy[c, 1] + 0.5) * samples - 0.5 - corner[1]
         double = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        # Seen edge-on, without area, or with a vertex that cannot be seen (NaN).
         if not math.fabs(double) > 1e-9:
             continue
+        # Clamped as real numbers: a vertex near the camera lies beyond any whole number.
         first_x, last_x = max(0.0, math.ceil(min(ax, bx, cx))), min(width - 1.0, math.floor(max(ax, bx, cx)))
         first_y, last_y = max(0.0, math.ceil(min(ay, by, cy))), min(height - 1.0, math.floor(max(ay, by, cy)))
         if first_x > last_x or first_y > last_y:
@@ -43,6 +45,7 @@ def rasterise(xy, nearness, triangles, samples, corner, front, owner):
                 wa = 1.0 - wb - wc
                 if wa < 0.0 or wb < 0.0 or wc < 0.0:
                     continue
+                # The inverse of the depth is linear in the image, the depth is not.
                 near = wa * na + wb * nb + wc * nc
                 if near > front[y, x]:
                     front[y, x] = near
@@ -72,6 +75,7 @@ def shade(xy, nearness, triangles, sheet, light, piece, facing, cells, colours, 
             a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
             px, py = (x + corner[0] + 0.5) / samples - 0.5, (y + corner[1] + 0.5) / samples - 0.5
             double = (xy[b, 0] - xy[a, 0]) * (xy[c, 1] - xy[a, 1]) - (xy[b, 1] - xy[a, 1]) * (xy[c, 0] - xy[a, 0])
+            # Weights by nearness, so that a place on the cloth and not one in the image is found.
             wb = ((px - xy[a, 0]) * (xy[c, 1] - xy[a, 1]) - (py - xy[a, 1]) * (xy[c, 0] - xy[a, 0])) / double * nearness[b]
             wc = ((xy[b, 0] - xy[a, 0]) * (py - xy[a, 1]) - (xy[b, 1] - xy[a, 1]) * (px - xy[a, 0])) / double * nearness[c]
             wa = nearness[a] * (1.0 - wb / nearness[b] - wc / nearness[c])
@@ -79,6 +83,7 @@ def shade(xy, nearness, triangles, sheet, light, piece, facing, cells, colours, 
             wa, wb, wc = wa / total, wb / total, wc / total
             ink, cover = q, 0.0
             p = piece[t]
+            # Skin has no print.
             if p < 0:
                 ink, cover = q + 1, 1.0
             elif facing[t]:
@@ -90,6 +95,7 @@ def shade(xy, nearness, triangles, sheet, light, piece, facing, cells, colours, 
                     off = math.sqrt((row - i) ** 2 + (column - j) ** 2)
                     if off <= radius:
                         seen[i, j] += 1
+                    # A soft edge, as ink and lens make it.
                     cover = 0.5 * math.erfc((off - radius) / (1.4142135623730951 * soft))
             to_y, to_x = (y + corner[1]) // samples, (x + corner[0]) // samples
             image[to_y, to_x, 3] += share
