@@ -2,7 +2,6 @@
 
 python -m benchmarks recordings gaps stream --json gaps.json
 python -m benchmarks.recordings.gaps --json gaps.json
-python -m benchmarks key --quick
 python -m benchmarks release
 python -m benchmarks docs
 """

@@ -32,7 +32,7 @@ class BenchmarkRun:
     quick: bool = False
     models: Path | None = None
     jobs: int = 1
-    trained: dict[str, asterism.SolverEnsemble] = field(default_factory=dict)
+    trained: dict[str, asterism.MarkerModel] = field(default_factory=dict)
 
     def report(self, text: str) -> None:
         """Print what is being done, to standard error."""
@@ -47,15 +47,15 @@ class BenchmarkRun:
         with ProcessPoolExecutor(self.jobs, mp_context=get_context("spawn")) as pool:
             yield from pool.map(partial(work, alone), items)
 
-    def fit(self, recordings: Sequence[Recording], people: Sequence[str], **options: object) -> asterism.SolverEnsemble:
+    def fit(self, recordings: Sequence[Recording], people: Sequence[str], **options: object) -> asterism.MarkerModel:
         """Train a model, or take the one that this run has trained from the same recordings."""
         key = _key(recordings, people, options)
         kept = self.models / f"{key}.model" if self.models else None
         if key not in self.trained and kept and kept.exists():
-            self.trained[key] = asterism.SolverEnsemble.load(kept)
+            self.trained[key] = asterism.MarkerModel.load(kept)
         if key not in self.trained:
             started = time.perf_counter()
-            self.trained[key] = asterism.SolverEnsemble.fit(list(recordings), seed=0, subjects=list(people), miner=None, **options)
+            self.trained[key] = asterism.MarkerModel.fit(list(recordings), seed=0, subjects=list(people), miner=None, **options)
             self.report(
                 f"trained on {len(recordings)} recordings, {len(recordings[0].labels)} markers: {time.perf_counter() - started:.1f} s"
             )

@@ -1,4 +1,4 @@
-"""The scripts by chapter: each row's name, and the generator of figures that measures it, as module and function in the chapter."""
+"""The scripts by chapter: each row is a generator of figures, named by its module and function in the chapter."""
 
 from __future__ import annotations
 
@@ -10,101 +10,27 @@ from benchmarks.figures import Figure
 
 Row = Callable[[BenchmarkRun], Iterator[Figure]]
 
-CHAPTERS: dict[str, dict[str, str]] = {
-    "labelling": {
-        "conformance": "files.conformance",
-        "physical": "files.physical",
-        "strong-classifier": "solver.strong_classifier",
-        "full-solver": "solver.full_solver",
-        "training": "seen.training",
-        "speed": "seen.speed",
-        "tables": "seen.tables",
-        "thesis": "thesis.thesis",
-        "full-body": "seen.full_body",
-    },
-    "recordings": {
-        "speed": "speed.speed",
-        "bodies": "bodies.bodies",
-        "stream": "stream.stream",
-        "loop": "loop.loop",
-        "baselines": "baselines.baselines",
-        "gaps": "gaps.gaps",
-        "ablation": "ablation.ablation",
-        "dirt": "dirt.dirt",
-        "full-body": "full_body.full_body",
-        "movement": "movement.movement",
-    },
-    "dirt": {
-        "flicker": "accuracy.flicker",
-        "volume": "accuracy.volume",
-        "riding": "accuracy.riding",
-        "long-recording": "speed.long_recording",
-        "speed": "speed.speed",
-        "stream": "stream.stream",
-        "reliability": "reliability.reliability",
-        "strangers": "strangers.strangers",
-    },
-    "cameras": {
-        "rig-files": "boards.rig_files",
-        "stereo": "boards.stereo",
-        "charuco": "boards.charuco",
-        "accuracy": "accuracy.accuracy",
-        "plan": "accuracy.plan",
-        "detection": "detection.detection",
-        "centroids": "detection.centroids",
-        "particles": "detection.particles",
-        "speed": "reconstruction.speed",
-        "ghosts": "reconstruction.ghosts",
-        "vicon-rig-walk": "walk.walk",
-        "real-wand": "wand.real_wand",
-        "wand": "wand.wand",
-        "refine": "refine.refine",
-        "wand-rigs": "wand.wand_rigs",
-    },
-    "views": {
-        "parts": "speed.parts",
-        "nothing-known": "speed.nothing_known",
-        "basin": "speed.basin",
-        "gait": "rows.gait",
-        "whole-body": "rows.whole_body",
-        "own-static": "rows.own_static",
-        "baseline": "rows.baseline",
-        "ablation": "rows.ablation",
-        "bad-input": "rows.bad_input",
-    },
-    "garment": {
-        "read-speed": "pattern.speed",
-        "check": "pattern.check",
-        "code": "pattern.code",
-        "speed": "capture.whole_speed",
-        "hard-images": "reading.hard_images",
-        "identities": "reading.captured_identities",
-        "points": "capture.dense",
-        "calibration": "capture.calibration",
-    },
-    "hostile": {"long-recordings": "long_recordings.long_recordings", "damaged-files": "damaged_files.damaged_files"},
-    "desk": {
-        "person": "person.person",
-    },
-    "motion": {
-        "paper": "paper.paper",
-        "toy": "paper.toy",
-        "knee": "gait.knee",
-        "sparse": "angles.sparse",
-        "dense": "angles.dense",
-        "coverage": "coverage.coverage",
-        "speed": "speed.speed",
-    },
-    "house": {
-        "startup": "startup.startup",
-        "training": "training.training",
-        "install": "install.install",
-        "ci": "install.ci",
-    },
+_SCRIPTS = {
+    "labelling": "files.conformance solver.strong_classifier solver.full_solver thesis.thesis thesis.thesis_main",
+    "recordings": "speed.speed bodies.bodies stream.stream loop.loop gaps.gaps baselines.baselines ablation.ablation dirt.dirt "
+    "full_body.full_body movement.movement movement.laboratories",
+    "dirt": "accuracy.flicker accuracy.volume accuracy.riding reliability.reliability standing.standing",
+    "cameras": "boards.rig_files boards.stereo boards.charuco accuracy.accuracy detection.detection detection.centroids "
+    "detection.particles reconstruction.speed reconstruction.ghosts walk.walk wand.real_wand wand.wand wand.wand_rigs refine.refine",
+    "views": "rows.gait rows.whole_body rows.baseline",
+    "garment": "pattern.speed pattern.code capture.whole_speed reading.hard_images reading.captured_identities capture.dense",
+    "hostile": "long_recordings.long_recordings damaged_files.damaged_files",
+    "motion": "paper.paper paper.toy gait.knee angles.sparse angles.dense coverage.coverage",
+    "house": "startup.startup training.training install.install install.ci",
 }
+CHAPTERS = {
+    chapter: {script.partition(".")[2].replace("_", "-"): script for script in scripts.split()} for chapter, scripts in _SCRIPTS.items()
+}
+"""Chapter and row, such as "recordings" and "full-body"; the row is its function's name."""
 
 
 def row_of(chapter: str, row: str) -> Row:
     """The generator that measures a row, imported when it is asked for."""
     module, _, function = CHAPTERS[chapter][row].partition(".")
-    return getattr(import_module(f"benchmarks.{chapter}.{module}"), function)
+    generator: Row = getattr(import_module(f"benchmarks.{chapter}.{module}"), function)
+    return generator

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from asterism.errors import AsterismError
 from asterism.formats import read
 from asterism.recording import MarkerSet, Recording
+from asterism.simulation import simulate_standing, simulate_walks, simulated_markers
 
 _MIDDLE = "LFHD RFHD LBHD RBHD C7 T2 T6 T10 T12 RBAK CLAV STRN LASI RASI SACR"
 _SIDES = "SHO ELB WRA WRB FIN THI KNE TIB ANK HEE TOE HFB TUB SHN CPG LCA STL NAV P1M P5M D5M HLX"
@@ -52,23 +53,39 @@ class Fold:
 
 def folder() -> Path:
     """Where the real recordings are. Raises AsterismError where `ASTERISM_DATA` does not name a folder."""
-    named = os.environ.get("ASTERISM_DATA")
-    if not named or not Path(named).is_dir():
-        raise AsterismError(
-            "the benchmarks need real recordings: set ASTERISM_DATA to the folder that holds gait, movement and conformance."
-        )
-    return Path(named)
+    if not has_recordings():
+        raise AsterismError("this needs real recordings: set ASTERISM_DATA to the folder that holds gait, movement and conformance.")
+    return Path(os.environ["ASTERISM_DATA"])
+
+
+def has_recordings() -> bool:
+    """Whether `ASTERISM_DATA` names a folder."""
+    return Path(os.environ.get("ASTERISM_DATA") or "?").is_dir()
 
 
 @cache
 def gait(markers: str | tuple[str, ...] = "helen-hayes") -> dict[str, tuple[Recording, ...]]:
-    """All trials of each gait subject, with the markers of a set."""
+    """All trials of each gait subject, with the markers of a set; simulated people where there are no recordings."""
+    if not has_recordings():
+        return _simulated(markers)
     wanted = markers if isinstance(markers, str) else list(markers)
     return {
         subject.name: tuple(true_names(path, wanted) for path in sorted(subject.glob("*.c3d")))
         for subject in sorted((folder() / "gait").iterdir())
         if subject.is_dir()
     }
+
+
+def _simulated(markers: str | tuple[str, ...]) -> dict[str, tuple[Recording, ...]]:
+    """A standing trial, a straight walk and a turn of each of eleven simulated people, with those of the markers that can be simulated."""
+    chosen = markers if isinstance(markers, str) else [name for name in markers if name in simulated_markers()]
+    walks, standing = simulate_walks(11, 300, markers=chosen, trials=2), simulate_standing(11, 100, markers=chosen)
+    people: dict[str, tuple[Recording, ...]] = {}
+    for number, still in enumerate(standing):
+        named = zip(("static", "straight", "turn"), (still, *walks[2 * number : 2 * number + 2]), strict=True)
+        person = f"S{number + 1:02d}"
+        people[person] = tuple(replace(trial, metadata={**trial.metadata, "file": f"{person}/{name}.c3d"}) for name, trial in named)
+    return people
 
 
 def true_names(path: Path, markers: str | list[str] | None = None) -> Recording:

@@ -30,7 +30,7 @@ def walks() -> tuple[Recording, ...]:
 
 
 @cache
-def model() -> asterism.SolverEnsemble:
+def model() -> asterism.MarkerModel:
     """A model that has learned the first four."""
     return trained(list(walks()[:4]))
 

@@ -15,7 +15,7 @@ from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
 _CAMERAS = re.compile(r"asterism\.(?:cameras|calibration|detection|reconstruction|simulation\.(?:cameras|chain|session)|synchronization)\b")
-_LABELLING = re.compile(r"asterism\.(?:cli|labelling|motion|tracking)\b|SolverEnsemble|models import")
+_LABELLING = re.compile(r"asterism\.(?:cli|labelling|motion|tracking)\b|MarkerModel|models import")
 
 
 def place(path: Path) -> tuple[int, str]:

@@ -24,17 +24,22 @@ import asterism
 from asterism import labelling
 from asterism.labelling import CapturabilityRules, TrainingRules
 from asterism.labelling.partial.solver_search import SearchSettings
-from asterism.labelling.training.trials import Trial
+from asterism.labelling.training.trials import TrainingTrial
 
 BRIEF = TrainingRules(
-    trial_frames=8, folds=2, trials=(Trial(), Trial(0.2), Trial(0.2, 3)), time_trials=(Trial(0.2),), stretches=1, stretch_frames=30
+    trial_frames=8,
+    folds=2,
+    trials=(TrainingTrial(), TrainingTrial(0.2), TrainingTrial(0.2, 3)),
+    time_trials=(TrainingTrial(0.2),),
+    stretches=1,
+    stretch_frames=30,
 )
 """Training that tries its model on little, so that its confidence is low: for tests of what is learned, not of what is labelled."""
 
 SHORT = TrainingRules(
     folds=2,
     trial_frames=30,
-    trials=(Trial(), Trial(0.2), Trial(0.34), Trial(0.2, 3), Trial(0.2, clutter=3.0, spread=0.03)),
+    trials=(TrainingTrial(), TrainingTrial(0.2), TrainingTrial(0.34), TrainingTrial(0.2, 3), TrainingTrial(0.2, clutter=3.0, spread=0.03)),
     stretches=1,
     stretch_frames=100,
 )
@@ -63,10 +68,10 @@ _UNUSED = 30 * 86_400.0
 """Seconds after which a model that nobody took is removed."""
 
 
-def trained(recordings: Sequence[asterism.Recording], **settings: Any) -> asterism.SolverEnsemble:
-    """What `SolverEnsemble.fit(recordings, **settings)` gives, read back from a file; from the disk where the same sources have trained it.
+def trained(recordings: Sequence[asterism.Recording], **settings: Any) -> asterism.MarkerModel:
+    """What `MarkerModel.fit(recordings, **settings)` gives, read back from a file; from the disk where the same sources have trained it.
 
-    Training is `SHORT` by default. A test of training itself calls `SolverEnsemble.fit`.
+    Training is `SHORT` by default. A test of training itself calls `MarkerModel.fit`.
     """
     settings = {"training": SHORT, **settings}
     path = folder() / f"{_key(recordings, settings)}.model"
@@ -75,16 +80,16 @@ def trained(recordings: Sequence[asterism.Recording], **settings: Any) -> asteri
     else:
         with _locked(path.with_suffix(".lock")):
             if not path.exists():
-                _save(asterism.SolverEnsemble.fit(list(recordings), **settings), path)
-    return asterism.SolverEnsemble.load(path)
+                _save(asterism.MarkerModel.fit(list(recordings), **settings), path)
+    return asterism.MarkerModel.load(path)
 
 
 @contextmanager
 def training_with(rules: TrainingRules) -> Iterator[None]:
-    """Whoever calls `SolverEnsemble.fit` here, a command for example, trains with these rules."""
-    plain = asterism.SolverEnsemble.fit
+    """Whoever calls `MarkerModel.fit` here, a command for example, trains with these rules."""
+    plain = asterism.MarkerModel.fit
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(asterism.SolverEnsemble, "fit", lambda recordings, **given: plain(recordings, **{**given, "training": rules}))
+        patch.setattr(asterism.MarkerModel, "fit", lambda recordings, **given: plain(recordings, **{**given, "training": rules}))
         yield
 
 
@@ -114,7 +119,7 @@ def folder() -> Path:
     return place
 
 
-def _save(model: asterism.SolverEnsemble, path: Path) -> None:
+def _save(model: asterism.MarkerModel, path: Path) -> None:
     """Write under another name, then rename: nobody reads half a model."""
     part = path.with_suffix(f".{os.getpid()}")
     model.save(part)

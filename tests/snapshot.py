@@ -43,7 +43,8 @@ def output(lines: Sequence[str], folder: Path, capsys: pytest.CaptureFixture[str
         for line in lines:
             status = main(shlex.split(line))
             shown = capsys.readouterr()
-            errors = f"[standard error]\n{shown.err}" if shown.err else ""
+            said = re.sub(r"^\w+: \d+ %.*\n", "", shown.err, flags=re.MULTILINE)  # the progress, a line each minute
+            errors = f"[standard error]\n{said}" if said else ""
             written.append(f"$ asterism {line}\n{shown.out}{errors}[exit status {status}]\n")
     return stable("".join(f"{line.rstrip()}\n" for line in "\n".join(written).splitlines()), folder)
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from models import BRIEF, training_with
 
 import asterism
-from asterism import AsterismError, Recording, SolverEnsemble, formats
+from asterism import AsterismError, MarkerModel, Recording, formats
 from asterism.cli import main
 from asterism.labelling import audit, remove_errors
 from asterism.labelling.audit import AuditRules
@@ -361,7 +361,7 @@ def test_training_leaves_the_damage_out(folder, tmp_path, capsys):
     recordings = [asterism.read(file, markers="helen-hayes") for file in files(folder, True)]
     kept = remove_errors(recordings, audit(recordings))
     marker_set = asterism.MarkerSet.load("helen-hayes")
-    SolverEnsemble.fit(kept, miner=None, training=BRIEF, marker_set=marker_set).save(tmp_path / "b.model")
+    MarkerModel.fit(kept, miner=None, training=BRIEF, marker_set=marker_set).save(tmp_path / "b.model")
     assert (tmp_path / "a.model").read_bytes()[-500:] == (tmp_path / "b.model").read_bytes()[-500:]
 
 

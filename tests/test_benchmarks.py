@@ -17,9 +17,9 @@ from asterism.recording import NULL, Clouds, Labelling, Recording
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
-benchmark_data, chapters, figures, peer, score, script, tracking, ablation, dirt = (
+benchmark_data, chapters, figures, peer, score, script, ablation, dirt = (
     import_module(f"benchmarks.{name}")
-    for name in ("data", "chapters", "figures", "peer", "score", "script", "tracking", "recordings.ablation", "recordings.dirt")
+    for name in ("data", "chapters", "figures", "peer", "score", "script", "recordings.ablation", "recordings.dirt")
 )
 
 
@@ -127,30 +127,6 @@ def test_frames_in_reverse_are_the_recording_backwards_with_its_tracks() -> None
         np.testing.assert_array_equal(back[frame], clouds[59 - frame])
         there, here = (slice(c.offsets[f], c.offsets[f + 1]) for c, f in ((clouds, 59 - frame), (back, frame)))
         np.testing.assert_array_equal(back.tracks[here], clouds.tracks[there])
-
-
-def _crossing(frames: int = 100) -> Recording:
-    """Three markers 0.2 m apart at 2 m/s; the third passes closely under the second, at right angles."""
-    t = np.arange(frames) / 100.0
-    straight = np.stack([2 * t, 0 * t, 0 * t + 1], axis=1)
-    across = np.stack([2 * t, 2 * (t - 0.5) + 0.2, 0 * t + 0.95], axis=1)
-    return Recording(np.stack([straight, straight + np.array([0, 0.2, 0]), across], axis=1), ("a", "b", "c"), 100.0)
-
-
-def test_tracking_keeps_its_velocity_over_a_crossing_and_a_short_gap_but_loses_who_turns_in_a_long_one() -> None:
-    recording = _crossing()
-    clouds, truth = simulate_gaps_and_ghosts(recording, 0, 0, seed=0)
-    assert (tracking.follow(recording.positions[0], clouds, recording.labels).indices == truth).all()
-    gone = recording.positions.copy()
-    gone[30:40, 0] = np.nan
-    clouds, truth = simulate_gaps_and_ghosts(Recording(gone, recording.labels, 100.0), 0, 0, seed=0)
-    assert (tracking.follow(recording.positions[0], clouds, recording.labels).indices == truth).all()
-    turned = recording.positions.copy()
-    turned[60:, 0, 0] = turned[60, 0, 0] - 5 * (turned[60:, 0, 0] - turned[60, 0, 0])
-    turned[30:80, 0] = np.nan
-    clouds, truth = simulate_gaps_and_ghosts(Recording(turned, recording.labels, 100.0), 0, 0, seed=0)
-    indices = tracking.follow(recording.positions[0], clouds, recording.labels).indices
-    assert (indices[80:, 0] != truth[80:, 0]).all() and (indices[:, 1:] == truth[:, 1:]).all()
 
 
 def test_tracks_vote_and_the_loser_of_a_marker_stays_null() -> None:

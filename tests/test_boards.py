@@ -53,15 +53,15 @@ def waved(
     late: float = 0.0,
     *,
     board: Board = BOARD,
-    bend: float = 0.0,
-    stretched: float = 1.0,
+    misprint: tuple[float, float] = (0.0, 1.0),
 ) -> BoardViews:
     """A board that is held up in front of one camera after the other; a camera sees it from less than 60 degrees aside, in full.
 
     towards: only in front of this camera; late: the last camera sees the board where it will be so many frames later;
-    bend: how far the middle of the board stands out before its ends, m; stretched: how many times as wide as it should be it is.
+    misprint: how far the middle of the board stands out before its ends, m; how many times as wide as it should be it is.
     """
     random = np.random.default_rng(seed)
+    bend, stretched = misprint
     points = board.points - board.points.mean(axis=0)
     points[:, 0] *= stretched
     points[:, 2] = -bend * (1 - (points[:, 0] / points[:, 0].max()) ** 2)
@@ -281,14 +281,14 @@ def test_views_of_a_board_that_rests_are_not_many() -> None:
 @pytest.mark.parametrize(("bend", "doubted", "usable"), [(0.0, False, True), (0.002, True, True), (0.008, True, False)])
 @pytest.mark.parametrize("cameras", [1, 3])
 def test_a_board_that_bends_is_doubted(cameras: int, bend: float, doubted: bool, usable: bool) -> None:
-    made = calibrate_board(waved(ring(cameras), 60, seed=4, bend=bend))
+    made = calibrate_board(waved(ring(cameras), 60, seed=4, misprint=(bend, 1.0)))
     assert any("not flat" in doubt for doubt in sentences(made)) is doubted, made.bend
     assert made.usable is usable, f"{made.bend:.5f}, focal lengths {[camera.focal[0] for camera in made.rig]}"
 
 
 @pytest.mark.parametrize(("stretched", "doubted"), [(1.0, False), (1.015, True)])
 def test_a_board_printed_longer_than_it_should_be_is_doubted(stretched: float, doubted: bool) -> None:
-    made = calibrate_board(waved(ring(1), 60, seed=4, stretched=stretched))
+    made = calibrate_board(waved(ring(1), 60, seed=4, misprint=(0.0, stretched)))
     assert any("from square" in doubt for doubt in sentences(made)) is doubted
 
 

@@ -29,7 +29,7 @@ def walks() -> list[Recording]:
 
 
 @pytest.fixture(scope="module")
-def walker(walks: list[Recording]) -> asterism.SolverEnsemble:
+def walker(walks: list[Recording]) -> asterism.MarkerModel:
     return trained(walks[:5], miner=None, subjects=list("abcde"))
 
 
@@ -124,19 +124,23 @@ def test_a_body_is_followed_by_its_tracklets_whichever_is_found_better() -> None
 def test_two_people_for_one_model_are_said_and_never_mixed(walks, walker, away, hidden: int, ghosts: int) -> None:
     clouds, _ = simulate_gaps_and_ghosts(beside(walks[5], walks[6], away), hidden, ghosts, 3)
     with pytest.raises(SeveralBodies, match=r"two bodies with the model's 15 markers .* once for each"):
-        walker.label(clouds, time=True)
+        walker.label_one_body(clouds)
+    labelling = walker.label(clouds)
+    assert labelling.bodies == 2
+    assert "label-two-bodies" in [finding.code for finding in labelling.findings()]
+    assert labelling in label_together([walker, walker], clouds)
 
 
 @pytest.mark.parametrize(("hidden", "ghosts"), [(0, 0), (0, 15), (2, 30)])
 def test_one_person_among_ghosts_is_no_crowd(walks, walker, hidden: int, ghosts: int) -> None:
-    walker.label(simulate_gaps_and_ghosts(walks[5].frames(slice(60)), hidden, ghosts, 3)[0], time=True)
+    walker.label_one_body(simulate_gaps_and_ghosts(walks[5].frames(slice(60)), hidden, ghosts, 3)[0])
 
 
 def test_a_passer_by_of_a_moment_is_no_second_person(walks, walker) -> None:
     both = beside(walks[5], walks[6], (0.8, 0.3, 0.0))
     positions = both.positions.copy()
     positions[15:, 15:] = np.nan
-    labelling = walker.label(replace(both, positions=positions).clouds(), time=True)
+    labelling = walker.label_one_body(replace(both, positions=positions).clouds())
     assert (labelling.indices[30:] == np.arange(15)).mean() > 0.99
 
 
@@ -147,7 +151,7 @@ def test_one_person_with_more_markers_than_the_model_knows_is_one(data: Path) ->
         path = data / f"gait/{name}/{trial}.c3d"
         more = formats.read(path).frames(slice(60))
         assert len(more.labels) > 50
-        model.label(more.clouds(), time=True)  # not SeveralBodies
+        model.label_one_body(more.clouds())  # not SeveralBodies
 
 
 def test_joined_labellings_have_a_name_for_every_marker() -> None:

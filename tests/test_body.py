@@ -17,7 +17,7 @@ from asterism.labelling.body._workspace_kernels import FrameModel, make_body_wor
 from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors, with_intervals
 from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, length_scale, names_of, subsample
-from asterism.labelling.partial._search_kernels import search
+from asterism.labelling.features.search_kernels import search
 
 pytestmark = pytest.mark.kernels
 
@@ -63,7 +63,7 @@ def ready(points, outlier):
 
 
 def frame_model(model, anchors, settings=SETTINGS):
-    return FrameModel(anchors.solvers(), anchors.arrays(model), model.arrays(), settings)
+    return FrameModel(anchors.solvers(), anchors.arrays(model), model.arrays(), settings, np.empty((0, MARKERS), dtype=np.int64))
 
 
 # --- kernels and twins

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from models import trained
 
-from asterism.labelling import SolverEnsemble, TrainingRules
+from asterism.labelling import MarkerModel, TrainingRules
 from asterism.labelling.evaluation import expected_calibration_error
 from asterism.labelling.reliability import ConfidenceTally
 from asterism.labelling.simulated_occlusions import simulate_occlusions
@@ -170,11 +170,11 @@ def test_a_wrong_label_of_a_simulated_walk_is_said(tmp_path):
     tally = ConfidenceTally()
     for seed in range(3):
         clouds, truth = simulate_occlusions(walks[3], 3, 3, seed)
-        labelling = model.label(clouds)
+        labelling = model.label_frames(clouds)
         tally.add(labelling.confidence, labelling.indices >= 0, labelling.indices == truth)
     score = tally.score()
     assert score.constant_log_score > 0, "no label is wrong: nothing to say"
     assert score.beats_constant
     model.save(tmp_path / "a.model")
-    again = SolverEnsemble.load(tmp_path / "a.model").label(clouds)
+    again = MarkerModel.load(tmp_path / "a.model").label_frames(clouds)
     np.testing.assert_array_equal(again.confidence, labelling.confidence)

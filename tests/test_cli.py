@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 from models import SHORT, examining_briefly, training_with
 
-from asterism import SolverEnsemble, formats
+from asterism import MarkerModel, formats
 from asterism.cli import _console, main
+from asterism.cli.demo import DemoPart
 from asterism.recording import Recording
 from asterism.simulation import simulate_walks
 
@@ -126,7 +127,7 @@ def test_the_module_is_the_command(tmp_path: Path) -> None:
         (["lable"], "lable"),
         (["label", "a.c3d"], "--model"),
         (["info"], "FILES"),
-        (["train", "a.c3d", "-o", "m", "--miner", "sideways"], "sideways"),
+        (["train", "a.c3d", "-o", "m", "--partial-solvers", "sideways"], "sideways"),
         (["train", "a.c3d", "-o", "m", "--target-hit-rate", "99.9"], "--target-hit-rate 99.9"),
         (["train", "a.c3d", "-o", "m", "--features", "g2,g77"], "g77"),
         (["train", "a.c3d", "-o", "no/such/m"], "folder"),
@@ -224,7 +225,7 @@ def test_train_learns_a_marker_from_the_files_that_have_it(
     files = [folder / "walk-0.c3d", tmp_path / "kneeless.c3d"]
     assert run("train", *files, "-o", tmp_path / "m.model", "--markers", MARKERS) == 0
     assert "not all of the 2 files have each marker, which is learned from those that do: LKNE (in 1)." in capsys.readouterr().err
-    assert len(SolverEnsemble.load(tmp_path / "m.model").state.markers) == len(walks[0].labels)
+    assert len(MarkerModel.load(tmp_path / "m.model").state.markers) == len(walks[0].labels)
 
 
 def test_train_names_the_file_that_lacks_most_markers_and_a_marker_that_no_file_has(
@@ -366,7 +367,7 @@ def test_evaluate_a_model(folder: Path, model: Path, tmp_path: Path, capsys: pyt
     words = ("evaluate", "--model", model, folder / "walk-4.c3d", "--occlusions", "0", "2", "--ghosts", "0", "3")
     assert run(*words, "--json", tmp_path / "e.json", "--report", tmp_path / "e.html") == 0
     shown = capsys.readouterr().out
-    assert "FA" in shown and "FO" in shown and "RKNE" in shown
+    assert "Wrong labels, of those given" in shown and "Markers in view, of those without a label" in shown and "RKNE" in shown
     told = json.loads((tmp_path / "e.json").read_text())
     conditions = told["evaluation"]["conditions"]
     assert sorted((c["occlusions"], c["ghosts"]) for c in conditions) == [(0, 0), (0, 3), (2, 0), (2, 3)]
@@ -405,7 +406,11 @@ def test_capturability(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
 
 def besides_compiling(said: str) -> list[str]:
     """Lines on standard error; without the one that a run says whose kernels no earlier run has compiled."""
-    return [line for line in said.splitlines() if not line.startswith("Compiling numerical kernels; this happens once (about ")]
+    return [
+        line
+        for line in said.splitlines()
+        if not line.startswith("Compiling the numerical kernels of this command; this happens once (about ")
+    ]
 
 
 def test_piped_output_has_no_escape_codes_and_no_bar(folder: Path, model: Path, tmp_path: Path) -> None:
@@ -413,6 +418,14 @@ def test_piped_output_has_no_escape_codes_and_no_bar(folder: Path, model: Path, 
     assert shown.returncode == 0, shown.stderr
     assert "\x1b" not in shown.stdout + shown.stderr and besides_compiling(shown.stderr) == []
     assert shown.stdout.count("\n") == 1
+
+
+def test_the_help_of_the_demo_names_all_its_demos(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("demo", "--help") == 0
+    first, *rest = capsys.readouterr().out.splitlines()
+    for part in DemoPart:
+        if part is not DemoPart.LABELLING:
+            assert part in first and f"`asterism demo {part}`" in " ".join(" ".join(rest).split()), part
 
 
 def test_the_demo_labels_whole_recordings_as_label_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,8 +18,8 @@ from asterism.garment import Piece
 from asterism.garment.dense import DenseTrajectories
 from asterism.garment.rig_covariance import RigCovariance
 from asterism.simulation import compare_rigs
-from asterism.simulation.garment import PhotoSettings, Wearer, sheet_of, suit_masks
-from asterism.simulation.garment.target import photograph_target, wave_target
+from asterism.simulation.garment import PhotoSettings, Wearer, photograph, sheet_of, suit_masks
+from asterism.simulation.garment.target import wave_target
 
 POSES = 10
 
@@ -56,7 +56,7 @@ def target(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = wave_target(pattern, arm_rig(), POSES, reach=0.1, rng=np.random.default_rng(4))
     settings = PhotoSettings(clutter=2, noise=0.005, ambient=(0.6, 0.6, 0.6), samples=2)
     rng = np.random.default_rng(5)
-    images = [[photograph_target(scene, camera, t, settings, rng=rng).image for camera in arm_rig()] for t in range(POSES)]
+    images = [[photograph(scene, camera, float(t), settings, rng=rng).image for camera in arm_rig()] for t in range(POSES)]
     write_images(folder / "images", images)
     return folder
 

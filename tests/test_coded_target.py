@@ -16,8 +16,8 @@ from asterism.cameras import Rig
 from asterism.errors import AsterismError
 from asterism.garment.target import coded_target
 from asterism.simulation import compare_rigs
-from asterism.simulation.garment import PhotoSettings, Wearer, garment_rig, sheet_of, suit_masks
-from asterism.simulation.garment.target import photograph_target, wave_target
+from asterism.simulation.garment import PhotoSettings, Wearer, garment_rig, photograph, sheet_of, suit_masks
+from asterism.simulation.garment.target import wave_target
 
 NOISE = 0.03
 
@@ -93,7 +93,7 @@ def test_a_photographed_sheet_has_the_offset_too() -> None:
     place = camera.position + 0.9 * camera.rotation[2] - turns @ middle
     scene = replace(waved, rotations=turns[None], translations=place[None])
     settings = PhotoSettings(noise=0.0, blur=0.0, bleeding=1e-5, samples=6, clutter=0, lamps=(), ambient=(1.0, 1.0, 1.0), vignetting=0.0)
-    photo = photograph_target(scene, camera, 0, settings, rng=np.random.default_rng(0))
+    photo = photograph(scene, camera, 0.0, settings, rng=np.random.default_rng(0))
     cell = (photo.truth.cells == [3, 4]).all(axis=1)
     at = np.rint(photo.truth.centres[cell][0]).astype(int)
     half = 34

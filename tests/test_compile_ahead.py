@@ -54,7 +54,7 @@ def test_labelling_a_recording_as_a_whole_needs_nothing_more() -> None:
     walks = simulate_walks(subjects=5, frames=120, seed=4)
     ensemble = trained(walks[:4], miner=None)
     clouds, _ = simulate_gaps_and_ghosts(walks[4], 2, 1, seed=1)
-    ensemble.label(clouds, time=True)
+    ensemble.label(clouds)
     assert compiled() == ahead
 
 

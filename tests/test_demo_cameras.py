@@ -22,7 +22,7 @@ from asterism.simulation import pipeline, session, simulate_walks
 from asterism.simulation.cameras import ring_rig
 from asterism.simulation.comparison import compare_points, compare_rigs
 from asterism.simulation.pipeline import Criterion, PipelineResult
-from asterism.simulation.session import Session, simulate_session
+from asterism.simulation.session import SimulatedSession, simulate_session
 
 
 def test_a_rig_in_another_world_is_the_same_rig() -> None:
@@ -78,7 +78,7 @@ def test_the_demo_keeps_its_promises_and_says_when_it_does_not(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     outcomes: list[PipelineResult] = []
-    sessions: list[Session] = []
+    sessions: list[SimulatedSession] = []
     work, simulate = pipeline.run_pipeline, session.simulate_session
     monkeypatch.setattr(session, "simulate_session", lambda *given: sessions.append(simulate(*given)) or sessions[-1])
     monkeypatch.setattr(pipeline, "run_pipeline", lambda *given: outcomes.append(work(*given)) or outcomes[-1])
@@ -105,7 +105,7 @@ def test_the_demo_keeps_its_promises_and_says_when_it_does_not(
     assert compare_rigs(read_rig(folder / "my-rig.toml"), read_rig(folder / "rig.toml")).world[0] < 1e-6
     capsys.readouterr()
 
-    model = asterism.SolverEnsemble.load(folder / "walkers.model")
+    model = asterism.MarkerModel.load(folder / "walkers.model")
     monkeypatch.setattr(_demo_cameras, "train_on_walkers", lambda walks, seed: model)
     monkeypatch.setattr(session, "simulate_session", lambda *given: sessions[0])
     damaged = replace(outcomes[0], wrong=500)

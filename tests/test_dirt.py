@@ -21,9 +21,7 @@ from asterism.simulation import Clutter, add_clutter, displace_marker, simulate_
 from asterism.tracking.linking import Tracklets
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-accuracy, speed, walks_of, figures = (
-    import_module(f"benchmarks.{name}") for name in ("dirt.accuracy", "dirt.speed", "dirt.walks", "figures")
-)
+accuracy, walks_of, figures = (import_module(f"benchmarks.{name}") for name in ("dirt.accuracy", "dirt.walks", "figures"))
 
 ALLOWED = 0.001
 """Share of markers that the whole recording may lose, or label wrongly, against its frames."""
@@ -35,7 +33,7 @@ def walks() -> list[Recording]:
 
 
 @pytest.fixture(scope="module")
-def ensemble(walks: list[Recording]) -> asterism.SolverEnsemble:
+def ensemble(walks: list[Recording]) -> asterism.MarkerModel:
     return trained(walks[:4], miner=None, training=TrainingRules())
 
 
@@ -65,11 +63,11 @@ def rates(labelling: Labelling, truth: Ints) -> tuple[float, float]:
     ids=["flicker", "flicker near", "three frames", "riding", "volume", "reflections", "crossing"],
 )
 def test_the_whole_recording_is_never_worse_than_its_frames(
-    ensemble: asterism.SolverEnsemble, walks: list[Recording], clutter: Clutter, hidden: int, number_tracks: bool
+    ensemble: asterism.MarkerModel, walks: list[Recording], clutter: Clutter, hidden: int, number_tracks: bool
 ) -> None:
     clouds, truth = in_clutter(walks[4], clutter, hidden, 7, number_tracks)
-    right, wrong = rates(ensemble.label(clouds, time=True), truth)
-    own_right, own_wrong = rates(ensemble.label(clouds), truth)
+    right, wrong = rates(ensemble.label(clouds), truth)
+    own_right, own_wrong = rates(ensemble.label_frames(clouds), truth)
     assert right >= own_right - ALLOWED, f"{100 * right:.2f} % right, frame by frame {100 * own_right:.2f} %"
     assert wrong <= own_wrong + ALLOWED, f"{100 * wrong:.2f} % wrong, frame by frame {100 * own_wrong:.2f} %"
     assert right > 0.9, "neither finds the markers"
@@ -93,10 +91,10 @@ def test_ghosts_that_last_are_short_only_where_they_crowd_round_long_paths(marke
     assert long_points(clouds, Tracklets(of_point, first, last), 15, ShortTrackletRules()).sum() == 100 * long
 
 
-def test_an_oddly_worn_marker_costs_no_other_marker(ensemble: asterism.SolverEnsemble, walks: list[Recording]) -> None:
+def test_an_oddly_worn_marker_costs_no_other_marker(ensemble: asterism.MarkerModel, walks: list[Recording]) -> None:
     moved, name = displace_marker(walks[4], MarkerSet.load("helen-hayes"), (0.04, 0.04), seed=2)
     clouds, truth = simulate_gaps_and_ghosts(moved, 0, 0, seed=1)
-    labelling = ensemble.label(clouds, time=True)
+    labelling = ensemble.label(clouds)
     others = np.array(labelling.names) != name
     assert (labelling.indices == truth)[:, others].mean() > 0.99
     given_ = labelling.indices[:, ~others] != NULL
@@ -112,7 +110,7 @@ def test_an_oddly_worn_marker_costs_no_other_marker(ensemble: asterism.SolverEns
     seed=st.integers(0, 1000),
 )
 def test_the_order_of_the_points_plays_no_part_in_clutter(
-    ensemble: asterism.SolverEnsemble,
+    ensemble: asterism.MarkerModel,
     walks: list[Recording],
     per_frame: float,
     life: int | None,
@@ -125,7 +123,7 @@ def test_the_order_of_the_points_plays_no_part_in_clutter(
     order = np.lexsort((np.random.default_rng(seed).random(len(clouds.xyz)), clouds.frame_of))
     tracks = None if clouds.tracks is None else clouds.tracks[order]
     shuffled = replace(clouds, xyz=clouds.xyz[order], columns=clouds.columns[order], tracks=tracks)
-    one, other = ensemble.label(clouds, time=True), ensemble.label(shuffled, time=True)
+    one, other = ensemble.label(clouds), ensemble.label(shuffled)
     assert np.array_equal(one.positions(clouds), other.positions(shuffled), equal_nan=True)
     assert np.array_equal(one.confidence, other.confidence)
 
@@ -147,7 +145,7 @@ def test_the_same_clouds_in_every_run_and_a_person_wears_one_marker_oddly_in_all
     assert (one.walk.positions != walk.positions).any(axis=2).all(axis=0).sum() == 1
 
 
-def test_a_recording_that_is_refused_counts_as_unlabelled(ensemble: asterism.SolverEnsemble, walks: list[Recording]) -> None:
+def test_a_recording_that_is_refused_counts_as_unlabelled(ensemble: asterism.MarkerModel, walks: list[Recording]) -> None:
     class Refusing:
         marker_set = ensemble.marker_set
 
@@ -163,11 +161,3 @@ def test_what_is_asked_is_asked_of_conditions_that_are_measured() -> None:
     conditions = {**accuracy.FLICKER, **accuracy.VOLUME, **accuracy.RIDING}
     assert set(accuracy.ASKED) == set(conditions)
     assert all(figures.reached(asked, 0.5) is not None for pair in accuracy.ASKED.values() for asked in pair)
-
-
-def test_a_loop_of_a_recording_never_jumps() -> None:
-    walk = simulate_walks(subjects=1, frames=30, seed=1)[0]
-    looped = speed._looped(walk, 100)
-    assert len(looped) == 100
-    step = np.linalg.norm(np.diff(looped.positions, axis=0), axis=2)
-    assert step.max() <= np.linalg.norm(np.diff(walk.positions, axis=0), axis=2).max() + 1e-12 and (step.max(axis=1) > 0).all()

@@ -33,7 +33,7 @@ class Knower:
         self.spoil = spoil
         self.in_time = []
 
-    def label_counted(self, clouds, *, rules="whole-body", workers=1, progress=None):
+    def label_frames_with_cost(self, clouds, *, method="whole-body", workers=1, progress=None):
         indices = np.full((len(clouds), len(NAMES)), -1)
         for t, points in enumerate(clouds):
             for c, (x, y, z) in enumerate(points):
@@ -43,9 +43,9 @@ class Knower:
         self.spoil(indices, confidence, clouds)
         return Labelling(indices, confidence, NAMES), np.full(len(clouds), 7)
 
-    def label(self, clouds, *, time=False, rules="whole-body"):
-        self.in_time.append(time)
-        return self.label_counted(clouds, rules=rules)[0]
+    def label(self, clouds):
+        self.in_time.append(True)
+        return self.label_frames_with_cost(clouds)[0]
 
 
 def swap_and_forget(indices, confidence, clouds):
@@ -110,7 +110,7 @@ class Nobody:
 
     marker_set = MarkerSet(tuple("ABCDEF"))
 
-    def label_counted(self, clouds, *, rules="whole-body", workers=1, progress=None):
+    def label_frames_with_cost(self, clouds, *, method="whole-body", workers=1, progress=None):
         shape = (len(clouds), 6)
         return Labelling(np.full(shape, -1), np.zeros(shape), self.marker_set.names), np.zeros(len(clouds), dtype=np.int64)
 
@@ -149,7 +149,7 @@ def test_an_impossible_number_of_occlusions_is_refused(occlusions):
 
 
 def test_an_impossible_number_of_occlusions_is_refused_before_training(monkeypatch):
-    monkeypatch.setattr(room.SolverEnsemble, "fit", lambda *_, **__: pytest.fail("trained first"))
+    monkeypatch.setattr(room.MarkerModel, "fit", lambda *_, **__: pytest.fail("trained first"))
     with pytest.raises(AsterismError, match="cannot hide 5 of 4"):
         leave_one_subject_out([line(subject="Ann"), line(subject="Bob")], occlusions=[5])
 
@@ -171,9 +171,9 @@ def test_nobody_is_tested_by_a_model_that_saw_them(monkeypatch):
             super().__init__()
             self.on = on
 
-        def label_counted(self, clouds, **options):
+        def label_frames_with_cost(self, clouds, **options):
             tested.append((frozenset(self.on), len(clouds)))
-            return super().label_counted(clouds, **options)
+            return super().label_frames_with_cost(clouds, **options)
 
     options = []
 
@@ -182,7 +182,7 @@ def test_nobody_is_tested_by_a_model_that_saw_them(monkeypatch):
         options.append((rest, seed))
         return Trained({len(recording) for recording in given})
 
-    monkeypatch.setattr(room.SolverEnsemble, "fit", fit)
+    monkeypatch.setattr(room.MarkerModel, "fit", fit)
     evaluation = leave_one_subject_out(recordings, occlusions=[1], seed=5, target_hit_rate=0.99, miner=None)
     assert evaluation.subjects == ["Ann", "Bob", "Cid"]
     assert options == [({"target_hit_rate": 0.99, "miner": None}, 5)] * 3
@@ -203,7 +203,7 @@ def test_names_given_go_before_names_in_the_files(monkeypatch):
         trained.append(subjects)
         return Knower()
 
-    monkeypatch.setattr(room.SolverEnsemble, "fit", fit)
+    monkeypatch.setattr(room.MarkerModel, "fit", fit)
     leave_one_subject_out([line(), line(), line()], subjects=["x", "y", "x"], occlusions=[0])
     assert trained == [["y"], ["x", "x"]]
 

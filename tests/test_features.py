@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism import AsterismError
-from asterism.labelling.partial import _feature_kernels
-from asterism.labelling.partial._motion_kernels import G9, G10, G18, WIDTH
-from asterism.labelling.partial.features import FEATURES, TEMPORAL, describe, feature_pool, markers_read, needs_motion
+from asterism.labelling.features import feature_kernels
+from asterism.labelling.features.motion_kernels import G9, G10, G18, WIDTH
+from asterism.labelling.features.registry import FEATURES, TEMPORAL, describe, feature_pool, markers_read, needs_motion
 
 pytestmark = pytest.mark.kernels
 
@@ -24,7 +24,7 @@ four_points = st.lists(st.tuples(coordinates, coordinates, coordinates), min_siz
 
 def test_registry_is_in_the_kernels_order():
     assert [feature.name for feature in FEATURES] == [f"g{i}" for i in (*range(1, 9), 19, *range(10, 19), 9)]
-    kernels = _feature_kernels
+    kernels = feature_kernels
     assert (kernels.G1, kernels.G2, kernels.G19, kernels.LAST_INLINED, G10, G18, G9) == (0, 1, 8, 8, 9, 17, 18)
     assert tuple(f"g{i}" for i in range(10, 19)) == TEMPORAL
     assert [needs_motion(np.array([kind])) for kind in range(19)] == [False] * 9 + [True] * 9 + [False]
@@ -40,7 +40,7 @@ def test_kernel_equals_twin(kind, points, moving):
         points = np.concatenate([points, moving[:, 3:]], axis=1)
     expected = twins.feature(FEATURES[kind].name, list(points))
     # Near 0 and pi an angle is only as good as the root of the cosine's rounding.
-    assert _feature_kernels.feature_value(kind, points, 0, 1, 2, 3) == pytest.approx(expected, abs=1e-6)
+    assert feature_kernels.feature_value(kind, points, 0, 1, 2, 3) == pytest.approx(expected, abs=1e-6)
 
 
 def test_pool_of_the_thesis_has_665():
@@ -83,22 +83,22 @@ def test_many_markers_sample_four_point_features():
     assert all(len(set(row)) == 4 for row in slots[kinds == 2][:200].tolist())
 
 
-@pytest.mark.parametrize(("kind", "of_double_size"), [(_feature_kernels.G19, 4.0), (G9, 1.0)], ids=["g19", "g9"])
+@pytest.mark.parametrize(("kind", "of_double_size"), [(feature_kernels.G19, 4.0), (G9, 1.0)], ids=["g19", "g9"])
 def test_g9_and_g19_tell_a_body_from_its_mirror_image(kind, of_double_size):
     """Only g19 counts the size of the triangle."""
     points = np.array([[0.0, 0, 1], [1.0, 0, 1], [0.0, 1, 1]])
     mirrored = points * [-1, 1, 1]
-    assert _feature_kernels.feature_value(kind, points, 0, 1, 2, 0) == pytest.approx(1.0)
-    assert _feature_kernels.feature_value(kind, mirrored, 0, 1, 2, 0) == pytest.approx(-1.0)
-    assert _feature_kernels.feature_value(kind, 2.0 * points, 0, 1, 2, 0) == pytest.approx(of_double_size)
+    assert feature_kernels.feature_value(kind, points, 0, 1, 2, 0) == pytest.approx(1.0)
+    assert feature_kernels.feature_value(kind, mirrored, 0, 1, 2, 0) == pytest.approx(-1.0)
+    assert feature_kernels.feature_value(kind, 2.0 * points, 0, 1, 2, 0) == pytest.approx(of_double_size)
 
 
 @pytest.mark.parametrize("kind", range(len(FEATURES)), ids=[feature.name for feature in FEATURES])
 def test_missing_point_gives_nan_and_coincident_points_a_number(kind):
     points = np.random.default_rng(0).normal(size=(4, WIDTH))
     points[1] = np.nan
-    assert np.isnan(_feature_kernels.feature_value(kind, points, 0, 1, 2, 3))
-    assert np.isfinite(_feature_kernels.feature_value(kind, np.ones((4, WIDTH)), 0, 1, 2, 3))
+    assert np.isnan(feature_kernels.feature_value(kind, points, 0, 1, 2, 3))
+    assert np.isfinite(feature_kernels.feature_value(kind, np.ones((4, WIDTH)), 0, 1, 2, 3))
 
 
 def test_unknown_or_repeated_feature_is_refused():

@@ -14,9 +14,9 @@ from models import trained
 from asterism import formats
 from asterism.cli import _console, main
 from asterism.cli._folders import trials
-from asterism.cli._standing import StandingTrials, is_standing_name, stands
 from asterism.errors import AsterismError
 from asterism.recording import MarkerSet, Recording
+from asterism.session.standing import StandingTrials, is_standing_name, stands
 from asterism.simulation import simulate_standing, simulate_walks
 
 MARKERS = "helen-hayes"

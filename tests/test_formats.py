@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from asterism.errors import AsterismError
-from asterism.formats import Table, convert, describe, read, read_clouds, read_table, write, write_table
+from asterism.formats import TimeSeriesTable, convert, describe, read, read_clouds, read_table, write, write_table
 from asterism.formats._tables import _timed_rate
 from asterism.formats.csv_long import write_long
 from asterism.formats.csv_nexus import is_nexus
@@ -452,7 +452,7 @@ def test_vec3_sto_of_opensim_markers(tmp_path):
 @pytest.mark.parametrize("chain", [("mot", "sto"), ("mot", "csv"), ("sto", "csv", "mot"), ("csv", "sto")])
 def test_tables_survive_any_chain_of_formats(tmp_path, chain):
     rng = np.random.default_rng(3)
-    table = Table(("hip_flexion_r", "knee_angle_r"), rng.normal(0, 40, (7, 2)), np.arange(7) / 60.0, "Coordinates", True)
+    table = TimeSeriesTable(("hip_flexion_r", "knee_angle_r"), rng.normal(0, 40, (7, 2)), np.arange(7) / 60.0, "Coordinates", True)
     table.values[2, 1] = np.nan
     write_table(tmp_path / f"a.{chain[0]}", table)
     for before, after in itertools.pairwise(chain):
@@ -467,14 +467,15 @@ def test_tables_survive_any_chain_of_formats(tmp_path, chain):
 @pytest.mark.parametrize("suffix", ["mot", "sto", "csv"])
 @pytest.mark.parametrize("units", ["mm", ""])
 def test_a_table_keeps_its_unit_of_length_or_that_it_has_none(tmp_path, suffix, units):
-    write_table(tmp_path / f"a.{suffix}", Table(("a", "b"), np.ones((2, 2)), np.arange(2.0), units=units))
+    write_table(tmp_path / f"a.{suffix}", TimeSeriesTable(("a", "b"), np.ones((2, 2)), np.arange(2.0), units=units))
     assert read_table(tmp_path / f"a.{suffix}").units == units
     assert ("Units" in (tmp_path / f"a.{suffix}").read_text()) == (units != "")
 
 
 def test_joint_angles_are_no_markers_and_the_sentence_says_what_they_are(tmp_path):
     write_table(
-        tmp_path / "ik.mot", Table(("pelvis_tx", "pelvis_ty", "pelvis_tz", "hip_flexion_r"), np.zeros((3, 4)), np.arange(3.0), "", True)
+        tmp_path / "ik.mot",
+        TimeSeriesTable(("pelvis_tx", "pelvis_ty", "pelvis_tz", "hip_flexion_r"), np.zeros((3, 4)), np.arange(3.0), "", True),
     )
     with pytest.raises(AsterismError, match=r"ik\.mot holds joint angles.*pelvis_tx"):
         read(tmp_path / "ik.mot")
@@ -714,5 +715,5 @@ def test_clouds_and_tables_are_described(tmp_path):
     write(tmp_path / "clouds.npz", body().clouds())
     found = describe(tmp_path / "clouds.npz")
     assert (found["format"], found["frames"], found["points_per_frame"]["most"]) == ("NPZ clouds", 20, 8)
-    write_table(tmp_path / "one.sto", Table(("a",), np.zeros((1, 1)), np.zeros(1)))
+    write_table(tmp_path / "one.sto", TimeSeriesTable(("a",), np.zeros((1, 1)), np.zeros(1)))
     assert json.loads(json.dumps(describe(tmp_path / "one.sto"), allow_nan=False))["rate"] is None

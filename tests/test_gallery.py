@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from models import examining_briefly, trained
 
-from asterism.labelling import SolverEnsemble, TrainingRules
+from asterism.labelling import MarkerModel, TrainingRules
 from asterism.recording import Recording
 
 matplotlib = pytest.importorskip("matplotlib")
@@ -33,14 +33,14 @@ def script(name: str) -> ModuleType:
 @pytest.fixture(autouse=True)
 def trained_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Training is short, and kept for the next run."""
-    original = SolverEnsemble.__dict__["fit"]
+    original = MarkerModel.__dict__["fit"]
 
-    def fit(recordings: Sequence[Recording], **settings: Any) -> SolverEnsemble:
+    def fit(recordings: Sequence[Recording], **settings: Any) -> MarkerModel:
         with monkeypatch.context() as patched:
-            patched.setattr(SolverEnsemble, "fit", original)
+            patched.setattr(MarkerModel, "fit", original)
             return trained(recordings, miner=None, training=TrainingRules(folds=2, trial_frames=40), **settings)
 
-    monkeypatch.setattr(SolverEnsemble, "fit", fit)
+    monkeypatch.setattr(MarkerModel, "fit", fit)
 
 
 @pytest.fixture

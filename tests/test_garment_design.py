@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from asterism.errors import AsterismError
 from asterism.garment import DesignRules, count_identities, design_pattern, tapered
 from asterism.garment import _design_kernels as kernels
-from asterism.garment.design import _count, _fill, _Sheet, fill_pattern, least_difference, smallest_rings, too_like
+from asterism.garment.design import _count, _DesignArrays, _fill, fill_pattern, least_difference, smallest_rings, too_like
 from asterism.garment.identities import count_rings, grid_identities
 from asterism.garment.pattern import Piece
 
@@ -142,7 +142,7 @@ def test_contexts_equal_their_twin() -> None:
 
 
 def test_free_contexts_are_back_where_they_were_after_undoing() -> None:
-    sheet = _Sheet(np.ones((12, 12), bool), 2, DesignRules())
+    sheet = _DesignArrays(np.ones((12, 12), bool), 2, DesignRules())
     flat, missing = _fill(sheet, DesignRules(raster_steps=3000), np.random.default_rng(0), None)
     assert missing == (flat[sheet.order] < 0).sum() > 0
     grid = sheet.unpadded(flat)
@@ -152,7 +152,7 @@ def test_free_contexts_are_back_where_they_were_after_undoing() -> None:
 
 def test_recolouring_counts_conflicts_as_its_twin_does() -> None:
     rng = np.random.default_rng(1)
-    sheet = _Sheet(np.ones((9, 9), bool), 2, DesignRules())
+    sheet = _DesignArrays(np.ones((9, 9), bool), 2, DesignRules())
     flat = np.full(len(sheet.is_cell), -1, np.int64)
     flat[sheet.order] = rng.integers(0, 2, 81)
     counted = _count(sheet, flat)

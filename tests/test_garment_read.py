@@ -17,7 +17,7 @@ from asterism.garment.read.circles import Circles
 from asterism.garment.read.findings import chance_share
 from asterism.garment.read.identify import identify
 from asterism.simulation.garment import Photo
-from benchmarks.garment.warps import warped
+from tests.garment_warps import warped
 
 
 def judged(read: ReadCircles, photo: Photo, diameter: float = 6.0) -> tuple[int, int, float]:

@@ -21,7 +21,7 @@ from asterism.files import atomic
 from asterism.files.atomic import write_atomically
 from asterism.files.text import cell_text, name_of_cell
 from asterism.formats import read_blobs, read_table, write_blobs, write_table
-from asterism.formats.storage import Table
+from asterism.formats.storage import TimeSeriesTable
 from asterism.recording import Blobs, Recording
 from asterism.report.page import Page, Section, write_page
 
@@ -98,7 +98,7 @@ def test_labels_that_are_formulas_are_no_formulas_in_a_spreadsheet_and_come_back
 def test_formulas_stay_what_they_are_in_other_formats_and_in_tables(tmp_path: Path) -> None:
     asterism.write(tmp_path / "walk.c3d", _walk())
     assert asterism.read(tmp_path / "walk.c3d").labels == LABELS
-    table = Table(("=hip", "knee"), np.ones((3, 2)), np.arange(3) / 10)
+    table = TimeSeriesTable(("=hip", "knee"), np.ones((3, 2)), np.arange(3) / 10)
     for suffix, spelled in (("csv", "'=hip"), ("sto", "\t=hip")):
         write_table(tmp_path / f"angles.{suffix}", table)
         assert spelled in (tmp_path / f"angles.{suffix}").read_text()

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import asterism
 
 CALLEE = """
@@ -69,6 +71,7 @@ def test_a_changed_callee_is_seen(tmp_path):
     assert not before & after, "what was compiled from the old sources is removed"
 
 
+@pytest.mark.slow
 def test_numbas_own_cache_does_not_see_it(tmp_path):
     write_package(tmp_path, 2.0, "@njit(cache=True)")
     assert run(tmp_path) == ["12.0"]
@@ -76,6 +79,7 @@ def test_numbas_own_cache_does_not_see_it(tmp_path):
     assert run(tmp_path) == ["12.0"], "stale: this is what our cache is for"
 
 
+@pytest.mark.slow
 def test_equal_sources_in_another_folder_share_a_cache(tmp_path):
     kernels = str(tmp_path / "kernels")
     write_package(tmp_path / "one", 2.0)
@@ -86,6 +90,7 @@ def test_equal_sources_in_another_folder_share_a_cache(tmp_path):
     assert run(tmp_path / "three", NUMBA_CACHE_DIR=kernels) == ["compiles True", "18.0"]
 
 
+@pytest.mark.slow
 def test_damaged_files_compile_again(tmp_path):
     write_package(tmp_path, 2.0)
     run(tmp_path)
@@ -108,6 +113,7 @@ def unwritable(folder: Path) -> dict[str, str]:
     return {"HOME": str(folder / "home"), "XDG_CACHE_HOME": str(folder / "home"), "LOCALAPPDATA": str(folder / "home")}
 
 
+@pytest.mark.slow
 def test_the_users_cache_where_the_package_is_read_only(tmp_path):
     write_package(tmp_path, 2.0)
     home = unwritable(tmp_path)
@@ -118,6 +124,7 @@ def test_the_users_cache_where_the_package_is_read_only(tmp_path):
     assert run(tmp_path, **home) == ["12.0"]
 
 
+@pytest.mark.slow
 def test_a_temporary_cache_where_nothing_else_can_be_written(tmp_path):
     write_package(tmp_path, 2.0)
     (tmp_path / "tmp").mkdir()
@@ -125,3 +132,30 @@ def test_a_temporary_cache_where_nothing_else_can_be_written(tmp_path):
     assert run(tmp_path, **nowhere) == ["compiles False", "12.0"]
     assert run(tmp_path, **nowhere) == ["compiles False", "12.0"], "every run compiles again, and says so"
     assert not list((tmp_path / "tmp").iterdir()), "the temporary folder goes with its run"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such locks: there both compile")
+@pytest.mark.parametrize("comes", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_what_another_process_compiles_is_waited_for(comes: bool, tmp_path: Path) -> None:
+    """If it never comes, because the other process was killed, it is compiled after all."""
+    import fcntl
+
+    write_package(tmp_path, 2.0)
+    run(tmp_path)
+    _, outer = sorted((tmp_path / "tiny" / "__pycache__").glob("*.nbc"))
+    aside = outer.rename(tmp_path / "aside")
+    source = str(Path(asterism.__file__).parents[1])
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+    kept["PYTHONPATH"] = os.pathsep.join([str(tmp_path), source])
+    code = MAIN.replace("kept))", "kept, flush=True))") + "print(sum(total.stats.cache_hits.values()))"
+    with (outer.parent / f"{outer.name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        process = subprocess.Popen([sys.executable, "-c", code], env=kept, stdout=subprocess.PIPE, text=True)
+        assert process.stdout is not None
+        with process.stdout:
+            assert process.stdout.readline() == "compiles True\n"
+            if comes:
+                aside.rename(outer)
+            lock.close()
+            assert process.stdout.read().split() == ["12.0", str(int(comes))]
+    assert process.wait() == 0 and outer.exists()

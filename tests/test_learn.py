@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from models import BRIEF, trained
 
-from asterism import AsterismError, MarkerSet, Recording, SolverEnsemble, formats
+from asterism import AsterismError, MarkerModel, MarkerSet, Recording, formats
 from asterism.cli import main
 from asterism.geometry import rotate_z_up
 from asterism.labelling.body._score_kernels import best_pose
 from asterism.labelling.body._workspace_kernels import make_body_workspace
-from asterism.labelling.partial._feature_kernels import G2, G4
+from asterism.labelling.features.feature_kernels import G2, G4
 from asterism.labelling.partial.solver import unpack_solvers
 from asterism.labelling.partial.weak import StrongClassifier
 from asterism.labelling.training.learning import TrainingConfig, TrainingRules, TrainingState, _some_stretches
@@ -70,10 +70,10 @@ def test_learning_in_any_order_is_training_on_all(first, whole, walks, tmp_path)
 
 def test_a_model_read_back_learns_the_same(first, whole, walks, tmp_path):
     first.save(tmp_path / "first.model")
-    again = SolverEnsemble.load(tmp_path / "first.model")
+    again = MarkerModel.load(tmp_path / "first.model")
     learned = again.learn(walks[3:5], subjects=PEOPLE[3:5])
     assert content(learned, tmp_path) == content(whole, tmp_path)
-    assert content(SolverEnsemble.load(tmp_path / "some.model"), tmp_path, "other.model") == content(whole, tmp_path)
+    assert content(MarkerModel.load(tmp_path / "some.model"), tmp_path, "other.model") == content(whole, tmp_path)
 
 
 def test_a_recording_given_twice_counts_once(first, walks, tmp_path):
@@ -95,7 +95,7 @@ def test_corrections_teach(walks):
     one = trained(walks[:1], **QUICK)
     clouds, truth = simulate_occlusions(walks[5], 3, 0, seed=1)
     learned = one.learn(walks[1:5], subjects=PEOPLE[1:5])
-    before, after = rates(one.label(clouds), truth), rates(learned.label(clouds), truth)
+    before, after = rates(one.label_frames(clouds), truth), rates(learned.label_frames(clouds), truth)
     assert after[0] > before[0] + 0.02, f"{before[0]:.1%} right before, {after[0]:.1%} after"
     assert after[0] > 0.9 and after[1] < 0.01
 
@@ -108,7 +108,7 @@ def test_a_corrected_recording_may_lack_markers_and_wear_its_own_order(first, wa
     assert learned.marker_set == first.marker_set
     assert learned.about["subjects"] == list(PEOPLE[:4])
     clouds, truth = simulate_occlusions(walks[5], 0, 0)
-    right, wrong = rates(learned.label(clouds), truth)
+    right, wrong = rates(learned.label_frames(clouds), truth)
     assert right > 0.9 and wrong < 0.01
 
 
@@ -116,25 +116,26 @@ def test_a_marker_that_only_the_new_person_wears_is_learned(walks):
     """Nobody else shows it, so the trial without that person must do without it, too."""
     bare = [walk.select(walk.labels[:-1]) for walk in walks[:3]]
     marker_set = MarkerSet(walks[0].labels)
-    model = SolverEnsemble.fit(bare, subjects=PEOPLE[:3], marker_set=marker_set, **QUICK)
+    model = MarkerModel.fit(bare, subjects=PEOPLE[:3], marker_set=marker_set, **QUICK)
     clouds, truth = simulate_occlusions(walks[3], 0, 0)
-    assert (model.label(clouds).indices[:, -1] == -1).all()
+    assert (model.label_frames(clouds).indices[:, -1] == -1).all()
     learned = model.learn([walks[3]], subjects=["Dee"])
-    assert (learned.label(clouds).indices[:, -1] == truth[:, -1]).mean() > 0.9
+    assert (learned.label_frames(clouds).indices[:, -1] == truth[:, -1]).mean() > 0.9
 
 
 def test_partial_solvers_stay_unless_searched_again(walks, tmp_path):
     """With four markers, the search is quick."""
     rules = {"miner": "genetic", "training": replace(QUICK["training"], frames_per_person=20)}
     few = [walk.select(walk.labels[:4]) for walk in walks]
-    model = SolverEnsemble.fit(few[:2], subjects=PEOPLE[:2], **rules)
+    model = MarkerModel.fit(few[:2], subjects=PEOPLE[:2], **rules)
     learned = model.learn([few[2]], subjects=["Cem"])
     assert (learned.about["partial_solvers_from"], learned.about["recordings"]) == (2, 3)
     clouds = few[3].clouds()
-    np.testing.assert_array_equal(learned.label(clouds, rules="thesis").indices, model.label(clouds, rules="thesis").indices)
+    before, after = (one.label_frames(clouds, method="thesis") for one in (model, learned))
+    np.testing.assert_array_equal(after.indices, before.indices)
     again = model.learn([few[2]], subjects=["Cem"], search_again=True)
     assert again.about["partial_solvers_from"] == 3
-    assert content(again, tmp_path) == content(SolverEnsemble.fit(few[:3], subjects=PEOPLE[:3], **rules), tmp_path)
+    assert content(again, tmp_path) == content(MarkerModel.fit(few[:3], subjects=PEOPLE[:3], **rules), tmp_path)
 
 
 def test_each_rules_solvers_and_each_markers_target_reach_the_model(walks, tmp_path):
@@ -142,9 +143,9 @@ def test_each_rules_solvers_and_each_markers_target_reach_the_model(walks, tmp_p
     few = [walk.select(walk.labels[:4]) for walk in walks[:2]]
     first, others = few[0].labels[0], few[0].labels[1:]
     rules = replace(QUICK["training"], frames_per_person=20, marker_targets={first: 0.75})
-    model = SolverEnsemble.fit(few, subjects=PEOPLE[:2], miner="genetic", training=rules, target_hit_rate=0.9)
+    model = MarkerModel.fit(few, subjects=PEOPLE[:2], miner="genetic", training=rules, target_hit_rate=0.9)
     model.save(tmp_path / "four.model")
-    again = SolverEnsemble.load(tmp_path / "four.model")
+    again = MarkerModel.load(tmp_path / "four.model")
     assert set(again.state.solvers) == {"partial-solvers", "thesis"}
     frames = np.concatenate([rotate_z_up(walk.positions, walk.vertical) for walk in few])
     for name, solvers in again.state.solvers.items():
@@ -160,7 +161,7 @@ def test_each_rules_solvers_and_each_markers_target_reach_the_model(walks, tmp_p
     assert shared
     assert all(widths["thesis"][key] < widths["partial-solvers"][key] for key in shared)
     with pytest.raises(AsterismError, match="LNOSE"):
-        SolverEnsemble.fit(few, subjects=PEOPLE[:2], miner="genetic", training=replace(rules, marker_targets={"LNOSE": 0.9}))
+        MarkerModel.fit(few, subjects=PEOPLE[:2], miner="genetic", training=replace(rules, marker_targets={"LNOSE": 0.9}))
 
 
 def solver_accepts(solver, frames):
@@ -182,7 +183,7 @@ def interval_widths(arrays):
 
 
 def test_solvers_that_were_never_searched_cannot_be_searched_again(first, walks):
-    with pytest.raises(AsterismError, match="without partial solvers; train it again with --miner bottom-up"):
+    with pytest.raises(AsterismError, match="without partial solvers; train it again with --partial-solvers bottom-up"):
         first.learn([walks[3]], search_again=True)
 
 
@@ -202,9 +203,9 @@ def test_a_model_of_an_earlier_asterism_labels_but_does_not_learn(first, walks, 
     head = arrays["head"].tobytes().replace(b'"version": 2', b'"version": 1')
     with (tmp_path / "old.model").open("wb") as file:
         np.savez_compressed(file, **{**arrays, "head": np.frombuffer(head, dtype=np.uint8)})
-    old = SolverEnsemble.load(tmp_path / "old.model")
+    old = MarkerModel.load(tmp_path / "old.model")
     clouds = walks[4].clouds()
-    np.testing.assert_array_equal(old.label(clouds).indices, first.label(clouds).indices)
+    np.testing.assert_array_equal(old.label_frames(clouds).indices, first.label_frames(clouds).indices)
     with pytest.raises(AsterismError, match="earlier Asterism and keeps nothing to learn on from; train it again"):
         old.learn([walks[3]])
 
@@ -368,10 +369,10 @@ def test_real_people_are_learned_without_the_old_files(data, tmp_path):
         ]
 
     names = ("HC002", "HC031", "HC033")
-    model = SolverEnsemble.fit([r for n in names for r in trials(n)], subjects=[n for n in names for _ in range(2)], **QUICK)
+    model = MarkerModel.fit([r for n in names for r in trials(n)], subjects=[n for n in names for _ in range(2)], **QUICK)
     learned = model.learn([*trials("HC039"), *trials("HC044")], subjects=["HC039"] * 2 + ["HC044"] * 2)
     clouds, truth = simulate_occlusions(trials("HC050")[1], 3, 0, seed=2)
-    before, after = rates(model.label(clouds), truth), rates(learned.label(clouds), truth)
+    before, after = rates(model.label_frames(clouds), truth), rates(learned.label_frames(clouds), truth)
     assert after[0] >= before[0] - 0.01 and after[0] > 0.9, f"{before[0]:.1%} right before, {after[0]:.1%} after"
     assert len(content(learned, tmp_path)) < 1_000_000
 
@@ -398,7 +399,7 @@ def test_the_command_learns_and_may_replace_its_own_model(folder, tmp_path, caps
     assert own.read_bytes() == (folder / "first.model").read_bytes()
     assert main([*map(str, words), "--overwrite"]) == 0
     assert "5 recordings of 4 subjects" in capsys.readouterr().out
-    assert SolverEnsemble.load(own).about["subjects"] == ["Ann", "Ben", "Cem", "Dee"]
+    assert MarkerModel.load(own).about["subjects"] == ["Ann", "Ben", "Cem", "Dee"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["own.model"]
     assert main([*map(str, [*words, "--overwrite", "--json", "-"])]) == 0
     told = json.loads(capsys.readouterr().out)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from learner_exam import Learner, check_learner
 
-from asterism import Recording, SolverEnsemble
+from asterism import MarkerModel, Recording
 from asterism.labelling import FullSolver, FullSolverRules, TrainingRules
 from asterism.labelling.body.model import BodyRules, fit_body
 from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
@@ -23,9 +23,10 @@ QUICK = TrainingRules(folds=2, trial_frames=8)
 SEARCH = SearchSettings(20, 40, 60, 60, 2, 8, 4, 6)
 
 
-def labels(model: SolverEnsemble | FullSolver, recording: Recording, **options: object) -> tuple[np.ndarray, np.ndarray]:
+def labels(model: MarkerModel | FullSolver, recording: Recording, in_time: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """Indices and confidence of a recording's points, without their labels."""
-    labelling = model.label(recording.clouds(), **options)
+    by_frames = isinstance(model, MarkerModel) and not in_time
+    labelling = (model.label_frames if by_frames else model.label)(recording.clouds())
     return labelling.indices, labelling.confidence
 
 
@@ -55,21 +56,21 @@ def load_solvers(path: Path) -> PartialSolvers:
 
 LEARNERS = [
     Learner(
-        "SolverEnsemble",
-        SolverEnsemble,
-        partial(SolverEnsemble.fit, training=QUICK),
+        "MarkerModel",
+        MarkerModel,
+        partial(MarkerModel.fit, training=QUICK),
         labels,
-        save=SolverEnsemble.save,
-        load=SolverEnsemble.load,
+        save=MarkerModel.save,
+        load=MarkerModel.load,
     ),
     Learner(
-        "SolverEnsemble in time",
-        SolverEnsemble,
-        partial(SolverEnsemble.fit, training=QUICK),
-        partial(labels, time=True),
+        "MarkerModel in time",
+        MarkerModel,
+        partial(MarkerModel.fit, training=QUICK),
+        partial(labels, in_time=True),
         frames=False,
-        save=SolverEnsemble.save,
-        load=SolverEnsemble.load,
+        save=MarkerModel.save,
+        load=MarkerModel.load,
     ),
     Learner("FullSolver", FullSolver, partial(FullSolver.fit, rules=FullSolverRules(weak_classifiers=12)), labels),
     Learner("PartialSolvers", PartialSolvers, searched, voted, save=save_solvers, load=load_solvers),

@@ -19,19 +19,17 @@ import numpy as np
 import pytest
 
 import asterism
-from asterism.cli import _labelling, main
-from asterism.cli._long import label_long_file
-from asterism.cli._standing import StandingTrials
+from asterism.cli import main
 from asterism.files import atomic
-from asterism.formats.c3d import _long
 from asterism.formats.c3d._edit import integers_record, strings_record
 from asterism.formats.c3d._file import C3DFile, open_c3d
 from asterism.formats.c3d._long import LongRecording, read_long
 from asterism.formats.c3d._numbers import PC
 from asterism.formats.c3d._parameters import make_group
-from asterism.labelling import review, stretches
+from asterism.labelling import recording_labeller, review, stretches
 from asterism.recording import NULL, Clouds, Event, Labelling, MarkerSet, Recording
 from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, Verdict
+from asterism.session import label_file, sources
 
 FRAMES, POINTS = 300, 4
 BLOCK = 512
@@ -168,7 +166,7 @@ class ByColumn:
     about: dict[str, Any] | None = None
     labelled: int = 0
 
-    def label(self, clouds: Clouds, **_: object) -> Labelling:
+    def label_one_body(self, clouds: Clouds, *_: object, **__: object) -> Labelling:
         shape = (len(clouds), len(self.marker_set))
         indices, confidence = np.full(shape, NULL), np.zeros(shape)
         place = np.arange(len(clouds.xyz)) - clouds.offsets[clouds.frame_of]
@@ -179,6 +177,9 @@ class ByColumn:
         verdict = self.verdicts[min(self.labelled, len(self.verdicts) - 1)]
         self.labelled += len(clouds) > 1
         return Labelling(indices, confidence, self.marker_set.names, verdict=verdict)
+
+    def label(self, clouds: Clouds, **_: object) -> Labelling:
+        return stretches.label_long(self.label_one_body, self.marker_set.names, clouds)
 
 
 def moving(frames: int = LONG, points: int = 5) -> Recording:
@@ -192,7 +193,7 @@ def moving(frames: int = LONG, points: int = 5) -> Recording:
 
 @pytest.fixture
 def in_short_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stretches, "StretchRules", partial(stretches.StretchRules, whole=100, points=1700, overlap=0.5))
+    monkeypatch.setattr(recording_labeller, "StretchRules", partial(stretches.StretchRules, whole=100, points=1700, overlap=0.5))
 
 
 @dataclass
@@ -225,8 +226,8 @@ class Labels:
             return long
 
         with self.monkeypatch.context() as patch:
-            patch.setattr(_labelling, "_loaded", lambda models: ([replace(model)], ["any"]))
-            patch.setattr(_long, "read_long", read)
+            patch.setattr(asterism.MarkerModel, "load", lambda path: replace(model))
+            patch.setattr(sources, "read_long", read)
             given = ["label", str(source), "--model", str(self.folder / "any.model"), "-o", str(folder), "--json", str(report), *options]
             status = main([*given, "--overwrite"])
         self.was_long = any(long_ones)
@@ -339,9 +340,8 @@ def test_what_should_be_checked_of_a_long_file_is_in_its_frames(tmp_path: Path) 
     asterism.write(path, replace(recording, positions=positions))
     model: Any = ByColumn(MarkerSet(MARKERS))
     clouds = asterism.read(path, vertical="z").clouds()
-    expected = review(model.label(clouds), clouds)
-    labeller = _labelling.Labeller([model], ["any"], StandingTrials([path], (), False, None))
-    found, _ = label_long_file(labeller, path, long_of(path), stretches.StretchRules())
+    expected = review(model.label_one_body(clouds), clouds)
+    found = label_file(path, model)
     pieces = {(item.first_frame, item.last_frame): item for item in found.items}
     assert list(pieces) == [(item.first_frame, item.last_frame) for item in expected]
     assert all(first <= item.frame <= last for (first, last), item in pieces.items())
@@ -396,7 +396,7 @@ def test_a_long_file_that_cannot_be_written_leaves_the_old_one(
 
 def only_the_content(where: str, content: dict[str, Any]) -> None:
     """Write a report past what the test makes fail."""
-    from asterism.cli._console import as_json
+    from asterism.files.plain import as_json
 
     Path(where).write_text(json.dumps(as_json(content)))
 
@@ -444,7 +444,7 @@ def test_a_long_file_may_be_replaced_by_its_labelled_copy(labels: Labels, tmp_pa
 
 
 def test_more_frames_than_a_header_counts_are_all_labelled(labels: Labels, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stretches, "StretchRules", partial(stretches.StretchRules, whole=100, points=150_000, overlap=0.5))
+    monkeypatch.setattr(recording_labeller, "StretchRules", partial(stretches.StretchRules, whole=100, points=150_000, overlap=0.5))
     monkeypatch.setattr("asterism.formats.c3d._file._FRAMES_AT_ONCE", 20_000)
     recording = replace(moving(66_000, 4), first_frame=10)
     asterism.write(tmp_path / "walk.c3d", recording)

@@ -15,8 +15,9 @@ import asterism
 from asterism.cli import main
 from asterism.formats.c3d import _long
 from asterism.formats.c3d._file import C3DFile
-from asterism.labelling import stretches
+from asterism.labelling import recording_labeller, stretches
 from asterism.recording import Event, Floats, Recording
+from asterism.session import sources
 from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
 
 FRAMES = 1500
@@ -42,7 +43,7 @@ def walk() -> Recording:
 def short_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything is long, divided into stretches of some 600 frames, and converted by fewer frames than any file here has."""
     monkeypatch.setattr("asterism.formats.c3d._file._FRAMES_AT_ONCE", 130)
-    monkeypatch.setattr(stretches, "StretchRules", partial(stretches.StretchRules, whole=100, points=9000, overlap=1.0))
+    monkeypatch.setattr(recording_labeller, "StretchRules", partial(stretches.StretchRules, whole=100, points=9000, overlap=1.0))
 
 
 def label(model: Path, source: Path, folder: Path, *options: str) -> tuple[bytes, dict[str, object]]:
@@ -94,7 +95,7 @@ def test_a_file_written_by_ranges_is_the_file_written_whole(
     asterism.write(source, recorded(walk))
     by_ranges, row = label(model, source, tmp_path / "ranges", *options)
     again, _ = label(model, source, tmp_path / "again", *options)
-    monkeypatch.setattr(_long, "read_long", lambda *_: None)
+    monkeypatch.setattr(sources, "read_long", lambda *_: None)
     whole, row_of_whole = label(model, source, tmp_path / "whole", *options)
     assert by_ranges == whole
     assert by_ranges == again
@@ -110,7 +111,7 @@ def test_a_standing_trial_counts_as_for_a_short_file(
     asterism.write(source, anonymous(walk))
     asterism.write(static, simulate_walks(3, 300, seed=5)[person].frames(slice(0, 100)))
     by_ranges, row = label(model, source, tmp_path / "ranges", "--subject", str(static))
-    monkeypatch.setattr(_long, "read_long", lambda *_: None)
+    monkeypatch.setattr(sources, "read_long", lambda *_: None)
     whole, row_of_whole = label(model, source, tmp_path / "whole", "--subject", str(static))
     assert row["subject"] == row_of_whole["subject"] == (str(static) if person == 0 else None)
     assert by_ranges == whole
@@ -128,7 +129,7 @@ def test_two_people_in_a_long_file_are_told_as_in_a_short_one(
     nameless = tuple(f"*{number + 1}" for number in range(positions.shape[1]))
     asterism.write(source, Recording(positions, nameless, 100.0, walk.vertical))
     by_ranges, row = label(model, source, tmp_path / "ranges")
-    monkeypatch.setattr(_long, "read_long", lambda *_: None)
+    monkeypatch.setattr(sources, "read_long", lambda *_: None)
     whole, row_of_whole = label(model, source, tmp_path / "whole")
     assert "label-two-bodies" in json.dumps(row["findings"])
     assert by_ranges == whole
@@ -162,7 +163,7 @@ def test_analog_samples_events_and_parameters_stay(
     """A real file with plates, labelled by a model of other markers: what is no point comes out as it went in."""
     source = next((data / "gait-events/plates/NP1003").glob("*.c3d"))
     by_ranges, _ = label(model, source, tmp_path / "ranges", "--no-static")
-    monkeypatch.setattr(_long, "read_long", lambda *_: None)
+    monkeypatch.setattr(sources, "read_long", lambda *_: None)
     whole, _ = label(model, source, tmp_path / "whole", "--no-static")
     assert by_ranges == whole
     before, after = asterism.read(source), asterism.read(tmp_path / "ranges" / source.name)

@@ -10,7 +10,7 @@ import twins
 from test_weak import bodies
 
 from asterism import AsterismError, Clouds, Recording
-from asterism.labelling.partial._search_kernels import search
+from asterism.labelling.features.search_kernels import search
 from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix, no_classifiers
 from asterism.labelling.partial.solver import pack_solvers
 from asterism.labelling.partial.solver_search import SearchSettings, SolverSearch

@@ -10,14 +10,14 @@ import twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from asterism import AsterismError, Clouds, Recording, SolverEnsemble
-from asterism.labelling.ensemble import TrainingRules
-from asterism.labelling.partial._feature_kernels import feature_value
-from asterism.labelling.partial._motion_kernels import WIDTH
-from asterism.labelling.partial._search_kernels import search
-from asterism.labelling.partial.features import FEATURES, TEMPORAL, feature_pool, kinds_of, needs_motion
+from asterism import AsterismError, Clouds, MarkerModel, Recording
+from asterism.labelling.features.feature_kernels import feature_value
+from asterism.labelling.features.motion_kernels import WIDTH
+from asterism.labelling.features.motion_points import frames_with_motion, motion_of_points
+from asterism.labelling.features.registry import FEATURES, TEMPORAL, feature_pool, kinds_of, needs_motion
+from asterism.labelling.features.search_kernels import search
+from asterism.labelling.marker_model import TrainingRules
 from asterism.labelling.partial.matrix import PartialSolvers, label_by_matrix
-from asterism.labelling.partial.motion_points import frames_with_motion, motion_of_points
 from asterism.labelling.partial.solver import FullSolver, FullSolverRules, stack_frames
 from asterism.labelling.partial.solver_search import SearchSettings, search_partial_solvers
 from asterism.labelling.partial.weak import FeatureRanges, StrongClassifier
@@ -209,14 +209,14 @@ def test_full_solver_with_motion_labels_and_rejects():
 def test_a_model_with_features_of_motion_is_saved_and_read_again(tmp_path):
     features = ("g2", "g4", "g9", "g11", "g16")
     walks = [walk.select(walk.labels[:5]) for walk in WALKS]
-    ensemble = SolverEnsemble.fit(walks, seed=0, training=TrainingRules(trial_frames=20, folds=2, features=features))
+    ensemble = MarkerModel.fit(walks, seed=0, training=TrainingRules(trial_frames=20, folds=2, features=features))
     assert ensemble.about["features"] == list(features)
     ensemble.save(tmp_path / "moving.model")
-    again = SolverEnsemble.load(tmp_path / "moving.model")
+    again = MarkerModel.load(tmp_path / "moving.model")
     clouds, truth = simulate_gaps_and_ghosts(walks[0], 1, 0, seed=1)
     for rules in ("thesis", "partial-solvers"):
-        one, two = ensemble.label(clouds, rules=rules), again.label(clouds, rules=rules)
+        one, two = ensemble.label_frames(clouds, method=rules), again.label_frames(clouds, method=rules)
         assert np.array_equal(one.indices, two.indices)
         assert ((one.indices == truth) | (one.indices < 0)).mean() > 0.98
     with pytest.raises(AsterismError, match="g99"):
-        SolverEnsemble.fit(walks, training=TrainingRules(features=("g99",)))
+        MarkerModel.fit(walks, training=TrainingRules(features=("g99",)))

@@ -15,7 +15,7 @@ from models import trained
 from asterism import formats
 from asterism.cli import main
 from asterism.errors import AsterismError
-from asterism.labelling import MarkerGroups, SolverEnsemble, group_tracklets, name_groups
+from asterism.labelling import MarkerGroups, MarkerModel, group_tracklets, name_groups
 from asterism.labelling.naming import locate_groups
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.recording import Clouds, Floats, Ints, Recording
@@ -214,8 +214,8 @@ def test_numbers_then_names_then_a_model(
     assert {f"M{g['group']}" for g in often} <= set(labelled.labels)
     assert labelled.visible.sum() == formats.read(first).visible.sum()
     taught = trained([formats.read(out, markers=[f"M{g['group']}" for g in often])], miner=None)
-    assert (taught.label(walk.clouds()).indices >= 0).mean() > 0.9
-    monkeypatch.setattr(SolverEnsemble, "fit", lambda *given, **settings: taught)
+    assert (taught.label_frames(walk.clouds()).indices >= 0).mean() > 0.9
+    monkeypatch.setattr(MarkerModel, "fit", lambda *given, **settings: taught)
     capsys.readouterr()
     assert run("train", out, "-o", place / "mine.model") == 0
     said = capsys.readouterr().out

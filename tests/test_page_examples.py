@@ -27,7 +27,7 @@ from asterism.cameras import Rig
 from asterism.cameras.files import write_rig
 from asterism.cli import command_line
 from asterism.formats import write_blobs
-from asterism.labelling import SolverEnsemble, TrainingRules
+from asterism.labelling import MarkerModel, TrainingRules
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import ImagingSettings, render_images, ring_rig, simulate_blobs, simulate_wand, walker_capsules
 
@@ -68,21 +68,21 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def model(files: Path) -> SolverEnsemble:
+def model(files: Path) -> MarkerModel:
     recordings = [asterism.read(files / f"{name}.c3d", markers="helen-hayes") for name in ("ann", "ben", "cem")]
     return trained(recordings, seed=0, miner=None, training=TrainingRules(folds=2, trial_frames=40))
 
 
 @pytest.fixture
-def trained_at_once(model: SolverEnsemble, monkeypatch: pytest.MonkeyPatch) -> None:
+def trained_at_once(model: MarkerModel, monkeypatch: pytest.MonkeyPatch) -> None:
     """`fit` takes what it would take, and gives a model that was trained once for all pages, on little."""
-    arguments = inspect.signature(SolverEnsemble.fit)
+    arguments = inspect.signature(MarkerModel.fit)
 
-    def fit(*args: Any, **options: Any) -> SolverEnsemble:
+    def fit(*args: Any, **options: Any) -> MarkerModel:
         arguments.bind(*args, **options)
         return model
 
-    monkeypatch.setattr(SolverEnsemble, "fit", fit)
+    monkeypatch.setattr(MarkerModel, "fit", fit)
 
 
 @pytest.mark.usefixtures("trained_at_once")

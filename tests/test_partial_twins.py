@@ -9,6 +9,8 @@ import pytest
 import twins_partial as twins
 from test_search import MARKERS, solver_and_rules
 
+from asterism.labelling.features.motion_kernels import WIDTH
+from asterism.labelling.features.registry import FEATURES
 from asterism.labelling.partial._build_kernels import choose_covering, order_tests
 from asterism.labelling.partial._evaluation_kernels import (
     EvaluationLimits,
@@ -17,6 +19,7 @@ from asterism.labelling.partial._evaluation_kernels import (
     evaluate_solver,
     handed_in_points,
 )
+from asterism.labelling.partial._full_solver_kernels import label_by_full_solver
 from asterism.labelling.partial._matrix_kernels import (
     MatrixRules,
     StrongClassifierArrays,
@@ -28,10 +31,7 @@ from asterism.labelling.partial._matrix_kernels import (
     count_confusions,
     label_by_matrix,
 )
-from asterism.labelling.partial._motion_kernels import WIDTH
 from asterism.labelling.partial._pair_search_kernels import load_frame, make_search_workspace, search_by_pairs
-from asterism.labelling.partial._search_kernels import label_by_full_solver
-from asterism.labelling.partial.features import FEATURES
 from asterism.labelling.partial.solver import Solver, factor_pair_rules, pack_solvers
 
 pytestmark = pytest.mark.kernels

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asterism import Recording, SolverEnsemble
+from asterism import MarkerModel, Recording
 from asterism.labelling import TrainingRules
 from asterism.labelling.training.people import one_person_each, prefixes_of_people
 from asterism.simulation import simulate_walks
@@ -50,25 +50,25 @@ def test_prefixes_of_sides_and_of_parts_of_a_body_are_no_people() -> None:
 
 def test_a_model_of_a_duo_is_the_model_of_the_two(walks: list[Recording]) -> None:
     apart = [walks[0], replace(walks[1], positions=walks[1].positions + ASIDE)]
-    together = SolverEnsemble.fit([both(walks[0], walks[1])], training=BRIEF)
-    alone = SolverEnsemble.fit(apart, subjects=["duo Ann", "duo Bob"], training=BRIEF)
+    together = MarkerModel.fit([both(walks[0], walks[1])], training=BRIEF)
+    alone = MarkerModel.fit(apart, subjects=["duo Ann", "duo Bob"], training=BRIEF)
     assert together.marker_set.names == walks[0].labels and together.about["subjects"] == ["duo Ann", "duo Bob"]
     clouds = walks[2].clouds()
-    assert together.label(clouds) == alone.label(clouds)
+    assert together.label_frames(clouds) == alone.label_frames(clouds)
 
 
 def test_a_marker_that_one_person_lacks_is_learned_from_the_others(walks: list[Recording]) -> None:
     """It is labelled on a person who wears it, and not invented on one who does not."""
     names = walks[0].labels
     lacking = [name for name in names if name != "LKNE"]
-    model = SolverEnsemble.fit([walks[0], walks[1].select(lacking), walks[2], walks[3]], training=BRIEF)
+    model = MarkerModel.fit([walks[0], walks[1].select(lacking), walks[2], walks[3]], training=BRIEF)
     assert set(model.marker_set.names) == set(names) and not model.about["left_out_markers"]
     knee = model.marker_set.names.index("LKNE")
-    with_it = model.label(walks[1], time=True)
+    with_it = model.label(walks[1])
     places = walks[1].clouds().columns.reshape(len(walks[1]), -1)
     truth = (places == names.index("LKNE")).argmax(axis=1)
     assert (with_it.indices[:, knee] == truth).mean() > 0.9
-    assert (model.label(walks[1].select(lacking), time=True).indices[:, knee] == -1).all()
+    assert (model.label(walks[1].select(lacking)).indices[:, knee] == -1).all()
 
 
 def test_nouns_are_equal_where_they_show_the_same(walks: list[Recording]) -> None:

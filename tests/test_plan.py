@@ -11,7 +11,7 @@ import pytest
 from asterism.cameras import Camera
 from asterism.cameras.accuracy import Volume, map_rig, sees
 from asterism.cameras.aim import looking
-from asterism.cameras.plan import Mounts, Plan, _kernels, focal_length, plan_rig, search
+from asterism.cameras.plan import Mounts, RigPlan, _kernels, focal_length, plan_rig, search
 from asterism.errors import AsterismError
 
 pytestmark = pytest.mark.kernels
@@ -33,11 +33,11 @@ def hall() -> Volume:
 
 
 @pytest.fixture(scope="module")
-def plan(hall: Volume) -> Plan:
+def plan(hall: Volume) -> RigPlan:
     return plan_rig(hall, 6, SIZE, focal_length(1280, fov=56))
 
 
-def test_the_proposal_is_at_least_as_good_as_the_ring_in_every_way(plan: Plan, hall: Volume) -> None:
+def test_the_proposal_is_at_least_as_good_as_the_ring_in_every_way(plan: RigPlan, hall: Volume) -> None:
     ours, ring = map_rig(plan.rig, hall), map_rig(plan.ring, hall)
     assert plan.worth > plan.ring_worth
     assert ours.coverage(3) >= ring.coverage(3)
@@ -59,13 +59,13 @@ def test_it_is_never_worth_less_than_the_ring(cameras: int, spec: str, fov: floa
     assert ours.facing.mean() >= ring.facing.mean() - 0.005
 
 
-def test_no_two_cameras_hang_in_one_place(plan: Plan) -> None:
+def test_no_two_cameras_hang_in_one_place(plan: RigPlan) -> None:
     eyes = np.stack([camera.position for camera in plan.rig])
     gaps = np.linalg.norm(eyes[:, None] - eyes, axis=2)[np.triu_indices(len(eyes), 1)]
     assert gaps.min() > 0.3 - 1e-9
 
 
-def test_cameras_hang_where_they_may(plan: Plan) -> None:
+def test_cameras_hang_where_they_may(plan: RigPlan) -> None:
     for rig in (plan.rig, plan.ring):
         for camera in rig:
             x, y, z = camera.position

@@ -25,10 +25,20 @@ def test_the_readme_checks_what_ci_checks() -> None:
     assert line.endswith("&& python tools/check.py")
 
 
+def test_the_workflow_runs_the_two_commands_of_the_readme() -> None:
+    workflow = (ROOT / ".github" / "workflows" / "checks.yml").read_text(encoding="utf-8")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for command in ("pip install . && asterism demo", 'pip install -e ".[dev]" && python tools/check.py'):
+        assert command in workflow and command in readme
+    for python in re.findall(r"Python :: (3\.\d+)", "\n".join(_project()["project"]["classifiers"])):
+        assert f'"{python}"' in workflow
+
+
 def test_one_version() -> None:
     version = _project()["project"]["version"]
     assert asterism.__version__ in (version, "0+unknown"), "0+unknown: a source tree that is not installed"
     assert f"## {version}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
 def test_every_room_stands_in_the_contract_and_in_the_documents() -> None:

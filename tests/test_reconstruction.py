@@ -29,7 +29,7 @@ from asterism.reconstruction._order_kernels import ascending
 from asterism.reconstruction._pack_kernels import pack
 from asterism.reconstruction._score_kernels import best_blob
 from asterism.reconstruction.observation_model import estimate_observation_model
-from asterism.reconstruction.problem import ObservationModel, Problem, common_view, image_bounds
+from asterism.reconstruction.problem import ObservationModel, ReconstructionProblem, common_view, image_bounds
 from asterism.reconstruction.rays import to_rays
 from asterism.recording import Blobs, Clouds
 from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, walker_capsules
@@ -152,7 +152,7 @@ def test_the_observation_model_is_that_of_the_simulation() -> None:
         return rays[some], truth[begin][some], residual[some]
 
     bounds = image_bounds(blobs, rig)
-    problem = Problem(rig, bounds, EVERYWHERE, common_view(rig, bounds, EVERYWHERE), 2, 4.0)
+    problem = ReconstructionProblem(rig, bounds, EVERYWHERE, common_view(rig, bounds, EVERYWHERE), 2, 4.0)
     model, known, _ = estimate_observation_model(problem, blobs.counts, run, 0.3)
     assert known and model.noise.tolist() == [0.3] * 6
     assert model.points_per_frame == pytest.approx(40, rel=0.05)
@@ -167,7 +167,7 @@ def test_what_a_camera_sees_and_misses_stands_in_the_columns_that_name_it() -> N
     bounds = np.array([[[1.0, 2], [3, 4], [5, 6]], [[601.0, 402], [703, 504], [805, 606]]])
     detection, strays = np.array([0.6, 0.7, 0.8]), np.array([0.5, 1.0, 2.0])
     model = ObservationModel(np.array([0.2, 0.3, 0.4]), detection, strays, 30.0, 50.0)
-    rows = Problem(rig, bounds, np.array([[-1.0, -2, -3], [4, 5, 6]]), 50.0, 2, 4.0).arrays(model).cameras
+    rows = ReconstructionProblem(rig, bounds, np.array([[-1.0, -2, -3], [4, 5, 6]]), 50.0, 2, 4.0).arrays(model).cameras
     assert np.array_equal(rows[:, NOISE], model.noise)
     assert np.allclose(rows[:, MISSING], np.log([0.4, 0.3, 0.2]))
     density = strays / np.array([600 * 400, 700 * 500, 800 * 600])
@@ -211,7 +211,7 @@ def arrays_of(rig: Rig, blobs: Blobs, noise: float = 0.3) -> tuple[RigArrays, Fr
     model = ObservationModel(np.full(cameras, noise), np.full(cameras, 0.7), np.full(cameras, 0.5), 30.0, 50.0)
     first = rays.blobs.offsets[: cameras + 1]
     frame = frame_arrays(rays.normalised[: first[-1]], rays.jacobian[: first[-1]], first)
-    return Problem(rig, image_bounds(blobs, rig), EVERYWHERE, 50.0, 2, 4.0).arrays(model), frame
+    return ReconstructionProblem(rig, image_bounds(blobs, rig), EVERYWHERE, 50.0, 2, 4.0).arrays(model), frame
 
 
 def test_the_epipolar_gate_passes_what_all_pairs_tried_one_by_one_would() -> None:

@@ -20,7 +20,7 @@ from asterism.reconstruction._order_kernels import ascending
 from asterism.reconstruction._plain_kernels import _compose_pairs, merge_versions
 from asterism.reconstruction._score_kernels import score
 from asterism.reconstruction._shared_kernels import add_without_shared
-from asterism.reconstruction.problem import ObservationModel, Problem, image_bounds
+from asterism.reconstruction.problem import ObservationModel, ReconstructionProblem, image_bounds
 from asterism.reconstruction.rays import to_rays
 from asterism.recording import Blobs
 from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs
@@ -39,7 +39,7 @@ def crowd(seed: int, cameras: int = 5, markers: int = 14) -> Case:
     blobs, _ = simulate_blobs(rig, points, ImagingSettings(noise=0.5, missed=0.15, strays=2.0), rng=rng)
     bounds = image_bounds(blobs, rig)
     model = ObservationModel(np.full(cameras, 0.5), np.full(cameras, 0.7), np.full(cameras, 0.5), 30.0, 50.0)
-    arrays = Problem(rig, bounds, EVERYWHERE, 50.0, 2, 4.0).arrays(model)
+    arrays = ReconstructionProblem(rig, bounds, EVERYWHERE, 50.0, 2, 4.0).arrays(model)
     rays, _, _ = to_rays(blobs, rig)
     return rig, rays.blobs, arrays, frame_arrays(rays.normalised, rays.jacobian, rays.blobs.offsets), bounds
 
@@ -101,7 +101,7 @@ def test_rays_that_do_not_determine_a_point_in_front_of_their_cameras_fit_nowher
     )
     blobs = Blobs.from_rows([0, 0], [0, 1], [[500.0, 400.0], [300.0, 400.0]], rig.names)
     model = ObservationModel(np.full(2, 0.5), np.full(2, 0.7), np.full(2, 0.5), 30.0, 50.0)
-    arrays = Problem(rig, image_bounds(blobs, rig), EVERYWHERE, 50.0, 2, 4.0).arrays(model)
+    arrays = ReconstructionProblem(rig, image_bounds(blobs, rig), EVERYWHERE, 50.0, 2, 4.0).arrays(model)
     rays, _, _ = to_rays(blobs, rig)
     frame = frame_arrays(rays.normalised, rays.jacobian, rays.blobs.offsets)
     for some, z, fits in (([0, 1], 4.0, True), ([0, -1], 4.0, False), ([-1, -1], 4.0, False), ([0, 1], -4.0, False)):
@@ -220,7 +220,7 @@ def test_visibility_is_counted_as_by_the_rigs_own_projection() -> None:
     bounds = image_bounds(Blobs.from_rows([], [], np.empty((0, 2)), rig.names), rig)
     model = ObservationModel(np.full(6, 0.5), np.full(6, 0.7), np.full(6, 0.5), 30.0, 50.0)
     expected, seen = np.zeros(6, np.int64), np.zeros(6, np.int64)
-    count_visibility(Problem(rig, bounds, EVERYWHERE, 50.0, 2, 4.0).arrays(model), points, rays, expected, seen)
+    count_visibility(ReconstructionProblem(rig, bounds, EVERYWHERE, 50.0, 2, 4.0).arrays(model), points, rays, expected, seen)
     twin = twins.visibility(rig, points, rays, bounds)
     assert (expected.tolist(), seen.tolist()) == (twin[0].tolist(), twin[1].tolist())
     assert 0 < seen.sum() < expected.sum() < 2400
@@ -236,7 +236,7 @@ def merging(seed: int, count: int) -> tuple[Rig, RigArrays, np.ndarray, np.ndarr
     for row in rays:
         row[rng.permutation(4)[:2]] = -1
     points, spreads = rng.uniform([-0.1, -0.1, 0.9], [0.1, 0.1, 1.1], (count, 3)), rng.uniform(0.00001, 0.001, count)
-    return rig, Problem(rig, bounds, EVERYWHERE, 50.0, 2, 4.0).arrays(model), rays, points, spreads
+    return rig, ReconstructionProblem(rig, bounds, EVERYWHERE, 50.0, 2, 4.0).arrays(model), rays, points, spreads
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 25))

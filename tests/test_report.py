@@ -18,8 +18,8 @@ import pytest
 
 from asterism.errors import AsterismError
 from asterism.labelling import ConfidenceScore, ConfidenceTally, Reliability
-from asterism.labelling.capturability import TargetRates
-from asterism.labelling.full_solver_study import ChosenClassifier, SolverSize
+from asterism.labelling.partial.capturability import TargetRates
+from asterism.labelling.partial.full_solver_study import ChosenClassifier, SolverSize
 from asterism.labelling.simulated_occlusions import simulate_occlusions
 from asterism.recording import Clouds, Ints, Labelling, MarkerSet, Recording
 from asterism.report import (

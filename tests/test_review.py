@@ -97,7 +97,7 @@ def test_the_best_candidate_of_a_missing_marker_is_asked_for_before_all_others(w
 def test_a_whole_recording_says_its_best_candidates(walks: list[Recording]) -> None:
     model = trained(walks[1:], seed=0, subjects=["b", "c", "d", "e"], miner=None)
     clouds, truth = simulate_gaps_and_ghosts(walks[0], 3, 3, seed=4)
-    labelling = model.label(clouds, time=True)
+    labelling = model.label(clouds)
     assert labelling.candidates is not None
     assert (labelling.candidates[labelling.indices >= 0] == -1).all() and (labelling.candidates < clouds.counts[:, None]).all()
     taken_back = (labelling.indices == -1) & (truth >= 0)
@@ -125,7 +125,7 @@ def test_a_piece_with_two_names_is_doubted_however_sure_they_are(walks: list[Rec
 def test_settling_all_that_is_listed_mends_the_labels(walks: list[Recording]) -> None:
     ensemble = trained(walks[:2], miner=None, subjects=["a", "b"])
     clouds, truth = simulate_gaps_and_ghosts(walks[4], 4, 0, seed=5)
-    labelling = ensemble.label(clouds)
+    labelling = ensemble.label_frames(clouds)
     marker_of = truth_of_points(truth, clouds)
     wrong = int((labelling.indices != truth).sum())
     items = review(labelling, clouds)

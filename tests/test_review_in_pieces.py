@@ -24,7 +24,7 @@ from asterism.tracking.linking import find_tracklets
 def labelled() -> tuple[Clouds, Labelling]:
     walks = simulate_walks(4, 300, seed=5)
     clouds, _ = simulate_gaps_and_ghosts(walks[0], 2, 1, seed=3)
-    return clouds, trained(walks[1:], subjects=["a", "b", "c"]).label(clouds, time=True)
+    return clouds, trained(walks[1:], subjects=["a", "b", "c"]).label(clouds)
 
 
 def in_pieces(labelling: Labelling, clouds: Clouds, seams: list[int]) -> ReviewInPieces:

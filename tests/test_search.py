@@ -13,12 +13,13 @@ from hypothesis import strategies as st
 from test_weak import bodies
 
 from asterism import AsterismError, Clouds, Recording
-from asterism.labelling.full_solver_study import fit_printed, solver_sizes
-from asterism.labelling.partial._feature_kernels import G9
-from asterism.labelling.partial._motion_kernels import WIDTH
+from asterism.labelling.features.feature_kernels import G9
+from asterism.labelling.features.motion_kernels import WIDTH
+from asterism.labelling.features.registry import FEATURES as REGISTRY
+from asterism.labelling.features.search_kernels import SolverArrays, search
+from asterism.labelling.partial._full_solver_kernels import sort_highest_first
 from asterism.labelling.partial._pair_search_kernels import later_accepted, load_frame, make_search_workspace, search_by_pairs
-from asterism.labelling.partial._search_kernels import SolverArrays, search, sort_highest_first
-from asterism.labelling.partial.features import FEATURES as REGISTRY
+from asterism.labelling.partial.full_solver_study import fit_printed, solver_sizes
 from asterism.labelling.partial.solver import (
     FullSolver,
     build_search_tree,

@@ -13,9 +13,9 @@ import twins
 from test_weak import bodies
 
 from asterism import AsterismError
+from asterism.labelling.features.registry import THESIS
+from asterism.labelling.features.search_kernels import search
 from asterism.labelling.partial._choice_kernels import count_labels
-from asterism.labelling.partial._search_kernels import search
-from asterism.labelling.partial.features import THESIS
 from asterism.labelling.partial.matrix import label_by_matrix
 from asterism.labelling.partial.matrix_choice import Matrix, choose_solvers
 from asterism.labelling.partial.solver import Solver, pack_solvers, stack_frames

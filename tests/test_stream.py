@@ -28,7 +28,7 @@ def walks() -> list[Recording]:
 
 
 @pytest.fixture(scope="module")
-def ensemble(walks: list[Recording]) -> asterism.SolverEnsemble:
+def ensemble(walks: list[Recording]) -> asterism.MarkerModel:
     return trained(walks[:5], miner=None, subjects=list("abcde"))
 
 

@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from models import trained
 
-from asterism import SolverEnsemble
+from asterism import MarkerModel
 from asterism.labelling.stretches import StretchRules, join_verdicts, label_long, stretches
-from asterism.recording import Clouds, Labelling, MarkerSet, Recording
+from asterism.progress import Progress
+from asterism.recording import Clouds, Labelling, Recording
 from asterism.recording.verdict import FITS, OTHER_BODY, Verdict
 from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
 
 FRAMES = 2400
 OVERLAP = 100
+NAMES = ("A", "B", "C")
 RATE = 100.0
 
 
 @pytest.fixture(scope="module")
-def ensemble() -> SolverEnsemble:
+def ensemble() -> MarkerModel:
     walks = simulate_walks(4, 300, seed=5)
     return trained(walks[1:], subjects=["a", "b", "c"])
 
@@ -34,10 +36,14 @@ def walk() -> Recording:
     return Recording(np.tile(there_and_back, (FRAMES // 600, 1, 1)), walk.labels, RATE, walk.vertical)
 
 
-def in_stretches(ensemble: SolverEnsemble, clouds: Clouds, frames: int) -> Labelling:
+def in_stretches(ensemble: MarkerModel, clouds: Clouds, frames: int) -> Labelling:
     """The labels in stretches of so many frames."""
-    usual = len(clouds.xyz) / len(clouds)
-    return label_long(ensemble, clouds, StretchRules(whole=1, points=round(frames * usual), overlap=OVERLAP / RATE))
+    return by_rules(ensemble, clouds, StretchRules(1, round(frames * len(clouds.xyz) / len(clouds)), OVERLAP / RATE))
+
+
+def by_rules(ensemble: MarkerModel, clouds: Clouds, rules: StretchRules, progress: Progress | None = None) -> Labelling:
+    """The labels in stretches by these rules."""
+    return label_long(ensemble.label_one_body, ensemble.marker_set.names, clouds, rules, progress=progress)
 
 
 @pytest.mark.parametrize(
@@ -55,9 +61,9 @@ def test_stretches_cover_all_frames_and_share_some(frames: int, length: int, ove
 @pytest.mark.parametrize(
     ("ghosts", "length"), [(0, 600), (1, 600), (0, FRAMES - 1)], ids=["gaps", "a ghost", "one frame more than a stretch"]
 )
-def test_stretches_give_the_labels_of_the_whole(ensemble: SolverEnsemble, walk: Recording, ghosts: int, length: int) -> None:
+def test_stretches_give_the_labels_of_the_whole(ensemble: MarkerModel, walk: Recording, ghosts: int, length: int) -> None:
     clouds, truth = simulate_gaps_and_ghosts(walk, 2, ghosts, seed=3)
-    whole, found = ensemble.label(clouds, time=True), in_stretches(ensemble, clouds, length)
+    whole, found = ensemble.label(clouds), in_stretches(ensemble, clouds, length)
     right, right_in_stretches = ((one.indices == truth)[truth >= 0].mean() for one in (whole, found))
     assert right > 0.99
     assert right - right_in_stretches <= 0.001, f"{right:.4f} right as a whole, {right_in_stretches:.4f} in stretches"
@@ -67,7 +73,7 @@ def test_stretches_give_the_labels_of_the_whole(ensemble: SolverEnsemble, walk: 
     assert found == in_stretches(ensemble, clouds, length)
 
 
-def test_a_marker_hidden_at_the_seam_is_found_on_both_sides(ensemble: SolverEnsemble, walk: Recording) -> None:
+def test_a_marker_hidden_at_the_seam_is_found_on_both_sides(ensemble: MarkerModel, walk: Recording) -> None:
     positions = walk.positions.copy()
     (part, after, *_) = stretches(FRAMES, 600, OVERLAP)
     seam = (after.start + part.stop) // 2
@@ -78,14 +84,14 @@ def test_a_marker_hidden_at_the_seam_is_found_on_both_sides(ensemble: SolverEnse
     np.testing.assert_array_equal(found[part.start : after.stop], positions[part.start : after.stop])
 
 
-def test_a_person_who_leaves_at_a_seam_takes_the_labels_along(ensemble: SolverEnsemble, walk: Recording) -> None:
+def test_a_person_who_leaves_at_a_seam_takes_the_labels_along(ensemble: MarkerModel, walk: Recording) -> None:
     positions = walk.positions.copy()
     (part, after, *_) = stretches(FRAMES, 600, OVERLAP)
     seam = (after.start + part.stop) // 2
     positions[seam:] = np.nan
     clouds = Recording(positions, walk.labels, RATE, walk.vertical).clouds()
     usual = len(walk.labels)
-    found = label_long(ensemble, clouds, StretchRules(whole=1, points=round(600 * usual * seam / FRAMES), overlap=OVERLAP / RATE))
+    found = by_rules(ensemble, clouds, StretchRules(whole=1, points=round(600 * usual * seam / FRAMES), overlap=OVERLAP / RATE))
     np.testing.assert_array_equal(found.positions(clouds), positions)
     assert found.verdict is not None
     assert found.verdict.labelled == 1.0, "the stretches without a person do not count"
@@ -96,9 +102,8 @@ class Scripted:
     """A model that labels as a test says: a function from the clouds' first x to the labels and their confidence."""
 
     says: Callable[[Clouds], tuple[list[int], float]]
-    marker_set: MarkerSet = field(default_factory=lambda: MarkerSet(("A", "B", "C")))
 
-    def label(self, clouds: Clouds, **_: object) -> Labelling:
+    def __call__(self, clouds: Clouds, progress: Progress | None = None) -> Labelling:
         """Each frame's points, which keep their order, under the names given."""
         markers, confidence = self.says(clouds)
         shape = (len(clouds), 3)
@@ -106,7 +111,7 @@ class Scripted:
         for point, marker in enumerate(markers):
             if marker >= 0:
                 indices[:, marker], certain[:, marker] = point, confidence
-        return Labelling(indices, certain, self.marker_set.names, blank)
+        return Labelling(indices, certain, NAMES, blank)
 
 
 def two_paths() -> Clouds:
@@ -124,7 +129,7 @@ def test_a_tracklet_over_a_seam_keeps_the_name_of_the_more_certain_stretch(later
         return ([0, 1], 0.95) if clouds.xyz[0, 0] == 0.0 else ([1, 0], later)
 
     clouds = two_paths()
-    found = label_long(Scripted(says), clouds, StretchRules(whole=1, points=1200, overlap=0.9))  # type: ignore[arg-type]
+    found = label_long(Scripted(says), NAMES, clouds, StretchRules(whole=1, points=1200, overlap=0.9))
     names = found.indices[:, 0]
     assert (names == wanted).all(), "point 0 or 1 is A throughout"
     assert (found.indices[:, 1] == 1 - wanted).all()
@@ -136,11 +141,11 @@ def test_candidates_of_all_stretches_are_kept_but_for_names_that_changed() -> No
         return ([0, -1], 0.95) if clouds.xyz[0, 0] == 0.0 else ([1, 2], 0.9)
 
     class WithCandidates(Scripted):
-        def label(self, clouds: Clouds, **_: object) -> Labelling:
-            given = super().label(clouds)
+        def __call__(self, clouds: Clouds, progress: Progress | None = None) -> Labelling:
+            given = super().__call__(clouds)
             return Labelling(given.indices, given.confidence, given.names, np.where(given.indices >= 0, 7, 5))
 
-    found = label_long(WithCandidates(says), two_paths(), StretchRules(whole=1, points=1200, overlap=0.9))  # type: ignore[arg-type]
+    found = label_long(WithCandidates(says), NAMES, two_paths(), StretchRules(whole=1, points=1200, overlap=0.9))
     assert found.candidates is not None
     assert (found.indices[:, 0] == 0).all()
     assert (found.indices[600:, 1] == -1).all()
@@ -149,11 +154,11 @@ def test_candidates_of_all_stretches_are_kept_but_for_names_that_changed() -> No
     assert (found.candidates[:500, 1] == 5).all()
 
 
-def test_progress_of_the_stretches_is_that_of_the_recording(ensemble: SolverEnsemble, walk: Recording) -> None:
+def test_progress_of_the_stretches_is_that_of_the_recording(ensemble: MarkerModel, walk: Recording) -> None:
     said = list[float]()
     clouds = walk.clouds()
     rules = StretchRules(whole=1, points=800 * len(walk.labels), overlap=OVERLAP / RATE)
-    label_long(ensemble, clouds, rules, progress=lambda fraction, _: said.append(fraction))
+    by_rules(ensemble, clouds, rules, progress=lambda fraction, _: said.append(fraction))
     assert said == sorted(said), "it never goes back"
     assert 0.9 < said[-1] <= 1.0
 
@@ -163,7 +168,7 @@ def test_a_name_that_is_held_is_not_given_twice() -> None:
         return ([0, -1], 0.95) if clouds.xyz[0, 0] == 0.0 else ([1, 0], 0.9)
 
     clouds = two_paths()
-    found = label_long(Scripted(says), clouds, StretchRules(whole=1, points=1200, overlap=0.9))  # type: ignore[arg-type]
+    found = label_long(Scripted(says), NAMES, clouds, StretchRules(whole=1, points=1200, overlap=0.9))
     parts = stretches(1000, 600, 90)
     seam = (parts[1].start + parts[0].stop) // 2
     assert (found.indices[:seam, 0] == 0).all()
@@ -181,6 +186,6 @@ def test_the_verdict_of_most_labels_counts() -> None:
     assert joined.kind == OTHER_BODY
 
 
-def test_short_recordings_are_labelled_as_a_whole(ensemble: SolverEnsemble, walk: Recording) -> None:
+def test_short_recordings_are_labelled_as_a_whole(ensemble: MarkerModel, walk: Recording) -> None:
     clouds = walk.clouds().frames(slice(0, 200))
-    assert label_long(ensemble, clouds) == ensemble.label(clouds, time=True)
+    assert label_long(ensemble.label_one_body, ensemble.marker_set.names, clouds) == ensemble.label(clouds)

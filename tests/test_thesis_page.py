@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from asterism.labelling.full_solver_study import PRINTED_RULES, SIZES
-from asterism.labelling.partial.features import THESIS, feature_pool
+from asterism.labelling.features.registry import THESIS, feature_pool
+from asterism.labelling.partial.full_solver_study import PRINTED_RULES, SIZES
+from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES
 
 PAGE = (Path(__file__).parent.parent / "docs" / "thesis.md").read_text(encoding="utf-8")
 NAMES = sorted(set(re.findall(r"`((?:asterism|benchmarks)\.[\w.]+)`", PAGE)))
@@ -68,3 +69,12 @@ def test_the_full_solver_is_as_large_as_the_page_says() -> None:
     """Of the features of the thesis over its 15 markers."""
     [(chosen, among)] = re.findall(r"full solver of (\d+) of (\d+) classifiers", PAGE)
     assert (PRINTED_RULES.weak_classifiers, len(feature_pool(15, THESIS)[0])) == (int(chosen), int(among)) == (SIZES[-1], 665)
+
+
+def test_small_partial_solvers_take_all_classifiers_as_the_page_says() -> None:
+    [(largest, pool, most)] = re.findall(
+        r"up to (\d+) markers it takes all classifiers over its markers \((\d+) at 8\), above that the first ([\d,]+)", PAGE
+    )
+    sizes = [len(feature_pool(markers, PRINTED_FEATURES)[0]) for markers in (int(largest), int(largest) + 1)]
+    assert sizes[0] == int(pool) <= PRINTED.max_classifiers < sizes[1]
+    assert PRINTED.max_classifiers == int(most.replace(",", ""))

@@ -26,7 +26,7 @@ def walks() -> list[Recording]:
 
 
 @pytest.fixture(scope="module")
-def ensemble(walks: list[Recording]) -> asterism.SolverEnsemble:
+def ensemble(walks: list[Recording]) -> asterism.MarkerModel:
     return trained(walks[:4], miner=None)
 
 
@@ -44,22 +44,22 @@ def loose_points(recording: Recording) -> Recording:
 
 
 @pytest.mark.parametrize("hidden", [0, 3])
-def test_a_person_not_seen_in_training_fits(ensemble: asterism.SolverEnsemble, walks: list[Recording], hidden: int) -> None:
+def test_a_person_not_seen_in_training_fits(ensemble: asterism.MarkerModel, walks: list[Recording], hidden: int) -> None:
     clouds, _ = simulate_gaps_and_ghosts(walks[4], hidden, 0, seed=1)
-    verdict = ensemble.label(clouds, time=True).verdict
+    verdict = ensemble.label(clouds).verdict
     assert verdict is not None and verdict.fits
     assert 0.0 < verdict.scatter <= verdict.limit
     assert verdict.findings("walk.c3d") == []
 
 
-def test_standing_fits_a_model_of_walks(ensemble: asterism.SolverEnsemble) -> None:
-    labelling = ensemble.label(simulate_standing(subjects=5, seed=4)[4].clouds(), time=True)
+def test_standing_fits_a_model_of_walks(ensemble: asterism.MarkerModel) -> None:
+    labelling = ensemble.label(simulate_standing(subjects=5, seed=4)[4].clouds())
     assert labelling.verdict is not None and labelling.verdict.fits
     assert (labelling.indices == np.arange(15)).mean() > 0.95
 
 
-def test_markers_placed_elsewhere_are_said_and_no_label_is_certain(ensemble: asterism.SolverEnsemble, walks: list[Recording]) -> None:
-    labelling = ensemble.label(placed_elsewhere(walks[4]).clouds(), time=True)
+def test_markers_placed_elsewhere_are_said_and_no_label_is_certain(ensemble: asterism.MarkerModel, walks: list[Recording]) -> None:
+    labelling = ensemble.label(placed_elsewhere(walks[4]).clouds())
     assert labelling.verdict is not None
     assert labelling.verdict.kind == OTHER_PERSON
     assert labelling.confidence.max() < 0.99
@@ -69,22 +69,22 @@ def test_markers_placed_elsewhere_are_said_and_no_label_is_certain(ensemble: ast
 
 
 @pytest.mark.parametrize("time", [True, False], ids=["whole", "frame by frame"])
-def test_what_is_no_body_is_said_and_gets_no_label(ensemble: asterism.SolverEnsemble, walks: list[Recording], time: bool) -> None:
+def test_what_is_no_body_is_said_and_gets_no_label(ensemble: asterism.MarkerModel, walks: list[Recording], time: bool) -> None:
     """Single frames stand alone, so there the verdict takes no label back."""
-    labelling = ensemble.label(loose_points(walks[4]).clouds(), time=time)
+    labelling = (ensemble.label if time else ensemble.label_frames)(loose_points(walks[4]).clouds())
     assert labelling.verdict is not None
     assert labelling.verdict.kind == OTHER_BODY
     assert labelling.verdict.findings()[0].severity == Severity.ERROR
     assert not time or ((labelling.indices < 0).all() and labelling.confidence.max() <= 0.5)
 
 
-def test_single_frames_of_markers_placed_elsewhere_are_not_certain(ensemble: asterism.SolverEnsemble, walks: list[Recording]) -> None:
+def test_single_frames_of_markers_placed_elsewhere_are_not_certain(ensemble: asterism.MarkerModel, walks: list[Recording]) -> None:
     """Each frame by what it shows itself: half of the frames get the labels that all of them get."""
     clouds = placed_elsewhere(walks[4]).clouds()
-    labelling, half = ensemble.label(clouds), ensemble.label(clouds.frames(np.arange(0, 120, 2)))
+    labelling, half = ensemble.label_frames(clouds), ensemble.label_frames(clouds.frames(np.arange(0, 120, 2)))
     assert labelling.confidence.max() < 0.99
     np.testing.assert_array_equal(labelling.confidence[::2], half.confidence)
-    assert (ensemble.label(walks[4].clouds()).confidence >= 0.99).mean() > 0.5
+    assert (ensemble.label_frames(walks[4].clouds()).confidence >= 0.99).mean() > 0.5
 
 
 def test_the_scatter_of_a_frame_is_that_of_its_distances_to_the_nearest_person() -> None:
@@ -196,7 +196,7 @@ def test_two_markers_that_are_each_others_rivals_throughout_are_exchangeable() -
 
 
 def test_the_command_line_says_it_and_ends_with_1(
-    ensemble: asterism.SolverEnsemble, walks: list[Recording], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ensemble: asterism.MarkerModel, walks: list[Recording], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     model = tmp_path / "walks.model"
     ensemble.save(model)

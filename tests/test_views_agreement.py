@@ -17,18 +17,18 @@ from asterism.formats import write_blobs
 from asterism.recording import MarkerSet
 from asterism.simulation import simulate_standing, simulate_walks
 from asterism.simulation.views_laboratory import ViewsSession, simulate_views
-from asterism.views import BodyModel, ViewsLabelling, fit_body, label_views, save_body
+from asterism.views import ArticulatedBody, ViewsLabelling, fit_body, label_views, save_body
 from asterism.views.agreement import check_by_model
 from asterism.views.rules import QUICK
 
 
 @cache
-def model() -> asterism.SolverEnsemble:
+def model() -> asterism.MarkerModel:
     return models.trained(simulate_walks(3, 80, seed=5), training=models.BRIEF)
 
 
 @cache
-def body() -> BodyModel:
+def body() -> ArticulatedBody:
     standing, walking = simulate_standing(3, 10, seed=5), simulate_walks(3, 60, seed=5)
     people = [str(trial.metadata["subject"]) for trial in (*standing, *walking)]
     return fit_body(standing, walking, markers=MarkerSet.load("helen-hayes"), people=people, title="three walkers")
@@ -39,7 +39,7 @@ def walk() -> ViewsSession:
     return simulate_views(simulate_walks(1, 60, seed=33)[0], body().labels, rng=np.random.default_rng(3))
 
 
-def renamed(given: BodyModel) -> BodyModel:
+def renamed(given: ArticulatedBody) -> ArticulatedBody:
     """The body with the names of its sides exchanged, and its marker places too: nothing in it is mirrored, its names are wrong."""
     swapped = {"L": "R", "R": "L"}
     by_name = {marker.name: marker for marker in given.markers}

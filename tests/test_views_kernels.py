@@ -19,7 +19,7 @@ from asterism.views._pose_kernels import place_bones, point_jacobian, take_step
 from asterism.views._visibility_kernels import sight_depths, visible_shares
 from asterism.views.body_fit import known_of, pose_recording
 from asterism.views.exchanges import exchanges_of
-from asterism.views.limbs import LimbRules, LimbScreen, evenly, limbs_of
+from asterism.views.limbs import LimbScreen, LimbSearchRules, evenly, limbs_of
 from asterism.views.posing import posed_bones, posed_points
 from asterism.views.rules import ViewsRules
 from asterism.views.scene import camera_arrays
@@ -173,7 +173,7 @@ def test_the_minimum_from_a_start_that_is_off_is_the_pose_itself() -> None:
     truth = posed_points(BODY, pose, rotation)[0]
     blobs = [camera.undistort(camera.project(truth)) * camera.focal for camera in RIG]
     offsets = np.arange(0, 61, 15).astype(np.int64)
-    everything = OBSERVING._replace(doubt=np.inf)
+    everything = OBSERVING._replace(occlusion_tolerance=np.inf)
     start = pose.copy()
     start[:6] += np.array([0.1, 0.1, -0.1, 0.1, -0.1, 0.1])
     turn = twins.rotation_about(UP, np.radians(20)) @ rotation
@@ -301,7 +301,7 @@ def test_a_limb_is_found_by_blobs_without_labels_among_strays() -> None:
     strays = np.random.default_rng(2).uniform(-200, 200, (4, 3, 2))
     xy = np.concatenate([uv, strays], axis=1).reshape(-1, 2)
     screen = LimbScreen(WHOLE, CAMERAS, OBSERVING, xy, np.arange(0, len(xy) + 1, len(xy) // 4))
-    found = screen.alone(limb, pose, rotation, known_of(WHOLE, UP), LimbRules(), 3)
+    found = screen.alone(limb, pose, rotation, known_of(WHOLE, UP), LimbSearchRules(), 3)
     assert len(found) <= 3
     there = posed_points(WHOLE, bent, rotation)[0]
     away, before = (np.linalg.norm(posed_points(WHOLE, each, rotation)[0] - there, axis=1) for each in (found[0], pose))

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asterism import AsterismError
+from asterism.labelling.features.registry import FEATURES, markers_read
 from asterism.labelling.partial._bit_kernels import popcount
-from asterism.labelling.partial.features import FEATURES, markers_read
 from asterism.labelling.partial.weak import (
     FeatureRanges,
     StrongClassifier,

@@ -19,18 +19,18 @@ from correcting import Browser, longest, model, served, written
 
 from asterism import formats
 from asterism.errors import AsterismError
-from asterism.labelling import SolverEnsemble
+from asterism.labelling import MarkerModel
 from asterism.recording import Recording
 
 websockets = pytest.importorskip("websockets.sync.client")
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 
-from asterism.web import Place, Session, SessionOptions, serve  # noqa: E402
+from asterism.web import CorrectionSession, Place, SessionOptions, serve  # noqa: E402
 
 
-def sitting(folder: Path, count: int = 1, **options: Any) -> Session:
-    return Session(written(folder, count), model(), SessionOptions(folder / "gait.model", **options))
+def sitting(folder: Path, count: int = 1, **options: Any) -> CorrectionSession:
+    return CorrectionSession(written(folder, count), model(), SessionOptions((folder / "gait.model",), **options))
 
 
 def long_piece(state: dict[str, Any]) -> int:
@@ -216,7 +216,7 @@ def test_a_file_that_fails_costs_itself_only(tmp_path: Path) -> None:
     files[0].write_bytes(b"no C3D at all")
     files.append(tmp_path / "<b>&\u202e=1.trc")
     files[-1].write_text("hostile")
-    with served(Session(files, model(), SessionOptions(tmp_path / "gait.model"))) as browser:
+    with served(CorrectionSession(files, model(), SessionOptions((tmp_path / "gait.model",)))) as browser:
         first, second, third = browser.get("/api/trials")["trials"]
         assert [first["state"], second["state"], third["state"]] == ["failed", "ready", "failed"]
         assert "walk1.c3d" in first["error"] and third["name"] == files[-1].name
@@ -281,18 +281,18 @@ def test_the_model_learns_what_was_saved(tmp_path: Path) -> None:
         before = (tmp_path / "gait.model").read_bytes()
         answer = browser.post("/api/teach", {"trials": ["0"], "model_out": "better"})
     assert Path(answer["path"]) == tmp_path / "better.model" and (tmp_path / "gait.model").read_bytes() == before
-    assert SolverEnsemble.load(tmp_path / "better.model").about["recordings"] == model().about["recordings"] + 1
+    assert MarkerModel.load(tmp_path / "better.model").about["recordings"] == model().about["recordings"] + 1
 
 
 def test_two_files_of_one_name_need_two_folders(tmp_path: Path) -> None:
     paths = [tmp_path / "a" / "walk.c3d", tmp_path / "b" / "walk.c3d"]
     with pytest.raises(AsterismError, match="would both become"):
-        Session(paths, model(), SessionOptions(tmp_path / "gait.model", output=tmp_path / "out"))
-    Session(paths, model(), SessionOptions(tmp_path / "gait.model"))
+        CorrectionSession(paths, model(), SessionOptions((tmp_path / "gait.model",), output=tmp_path / "out"))
+    CorrectionSession(paths, model(), SessionOptions((tmp_path / "gait.model",)))
 
 
 def test_a_port_that_is_taken_is_a_sentence(tmp_path: Path) -> None:
-    session = Session([], model(), SessionOptions(tmp_path / "gait.model"))
+    session = CorrectionSession([], model(), SessionOptions((tmp_path / "gait.model",)))
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
@@ -301,7 +301,7 @@ def test_a_port_that_is_taken_is_a_sentence(tmp_path: Path) -> None:
 
 
 def test_a_host_of_another_machine_is_a_sentence(tmp_path: Path) -> None:
-    session = Session([], model(), SessionOptions(tmp_path / "gait.model"))
+    session = CorrectionSession([], model(), SessionOptions((tmp_path / "gait.model",)))
     with pytest.raises(AsterismError, match="no address of this machine"):
         serve(session, Place(host="192.0.2.7", browser=False), lambda sentence: None)
 
@@ -315,7 +315,7 @@ def test_without_the_extra_one_sentence_says_what_to_install(tmp_path: Path, mon
         return real(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", missing)
-    session = Session([], model(), SessionOptions(tmp_path / "gait.model"))
+    session = CorrectionSession([], model(), SessionOptions((tmp_path / "gait.model",)))
     with pytest.raises(AsterismError, match=r"pip install asterism\[web\]"):
         serve(session, Place(browser=False), lambda sentence: None)
 
@@ -336,7 +336,7 @@ def test_a_hundred_columns_of_odd_names(tmp_path: Path) -> None:
     names = tuple(f'<script>"{n}\u202e=cmd|[bold]' for n in range(len(recording.labels)))
     odd = tmp_path / "odd.npz"
     formats.write(odd, Recording(recording.positions, names, recording.rate, recording.vertical))
-    with served(Session([odd], model(), SessionOptions(tmp_path / "gait.model"))) as browser:
+    with served(CorrectionSession([odd], model(), SessionOptions((tmp_path / "gait.model",)))) as browser:
         _, body, headers = browser.ask("/api/trials/0/state")
         assert json.loads(body)["markers"] == list(model().marker_set.names)
         assert headers["content-type"] == "application/json"

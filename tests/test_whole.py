@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import asterism
 from asterism.labelling.body.subject import SubjectRules
-from asterism.labelling.ensemble import OTHER_SUBJECT_FIT
+from asterism.labelling.marker_model import OTHER_SUBJECT_FIT
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
 from asterism.labelling.whole import joint
 from asterism.labelling.whole._kernels import FrameScores
@@ -34,16 +34,16 @@ def walks() -> list[asterism.Recording]:
 
 
 @pytest.fixture(scope="module")
-def ensemble(walks: list[asterism.Recording]) -> asterism.SolverEnsemble:
+def ensemble(walks: list[asterism.Recording]) -> asterism.MarkerModel:
     return trained(walks[:4], miner=None)
 
 
 @pytest.mark.parametrize("number_tracks", [True, False], ids=["with tracks", "raw clouds"])
 def test_a_stranger_with_gaps_is_labelled_right(
-    ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording], number_tracks: bool
+    ensemble: asterism.MarkerModel, walks: list[asterism.Recording], number_tracks: bool
 ) -> None:
     clouds, truth = simulate_gaps_and_ghosts(walks[4], 3, 0, seed=1, number_tracks=number_tracks)
-    labelling = ensemble.label(clouds, time=True)
+    labelling = ensemble.label(clouds)
     given = labelling.indices >= 0
     assert (labelling.indices == truth)[given].mean() > 0.999
     assert (given & (truth >= 0)).sum() > 0.97 * (truth >= 0).sum()
@@ -58,7 +58,7 @@ def test_a_marker_seen_for_long_does_not_yield_to_short_ghosts_beside_it(walks: 
     double = {int(t): walk[t, marker] + 0.02 * rng.normal(size=3) / np.sqrt(3) for t in range(5, 120, 10)}
     frames = [np.concatenate([frame, double[t][None]]) if t in double else frame for t, frame in enumerate(walk)]
     numbers = [np.concatenate([np.arange(15), [100 + t]]) if t in double else np.arange(15) for t in range(len(walk))]
-    labelling = one.label(Clouds.from_points(frames, walks[0].rate, walks[0].vertical, tracks=numbers), time=True)
+    labelling = one.label(Clouds.from_points(frames, walks[0].rate, walks[0].vertical, tracks=numbers))
     assert (labelling.indices[:, marker] == marker).mean() > 0.95
 
 
@@ -74,7 +74,7 @@ def test_a_point_that_is_not_where_the_marker_was_in_training_is_not_given_its_l
     for up, given in ((0.0, True), (aside, False)):
         moved = walk + np.where(others[:, None], 0.0, up * walks[4].vertical)
         clouds = Clouds.from_points(list(moved), walks[4].rate, walks[4].vertical, tracks=[np.arange(len(names))] * len(moved))
-        right = one.label(clouds, time=True).indices == np.arange(len(names))
+        right = one.label(clouds).indices == np.arange(len(names))
         assert right[:, others].mean() > 0.95
         assert right[:, ~others].mean() == given
 
@@ -86,17 +86,17 @@ def leaning(walk: asterism.Recording, degrees: np.ndarray) -> asterism.Recording
     return replace(walk, positions=middle + np.einsum("tij,tmj->tmi", turns, walk.positions - middle))
 
 
-def test_a_body_that_falls_keeps_its_labels(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+def test_a_body_that_falls_keeps_its_labels(ensemble: asterism.MarkerModel, walks: list[asterism.Recording]) -> None:
     """Nobody leans in the training. Here a stranger falls to the side, by 80 degrees in the second half of the walk."""
     fall = leaning(walks[4], np.clip(np.arange(120) - 60, 0, 40) * 2.0)
     clouds, truth = simulate_gaps_and_ghosts(fall, 2, 0, seed=1)
-    labelling = ensemble.label(clouds, time=True)
+    labelling = ensemble.label(clouds)
     given, lies = labelling.indices >= 0, np.arange(120) >= 100
     assert (labelling.indices == truth)[given].all()
     assert given[lies].sum() > 0.9 * (truth[lies] >= 0).sum()
 
 
-def test_only_frames_that_lean_are_turned(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+def test_only_frames_that_lean_are_turned(ensemble: asterism.MarkerModel, walks: list[asterism.Recording]) -> None:
     """By the right labels: the turn takes back the lean, up to what a step of a walk differs from its key pose, and the heading."""
     rules, labeller = RecordingLabellingSettings(), ensemble.body_labeller
     for degrees in (0.0, 80.0):
@@ -114,7 +114,7 @@ def test_only_frames_that_lean_are_turned(ensemble: asterism.SolverEnsemble, wal
 
 
 def test_scores_that_are_kept_are_those_of_scoring_all_frames_again(
-    ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]
+    ensemble: asterism.MarkerModel, walks: list[asterism.Recording]
 ) -> None:
     rng, labeller = np.random.default_rng(0), ensemble.body_labeller
     clouds, _ = simulate_gaps_and_ghosts(walks[4], 3, 1, seed=2)
@@ -137,7 +137,7 @@ def test_scores_that_are_kept_are_those_of_scoring_all_frames_again(
 
 
 def test_a_body_that_explains_less_changes_nothing(
-    ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording], monkeypatch: pytest.MonkeyPatch
+    ensemble: asterism.MarkerModel, walks: list[asterism.Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its scores are written over those of the labels that stay."""
     labeller, rules = ensemble.body_labeller, RecordingLabellingSettings()
@@ -153,13 +153,13 @@ def test_a_body_that_explains_less_changes_nothing(
         np.testing.assert_array_equal(getattr(tried, name), getattr(plain, name))
 
 
-def test_scores_are_written_over_those_of_an_earlier_recording(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+def test_scores_are_written_over_those_of_an_earlier_recording(ensemble: asterism.MarkerModel, walks: list[asterism.Recording]) -> None:
     labeller, rules, arrays = ensemble.body_labeller, RecordingLabellingSettings(), list[FrameScores]()
     for walk, seed in ((walks[4], 2), (walks[4], 3), (walks[3].frames(slice(0, 200)), 4)):
         clouds, _ = simulate_gaps_and_ghosts(walk, 5, 3, seed=seed)
         scene = prepare_scene(clouds, find_tracklets(clouds), rules)
         plain = joint.label_scene([labeller], scene, rules, SubjectRules(), ensemble.state.body_rules)
-        found = joint.label_scene([labeller], scene, rules, SubjectRules(), ensemble.state.body_rules, arrays=arrays)
+        found = joint.label_scene([labeller], scene, rules, SubjectRules(), ensemble.state.body_rules, work=joint.SceneWork(arrays=arrays))
         assert len(arrays) == 1
         for name in ("label", "margin", "rival", "by_body"):
             np.testing.assert_array_equal(getattr(found, name), getattr(plain, name))
@@ -174,24 +174,24 @@ def test_points_turn_with_their_frames() -> None:
     np.testing.assert_array_equal(found[frame == 2], xyz[frame == 2])
 
 
-def test_the_order_of_the_points_plays_no_part(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+def test_the_order_of_the_points_plays_no_part(ensemble: asterism.MarkerModel, walks: list[asterism.Recording]) -> None:
     clouds, _ = simulate_gaps_and_ghosts(walks[4], 2, 2, seed=2)
     assert clouds.tracks is not None
     rng = np.random.default_rng(0)
     order = np.concatenate([a + rng.permutation(b - a) for a, b in zip(clouds.offsets[:-1], clouds.offsets[1:], strict=True)])
     shuffled = Clouds(clouds.xyz[order], clouds.offsets, clouds.rate, clouds.vertical, clouds.columns, clouds.tracks[order])
-    one, other = ensemble.label(clouds, time=True), ensemble.label(shuffled, time=True)
+    one, other = ensemble.label(clouds), ensemble.label(shuffled)
     assert np.array_equal(one.positions(clouds), other.positions(shuffled), equal_nan=True)
     assert np.array_equal(one.confidence, other.confidence)
 
 
 @pytest.mark.parametrize("frames", [1, 2, 4])
 def test_a_recording_of_few_frames_is_labelled_as_its_frames_are(
-    ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording], frames: int
+    ensemble: asterism.MarkerModel, walks: list[asterism.Recording], frames: int
 ) -> None:
     """No tracklet is long: labels and confidence are those of single frames, and the verdict is said."""
     clouds, _ = simulate_gaps_and_ghosts(walks[4].frames(slice(40, 40 + frames)), 3, 1, seed=3)
-    whole, single = ensemble.label(clouds, time=True), ensemble.label(clouds)
+    whole, single = ensemble.label(clouds), ensemble.label(clouds)
     assert whole.verdict is not None and whole.verdict.fits and whole.verdict.scatter > 0.0
     assert (whole.indices >= 0).sum() > 8 * frames
     np.testing.assert_array_equal(whole.indices, single.indices)
@@ -199,52 +199,63 @@ def test_a_recording_of_few_frames_is_labelled_as_its_frames_are(
     np.testing.assert_allclose(whole.confidence[given], single.confidence[given], atol=1e-6)
 
 
-def test_empty_frames_are_fine(ensemble: asterism.SolverEnsemble) -> None:
-    labelling = ensemble.label(Clouds.from_points([np.empty((0, 3))] * 4, 100.0), time=True)
+def test_empty_frames_are_fine(ensemble: asterism.MarkerModel) -> None:
+    labelling = ensemble.label(Clouds.from_points([np.empty((0, 3))] * 4, 100.0))
     assert (labelling.indices == -1).all()
 
 
-def test_other_rules_do_not_label_whole_recordings(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+def test_options_of_before_keep_their_meaning(ensemble: asterism.MarkerModel, walks: list[asterism.Recording]) -> None:
+    clouds = walks[4].frames(slice(0, 40)).clouds()
+    assert ensemble.label(clouds, time=True) == ensemble.label(clouds) == ensemble.label(walks[4].frames(slice(0, 40)))
+    with pytest.warns(DeprecationWarning, match="label_frames"):
+        assert ensemble.label(clouds, time=False) == ensemble.label_frames(clouds)
     with pytest.raises(asterism.AsterismError, match="whole-body"):
-        ensemble.label(walks[4].clouds(), time=True, rules="thesis")
+        ensemble.label(clouds, time=True, rules="thesis")
+    with pytest.raises(TypeError, match="not minutes"):
+        ensemble.label(clouds, minutes=3)
+    with pytest.warns(DeprecationWarning, match="now called MarkerModel"):
+        assert asterism.SolverEnsemble is asterism.MarkerModel
+    with pytest.warns(DeprecationWarning, match="now called MarkerModel"):
+        from asterism.labelling import SolverEnsemble
+    assert SolverEnsemble is asterism.MarkerModel
 
 
 def test_a_saved_model_labels_whole_recordings_alike(
-    ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording], tmp_path: Path
+    ensemble: asterism.MarkerModel, walks: list[asterism.Recording], tmp_path: Path
 ) -> None:
     path = tmp_path / "walk.model"
     ensemble.save(path)
     clouds, _ = simulate_gaps_and_ghosts(walks[4], 3, 1, seed=3)
-    one, other = ensemble.label(clouds, time=True), asterism.SolverEnsemble.load(path).label(clouds, time=True)
+    one, other = ensemble.label(clouds), asterism.MarkerModel.load(path).label(clouds)
     assert np.array_equal(one.indices, other.indices)
     assert np.array_equal(one.confidence, other.confidence)
 
 
-def test_a_trial_of_the_person_makes_single_frames_surer(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+def test_a_trial_of_the_person_makes_single_frames_surer(ensemble: asterism.MarkerModel, walks: list[asterism.Recording]) -> None:
     adapted = ensemble.adapt(walks[4].frames(slice(0, 60)))
     clouds, truth = simulate_gaps_and_ghosts(walks[4].frames(slice(60, 120)), 3, 0, seed=5)
-    own, general = adapted.label(clouds), ensemble.label(clouds)
+    own, general = adapted.label_frames(clouds), ensemble.label_frames(clouds)
     assert (own.indices == truth)[own.indices >= 0].all()
     assert own.confidence[truth >= 0].mean() > general.confidence[truth >= 0].mean()
 
 
-def test_an_unlabelled_trial_with_markers_missing_adapts_too(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+def test_an_unlabelled_trial_with_markers_missing_adapts_too(ensemble: asterism.MarkerModel, walks: list[asterism.Recording]) -> None:
     anonymous = asterism.Recording(walks[4].positions[:60, 2:], tuple(f"*{i}" for i in range(13)), walks[4].rate)
     clouds, truth = simulate_gaps_and_ghosts(walks[4].frames(slice(60, 120)), 3, 0, seed=5)
-    labelling = ensemble.adapt(anonymous).label(clouds, time=True)
+    labelling = ensemble.adapt(anonymous).label(clouds)
     given = labelling.indices >= 0
     assert (labelling.indices == truth)[given].all()
     assert given.sum() > 0.97 * (truth >= 0).sum()
 
 
-def test_the_body_of_someone_else_is_told_apart(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording], tmp_path: Path) -> None:
+def test_the_body_of_someone_else_is_told_apart(ensemble: asterism.MarkerModel, walks: list[asterism.Recording], tmp_path: Path) -> None:
     clouds = walks[4].frames(slice(60, 120)).clouds()
     fits = []
     for person in range(5):
         adapted = ensemble.adapt(walks[person].frames(slice(0, 60)))
         adapted.save(tmp_path / "one.model")
-        again = asterism.SolverEnsemble.load(tmp_path / "one.model")
-        labelling = again.label(clouds, time=True)
+        again = asterism.MarkerModel.load(tmp_path / "one.model")
+        labelling = again.label(clouds)
         fits.append(again.subject_fit(clouds, labelling))
         assert fits[-1] == adapted.subject_fit(clouds, labelling)
     assert fits[4] > max(OTHER_SUBJECT_FIT, *fits[:4])
@@ -252,7 +263,7 @@ def test_the_body_of_someone_else_is_told_apart(ensemble: asterism.SolverEnsembl
     assert np.isnan(ensemble.subject_fit(clouds, labelling))
 
 
-def test_trials_that_show_no_body_are_refused(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+def test_trials_that_show_no_body_are_refused(ensemble: asterism.MarkerModel, walks: list[asterism.Recording]) -> None:
     mixed = asterism.Recording(walks[4].positions, tuple(reversed(walks[4].labels)), walks[4].rate)
     with pytest.raises(asterism.AsterismError, match="fit no body"):
         ensemble.adapt(mixed)
@@ -261,12 +272,12 @@ def test_trials_that_show_no_body_are_refused(ensemble: asterism.SolverEnsemble,
         ensemble.adapt(nothing)
 
 
-def test_two_points_tell_no_body(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
-    labelling = ensemble.label(walks[4].select(walks[4].labels[:2]).clouds(), time=True)
+def test_two_points_tell_no_body(ensemble: asterism.MarkerModel, walks: list[asterism.Recording]) -> None:
+    labelling = ensemble.label(walks[4].select(walks[4].labels[:2]).clouds())
     assert (labelling.indices == -1).all()
 
 
-def test_a_ghost_in_a_hidden_markers_stead_is_not_given(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+def test_a_ghost_in_a_hidden_markers_stead_is_not_given(ensemble: asterism.MarkerModel, walks: list[asterism.Recording]) -> None:
     walk, marker = walks[4], walks[4].labels.index("LTIB")
     positions = walk.positions.copy()
     positions[40:70, marker] = np.nan
@@ -274,13 +285,13 @@ def test_a_ghost_in_a_hidden_markers_stead_is_not_given(ensemble: asterism.Solve
     for t in range(40, 70):  # it rides along 8 cm beside the hidden marker; another, seen apart, says that there are ghosts
         beside, apart = walk.positions[t, marker] + np.array([[0.0, 0.05, 0.06], [0.0, 0.55, 0.86]])
         frames[t] = np.concatenate([frames[t], [beside, apart]])
-    labelling = ensemble.label(Clouds.from_points(frames, walk.rate), time=True)
+    labelling = ensemble.label(Clouds.from_points(frames, walk.rate))
     assert (labelling.indices[40:70, marker] == -1).all()
     assert (labelling.indices[:40, marker] >= 0).mean() > 0.9
 
 
 def test_a_tracklet_that_goes_over_to_another_marker_is_cut_there(
-    ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording], monkeypatch: pytest.MonkeyPatch
+    ensemble: asterism.MarkerModel, walks: list[asterism.Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two knees that exchange their tracklets half-way, as wrong links would have it: no motion shows that to the labelling."""
     names = list(walks[4].labels)
@@ -293,14 +304,14 @@ def test_a_tracklet_that_goes_over_to_another_marker_is_cut_there(
     frames = np.arange(len(names))
     wrong = replace(tracklets, of_point=of_point, first=0 * frames, last=0 * frames + len(clouds) - 1)
     monkeypatch.setattr("asterism.labelling.whole.label.find_tracklets", lambda _: wrong)
-    labelling = ensemble.label(clouds, time=True)
+    labelling = ensemble.label(clouds)
     truth = np.stack([np.arange(len(names))[[names.index(name) for name in ensemble.marker_set.names]]] * len(clouds))
     assert (labelling.indices == truth).mean() > 0.98
     given = labelling.indices >= 0
     assert (labelling.indices == truth)[given].mean() > 0.99
 
 
-def test_a_ghost_fits_worse_than_the_markers(ensemble: asterism.SolverEnsemble, walks: list[asterism.Recording]) -> None:
+def test_a_ghost_fits_worse_than_the_markers(ensemble: asterism.MarkerModel, walks: list[asterism.Recording]) -> None:
     """LKNE is hidden, and a point rides 12 cm beside it: labelled as LKNE it fits worse than nearly all others. Any order, same fits."""
     names, labeller = ensemble.marker_set.names, ensemble.body_labeller
     walk = walks[4]

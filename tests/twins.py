@@ -8,7 +8,7 @@ from itertools import permutations
 
 import numpy as np
 
-from asterism.labelling.partial.features import FEATURES
+from asterism.labelling.features.registry import FEATURES
 
 
 def feature(name, points):

@@ -7,7 +7,7 @@ from itertools import permutations
 import numpy as np
 import twins
 
-from asterism.labelling.partial.features import FEATURES
+from asterism.labelling.features.registry import FEATURES
 
 
 def bits_of(words, count):

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 
 from asterism.recording import Floats
-from asterism.views import BodyModel
+from asterism.views import ArticulatedBody
 
 
 def rotation_about(axis: Floats, angle: float) -> Floats:
@@ -17,7 +17,7 @@ def rotation_about(axis: Floats, angle: float) -> Floats:
     return np.eye(3) + np.sin(angle) * skew + (1 - np.cos(angle)) * skew @ skew
 
 
-def posed_markers(body: BodyModel, pose: Floats, rotation: Floats) -> Floats:
+def posed_markers(body: ArticulatedBody, pose: Floats, rotation: Floats) -> Floats:
     """Each marker moved by its bone's joints, from its own bone up to the root, then scaled bones placed in the world."""
     root = np.array(body.bones[0].pivot)
     bones = {bone.name: bone for bone in body.bones}

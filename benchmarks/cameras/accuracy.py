@@ -1,4 +1,4 @@
-"""How well the analytic sensitivity stands for one at a time, and what planned rigs gain over the plain ring."""
+"""How well the analytic sensitivity stands for one at a time."""
 
 from __future__ import annotations
 
@@ -6,15 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from asterism.cameras.accuracy import Volume, map_rig, sensitivity
-from asterism.cameras.plan import focal_length, plan_rig
+from asterism.cameras.accuracy import sensitivity
 from asterism.simulation.cameras import random_rig
 from benchmarks.benchmark_run import BenchmarkRun, frames_per_second
 from benchmarks.figures import Figure
 
 SHIFT = 0.3
-HALLS = (("6x4x2.5", 8, 56.0), ("4x3x2", 6, 50.0), ("3x3x2", 4, 45.0), ("10x6x2.5", 16, 56.0))
-"""Volume, cameras of 1280 x 1024, horizontal angle of view in degrees."""
 
 
 def accuracy(benchmark: BenchmarkRun) -> Iterator[Figure]:
@@ -38,21 +35,3 @@ def accuracy(benchmark: BenchmarkRun) -> Iterator[Figure]:
     yield Figure(
         "12 scalars: time one at a time over time analytically", "none", seconds["one-at-a-time"] / seconds["analytic"], "times", len(every)
     )
-
-
-def plan(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Planned rigs and plain rings of the same cameras on the same walls."""
-    for spec, cameras, fov in HALLS[:1] if benchmark.quick else HALLS:
-        volume = Volume.parse(spec)
-        proposal = plan_rig(volume, cameras, (1280, 1024), focal_length(1280, fov=fov))
-        for name, rig, glare in (("planned", proposal.rig, proposal.glare), ("plain ring", proposal.ring, proposal.ring_glare)):
-            result = map_rig(rig, volume)
-            row = f"{cameras} cameras for {spec} m, {name}"
-            yield Figure(f"{row}: seen by three or more", "none", result.coverage(3), "fraction", len(result.places))
-            yield Figure(
-                f"{row}: markers on a body that face two or more", "none", float(result.facing.mean()), "fraction", len(result.places)
-            )
-            yield Figure(
-                f"{row}: error in 95 % of places", "none", 1000 * float(np.nanpercentile(result.error, 95)), "mm", len(result.places)
-            )
-            yield Figure(f"{row}: cameras that see another one's lamps", "none", float(glare), "views", cameras * (cameras - 1))

@@ -50,16 +50,12 @@ def particles(benchmark: BenchmarkRun) -> Iterator[Figure]:
 
 
 def detection(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Time for one image of 300 markers, with the threshold given and not, beside OpenCV's own blob detector."""
+    """Time for one image of 300 markers, with the threshold given and not."""
     places = _apart(300, 24.0, np.random.default_rng(1))
     image = _rendered(places, 7.0, "disc", 0.01, np.random.default_rng(2))
-    parameters = cv2.SimpleBlobDetector_Params()
-    parameters.blobColor, parameters.filterByArea, parameters.minArea = 255, True, 4
-    detector = cv2.SimpleBlobDetector_create(parameters)
     ways: dict[str, tuple[str, Callable[[], Any]]] = {
         "detection, 1280 x 1024, 300 blobs, one core": ("< 2", lambda: find_blobs(image, BlobSettings(threshold=60))),
         "detection, 1280 x 1024, 300 blobs, one core, threshold told from the image": ("< 2", lambda: find_blobs(image)),
-        "detection, 1280 x 1024, 300 blobs, one core, OpenCV SimpleBlobDetector": ("none", lambda: detector.detect(image)),
     }
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
@@ -73,7 +69,7 @@ def detection(benchmark: BenchmarkRun) -> Iterator[Figure]:
 
 
 def centroids(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Centroids of rendered markers against where they were drawn, beside the Cramer-Rao bound of these pixels and this noise."""
+    """Centroids of rendered markers against where they were drawn."""
     for shape in ("disc", "gaussian"):
         for diameter in (3.0, 6.0, 10.0):
             away, noise = [], 0.01
@@ -85,7 +81,6 @@ def centroids(benchmark: BenchmarkRun) -> Iterator[Figure]:
             rms, count = float(np.sqrt((np.concatenate(away) ** 2).mean())), sum(map(len, away))
             row = f"centroids of rendered markers, {shape}, {diameter:.0f} px, noise 1 % of the scale"
             yield Figure(row, "none", rms, "px RMS per axis", count)
-            yield Figure(f"{row}, over the Cramer-Rao bound", "none", rms / _bound(diameter, shape, noise), "ratio", count)
 
 
 def _files() -> Path:
@@ -137,26 +132,6 @@ def _rendered(places: Floats, diameter: float, shape: str, noise: float, rng: np
     none = np.zeros(len(places))
     blobs = Blobs.from_rows(none, none, places, ["one"], sizes=none + diameter)
     return next(render_images(blobs, 0, SIZE, RenderSettings(shape=shape, noise=noise), rng=rng))
-
-
-def _bound(diameter: float, shape: str, noise: float) -> float:
-    """px per axis: what an unbiased estimate that knows the marker's shape and brightness can reach, averaged over places in a pixel."""
-    rng, still = np.random.default_rng(0), 0.02
-    knowledge = []
-    for place in rng.uniform(19.5, 20.5, (50, 2)):
-        sides = [_light(place + np.array([shift, 0.0]), diameter, shape) for shift in (-still, still)]
-        knowledge.append((((sides[1] - sides[0]) / (2 * still)) ** 2).sum())
-    deviation = np.sqrt((255 * noise) ** 2 + 1 / 12)
-    return float(deviation / np.sqrt(np.mean(knowledge)))
-
-
-def _light(place: Floats, diameter: float, shape: str) -> Floats:
-    """The noiseless light of one marker, 16 bits fine, in grey values of 8 bits."""
-    blobs = Blobs.from_rows([0], [0], [place], ["one"], sizes=[diameter])
-    image = next(
-        render_images(blobs, 0, (40, 40), RenderSettings(shape=shape, noise=0.0, bits=16, background=0.0), rng=np.random.default_rng(0))
-    )
-    return image.astype(np.float64) * 255 / 65535
 
 
 def _seconds(run: Callable[[], Any], repeats: int) -> float:

@@ -58,11 +58,10 @@ def walk(benchmark: BenchmarkRun) -> Iterator[Figure]:
             half = len(recording) // 2
             ensemble = benchmark.fit([_named(result, recording).frames(slice(0, half))], ["S01"])
             clouds = _from(result.clouds, half)
-            for how, in_time in (("as a whole", True), ("frame by frame", False)):
-                right, wrong, there = _labels(ensemble.label(clouds, time=in_time), clouds, recording.positions[half:])
-                labelled = f"{row}: second half labelled {how} by a model of the first"
-                yield Figure(f"{labelled}, points of markers labelled right", "none", right / there, "fraction", there)
-                yield Figure(f"{labelled}, labels that are wrong", "none", wrong / max(1, right + wrong), "fraction", right + wrong)
+            right, wrong, there = _labels(ensemble.label(clouds), clouds, recording.positions[half:])
+            labelled = f"{row}: second half labelled by a model of the first"
+            yield Figure(f"{labelled}, points of markers labelled right", "none", right / there, "fraction", there)
+            yield Figure(f"{labelled}, labels that are wrong", "none", wrong / max(1, right + wrong), "fraction", right + wrong)
 
 
 def _named(result: Reconstruction, recording: Recording) -> Recording:

@@ -1,4 +1,4 @@
-"""Walks of people that training has not seen, in clutter: whole recordings with and without track numbers, and frame by frame."""
+"""Walks of people that training has not seen, in clutter: whole recordings with and without track numbers."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import replace
 
 from asterism.simulation import Clutter
 from benchmarks.benchmark_run import BenchmarkRun
-from benchmarks.data import CHOOSING, file_of, gait
+from benchmarks.data import file_of
 from benchmarks.dirt.walks import SEEDS, Condition, ensemble_of, label_whole, reporting, samples, unnumbered
 from benchmarks.figures import Figure
-from benchmarks.recordings.gaps import FRAMEWISE, WHOLE, Tallies, summed
+from benchmarks.recordings.gaps import WHOLE, Tallies, summed
 from benchmarks.score import Tally
 
 BARE = "without numbers"
@@ -71,7 +71,7 @@ def rates(row: str, tally: Tally, asked: tuple[str, str] = ("none", "none")) -> 
 
 
 def _measured(benchmark: BenchmarkRun, conditions: Mapping[str, Condition]) -> Iterator[Figure]:
-    subjects = reporting()[:1] if benchmark.quick else list(gait())
+    subjects = reporting()[: 1 if benchmark.quick else None]
     items = [(subject, condition, conditions[condition]) for condition in conditions for subject in subjects]
     benchmark = replace(benchmark, jobs=1) if benchmark.quick else benchmark  # one subject: its model is learned once
     done: dict[str, dict[str, Tallies]] = defaultdict(dict)
@@ -82,12 +82,8 @@ def _measured(benchmark: BenchmarkRun, conditions: Mapping[str, Condition]) -> I
 
 
 def _figures(name: str, of_subject: Mapping[str, Tallies]) -> Iterator[Figure]:
-    """The figures asked for are about the subjects on which nothing was chosen; the others stand beside them."""
-    for chosen in (False, True):
-        some = [tallies for subject, tallies in of_subject.items() if (subject in CHOOSING) == chosen]
-        for (condition, method), tally in summed(some).items():
-            asked = ASKED[condition] if method != FRAMEWISE and not chosen else ("none", "none")
-            yield from rates(f"clutter, {'subjects chosen on, ' if chosen else ''}{condition}, {method}", tally, asked)
+    for (condition, method), tally in summed(of_subject.values()).items():
+        yield from rates(f"clutter, {condition}, {method}", tally, ASKED[name])
 
 
 def _left_out(benchmark: BenchmarkRun, item: tuple[str, str, Condition]) -> Tallies:
@@ -98,7 +94,6 @@ def _left_out(benchmark: BenchmarkRun, item: tuple[str, str, Condition]) -> Tall
         walk = str(file_of(one.walk))
         tallies[name, WHOLE].add(label_whole(ensemble, one.clouds, one.truth), one.truth, recording=walk)
         tallies[name, BARE].add(label_whole(ensemble, unnumbered(one.clouds), one.truth), one.truth, recording=walk)
-        tallies[name, FRAMEWISE].add(ensemble.label(one.clouds), one.truth, recording=walk)
     told = (f"{method} {tally.right_share:.5f}, wrong {tally.false_assignments:.5f}" for (_, method), tally in tallies.items())
     benchmark.report(f"{subject} left out, {name}: {'; '.join(told)}")
     return dict(tallies)

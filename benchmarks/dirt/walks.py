@@ -32,7 +32,7 @@ class Condition:
 
 def reporting() -> list[str]:
     """The gait subjects on which nothing is chosen."""
-    return [subject for subject in gait() if subject not in CHOOSING]
+    return [subject for subject in gait() if subject not in CHOOSING][:5]
 
 
 @dataclass(frozen=True)
@@ -66,15 +66,15 @@ def unnumbered(clouds: Clouds) -> Clouds:
     return replace(clouds, tracks=None)
 
 
-def ensemble_of(benchmark: BenchmarkRun, subject: str, markers: Markers = "helen-hayes") -> asterism.SolverEnsemble:
+def ensemble_of(benchmark: BenchmarkRun, subject: str, markers: Markers = "helen-hayes") -> asterism.MarkerModel:
     """A model of all others."""
     return unseen_ensemble(benchmark, subject, markers)
 
 
-def label_whole(ensemble: asterism.SolverEnsemble, clouds: Clouds, truth: Ints) -> Labelling:
+def label_whole(ensemble: asterism.MarkerModel, clouds: Clouds, truth: Ints) -> Labelling:
     """The recording labelled as a whole; no label at all where it is refused."""
     try:
-        return ensemble.label(clouds, time=True)
+        return ensemble.label(clouds)
     except AsterismError:
         return silence(truth, ensemble.marker_set.names)
 

@@ -1,4 +1,4 @@
-"""A simulated session with a whole suit: calibration by the target, points of the walker, and how fast the whole is."""
+"""A simulated session with a whole suit: points of the walker, and how fast the whole is."""
 
 from __future__ import annotations
 
@@ -9,15 +9,12 @@ from statistics import median
 
 import numpy as np
 
-from asterism.calibration.coded_target import calibrate_target
 from asterism.garment import Pattern
 from asterism.garment.capture import capture
 from asterism.garment.dense import dense_points, fused_midpoints
 from asterism.garment.design import design_pattern
 from asterism.garment.read import read_image
 from asterism.garment.surface import surface
-from asterism.garment.target_images import find_target
-from asterism.simulation import compare_rigs
 from asterism.simulation.garment import Wearer, suit_masks
 from asterism.simulation.garment.pipeline import Views
 from asterism.simulation.garment.session import GarmentSession, compare_dense, simulate_garment_session
@@ -89,48 +86,6 @@ def _midpoint_error(session: GarmentSession, images: list) -> float:
     ids, points = fused_midpoints(session.rig, reads)
     truth = session.truth(1)
     return float(np.nanmedian(np.linalg.norm(points - np.array([truth[number][0] for number in ids.tolist()]), axis=1)))
-
-
-def calibration(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Forty poses of a target (the paper: a hundred): reprojection, the rig against the truth; points by that rig."""
-    session = _session(benchmark.quick, "walk", 2)
-    sheet, suit = session.target.pattern, session.worn.pattern
-    target = _Moments(session, list(session.calibration(benchmark.jobs)))
-    made = calibrate_target(find_target(target, sheet, lambda image: read_image(image, sheet), workers=benchmark.jobs))
-    off = compare_rigs(made.rig, session.rig)
-    views = int((made.views.counts > 0).sum())
-    yield Figure("coded target: reprojection after calibration (RMS)", "< 0.2", made.rms, "px", len(made.sightings))
-    yield Figure("coded target: cameras without a place in the rig", "== 0", float(len(made.excluded)), "cameras", len(session.rig))
-    yield Figure("coded target: camera positions, largest error", "none", float(off.position.max()), "m", views)
-    yield Figure("coded target: focal lengths, largest error", "none", float(off.focal.max()), "share", views)
-    sigma = made.adjustment.sigma[:, 6]
-    true = np.array([session.rig[camera.name].focal[0] for camera in made.adjustment.cameras])
-    normalised = float(np.sqrt(np.mean(((np.array([camera.focal[0] for camera in made.adjustment.cameras]) - true) / sigma) ** 2)))
-    yield Figure("coded target: focal lengths' error by their standard deviation (RMS)", "none", normalised, "ratio", len(session.rig))
-    frames = 1 if benchmark.quick else 2
-    captured = capture(made.rig, suit, session.film(frames, benchmark.jobs), lambda image: read_image(image, suit), workers=benchmark.jobs)
-    errors = compare_dense(captured.trajectories, session.truth(frames))
-    yield Figure("suit by the calibrated rig: 3D error (RMS)", "< 0.0005", errors.rms, "m", len(errors.errors))
-    yield Figure(
-        "suit by the calibrated rig: normalised 3D error, distance from 1",
-        "<= 0.1",
-        abs(errors.normalised - 1),
-        "share",
-        len(errors.errors),
-    )
-
-
-class _Moments:
-    """Pictures in memory in place of files."""
-
-    def __init__(self, session: GarmentSession, moments: list) -> None:
-        self.names, self._moments = session.rig.names, moments
-
-    def __len__(self) -> int:
-        return len(self._moments)
-
-    def __iter__(self) -> Iterator:
-        return iter(self._moments)
 
 
 def whole_speed(benchmark: BenchmarkRun) -> Iterator[Figure]:

@@ -30,7 +30,7 @@ from asterism.simulation.garment import (
 )
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
-from benchmarks.garment.warps import Warp, warped
+from tests.garment_warps import Warp, warped
 
 LIGHTS = {
     "lamps all around": {},
@@ -87,7 +87,7 @@ def hard_images(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """Rendered suits in three lights at three levels of noise, and warped prints."""
     photos, lights = Tally(), {name: Tally() for name in LIGHTS}
     noisy = Tally()
-    for number in range(2 if benchmark.quick else 72):
+    for number in range(2 if benchmark.quick else 36):
         name, noise = list(LIGHTS)[number % 3], NOISES[number // 3 % 3]
         read, truth = _suit(number, name, noise, benchmark.quick)
         tallies = [photos, lights[name], *([noisy] if noise == max(NOISES) else [])]
@@ -105,7 +105,7 @@ def hard_images(benchmark: BenchmarkRun) -> Iterator[Figure]:
         )
     prints = Tally()
     pattern = design_pattern((12, 16) if benchmark.quick else (34, 44), seed=3)
-    for number in range(2 if benchmark.quick else 160):
+    for number in range(2 if benchmark.quick else 60):
         rng = np.random.default_rng([SEED, 1, number])
         warp = warped(
             pattern, (640, 480) if benchmark.quick else (1280, 960), rng.uniform(0, 55), NOISES[number % 3], (0, 90)[number % 2], rng=rng

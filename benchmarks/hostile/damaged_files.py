@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
-from benchmarks.hostile.trials import HANG_S, MOST_BYTES, run
+from tests.damage.trials import HANG_S, MOST_BYTES, run
 
 COPIES, QUICK_COPIES = 20_000, 300
 

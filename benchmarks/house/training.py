@@ -16,8 +16,8 @@ def training(benchmark: BenchmarkRun) -> Iterator[Figure]:
     people, recordings = people_and_trials(gait())
     if benchmark.quick:
         recordings = [evenly(recording, 60) for recording in recordings]
-    asterism.SolverEnsemble.fit([evenly(recording, 60) for recording in recordings[:3]], seed=0, subjects=people[:3])
+    asterism.MarkerModel.fit([evenly(recording, 60) for recording in recordings[:3]], seed=0, subjects=people[:3])
     started = time.perf_counter()
-    asterism.SolverEnsemble.fit(recordings, seed=0, subjects=people)
+    asterism.MarkerModel.fit(recordings, seed=0, subjects=people)
     seconds = time.perf_counter() - started
     yield Figure(f"default training, 15 markers, {len(recordings)} recordings", "< 20", seconds, "s", len(recordings))

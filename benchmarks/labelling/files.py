@@ -1,9 +1,8 @@
-"""Odd files of many vendors: which of them open, whether encodings agree, and which points are markers."""
+"""Odd files of many vendors: which of them open, and whether encodings agree."""
 
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.formats import describe, read, read_table
-from asterism.recording import Recording, without_subject
+from asterism.formats import read, read_table
+from asterism.recording import Recording
 from benchmarks.benchmark_run import BenchmarkRun
-from benchmarks.data import GAIT_BODY, folder, is_unnamed
+from benchmarks.data import folder
 from benchmarks.figures import Figure
 
 ONE_STEP_MM = 0.2812
@@ -23,9 +22,6 @@ ONE_STEP_MM = 0.2812
 TRUE_FRAMES = {"kyowadengyo.c3d": 152, "pyomeca_markers.trc": 93}
 """Where the index is wrong. The first file's header (11 points, 152 frames) and parameters (12, 145) differ, and only the header's
 layout gives smooth paths; in the second a line of commas between head and data was counted as a frame."""
-
-STATIC_ONLY = tuple(side + name for side in "LR" for name in ("MMA", "PCA", "TPF", "D1M"))
-"""Markers that gait subjects wear while standing: they move by themselves, no model computed them."""
 
 
 def conformance(benchmark: BenchmarkRun) -> Iterator[Figure]:
@@ -47,24 +43,6 @@ def conformance(benchmark: BenchmarkRun) -> Iterator[Figure]:
             "files",
             len(paths),
         )
-
-
-def physical(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Points of every C3D file whose kinds are known: markers, named or not, told from computed points."""
-    right = points = lost = markers = 0
-    for path in _c3d_files(folder()):
-        told = {kind: Counter(map(without_subject, labels)) for kind, labels in describe(path)["points"].items()}
-        everything = told["physical"] + told["computed"] + told["unnamed"]
-        real = _real_markers(path, everything)
-        if real is None:
-            continue
-        wrongly_lost, wrongly_kept = real & told["computed"], (everything - real) - told["computed"]
-        lost, markers, points = lost + wrongly_lost.total(), markers + real.total(), points + everything.total()
-        right += everything.total() - wrongly_lost.total() - wrongly_kept.total()
-        if wrongly_lost or wrongly_kept:
-            benchmark.report(f"{_name(path)}: lost {sorted(wrongly_lost)}, kept {sorted(wrongly_kept)}")
-    yield Figure("physical markers told from computed points", ">= 0.99", right / points, "fraction", points)
-    yield Figure("physical markers taken for computed points", "== 0", lost, "markers", markers)
 
 
 def _c3d_files(root: Path) -> list[Path]:
@@ -102,17 +80,3 @@ def _millimetres_apart(one: Recording, other: Recording) -> float:
     if one.labels != other.labels or not np.array_equal(one.visible, other.visible):
         return float("inf")
     return float(np.nanmax(np.abs(one.positions - other.positions))) * 1000
-
-
-def _real_markers(path: Path, everything: Counter[str]) -> Counter[str] | None:
-    """The points that are no computed ones, or None where nobody has said."""
-    unnamed = Counter({label: count for label, count in everything.items() if is_unnamed(label)})
-    if path.is_relative_to(folder() / "gait"):
-        worn = {*GAIT_BODY, *STATIC_ONLY} if path.stem == "static" else {*GAIT_BODY}
-        return Counter({label: 1 for label in worn if label in everything}) + unnamed
-    entry = _index().get(_name(path).replace("sgi_", "pc_"))
-    if entry is None or "markers" not in entry or not entry["frames"]:
-        return None
-    if entry["computed"] == 0:
-        return everything
-    return Counter(map(without_subject, entry["markers"])) + unnamed

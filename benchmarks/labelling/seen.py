@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
-import asterism
-from asterism.labelling.simulated_occlusions import simulate_occlusions
-from asterism.recording import NULL, Clouds, Ints, Labelling, Recording
-from benchmarks.benchmark_run import BenchmarkRun, frames_per_second
-from benchmarks.data import GAIT_BODY, blocks, evenly, gait, people_and_trials
+from asterism.recording import NULL, Ints, Labelling, Recording
+from benchmarks.data import blocks, gait, people_and_trials
 from benchmarks.figures import Figure
 from benchmarks.score import Tally
 
 FRAMES = 16384
-RULES = "whole-body rules"
-"""Whose labels these are; the thesis' own are other rows."""
 TARGETS = (0.99, 0.999, 0.9999, 0.99999)
 PRINTED_ZERO = 0.00005
 """What the thesis prints as 0.00 % was below this."""
@@ -40,31 +33,6 @@ THESIS_FO = {
 }
 
 
-def tables(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Tables 5.4 and 5.5 cell by cell, 5.3 marker by marker, and the two figures that the issue asks for by themselves."""
-    for figures in benchmark.each(_column, TARGETS[2:3] if benchmark.quick else TARGETS):
-        yield from figures
-
-
-def _column(benchmark: BenchmarkRun, target: float) -> list[Figure]:
-    """One target hit rate over all occlusions."""
-    ensemble, column, figures = _ensemble(benchmark, target), TARGETS.index(target), []
-    for hidden in (4,) if benchmark.quick else range(1, 6):
-        clouds, truth = simulate_occlusions(test_frames(1024 if benchmark.quick else FRAMES), hidden, 0, seed=hidden)
-        labelling = ensemble.label(clouds)
-        tally = redrawn(labelling, truth)
-        fa, fo = tally.false_assignments, tally.false_occlusions
-        cell = f"{RULES}, subjects seen, {hidden} occlusion{'s' * (hidden > 1)}, target {target * 100:g} %"
-        figures.append(tally.figure(f"table 5.4, {cell}: FA", f"< {THESIS_FA[hidden][column]:g}", fa))
-        figures.append(tally.figure(f"table 5.5, {cell}: FO", f"< {THESIS_FO[hidden][column]:g}", fo))
-        if target == 0.9999 and hidden == 4:
-            figures.append(tally.figure(f"{cell}: FA", "<= 0.0001", fa))
-            figures.append(tally.figure(f"{cell}: FO", "<= 0.15", fo))
-            figures.append(tally.figure(f"{cell}: missed", "none", tally.missed_share))
-            figures += by_marker(cell, labelling, truth, tally)
-    return figures
-
-
 def by_marker(
     cell: str, labelling: Labelling, truth: Ints, tally: Tally, printed: dict[str, tuple[float, float]] | None = None
 ) -> Iterator[Figure]:
@@ -76,66 +44,6 @@ def by_marker(
         fa, fo = ("", "") if printed is None else (f" (printed {value:g})" for value in printed[name])
         yield tally.figure(f"table 5.3, {cell}, {name}: FA{fa}", "none", float(wrong[marker]))
         yield tally.figure(f"table 5.3, {cell}, {name}: FO{fo}", "none", float(null[marker]))
-
-
-def speed(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """The ensemble on one core, everything compiled, median of five runs."""
-    ensemble = _ensemble(benchmark, 0.9999)
-    recording = test_frames(1024 if benchmark.quick else 4096)
-    for hidden, ghosts, asked in ((0, 0, "none"), (4, 0, "none"), (4, 3, "> 5000")):
-        clouds, _ = simulate_occlusions(recording, hidden, ghosts, seed=0)
-        rate = frames_per_second(partial(ensemble.label, clouds, workers=1), len(clouds))
-        yield Figure(f"ensemble, {hidden} occlusions + {ghosts} ghosts, one core", asked, rate, "frames/s", len(clouds))
-    rng = np.random.default_rng(3)
-    crowd = Clouds.from_points([rng.uniform(-1.5, 1.5, (500, 3)) for _ in range(8)], recording.rate, recording.vertical)
-    rate = frames_per_second(partial(ensemble.label, crowd, workers=1), len(crowd))
-    yield Figure("ensemble, 500 random points a frame, one core", "> 0.2", rate, "frames/s", len(crowd))
-    clouds, _ = simulate_occlusions(recording.frames(slice(0, 8)), 0, 200, seed=1)
-    rate = frames_per_second(partial(ensemble.label, clouds, workers=1), len(clouds))
-    yield Figure("ensemble, 200 ghosts a frame, one core", "> 0.2", rate, "frames/s", len(clouds))
-
-
-def training(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Training from all gait recordings, 15 markers."""
-    people, recordings = people_and_trials(gait())
-    if benchmark.quick:
-        recordings = [evenly(recording, 60) for recording in recordings]
-    started = time.perf_counter()
-    asterism.SolverEnsemble.fit(recordings, seed=0, subjects=people)
-    yield Figure(
-        f"training, 15 markers, {len(recordings)} recordings, 2 cores", "< 300", time.perf_counter() - started, "s", len(recordings)
-    )
-
-
-def full_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """All physical markers that every gait subject wears, from training to labels."""
-    people, recordings = people_and_trials(gait(GAIT_BODY))
-    if benchmark.quick:
-        people, recordings = people[:6], [evenly(recording, 60) for recording in recordings[:6]]
-    train = [blocks(recording, odd=False) for recording in recordings]
-    started = time.perf_counter()
-    ensemble = asterism.SolverEnsemble.fit(train, seed=0, subjects=people)
-    markers = len(GAIT_BODY)
-    yield Figure(f"full body, {markers} markers: training", "< 1200", time.perf_counter() - started, "s", len(train))
-    test = _joined([evenly(blocks(recording, odd=True), 64) for recording in recordings])
-    for hidden in (0, 3):
-        clouds, truth = simulate_occlusions(test, hidden, 0, seed=hidden)
-        tally = Tally()
-        tally.add(ensemble.label(clouds), truth)
-        row = f"full body, {markers} markers, subjects seen, {hidden} occlusions"
-        yield tally.figure(f"{row}: FA", "none", tally.false_assignments)
-        yield tally.figure(f"{row}: missed", "none", tally.missed_share)
-        if hidden == 0:
-            rate = frames_per_second(partial(ensemble.label, clouds, workers=1), len(clouds), repeats=3)
-            yield Figure(f"full body, {markers} markers: labelling, one core", "> 1000", rate, "frames/s", len(clouds))
-
-
-def _ensemble(benchmark: BenchmarkRun, target: float) -> asterism.SolverEnsemble:
-    people, recordings = people_and_trials(gait())
-    train = [blocks(recording, odd=False) for recording in recordings]
-    if benchmark.quick:
-        train = [evenly(recording, 40) for recording in train]
-    return benchmark.fit(train, people, target_hit_rate=target)
 
 
 def test_frames(frames: int) -> Recording:

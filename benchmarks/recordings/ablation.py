@@ -26,8 +26,8 @@ from benchmarks.score import Tally
 class Case:
     """A subject left out: the ensemble of the others, and the same after it has seen the subject's standing trial."""
 
-    ensemble: asterism.SolverEnsemble
-    adapted: asterism.SolverEnsemble
+    ensemble: asterism.MarkerModel
+    adapted: asterism.MarkerModel
 
 
 def uncalibrated(case: Case, clouds: Clouds) -> Labelling:
@@ -38,21 +38,21 @@ def uncalibrated(case: Case, clouds: Clouds) -> Labelling:
 
 
 METHODS: tuple[tuple[str, Callable[[Case, Clouds], Labelling]], ...] = (
-    ("frame only", lambda case, clouds: case.ensemble.label(clouds)),
-    ("+ tracks", lambda case, clouds: by_majority(case.ensemble.label(clouds), clouds)),
+    ("frame only", lambda case, clouds: case.ensemble.label_frames(clouds)),
+    ("+ tracks", lambda case, clouds: by_majority(case.ensemble.label_frames(clouds), clouds)),
     ("+ all tracks at once", uncalibrated),
-    ("+ own calibration", lambda case, clouds: case.ensemble.label(clouds, time=True)),
-    ("+ static trial", lambda case, clouds: case.adapted.label(clouds, time=True)),
+    ("+ own calibration", lambda case, clouds: case.ensemble.label(clouds)),
+    ("+ static trial", lambda case, clouds: case.adapted.label(clouds)),
 )
-"""Each does what the one above it does, and more. The row `features` adds two lines."""
+"""Each does what the one above it does, and more."""
 
 
 def ablation(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Right and FA by method and condition, over every second subject of those that have a standing trial."""
+    """Right and wrong by method and condition, over every second subject of those that have a standing trial."""
     subjects = [subject for subject in gait() if standing(subject)][:: 9 if benchmark.quick else 2]
-    for (condition, method), tally in summed(list(benchmark.each(_left_out, subjects))).items():
+    for (condition, method), tally in summed(benchmark.each(_left_out, subjects)).items():
         yield tally.figure(f"ablation, {method}, {condition}: right", "none", tally.right_share)
-        yield tally.figure(f"ablation, {method}, {condition}: FA", "none", tally.false_assignments)
+        yield tally.figure(f"ablation, {method}, {condition}: wrong", "none", tally.false_assignments)
 
 
 def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:

@@ -1,47 +1,37 @@
-"""The peers on the very clouds of the row `gaps`: tracking from a hand-labelled first frame, and key poses frame by frame."""
+"""The peer on the very clouds of the script `gaps`: key poses, frame by frame."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
 
-from asterism.labelling.simulated_occlusions import simulate_gaps
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import gait, spread
 from benchmarks.figures import Figure
 from benchmarks.peer import KeyPoses
-from benchmarks.recordings.gaps import FEW, Tallies, rates, summed
-from benchmarks.recordings.walks import CONDITIONS, SEEDS, unseen_training, walk_of_draw, walks, with_gaps
+from benchmarks.recordings.gaps import Tallies, rates, summed
+from benchmarks.recordings.walks import CONDITIONS, unseen_training, walk_of_draw, with_gaps
 from benchmarks.score import Tally, some_frames
-from benchmarks.tracking import follow
 
-TRACKING, POSES = "tracking", "key poses"
+POSES = "key poses"
 POSES_FRAMES = 8
 """Frames of each cloud that the slow peer gets, evenly spread; each frame stands alone for it."""
 
 
 def baselines(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Right, FA and missed of both peers by condition."""
+    """Right, wrong and missed of the peer by condition."""
     subjects = list(gait())[: 1 if benchmark.quick else None]
-    for (condition, method), tally in summed(list(benchmark.each(_left_out, subjects))).items():
+    for (condition, method), tally in summed(benchmark.each(_left_out, subjects)).items():
         yield from rates(condition, method, tally, asked=False)
 
 
 def _left_out(benchmark: BenchmarkRun, subject: str) -> Tallies:
     tallies: Tallies = defaultdict(Tally)
     poses = KeyPoses.fit(unseen_training(benchmark, subject)[1])
-    own = walks(subject)
-    repeats = 1 if benchmark.quick else SEEDS
     for condition, (hidden, ghosts) in CONDITIONS.items():
         for number, (clouds, truth) in enumerate(with_gaps(benchmark, subject, hidden, ghosts)):
-            first, walk = own[number // repeats].positions[0], walk_of_draw(benchmark, subject, number)
-            tallies[condition, TRACKING].add(follow(first, clouds, poses.names), truth, recording=walk)
+            walk = walk_of_draw(benchmark, subject, number)
             few, few_truth = some_frames(clouds, truth, spread(len(truth), POSES_FRAMES))
             tallies[condition, POSES].add(poses.label(few), few_truth, recording=walk)
-    for number, recording in enumerate(own):
-        for seed in range(repeats):
-            clouds, truth = simulate_gaps(recording, 5, seed=SEEDS * number + seed)
-            labelling = follow(recording.positions[0], clouds, recording.labels)
-            tallies[FEW, TRACKING].add(labelling, truth, recording=f"{subject}, walk {number}")
     benchmark.report(f"{subject} left out: {'; '.join(f'{c}, {m} {tally.right_share:.4f}' for (c, m), tally in tallies.items())}")
     return dict(tallies)

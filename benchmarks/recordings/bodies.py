@@ -45,8 +45,8 @@ def bodies(benchmark: BenchmarkRun) -> Iterator[Figure]:
                 said += _crowd(ensemble, both)
     for what, tallies in (("one model twice", twice), ("each person's own model", own)):
         for condition, tally in tallies.items():
-            yield tally.figure(f"two people, {what}{condition}: right", "none", tally.right_share)
-            yield tally.figure(f"two people, {what}{condition}: FA", "none", tally.false_assignments)
+            yield tally.figure(f"two people, {what}{condition}: right", ">= 0.99", tally.right_share)
+            yield tally.figure(f"two people, {what}{condition}: wrong", "<= 0.01", tally.false_assignments)
     yield Figure("two people where one is expected: said", "none", said / (len(AWAY) * alone / 2), "fraction", len(AWAY) * alone // 2)
     yield Figure("one person where one is expected: taken for two", "none", false / alone, "fraction", alone)
 
@@ -68,14 +68,14 @@ def beside(first: Recording, second: Recording, away: tuple[float, float, float]
     )
 
 
-def _unseen(benchmark: BenchmarkRun, subjects: Sequence[str]) -> asterism.SolverEnsemble:
+def _unseen(benchmark: BenchmarkRun, subjects: Sequence[str]) -> asterism.MarkerModel:
     """An ensemble that has seen neither of them."""
     others = {subject: trials for subject, trials in gait("helen-hayes").items() if subject not in subjects}
     people, train = people_and_trials(others)
     return benchmark.fit(train, people)
 
 
-def _joined(labellings: Sequence[Labelling], ensemble: asterism.SolverEnsemble) -> Labelling:
+def _joined(labellings: Sequence[Labelling], ensemble: asterism.MarkerModel) -> Labelling:
     return join_labellings(labellings, [ensemble.marker_set] * 2)[0]
 
 
@@ -83,10 +83,10 @@ def _right(labelling: Labelling, truth: Ints) -> float:
     return float((labelling.indices == truth).mean())
 
 
-def _crowd(ensemble: asterism.SolverEnsemble, recording: Recording) -> int:
+def _crowd(ensemble: asterism.MarkerModel, recording: Recording) -> int:
     """1 where the ensemble says that a recording shows several bodies."""
     try:
-        ensemble.label(recording.clouds(), time=True)
+        ensemble.label_one_body(recording.clouds())
     except SeveralBodies:
         return 1
     return 0

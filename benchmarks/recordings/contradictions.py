@@ -1,16 +1,13 @@
 """Hand labels that contradict the same person's standing trial or the body: head and hands whose markers have each other's names,
-sides that are exchanged for a while, and markers where the body cannot have them."""
+and sides that are exchanged for a while."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations, permutations
 from pathlib import Path
-from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_closing, binary_opening
 
 from asterism.recording import Ints, Labelling, Recording
 from benchmarks.data import file_of, true_names
@@ -31,33 +28,6 @@ STIFF, NEAR, FAR = 0.05, 0.15, 0.5
 """Shares of its median by which a stiff distance differs in half of the frames; by which it may differ under the other side's name; and by
 which it must under its own."""
 
-
-@dataclass(frozen=True)
-class StiffRules:
-    """What distances on stiff parts of the body tell of names. Not tuned.
-
-    frames    of which the usual distances are taken, evenly spread
-    seen      share of them in which two markers must be there together
-    nearest   neighbours on a stiff part that a marker is held against
-    stiff     share of its median by which a stiff distance differs in half of the frames
-    far       share by which it must differ under a marker's own name for the marker to be elsewhere
-    off, own  share by which both of two markers must differ under their own names, and how much of that may be left under each other's
-    least     frames in a row
-    between   frames between two such stretches up to which it is so between them, too
-    """
-
-    frames: int = 1000
-    seen: float = 0.1
-    nearest: int = 6
-    stiff: float = 0.08
-    far: float = 1.0
-    off: float = 0.1
-    own: float = 0.5
-    least: int = 10
-    between: int = 50
-
-
-STIFF_RULES = StiffRules()
 
 BODY = ("LASI", "RASI", "LTOE", "LHEE")
 """Markers that tell the body's left, and where it walks."""
@@ -109,44 +79,6 @@ def sides_exchanged(recording: Recording) -> NDArray[np.bool_]:
             wrong = (np.abs(own / usual - 1.0) > FAR).all(axis=0) & (np.abs(across / usual - 1.0) < NEAR).all(axis=0)
             out[np.ix_(wrong, (*one, *other))] = True
     return out
-
-
-def impossible(recording: Recording, rules: StiffRules = STIFF_RULES) -> NDArray[np.bool_]:
-    """(T, M) where a marker cannot be what it is named, as its distances to neighbours on the same stiff part show.
-
-    It is more than as far again from most of them as usual; or it and another marker both are off, and each is where the other should be.
-    What is usual the recording itself says. No labelling and no model takes part in it. O(M^2 T).
-    """
-    some = recording.positions[np.unique(np.linspace(0, len(recording) - 1, min(rules.frames, len(recording))).astype(int))]
-    apart = np.linalg.norm(some[:, :, None] - some[:, None], axis=3)
-    with catch_warnings():
-        simplefilter("ignore", RuntimeWarning)  # markers that are never there together
-        usual = np.nanmedian(apart, axis=0)
-        spread = np.nanmedian(np.abs(apart / usual - 1.0), axis=0)
-        stiff = (spread < rules.stiff) & (np.isfinite(apart).sum(axis=0) >= rules.seen * len(some)) & ~np.eye(len(usual), dtype=np.bool_)
-        rank = np.argsort(np.argsort(np.where(stiff, usual, np.inf), axis=1), axis=1)
-        stiff &= rank < rules.nearest
-        out = np.zeros(recording.positions.shape[:2], dtype=np.bool_)
-        for marker in range(len(usual)):
-            beside = np.nonzero(stiff[marker])[0]
-            if len(beside):
-                out[:, marker] = np.nanmedian(_off(recording, marker, beside, usual[marker]), axis=1) > rules.far
-    for one, other in combinations(range(len(usual)), 2):
-        beside = np.nonzero(stiff[one] & stiff[other])[0]
-        if len(beside):
-            own = np.stack([_off(recording, marker, beside, usual[marker]) for marker in (one, other)])
-            across = np.stack([_off(recording, one, beside, usual[other]), _off(recording, other, beside, usual[one])])
-            better = ((own > rules.off) & (across < rules.own * own)).all(axis=0)
-            held = np.isfinite(own).all(axis=0)
-            out[np.ix_((better.sum(axis=1) > 0.5 * held.sum(axis=1)) & held.any(axis=1), (one, other))] = True
-    out = np.asarray(binary_opening(out, np.ones((rules.least, 1))))
-    return np.asarray(out | binary_closing(out, np.ones((rules.between + 1, 1))))
-
-
-def _off(recording: Recording, marker: int, beside: Ints, usual: np.ndarray) -> np.ndarray:
-    """(T, N) by which share a marker's distances to N others differ from the usual ones (M,)."""
-    positions = recording.positions
-    return np.asarray(np.abs(np.linalg.norm(positions[:, beside] - positions[:, marker, None], axis=2) / usual[beside] - 1.0))
 
 
 def _apart(recording: Recording, one: int, other: int) -> np.ndarray:

@@ -12,11 +12,10 @@ from functools import cache
 from itertools import groupby
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
-from asterism.recording import NULL, Floats, Ints, Labelling, Recording
+from asterism.recording import NULL, Ints, Labelling, Recording
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.data import DIRTY, Fold, Test, everything, is_unnamed, movement_folds
 from benchmarks.figures import Figure
@@ -24,15 +23,10 @@ from benchmarks.recordings.contradictions import sides_exchanged
 from benchmarks.recordings.movement import silence
 from benchmarks.score import Tally
 
-RAW = "clouthier62/raw/S01_Pronetokneel01_mksrem.c3d"
-RIGID, NEAR = 0.01, 0.03
-"""Two markers are near-rigid where their distance spreads by less than the first (m, standard deviation); another recording agrees within
-the second (m)."""
-
 
 @dataclass
 class Found:
-    """Hand labels found again, the same frame by frame, and the samples of pieces that nobody named.
+    """Hand labels found again, and the samples of pieces that nobody named.
 
     kept    the same without samples in which the hand labels exchange the sides of the body, see `sides_exchanged`
     pieces  (4,) their samples; of these left null; those of pieces that can be no marker, since every marker is labelled elsewhere by
@@ -40,19 +34,17 @@ class Found:
     """
 
     tally: Tally = field(default_factory=Tally)
-    framewise: Tally = field(default_factory=Tally)
     kept: Tally = field(default_factory=Tally)
     pieces: Ints = field(default_factory=lambda: np.zeros(4, dtype=np.int64))
 
 
 def dirt(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Hand labels found again and FA by set, what becomes of the pieces without a name, and what the raw trial shows."""
+    """Hand labels found again and wrong labels by set, and what becomes of the pieces without a name."""
     folds = _folds(benchmark.quick)
     for label, group in groupby(zip(folds, benchmark.each(_tested, range(len(folds))), strict=True), key=lambda outcome: outcome[0].label):
         total = Found()
         for _, found in group:
             total.tally += found.tally
-            total.framewise += found.framewise
             total.kept += found.kept
             total.pieces = total.pieces + found.pieces
         tally, (samples, null, strange, strange_null) = total.tally, total.pieces
@@ -60,15 +52,12 @@ def dirt(benchmark: BenchmarkRun) -> Iterator[Figure]:
         if total.kept.visible < tally.visible:
             row = f"dirt, {label}: hand labels found again, without those that exchange the sides of the body"
             yield total.kept.figure(row, "none", total.kept.right_share)
-        yield tally.figure(f"dirt, {label}: FA", "none", tally.false_assignments)
-        yield tally.figure(f"dirt, {label}, frame by frame: hand labels found again", "none", total.framewise.right_share)
+        yield tally.figure(f"dirt, {label}: wrong", "none", tally.false_assignments)
         if samples:
             yield Figure(f"dirt, {label}: samples without a name, left null", "none", null / samples, "fraction", int(samples))
         if strange:
             row = f"dirt, {label}: samples of pieces that can be no marker, left null"
             yield Figure(row, ">= 0.995", strange_null / strange, "fraction", int(strange))
-    if not benchmark.quick:
-        yield from _raw(benchmark)
 
 
 @cache
@@ -87,14 +76,13 @@ def _tested(benchmark: BenchmarkRun, number: int) -> Found:
         markers = len(test.recording.labels)
         clouds, truth = simulate_gaps_and_ghosts(_with_pieces(test), 0, 0, seed=place)
         nothing = silence(truth[:, :markers], test.recording.labels)
-        labelling = ensemble.label(clouds, time=True) if ensemble else nothing
+        labelling = ensemble.label(clouds) if ensemble else nothing
         found.tally.add(labelling, truth[:, :markers])
         exchanged = sides_exchanged(everything(test.file).select(test.recording.labels))[test.frames]
         found.kept.add(labelling, np.where(exchanged, NULL, truth[:, :markers]))
-        found.framewise.add(ensemble.label(clouds) if ensemble else nothing, truth[:, :markers])
         found.pieces += _pieces(labelling, truth)
-    told = f"found again {found.tally.right_share:.5f}, FA {found.tally.false_assignments:.5f}, pieces {found.pieces}"
-    benchmark.report(f"{fold.label}: {told}, frame by frame {found.framewise.right_share:.5f}")
+    told = f"found again {found.tally.right_share:.5f}, wrong {found.tally.false_assignments:.5f}, pieces {found.pieces}"
+    benchmark.report(f"{fold.label}: {told}")
     return found
 
 
@@ -118,36 +106,3 @@ def _pieces(labelling: Labelling, truth: Ints) -> Ints:
             strange = bool((truth[frames, :markers] != NULL).any(axis=0).all())
             counts += np.array([len(frames), null, len(frames) * strange, null * strange])
     return counts
-
-
-def _raw(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """A trial that nobody labelled, with the model of both labelled ones: how much gets a label, and whether bodies agree."""
-    folds = [fold for fold in _folds(False) if fold.label == RAW.split("/")[0]]
-    labelled = [recording for fold in folds for recording in fold.train]
-    ensemble = benchmark.fit(labelled, [folds[0].label] * len(labelled))
-    clouds = everything(RAW).clouds()
-    positions = ensemble.label(clouds, time=True).positions(clouds)
-    given = ~np.isnan(positions[:, :, 0])
-    yield Figure("dirt, clouthier62 raw trial: points that got a label", "none", given.sum() / len(clouds.xyz), "fraction", len(clouds))
-    yield Figure("dirt, clouthier62 raw trial: markers that got a point", "none", float(given.mean()), "fraction", len(clouds))
-    rigid, usual = _near_rigid(np.concatenate([recording.positions for recording in labelled]))
-    apart = _distances(positions)[:, rigid]
-    there = ~np.isnan(apart)
-    agree = np.abs(apart - usual[rigid])[there] < NEAR
-    row = f"dirt, clouthier62 raw trial: distances of near-rigid pairs within {NEAR * 1000:.0f} mm of the labelled trials'"
-    yield Figure(row, "none", float(agree.mean()) if len(agree) else 0.0, "fraction", max(1, int(there.sum())))
-
-
-def _near_rigid(positions: Floats) -> tuple[NDArray[np.bool_], Floats]:
-    """(pairs,) whether two markers keep their distance, and their median distance in metres."""
-    apart = _distances(positions[::10])
-    often = (~np.isnan(apart)).mean(axis=0) > 0.5
-    middle, spread = np.full(apart.shape[1], np.nan), np.full(apart.shape[1], np.inf)
-    middle[often], spread[often] = np.nanmedian(apart[:, often], axis=0), np.nanstd(apart[:, often], axis=0)
-    return spread < RIGID, middle
-
-
-def _distances(positions: Floats) -> Floats:
-    """(T, pairs) m between every two markers."""
-    one, other = np.triu_indices(positions.shape[1], k=1)
-    return np.asarray(np.linalg.norm(positions[:, one] - positions[:, other], axis=2))

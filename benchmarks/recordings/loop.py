@@ -21,10 +21,10 @@ from benchmarks.data import file_of, gait
 from benchmarks.figures import Figure
 from benchmarks.score import Tally
 
-CONDITIONS = {"as recorded": (0, 0), "3 hidden": (3, 0), "3 hidden + 3 ghosts": (3, 3)}
+HIDDEN, GHOSTS = 3, 3
 """Markers hidden in gaps, and ghost tracks there, at every moment."""
-FEW_STARTS = 1
-"""Subjects whose straight walk is the one trial, evenly spread. Each of the eleven is a start where it is labelled and there are ghosts."""
+STARTS = 2
+"""Subjects whose straight walk is the one trial, evenly spread."""
 WORTH = 1.0
 """Samples that a look must be expected to mend, else the piece is not looked at."""
 HASTE = 1
@@ -67,13 +67,12 @@ class Trial:
 
 @dataclass
 class Course:
-    """What a whole loop took and gave; before: by the one trial's model alone; line: the errors of all trials as the hand work grew."""
+    """What a whole loop took and gave; before: by the one trial's model alone."""
 
-    task: tuple[str, str, bool]
+    task: tuple[str, bool]
     samples: int
     before: Tally = field(default_factory=Tally)
     after: dict[str, Tally] = field(default_factory=dict)
-    line: list[tuple[float, float]] = field(default_factory=list)
     names: int = 0
     by_name: int = 0
     looks: int = 0
@@ -90,15 +89,12 @@ class Course:
 def loop(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """The loop from each start."""
     people = list(gait())
-    few = people[:: max(1, len(people) // FEW_STARTS)][: 1 if benchmark.quick else FEW_STARTS]
-    kinds = [(condition, named) for condition, (hidden, _) in CONDITIONS.items() for named in ((False, True) if hidden else (False,))]
-    tasks = [
-        (start, *kind) for kind in kinds for start in (people if kind == (list(CONDITIONS)[-1], False) and not benchmark.quick else few)
-    ]
+    starts = people[:: len(people) // STARTS][: 1 if benchmark.quick else STARTS]
+    tasks = [(start, named) for named in ((False,) if benchmark.quick else (False, True)) for start in starts]
     courses = list(benchmark.each(run, tasks))
-    for condition, named in kinds:
-        some = [course for course in courses if course.task[1:] == (condition, named)]
-        yield from _figures(f"loop, {condition}, one trial {'named' if named else 'labelled'}", some)
+    for named in dict.fromkeys(named for _, named in tasks):
+        some = [course for course in courses if course.task[1] == named]
+        yield from _figures(f"loop, {HIDDEN} hidden + {GHOSTS} ghosts, one trial {'named' if named else 'labelled'}", some)
 
 
 def _figures(row: str, courses: Sequence[Course]) -> Iterator[Figure]:
@@ -110,10 +106,10 @@ def _figures(row: str, courses: Sequence[Course]) -> Iterator[Figure]:
     samples = sum(course.samples for course in courses)
     yield first.figure(f"{row}: right, by its model alone", "none", first.right_share)
     yield last.figure(f"{row}: right at the end", "none", last.right_share)
-    yield last.figure(f"{row}: FA at the end", "none", last.false_assignments)
+    yield last.figure(f"{row}: wrong at the end", "none", last.false_assignments)
     yield last.figure(f"{row}: right, the worst subject of all starts", ">= 0.999", min(c.worst for c in courses))
     yield Figure(f"{row}: labels touched by hand", "< 0.005", sum(c.touched for c in courses) / samples, "fraction", samples)
-    yield Figure(f"{row}: touches for a start", "none", sum(c.touches for c in courses) / len(courses), "touches", len(courses))
+    yield Figure(f"{row}: answers for a start", "none", sum(c.touches for c in courses) / len(courses), "answers", len(courses))
     yield Figure(f"{row}: labels looked at", "none", sum(c.looked_at for c in courses) / samples, "fraction", samples)
     yield Figure(f"{row}: looks for a start", "none", sum(c.looks for c in courses) / len(courses), "looks", len(courses))
     if any(course.names for course in courses):
@@ -121,26 +117,24 @@ def _figures(row: str, courses: Sequence[Course]) -> Iterator[Figure]:
         yield Figure(f"{row}: names for a start", "none", sum(c.names for c in courses) / len(courses), "names", len(courses))
 
 
-def run(benchmark: BenchmarkRun, task: tuple[str, str, bool]) -> Course:
-    """One loop: (subject, condition, whether the subject's straight walk is named, not labelled); it ends with all trials labelled.
+def run(benchmark: BenchmarkRun, task: tuple[str, bool]) -> Course:
+    """One loop: (subject, whether the subject's straight walk is named, not labelled); it ends with all trials labelled.
 
     At its end all are labelled once more by the model that has seen all, the answers stand, and what is flagged anew is settled.
     """
-    start, condition, named = task
-    trials = _trials(benchmark, *CONDITIONS[condition])
+    start, named = task
+    trials = _trials(benchmark)
     one = next(trial for trial in trials if trial.subject == start and file_of(trial.recording).stem == "straight")
     waiting = trials if named else [trial for trial in trials if trial is not one]
     course = Course(task, sum(trial.samples for trial in waiting))
     first = _named(one, course) if named else one.recording
-    ensemble = asterism.SolverEnsemble.fit([first], subjects=[start], miner=None, marker_set=MarkerSet(one.recording.labels))
+    ensemble = asterism.MarkerModel.fit([first], subjects=[start], miner=None, marker_set=MarkerSet(one.recording.labels))
     done: list[tuple[Trial, list[Answer]]] = []
-    errors = 0
     while waiting:
         looks = [_look(ensemble, trial) for trial in waiting]
         if not done:
             for trial, (labelling, _) in zip(waiting, looks, strict=True):
                 course.before.add(labelling, trial.truth, recording=str(file_of(trial.recording)))
-        course.line.append((course.touched / course.samples, (errors + _errors(waiting, looks)) / course.samples))
         # all in which nothing is flagged, else those least in doubt: they teach the model before the hard ones come
         doubt = [sum(item.gain for item in items) / len(trial.clouds.xyz) for trial, (_, items) in zip(waiting, looks, strict=True)]
         chosen = [i for i, much in enumerate(doubt) if not much]
@@ -150,34 +144,30 @@ def run(benchmark: BenchmarkRun, task: tuple[str, str, bool]) -> Course:
             trial = waiting[i]
             settled, answers = _settled(trial, *looks[i], course)
             done.append((trial, answers))
-            errors += _errors([trial], [(settled, [])])
             corrected.append(trial.labelled(settled))
         ensemble = ensemble.learn(corrected, subjects=[waiting[i].subject for i in chosen])
         waiting = [trial for i, trial in enumerate(waiting) if i not in chosen]
-    course.line.append((course.touched / course.samples, errors / course.samples))
     for trial, given in done:
-        labelling = apply_answers(ensemble.label(trial.clouds, time=True), trial.clouds, given)
+        labelling = apply_answers(ensemble.label(trial.clouds), trial.clouds, given)
         answered = {int(item.points[0]) for item, _ in given}
         items = [item for item in review(labelling, trial.clouds, least_gain=WORTH) if int(item.points[0]) not in answered]
         settled, _ = _settled(trial, labelling, items, course)
         course.after.setdefault(trial.subject, Tally()).add(settled, trial.truth, recording=str(file_of(trial.recording)))
-    wrong = sum(tally.missed + tally.given - tally.right for tally in course.after.values())
-    course.line.append((course.touched / course.samples, wrong / course.samples))
     right = sum(tally.right for tally in course.after.values())
     benchmark.report(
-        f"{start}, {condition}{', named' if named else ''}: right {course.before.right_share:.5f}, then {right / course.samples:.5f}, "
+        f"{start}{', named' if named else ''}: right {course.before.right_share:.5f}, then {right / course.samples:.5f}, "
         f"worst {course.worst:.5f}; touched {course.touched / course.samples:.5f} by {course.touches} of {course.looks} looks; "
         f"{course.names} names for {course.by_name / course.samples:.5f}"
     )
     return course
 
 
-def _trials(benchmark: BenchmarkRun, hidden: int, ghosts: int) -> list[Trial]:
+def _trials(benchmark: BenchmarkRun) -> list[Trial]:
     """Everyone's trials without their labels."""
     out = []
     for subject, recordings in list(gait().items())[: 3 if benchmark.quick else None]:
         for number, recording in enumerate(recordings):
-            clouds, truth = simulate_gaps_and_ghosts(recording, hidden, ghosts, seed=1000 + number)
+            clouds, truth = simulate_gaps_and_ghosts(recording, HIDDEN, GHOSTS, seed=1000 + number)
             out.append(Trial(subject, recording, clouds, truth))
     return out
 
@@ -196,15 +186,10 @@ def _named(trial: Trial, course: Course) -> Recording:
     return name_groups(recording, groups, names)
 
 
-def _look(ensemble: asterism.SolverEnsemble, trial: Trial) -> tuple[Labelling, list[ReviewItem]]:
+def _look(ensemble: asterism.MarkerModel, trial: Trial) -> tuple[Labelling, list[ReviewItem]]:
     """The trial's labels and what a person should look at."""
-    labelling = ensemble.label(trial.clouds, time=True)
+    labelling = ensemble.label(trial.clouds)
     return labelling, review(labelling, trial.clouds, least_gain=WORTH)
-
-
-def _errors(trials: Sequence[Trial], looks: Sequence[tuple[Labelling, list[ReviewItem]]]) -> int:
-    """Markers in view without their own point, and points given to markers that are not in view."""
-    return sum(int((labelling.indices != trial.truth).sum()) for trial, (labelling, _) in zip(trials, looks, strict=True))
 
 
 def _settled(trial: Trial, labelling: Labelling, items: Sequence[ReviewItem], course: Course) -> tuple[Labelling, list[Answer]]:

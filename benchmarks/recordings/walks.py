@@ -18,7 +18,7 @@ CONDITIONS = {
 }
 """Markers hidden and ghost tracks there at every moment."""
 
-SEEDS = 3
+SEEDS = 2
 """Times that each walk is hidden anew: the walks last 2 to 6 seconds."""
 
 Markers = str | tuple[str, ...]
@@ -57,7 +57,7 @@ def unseen_training(benchmark: BenchmarkRun, subject: str, markers: Markers = "h
     return [person for person, _ in pairs], [trial for _, trial in pairs]
 
 
-def unseen_ensemble(benchmark: BenchmarkRun, subject: str, markers: Markers = "helen-hayes") -> asterism.SolverEnsemble:
+def unseen_ensemble(benchmark: BenchmarkRun, subject: str, markers: Markers = "helen-hayes") -> asterism.MarkerModel:
     """An ensemble that has learned from all other subjects."""
     people, train = unseen_training(benchmark, subject, markers)
     return benchmark.fit(train, people)

@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 
 from asterism.recording import MarkerSet, Recording
-from asterism.views.body import BodyModel
+from asterism.views.body import ArticulatedBody
 from asterism.views.body_file import save_body
 from asterism.views.body_fit import fit_body
 from benchmarks import data
@@ -39,7 +39,7 @@ def is_standing(recording: Recording) -> bool:
 
 
 @cache
-def body_of_others(left_out: str, kind: str = "gait15") -> BodyModel:
+def body_of_others(left_out: str, kind: str = "gait15") -> ArticulatedBody:
     """The body of all gait subjects but one ("" for none): rest pose from the standing trials, joints and spreads from the walks."""
     pairs = [(person, trial) for person, own in trials().items() if person != left_out for trial in own]
     standing = [(person, trial) for person, trial in pairs if is_standing(trial)]

@@ -1,25 +1,23 @@
-"""The rows about accuracy: gait and whole body, two to four cameras, the baseline, the ablation, bad input."""
+"""Gait and whole body before two to four cameras, and the paper's plain algorithm on the same blobs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from asterism.cameras import Rig
 from asterism.errors import AsterismError
 from asterism.recording import Ints
 from asterism.simulation.views_laboratory import ViewsSession
-from asterism.views import BodyModel, ViewsRules, label_views, load_body
-from asterism.views.body_fit import fit_body
+from asterism.views import ArticulatedBody, ViewsRules, label_views
 from asterism.views.frame import FrameLabeller
 from asterism.views.plain import label_stepwise, minimise_plain
 from asterism.views.scene import scene_of
 from asterism.views.start import place_by_centroids
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.figures import Figure
-from benchmarks.views.bodies import is_standing, marker_set, trials
+from benchmarks.views.bodies import is_standing
 from benchmarks.views.hands import impossible_hands
 from benchmarks.views.sessions import (
     Tally,
@@ -30,7 +28,7 @@ from benchmarks.views.sessions import (
     visibility_agreement,
 )
 
-Sessions = Iterable[tuple[str, BodyModel, ViewsSession]]
+Sessions = Iterable[tuple[str, ArticulatedBody, ViewsSession]]
 
 
 @dataclass
@@ -91,41 +89,6 @@ def whole_body(benchmark: BenchmarkRun) -> Iterator[Figure]:
     yield from _visibility(name, done)
 
 
-def own_static(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """The nine subjects with a standing trial, each walk with the body of its own standing trial, and Plug-in-Gait of other people."""
-
-    def sessions() -> Sessions:
-        for person, _, session in gait_sessions(benchmark):
-            standing = [trial for trial in trials()[person] if is_standing(trial)]
-            if standing and session.recording.metadata["file"] != standing[0].metadata["file"]:
-                yield person, fit_body(standing, markers=marker_set("gait15"), title=person), session
-
-    rows = list(sessions())
-    if rows:
-        yield from _shares("gait, 15 markers, 4 cameras, own static", labelled(rows).tally, False)
-    name, done = "gait, plug-in-gait, 34 markers, 4 cameras", labelled(gait_sessions(benchmark, 4, "plug-in-gait"))
-    yield from _shares(name, done.tally, False)
-    yield from _sound(name, done, False)
-
-
-def ablation(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """Gait with one part off: the visibility test, cameras that inform each other, joints, the person's own places."""
-    plain = ViewsRules()
-    some = {cameras: list(gait_sessions(benchmark, cameras))[:: 1 if benchmark.quick else 3] for cameras in (4, 2)}
-    for name, rules in (
-        ("visibility test off", replace(plain, occlusion=False)),
-        ("global assignment off", replace(plain, together=False)),
-        ("joints fixed", replace(plain, joints=False)),
-        ("person's own marker places off", replace(plain, personal=False)),
-        ("in doubt visible (the paper's rule, 15 mm)", replace(plain, doubt=0.015)),
-        ("in doubt hidden (3 mm)", plain),
-    ):
-        for cameras in (4, 2):
-            row, done = f"every third trial of gait, {cameras} cameras, {name}", labelled(some[cameras], rules)
-            yield from _shares(row, done.tally, False)
-            yield from _visibility(row, done)
-
-
 def baseline(benchmark: BenchmarkRun) -> Iterator[Figure]:
     """The paper's plain algorithm on the same blobs, with the heading and the height that it needs: 20 degrees and 10 % off at most."""
     for kind, sessions in (("gait, 15 markers", gait_sessions), ("whole body, 26 markers, simulated motion", motion_sessions)):
@@ -164,62 +127,6 @@ def near_start(
     except AsterismError:
         return None
     return np.concatenate([np.full(3, tall), place, np.zeros(3), arrays.usual]), rotation
-
-
-def bad_input(benchmark: BenchmarkRun) -> Iterator[Figure]:
-    """What must never get a confident wrong label: another rig, other markers, a mirrored body, images mirrored, markers not worn."""
-    cases = {
-        "cameras exchanged": lambda body, session: (body, _exchanged(session.rig)),
-        "a rig turned by 20 degrees at one camera": lambda body, session: (body, _knocked(session.rig)),
-        "a body of 26 markers for 15 worn": lambda body, session: (load_body("body26"), session.rig),
-        "a mirrored body": lambda body, session: (body.mirrored(), session.rig),
-        "left and right named the wrong way round": lambda body, session: (_renamed(body), session.rig),
-    }
-    for name, change in cases.items():
-        confident = given = total = said = recordings = 0
-        for n, (_, body, session) in enumerate(gait_sessions(benchmark)):
-            if n % 3 and not benchmark.quick:
-                continue
-            wrong_body, rig = change(body, session)
-            blobs = session.blobs.frames(slice(0, 60))
-            recordings += 1
-            total += int((session.identity[: len(blobs.xy)] >= 0).sum())
-            try:
-                result = label_views(blobs, rig, wrong_body)
-            except AsterismError:
-                said += 1
-                continue
-            names = np.array([*wrong_body.labels, ""])[result.labels]
-            identity = session.identity[: len(blobs.xy)]
-            truth = np.array([*body.labels, "", ""])[identity]
-            single = identity >= 0
-            wrong = (result.labels >= 0) & (names != truth) & single
-            confident += int((wrong & (result.confidence >= 0.9)).sum())
-            given += int((result.labels >= 0).sum())
-            said += bool(result.findings)
-        yield Figure(f"bad input, {name}: wrong labels at 0.9 or more", "<= 0.003", confident / total, "fraction", total)
-        yield Figure(f"bad input, {name}: recordings of which it is said", "none", said / recordings, "fraction", recordings)
-        yield Figure(f"bad input, {name}: labels given", "none", given / total, "fraction", total)
-
-
-def _exchanged(rig: Rig) -> Rig:
-    cameras = rig.cameras
-    order = [1, 0, *range(2, len(cameras))]
-    return replace(rig, cameras=tuple(replace(cameras[o], name=camera.name) for o, camera in zip(order, cameras, strict=True)))
-
-
-def _knocked(rig: Rig) -> Rig:
-    angle = np.radians(20.0)
-    turn = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]])
-    first = rig.cameras[0]
-    moved = replace(first, rotation=turn @ first.rotation, translation=turn @ first.translation)
-    return replace(rig, cameras=(moved, *rig.cameras[1:]))
-
-
-def _renamed(body: BodyModel) -> BodyModel:
-    other = {"L": "R", "R": "L"}
-    names = {marker.name: (other[marker.name[0]] + marker.name[1:]) if marker.name[0] in other else marker.name for marker in body.markers}
-    return replace(body, markers=tuple(replace(marker, name=names[marker.name]) for marker in body.markers), aliases={})
 
 
 def _shares(row: str, tally: Tally, asked: bool, least: float = 0.995) -> Iterator[Figure]:

@@ -11,8 +11,8 @@ import numpy as np
 from asterism.recording import Ints
 from asterism.simulation.views_laboratory import ViewsSession, simulate_views
 from asterism.simulation.views_motion import simulate_motion
-from asterism.views import BodyModel, ViewsLabelling, load_body
-from asterism.views.sights import AROUND
+from asterism.views import ArticulatedBody, ViewsLabelling, load_body
+from asterism.views.sights import FROM_BOTH_SIDES
 from benchmarks import data
 from benchmarks.benchmark_run import BenchmarkRun
 from benchmarks.views.bodies import body_of_others, trials
@@ -51,7 +51,7 @@ def gait_session(person: str, trial: int, cameras: int, kind: str) -> ViewsSessi
     return simulate_views(recording, markers, rng=np.random.default_rng([trial, cameras]), cameras=cameras)
 
 
-def gait_sessions(benchmark: BenchmarkRun, cameras: int = 4, kind: str = "gait15") -> Iterator[tuple[str, BodyModel, ViewsSession]]:
+def gait_sessions(benchmark: BenchmarkRun, cameras: int = 4, kind: str = "gait15") -> Iterator[tuple[str, ArticulatedBody, ViewsSession]]:
     """Person, body of the other people, and session of each trial; in a quick run of one trial of two subjects."""
     people = list(trials())[: 2 if benchmark.quick else None]
     for person in people:
@@ -67,7 +67,7 @@ def motion_session(number: int, cameras: int, frames: int) -> ViewsSession:
     return simulate_views(recording, recording.labels, rng=rng, cameras=cameras, body=capsules)
 
 
-def motion_sessions(benchmark: BenchmarkRun, cameras: int = 4) -> Iterator[tuple[str, BodyModel, ViewsSession]]:
+def motion_sessions(benchmark: BenchmarkRun, cameras: int = 4) -> Iterator[tuple[str, ArticulatedBody, ViewsSession]]:
     """Simulated people who move everything: twelve of 180 frames, in a quick run one of 20."""
     for number in range(1 if benchmark.quick else 12):
         yield f"S{number}", load_body("body26"), motion_session(number, cameras, 20 if benchmark.quick else 180)
@@ -86,7 +86,10 @@ def visibility_agreement(result: ViewsLabelling, session: ViewsSession) -> Ints:
     """
     there = np.isfinite(result.poses[:, 0])
     truth = session.in_view[there]
-    right = [int(((told[there] > 0.5) == truth).sum()) for told in (result.expected, result.foreseen(), result.foreseen(AROUND))]
+    right = [
+        int(((told[there] > 0.5) == truth).sum())
+        for told in (result.expected, result.predict_visibility(), result.predict_visibility(FROM_BOTH_SIDES))
+    ]
     return np.array([*right, truth.size], dtype=np.int64)
 
 

@@ -9,7 +9,7 @@ from statistics import median
 import numpy as np
 
 from asterism.simulation.views_laboratory import ViewsSession
-from asterism.views.frame import FrameLabeller, FrameLabels
+from asterism.views.frame import BlobLabels, FrameLabeller
 from asterism.views.label import ViewsLabelling, label_views
 from asterism.views.plain import PlainRules, label_stepwise, minimise_plain
 from asterism.views.rules import QUICK, RULES
@@ -168,5 +168,5 @@ def _share(session: ViewsSession, t: int, labels: np.ndarray) -> float:
     return float((labels[marker] == identity[marker]).mean()) if marker.any() else 0.0
 
 
-def _is_right(session: ViewsSession, t: int, found: FrameLabels) -> bool:
+def _is_right(session: ViewsSession, t: int, found: BlobLabels) -> bool:
     return _share(session, t, found.labels) >= _RIGHT

@@ -22,9 +22,14 @@ GUIDE = {
     "How it works": ["how-it-works", "labelling", "recordings", "confidence", "cameras", "views", "garment", "motion", "thesis"],
     "Look it up": ["reference", "findings", "formats", "marker-sets", "conventions", "glossary"],
     "Figures": ["figures"],
-    "Project": ["project/contributing", "project/changes"],
+    "Project": ["project/contributing", "project/changes", "project/security"],
 }
-BESIDE_DOCS = {"README.md": "index", "CONTRIBUTING.md": "project/contributing", "CHANGELOG.md": "project/changes"}
+BESIDE_DOCS = {
+    "README.md": "index",
+    "CONTRIBUTING.md": "project/contributing",
+    "CHANGELOG.md": "project/changes",
+    "SECURITY.md": "project/security",
+}
 """Pages at the top of the repository, and where in docs/ their copies are; the site opens with the first."""
 
 

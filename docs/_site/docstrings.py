@@ -15,7 +15,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar, get_origin
 
-from public_names import places, public_modules
+from docutils import nodes
+from public_names import homes, places, public_modules
+from sphinx import addnodes
 
 
 def as_rst(docstring: str) -> str:
@@ -92,15 +94,35 @@ def keep_aliases(app: Any, config: Any) -> None:
     }
 
 
-def plain_aliases(
+def plain_signature(
     app: Any, what: str, name: str, thing: object, options: object, signature: str | None, returned: str | None
 ) -> tuple[str | None, str | None]:
-    """Write aliases inside unions and tuples as elsewhere; Sphinx prints the placeholder that it puts in their place."""
-    return _without_placeholders(signature), _without_placeholders(returned)
+    """A signature as one would write it: aliases by their names, and in place of long values three dots."""
+    return _plain(signature), _plain(returned)
 
 
-def _without_placeholders(text: str | None) -> str | None:
-    return text and re.sub(r"TypeAliasForwardRef\('([\w.]+)'\)", r"\1", text)
+def _plain(text: str | None) -> str | None:
+    if not text:
+        return text
+    text = re.sub(r"TypeAliasForwardRef\('([\w.]+)'\)", r"\1", text).replace("<factory>", "...")
+    return _RECORD.sub(r"\1(...)", text)
+
+
+_NESTED = r"(?:[^()]|\((?:[^()]|\([^()]*\))*\))+"
+_RECORD = re.compile(rf"(?<== )([A-Z]\w+)\({_NESTED}\)")
+"""A record with its fields as a default, such as `Rules(limit=2, search=Search(width=3))`."""
+
+
+def link_names(app: Any, page: Any) -> None:
+    """Make links of the public names that a page writes out in full as code; called with each page after it was parsed."""
+    for code in list(page.findall(nodes.literal)):
+        written = re.match(r"(asterism(?:\.\w+)*)\.(\w+)", code.astext())
+        home = homes().get((written[1], written[2])) if written else None
+        if home and written and not isinstance(code.parent, nodes.reference | addnodes.pending_xref):
+            target = f"{home}.{written[2]}"
+            link = addnodes.pending_xref("", refdomain="py", reftype="obj", reftarget=target, refexplicit=True, refwarn=True)
+            code.replace_self(link)
+            link += code
 
 
 def skip(app: Any, what: str, name: str, thing: object, skipped: bool, options: object) -> bool | None:
@@ -132,7 +154,8 @@ def _documented_constants(file: str) -> dict[str, str]:
 def setup(app: Any) -> dict[str, bool]:
     """Register with Sphinx."""
     app.connect("config-inited", keep_aliases)
-    app.connect("autodoc-process-signature", plain_aliases)
+    app.connect("autodoc-process-signature", plain_signature)
     app.connect("autodoc-process-docstring", convert)
     app.connect("autodoc-skip-member", skip)
+    app.connect("doctree-read", link_names)
     return {"parallel_read_safe": True}

@@ -1,7 +1,8 @@
 """The installed package in; its public modules, and in which of them each public name is described, out.
 
 A name is public if the `__all__` of a public package lists it, or the `__all__` of a room that is one module. A package is public if no
-part of its dotted name begins with an underscore. `asterism.cli` exports nothing: its interface is the command line.
+part of its dotted name begins with an underscore. `asterism.cli` exports nothing: its interface is the command line; nor does
+`asterism.files`, on which the rooms stand.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from functools import cache
 
 import asterism
 
-NOT_PYTHON = ("asterism.cli",)
+NOT_OFFERED = ("asterism.cli", "asterism.files")
 
 
 @cache
@@ -23,7 +24,7 @@ def public_modules() -> tuple[str, ...]:
     for module in pkgutil.walk_packages(asterism.__path__, "asterism."):
         is_room = module.name.count(".") == 1
         hidden = any(part.startswith("_") for part in module.name.split("."))
-        if not hidden and not module.name.startswith(NOT_PYTHON) and (module.ispkg or is_room):
+        if not hidden and not module.name.startswith(NOT_OFFERED) and (module.ispkg or is_room):
             found.append(module.name)
     return tuple(found)
 

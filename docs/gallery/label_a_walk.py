@@ -15,10 +15,10 @@ from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
 def main(picture: str = "label_a_walk.png", subjects: int = 6, frames: int = 400) -> float:
     """Draw the picture; returns the share of the markers in view that have their own point."""
     *training, walk = simulate_walks(subjects, frames, markers="helen-hayes", seed=1)
-    ensemble = asterism.SolverEnsemble.fit(training, seed=0)
+    model = asterism.MarkerModel.fit(training, seed=0)
 
     clouds, truth = simulate_gaps_and_ghosts(walk, hidden=5, ghosts=3, seed=2)
-    labelling = ensemble.label(clouds, time=True)
+    labelling = model.label(clouds)
 
     hidden = truth == asterism.NULL
     right = ~hidden & (labelling.indices == truth)

@@ -16,13 +16,13 @@ from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
 def main(picture: str = "live_stream.png", subjects: int = 6, frames: int = 500, delays: tuple[int, ...] = (0, 5, 10, 25)) -> list[float]:
     """Draw the picture; returns, for each delay, the share of the markers in view that are labelled right."""
     *training, walk = simulate_walks(subjects, frames, markers="helen-hayes", seed=1)
-    ensemble = asterism.SolverEnsemble.fit(training, seed=0)
+    model = asterism.MarkerModel.fit(training, seed=0)
     clouds, truth = simulate_gaps_and_ghosts(walk, hidden=3, ghosts=1, seed=2, number_tracks=False)
     in_view = (truth != asterism.NULL).sum()
 
     right, seconds = [], []
     for delay in delays:
-        stream = ensemble.stream(walk.rate, delay)
+        stream = model.stream(walk.rate, delay)
         labels = []
         for frame in range(frames):
             began = time.perf_counter()

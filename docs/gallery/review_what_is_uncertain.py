@@ -14,9 +14,9 @@ from asterism.simulation import simulate_gaps_and_ghosts, simulate_walks
 def main(picture: str = "review_what_is_uncertain.png", subjects: int = 3, frames: int = 400) -> list[int]:
     """Draw the picture; returns how many samples are wrong or missing after each answer."""
     *training, walk = simulate_walks(subjects, frames, markers="helen-hayes", seed=5)
-    ensemble = asterism.SolverEnsemble.fit(training, seed=0)
+    model = asterism.MarkerModel.fit(training, seed=0)
     clouds, truth = simulate_gaps_and_ghosts(walk, hidden=4, ghosts=4, seed=6)
-    labelling = ensemble.label(clouds, time=True)
+    labelling = model.label(clouds)
 
     items = review(labelling, clouds, top=40)
     remaining = [int((labelling.indices != truth).sum())]

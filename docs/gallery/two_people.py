@@ -15,14 +15,14 @@ from asterism.simulation import simulate_walks
 def main(picture: str = "two_people.png", subjects: int = 6, frames: int = 300) -> float:
     """Draw the picture; returns the share of all markers that are labelled right."""
     *training, ann, ben = simulate_walks(subjects, frames, markers="helen-hayes", seed=4)
-    ensemble = asterism.SolverEnsemble.fit(training, seed=0)
+    model = asterism.MarkerModel.fit(training, seed=0)
 
     aside = ben.positions + (ann.positions[0].mean(axis=0) - ben.positions[0].mean(axis=0) + np.array([0.0, 0.9, 0.0]))
     truth = np.concatenate([ann.positions, aside], axis=1)
     rng = np.random.default_rng(0)
     clouds = asterism.Clouds.from_points([points[rng.permutation(len(points))] for points in truth], ann.rate, vertical="z")
 
-    labellings = label_together([ensemble, ensemble], clouds)
+    labellings = label_together([model, model], clouds)
     tracks = [labelling.positions(clouds) for labelling in labellings]
     if np.nanmedian(np.linalg.norm(tracks[0] - ann.positions, axis=2)) > 0.1:  # who comes first is not said
         tracks.reverse()

@@ -13,7 +13,7 @@ from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
     from asterism.formats import read, write
-    from asterism.labelling import SolverEnsemble
+    from asterism.labelling import MarkerModel
     from asterism.recording import NULL, Clouds, Event, Labelling, MarkerSet, Recording
 
     __version__: str
@@ -24,9 +24,9 @@ __all__ = [
     "Clouds",
     "Event",
     "Labelling",
+    "MarkerModel",
     "MarkerSet",
     "Recording",
-    "SolverEnsemble",
     "__version__",
     "read",
     "write",
@@ -46,6 +46,7 @@ _ROOMS = (
     "reconstruction",
     "recording",
     "report",
+    "session",
     "simulation",
     "synchronization",
     "tracking",
@@ -53,7 +54,7 @@ _ROOMS = (
 _ROOM_OF = {
     "read": "formats",
     "write": "formats",
-    "SolverEnsemble": "labelling",
+    "MarkerModel": "labelling",
     **dict.fromkeys(("NULL", "Clouds", "Event", "Labelling", "MarkerSet", "Recording"), "recording"),
 }
 
@@ -64,12 +65,24 @@ def __getattr__(name: str) -> Any:
         value = getattr(import_module(f"asterism.{_ROOM_OF[name]}"), name)
     elif name in _ROOMS:
         return import_module(f"asterism.{name}")
+    elif name == "SolverEnsemble":
+        return _earlier_name()
     elif name == "__version__":
         value = _version()
     else:
         raise AttributeError(f"module 'asterism' has no attribute {name!r}")
     globals()[name] = value
     return value
+
+
+def _earlier_name() -> Any:
+    """`MarkerModel`, under its name before 0.2."""
+    import warnings
+
+    from asterism.labelling import MarkerModel
+
+    warnings.warn("SolverEnsemble is now called MarkerModel.", DeprecationWarning, stacklevel=3)
+    return MarkerModel
 
 
 def __dir__() -> list[str]:

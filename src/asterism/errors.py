@@ -7,9 +7,22 @@ from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 
-__all__ = ["AsterismError", "NoMarkers", "guarded_reading"]
+__all__ = ["AsterismError", "NoMarkers", "cause_of", "guarded_reading"]
 
 _LONGEST_CAUSE = 160
+
+_CAUSES = {
+    "BadZipFile": "its archive is broken",
+    "error": "its bytes are not what its head announces",  # of struct and zlib
+    "IndexError": "it ends too early, or counts wrongly",
+    "EOFError": "it ends too early",
+    "UnicodeDecodeError": "its text is in no encoding that is known",
+    "OverflowError": "a number in it is too large",
+    "SyntaxError": "its text is garbled",
+    "TypeError": "a part of it is of the wrong kind",
+    "AttributeError": "a part of it is of the wrong kind",
+}
+"""What exceptions mean whose own text speaks of programs, by their names: some are of modules that need not be loaded."""
 
 
 class AsterismError(Exception):
@@ -48,6 +61,19 @@ def guarded_reading(path: str | PathLike[str], mend: str = "export it again, or 
     except RecursionError as problem:
         raise AsterismError(f"{path} is damaged: it is nested too deeply; {mend}.") from problem
     except Exception as problem:
-        cause = " ".join(f"{type(problem).__name__}: {problem}".rstrip(": ").split())
-        short = cause if len(cause) <= _LONGEST_CAUSE else f"{cause[: _LONGEST_CAUSE - 3]}..."
-        raise AsterismError(f"{path} is damaged ({short}); {mend}.") from problem
+        raise AsterismError(f"{path} is damaged ({cause_of(problem)}); {mend}.") from problem
+
+
+def cause_of(problem: Exception) -> str:
+    """What is wrong with a file, for a person, by what reading it has raised: a phrase without names of exceptions.
+
+    >>> import zipfile
+    >>> cause_of(zipfile.BadZipFile("File is not a zip file")), cause_of(KeyError("rate"))
+    ('its archive is broken', 'it lacks rate')
+    """
+    kind, said = type(problem).__name__, " ".join(str(problem).split())
+    if isinstance(problem, KeyError) and problem.args:
+        return f"it lacks {problem.args[0]}"[:_LONGEST_CAUSE]
+    if kind in _CAUSES or not said:
+        return _CAUSES.get(kind, "its content cannot be read")
+    return said if len(said) <= _LONGEST_CAUSE else f"{said[: _LONGEST_CAUSE - 3]}..."

@@ -58,5 +58,10 @@ def worst(findings: Iterable[Finding]) -> Severity:
 
 
 def exit_status(findings: Iterable[Finding]) -> int:
-    """The exit status of a command that has done its work: 1 where a warning or an error was found, else 0."""
+    """The exit status of a command that has done its work: 1 where a warning or an error was found, else 0.
+
+    >>> late = Finding("wand-few-frames", Severity.WARNING, "camera 3", "camera 3 saw the wand in 40 frames.", "Wave it there, too.")
+    >>> exit_status([late]), exit_status([]), str(late)
+    (1, 0, 'camera 3 saw the wand in 40 frames. Wave it there, too.')
+    """
     return int(worst(findings) > Severity.NOTE)

@@ -25,7 +25,7 @@ def find(recording: Recording, wanted: bool | None) -> ClinicalAngles | None:
     return clinical_angles(recording)
 
 
-class MonteCarlo(TypedDict):
+class MonteCarloOptions(TypedDict):
     """How both estimates of uncertainty draw their trials."""
 
     rules: MonteCarloRules
@@ -35,7 +35,7 @@ class MonteCarlo(TypedDict):
 
 
 def certain(
-    recording: Recording, clinical: ClinicalAngles | None, errors: ClinicalErrors, seed: int, trials: MonteCarlo
+    recording: Recording, clinical: ClinicalAngles | None, errors: ClinicalErrors, seed: int, trials: MonteCarloOptions
 ) -> ClinicalUncertainty | None:
     """How certain the angles are."""
     from asterism.motion.clinical import clinical_uncertainty

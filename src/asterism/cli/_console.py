@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from asterism.cli._printable import printable
 from asterism.errors import AsterismError, NoMarkers
+from asterism.files.plain import as_json
 from asterism.findings import Finding, exit_status
 from asterism.progress import Progress
 
@@ -276,16 +277,3 @@ def write_json(where: str | None, content: Mapping[str, Any]) -> None:
     from asterism.files.atomic import write_atomically
 
     write_atomically(Path(where), text.encode("utf-8", "backslashreplace"))  # as JSON writes what is no character
-
-
-def as_json(value: Any) -> Any:
-    """Values as JSON keeps them: arrays and sequences as lists, numbers that are not finite as None, all else as text."""
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        return {str(key): as_json(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [as_json(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value if value is None or isinstance(value, bool | int | str) else str(value)

@@ -14,7 +14,7 @@ from asterism.findings import exit_status
 
 if TYPE_CHECKING:
     from asterism.simulation.pipeline import PipelineResult
-    from asterism.simulation.session import Session
+    from asterism.simulation.session import SimulatedSession
 
 _WALKERS, _FRAMES, _RATE = 9, 300, 100.0
 
@@ -36,13 +36,13 @@ def demo_cameras(output: Path, seed: int, json: str | None) -> int:
         f"hides some of the {len(walks[0].labels)} markers from the cameras; noise, strays, lost images."
     )
     say(f"Training on {_WALKERS - 1} other walkers ...")
-    ensemble = train_on_walkers(walks[:-1], seed)
+    model = train_on_walkers(walks[:-1], seed)
     with _console.progress("working") as progress:
-        result = run_pipeline(session, ensemble, progress)
+        result = run_pipeline(session, model, progress)
     seconds = time.perf_counter() - started
-    model = output / "walkers.model"
-    ensemble.save(model)
-    files = {**_written(output, session, result), "model": model}
+    model_file = output / "walkers.model"
+    model.save(model_file)
+    files = {**_written(output, session, result), "model": model_file}
     criteria = result.criteria()
     if json != "-":
         print_criteria(criteria, seconds)
@@ -85,11 +85,12 @@ def _facts(result: PipelineResult) -> dict[str, Any]:
     }
 
 
-def _written(output: Path, session: Session, result: PipelineResult) -> dict[str, Path]:
+def _written(output: Path, session: SimulatedSession, result: PipelineResult) -> dict[str, Path]:
     """Everything as files, those of an earlier demo replaced."""
-    from asterism import Recording, formats
+    from asterism import formats
     from asterism.cameras.accuracy import Volume, map_rig, wand_accuracy
     from asterism.cameras.files import write_rig
+    from asterism.recording import Recording
     from asterism.report import LabelledRecording, label_report, rig_report
     from asterism.simulation.session import WAND
 

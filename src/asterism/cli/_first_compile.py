@@ -32,7 +32,7 @@ def _first_compile(command: str, kept: bool) -> None:
             " again; name a writable one in NUMBA_CACHE_DIR.",
         )
         return
-    _console.notice(f"Compiling numerical kernels; this happens once (about {_SECONDS} s).", in_progress_line=True)
+    _console.notice(f"Compiling the numerical kernels of this command; this happens once (about {_SECONDS} s).", in_progress_line=True)
     if command in _AHEAD and (os.cpu_count() or 1) > 1 and sys.executable:
         _compile_ahead(_AHEAD[command])
 

@@ -8,18 +8,17 @@ from typing import TYPE_CHECKING
 
 from asterism.cli import _console
 from asterism.cli._folders import check_output, outputs_of, trials
-from asterism.cli._options import vertical_axis
+from asterism.cli._labelling import file_labeller
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
-    from asterism.cli.review import ReviewOptions
-    from asterism.labelling import SolverEnsemble
+    from asterism.cli._review_options import ReviewOptions
     from asterism.labelling.correction import Answer
+    from asterism.session import FileLabeller
 
 
 def correct_by_answers(options: ReviewOptions) -> int:
     """Label the files, hold the answers of the table, and write the result. Returns the exit status."""
-    from asterism.labelling import SolverEnsemble
     from asterism.labelling.correction import read_answers
 
     assert options.answers is not None and options.output is not None
@@ -27,34 +26,34 @@ def correct_by_answers(options: ReviewOptions) -> int:
     found = trials(options.files, batch, without=options.output)
     files, targets = [trial.path for trial in found], outputs_of(found, options.output)
     answers = _by_file(options.answers, read_answers(options.answers), files)
-    ensemble = SolverEnsemble.load(options.model)
+    labeller = file_labeller(options, files)
     with _console.progress("labelling") as progress:
         for path, target in zip(files, targets, strict=True):
             with batch.file(path):
                 if progress:
                     progress((len(batch.done) + len(batch.failed)) / len(files), path.name)
-                _correct(path, target, answers.get(path, ()), ensemble, options, batch)
+                _correct(path, target, answers.get(path, ()), labeller, options, batch)
     return batch.close()
 
 
 def _correct(
-    path: Path, target: Path, answers: Sequence[Answer], ensemble: SolverEnsemble, options: ReviewOptions, batch: _console.Batch
+    path: Path, target: Path, answers: Sequence[Answer], labeller: FileLabeller, options: ReviewOptions, batch: _console.Batch
 ) -> None:
-    from asterism import __version__, formats
-    from asterism.cli._recordings import not_carried, report_warnings
-    from asterism.labelling.correction import Correction, touches_of
+    from asterism.cli._recordings import not_carried
+    from asterism.labelling.correction import touches_of
 
     check_output(path, target, options.overwrite)
-    recording = formats.read(path, vertical=vertical_axis(options.vertical))
-    report_warnings(recording, batch)
-    correction = Correction(ensemble, recording, workers=options.workers)
+    labelled = labeller.label(path)
+    for finding in labelled.findings:
+        batch.found(finding)
+    correction = labelled.correction()
     if answers:
         try:
             correction.touch(*touches_of(answers, correction))
         except AsterismError as problem:
             raise AsterismError(f"{path}: {options.answers}, {problem}") from problem
     target.parent.mkdir(parents=True, exist_ok=True)
-    lost = formats.write(target, correction.labelled_recording(f"asterism {__version__}, {options.model.name}"))
+    lost = labelled.corrected(correction).write(target)
     for finding in not_carried(target, lost):
         batch.found(finding)
     _console.result(f"{path}: {len(answers)} answer{'' if len(answers) == 1 else 's'}; written as {target}. {correction.verdict.sentence}")

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 from asterism.cli import _console
 from asterism.cli._folders import Trial, outputs_of, trials
-from asterism.cli._options import vertical_axis
+from asterism.cli._labelling import file_labeller
 
 if TYPE_CHECKING:
-    from asterism.cli.review import ReviewOptions
+    from asterism.cli._review_options import ReviewOptions
 
 
 def _is_corrected(trial: Trial) -> bool:
@@ -21,16 +21,14 @@ def _is_corrected(trial: Trial) -> bool:
 
 def serve_page(options: ReviewOptions) -> None:
     """Serve the page until it is interrupted."""
-    from asterism.labelling import SolverEnsemble
-    from asterism.web import Place, Session, SessionOptions, serve
+    from asterism.web import CorrectionSession, Place, SessionOptions, serve
 
-    settings = SessionOptions(
-        options.model, options.output, options.log_folder, options.overwrite, vertical_axis(options.vertical), options.workers
-    )
     batch = _console.Batch("opened")
     found = [trial for trial in trials(options.files, batch, without=options.output) if not _is_corrected(trial)]
-    targets = None if options.output is None else outputs_of(found, options.output)
-    session = Session([trial.path for trial in found], SolverEnsemble.load(options.model), settings, targets)
+    files, targets = [trial.path for trial in found], None if options.output is None else outputs_of(found, options.output)
+    labeller = file_labeller(options, files)
+    settings = SessionOptions(options.model, options.output, options.log_folder, options.overwrite, labeller.options)
+    session = CorrectionSession(files, labeller.models, settings, targets)
     serve(session, Place(options.host, options.port, not options.no_browser), _console.result)
     unsaved = [trial.path.name for trial in session.trials if trial.has_unsaved]
     if unsaved:

@@ -87,7 +87,7 @@ def show(errors: list[LabelError], files: list[Path]) -> None:
             )
             for error in errors
         ]
-        _console.table("Wrong labels", ("file", "kind", "description", "first frame", "last", "nats"), rows, left=3)
+        _console.table("Wrong labels", ("file", "kind", "description", "first frame", "last", "evidence"), rows, left=3)
     hints = len(errors) - damage
     found = f"{damage} error{'s' if damage != 1 else ''}" if damage else "no error"
     found += f", {hints} hint{'s' if hints > 1 else ''}" if hints else ""

@@ -19,7 +19,7 @@ from asterism.cli._options import Json, Seed
 if TYPE_CHECKING:
     import numpy as np
 
-    from asterism.labelling import SolverEnsemble
+    from asterism.labelling import MarkerModel
     from asterism.recording import Clouds, Ints, Labelling, Recording
 
 _WALKERS, _NEW_WALKERS, _FRAMES, _RATE = 10, 2, 150, 50.0
@@ -27,8 +27,8 @@ _CONDITIONS = ((0, 0), (2, 0), (4, 0), (2, 3))
 """The numbers of markers in a gap and of ghosts at every moment. The last condition is the hardest; the report shows it."""
 
 
-class Part(StrEnum):
-    """What the demo shows: labelling, the way from cameras to labels, a printed garment, or joint angles under moving skin."""
+class DemoPart(StrEnum):
+    """What the demo shows; without a word it is labelling."""
 
     LABELLING = "labelling"
     CAMERAS = "cameras"
@@ -37,18 +37,27 @@ class Part(StrEnum):
     MOTION = "motion"
 
 
+_SHOWS = {
+    DemoPart.CAMERAS: "calibrate, reconstruct, label",
+    DemoPart.GARMENT: "capture a printed suit",
+    DemoPart.VIEWS: "label in the images",
+    DemoPart.MOTION: "joint angles under moving skin",
+}
+"""What each demo but the first does, as `asterism demo --help` says it."""
+
+
 @dataclass(frozen=True)
 class DemoOptions:
     """What `asterism demo` is asked to do."""
 
     part: Annotated[
-        Part,
+        DemoPart,
         typer.Argument(
-            metavar="[cameras|garment|motion]",
-            help="cameras: calibrate, reconstruct, label. garment: capture a printed suit. motion: joint angles under moving skin.",
+            metavar="|".join(_SHOWS),
+            help=" ".join(f"{part}: {what}." for part, what in _SHOWS.items()),
             show_default=False,
         ),
-    ] = Part.LABELLING
+    ] = DemoPart.LABELLING
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where the files go.")] = Path("asterism-demo")
     seed: Seed = 0
     json: Json = None
@@ -56,7 +65,7 @@ class DemoOptions:
 
 @takes(DemoOptions)
 def demo(options: DemoOptions) -> None:
-    """Try everything in under a minute, on simulated people.
+    """Try the labelling in about a minute, on simulated people; or another part, by its name.
 
     Ten people of different sizes walk for three seconds, 15 markers each. Eight train a model. It labels the recordings of the other two
     as `asterism label` does, each as a whole: markers vanish for up to a second and come back under new track numbers, and ghosts
@@ -74,19 +83,19 @@ def demo(options: DemoOptions) -> None:
     `asterism demo motion` simulates a knee under skin that slides and wobbles, finds its limbs from the points alone, and compares the
     joint angle and its intervals with the bones. The exit status is 1 where the angle is more than 1.5 degrees off.
     """
-    if options.part is Part.MOTION:
+    if options.part is DemoPart.MOTION:
         from asterism.cli._demo_motion import demo_motion
 
         raise typer.Exit(demo_motion(options.output, options.seed, options.json))
-    if options.part is Part.CAMERAS:
+    if options.part is DemoPart.CAMERAS:
         from asterism.cli._demo_cameras import demo_cameras
 
         raise typer.Exit(demo_cameras(options.output, options.seed, options.json))
-    if options.part is Part.VIEWS:
+    if options.part is DemoPart.VIEWS:
         from asterism.cli._demo_views import demo_views
 
         raise typer.Exit(demo_views(options.output, options.seed, options.json))
-    if options.part is Part.GARMENT:
+    if options.part is DemoPart.GARMENT:
         from asterism.cli._demo_garment import demo_garment
 
         raise typer.Exit(demo_garment(options.output, options.seed, options.json))
@@ -96,13 +105,13 @@ def demo(options: DemoOptions) -> None:
     options.output.mkdir(parents=True, exist_ok=True)
     show = _console.result if options.json != "-" else _console.error
     walks = simulate_walks(subjects=_WALKERS, frames=_FRAMES, rate=_RATE, markers=MARKERS, seed=options.seed)
-    ensemble = _trained(walks[:-_NEW_WALKERS], options.seed, show)
+    model = _trained(walks[:-_NEW_WALKERS], options.seed, show)
     files = _Files.in_folder(options.output)
-    ensemble.save(files.model)
-    trials = [_labelled(ensemble, walks[-_NEW_WALKERS:], *condition, options.seed) for condition in _CONDITIONS]
+    model.save(files.model)
+    trials = [_labelled(model, walks[-_NEW_WALKERS:], *condition, options.seed) for condition in _CONDITIONS]
     if options.json != "-":
         _print([trial.row for trial in trials])
-    _write(files, ensemble, trials[-1])
+    _write(files, model, trials[-1])
     show(f"Open {files.report} in a browser, and {files.labelled} in any C3D viewer. Label a file yourself:")
     show(f"  asterism label {files.unlabelled} --model {files.model} -o {options.output / 'labelled'}")
     _console.write_json(
@@ -135,7 +144,7 @@ class _Files:
 
 
 @dataclass(frozen=True)
-class _Trial:
+class _DemoTrial:
     """Walkers labelled under one condition: the table's row; clouds, labelling and truth of the last walker."""
 
     row: dict[str, Any]
@@ -144,15 +153,15 @@ class _Trial:
     truth: Ints
 
 
-def _trained(walks: Sequence[Recording], seed: int, show: Callable[[str], None]) -> SolverEnsemble:
+def _trained(walks: Sequence[Recording], seed: int, show: Callable[[str], None]) -> MarkerModel:
     show(f"Training on {len(walks)} simulated walkers, {len(walks[0].labels)} markers ...")
     started = time.perf_counter()
-    ensemble = train_on_walkers(walks, seed)
+    model = train_on_walkers(walks, seed)
     show(f"Trained in {time.perf_counter() - started:.0f} s. Labelling recordings of {_NEW_WALKERS} walkers that it has not seen ...")
-    return ensemble
+    return model
 
 
-def _labelled(ensemble: SolverEnsemble, walks: Sequence[Recording], hidden: int, ghosts: int, seed: int) -> _Trial:
+def _labelled(model: MarkerModel, walks: Sequence[Recording], hidden: int, ghosts: int, seed: int) -> _DemoTrial:
     """Label the walks, each as a whole, with so many markers in a gap and so many ghosts at every moment."""
     from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts
     from asterism.recording import label_states
@@ -163,7 +172,7 @@ def _labelled(ensemble: SolverEnsemble, walks: Sequence[Recording], hidden: int,
     for i, walk in enumerate(walks):
         clouds, truth = simulate_gaps_and_ghosts(walk, hidden, ghosts, seed=seed + 1 + i)
         started = time.perf_counter()
-        labelling = ensemble.label(clouds, time=True)
+        labelling = model.label(clouds)
         seconds += time.perf_counter() - started
         frames += len(clouds)
         for key, value in _compared(labelling, truth).items():
@@ -172,10 +181,10 @@ def _labelled(ensemble: SolverEnsemble, walks: Sequence[Recording], hidden: int,
             states[key] += int(value.sum())
     shares = {key: value / sum(states.values()) for key, value in states.items()}
     row = {"hidden": hidden, "ghosts": ghosts, **counts, "shares": shares, "frames_per_second": frames / seconds}
-    return _Trial(row, clouds, labelling, truth)
+    return _DemoTrial(row, clouds, labelling, truth)
 
 
-def _write(files: _Files, ensemble: SolverEnsemble, trial: _Trial) -> None:
+def _write(files: _Files, model: MarkerModel, trial: _DemoTrial) -> None:
     """Write a trial's recording without and with labels, and the report on it."""
     from asterism import formats
     from asterism.report import LabelledRecording, label_report
@@ -186,10 +195,10 @@ def _write(files: _Files, ensemble: SolverEnsemble, trial: _Trial) -> None:
     row = {"file": files.unlabelled.name, "frames": len(clouds), "frames_per_second": trial.row["frames_per_second"]}
     label_report(
         files.report,
-        LabelledRecording(trial.labelling, clouds, ensemble.marker_set, trial.truth),
+        LabelledRecording(trial.labelling, clouds, model.marker_set, trial.truth),
         title="Asterism demo: a simulated walker that the model has not seen",
         files=[row],
-        model_info={"model": files.model.name, "labelled": "the recording as a whole, by its tracks", **ensemble.about},
+        model_info={"model": files.model.name, "labelled": "the recording as a whole, by its tracks", **model.about},
     )
 
 

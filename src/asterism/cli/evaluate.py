@@ -17,8 +17,8 @@ from asterism.cli._options import (
     HitRate,
     Json,
     Markers,
-    MinerOption,
     Overwrite,
+    PartialSolvers,
     Report,
     Rules,
     RulesOption,
@@ -49,7 +49,7 @@ class EvaluateOptions:
     rules: RulesOption = Rules.WHOLE_BODY
     frame_wise: FrameWise = False
     target_hit_rate: HitRate = 0.999
-    miner: MinerOption = None
+    partial_solvers: PartialSolvers = None
     seed: Seed = 0
     vertical: Vertical = None
     overwrite: Overwrite = False
@@ -65,33 +65,32 @@ def evaluate(options: EvaluateOptions) -> None:
     with the truth. The rules whole-body label recordings as a whole, as asterism label does; --frame-wise turns that off.
 
     Labelled: share of all markers in all frames with a label of a confidence of 99 % or more. Likely: with less.
-    FA: share of wrong labels among those given. FO: share of visible markers among those left without a label.
-    Missed: share of visible markers left without a label.
-    Perfect: share of frames without an error. Log score: how little the confidence said of what came, in
-    nats per label; in brackets that of the best constant confidence. Less is better.
+    Right: share of the visible markers that have their own point. Missed: share of them that have no label.
+    Wrong: share of wrong labels among those given. In view: share of visible markers among those left without a label.
+    Perfect: share of frames without an error. Log score: how little the confidence said of what came, as the mean of -ln of the
+    probability that it gave to it; in brackets that of the best constant confidence. Less is better.
 
-    With --leave-one-subject-out the figures hold for people that
-    the model has not seen; --markers, --target-hit-rate and --miner belong to it. Rules other than whole-body need a miner:
-    bottom-up where none is named.
+    With --leave-one-subject-out the figures hold for people that the model has not seen; --markers, --target-hit-rate and --partial-solvers
+    belong to it. Rules other than whole-body need partial solvers, searched bottom-up where nothing else is said.
     """
     settings = _settings(options)
     from asterism import labelling
     from asterism.cli._recordings import read_labelled
 
-    ensemble = None if options.model is None else labelling.SolverEnsemble.load(options.model)
+    model = None if options.model is None else labelling.MarkerModel.load(options.model)
     batch = _console.Batch("read")
     recordings = read_labelled(
-        recordings_of(options.files, batch), options.markers if ensemble is None else ensemble.marker_set, options.vertical, batch
+        recordings_of(options.files, batch), options.markers if model is None else model.marker_set, options.vertical, batch
     )
     count, hidden = len(recordings[0].labels), max(settings["occlusions"])
     if hidden > count:
         raise AsterismError(f"--occlusions {hidden} hides more than the {count} markers that there are; give smaller numbers.")
     with _console.progress("evaluating") as progress:
-        if ensemble is not None:
-            evaluation = labelling.evaluate(ensemble, recordings, **settings, progress=progress)
+        if model is not None:
+            evaluation = labelling.evaluate(model, recordings, **settings, progress=progress)
         else:
             # the whole-body rules need no partial solvers, and their search takes most of the training
-            miner = None if options.rules is Rules.WHOLE_BODY or options.miner is None else options.miner.value
+            miner = None if options.rules is Rules.WHOLE_BODY or options.partial_solvers is None else options.partial_solvers.value
             evaluation = labelling.leave_one_subject_out(
                 recordings, **settings, progress=progress, target_hit_rate=options.target_hit_rate, miner=miner
             )
@@ -138,7 +137,21 @@ def _print(evaluation: Evaluation) -> None:
     counted = [] if evaluation.time else ["evaluations/frame"]
     _console.table(
         f"Hidden markers and ghosts at every moment, {'recordings as a whole' if evaluation.time else 'each frame by itself'}",
-        ["hidden", "ghosts", "frames", "labelled", "likely", "right", "FA", "FO", "missed", "perfect", "log score", "frames/s", *counted],
+        [
+            "hidden",
+            "ghosts",
+            "frames",
+            "labelled",
+            "likely",
+            "right",
+            "wrong",
+            "in view",
+            "missed",
+            "perfect",
+            "log score",
+            "frames/s",
+            *counted,
+        ],
         [
             [
                 str(c.occlusions),
@@ -160,7 +173,7 @@ def _print(evaluation: Evaluation) -> None:
     )
     _print_reliability(evaluation)
     names = [f"{c.occlusions}+{c.ghosts}" if c.ghosts else f"{c.occlusions}" for c in evaluation.conditions]
-    for key, title, digits in (("fa", "FA, wrong among the labels given", 3), ("fo", "FO, visible among the labels not given", 1)):
+    for key, title, digits in (("fa", "Wrong labels, of those given", 3), ("fo", "Markers in view, of those without a label", 1)):
         _console.table(
             f"{title}, by marker and hidden{' + ghost' if any('+' in name for name in names) else ''} points per frame",
             ["marker", *names],

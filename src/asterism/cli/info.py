@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 _UNITS = {"rate": " frames/s", "duration": " s"}
 _LONGEST_LIST = {"physical": 200, "events": 40}
 _LONG_ENOUGH = 12
+_CALLED = {"miner": "search of partial solvers", "features": "features of partial solvers", "left_out_markers": "markers left out"}
+"""What rows are called, where the name in the file is not a laboratory's word."""
 _CAMERA_COLUMNS = ("camera", "image, px", "focal length, px", "centre, px", "lens terms", "position, m", "error, px")
 
 
@@ -103,12 +105,12 @@ def _camera_row(camera: Mapping[str, Any]) -> list[str]:
 
 def _rows(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
     for key, value in content.items():
-        name = f"{prefix}{key.replace('_', ' ')}"
+        name = f"{prefix}{_CALLED.get(key, key.replace('_', ' '))}"
         if isinstance(value, Mapping) and value and key == "points":
             yield from _rows(value, prefix="points, ")
         elif isinstance(value, Mapping) and key == "partial_solvers":
-            for rules, ensemble in value.items():
-                yield f"partial solvers, {rules}", _solvers_text(ensemble)
+            for rules, solvers in value.items():
+                yield f"partial solvers, {rules}", _solvers_text(solvers)
         elif key == "marker_sets" and content["points"]["physical"]:
             yield from _marker_set_rows(value)
         elif key == "missing" and isinstance(value, float):
@@ -136,10 +138,10 @@ def _marker_set_rows(sets: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, s
         yield "marker set, also", "; ".join(told(worn) for worn in sets[1:])
 
 
-def _solvers_text(ensemble: Mapping[str, Any]) -> str:
-    shown = ensemble["shown_hit_rates"]
+def _solvers_text(about: Mapping[str, Any]) -> str:
+    shown = about["shown_hit_rates"]
     worst = min(shown, key=shown.get)
-    return f"{ensemble['solvers']}; shown hit rates from {_console.percent(shown[worst], 3)} ({worst})"
+    return f"{about['solvers']}; shown hit rates from {_console.percent(shown[worst], 3)} ({worst})"
 
 
 def _text(value: Any, longest: int = _LONG_ENOUGH) -> str:

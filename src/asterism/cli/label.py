@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,6 +12,7 @@ import typer
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._folders import Trial, check_output, trials
+from asterism.cli._labelling import check_labelling, file_names, labelling_options
 from asterism.cli._options import (
     DropComputed,
     Files,
@@ -32,19 +31,15 @@ from asterism.cli._options import (
     Subjects,
     Vertical,
     Workers,
-    vertical_axis,
 )
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
-    from asterism.cli._finished import Finished
-    from asterism.cli._labelling import Labelled, Labeller
-    from asterism.cli._long import LongLabelled
     from asterism.findings import Finding
-    from asterism.labelling import ReviewItem
     from asterism.progress import Progress
-    from asterism.recording import Clouds, Labelling, Recording
+    from asterism.recording import Clouds, Labelling
     from asterism.report import LabelledRecording
+    from asterism.session import FileLabeller, FinishedFiles, LabelledFile
 
 PAGE = "asterism-label.html"
 """The page on a folder of recordings, among the outputs, where --report names none."""
@@ -74,23 +69,19 @@ class LabelOptions:
     json: Json = None
 
     @property
-    def in_time(self) -> bool:
-        """Whether recordings are labelled as a whole, by their tracks."""
-        return self.rules is Rules.WHOLE_BODY and not self.frame_wise
-
-    @property
-    def known(self) -> KnownLabels | None:
-        """What becomes of the names that points have already; None where each file decides."""
-        return KnownLabels.KEEP if self.keep_labels else self.known_labels
+    def page(self) -> Path | None:
+        """The report: that which was asked for; of a folder, one beside the outputs."""
+        in_folder = self.output / PAGE if any(path.is_dir() for path in self.files) else None
+        return self.report or in_folder
 
     @property
     def how(self) -> dict[str, Any]:
         """The options that an output depends on, as plain values."""
         return {
-            "known_labels": None if self.known is None else self.known.value,
+            "known_labels": file_names(self),
             "drop_computed": self.drop_computed,
             "for": None if self.program is None else self.program.value,
-            "rules": self.rules.value,
+            "rules": self.rules,
             "frame_wise": self.frame_wise,
             "subject": self.subject,
             "no_static": self.no_static,
@@ -126,7 +117,7 @@ def label(options: LabelOptions) -> None:
     rows = [result.row for result in results]
     if len(rows) > 1 and options.json != "-":
         _table(rows)
-    page = run.page
+    page = options.page
     if page is not None and results:
         _report(page, options, run.labeller, results)
     _console.write_json(
@@ -136,7 +127,7 @@ def label(options: LabelOptions) -> None:
             "model": options.model if len(options.model) > 1 else options.model[0],
             **options.how,
             "subject": options.subject[0] if options.subject and len(options.subject) == 1 else options.subject,
-            "keep_labels": options.known is KnownLabels.KEEP,
+            "keep_labels": file_names(options) is KnownLabels.KEEP,
             "files": rows,
             "passed_over": batch.passed_over,
             "failed": batch.failed,
@@ -159,27 +150,18 @@ class _Run:
     """What is the same for all files of a run."""
 
     options: LabelOptions
-    labeller: Labeller
-    finished: Finished
+    labeller: FileLabeller
+    finished: FinishedFiles
     batch: _console.Batch
     count: int
 
     @classmethod
     def of(cls, options: LabelOptions, files: Sequence[Trial], batch: _console.Batch) -> _Run:
-        from asterism.cli._finished import Finished
-        from asterism.cli._labelling import Labeller
-        from asterism.cli._standing import StandingTrials
+        from asterism.session import FileLabeller, FinishedFiles
 
-        axis = vertical_axis(options.vertical)
-        standing = StandingTrials([trial.path for trial in files], options.subject or (), not options.no_static, axis)
-        labeller = Labeller.of_models(options.model, standing, rules=options.rules, in_time=options.in_time, workers=options.workers)
-        return cls(options, labeller, Finished(options.output, options.how, options.model), batch, len(files))
-
-    @property
-    def page(self) -> Path | None:
-        """The report: that which was asked for; of a folder, one beside the outputs."""
-        in_folder = self.options.output / PAGE if any(path.is_dir() for path in self.options.files) else None
-        return self.options.report or in_folder
+        chosen = labelling_options(options, rules=options.rules, in_memory=options.program is not None or options.page is not None)
+        labeller = FileLabeller.of_models(options.model, chosen, [trial.path for trial in files])
+        return cls(options, labeller, FinishedFiles(options.output, options.how, options.model), batch, len(files))
 
     def result(self, trial: Trial, progress: Progress | None) -> _Result:
         """Label one file and write it, or take over what an earlier run has finished."""
@@ -190,7 +172,22 @@ class _Run:
             if row is not None:
                 return _Result({**row, "file": trial.path, "output": target, "finished_before": True})
             check_output(trial.path, target, self.options.overwrite)
-        return self._labelled(trial, target, progress)
+        labelled = self.labeller.label(trial.path, _share(progress, self.batch, self.count, trial.path))
+        self.report_findings(labelled.findings)
+        # the record is written before the output: a run that is stopped between knows that the output is not whole
+        target.parent.mkdir(parents=True, exist_ok=True)
+        self.finished.begin(trial.place, trial.path)
+        program = None if self.options.program is None else self.options.program.value
+        lost = labelled.write(target, program=program, drop_computed=self.options.drop_computed)
+        row = self._row(trial, target, labelled.without_file(), lost)
+        self.finished.end(trial.place, target, row)
+        return _Result(row, self._shown(labelled))
+
+    def report_findings(self, findings: Sequence[Finding]) -> None:
+        """Name what was found in a file and on its labels."""
+        for finding in findings:
+            if not (self.options.drop_computed and finding.code == "label-computed-outdated"):
+                self.batch.found(finding)
 
     def _as_program_reads(self, trial: Trial) -> Trial:
         """The trial with a place of the suffix that the next program reads, where one is named."""
@@ -199,140 +196,41 @@ class _Run:
         program = self.options.program
         return trial if program is None else replace(trial, place=trial.place.with_suffix(PROGRAMS[program.value].suffix))
 
-    def _labelled(self, trial: Trial, target: Path, progress: Progress | None) -> _Result:
-        from asterism.labelling import SeveralBodies
-
-        with suppress(SeveralBodies):  # they are told apart by their tracks over the whole recording
-            result = self._labelled_in_stretches(trial, target, progress)
-            if result is not None:
-                return result
-        return self._labelled_whole(trial, target, progress)
-
-    def _labelled_in_stretches(self, trial: Trial, target: Path, progress: Progress | None) -> _Result | None:
-        """The result of a long C3D file, which is never in memory as positions; None of any other file."""
-        from asterism.cli._recordings import report_warnings
-        from asterism.formats import without_computed
-        from asterism.formats.c3d import read_long, write_long
-        from asterism.labelling.stretches import StretchRules
-
-        options, path, rules = self.options, trial.path, StretchRules()
-        if len(options.model) > 1 or not options.in_time or options.program is not None or self.page is not None:
+    def _shown(self, labelled: LabelledFile) -> LabelledRecording | None:
+        """What the page shows of a file, where there is a page that has room for it."""
+        if self.options.page is None or len(self.batch.done) >= _MOST_SHOWN:
             return None
-        long = read_long(path, vertical_axis(options.vertical), rules.whole)
-        if long is None:
-            return None
-        from asterism.cli._long import label_long_file
-
-        if not self.batch.done:
-            self.labeller.warm_up(long.frames(slice(0, 1)).clouds())
-        started = time.perf_counter()
-        share = _share(progress, self.batch, self.count, path)
-        found, written = label_long_file(self.labeller, path, long, rules, known=options.known, by=self.by, progress=share)
-        seconds = time.perf_counter() - started
-        report_warnings(long.sampled, self.batch)
-        self._say(found.findings)
-        if options.drop_computed:
-            written = replace(written, head=without_computed(written.head))
-        target.parent.mkdir(parents=True, exist_ok=True)
-        self.finished.begin(trial.place, path)
-        lost = write_long(target, long.file, written)
-        del long, written  # the file is no longer needed, and half of the memory
-        return _Result(self._row(trial, target, found, found.counted, found.items, seconds, lost))
-
-    @property
-    def by(self) -> str:
-        """What labels the files, for their logs."""
-        from asterism import __version__
-
-        return f"asterism {__version__}, {', '.join(model.name for model in self.options.model)}"
-
-    def _say(self, findings: Sequence[Finding]) -> None:
-        """Name what was found on a file's labels."""
-        for finding in findings:
-            if not (self.options.drop_computed and finding.code == "label-computed-outdated"):
-                self.batch.found(finding)
-
-    def _labelled_whole(self, trial: Trial, target: Path, progress: Progress | None) -> _Result:
-        from asterism import formats
-        from asterism.cli._labelling import labelled_file
-        from asterism.cli._recordings import report_warnings
-        from asterism.labelling import review
-
-        options, path = self.options, trial.path
-        recording, clouds = _read(path, vertical_axis(options.vertical))
-        report_warnings(recording, self.batch)
-        if not self.batch.done:
-            self.labeller.warm_up(clouds)
-        started = time.perf_counter()
-        share = _share(progress, self.batch, self.count, path)
-        labelled = labelled_file(self.labeller, path, recording, clouds, known=options.known, by=self.by, progress=share)
-        seconds = time.perf_counter() - started
-        self._say(labelled.findings)
-        written = formats.without_computed(labelled.recording) if options.drop_computed else labelled.recording
-        left = list[str]()
-        if options.program is not None:
-            written, left = formats.for_program(written, options.program.value, target)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        self.finished.begin(trial.place, path)
-        lost = [*left, *formats.write(target, written, labelling=labelled.labelling, clouds=clouds)]
-        row = self._row(trial, target, labelled, clouds, review(labelled.labelling, clouds), seconds, lost)
-        if self.page is None or len(self.batch.done) >= _MOST_SHOWN:
-            return _Result(row)
         from asterism.report import LabelledRecording
 
-        return _Result(row, LabelledRecording(labelled.labelling, clouds, labelled.marker_set, None, recording.first_frame))
+        return LabelledRecording(labelled.labelling, labelled.clouds, labelled.marker_set, None, labelled.about.first_frame)
 
-    def _row(
-        self,
-        trial: Trial,
-        target: Path,
-        labelled: Labelled | LongLabelled,
-        clouds: Clouds,
-        items: Sequence[ReviewItem],
-        seconds: float,
-        lost: Sequence[str],
-    ) -> dict[str, Any]:
+    def _row(self, trial: Trial, target: Path, labelled: LabelledFile, lost: Sequence[str]) -> dict[str, Any]:
         """What the table and the JSON say of a file that was written, which is complete then."""
         from asterism.cli._recordings import not_carried
-        from asterism.labelling.correction import readiness
         from asterism.recording import label_shares
 
         for finding in not_carried(target, lost):
             self.batch.found(finding)
-        labelling = labelled.labelling
-        ready = readiness(labelling, clouds, items)
-        row = {
+        labelling, clouds = labelled.labelling, labelled.clouds
+        return {
             "file": trial.path,
             "output": target,
             "frames": len(clouds),
             **asdict(label_shares(labelling, clouds)),
             "markers": _by_marker(labelling, clouds),
-            "subject": labelled.subject,
-            "known_labels": None if labelled.known is None else labelled.known.value,
-            "verdict": None if labelling.verdict is None else labelling.verdict.kind,
-            "readiness": ready.kind,
-            "use": ready.words,
-            "frames_per_second": len(clouds) / seconds if seconds else float("nan"),
+            "subject": labelled.standing,
+            "known_labels": labelled.file_names,
+            "verdict": None if labelled.verdict is None else labelled.verdict.kind,
+            "readiness": labelled.readiness.kind,
+            "use": labelled.readiness.words,
+            "frames_per_second": len(clouds) / labelled.seconds if labelled.seconds else float("nan"),
             "not_carried": lost,
         }
-        self.finished.end(trial.place, target, row)
-        return row
 
 
 def _check(options: LabelOptions) -> None:
     """Raise AsterismError where options contradict each other, or an output cannot be made."""
-    if len(options.model) > 1 and not options.in_time:
-        raise AsterismError(
-            "several bodies are separated by their tracks over time; leave out --frame-wise and --rules, or give one --model."
-        )
-    if len(options.model) > 1 and options.subject:
-        raise AsterismError("a trial of the subject narrows one model; leave out --subject, or give one --model.")
-    if options.subject and options.rules is not Rules.WHOLE_BODY:
-        raise AsterismError(
-            f"the rules {options.rules.value} do not use a body model that a trial could narrow; leave out --subject, or --rules."
-        )
-    if options.keep_labels and options.known_labels not in (None, KnownLabels.KEEP):
-        raise AsterismError(f"--keep-labels contradicts --known-labels {options.known_labels.value}; give one of them.")
+    check_labelling(options, options.rules)
     if options.output.exists() and not options.output.is_dir():
         raise AsterismError(f"{options.output} is a file; -o takes the folder for the labelled files.")
     _console.check_new(options.report, options.overwrite)
@@ -356,7 +254,7 @@ def _by_marker(labelling: Labelling, clouds: Clouds) -> dict[str, dict[str, Any]
     return found
 
 
-def _report(path: Path, options: LabelOptions, labeller: Labeller, results: Sequence[_Result]) -> None:
+def _report(path: Path, options: LabelOptions, labeller: FileLabeller, results: Sequence[_Result]) -> None:
     """Write the page on all files; those that an earlier run has finished are in its table only."""
     from asterism.report import label_report
 
@@ -366,13 +264,17 @@ def _report(path: Path, options: LabelOptions, labeller: Labeller, results: Sequ
             _console.notice(f"{path} was not written, because an earlier run labelled all files; --overwrite labels them again.")
         return
     rows = [result.row for result in (*shown, *(result for result in results if result.shown is None))]
-    about = {"model": ", ".join(map(str, options.model)), "rules": options.rules.value, "keep_labels": options.known is KnownLabels.KEEP}
+    about = {
+        "model": ", ".join(map(str, options.model)),
+        "rules": options.rules.value,
+        "keep_labels": file_names(options) is KnownLabels.KEEP,
+    }
     label_report(
         path,
         [result.shown for result in shown if result.shown is not None],
         title=f"{len(rows)} labelled recordings" if len(rows) > 1 else f"{rows[0]['file'].name}, labelled",
         files=rows,
-        model_info={**about, **labeller.ensembles[0].about},
+        model_info={**about, **labeller.models[0].about},
     )
 
 
@@ -382,13 +284,6 @@ def _share(progress: Progress | None, batch: _console.Batch, files: int, path: P
         return None
     before = len(batch.done) + len(batch.failed)
     return lambda fraction, _: progress((before + fraction) / files, path.name)
-
-
-def _read(path: Path, axis: str | list[float] | None) -> tuple[Recording, Clouds]:
-    from asterism import formats
-
-    recording = formats.read(path, vertical=axis)
-    return recording, recording.clouds()
 
 
 def _line(row: dict[str, Any]) -> str:

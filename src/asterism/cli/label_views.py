@@ -69,7 +69,7 @@ def label_views(options: LabelViewsOptions) -> None:
     from asterism.findings import exit_status
     from asterism.formats import check_suffix
     from asterism.formats.blobs_2d import read_2d
-    from asterism.labelling import SolverEnsemble
+    from asterism.labelling import MarkerModel
     from asterism.views.rules import QUICK, RULES
 
     output = options.output
@@ -78,7 +78,7 @@ def label_views(options: LabelViewsOptions) -> None:
     body = views.load_body(options.body)
     rig = _upright(read_rig(options.rig), options)
     blobs = read_2d(options.blobs, cameras=rig.names, rate=options.rate)
-    model = None if options.model is None else SolverEnsemble.load(options.model)
+    model = None if options.model is None else MarkerModel.load(options.model)
     with _console.progress("labelling") as progress:
         result = views.label_views(
             blobs,

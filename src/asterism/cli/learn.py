@@ -30,11 +30,11 @@ def learn(
     A file that cannot be read stops the learning before it starts, and is named.
     """
     from asterism.cli._recordings import read_labelled
-    from asterism.labelling import SolverEnsemble
+    from asterism.labelling import MarkerModel
 
     _console.check_new(output, overwrite)
     _console.check_new(json, overwrite)
-    before = SolverEnsemble.load(model)
+    before = MarkerModel.load(model)
     batch = _console.Batch("read")
     recordings = read_labelled(recordings_of(files, batch), before.marker_set, vertical, batch)
     batch.tell_passed_over()
@@ -51,9 +51,12 @@ def learn(
     new_people = [name for name in about["subjects"] if name not in before.about["subjects"]]
     known = len(recordings) - (about["recordings"] - before.about["recordings"])
     if json != "-":
+        from asterism.recording.display import counted
+
         _console.result(
-            f"{output}: {about['recordings']} recordings of {len(about['subjects'])} subjects ({about['frames']:,} frames); "
-            f"{len(recordings)} learned in {seconds:.0f} s, {len(new_people)} new subjects{f', {known} known already' if known else ''}"
+            f"{output}: {counted(about['recordings'], 'recording')} of {counted(len(about['subjects']), 'subject')} "
+            f"({counted(about['frames'], 'frame')}); learned {counted(len(recordings), 'recording')} in {seconds:.0f} s, "
+            f"{counted(len(new_people), 'new subject')}{f', {known} known already' if known else ''}"
         )
     _console.write_json(
         json,

@@ -97,10 +97,11 @@ class _File:
 
 def _read(options: MendOptions, marker_set: MarkerSet | None, batch: _console.Batch) -> list[_File]:
     """The files that can be read. Raises AsterismError where two would be written to one place, or none is left."""
-    from asterism import MarkerSet, formats
+    from asterism import formats
     from asterism.cli._options import vertical_axis
     from asterism.cli._recordings import report_warnings
     from asterism.labelling.training.markers import named_markers
+    from asterism.recording import MarkerSet
 
     axis, files = vertical_axis(options.vertical), list[_File]()
     found = trials(options.files, batch, without=options.output)

@@ -17,7 +17,7 @@ from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
     from asterism.cameras import Rig
-    from asterism.cli._clinical import MonteCarlo
+    from asterism.cli._clinical import MonteCarloOptions
     from asterism.motion.analysis import MotionAnalysis
     from asterism.motion.clinical import ClinicalAngles, ClinicalErrors, ClinicalUncertainty
     from asterism.motion.uncertainty import CalibrationErrors, ErrorSources, MeasurementNoise, UncertaintyResult
@@ -88,7 +88,7 @@ class MotionOptions:
 
 
 @dataclass(frozen=True)
-class Result:
+class MotionResult:
     """What was found in one file."""
 
     path: Path
@@ -115,7 +115,7 @@ def motion(options: MotionOptions) -> None:
     if options.covariance is not None and options.rig is None:
         raise AsterismError("--covariance belongs to a rig; give its file with --rig.")
     batch = _console.Batch("analysed")
-    results: list[Result] = []
+    results: list[MotionResult] = []
     cameras = _cameras(options)
     rules = MotionRules(method=options.method.value, joint_method=options.joints.value)
     for path in recordings_of(options.files, batch):
@@ -131,7 +131,7 @@ def motion(options: MotionOptions) -> None:
                     legs = _clinical.certain(recording, clinical, _of_legs(options, cameras, recording, certain), options.seed, trials)
             for finding in [*analysis.findings, *(certain.findings if certain else ())]:
                 batch.found(finding)
-            results.append(Result(path, analysis, certain, clinical, legs))
+            results.append(MotionResult(path, analysis, certain, clinical, legs))
             if options.json != "-":
                 show(path, analysis, certain)
                 _clinical.show(path, clinical, legs)
@@ -235,7 +235,7 @@ def _of_legs(options: MotionOptions, cameras: Cameras, recording: Recording, cer
     )
 
 
-def _monte_carlo(options: MotionOptions, progress: Any) -> MonteCarlo:
+def _monte_carlo(options: MotionOptions, progress: Any) -> MonteCarloOptions:
     from asterism.motion.uncertainty import MonteCarloRules
 
     rules = MonteCarloRules(most=options.trials, block=min(100, max(options.trials // 2, 2)))
@@ -245,6 +245,8 @@ def _monte_carlo(options: MotionOptions, progress: Any) -> MonteCarlo:
 def show(path: Path, analysis: MotionAnalysis, certain: UncertaintyResult | None) -> None:
     """Print a table of the joints of one file."""
     import numpy as np
+
+    from asterism.recording.display import counted
 
     rows = []
     for number, joint in enumerate(analysis.angles):
@@ -263,13 +265,13 @@ def show(path: Path, analysis: MotionAnalysis, certain: UncertaintyResult | None
         rows.append(row)
     head = ["joint", "kind", "largest angle (°)", "range (°)", "centre ± (mm)"]
     head += ["angle ± (°)", "cameras", "soft tissue", "placement", "flexion ± (°)"] if certain else []
-    limbs = f"{len(analysis.names)} limbs: " + ", ".join(
-        f"{name} ({int((analysis.limb_of == k).sum())} points)" for k, name in enumerate(analysis.names)
+    limbs = f"{counted(len(analysis.names), 'limb')}: " + ", ".join(
+        f"{name} ({counted(int((analysis.limb_of == k).sum()), 'point')})" for k, name in enumerate(analysis.names)
     )
     _console.table(f"{path}: {limbs}", head, rows, left=2)
     if certain is not None:
         said = "± is the largest standard uncertainty over the frames"
-        _console.result(f"{certain.trials} trials; {said}; noise of a point {1000 * certain.noise:.2f} mm.")
+        _console.result(f"{counted(certain.trials, 'trial')}; {said}; noise of a point {1000 * certain.noise:.2f} mm.")
 
 
 def _known(values: Any) -> Any:
@@ -312,7 +314,7 @@ def as_dict(analysis: MotionAnalysis, certain: UncertaintyResult | None) -> dict
     return {"frames": len(analysis.recording), "limbs": limbs, "joints": joints, "log": log, **trials}
 
 
-def _write_angles(target: Path, results: list[Result]) -> None:
+def _write_angles(target: Path, results: list[MotionResult]) -> None:
     """A CSV table, a row for each file, joint and frame; clinical angles have no angle since a frame, but adduction and rotation."""
     import csv
     import io

@@ -4,67 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from asterism.cli import _console
 from asterism.cli._command import takes
 from asterism.cli._folders import recordings_of
-from asterism.cli._options import Files, FrameWise, Json, Model, Overwrite, Report, Vertical, Workers, vertical_axis
+from asterism.cli._labelling import check_labelling, file_labeller
+from asterism.cli._review_options import ReviewOptions
 from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
-    from asterism.labelling import SolverEnsemble
     from asterism.report import ReviewEntry
-
-
-@dataclass(frozen=True)
-class ReviewOptions:
-    """What `asterism review` is asked to do."""
-
-    files: Files
-    model: Model
-    top: Annotated[int, typer.Option("--top", metavar="N", min=1, help="How many lines to list, of all files together.")] = 20
-    keep_labels: Annotated[
-        bool, typer.Option("--keep-labels", help="Take labels that a file already has as right; review only the others.")
-    ] = False
-    frame_wise: FrameWise = False
-    workers: Workers = 1
-    vertical: Vertical = None
-    overwrite: Overwrite = False
-    report: Report = None
-    json: Json = None
-    csv: Annotated[
-        Path | None,
-        typer.Option("--csv", metavar="FILE", help="Write the list as a table with an empty column `answer`.", show_default=False),
-    ] = None
-    answers: Annotated[
-        Path | None,
-        typer.Option("--answers", metavar="FILE", help="Correct the files by that table, filled in; needs -o.", show_default=False),
-    ] = None
-    serve: Annotated[bool, typer.Option("--serve", help="Open a page in the browser on which the labels are corrected.")] = False
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FOLDER", help="Where corrected files go. Page: else `corrected`.", show_default=False),
-    ] = None
-    log_folder: Annotated[
-        Path | None,
-        typer.Option("--log-folder", metavar="FOLDER", help="Where the page's logs go, else beside the files.", show_default=False),
-    ] = None
-    port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port of the page; 0 for a free one.")] = 0
-    host: Annotated[
-        str, typer.Option("--host", metavar="ADDRESS", help="Address of this machine that serves the page; 0.0.0.0 lets a tablet in.")
-    ] = "127.0.0.1"
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the page's address only.")] = False
+    from asterism.session import LabelledFile
 
 
 @takes(ReviewOptions)
 def review(options: ReviewOptions) -> None:
     """List the labels that a person should check first, or correct them.
 
-    The files are labelled as `asterism label` does it, whatever names their points have now. Nothing is written to them. A line is
+    The files are labelled as `asterism label` does it, with the same options. Nothing is written to them. A line is
     a piece of a track between two gaps: one name for it corrects all its frames. The gain is the expected number of its samples whose
     label is wrong or missing. The list begins where a check corrects most.
 
@@ -86,13 +46,14 @@ def review(options: ReviewOptions) -> None:
 
 def _check(options: ReviewOptions) -> None:
     """Raise AsterismError where options contradict each other, or an output cannot be made."""
+    check_labelling(options)
     correcting = "--serve" if options.serve else "--answers" if options.answers is not None else "--csv" if options.csv is not None else ""
     if options.serve and (options.answers is not None or options.csv is not None):
         raise AsterismError("--serve takes the answers on its page; leave out --csv and --answers.")
     if options.answers is not None and options.csv is not None:
         raise AsterismError("--answers takes a table that an earlier run wrote; leave out --csv.")
-    if correcting and (options.frame_wise or options.keep_labels):
-        raise AsterismError(f"{correcting} corrects whole recordings by the model; leave out --frame-wise and --keep-labels.")
+    if correcting and options.frame_wise:
+        raise AsterismError(f"{correcting} corrects whole recordings by the model; leave out --frame-wise.")
     if correcting in ("--serve", "--answers") and (options.report is not None or options.json is not None):
         raise AsterismError(f"{correcting} writes no list; leave out --report and --json.")
     if options.answers is not None and options.output is None:
@@ -103,17 +64,15 @@ def _check(options: ReviewOptions) -> None:
 
 def _listed(options: ReviewOptions) -> int:
     """List what to check; returns the exit status."""
-    from asterism.labelling import SolverEnsemble
-
-    ensemble = SolverEnsemble.load(options.model)
     batch, found = _console.Batch("reviewed"), _Review()
     files = recordings_of(options.files, batch)
+    labeller = file_labeller(options, files)
     with _console.progress("labelling") as progress:
         for path in files:
             with batch.file(path):
                 if progress:
                     progress((len(batch.done) + len(batch.failed)) / len(files), path.name)
-                _add(found, path, ensemble, options, batch)
+                _add(found, labeller.label(path), options, batch)
     if options.json != "-" and batch.done:
         _print(found)
     if options.report is not None:
@@ -123,14 +82,19 @@ def _listed(options: ReviewOptions) -> int:
             options.report,
             [line.entry for line in found.lines],
             totals=(found.pieces, found.gain),
-            model_info={"model": str(options.model), "files": len(batch.done), "keep_labels": options.keep_labels, **ensemble.about},
-            marker_set=ensemble.marker_set,
+            model_info={
+                "model": ", ".join(map(str, options.model)),
+                "files": len(batch.done),
+                "keep_labels": options.keep_labels,
+                **labeller.models[0].about,
+            },
+            marker_set=labeller.marker_set,
         )
     _console.write_json(
         options.json,
         {
             "command": "review",
-            "model": options.model,
+            "model": options.model if len(options.model) > 1 else options.model[0],
             "keep_labels": options.keep_labels,
             "frame_wise": options.frame_wise,
             "files": batch.done,
@@ -169,27 +133,20 @@ class _Review:
     lines: Sequence[_Line] = field(default_factory=tuple)
 
 
-def _add(found: _Review, path: Path, ensemble: SolverEnsemble, options: ReviewOptions, batch: _console.Batch) -> None:
-    """Label one file and add what there is to check in it."""
-    from asterism import formats
-    from asterism.cli._recordings import labels_kept, report_warnings
-    from asterism.labelling import review as review_labelling
+def _add(found: _Review, labelled: LabelledFile, options: ReviewOptions, batch: _console.Batch) -> None:
+    """Add what there is to check in a file."""
     from asterism.recording import label_shares
     from asterism.report import ReviewEntry
 
-    recording = formats.read(path, vertical=vertical_axis(options.vertical))
-    report_warnings(recording, batch)
-    clouds, correction = recording.clouds(), None
+    for finding in labelled.findings:
+        batch.found(finding)
+    path, recording, clouds, labelling, correction = labelled.path, labelled.about, labelled.clouds, labelled.labelling, None
+    items = labelled.items
     if options.csv is not None:
-        from asterism.labelling.correction import Correction, question_row
+        from asterism.labelling.correction import question_row
 
-        correction = Correction(ensemble, recording, workers=options.workers)
-        labelling, items = correction.labelling, correction.items()
-    else:
-        labelling = ensemble.label(clouds, time=not options.frame_wise, workers=options.workers)
-        if options.keep_labels:
-            labelling = labels_kept(path, labelling, recording, clouds, ensemble.marker_set)
-        items = review_labelling(labelling, clouds)
+        correction = labelled.correction()
+        items = correction.items()
     found.shares.append({"file": path, "frames": len(clouds), **asdict(label_shares(labelling, clouds))})
     found.pieces += len(items)
     found.gain += sum(item.gain for item in items)
@@ -204,10 +161,11 @@ def _add(found: _Review, path: Path, ensemble: SolverEnsemble, options: ReviewOp
 
 def _print(found: _Review) -> None:
     from asterism.cli._recordings import shares_text
+    from asterism.recording.display import counted
     from asterism.report.review import alternatives_text, label_text
 
     for row in found.shares:
-        _console.result(f"{row['file']}: {row['frames']:,} frames, {shares_text(row)}")
+        _console.result(f"{row['file']}: {counted(row['frames'], 'frame')}, {shares_text(row)}")
     entries = [line.entry for line in found.lines]
     rows = [
         [
@@ -227,8 +185,8 @@ def _print(found: _Review) -> None:
         _console.table("Labels to check first", columns, rows, left=4)
     listed = sum(entry.item.gain for entry in entries)
     _console.result(
-        f"{found.pieces:,} pieces of tracks to check, with {found.gain:,.1f} samples expected to be wrong or missing; "
-        f"{listed:,.1f} of these are in the {len(rows)} pieces listed."
+        f"{counted(found.pieces, 'piece')} of tracks to check, with {found.gain:,.1f} samples expected to be wrong or missing; "
+        f"{listed:,.1f} of these are in the {counted(len(rows), 'piece')} listed."
         if found.pieces
         else "No label needs a check."
     )

@@ -112,6 +112,8 @@ def show(path: Path, recording: Recording, found: Segmentation) -> None:
     """Print a table of the limbs of one file."""
     import numpy as np
 
+    from asterism.recording.display import counted
+
     rows = []
     for limb in range(found.limbs):
         points = found.points(limb)
@@ -120,4 +122,4 @@ def show(path: Path, recording: Recording, found: Segmentation) -> None:
         names = ", ".join(recording.labels[n] for n in points[:8]) + (", ..." if len(points) > 8 else "")
         typical = f"{1000 * float(np.median(known)):.1f}" if len(known) else "–"
         rows.append([f"limb {limb + 1}", names, str(len(points)), typical])
-    _console.table(f"{path}: {found.limbs} limbs", ["", "points", "number", "stray (mm)"], rows, left=2)
+    _console.table(f"{path}: {counted(found.limbs, 'limb')}", ["", "points", "number", "stray (mm)"], rows, left=2)

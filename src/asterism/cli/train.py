@@ -20,8 +20,8 @@ from asterism.cli._options import (
     Json,
     Markers,
     MarkerTargets,
-    MinerOption,
     Overwrite,
+    PartialSolvers,
     Seed,
     Vertical,
     check_hit_rate,
@@ -45,7 +45,7 @@ class TrainOptions:
     markers: Markers = None
     target_hit_rate: HitRate = 0.999
     marker_target: MarkerTargets = None
-    miner: MinerOption = None
+    partial_solvers: PartialSolvers = None
     features: Features = None
     seed: Seed = 0
     audit: Annotated[
@@ -74,25 +74,25 @@ def train(options: TrainOptions) -> None:
 
     marker_set = marker_set_of(options.markers)
     recordings, absent = _read(options.files, marker_set, options.vertical)
-    from asterism.labelling import SolverEnsemble, TrainingRules
+    from asterism.labelling import MarkerModel, TrainingRules
 
     errors: list[Any] = []
     if options.audit:
         recordings, errors = _without_damage(recordings, marker_set, options.seed)
     started = time.perf_counter()
     with _console.progress("training") as progress:
-        ensemble = SolverEnsemble.fit(
+        model = MarkerModel.fit(
             recordings,
             seed=options.seed,
             target_hit_rate=options.target_hit_rate,
-            miner=None if options.miner is None else options.miner.value,
+            miner=None if options.partial_solvers is None else options.partial_solvers.value,
             marker_set=marker_set,
             training=TrainingRules(features=features, marker_targets=targets),
             progress=progress,
         )
     seconds = time.perf_counter() - started
-    ensemble.save(options.output)
-    names, about = ensemble.marker_set.names, ensemble.about
+    model.save(options.output)
+    names, about = model.marker_set.names, model.about
     notes = [
         *absent,
         *left_out_markers(len(names), about["left_out_markers"]),
@@ -175,10 +175,12 @@ def _without_damage(recordings: Sequence[Recording], marker_set: MarkerSet | Non
 
 
 def _print(output: Path, markers: int, recordings: int, about: dict[str, Any], seconds: float) -> None:
+    from asterism.recording.display import counted
+
     people = len(about["subjects"])
     _console.result(
-        f"{output}: {markers} markers, from {recordings} recording{'s' if recordings > 1 else ''} of {people} "
-        f"subject{'s' if people > 1 else ''} ({about['frames']:,} frames) in {seconds:.0f} s"
+        f"{output}: {markers} markers, from {counted(recordings, 'recording')} of {counted(people, 'subject')} "
+        f"({counted(about['frames'], 'frame')}) in {seconds:.0f} s"
     )
     if people == 1:
         _console.result(

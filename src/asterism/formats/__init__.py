@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from asterism.formats._computed import computed_labels, without_computed
     from asterism.formats._programs import PROGRAMS, for_program
     from asterism.formats.csv_blobs import read_blobs, write_blobs
-    from asterism.formats.storage import Table, read_table, write_table
+    from asterism.formats.storage import TimeSeriesTable, read_table, write_table
 
 __all__ = [
     "PROGRAMS",
     "LabelConfidence",
-    "Table",
+    "TimeSeriesTable",
     "check_suffix",
     "computed_labels",
     "convert",
@@ -55,7 +55,7 @@ _MODULE_OF = {
     **dict.fromkeys(("computed_labels", "without_computed"), "_computed"),
     **dict.fromkeys(("PROGRAMS", "for_program"), "_programs"),
     **dict.fromkeys(("read_blobs", "write_blobs"), "csv_blobs"),
-    **dict.fromkeys(("Table", "read_table", "write_table"), "storage"),
+    **dict.fromkeys(("TimeSeriesTable", "read_table", "write_table"), "storage"),
 }
 
 

@@ -19,6 +19,7 @@ from asterism.formats._physical import COMPUTED, UNNAMED, kinds_by_name
 from asterism.formats._vertical import estimate_vertical, vertical_from_positions
 from asterism.recording import Event, Floats, MarkerSet, ProcessingStep, Recording, as_vertical, canonical, without_subject
 from asterism.recording.arrays import nan_median
+from asterism.recording.display import metres
 
 __all__ = [
     "Points",
@@ -231,9 +232,9 @@ def metres_per_unit(path: Path, declared: str | None, raw: Floats, others: Seque
         if np.isfinite(size) and not _SMALLEST_BODY <= size * scale <= _LARGEST_BODY:
             likely = _unit_by_size(size, raw)
             if METRES_PER_UNIT[likely] == scale:
-                return scale, _short_unit(scale), [units_assumed(f"the points lie {size * scale:.3g} m apart")]
+                return scale, _short_unit(scale), [units_assumed(f"the points lie {metres(size * scale)} apart")]
             raise AsterismError(
-                f"{path} gives its units as {declared}, which makes its points {size * scale:.3g} m wide; "
+                f"{path} gives its units as {declared}, which makes its points {metres(size * scale)} wide; "
                 f"the units are probably {likely}: correct the units field."
             )
         return scale, _short_unit(scale), []

@@ -57,6 +57,12 @@ def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None
 
     Positions are metres. Raises AsterismError, naming the file, where it cannot be read, has no marker of the set, has one of
     them twice, or the vertical is not determined.
+
+    >>> from asterism.simulation import simulate_walks
+    >>> walk = simulate_walks(1, frames=20, seed=0)[0]
+    >>> lost = write("walk.c3d", walk)
+    >>> read("walk.c3d", markers=["LKNE", "RKNE"])
+    Recording(file: walk.c3d, frames: 20 at 100 Hz (0.2 s), labels: LKNE, RKNE)
     """
     from asterism.formats.c3d._reader import read_c3d
 
@@ -75,7 +81,14 @@ def read(path: str | Path, markers: Any = None, vertical: ArrayLike | str | None
 
 
 def read_clouds(path: str | Path, vertical: ArrayLike | str | None = None) -> Clouds:
-    """The anonymous points of a file, frame by frame: of an NPZ or long CSV of clouds, or of any recording without its labels."""
+    """The anonymous points of a file, frame by frame: of an NPZ or long CSV of clouds, or of any recording without its labels.
+
+    >>> from asterism.simulation import simulate_walks
+    >>> walk = simulate_walks(1, frames=20, seed=0)[0]
+    >>> lost = write("walk.trc", walk)
+    >>> read_clouds("walk.trc").counts[:3]
+    array([15, 15, 15])
+    """
     from asterism.formats import npz
 
     path = Path(path)
@@ -102,6 +115,13 @@ def write(
     from C3D and is written as C3D keeps everything else unchanged.
 
     Raises AsterismError where the suffix is unknown or the file cannot be written.
+
+    >>> from asterism.simulation import simulate_walks
+    >>> walk = simulate_walks(1, frames=20, seed=0)[0]
+    >>> write("walk.c3d", walk)
+    []
+    >>> write("walk.trc", walk)  # what TRC cannot carry
+    ['the vertical: TRC readers take Y as up or determine it from the data']
     """
     from asterism.formats import csv_long, npz
     from asterism.formats.c3d._writer import write_c3d
@@ -159,7 +179,11 @@ def read_evidence(path: str | Path) -> Evidence | None:
 
 
 def is_recording_file(path: str | Path) -> bool:
-    """Whether a name's suffix is that of a recording; nothing is read."""
+    """Whether a name's suffix is that of a recording; nothing is read.
+
+    >>> is_recording_file("walk.C3D"), is_recording_file("notes.txt")
+    (True, False)
+    """
     return Path(path).suffix.casefold() in (".c3d", *_WRITERS)
 
 
@@ -217,6 +241,13 @@ def describe(path: str | Path) -> dict[str, Any]:
     """What a file holds, as plain values: format, frames, rate, units, vertical, points, gaps, events; as `findings` a tuple of `Finding`.
 
     Raises AsterismError where the file cannot be read.
+
+    >>> from asterism.simulation import simulate_walks
+    >>> walk = simulate_walks(1, frames=20, seed=0)[0]
+    >>> lost = write("walk.trc", walk)
+    >>> holds = describe("walk.trc")
+    >>> holds["format"], holds["frames"], holds["rate"]
+    ('TRC', 20, 100.0)
     """
     path = Path(path)
     with guarded_reading(path):
@@ -259,6 +290,12 @@ def convert(source: str | Path, target: str | Path, vertical: ArrayLike | str | 
     """Read one file and write another, a recording or a table of values (joint angles in MOT, STO, CSV).
 
     Returns what the target could not carry, as `write` does. Raises AsterismError as `read` and `write` do.
+
+    >>> from asterism.simulation import simulate_walks
+    >>> walk = simulate_walks(1, frames=20, seed=0)[0]
+    >>> lost = write("walk.npz", walk)
+    >>> convert("walk.npz", "walk.trc")
+    ['the vertical: TRC readers take Y as up or determine it from the data']
     """
     from asterism.formats import npz, storage
 

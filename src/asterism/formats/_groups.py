@@ -21,7 +21,7 @@ _NO_POSITIONS = re.compile(r"(?i).*(force|moment|torque|_v$|_f$|_p$|angle|veloci
 
 
 @dataclass(frozen=True)
-class Group:
+class ColumnGroup:
     """One point of a table: its name, its three columns in the order x, y, z, and the unit that its names carry."""
 
     name: str
@@ -29,13 +29,13 @@ class Group:
     units: str | None = None
 
 
-def marker_groups(names: Sequence[str]) -> tuple[list[Group], list[int]]:
+def marker_groups(names: Sequence[str]) -> tuple[list[ColumnGroup], list[int]]:
     """The points that a table's column names spell out, in column order, and the other columns.
 
     The spellings are NAME_x, NAME.X, NAME X, NAME:x, NAME_tx, x_NAME, NAME_pos_x, NAME[0] and NAMEX, each with or without a unit
     after it. The first spelling that gives the most groups counts for the whole file.
     """
-    best: list[Group] = []
+    best: list[ColumnGroup] = []
     for pattern in _SUFFIXES:
         found = _groups(names, pattern)
         if len(found) > len(best):
@@ -44,20 +44,20 @@ def marker_groups(names: Sequence[str]) -> tuple[list[Group], list[int]]:
     return best, [i for i in range(len(names)) if i not in taken]
 
 
-def exact_groups(names: Sequence[str], before_axis: str, start: int = 0) -> list[Group] | None:
+def exact_groups(names: Sequence[str], before_axis: str, start: int = 0) -> list[ColumnGroup] | None:
     """The points where all columns from `start` on are NAME + before_axis + x, y, z side by side, as Asterism writes them; else None."""
     found = []
     for i in range(start, len(names), 3):
         stems = [name.removesuffix(before_axis + axis) for name, axis in zip(names[i : i + 3], "xyz", strict=False)]
         if len(stems) < 3 or len(set(stems)) != 1 or stems[0] == names[i]:
             return None
-        found.append(Group(stems[0], (i, i + 1, i + 2)))
+        found.append(ColumnGroup(stems[0], (i, i + 1, i + 2)))
     return found
 
 
-def _groups(names: Sequence[str], pattern: re.Pattern[str]) -> list[Group]:
+def _groups(names: Sequence[str], pattern: re.Pattern[str]) -> list[ColumnGroup]:
     incomplete: dict[str, dict[int, int]] = {}
-    found: list[tuple[int, Group]] = []
+    found: list[tuple[int, ColumnGroup]] = []
     for column, name in enumerate(names):
         match = pattern.fullmatch(name.strip())
         if match is None:
@@ -68,6 +68,6 @@ def _groups(names: Sequence[str], pattern: re.Pattern[str]) -> list[Group]:
         axes = incomplete.setdefault(marker, {})
         axes[("xyz".find(axis) if axis in "xyz" else int(axis))] = column
         if len(axes) == 3:
-            found.append((min(axes.values()), Group(marker, (axes[0], axes[1], axes[2]), match["units"] or match["bare"])))
+            found.append((min(axes.values()), ColumnGroup(marker, (axes[0], axes[1], axes[2]), match["units"] or match["bare"])))
             del incomplete[marker]
     return [group for _, group in sorted(found, key=lambda pair: pair[0])]

@@ -39,6 +39,12 @@ def for_program(recording: Recording, program: str, target: str | Path) -> tuple
 
     A C3D file whose vertical and points suit the program stays as it is, with everything in it. Raises AsterismError where the program is
     not known or reads no file like `target`.
+
+    >>> from asterism.simulation import simulate_walks
+    >>> walk = simulate_walks(1, frames=20, seed=0)[0]
+    >>> ready, lost = for_program(walk, "opensim", "walk.trc")
+    >>> ready.vertical.round(6) + 0.0
+    array([0., 1., 0.])
     """
     if program not in PROGRAMS:
         raise AsterismError(f"{program!r} is no program that files are written for; take one of {', '.join(PROGRAMS)}.")

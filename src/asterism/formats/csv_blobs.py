@@ -52,7 +52,7 @@ def _blobs(path: Path, wanted: tuple[str, ...] | None, wanted_rate: float | None
     lines = lines_of(decoded(path, read_bytes(path)))
     comments = dict(_comment(line) for line in lines[:20] if line.startswith("#") and "=" in line)
     start = next((i for i, line in enumerate(lines) if line.strip(" ,;\t") and not line.startswith("#")), len(lines))
-    sheet = _Sheet.opened(path, lines, start)
+    sheet = _BlobTable.opened(path, lines, start)
     values, names = sheet.values()
     listed = tuple(name for name in comments.get("cameras", "").split("|") if name)
     order, camera = _cameras(path, names, values[:, 1], listed if wanted is None else wanted, strict=wanted is not None)
@@ -105,7 +105,13 @@ def _first_of_its_kind(rows: Floats) -> NDArray[np.bool_]:
 
 
 def write_blobs(blobs: Blobs, path: str | Path) -> None:
-    """Write blobs as 2D CSV, with 17 digits, to be read back unchanged. Raises AsterismError where the file cannot be written."""
+    """Write blobs as 2D CSV, with 17 digits, to be read back unchanged. Raises AsterismError where the file cannot be written.
+
+    >>> blobs = Blobs.from_rows([0, 0, 1], [0, 1, 0], [[320.5, 240.0], [300.0, 250.25], [321.0, 240.0]], ["left", "right"], rate=50.0)
+    >>> write_blobs(blobs, "2d.csv")
+    >>> read_blobs("2d.csv", rate=50.0)
+    Blobs(frames: 2 at 50 Hz (0.04 s), cameras: left, right, blobs: 3)
+    """
     path = Path(path)
     spoilt = next((name for name in blobs.cameras if re.search(r'[,;\t"|\r\n]', name) or name != name.strip()), None)
     if spoilt is not None:
@@ -160,7 +166,7 @@ def _columns(names: Sequence[str]) -> list[str]:
 
 
 @dataclass(frozen=True)
-class _Sheet:
+class _BlobTable:
     """The rows of one file below its header; `place` is the column of each of `_COLUMNS`, -1 for a missing one."""
 
     path: Path
@@ -171,7 +177,7 @@ class _Sheet:
     width: int
 
     @classmethod
-    def opened(cls, path: Path, lines: list[str], header: int) -> _Sheet:
+    def opened(cls, path: Path, lines: list[str], header: int) -> _BlobTable:
         if header >= len(lines):
             raise AsterismError(f"{path} ends before its column names; export it again.")
         delimiter = delimiter_of(lines[header])
@@ -254,7 +260,7 @@ class _Sheet:
         return [i for i in range(self.header + 1, len(self.lines)) if self.lines[i].strip(" ,;\t")]
 
 
-def _refuse(sheet: _Sheet, wrong: Any, why: str) -> None:
+def _refuse(sheet: _BlobTable, wrong: Any, why: str) -> None:
     if wrong.any():
         raise AsterismError(f"{sheet.path}, line {sheet.rows()[int(np.argmax(wrong))] + 1}: {why}.")
 
@@ -290,7 +296,7 @@ def _pieces(name: str) -> list[str]:
     return [piece for piece in re.split(r"(\d+)", name) if piece]
 
 
-def _times(sheet: _Sheet, stamps: Floats, frame: Ints, camera: Ints, frames: int, cameras: int) -> Floats | None:
+def _times(sheet: _BlobTable, stamps: Floats, frame: Ints, camera: Ints, frames: int, cameras: int) -> Floats | None:
     if not np.isfinite(stamps).any():
         return None
     times = np.full(frames * cameras, np.nan)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.errors import AsterismError, NoMarkers
+from asterism.errors import AsterismError, NoMarkers, cause_of
 from asterism.files.atomic import write_atomically
 from asterism.files.npz import arrays_of_npz, most_unpacked
 from asterism.files.text import read_bytes
@@ -208,10 +208,8 @@ def _arrays(path: Path, only_kind: bool = False) -> dict[str, NDArray[Any]]:
     data = read_bytes(path)
     try:
         stored = arrays_of_npz(data, ("asterism", "kind") if only_kind else None)
-    except ValueError as problem:
-        raise AsterismError(f"{path} is damaged ({str(problem)[:100]}); write it again.") from problem
     except Exception as problem:  # a damaged archive raises anything from zlib.error to SyntaxError
-        raise AsterismError(f"{path} is damaged ({type(problem).__name__}); write it again.") from problem
+        raise AsterismError(f"{path} is damaged ({cause_of(problem)}); write it again.") from problem
     version = stored.get("asterism")
     if version is None or version.shape != () or version.dtype.kind not in "iu":
         raise NoMarkers(f"{path} is an NPZ file, but none that Asterism wrote; write it with asterism.write.")

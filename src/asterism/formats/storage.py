@@ -1,4 +1,4 @@
-"""MOT and STO, OpenSim's tables of values over time, and plain CSV tables: files in, a `Table` or marker points out, and back."""
+"""MOT and STO, OpenSim's tables of values over time, and plain CSV tables: files in, a `TimeSeriesTable` or marker points out, and back."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from asterism.files.atomic import utf8, write_atomically
 from asterism.files.text import cell_text, cells_of, decoded, delimiter_of, lines_of, number_of, read_bytes, some_of
 from asterism.findings import Finding
 from asterism.formats._columns import Points, as_metres, metres_per_unit
-from asterism.formats._groups import Group, exact_groups, marker_groups
+from asterism.formats._groups import ColumnGroup, exact_groups, marker_groups
 from asterism.formats._tables import rate_of, rows_of_numbers
 from asterism.formats._writing import all_points
 from asterism.recording import Floats, Recording, as_vertical
@@ -24,7 +24,7 @@ _MARKERS = "Marker positions"
 
 
 @dataclass(frozen=True)
-class Table:
+class TimeSeriesTable:
     """Named values over time, such as joint angles or forces.
 
     names       (C,) column names, the time column left out
@@ -54,7 +54,7 @@ class Table:
         return float(f"{1 / steps.mean():.6g}") if len(steps) else self.said_rate
 
 
-def read_table(path: str | Path) -> Table:
+def read_table(path: str | Path) -> TimeSeriesTable:
     """The table in a MOT, STO or CSV file; cells that hold three values (Vec3) become columns name_x, name_y, name_z.
 
     Raises AsterismError, naming file and line, where it has no row of names above numbers, or no time column.
@@ -63,7 +63,7 @@ def read_table(path: str | Path) -> Table:
         return _table(Path(path))
 
 
-def _table(path: Path) -> Table:
+def _table(path: Path) -> TimeSeriesTable:
     lines = lines_of(decoded(path, read_bytes(path)))
     end = next((i for i, line in enumerate(lines[:_HEADER_LINES]) if line.strip(" \t,;").casefold() == "endheader"), None)
     header = _header(lines[:end] if end is not None else lines[:0])
@@ -90,7 +90,7 @@ def _table(path: Path) -> Table:
         raise AsterismError(f"{path} has no column called time; add one in seconds.")
     others = [i for i in range(len(names)) if i != time_at]
     degrees = header.get("indegrees", header.get("in_degrees", "")).casefold()
-    return Table(
+    return TimeSeriesTable(
         tuple(names[i] for i in others),
         values[:, others],
         values[:, time_at],
@@ -102,7 +102,7 @@ def _table(path: Path) -> Table:
     )
 
 
-def table_or_none(path: Path) -> Table | None:
+def table_or_none(path: Path) -> TimeSeriesTable | None:
     """The table in a file, or None where it holds none."""
     try:
         return read_table(path)
@@ -110,10 +110,16 @@ def table_or_none(path: Path) -> Table | None:
         return None
 
 
-def write_table(path: str | Path, table: Table) -> list[str]:
+def write_table(path: str | Path, table: TimeSeriesTable) -> list[str]:
     """Write a table as .mot, .sto or .csv; values keep 17 digits, so that they are read back unchanged.
 
     Returns an empty list: these formats carry everything. Raises AsterismError for another suffix or where the file cannot be written.
+
+    >>> knee = TimeSeriesTable(("knee_flexion",), np.array([[12.5], [13.0]]), np.array([0.0, 0.01]), in_degrees=True)
+    >>> write_table("angles.mot", knee)
+    []
+    >>> read_table("angles.mot").values[:, 0]
+    array([12.5, 13. ])
     """
     path = Path(path)
     suffix = path.suffix.casefold()
@@ -141,13 +147,13 @@ def write_table(path: str | Path, table: Table) -> list[str]:
     return []
 
 
-def holds_markers(table: Table, strictly: bool = True) -> bool:
+def holds_markers(table: TimeSeriesTable, strictly: bool = True) -> bool:
     """Whether columns are positions of points: groups of x, y and z, none named as a force; strictly: nearly all columns are."""
     groups, rest = _groups_of(table)
     return len(groups) > 0 and (not strictly or len(rest) <= 0.1 * len(table.names))
 
 
-def _groups_of(table: Table) -> tuple[list[Group], list[int]]:
+def _groups_of(table: TimeSeriesTable) -> tuple[list[ColumnGroup], list[int]]:
     exact = exact_groups(table.names, "_t") if table.title == _MARKERS else None
     return (exact, []) if exact is not None else marker_groups(table.names)
 
@@ -160,7 +166,7 @@ def read_marker_table(path: Path) -> Points:
     return points_of_table(path, read_table(path))
 
 
-def points_of_table(path: Path, table: Table) -> Points:
+def points_of_table(path: Path, table: TimeSeriesTable) -> Points:
     """The points in a table's columns. Raises AsterismError where they are no marker positions."""
     if not holds_markers(table):
         what = "joint angles or other values" if table.in_degrees is not None else "values"
@@ -195,13 +201,13 @@ def write_marker_table(path: Path, recording: Recording) -> list[str]:
     times = np.round(recording.times, 9)
     values = np.round(positions, 9) + 0.0
     values[(values == 0).all(axis=2), 0] = 1e-9
-    write_table(path, Table(names, values.reshape(len(values), len(names)), times, _MARKERS, units="m", said_rate=recording.rate))
+    write_table(path, TimeSeriesTable(names, values.reshape(len(values), len(names)), times, _MARKERS, units="m", said_rate=recording.rate))
     if recording.vertical[1] < 0.99:
         omitted.append(f"the vertical: {path.suffix[1:].upper()} readers take Y as up or determine it from the data")
     return omitted
 
 
-def described_table(path: Path, table: Table) -> dict[str, Any]:
+def described_table(path: Path, table: TimeSeriesTable) -> dict[str, Any]:
     """What a table holds, as plain values."""
     return {
         "file": str(path),

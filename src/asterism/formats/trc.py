@@ -22,7 +22,7 @@ Y_UP = as_vertical("y")
 
 
 @dataclass(frozen=True)
-class _Sheet:
+class _TrcParts:
     """The parts of a TRC file: its header's values, its markers' names and its table.
 
     header     the values by their lower-case keys
@@ -80,7 +80,7 @@ def read_trc(path: Path) -> Points:
     )
 
 
-def _sheet(path: Path, lines: list[str]) -> _Sheet:
+def _sheet(path: Path, lines: list[str]) -> _TrcParts:
     """The parts of a file. Raises AsterismError where the header is not that of a TRC file or a cell is not a number."""
     at = next((i for i, line in enumerate(lines[:12]) if "datarate" in line.casefold()), None)
     if at is None or at + 2 >= len(lines):
@@ -99,7 +99,7 @@ def _sheet(path: Path, lines: list[str]) -> _Sheet:
     if letters and has_letters and not _in_order(letters):
         raise AsterismError(f"{path}, line {names_at + 2}: the coordinates are not in the order X, Y, Z; export the file in that order.")
     rows, more = rows_of_numbers(path, lines[data_at:], data_at + 1, delimiter, 2 + 3 * len(labels))
-    return _Sheet(header, labels, rows, delimiter, [*findings, *more])
+    return _TrcParts(header, labels, rows, delimiter, [*findings, *more])
 
 
 def write_trc(path: Path, recording: Recording) -> list[str]:

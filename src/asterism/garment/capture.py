@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import islice
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from asterism.cameras import Rig
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.garment.dense import Circles, DensePoints, DenseRules, DenseTrajectories, dense_trajectories
-from asterism.garment.dense.points import Rays, circle_rays, ray_points, ray_scale
+from asterism.garment.dense import DensePoints, DenseRules, DenseTrajectories, UsedCircles, dense_trajectories
+from asterism.garment.dense.points import CircleRays, circle_rays, ray_points, ray_scale
 from asterism.garment.pattern import Pattern
 from asterism.garment.surface import SurfaceRules, consistent_points
 from asterism.progress import Progress
@@ -24,7 +24,7 @@ from asterism.recording import Ints
 
 Image = NDArray[np.uint8]
 Moment = tuple[int, Sequence[Image | None]]
-Reader = Callable[[Image], Circles]
+Reader = Callable[[Image], UsedCircles]
 
 
 @dataclass(frozen=True)
@@ -94,14 +94,13 @@ def capture(
     rules: CaptureRules | None = None,
     workers: int = 1,
     progress: Progress | None = None,
-    total: int = 0,
 ) -> Capture:
     """Read the images of each moment, and reconstruct the garment's points.
 
     moments  number and images (h, w, 3) uint8 of each, one per camera in the rig's order, None where there is none
     read     what one image shows; called from several threads where there are several workers
     rate     moments per second
-    total    how many moments there are, for progress; 0: not known
+    progress is told the share that is done where `moments` has a length, else 0
 
     The result does not depend on the number of workers. Points that the cloth contradicts are left out. Memory: the images of
     `rules.together` moments, and the points of all. Raises AsterismError where there is no moment, or where no image shows an identity.
@@ -110,9 +109,10 @@ def capture(
     frames: list[int] = []
     found: list[DensePoints] = []
     counts: list[list[int]] = []
-    first: list[Future[Rays]] = []
+    first: list[Future[CircleRays]] = []
     under_way: deque[Future[DensePoints]] = deque()
     scale: float | None = None
+    total = len(moments) if isinstance(moments, Sized) else 0
     ahead = rules.together if workers > 1 else 0
 
     def finish(left: int) -> None:
@@ -176,10 +176,10 @@ def _pool(workers: int) -> Executor:
     return ThreadPoolExecutor(workers) if workers > 1 else _Here()
 
 
-def _readings(moments: Iterable[Moment], read: Reader, together: int, pool: Executor) -> Iterator[tuple[int, list[Circles | None]]]:
+def _readings(moments: Iterable[Moment], read: Reader, together: int, pool: Executor) -> Iterator[tuple[int, list[UsedCircles | None]]]:
     """What was read of each moment, in order; the images of a few moments are with the workers at a time, so that none has to wait."""
     coming = iter(moments)
-    under_way: deque[tuple[int, list[Future[Circles] | None]]] = deque()
+    under_way: deque[tuple[int, list[Future[UsedCircles] | None]]] = deque()
     while True:
         for number, group in islice(coming, together - len(under_way)):
             under_way.append((number, [None if image is None else pool.submit(read, image) for image in group]))
@@ -189,16 +189,16 @@ def _readings(moments: Iterable[Moment], read: Reader, together: int, pool: Exec
         yield number, [None if one is None else one.result() for one in reads]
 
 
-def _rays(rig: Rig, circles: Sequence[Circles | None], rules: CaptureRules) -> Rays:
+def _rays(rig: Rig, circles: Sequence[UsedCircles | None], rules: CaptureRules) -> CircleRays:
     return circle_rays(rig, [_Nothing() if one is None else one for one in circles], rules.dense)
 
 
-def _points(rig: Rig, pattern: Pattern, rays: Future[Rays], rules: CaptureRules, scale: float) -> DensePoints:
+def _points(rig: Rig, pattern: Pattern, rays: Future[CircleRays], rules: CaptureRules, scale: float) -> DensePoints:
     """The rays are with a worker before: none waits for one that has not begun."""
     return consistent_points(ray_points(rig, rays.result(), rules.dense, scale), pattern, rules.surface)
 
 
-def _common_scale(rig: Rig, moments: Sequence[Future[Rays]], rules: CaptureRules, pool: Executor) -> float:
+def _common_scale(rig: Rig, moments: Sequence[Future[CircleRays]], rules: CaptureRules, pool: Executor) -> float:
     """The median over moments of the factor on the centres' standard deviations."""
     scales = [pool.submit(ray_scale, rig, rays.result(), rules.dense) for rays in moments]
     return float(np.median([scale.result() for scale in scales]))

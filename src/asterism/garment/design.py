@@ -91,7 +91,7 @@ def design_pattern(
             "make it smaller or take more colours."
         )
     rng = np.random.default_rng(seed)
-    sheet = _Sheet(mask, colours, given)
+    sheet = _DesignArrays(mask, colours, given)
     cells, missing = _fill(sheet, given, rng, progress)
     if missing and given.method == "search":
         missing = _search(sheet, cells, given, rng, progress)
@@ -121,7 +121,7 @@ def most_identities(colours: int, rules: DesignRules) -> int:
 def fill_pattern(rows: int, cols: int, colours: int = 4, *, seed: int = 0, rules: DesignRules | None = None) -> int:
     """How many whole rows the fill in raster order reaches of a sheet, without the search; for comparisons such as with the paper's."""
     given = rules or DesignRules()
-    sheet = _Sheet(np.ones((rows, cols), dtype=np.bool_), colours, given)
+    sheet = _DesignArrays(np.ones((rows, cols), dtype=np.bool_), colours, given)
     missing = _fill(sheet, given, np.random.default_rng(seed), None)[1]
     return (rows * cols - missing) // cols
 
@@ -201,7 +201,7 @@ def smallest_rings(colours: int) -> Ints:
     return known[np.unique(classes[known], return_index=True)[1]]
 
 
-class _Sheet:
+class _DesignArrays:
     """The arrays that the kernels share: a mask with an empty border, its cells in raster order, and the tables of identities."""
 
     def __init__(self, mask: Bools, colours: int, rules: DesignRules) -> None:
@@ -225,7 +225,7 @@ class _Sheet:
         return flat.reshape(self.shape[0] + 2, self.width)[1:-1, 1:-1].astype(np.int8)
 
 
-def _fill(sheet: _Sheet, rules: DesignRules, rng: np.random.Generator, progress: Progress | None) -> tuple[Ints, int]:
+def _fill(sheet: _DesignArrays, rules: DesignRules, rng: np.random.Generator, progress: Progress | None) -> tuple[Ints, int]:
     """The padded cells (-1: not coloured) of the fill in raster order, and how many are missing."""
     paper, q = rules.method == "paper", sheet.colours
     flat = np.full(len(sheet.is_cell), -1, dtype=np.int64)
@@ -259,7 +259,7 @@ def _fill(sheet: _Sheet, rules: DesignRules, rng: np.random.Generator, progress:
     return flat, len(sheet.order) - int(state[kernels.POSITION])
 
 
-def _search(sheet: _Sheet, flat: Ints, rules: DesignRules, rng: np.random.Generator, progress: Progress | None) -> int:
+def _search(sheet: _DesignArrays, flat: Ints, rules: DesignRules, rng: np.random.Generator, progress: Progress | None) -> int:
     """Colour the missing cells of `flat` at random, then remove the conflicts in place; returns the conflicts left."""
     q = sheet.colours
     missing = sheet.order[flat[sheet.order] < 0]
@@ -291,7 +291,7 @@ def _search(sheet: _Sheet, flat: Ints, rules: DesignRules, rng: np.random.Genera
     return int(state[kernels.CONFLICTS])
 
 
-def _count(sheet: _Sheet, flat: Ints) -> tuple[Ints, Ints, Ints, Ints]:
+def _count(sheet: _DesignArrays, flat: Ints) -> tuple[Ints, Ints, Ints, Ints]:
     """Of coloured cells: the ring and the identity of each block, how often each identity occurs, and the exclusive or of its blocks."""
     codes, number = np.zeros(len(flat), dtype=np.int64), np.full(len(flat), -1, dtype=np.int64)
     blocks = np.flatnonzero(sheet.is_block)

@@ -19,6 +19,11 @@ def intersect_rays(origins: Floats, directions: Floats, starts: Ints) -> Floats:
 
     origins (n, 3) m; directions (n, 3) of length 1, NaN for a ray that does not count; starts (m + 1,): group g is rows starts[g] to
     starts[g + 1]. NaN where fewer than two rays count or all are parallel. O(n).
+
+    >>> origins = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])  # two cameras see one marker
+    >>> directions = np.array([[0.6, 0.8, 0.0], [-0.6, 0.8, 0.0]])
+    >>> intersect_rays(origins, directions, np.array([0, 2])).round(4) + 0.0
+    array([[1.    , 1.3333, 0.    ]])
     """
     out = np.empty((len(starts) - 1, 3))
     shared_kernels.intersect_rays(np.ascontiguousarray(origins), np.ascontiguousarray(directions), starts, _PARALLEL, out)
@@ -29,6 +34,11 @@ def nearest_point_to_lines(origins: Floats, directions: Floats) -> Floats:
     """(3,) m: the point nearest to all lines, given by origins (n, 3) m and directions (n, 3) of length 1, by least squares.
 
     Of parallel lines it is the best point that is nearest to the world's origin.
+
+    >>> origins = np.array([[0.0, 0.0, 1.0], [2.0, 0.0, 0.0]])
+    >>> directions = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    >>> nearest_point_to_lines(origins, directions).round(6) + 0.0
+    array([2., 0., 1.])
     """
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     point: Floats = np.linalg.lstsq(across.sum(axis=0), np.einsum("cij,cj->i", across, origins), rcond=None)[0]

@@ -16,6 +16,13 @@ def best_rotation(covariances: Floats) -> Floats:
 
     C is the sum of outer(target, point) over centred pairs. Where C is of rank 1 or 0 (points in a line, or coincident) one of the
     equally good rotations is returned.
+
+    >>> points = np.diag([1.0, 2.0, 3.0])
+    >>> targets = points[:, [1, 0, 2]] * [-1, 1, 1]  # a quarter turn about z
+    >>> best_rotation(targets.T @ points).round(6) + 0.0
+    array([[ 0., -1.,  0.],
+           [ 1.,  0.,  0.],
+           [ 0.,  0.,  1.]])
     """
     u, _, vt = np.linalg.svd(covariances)
     u[..., :, 2] *= np.linalg.det(u @ vt)[..., None]
@@ -28,6 +35,11 @@ def fit_rigid(points: Floats, targets: Floats, weights: Floats | None = None) ->
 
     weights (N,) weigh the squared distances. All values must be finite and N at least 1. Fewer than three points, or points in a line,
     leave the rotation open: one of the best is returned.
+
+    >>> corner = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    >>> rotation, translation = fit_rigid(corner, corner + [0.0, 0.0, 2.0])
+    >>> translation.round(6) + 0.0
+    array([0., 0., 2.])
     """
     if weights is None:
         here, there = points.mean(axis=0), targets.mean(axis=0)
@@ -45,6 +57,14 @@ def place_objects(template: ArrayLike, positions: Floats) -> tuple[Floats, Float
 
     Returns rotations (T, 3, 3) and translations (T, 3) m, world from object. NaN where too few points are present: fewer than two for a
     template in a line, fewer than three for others.
+
+    >>> plate = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])
+    >>> seen = np.stack([plate + [1.0, 0.0, 0.0], plate])
+    >>> seen[1, 1:] = np.nan  # one marker is too few
+    >>> rotations, translations = place_objects(plate, seen)
+    >>> translations.round(6) + 0.0
+    array([[ 1.,  0.,  0.],
+           [nan, nan, nan]])
     """
     model = np.asarray(template, dtype=np.float64).reshape(-1, 3)
     present = np.asarray(np.isfinite(positions).all(axis=2))
@@ -66,6 +86,11 @@ def align_about_z(frames: Floats, template: Floats) -> Floats:
 
     Markers that are NaN in the frame or in the template do not count; they move with the others. The kernel of the same name does this
     for one frame.
+
+    >>> body = np.array([[0.3, 0.0, 1.0], [-0.3, 0.0, 1.0], [0.0, 0.1, 0.0]])
+    >>> turned = body[:, [1, 0, 2]] * [-1, 1, 1] + [5.0, 0.0, 0.0]
+    >>> bool(np.allclose(align_about_z(turned[None], body)[0], body))
+    True
     """
     shown = ~np.isnan(frames[:, :, :1]) & ~np.isnan(template[None, :, :1])
     count = np.maximum(shown.sum(axis=1, keepdims=True), 1)

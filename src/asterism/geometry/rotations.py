@@ -12,7 +12,12 @@ _STRAIGHT_DOWN = -1.0 + 1e-12
 
 
 def rotation_from_vector(vector: ArrayLike) -> Floats:
-    """The rotation matrix (3, 3) of a rotation vector (3,) rad: its direction is the axis, its length the angle (Rodrigues)."""
+    """The rotation matrix (3, 3) of a rotation vector (3,) rad: its direction is the axis, its length the angle (Rodrigues).
+
+    >>> quarter = rotation_from_vector(np.array([0.0, 0.0, np.pi / 2]))
+    >>> (quarter @ np.array([1.0, 0.0, 0.0])).round(6) + 0.0
+    array([0., 1., 0.])
+    """
     from scipy.spatial.transform import Rotation
 
     matrix: Floats = Rotation.from_rotvec(np.asarray(vector, dtype=np.float64).ravel()).as_matrix()
@@ -20,7 +25,11 @@ def rotation_from_vector(vector: ArrayLike) -> Floats:
 
 
 def vector_from_rotation(matrix: ArrayLike) -> Floats:
-    """The rotation vector (3,) rad, of length 0 to pi, of a rotation matrix (3, 3)."""
+    """The rotation vector (3,) rad, of length 0 to pi, of a rotation matrix (3, 3).
+
+    >>> vector_from_rotation(rotation_from_vector(np.array([0.0, 0.3, 0.0]))).round(6) + 0.0
+    array([0. , 0.3, 0. ])
+    """
     from scipy.spatial.transform import Rotation
 
     vector: Floats = Rotation.from_matrix(np.asarray(matrix, dtype=np.float64)).as_rotvec()
@@ -35,13 +44,21 @@ def nearest_orthogonal(matrices: Floats) -> Floats:
 
 
 def cross_matrix(vector: Floats) -> Floats:
-    """(3, 3): the matrix M with M @ other = cross(vector, other)."""
+    """(3, 3): the matrix M with M @ other = cross(vector, other).
+
+    >>> cross_matrix(np.array([0.0, 0.0, 1.0])) @ np.array([1.0, 0.0, 0.0])
+    array([0., 1., 0.])
+    """
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def z_up_rotation(vertical: Floats) -> Floats:
-    """The shortest rotation (3, 3) that takes the unit vector `vertical` (3,) to +z; half a turn about x where it is -z."""
+    """The shortest rotation (3, 3) that takes the unit vector `vertical` (3,) to +z; half a turn about x where it is -z.
+
+    >>> (z_up_rotation(np.array([0.0, 1.0, 0.0])) @ np.array([0.0, 1.0, 0.0])).round(6) + 0.0
+    array([0., 0., 1.])
+    """
     x, y, z = vertical
     if z <= _STRAIGHT_DOWN:
         return np.diag([1.0, -1.0, -1.0])

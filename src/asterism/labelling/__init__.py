@@ -1,20 +1,24 @@
 """The heart: clouds in, labels with a calibrated confidence out."""
 
+from __future__ import annotations
+
+from typing import Any
+
 from asterism.labelling.audit import LabelError, audit, remove_errors
-from asterism.labelling.capturability import Capturability, CapturabilityRules, Change, capturability
-from asterism.labelling.ensemble import SolverEnsemble, TrainingRules, label_together
 from asterism.labelling.evaluation import Condition, Evaluation, evaluate, leave_one_subject_out
+from asterism.labelling.marker_model import MarkerModel, label_together
 from asterism.labelling.naming import MarkerGroups, group_tracklets, name_groups
+from asterism.labelling.partial.capturability import Capturability, CapturabilityRules, MarkerSetChange, capturability
 from asterism.labelling.partial.solver import FullSolver, FullSolverRules
 from asterism.labelling.reliability import ConfidenceScore, ConfidenceTally, Reliability
 from asterism.labelling.review import ReviewItem, apply_answers, review
 from asterism.labelling.together import join_labellings
+from asterism.labelling.training.learning import TrainingRules
 from asterism.labelling.whole.bodies import SeveralBodies
 
 __all__ = [
     "Capturability",
     "CapturabilityRules",
-    "Change",
     "Condition",
     "ConfidenceScore",
     "ConfidenceTally",
@@ -23,10 +27,11 @@ __all__ = [
     "FullSolverRules",
     "LabelError",
     "MarkerGroups",
+    "MarkerModel",
+    "MarkerSetChange",
     "Reliability",
     "ReviewItem",
     "SeveralBodies",
-    "SolverEnsemble",
     "TrainingRules",
     "apply_answers",
     "audit",
@@ -40,3 +45,13 @@ __all__ = [
     "remove_errors",
     "review",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """`SolverEnsemble`, as `MarkerModel` was called before 0.2."""
+    if name != "SolverEnsemble":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import warnings
+
+    warnings.warn("SolverEnsemble is now called MarkerModel.", DeprecationWarning, stacklevel=2)
+    return MarkerModel

@@ -1,4 +1,4 @@
-"""How well a model labels: recordings with known labels in; the thesis' rates, the confidence's worth and speed out (sections 5.2, 5.3)."""
+"""How well a model labels: recordings with known labels in; the thesis' rates, how good the confidence is, and speed out (5.2, 5.3)."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.findings import Finding, Severity
-from asterism.labelling.ensemble import RULES, SolverEnsemble, label_together
+from asterism.labelling.marker_model import METHODS, MarkerModel
 from asterism.labelling.reliability import ConfidenceScore, ConfidenceTally
 from asterism.labelling.simulated_occlusions import simulate_gaps_and_ghosts, simulate_occlusions
-from asterism.labelling.whole.bodies import SeveralBodies
 from asterism.progress import Progress
 from asterism.recording import Clouds, Floats, Ints, Labelling, Recording, subject_of
 
@@ -67,7 +66,7 @@ class Evaluation:
     subjects    whose recordings these are
     rules       how the points were labelled
     time        whether recordings were labelled as a whole, else each frame by itself
-    confidence  the worth of the confidence in all conditions together
+    confidence  how good the confidence is in all conditions together
     """
 
     markers: tuple[str, ...]
@@ -118,7 +117,7 @@ class _Tally:
 
 
 def evaluate(
-    ensemble: SolverEnsemble,
+    model: MarkerModel,
     recordings: Sequence[Recording],
     *,
     occlusions: Sequence[int] = (0, 1, 2, 3, 4, 5),
@@ -130,16 +129,16 @@ def evaluate(
 ) -> Evaluation:
     """Hide labels, some markers and add ghosts; label; compare with the truth.
 
-    recordings: labelled, with the ensemble's markers as columns. `time` as for `SolverEnsemble.label`; by default recordings are labelled
+    recordings: labelled, with the model's markers as columns. By default recordings are labelled
     as a whole, as `asterism label` does, and each frame by itself where the rules know no time. At every moment exactly so many visible
     markers are hidden, and so many ghosts lie within 0.15 m of a marker; which, `seed` decides. For whole recordings gaps last 0.1 to 1 s
     and ghosts 0.05 to 0.5 s; for single frames both are drawn anew in every frame.
-    Raises AsterismError where a recording's columns are not the ensemble's markers, more markers should be hidden than there are, or `time`
+    Raises AsterismError where a recording's columns are not the model's markers, more markers should be hidden than there are, or `time`
     is asked of other rules than "whole-body".
     """
-    plan = _Plan(occlusions, ghosts, seed, rules, _in_time(time, rules))
-    tallies = _run_conditions(ensemble, recordings, _subjects(recordings, None), plan, progress)
-    return _evaluation(tallies, ensemble.marker_set.names, _subjects(recordings, None), plan)
+    plan = _EvaluationPlan(occlusions, ghosts, seed, rules, _in_time(time, rules))
+    tallies = _run_conditions(model, recordings, _subjects(recordings, None), plan, progress)
+    return _evaluation(tallies, model.marker_set.names, _subjects(recordings, None), plan)
 
 
 def leave_one_subject_out(
@@ -156,7 +155,7 @@ def leave_one_subject_out(
 ) -> Evaluation:
     """Train on all people but one, label that one, for each in turn: how well people are labelled whom nobody trained on.
 
-    The other arguments are those of `evaluate`. `fit_options` go to `SolverEnsemble.fit`;
+    The other arguments are those of `evaluate`. `fit_options` go to `MarkerModel.fit`;
     `miner` is "bottom-up" where the rules need partial solvers and no miner is named.
     Raises AsterismError where there are fewer than two people, or more markers should be hidden than there are.
     """
@@ -165,7 +164,7 @@ def leave_one_subject_out(
     if len(people) < 2:
         raise AsterismError("leaving one subject out needs recordings of at least two; name them with `subjects`, or put each in a folder.")
     _check_occlusions(occlusions, len(recordings[0].labels))
-    plan = _Plan(occlusions, ghosts, seed, rules, _in_time(time, rules))
+    plan = _EvaluationPlan(occlusions, ghosts, seed, rules, _in_time(time, rules))
     if rules != "whole-body" and fit_options.get("miner") is None:
         fit_options["miner"] = "bottom-up"
     total: dict[tuple[int, int], _Tally] = {}
@@ -173,7 +172,7 @@ def leave_one_subject_out(
     for i, out in enumerate(people):
         report = _sub_progress(progress, i, len(people), f"without {out}")
         kept = [j for j, name in enumerate(whose) if name != out]
-        ensemble = SolverEnsemble.fit(
+        model = MarkerModel.fit(
             [recordings[j] for j in kept],
             subjects=[whose[j] for j in kept],
             seed=seed,
@@ -182,7 +181,7 @@ def leave_one_subject_out(
         )
         own = [recordings[j] for j, name in enumerate(whose) if name == out]
         report_labelling = _sub_progress(report, 1, 2, "labelling")
-        for condition, tally in _run_conditions(ensemble, own, [out] * len(own), plan, report_labelling).items():
+        for condition, tally in _run_conditions(model, own, [out] * len(own), plan, report_labelling).items():
             known = total.setdefault(condition, _Tally())
             known.truth += tally.truth
             known.given += tally.given
@@ -190,7 +189,7 @@ def leave_one_subject_out(
             known.subjects += tally.subjects
             known.seconds += tally.seconds
             known.evaluations += tally.evaluations
-        names = ensemble.marker_set.names
+        names = model.marker_set.names
     return _evaluation(total, names, people, plan)
 
 
@@ -226,7 +225,7 @@ def _sub_progress(progress: Progress | None, index: int, count: int, what: str) 
 
 
 @dataclass(frozen=True)
-class _Plan:
+class _EvaluationPlan:
     """What is tried: every number of occlusions with every number of ghosts; see `evaluate`."""
 
     occlusions: Sequence[int]
@@ -240,31 +239,27 @@ class _Plan:
         rng = np.random.default_rng([self.seed, number, hidden, ghosts])
         return (simulate_gaps_and_ghosts if self.time else simulate_occlusions)(recording, hidden, ghosts, rng)
 
-    def label(self, ensemble: SolverEnsemble, clouds: Clouds) -> tuple[Labelling, float]:
+    def label(self, model: MarkerModel, clouds: Clouds) -> tuple[Labelling, float]:
         """What `asterism label` would give, and the feature evaluations, NaN for whole recordings."""
         if not self.time:
-            labelling, evaluations = ensemble.label_counted(clouds, rules=self.rules)
+            labelling, evaluations = model.label_frames_with_cost(clouds, method=self.rules)
             return labelling, float(evaluations.sum())
-        try:
-            return ensemble.label(clouds, time=True), float("nan")
-        except SeveralBodies:
-            both = label_together([ensemble, ensemble], clouds)
-            return max(both, key=lambda labelling: int((labelling.indices >= 0).sum())), float("nan")
+        return model.label(clouds), float("nan")
 
 
 def _in_time(time: bool | None, rules: str) -> bool:
     """Whether recordings are labelled as a whole. Raises AsterismError for unknown rules, and where the rules know no time."""
-    if rules not in RULES:
-        raise AsterismError(f"there are no rules {rules!r}; choose from {', '.join(RULES)}.")
+    if rules not in METHODS:
+        raise AsterismError(f"there are no rules {rules!r}; choose from {', '.join(METHODS)}.")
     if time and rules != "whole-body":
         raise AsterismError(f"whole recordings are labelled by the rules whole-body, not {rules}; leave out time or the rules.")
     return rules == "whole-body" if time is None else time
 
 
 def _run_conditions(
-    ensemble: SolverEnsemble, recordings: Sequence[Recording], subjects: Sequence[str], plan: _Plan, progress: Progress | None
+    model: MarkerModel, recordings: Sequence[Recording], subjects: Sequence[str], plan: _EvaluationPlan, progress: Progress | None
 ) -> dict[tuple[int, int], _Tally]:
-    names = ensemble.marker_set.names
+    names = model.marker_set.names
     for recording in recordings:
         if recording.labels != names:
             raise AsterismError(
@@ -273,14 +268,14 @@ def _run_conditions(
             )
     _check_occlusions(plan.occlusions, len(names))
     if recordings and len(recordings[0]):  # two frames, so that compiling is not counted as labelling
-        plan.label(ensemble, recordings[0].frames(slice(0, 2)).clouds())
+        plan.label(model, recordings[0].frames(slice(0, 2)).clouds())
     tallies = {(k, g): _Tally() for g in plan.ghosts for k in plan.occlusions}
     done = 0
     for (k, g), tally in tallies.items():
         for r, (recording, subject) in enumerate(zip(recordings, subjects, strict=True)):
             clouds, truth = plan.clouds(recording, r, k, g)
             start = perf_counter()
-            labelling, evaluations = plan.label(ensemble, clouds)
+            labelling, evaluations = plan.label(model, clouds)
             tally.seconds += perf_counter() - start
             tally.evaluations += evaluations
             tally.truth.append(truth)
@@ -293,7 +288,7 @@ def _run_conditions(
     return tallies
 
 
-def _evaluation(tallies: dict[tuple[int, int], _Tally], names: tuple[str, ...], subjects: list[str], plan: _Plan) -> Evaluation:
+def _evaluation(tallies: dict[tuple[int, int], _Tally], names: tuple[str, ...], subjects: list[str], plan: _EvaluationPlan) -> Evaluation:
     conditions, pooled = [], ConfidenceTally()
     for (k, g), tally in tallies.items():
         by_confidence = tally.by_confidence()

@@ -87,7 +87,7 @@ class ConfidenceScore:
 
 
 @dataclass
-class _Group:
+class _LabelGroup:
     """Counts of one group of labels: (bins, 3) how many, sum of confidence, right; (levels,) runs; sums of both scores."""
 
     bins: Floats = field(default_factory=lambda: np.zeros((len(_EDGES), 3)))
@@ -95,7 +95,7 @@ class _Group:
     log_score: float = 0.0
     brier: float = 0.0
 
-    def __iadd__(self, other: _Group) -> _Group:
+    def __iadd__(self, other: _LabelGroup) -> _LabelGroup:
         for name in ("bins", "runs", "log_score", "brier"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         return self
@@ -109,13 +109,19 @@ class ConfidenceTally:
     usually a person, and intervals come from a bootstrap over the groups. Labels of one marker in frames that follow each other are one
     *run* as long as they stay in one level of confidence and remain right or wrong. Where no label is wrong the bootstrap says nothing, so
     no interval is narrower than that of as many independent labels as there are runs. Labels whose confidence is NaN are not counted.
+
+    >>> tally = ConfidenceTally()
+    >>> confidence, right = np.array([[0.995, 0.93], [0.999, 0.92]]), np.array([[True, True], [True, False]])
+    >>> tally.add(confidence, given=np.ones((2, 2), bool), right=right)
+    >>> [(level.least, level.labels, float(level.right)) for level in tally.score().levels if level.labels]
+    [(0.9, 2, 0.5), (0.99, 1, 1.0), (0.999, 1, 1.0)]
     """
 
-    groups: dict[str, _Group] = field(default_factory=dict)
+    groups: dict[str, _LabelGroup] = field(default_factory=dict)
 
     def add(self, confidence: Floats, given: Any, right: Any, group: str = "") -> None:
         """Count labels: confidence (T, M), whether a label was given (T, M) and whether it is right (T, M), frames in their order."""
-        own = self.groups.setdefault(group, _Group())
+        own = self.groups.setdefault(group, _LabelGroup())
         given = given & ~np.isnan(confidence)
         stated = np.clip(confidence, 0.0, 1.0)
         level = np.where(given, np.searchsorted(LEVELS[1:-1], stated, side="right"), -1)
@@ -132,13 +138,13 @@ class ConfidenceTally:
 
     def __iadd__(self, other: ConfidenceTally) -> ConfidenceTally:
         for name, group in other.groups.items():
-            self.groups.setdefault(name, _Group()).__iadd__(group)
+            self.groups.setdefault(name, _LabelGroup()).__iadd__(group)
         return self
 
     def score(self, seed: int = 0) -> ConfidenceScore:
         """The scores of all labels counted; `seed` draws the resamples of the bootstrap."""
         groups = list(self.groups.values())
-        bins = np.sum([group.bins for group in groups], axis=0) if groups else _Group().bins
+        bins = np.sum([group.bins for group in groups], axis=0) if groups else _LabelGroup().bins
         labels, _, right = bins.sum(axis=0)
         if not labels:
             nan = float("nan")
@@ -155,7 +161,7 @@ class ConfidenceTally:
         )
 
 
-def _levels(groups: list[_Group], rng: np.random.Generator) -> Iterable[Reliability]:
+def _levels(groups: list[_LabelGroup], rng: np.random.Generator) -> Iterable[Reliability]:
     """The reliability of each level of confidence that has labels."""
     level_of = np.searchsorted(LEVELS[1:-1], _EDGES, side="right")
     weights = rng.multinomial(len(groups), np.full(len(groups), 1.0 / len(groups)), size=RESAMPLES).astype(np.float64)

@@ -76,6 +76,15 @@ def review(
 
     Raises AsterismError where the labelling does not belong to the clouds, `top` is below 1, or `least_gain` is negative.
     O(P), and O(M) for each point without a label.
+
+    >>> from asterism.simulation import simulate_walks
+    >>> walk = simulate_walks(1, frames=30, markers="helen-hayes", seed=0)[0]
+    >>> clouds = walk.clouds()
+    >>> confidence = np.where(np.array(walk.labels) == "LTOE", np.full((30, 1), 0.6), 0.999)
+    >>> labelling = Labelling(np.tile(np.arange(15), (30, 1)), confidence, walk.labels)
+    >>> [item] = review(labelling, clouds)
+    >>> item.marker, item.first_frame, item.last_frame, round(item.gain, 1)
+    ('LTOE', 0, 29, 12.0)
     """
     _check(labelling, clouds)
     if top is not None and top < 1:
@@ -123,6 +132,16 @@ def apply_answers(labelling: Labelling, clouds: Clouds, answers: Iterable[tuple[
 
     Answered labels have confidence 1. A point that loses its marker to an answer has no label afterwards. Where two answers name one
     marker in a frame, the later answer holds. Raises AsterismError where an answer is not a marker of the labelling.
+
+    >>> from asterism.simulation import simulate_walks
+    >>> walk = simulate_walks(1, frames=30, markers="helen-hayes", seed=0)[0]
+    >>> clouds = walk.clouds()
+    >>> confidence = np.where(np.array(walk.labels) == "LTOE", np.full((30, 1), 0.6), 0.999)
+    >>> labelling = Labelling(np.tile(np.arange(15), (30, 1)), confidence, walk.labels)
+    >>> [item] = review(labelling, clouds)
+    >>> answered = apply_answers(labelling, clouds, [(item, "LTOE")])
+    >>> answered.confidence[:, walk.labels.index("LTOE")].tolist() == [1.0] * 30
+    True
     """
     _check(labelling, clouds)
     indices, confidence = labelling.indices.copy(), labelling.confidence.copy()

@@ -22,7 +22,7 @@ FRAMES_AT_SEAM = 50
 
 
 @dataclass(frozen=True)
-class _Part:
+class _TrackletPart:
     """What one piece shows of a tracklet that begins before it, or goes on after it.
 
     first, last  frames
@@ -53,7 +53,7 @@ class ReviewInPieces:
     def __init__(self, names: Sequence[str]) -> None:
         self._names = tuple(names)
         self._items: list[ReviewItem] = []
-        self._open: dict[int, list[_Part]] = {}  # by the place of its point in the last frame
+        self._open: dict[int, list[_TrackletPart]] = {}  # by the place of its point in the last frame
         self._end: Clouds | None = None
         self._frames = 0
 
@@ -62,7 +62,7 @@ class ReviewInPieces:
         tracklets, begin = find_tracklets(clouds), self._frames
         items = {int(item.points[0]): _moved(item, begin) for item in review(labelling, clouds, least_gain=0.0, tracklets=tracklets)}
         before = {} if self._end is None else _continued(self._end, clouds.frames(slice(0, FRAMES_AT_SEAM)))
-        still_open = dict[int, list[_Part]]()
+        still_open = dict[int, list[_TrackletPart]]()
         for points in _at_edges(clouds, tracklets):
             part = _part(labelling, clouds, points, begin, items.pop(int(points[0]), None))
             parts = [part]
@@ -83,7 +83,7 @@ class ReviewInPieces:
         found = self._items + [item for item in open_ if item is not None and item.gain >= LEAST_GAIN]
         return sorted(found, key=lambda item: -item.gain)
 
-    def _close(self, parts: list[_Part]) -> None:
+    def _close(self, parts: list[_TrackletPart]) -> None:
         item = _joined(parts, self._names)
         if item is not None and item.gain >= LEAST_GAIN:
             self._items.append(item)
@@ -115,7 +115,7 @@ def _at_edges(clouds: Clouds, tracklets: Tracklets) -> list[Ints]:
     return np.split(points, np.nonzero(np.diff(tracklets.of_point[points]))[0] + 1) if len(points) else []
 
 
-def _part(labelling: Labelling, clouds: Clouds, points: Ints, begin: int, item: ReviewItem | None) -> _Part:
+def _part(labelling: Labelling, clouds: Clouds, points: Ints, begin: int, item: ReviewItem | None) -> _TrackletPart:
     frames = np.searchsorted(clouds.offsets, points, side="right") - 1
     here = replace(labelling, indices=labelling.indices[frames], confidence=labelling.confidence[frames])
     frame, marker = np.nonzero(here.indices == (points - clouds.offsets[frames])[:, None])
@@ -124,10 +124,10 @@ def _part(labelling: Labelling, clouds: Clouds, points: Ints, begin: int, item: 
     nameless = np.ones(len(points), dtype=np.bool_)
     nameless[frame] = False
     missing = (here.indices[nameless] == NULL).sum(axis=0)
-    return _Part(begin + int(frames[0]), begin + int(frames[-1]), votes, int(nameless.sum()), missing, item)
+    return _TrackletPart(begin + int(frames[0]), begin + int(frames[-1]), votes, int(nameless.sum()), missing, item)
 
 
-def _joined(parts: list[_Part], names: tuple[str, ...]) -> ReviewItem | None:
+def _joined(parts: list[_TrackletPart], names: tuple[str, ...]) -> ReviewItem | None:
     """The item of a tracklet of which pieces show these parts; None where there is nothing to check."""
     known = [part.item for part in parts if part.item is not None]
     if len(parts) == 1 or not known:

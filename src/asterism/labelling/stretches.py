@@ -13,12 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from asterism.labelling.ensemble import SolverEnsemble
 from asterism.labelling.review import labels_of_points
 from asterism.progress import Progress
 from asterism.recording import NULL, Clouds, Floats, Ints, Labelling
 from asterism.recording.verdict import FITS, Verdict
 from asterism.tracking.linking import find_tracklets
+
+LabelsClouds = Callable[[Clouds, Progress | None], Labelling]
+"""Labels clouds as a whole, and reports its progress."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class StretchRules:
 
 
 @dataclass(frozen=True)
-class _Part:
+class _StretchLabels:
     """The labels of one stretch, which joining changes.
 
     first       its first frame
@@ -55,7 +57,7 @@ class _Part:
     labelling: Labelling
 
     @classmethod
-    def of(cls, first: int, clouds: Clouds, labelling: Labelling) -> _Part:
+    def of(cls, first: int, clouds: Clouds, labelling: Labelling) -> _StretchLabels:
         marker, confidence = labels_of_points(labelling, clouds)
         return cls(first, clouds, find_tracklets(clouds).of_point, marker, confidence, labelling)
 
@@ -105,25 +107,27 @@ def stretches(frames: int, length: int, overlap: int) -> list[slice]:
 
 
 def label_in_stretches(
-    ensemble: SolverEnsemble,
+    label: LabelsClouds,
     clouds_of: Callable[[slice], Clouds],
     parts: Sequence[slice],
     *,
-    workers: int = 1,
     progress: Progress | None = None,
 ) -> Iterator[tuple[int, Labelling]]:
     """The labelling of a long recording, piece by piece: each piece's first frame and its labels, joined with those of its neighbours.
 
-    clouds_of: the points of a range of frames; parts: see `stretches`. The pieces follow each other without a gap. Memory for two
-    stretches.
+    label: labels the clouds of one stretch; clouds_of: the points of a range of frames; parts: see `stretches`. The pieces follow each
+    other without a gap. Memory for two stretches.
     Raises SeveralBodies where a stretch certainly shows two bodies.
     """
-    before: _Part | None = None
+    if len(parts) == 1:  # nothing to join: what joining needs is not looked for
+        yield parts[0].start, label(clouds_of(parts[0]), progress)
+        return
+    before: _StretchLabels | None = None
     begin = 0
     for number, frames in enumerate(parts):
         report = None if progress is None else _share(progress, number, len(parts))
         clouds = clouds_of(frames)
-        part = _Part.of(frames.start, clouds, ensemble.label(clouds, time=True, workers=workers, progress=report))
+        part = _StretchLabels.of(frames.start, clouds, label(clouds, report))
         if before is not None:
             _agree(before, part)
             seam = (frames.start + parts[number - 1].stop) // 2
@@ -139,7 +143,7 @@ def _share(progress: Progress, number: int, count: int) -> Progress:
     return lambda fraction, what: progress((number + fraction) / count, what)
 
 
-def _agree(before: _Part, after: _Part) -> None:
+def _agree(before: _StretchLabels, after: _StretchLabels) -> None:
     """Give each tracklet that two neighbouring stretches show, and name differently, one name: that of the stretch that is more certain.
 
     The name is then as uncertain as that of the other stretch.
@@ -149,7 +153,7 @@ def _agree(before: _Part, after: _Part) -> None:
     here = np.s_[start : start + shared]
     pairs = np.stack([before.track[here], before.marker[here], after.track[:shared], after.marker[:shared]], axis=1)
     differ = (pairs[:, 1] != pairs[:, 3]) & (pairs[:, 1] != NULL) & (pairs[:, 3] != NULL)
-    renamed = list[tuple[_Part, Ints, int, float]]()
+    renamed = list[tuple[_StretchLabels, Ints, int, float]]()
     for track, marker, later_track, later_marker in np.unique(pairs[differ], axis=0).tolist():
         points = np.nonzero((pairs == (track, marker, later_track, later_marker)).all(axis=1))[0]
         first, second = float(before.confidence[start + points].mean()), float(after.confidence[points].mean())
@@ -186,27 +190,53 @@ def join_verdicts(verdicts: Sequence[tuple[int, Verdict]]) -> Verdict | None:
     return replace(chosen, exchangeable=tuple(groups), rough=sum(verdict.rough for _, verdict in verdicts))
 
 
-def label_long(
-    ensemble: SolverEnsemble, clouds: Clouds, rules: StretchRules | None = None, *, workers: int = 1, progress: Progress | None = None
-) -> Labelling:
-    """`SolverEnsemble.label` with time, in stretches where the recording has more than `rules.whole` points.
+class JoinedLabelling:
+    """Pieces of a recording's labelling, added one after the other; and the labelling of all of it."""
 
-    A label differs from that of the whole recording only where a stretch alone does not show what it is. Raises SeveralBodies as `label`.
+    def __init__(self, names: tuple[str, ...], frames: int, stretches: int, *, compact: bool = False) -> None:
+        """compact: half of the memory, without candidates."""
+        self._names, self._frames, self._stretches, self._compact = names, frames, stretches, compact
+        self._whole: Labelling | None = None
+        self._verdicts: list[tuple[int, Verdict]] = []
+
+    def add(self, begin: int, piece: Labelling) -> None:
+        """Take in the labels of the frames from `begin` on."""
+        if len(piece.indices) == self._frames and not self._compact:
+            self._whole = piece  # all there is: it stays as it was labelled
+            return
+        if self._whole is None:
+            shape = (self._frames, len(self._names))
+            places = np.full(shape, NULL, dtype=np.int32 if self._compact else np.int64)
+            candidates = None if self._compact else np.full(shape, NULL, dtype=np.int64)
+            self._whole = Labelling(places, np.zeros(shape), self._names, candidates)
+        here = np.s_[begin : begin + len(piece.indices)]
+        self._whole.indices[here], self._whole.confidence[here] = piece.indices, piece.confidence
+        if piece.candidates is not None and self._whole.candidates is not None:
+            self._whole.candidates[here] = piece.candidates
+        if piece.verdict is not None:
+            self._verdicts.append((int((piece.indices >= 0).sum()), piece.verdict))
+
+    def labelling(self) -> Labelling:
+        """The labels of all frames."""
+        if self._whole is None:
+            raise ValueError("no piece of the recording was labelled")
+        verdict = join_verdicts(self._verdicts) if self._verdicts else self._whole.verdict
+        return replace(self._whole, verdict=verdict, stretches=self._stretches)
+
+
+def label_long(
+    label: LabelsClouds, names: Sequence[str], clouds: Clouds, rules: StretchRules | None = None, *, progress: Progress | None = None
+) -> Labelling:
+    """What `label` gives of these clouds; in stretches where they have more than `rules.whole` points.
+
+    label: labels clouds as a whole, with these names of markers. A label differs from that of the whole recording only where a stretch
+    alone does not show what it is. Raises what `label` raises.
     """
     parts = stretches_of(clouds.counts, clouds.rate, rules or StretchRules())
-    if len(parts) == 1:
-        return ensemble.label(clouds, time=True, workers=workers, progress=progress)
-    shape = (len(clouds), len(ensemble.marker_set))
-    indices, confidence, candidates = np.empty(shape, dtype=np.int64), np.empty(shape), np.full(shape, NULL, dtype=np.int64)
-    verdicts = list[tuple[int, Verdict]]()
-    for begin, piece in label_in_stretches(ensemble, clouds.frames, parts, workers=workers, progress=progress):
-        here = np.s_[begin : begin + len(piece.indices)]
-        indices[here], confidence[here] = piece.indices, piece.confidence
-        if piece.candidates is not None:
-            candidates[here] = piece.candidates
-        if piece.verdict is not None:
-            verdicts.append((int((piece.indices >= 0).sum()), piece.verdict))
-    return Labelling(indices, confidence, ensemble.marker_set.names, candidates, join_verdicts(verdicts))
+    joined = JoinedLabelling(tuple(names), len(clouds), len(parts))
+    for begin, piece in label_in_stretches(label, clouds.frames, parts, progress=progress):
+        joined.add(begin, piece)
+    return joined.labelling()
 
 
 def stretches_of(counts: NDArray[np.integer], rate: float, rules: StretchRules) -> list[slice]:

@@ -20,6 +20,13 @@ def join_labellings(
     A body that shares a marker's name with another one has its subject before all its names, as in "1:LASI". The verdict is that of the
     first body that does not fit its model, where there is one. O(T M).
     Raises AsterismError where two names still are one, or the labellings are of different numbers of frames.
+
+    >>> from asterism.recording import MarkerSet
+    >>> knees = Labelling(np.array([[0, 1]]), np.ones((1, 2)), ("LKNE", "RKNE"))
+    >>> others = Labelling(np.array([[2, 3]]), np.ones((1, 2)), ("LKNE", "RKNE"))
+    >>> both, names = join_labellings([knees, others], [MarkerSet(knees.names)] * 2, subjects=["Ann", "Ben"])
+    >>> both.names
+    ('Ann:LKNE', 'Ann:RKNE', 'Ben:LKNE', 'Ben:RKNE')
     """
     subjects = [str(i + 1) for i in range(len(labellings))] if subjects is None else list(subjects)
     if not len(labellings) == len(marker_sets) == len(subjects) or len({len(labelling.indices) for labelling in labellings}) != 1:

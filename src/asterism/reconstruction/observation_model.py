@@ -11,7 +11,7 @@ from scipy.special import ndtri
 
 from asterism.reconstruction._frame_kernels import count_visibility
 from asterism.reconstruction._input_kernels import RigArrays
-from asterism.reconstruction.problem import ObservationModel, Problem
+from asterism.reconstruction.problem import ObservationModel, ReconstructionProblem
 from asterism.recording import Floats, Ints
 
 
@@ -61,7 +61,7 @@ Run = Callable[[RigArrays, int, int], tuple[Ints, Floats, Floats]]
 
 
 def estimate_observation_model(
-    problem: Problem, counts: Ints, run: Run, noise: float | None, rules: EstimationRules = RULES
+    problem: ReconstructionProblem, counts: Ints, run: Run, noise: float | None, rules: EstimationRules = RULES
 ) -> tuple[ObservationModel, bool, int]:
     """The observation model by some frames that are spread over the recording.
 
@@ -99,7 +99,9 @@ def estimate_observation_model(
     return model, True, blobs
 
 
-def _first_model(problem: Problem, counts: Ints, noise: float | None, rules: EstimationRules) -> tuple[ObservationModel, Ints]:
+def _first_model(
+    problem: ReconstructionProblem, counts: Ints, noise: float | None, rules: EstimationRules
+) -> tuple[ObservationModel, Ints]:
     """The model with which the estimate begins, and the frames that are looked at."""
     cameras = counts.shape[1]
     filled = counts[counts.sum(axis=1) > 0]

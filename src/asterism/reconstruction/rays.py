@@ -14,7 +14,7 @@ from asterism.recording import Blobs, Floats
 
 
 @dataclass(frozen=True)
-class Rays:
+class BlobRays:
     """Blobs as rays.
 
     blobs       those that have a ray
@@ -32,7 +32,7 @@ class Rays:
         return RayArrays(self.normalised, self.jacobian, self.blobs.offsets)
 
 
-def to_rays(blobs: Blobs, rig: Rig) -> tuple[Rays, int, int]:
+def to_rays(blobs: Blobs, rig: Rig) -> tuple[BlobRays, int, int]:
     """The rays of all blobs; how many blobs were left out because the lens model has no ray there, and how many as duplicates."""
     normalised = np.empty_like(blobs.xy)
     camera_of = blobs.camera_of
@@ -51,4 +51,4 @@ def to_rays(blobs: Blobs, rig: Rig) -> tuple[Rays, int, int]:
         of_camera = np.empty((len(rows), 4))
         pixel_jacobian(camera.lens, normalised[rows], of_camera)
         jacobian[rows] = of_camera
-    return Rays(blobs, normalised, jacobian), int((~reached).sum()), int((reached & ~single).sum())
+    return BlobRays(blobs, normalised, jacobian), int((~reached).sum()), int((reached & ~single).sum())

@@ -17,8 +17,8 @@ from asterism.reconstruction._frame_kernels import PointArrays, reconstruct_fram
 from asterism.reconstruction._input_kernels import RigArrays
 from asterism.reconstruction._plain_kernels import reconstruct_frame_plain
 from asterism.reconstruction.observation_model import RULES, estimate_observation_model
-from asterism.reconstruction.problem import ObservationModel, Problem, common_view, image_bounds
-from asterism.reconstruction.rays import Rays, to_rays
+from asterism.reconstruction.problem import ObservationModel, ReconstructionProblem, common_view, image_bounds
+from asterism.reconstruction.rays import BlobRays, to_rays
 from asterism.reconstruction.result import Reconstruction
 from asterism.reconstruction.settings import ReconstructionSettings
 from asterism.recording import Blobs, Clouds, Floats, Ints, as_vertical
@@ -50,16 +50,27 @@ def reconstruct(
 
     Cameras without a pose are left out. Raises AsterismError where the rig lacks a camera of the blobs, fewer than two cameras are left, or
     a setting is out of range.
+
+    >>> from asterism.cameras import Camera
+    >>> left = Camera("left", (640, 480), (500.0, 500.0), (319.5, 239.5))
+    >>> right = Camera("right", (640, 480), (500.0, 500.0), (319.5, 239.5), translation=[-0.5, 0.0, 0.0])
+    >>> rig = Rig((left, right))
+    >>> marker = [[0.2, 0.1, 2.0]]
+    >>> blobs = Blobs.from_rows([0, 0], [0, 1], rig.project(marker).reshape(2, 2), rig.names, rate=100.0)
+    >>> reconstruct(blobs, rig, ReconstructionSettings(noise=0.3)).clouds.xyz.round(6)
+    array([[0.2, 0.1, 2. ]])
     """
     settings = ReconstructionSettings() if settings is None else settings
     findings: list[Finding] = []
     blobs, rig = _posed(blobs, rig, findings)
     settings.check(len(rig))
+    # Before cameras are brought to one clock: a lamp that stays would be followed as well as any marker.
     blobs, masked = _masked(blobs, settings.mask_static, findings)
     rays = _rays(_on_common_clock(blobs, findings), rig, findings)
     bounds, corners = image_bounds(rays.blobs, rig), settings.corners
-    problem = Problem(rig, bounds, corners, common_view(rig, bounds, corners), settings.min_cameras, settings.gate)
+    problem = ReconstructionProblem(rig, bounds, corners, common_view(rig, bounds, corners), settings.min_cameras, settings.gate)
     run = partial(_points_and_residuals, rays)
+    # Gates and prices depend on the noise, which the blobs themselves tell.
     model, noise_known, looked_at = estimate_observation_model(problem, rays.blobs.counts, run, settings.noise)
     if not noise_known:
         findings.append(_noise_unknown(looked_at))
@@ -99,6 +110,7 @@ def _posed(blobs: Blobs, rig: Rig, findings: list[Finding]) -> tuple[Blobs, Rig]
         )
         rig, blobs = (rig.select(posed), blobs.select_cameras(posed)) if posed else (rig, blobs)
     seeing = [name for name, count in zip(blobs.cameras, blobs.counts.sum(axis=0), strict=True) if count]
+    #
     if len(posed) >= 2 and len(seeing) == 1:
         raise AsterismError(f"all blobs are of camera {seeing[0]}, and points need two cameras; add the others' blobs.")
     if len(posed) < 2:
@@ -146,7 +158,7 @@ def _on_common_clock(blobs: Blobs, findings: list[Finding]) -> Blobs:
     return blobs
 
 
-def _rays(blobs: Blobs, rig: Rig, findings: list[Finding]) -> Rays:
+def _rays(blobs: Blobs, rig: Rig, findings: list[Finding]) -> BlobRays:
     rays, no_ray, duplicates = to_rays(blobs, rig)
     if no_ray:
         findings.append(
@@ -191,7 +203,7 @@ def _noise_unknown(blobs: int) -> Finding:
 
 
 @dataclass(frozen=True)
-class _Part:
+class _FramesPart:
     """What a run of frames gave: counts (T,) points of each frame; notes (T, 2), see `reconstruct_frames`."""
 
     points: PointArrays
@@ -199,7 +211,7 @@ class _Part:
     notes: Ints
 
 
-def _run_all(arrays: RigArrays, rays: Rays, method: str, progress: Progress | None) -> list[_Part]:
+def _run_all(arrays: RigArrays, rays: BlobRays, method: str, progress: Progress | None) -> list[_FramesPart]:
     run = _run_global if method == "global" else partial(_run_plain, method == "plain-covariance")
     parts = []
     for begin in range(0, len(rays.blobs), _CHUNK):
@@ -210,24 +222,26 @@ def _run_all(arrays: RigArrays, rays: Rays, method: str, progress: Progress | No
     return parts
 
 
-def _points_and_residuals(rays: Rays, arrays: RigArrays, begin: int, end: int) -> tuple[Ints, Floats, Floats]:
+def _points_and_residuals(rays: BlobRays, arrays: RigArrays, begin: int, end: int) -> tuple[Ints, Floats, Floats]:
     points = _run_global(arrays, rays, begin, end).points
     return points.rays, points.points, points.residual
 
 
-def _run_global(arrays: RigArrays, rays: Rays, begin: int, end: int) -> _Part:
+def _run_global(arrays: RigArrays, rays: BlobRays, begin: int, end: int) -> _FramesPart:
     offsets, cameras = rays.blobs.offsets, len(rays.blobs.cameras)
+    # A point takes two blobs at least, so half of them bound the number of points.
     out = _empty_points(int(offsets[end * cameras] - offsets[begin * cameras]) // 2, cameras)
     counts, notes = np.zeros(end - begin, dtype=np.int64), np.zeros((end - begin, 2), dtype=np.int64)
     total = reconstruct_frames(arrays, rays.arrays, begin, end, out, counts, notes)
-    return _Part(_first_points(out, total), counts, notes)
+    return _FramesPart(_first_points(out, total), counts, notes)
 
 
-def _run_plain(by_covariance: bool, arrays: RigArrays, rays: Rays, begin: int, end: int) -> _Part:
+def _run_plain(by_covariance: bool, arrays: RigArrays, rays: BlobRays, begin: int, end: int) -> _FramesPart:
     cameras, capacity = len(rays.blobs.cameras), _FIRST_CAPACITY
     frames = []
     notes = np.zeros((end - begin, 2), dtype=np.int64)
     for t in range(begin, end):
+        # The plain method keeps all versions of a point at first, whose number only a run tells: run again with room for that many.
         while True:
             out = _empty_points(capacity, cameras)
             kept, versions = reconstruct_frame_plain(arrays, rays.arrays, t, by_covariance, out)
@@ -237,7 +251,7 @@ def _run_plain(by_covariance: bool, arrays: RigArrays, rays: Rays, begin: int, e
         frames.append(_first_points(out, kept))
         notes[t - begin] = versions, 1
     counts = np.array([len(frame.rays) for frame in frames], dtype=np.int64)
-    return _Part(_joined(frames, cameras), counts, notes)
+    return _FramesPart(_joined(frames, cameras), counts, notes)
 
 
 def _empty_points(size: int, cameras: int) -> PointArrays:
@@ -253,9 +267,9 @@ def _joined(parts: list[PointArrays], cameras: int) -> PointArrays:
 
 
 def _assembled(
-    parts: list[_Part],
+    parts: list[_FramesPart],
     blobs: Blobs,
-    problem: Problem,
+    problem: ReconstructionProblem,
     model: ObservationModel,
     method: str,
     masked: Ints,
@@ -267,6 +281,7 @@ def _assembled(
     notes = np.concatenate([np.empty((0, 2), dtype=np.int64), *(part.notes for part in parts)])
     counts = np.concatenate([np.zeros(1, dtype=np.int64), *(part.counts for part in parts)])
     used = np.zeros(len(blobs.xy), dtype=np.bool_)
+    #
     used[points.rays[points.rays >= 0]] = True
     cell = blobs.frame_of * cameras + blobs.camera_of
     vertical = as_vertical("z" if rig.vertical is None else rig.vertical)
@@ -292,6 +307,7 @@ def _scale(rays: Ints, xyz: Floats, rig: Rig) -> Floats:
     """(P,) m/px, depth over focal length, the mean over each point's cameras."""
     total = np.zeros(len(xyz))
     for c, camera in enumerate(rig):
+        # The geometric mean of the focal lengths keeps the area of a pixel.
         depth = xyz @ camera.rotation[2] + camera.translation[2]
         total += np.where(rays[:, c] >= 0, depth / math.sqrt(camera.focal[0] * camera.focal[1]), 0.0)
     mean: Floats = total / np.maximum((rays >= 0).sum(axis=1), 1)

@@ -18,6 +18,9 @@ def as_vertical(vertical: ArrayLike | str) -> Floats:
     """The unit vector that points up, from a vector or an axis name ("z", "-y").
 
     Raises AsterismError for anything else.
+
+    >>> as_vertical("-y")
+    array([ 0., -1.,  0.])
     """
     if isinstance(vertical, str):
         match = re.fullmatch(r"([+-]?)([xyz])", vertical.strip().casefold())

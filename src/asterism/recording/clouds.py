@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
 from asterism.recording.arrays import Floats, Ints, as_vertical, check_offsets, checked_rate, frame_rows, same_values
 from asterism.recording.display import Rows, as_html, as_text, duration, listed
 from asterism.recording.verdict import Verdict
@@ -31,6 +32,12 @@ class Clouds:
               A track has at most one point in a frame. It may jump from one marker to another
 
     Two clouds are equal if all of these are.
+
+    >>> clouds = Clouds.from_points([[[0.0, 0.0, 1.0], [0.3, 0.0, 1.0]], [[0.0, 0.0, 1.1]]], rate=100.0)
+    >>> clouds[1]
+    array([[0. , 0. , 1.1]])
+    >>> clouds.frames([0]).counts
+    array([2])
     """
 
     xyz: Floats
@@ -55,6 +62,10 @@ class Clouds:
 
         tracks: one (N_t,) array of whole numbers per frame, the track that each point belongs to, -1 for none.
         Raises AsterismError where an array has another shape, a coordinate is not finite, or two points of a frame share a track.
+
+        >>> clouds = Clouds.from_points([[[0.0, 0.0, 1.0], [0.3, 0.0, 1.0]], [[0.0, 0.0, 1.0]]], rate=100.0)
+        >>> len(clouds), clouds.counts.tolist()
+        (2, [2, 1])
         """
         frames = []
         for t, given in enumerate(points):
@@ -171,6 +182,8 @@ class Labelling:
     names       (M,) marker names
     candidates  (T, M) int, for -1 the place of the best candidate, which was not accepted, or -1; None where they were not kept
     verdict     whether the recording shows what the model was trained on; None where it was not judged
+    bodies      how many bodies with these markers the recording certainly shows; the labels are those of one of them
+    stretches   in how many stretches a long recording was labelled
 
     Two labellings are equal if they give the same labels the same confidence: names, indices and confidence.
     """
@@ -180,6 +193,8 @@ class Labelling:
     names: tuple[str, ...]
     candidates: Ints | None = None
     verdict: Verdict | None = None
+    bodies: int = 1
+    stretches: int = 1
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Labelling):
@@ -201,8 +216,29 @@ class Labelling:
     def _repr_html_(self) -> str:
         return as_html("Labelling", self._facts())
 
+    def findings(self, where: str = "the recording") -> list[Finding]:
+        """What a person should know before they use the labels. where: the file."""
+        found = list[Finding]()
+        if self.bodies > 1:
+            sentence = f"{where}: two bodies wear the model's markers, and only one of them was labelled."
+            found.append(Finding("label-two-bodies", Severity.WARNING, where, sentence, "Give --model once for each of them."))
+        if self.verdict is not None:
+            found += self.verdict.findings(where)
+        if self.stretches > 1:
+            sentence = f"{where} is long: it was labelled in {self.stretches} stretches, which were joined where they overlap."
+            mend = "Nothing need be done; a label differs from that of the whole only where a stretch alone does not show what it is."
+            found.append(Finding("label-in-stretches", Severity.NOTE, where, sentence, mend))
+        return found
+
     def positions(self, clouds: Clouds) -> Floats:
-        """The labelled trajectories: (T, M, 3) m, NaN where a marker has no candidate."""
+        """The labelled trajectories: (T, M, 3) m, NaN where a marker has no candidate.
+
+        >>> clouds = Clouds.from_points([[[0.0, 0.0, 1.0], [0.3, 0.0, 1.0]]], rate=100.0)
+        >>> labelling = Labelling(np.array([[1, -1]]), np.array([[0.998, 0.02]]), ("LKNE", "RKNE"))
+        >>> labelling.positions(clouds)
+        array([[[0.3, 0. , 1. ],
+                [nan, nan, nan]]])
+        """
         out = np.full((*self.indices.shape, 3), np.nan)
         frames, markers = np.nonzero(self.indices >= 0)
         out[frames, markers] = clouds.xyz[clouds.offsets[frames] + self.indices[frames, markers]]

@@ -30,6 +30,30 @@ def listed(names: Sequence[str], most: int = 6) -> str:
     return shown if len(names) <= most else f"{shown}, ... ({len(names)})"
 
 
+def counted(number: int, noun: str) -> str:
+    """A number with its noun, in the plural where it is not one.
+
+    >>> counted(1, "trial"), counted(1200, "frame")
+    ('1 trial', '1,200 frames')
+    """
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
+def metres(length: float) -> str:
+    """A length with its unit, never as a power of ten.
+
+    >>> metres(0.0123), metres(1440.0)
+    ('0.0123 m', '1,440 m')
+    """
+    return (
+        f"{length:,.0f} m"
+        if abs(length) >= 100
+        else f"{length:.4f}".rstrip("0").rstrip(".") + " m"
+        if abs(length) < 0.1
+        else f"{length:.3g} m"
+    )
+
+
 def duration(frames: int, rate: float) -> str:
     """Frames, rate and seconds: "500 at 100 Hz (5 s)"."""
     return f"{frames} at {rate:g} Hz ({frames / rate:.4g} s)"

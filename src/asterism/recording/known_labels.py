@@ -40,7 +40,12 @@ def marker_of_columns(marker_set: MarkerSet, labels: Sequence[str]) -> Ints:
 
 
 def is_partly_labelled(recording: Recording, marker_set: MarkerSet) -> bool:
-    """Whether a recording has points with names of the set, and points without a name."""
+    """Whether a recording has points with names of the set, and points without a name.
+
+    >>> half = Recording(np.zeros((1, 2, 3)), ("LKNE", "*2"), rate=100.0)
+    >>> is_partly_labelled(half, MarkerSet(("LKNE", "RKNE")))
+    True
+    """
     shown = recording.visible.any(axis=0)
     named = marker_of_columns(marker_set, recording.labels) >= 0
     unnamed = np.array([is_unnamed(label) for label in recording.labels], dtype=np.bool_)

@@ -29,6 +29,10 @@ class MarkerSet:
     aliases   for each name its other spellings; case, punctuation and a subject prefix are ignored
     pairs     (left, right) names that mirror each other
     segments  segment name -> names of the markers on it
+
+    >>> legs = MarkerSet(("LKNE", "RKNE"), aliases={"LKNE": ("L.Knee",)}, pairs=(("LKNE", "RKNE"),))
+    >>> legs.name_of("ann:l_knee"), legs.name_of("C7")
+    ('LKNE', None)
     """
 
     names: tuple[str, ...]
@@ -74,6 +78,9 @@ class MarkerSet:
         """For each marker the column that carries its label: (M,), -1 where no column does.
 
         Raises AsterismError where two columns have one marker's label.
+
+        >>> MarkerSet(("LKNE", "RKNE", "SACR")).columns_of(["*1", "Ann:SACR", "Ann:LKNE"])
+        array([ 2, -1,  1])
         """
         columns = np.full(len(self.names), -1, dtype=np.int64)
         index = {name: i for i, name in enumerate(self.names)}
@@ -93,6 +100,9 @@ class MarkerSet:
         """A shipped set by name ("helen-hayes"), a TOML file by path, a list of names, or a marker set.
 
         Raises AsterismError where the name is not shipped, or the file is missing or not a marker set.
+
+        >>> len(MarkerSet.load("helen-hayes")), MarkerSet.load(["LASI", "RASI"]).names
+        (15, ('LASI', 'RASI'))
         """
         if isinstance(source, MarkerSet):
             return source
@@ -125,21 +135,37 @@ class MarkerSet:
 
 
 def shipped_marker_sets() -> tuple[str, ...]:
-    """Names of the marker sets that come with Asterism."""
+    """Names of the marker sets that come with Asterism.
+
+    >>> shipped_marker_sets()[:3]
+    ('cast', 'helen-hayes', 'helen-hayes-medial')
+    """
     folder = resources.files("asterism").joinpath("marker_sets")
     return tuple(sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml")))
 
 
 def canonical(label: str) -> str:
-    """A label without case and punctuation: R.ASIS, r_asis and RASIS give the same."""
+    """A label without case and punctuation: R.ASIS, r_asis and RASIS give the same.
+
+    >>> canonical("R.ASIS") == canonical("r_asis")
+    True
+    """
     return re.sub(r"[^\w*]|_", "", label.casefold())
 
 
 def is_unnamed(label: str) -> bool:
-    """Whether a label only numbers an unnamed point: *12, uname*3, U7, Unlabeled:108, 20100, Unidentified, or nothing at all."""
+    """Whether a label only numbers an unnamed point: *12, uname*3, U7, Unlabeled:108, 20100, Unidentified, or nothing at all.
+
+    >>> is_unnamed("*12"), is_unnamed("LKNE")
+    (True, False)
+    """
     return _UNNAMED.fullmatch(without_subject(label).strip()) is not None
 
 
 def without_subject(label: str) -> str:
-    """A label without the subject's name before the last colon."""
+    """A label without the subject's name before the last colon.
+
+    >>> without_subject("Ann:LKNE")
+    'LKNE'
+    """
     return label.rsplit(":", 1)[-1]

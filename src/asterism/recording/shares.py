@@ -48,7 +48,14 @@ def label_states(labelling: Labelling, clouds: Clouds) -> LabelStates:
 
 
 def label_shares(labelling: Labelling, clouds: Clouds) -> LabelShares:
-    """The shares for a labelling of `clouds`; all NaN where there are no frames."""
+    """The shares for a labelling of `clouds`; all NaN where there are no frames.
+
+    >>> from asterism.recording import Clouds, Labelling
+    >>> clouds = Clouds.from_points([np.zeros((3, 3)) + [[0.0], [1.0], [2.0]]] * 2, rate=100.0)
+    >>> labelling = Labelling(np.array([[0, 1], [0, -1]]), np.array([[0.999, 0.95], [0.999, 0.4]]), ("LKNE", "RKNE"))
+    >>> label_shares(labelling, clouds)
+    LabelShares(labelled=0.5, likely=0.25, unsure=0.25, hidden=0.0)
+    """
     if labelling.indices.size == 0:
         return LabelShares(*[float("nan")] * 4)
     states = label_states(labelling, clouds)

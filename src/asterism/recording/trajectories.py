@@ -28,6 +28,9 @@ class Event:
 
     `time` is in seconds on the file's clock (0 is the first sample of the trial, which need not be the first frame
     that is stored); `context` is the side or subject that the file names ("Left", "Right", "General", or empty).
+
+    >>> Event("Foot Strike", time=1.25, context="Left")
+    Event(label='Foot Strike', time=1.25, context='Left')
     """
 
     label: str
@@ -55,6 +58,12 @@ class Recording:
     `asterism.report.plot_recording` plays one.
 
     Two recordings are equal if they show the same: positions, labels, rate, vertical, events and number of the first frame.
+
+    >>> walk = Recording(np.zeros((200, 2, 3)), ("LKNE", "RKNE"), rate=100.0)
+    >>> walk
+    Recording(frames: 200 at 100 Hz (2 s), labels: LKNE, RKNE)
+    >>> walk.select(["RKNE"]).frames(slice(50, 150)).times[[0, -1]]
+    array([0.5 , 1.49])
     """
 
     positions: Floats
@@ -238,6 +247,12 @@ class Recording:
         that name. `clouds` are the clouds that were labelled, by default `self.clouds()`. The source, events and metadata stay,
         and `by`, such as the model's file, goes into the processing log.
         Raises AsterismError where the clouds are not this recording's.
+
+        >>> from asterism.recording import Labelling
+        >>> cloud = Recording(np.array([[[0.0, 0.0, 1.0], [0.3, 0.0, 1.0]]]), ("*1", "*2"), rate=100.0)
+        >>> given = Labelling(np.array([[1]]), np.array([[0.998]]), ("LKNE",))
+        >>> cloud.with_labelling(given).labels
+        ('LKNE', '*1')
         """
         clouds = self.clouds() if clouds is None else clouds
         frames, markers = np.nonzero(labelling.indices >= 0)

@@ -43,6 +43,12 @@ def worn_marker_sets(labels: Sequence[str], rules: WornSetRules | None = None) -
 
     labels: of markers; labels that only number a point count for nothing. The best set has most of its own markers among the labels,
     and leaves fewest of them over.
+
+    >>> from asterism.recording import MarkerSet
+    >>> labels = [*MarkerSet.load("helen-hayes").names, "C7"]
+    >>> best = worn_marker_sets(labels)[0]
+    >>> best.name, best.missing, best.extra
+    ('helen-hayes', (), ('C7',))
     """
     rules = rules or WornSetRules()
     named = list(dict.fromkeys(label for label in labels if not is_unnamed(label)))

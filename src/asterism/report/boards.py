@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from asterism.findings import Severity
 from asterism.report import figures
-from asterism.report.page import NOTHING, Cell, Page, Section, Table, percent, write_page
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, findings_table, percent, write_page
 from asterism.report.space import rig_in_space
 
 if TYPE_CHECKING:
@@ -31,6 +30,7 @@ def board_report(path: str | Path, made: BoardCalibration, *, settings: Mapping[
     summary = made.summary()
     sections = [
         Section("What to know before using it", table=_findings(made)),
+        # One camera has no rig to show.
         *([_rig(made)] if several else []),
         Section("Each camera", table=_cameras(summary), note="± is the standard deviation that the calibration leaves."),
         Section(
@@ -43,12 +43,12 @@ def board_report(path: str | Path, made: BoardCalibration, *, settings: Mapping[
     if several:
         text = "Frames in which two cameras saw the board together: what holds the rig together."
         sections.append(Section("Shared views", text, table=_shared(made)))
-    page = Page("Calibration from a board", _lead(made), settings or {}, _merits(made), sections)
-    write_page(path, page)
+    write_page(path, Page("Calibration from a board", _lead(made), settings or {}, _merits(made), sections))
 
 
 def _rig(made: BoardCalibration) -> Section:
     shown = made.adjustment.translations + made.adjustment.rotations @ made.views.board.points.mean(axis=0)
+    # The adjustment counts from its own origin, the rig from where it stands: the first camera is in both.
     first = made.adjustment.cameras[0]
     in_camera = shown @ first.rotation.T + first.translation
     moved = (in_camera - made.rig.cameras[0].translation) @ made.rig.cameras[0].rotation
@@ -63,6 +63,7 @@ def _lead(made: BoardCalibration) -> str:
 
 
 def _merits(made: BoardCalibration) -> list[tuple[str, str, str]]:
+    # The mean hides one bad camera among good ones.
     worst = max((camera.error for camera in made.rig), default=0.0)
     return [
         (f"{made.rms:.3f} px", "reprojection error, all together", "bad" if not made.usable else "warn" if made.findings else "good"),
@@ -72,15 +73,12 @@ def _merits(made: BoardCalibration) -> list[tuple[str, str, str]]:
     ]
 
 
-_SEVERITIES = {Severity.ERROR: Cell("do not use", 1.0, "bad"), Severity.WARNING: Cell("look at this", 0.6), Severity.NOTE: Cell("note")}
-
-
 def _findings(made: BoardCalibration) -> Table:
-    rows: list[list[str | Cell]] = [[_SEVERITIES[finding.severity], str(finding)] for finding in made.findings]
+    more: list[list[str | Cell]] = []
     if made.rejected_views:
         some = ", ".join(f"{name} in frame {frame}" for frame, name in made.rejected_views[:12])
-        rows.append([Cell("left out", 0.3), f"{len(made.rejected_views)} views that do not fit the others: {some}"])
-    return Table(["", "what was found"], rows or [["good", "nothing speaks against it"]], left=2)
+        more.append([Cell("left out", 0.3), f"{len(made.rejected_views)} views that do not fit the others: {some}"])
+    return findings_table(made.findings, more)
 
 
 def _cameras(summary: Mapping[str, Any]) -> Table:
@@ -98,57 +96,40 @@ def _cameras(summary: Mapping[str, Any]) -> Table:
         ]
         for camera in summary["cameras"]
     ]
-    head = [
-        "camera",
-        "views",
-        "image covered",
-        "error alone, px",
-        "together, px",
-        "focal length, px",
-        "centre, px",
-        "k1, k2, p1, p2, k3",
-        "stands at, m",
-    ]
-    return Table(head, rows)
+    head = ["camera", "views", "image covered", "error alone, px", "together, px", "focal length, px", "centre, px"]
+    return Table([*head, "k1, k2, p1, p2, k3", "stands at, m"], rows)
 
 
 def _images(made: BoardCalibration) -> figures.Figure:
     """One small picture per camera: its points, shaded by residual."""
     down = -(-len(made.rig) // _ACROSS)
     size = np.linalg.norm(made.adjustment.residuals, axis=1)
+    # A few outliers would leave all other points in one colour.
     high = float(np.nanpercentile(size, 98)) if len(size) else 1.0
     data: list[dict[str, Any]] = []
     layout: dict[str, Any] = {"annotations": []}
     for c, camera in enumerate(made.rig):
         row, column = divmod(c, _ACROSS)
         width, height = camera.size or (1, 1)
-        suffix = "" if c == 0 else str(c + 1)
         left, top = column / _ACROSS, 1.0 - row / down
-        layout[f"xaxis{suffix}"] = {
-            "domain": [left, left + 0.92 / _ACROSS], "anchor": f"y{suffix}", "range": [0, width], "showgrid": False,
-            "showticklabels": False, "constrain": "domain", "mirror": True, "showline": True, "zeroline": False,
-        }  # fmt: skip
-        layout[f"yaxis{suffix}"] = {
-            "domain": [top - 0.84 / down, top], "anchor": f"x{suffix}", "range": [height, 0], "showgrid": False, "showticklabels": False,
-            "scaleanchor": f"x{suffix}", "constrain": "domain", "mirror": True, "showline": True, "zeroline": False,
-        }  # fmt: skip
-        layout["annotations"].append(
-            {
-                "text": camera.name, "showarrow": False, "font": {"size": 12}, "xref": f"x{suffix}", "yref": f"y{suffix}",
-                "x": 0, "y": height, "xanchor": "left", "yanchor": "top",
-            }
-        )  # fmt: skip
+        frame = {"showgrid": False, "showticklabels": False, "constrain": "domain", "mirror": True, "showline": True, "zeroline": False}
+        across = {"domain": [left, left + 0.92 / _ACROSS], "range": [0, width], **frame}
+        up = {"domain": [top - 0.84 / down, top], "range": [height, 0], "scaleanchor": "x" + ("" if c == 0 else str(c + 1)), **frame}
+        axes, sides = figures.cell_axes(c, across, up)
+        layout |= sides
+        at = {"xref": axes["xaxis"], "yref": axes["yaxis"], "x": 0, "y": height, "xanchor": "left", "yanchor": "top"}
+        layout["annotations"].append({"text": camera.name, "showarrow": False, "font": {"size": 12}, **at})
         own = np.nonzero(made.sightings.camera == c)[0]
+        # Some thousand points fill an image; more only make the page slow.
         own = own[:: max(1, len(own) // _MOST_POINTS)]
         x, y = np.round(made.sightings.xy[own], 1).T
         data.append(
             {
-                "type": "scatter", "mode": "markers", "x": x, "y": y,
-                "xaxis": f"x{suffix}", "yaxis": f"y{suffix}", "showlegend": False,
+                "type": "scatter", "mode": "markers", "x": x, "y": y, **axes, "showlegend": False,
                 "marker": {
                     "size": 4, "color": np.round(size[own], 3), "cmin": 0.0, "cmax": high, "showscale": c == 0,
                     "colorscale": [[0, "#0b5563"], [0.3, "#5fb6be"], [0.6, "#f6c177"], [1, "#7d1a2d"]],
-                    "colorbar": {"title": {"text": "px", "side": "right"}, "thickness": 12, "outlinewidth": 0},
+                    "colorbar": figures.colour_bar("px"),
                 },
                 "hovertemplate": "%{marker.color:.2f} px<extra>" + camera.name + "</extra>",
             }
@@ -157,6 +138,7 @@ def _images(made: BoardCalibration) -> figures.Figure:
 
 
 def _shared(made: BoardCalibration) -> Table:
+    # Only cameras that were calibrated: the others share no view that counts.
     order = [i for i, name in enumerate(made.linked_cameras) if name in made.rig.names]
     most = int(made.links.shared[np.ix_(order, order)].max(initial=1))
     rows: list[list[str | Cell]] = []

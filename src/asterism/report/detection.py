@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,6 +32,7 @@ def detection_report(
     seconds = np.arange(len(blobs)) / blobs.rate
     step = figures.frames_per_column(len(blobs))
     starts = np.arange(0, len(blobs), step)
+    # Means over blocks of frames: an hour has more frames than a picture has columns.
     counts = (
         np.add.reduceat(blobs.counts, starts, axis=0) / np.diff([*starts, len(blobs)])[:, None]
         if len(blobs)
@@ -52,6 +52,7 @@ def detection_report(
         ),
         Section("Cameras", table=_table(cameras)),
     ]
+    # More images than expected are no loss.
     missing = sum(max(camera.expected - camera.frames, 0) for camera in cameras)
     merits = [
         (str(len(cameras)), "cameras", ""),
@@ -66,18 +67,10 @@ def detection_report(
 
 def _over_time(names: tuple[str, ...], seconds: Floats, counts: Floats) -> figures.Figure:
     """Mean counts (T, C) of each camera's images over time, one line each."""
-    data = [
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "name": name,
-            "x": np.round(seconds, 4),
-            "y": np.round(counts[:, c], 2),
-            "line": {"width": 1.5, "color": figures.PALETTE[c % len(figures.PALETTE)]},
-        }
-        for c, name in enumerate(names)
-    ]
-    return figures.figure(data, 320, xaxis={"title": {"text": "time in s"}}, yaxis={"title": {"text": "blobs"}, "rangemode": "tozero"})
+    styles = [{"width": 1.5, "color": figures.PALETTE[c % len(figures.PALETTE)]} for c in range(len(names))]
+    x = np.round(seconds, 4)
+    data = [figures.line(x, np.round(counts[:, c], 2), name, line=styles[c]) for c, name in enumerate(names)]
+    return figures.figure(data, 320, xaxis=figures.titled("time in s"), yaxis=figures.titled("blobs", rangemode="tozero"))
 
 
 def _contact_sheet(cameras: tuple[CameraImages, ...]) -> figures.Figure:
@@ -88,75 +81,46 @@ def _contact_sheet(cameras: tuple[CameraImages, ...]) -> figures.Figure:
     layout: dict[str, Any] = {"images": [], "annotations": [], "showlegend": False}
     for i, camera in enumerate(cameras):
         row, column = divmod(i, columns)
-        x, y = f"x{i + 1 if i else ''}", f"y{i + 1 if i else ''}"
         wide, tall = camera.size
         left, top = column / columns, 1 - row / rows
-        place = {"showgrid": False, "zeroline": False, "showticklabels": False, "fixedrange": False}
-        layout[f"xaxis{x[1:]}"] = {
-            **place,
-            "domain": [left + 0.01, left + 1 / columns - 0.01],
-            "range": [-0.5, wide - 0.5],
-            "anchor": y,
-            "constrain": "domain",
-        }
-        layout[f"yaxis{y[1:]}"] = {
-            **place,
-            "domain": [top - 1 / rows + 0.02, top - 0.06],
-            "range": [tall - 0.5, -0.5],
-            "anchor": x,
-            "scaleanchor": x,
-            "constrain": "domain",
-        }
-        layout["images"].append(
-            {"source": _picture(camera), "xref": x, "yref": y, "x": -0.5, "y": -0.5, "sizex": wide, "sizey": tall, "layer": "below"}
-            | {"sizing": "stretch"}
-        )
+        place = {"showgrid": False, "zeroline": False, "showticklabels": False, "fixedrange": False, "constrain": "domain"}
+        across = {**place, "domain": [left + 0.01, left + 1 / columns - 0.01], "range": [-0.5, wide - 0.5]}
+        up = {**place, "domain": [top - 1 / rows + 0.02, top - 0.06], "range": [tall - 0.5, -0.5], "scaleanchor": f"x{i + 1 if i else ''}"}
+        axes, sides = figures.cell_axes(i, across, up)
+        layout |= sides
+        layout["images"].append(figures.behind(_picture(camera), camera.size, axes))
         text = f"{camera.name}, image {camera.sample_frame}: {len(camera.sample_blobs)} blobs"
-        layout["annotations"].append(
-            {"text": text, "xref": f"{x} domain", "yref": f"{y} domain", "x": 0, "y": 1, "yanchor": "bottom", "xanchor": "left"}
-            | {"showarrow": False}
-        )
-        data += _circles(camera, x, y)
+        at = {"xref": f"{axes['xaxis']} domain", "yref": f"{axes['yaxis']} domain", "x": 0, "y": 1, "yanchor": "bottom", "xanchor": "left"}
+        layout["annotations"].append({"text": text, "showarrow": False, **at})
+        data += _circles(camera, axes)
     tallest = max(camera.size[1] / camera.size[0] for camera in cameras)
     return figures.figure(data, int(rows * (50 + _WIDTH / columns * tallest)), **layout)
 
 
-def _circles(camera: CameraImages, x: str, y: str) -> list[Mapping[str, Any]]:
+def _circles(camera: CameraImages, axes: Mapping[str, str]) -> list[Mapping[str, Any]]:
     """The blobs of the sample image as circles in its own pixels: those without a flag and those with one."""
+    # NaN lifts the pen between two circles.
     turn = np.append(np.linspace(0, 2 * np.pi, 17), np.nan)
     traces: list[Mapping[str, Any]] = []
     blobs = camera.sample_blobs
     for flagged, colour in ((False, "#2ad4c4"), (True, "#ffb000")):
         these = (blobs.flags > 0) == flagged
+        # Around the blob, not on it, and never too small to be seen.
         radius = np.maximum(0.5 * blobs.size[these] + 2.0, 0.007 * camera.size[0])
-        traces.append(
-            {
-                "type": "scatter",
-                "mode": "lines",
-                "x": np.round(blobs.xy[these, 0, None] + radius[:, None] * np.cos(turn), 1).ravel(),
-                "y": np.round(blobs.xy[these, 1, None] + radius[:, None] * np.sin(turn), 1).ravel(),
-                "xaxis": x,
-                "yaxis": y,
-                "line": {"color": colour, "width": 2},
-                "hoverinfo": "skip",
-            }
-        )
+        x = np.round(blobs.xy[these, 0, None] + radius[:, None] * np.cos(turn), 1).ravel()
+        y = np.round(blobs.xy[these, 1, None] + radius[:, None] * np.sin(turn), 1).ravel()
+        traces.append(figures.line(x, y, line={"color": colour, "width": 2}, hoverinfo="skip", **axes))
     return traces
 
 
 def _picture(camera: CameraImages) -> str:
     """The sample image as a data address: made smaller, and brighter where it is dark, so that its blobs can be seen."""
-    import cv2
-
     image = camera.sample.astype(np.float64)
+    # Marker images are nearly black: scaled so that a usual blob is white.
     above = max(2.0 * camera.threshold, float(np.median(camera.sample_blobs.peak)) if len(camera.sample_blobs) else 0.0, 1.0)
     bright = float(np.median(image)) + above
     grey = np.clip(255.0 * image / bright, 0, 255).astype(np.uint8)
-    scale = min(1.0, _WIDEST / grey.shape[1])
-    if scale < 1:
-        grey = np.asarray(cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
-    packed = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
-    return "data:image/jpeg;base64," + base64.b64encode(np.asarray(packed).tobytes()).decode()
+    return figures.picture(grey, _WIDEST)
 
 
 def _table(cameras: tuple[CameraImages, ...]) -> Table:
@@ -164,19 +128,8 @@ def _table(cameras: tuple[CameraImages, ...]) -> Table:
         of = part / camera.blobs if camera.blobs else 0.0
         return Cell(percent(of), min(1.0, 2 * of))
 
-    head = [
-        "camera",
-        "size",
-        "images",
-        "threshold",
-        "per image",
-        "overlapping",
-        "unround",
-        "saturated",
-        "cut by edge",
-        "masked",
-        "frames behind",
-    ]
+    head = ["camera", "size", "images", "threshold", "per image", "overlapping", "unround", "saturated", "cut by edge", "masked"]
+    head += ["frames behind"]
     rows: list[list[str | Cell]] = [
         [
             camera.name,

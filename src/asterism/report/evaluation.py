@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from asterism.report import figures
-from asterism.report.page import Cell, Page, Section, Table, count, percent, tinted, write_page
+from asterism.report.page import Cell, Page, Section, Table, count, decimal, percent, tinted, write_page
 
 if TYPE_CHECKING:
     from asterism.labelling import Condition, Evaluation
@@ -27,10 +27,10 @@ def evaluation_report(
     sections = [
         Section(
             "By number of hidden markers and ghosts",
-            "FA: wrong labels among the labels given. FO: markers in view among the markers without a label. "
-            "Missed: markers without a label among the markers in view. Perfect: frames in which every marker is right. "
-            "Log score: how little the confidence said of what came, in nats per label; beside it that of the best constant confidence. "
-            "Less is better.",
+            "Wrong: of the labels given. In view: of the markers without a label. "
+            "Missed: of the markers in view, those without a label. Perfect: frames in which every marker is right. "
+            "Log score: how little the confidence said of what came, as the mean of -ln of the probability that it gave to it; "
+            "beside it that of the best constant confidence. Less is better.",
             table=_summary(conditions),
         ),
         *([_levels(evaluation.confidence)] if conditions and evaluation.confidence.levels else []),
@@ -40,9 +40,10 @@ def evaluation_report(
     people, frames = len(evaluation.subjects), sum(c.frames for c in conditions)
     merits = [(count(people), "subjects", ""), (count(len(evaluation.markers)), "markers", ""), (count(frames), "frames labelled", "")]
     if conditions:
+        # The easiest and the hardest stand for all at the head of the page.
         easy, hard = conditions[0], conditions[-1]
-        merits += [(percent(easy.fa, 3), f"FA, {_name(easy)}", "good" if easy.fa <= 0.0001 else "")]
-        merits += [(percent(hard.fa, 3), f"FA, {_name(hard)}", "")] if hard is not easy else []
+        merits += [(percent(easy.fa, 3), f"wrong labels, {_name(easy)}", "good" if easy.fa <= 0.0001 else "")]
+        merits += [(percent(hard.fa, 3), f"wrong labels, {_name(hard)}", "")] if hard is not easy else []
         merits += [(count(easy.frames_per_second), f"frames per second, {_name(easy)}", "")]
     subjects = ", ".join(evaluation.subjects)
     lead = f"{len(evaluation.markers)} markers of {people} subject{'s' if people != 1 else ''}" + (f": {subjects}." if subjects else ".")
@@ -54,7 +55,8 @@ def _curves(conditions: list[Condition]) -> list[Section]:
     names = [_name(c) for c in conditions]
     by_ghosts = {g: [c for c in conditions if c.ghosts == g] for g in dict.fromkeys(c.ghosts for c in conditions)}
     sections = []
-    for key, heading, what in (("missed", "Missed markers", "missed"), ("fa", "Wrong labels", "FA")):
+    # One line for each number of ghosts: hidden markers and ghosts hurt in different ways.
+    for key, heading, what in (("missed", "Missed markers", "missed"), ("fa", "Wrong labels", "wrong")):
         lines = {
             "no ghosts" if g == 0 else f"{g} ghost{'s' if g > 1 else ''}": ([c.occlusions for c in each], [getattr(c, key) for c in each])
             for g, each in by_ghosts.items()
@@ -84,9 +86,9 @@ def _marker_sections(evaluation: Evaluation, conditions: list[Condition]) -> lis
     head = [f"{c.occlusions} + {c.ghosts}" if c.ghosts else str(c.occlusions) for c in conditions]
     text = "Columns: hidden markers per frame" + (", + ghosts." if any(c.ghosts for c in conditions) else ".")
     kinds = (
-        ("fa", "FA by marker: wrong labels among the labels given", 3, "bad"),
-        ("fo", "FO by marker: in view, among the frames without a label", 1, "warn"),
-        ("missed", "Missed by marker: without a label, among the frames in view", 2, "warn"),
+        ("fa", "Wrong labels by marker, of the labels given", 3, "bad"),
+        ("fo", "In view by marker, of the frames without a label", 1, "warn"),
+        ("missed", "Missed by marker: without a label, of the frames in view", 2, "warn"),
     )
     return [
         Section(heading, text, table=_by_marker(evaluation, conditions, head, key, digits, kind)) for key, heading, digits, kind in kinds
@@ -104,7 +106,7 @@ def _ends(by_ghosts: Mapping[int, list[Condition]]) -> list[str]:
 
 
 def _summary(conditions: list[Condition]) -> Table:
-    head = ["hidden", "ghosts", "frames", "right", "FA", "FO", "missed", "perfect", "log score", "best constant", "frames/s"]
+    head = ["hidden", "ghosts", "frames", "right", "wrong", "in view", "missed", "perfect", "log score", "best constant", "frames/s"]
     head += ["evaluations per frame"]
     return Table(
         head,
@@ -118,8 +120,8 @@ def _summary(conditions: list[Condition]) -> Table:
                 percent(c.fo),
                 tinted(float(c.missed), 2, 0.2),
                 percent(c.perfect, 2),
-                _nats(c.confidence.log_score),
-                _nats(c.confidence.constant_log_score),
+                decimal(c.confidence.log_score, 4),
+                decimal(c.confidence.constant_log_score, 4),
                 count(c.frames_per_second),
                 count(c.evaluations_per_frame),
             ]
@@ -134,6 +136,7 @@ def _by_marker(evaluation: Evaluation, conditions: list[Condition], names: list[
     for marker in evaluation.markers:
         values = [float(c.per_marker[marker][key]) for c in conditions]
         rows.append([marker, *(tinted(value, digits, worst, kind) for value in values)])
+    # Markers without a value are left out of the mean.
     means = [_mean([float(c.per_marker[m][key]) for m in evaluation.markers]) for c in conditions]
     rows.append(["mean of the markers", *(percent(mean, digits) for mean in means)])
     return Table(["marker", *names], rows)
@@ -154,14 +157,10 @@ def _levels(score: ConfidenceScore) -> Section:
     text = (
         "All labels given, by their confidence: the mean confidence should lie in the 95 % interval of the share that was right. "
         f"{percent(score.share_at_999, 1)} of the labels, the most confident ones, can be given at 99.9 % right. "
-        f"Log score {_nats(score.log_score)}, of the best constant {_nats(score.constant_log_score)}; "
+        f"Log score {decimal(score.log_score, 4)}, of the best constant {decimal(score.constant_log_score, 4)}; "
         f"Brier score {score.brier:.5f}, of the best constant {score.constant_brier:.5f}."
     )
     return Section("Reliability", text, table=Table(["confidence", "labels", "stated", "right", "95 % interval"], rows))
-
-
-def _nats(value: float) -> str:
-    return "–" if np.isnan(value) else f"{value:.4f}"
 
 
 def _mean(values: list[float]) -> float:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asterism.recording import Floats
 
@@ -15,10 +17,13 @@ PALETTE = ("#0f7b8a", "#d1495b", "#e09f3e", "#5b5f97", "#3a9d5d", "#8d5a97", "#6
 MOST_NINES = 4.0
 COLUMNS = 600
 """The most columns of a picture over time; longer recordings are drawn by blocks of frames."""
+_JPEG_QUALITY = 80
+"""Of 100, which JPEG counts its quality by."""
 
 
 def figure(data: Sequence[Mapping[str, Any]], height: int, **layout: Any) -> Figure:
     """A figure in the style of all pages; `layout` adds to it or overrides it."""
+    # Fixed ranges: a wheel over a figure scrolls the page; figures that zoom say so themselves.
     axis = {"gridcolor": "#e6ebf2", "zerolinecolor": "#cfd8e4", "linecolor": "#cfd8e4", "automargin": True, "fixedrange": True}
     style: Figure = {
         "height": height,
@@ -30,9 +35,66 @@ def figure(data: Sequence[Mapping[str, Any]], height: int, **layout: Any) -> Fig
         "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"},
         "hoverlabel": {"bgcolor": "#ffffff", "bordercolor": "#cfd8e4"},
     }
+    # Each axis gets the style, also the second and later ones that only `layout` names.
     for name in {"xaxis", "yaxis", *(key for key in layout if key.startswith(("xaxis", "yaxis")))}:
         style[name] = {**axis, **layout.pop(name, {})}
     return {"data": [dict(trace) for trace in data], "layout": {**style, **layout}}
+
+
+def titled(text: str, **more: Any) -> dict[str, Any]:
+    """An axis with a title; `more` adds to it."""
+    return {"title": {"text": text}, **more}
+
+
+def line(x: Any, y: Any, name: str = "", hover: str = "", **more: Any) -> dict[str, Any]:
+    """A line through points; `name` in the legend, `hover` what the pointer shows. `more` adds to it or overrides it."""
+    named = {"name": name} if name else {}
+    shown = {"hovertemplate": hover + "<extra></extra>"} if hover else {}
+    return {"type": "scatter", "mode": "lines", "x": x, "y": y, **named, **shown, **more}
+
+
+def band(x: Any, low: Any, high: Any, shade: str, where: Mapping[str, Any], named: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The two edges of a band, the space between them filled; `where`: the axes, `named`: what the legend shows of it."""
+    edge = {"line": {"width": 0}, "hoverinfo": "skip", **where}
+    return [line(x, low, showlegend=False, **edge), line(x, high, fill="tonexty", fillcolor=shade, **edge, **named)]
+
+
+def in_space(xyz: Floats, digits: int = 3, **more: Any) -> dict[str, Any]:
+    """Points (N, 3) m in 3D, rounded to so many digits."""
+    x, y, z = np.round(np.asarray(xyz, dtype=np.float64).reshape(-1, 3).T, digits)
+    return {"type": "scatter3d", "mode": "markers", "x": x, "y": y, "z": z, **more}
+
+
+def colour_bar(text: str = "", **more: Any) -> dict[str, Any]:
+    """The scale beside a shaded picture, named by its unit."""
+    title = {"title": {"text": text, "side": "right"}} if text else {}
+    return {**title, "thickness": 12, "outlinewidth": 0, **more}
+
+
+def cell_axes(number: int, x: Mapping[str, Any], y: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, Any]]:
+    """One of several small pictures in a figure, from 0: the axes that its traces name, and these axes' layout."""
+    # Plotly calls the first axis x and the second x2.
+    suffix = "" if number == 0 else str(number + 1)
+    layout = {f"xaxis{suffix}": {"anchor": f"y{suffix}", **x}, f"yaxis{suffix}": {"anchor": f"x{suffix}", **y}}
+    return {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}, layout
+
+
+def picture(image: NDArray[np.uint8], widest: int) -> str:
+    """An image (h, w) grey or (h, w, 3) blue, green, red as a JPEG in a data address, at most `widest` px wide."""
+    import cv2
+
+    # A page of many cameras stays small; enlarging would show nothing more.
+    scale = min(1.0, widest / max(image.shape[1], 1))
+    if scale < 1:
+        image = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
+    packed = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1]
+    return "data:image/jpeg;base64," + base64.b64encode(np.asarray(packed).tobytes()).decode()
+
+
+def behind(source: str, size: tuple[int, int], axes: Mapping[str, str]) -> dict[str, Any]:
+    """A picture of size (w, h) px behind the traces of these axes; pixel (0, 0) has its middle at (0, 0)."""
+    place = {"xref": axes["xaxis"], "yref": axes["yaxis"], "x": -0.5, "y": -0.5, "sizex": size[0], "sizey": size[1]}
+    return {"source": source, **place, "sizing": "stretch", "layer": "below"}
 
 
 def frames_per_column(frames: int) -> int:
@@ -42,56 +104,33 @@ def frames_per_column(frames: int) -> int:
 
 def matrix(names: Sequence[str], shares: Floats) -> Figure:
     """(M, M) shares as a picture, rows by columns; without the diagonal. The colour shows the root of the share."""
+    # The diagonal is right labels, which would outshine the rest.
     off = np.array(shares, dtype=np.float64)
     np.fill_diagonal(off, np.nan)
+    # A floor for the scale: a set without confusion must not show noise in full colour.
     highest = max(float(np.nanmax(off, initial=0.0)), 1e-4)
     small = len(names) > 20
+    # The colour is the root of the share, so the scale is labelled with the shares themselves.
+    parts = [highest * part for part in (0, 0.1, 0.25, 0.5, 1)]
+    bar = colour_bar(tickvals=[float(np.sqrt(part)) for part in parts], ticktext=[f"{100 * part:.3g} %" for part in parts])
     trace = {
-        "type": "heatmap",
-        "x": list(names),
-        "y": list(names),
-        "z": np.round(np.sqrt(off), 5),
-        "customdata": np.round(100 * off, 3),
-        "zmin": 0,
-        "zmax": float(np.sqrt(highest)),
+        "type": "heatmap", "x": list(names), "y": list(names), "z": np.round(np.sqrt(off), 5), "customdata": np.round(100 * off, 3),
+        "zmin": 0, "zmax": float(np.sqrt(highest)), "xgap": 1, "ygap": 1, "colorbar": bar,
         "colorscale": [[0, "#ffffff"], [0.02, "#fdf3e4"], [0.35, "#f6c177"], [0.7, "#dd6b4d"], [1, "#7d1a2d"]],
         "hovertemplate": "%{y} could be %{x} in %{customdata} % of the frames<extra></extra>",
-        "xgap": 1,
-        "ygap": 1,
-        "colorbar": {
-            "tickvals": [float(np.sqrt(highest * part)) for part in (0, 0.1, 0.25, 0.5, 1)],
-            "ticktext": [f"{100 * highest * part:.3g} %" for part in (0, 0.1, 0.25, 0.5, 1)],
-            "thickness": 12,
-            "outlinewidth": 0,
-        },
-    }
+    }  # fmt: skip
     side = {"showgrid": False, "dtick": 1, "type": "category", "tickfont": {"size": 9 if small else 11}}
-    return figure(
-        [trace],
-        height=150 + (14 if small else 24) * len(names),
-        xaxis={**side, "title": {"text": "could be taken for"}, "tickangle": -90},
-        yaxis={**side, "title": {"text": "the point of"}, "autorange": "reversed"},
-        plot_bgcolor="#eef1f6",
-    )
+    across, up = titled("could be taken for", **side, tickangle=-90), titled("the point of", **side, autorange="reversed")
+    return figure([trace], height=150 + (14 if small else 24) * len(names), xaxis=across, yaxis=up, plot_bgcolor="#eef1f6")
 
 
 def bars(names: Sequence[str], shares: Floats, what: str) -> Figure:
     """One horizontal bar per name, shares 0..1 as percent."""
-    trace = {
-        "type": "bar",
-        "orientation": "h",
-        "y": list(names),
-        "x": 100 * np.asarray(shares),
-        "marker": {"color": "#0f7b8a"},
-        "hovertemplate": "%{y}: %{x:.3f} %<extra></extra>",
-    }
-    return figure(
-        [trace],
-        height=90 + 20 * len(names),
-        bargap=0.25,
-        xaxis={"title": {"text": what}, "ticksuffix": " %", "rangemode": "tozero"},
-        yaxis={"autorange": "reversed", "dtick": 1, "showgrid": False, "type": "category", "tickfont": {"size": 11}},
-    )
+    trace = {"type": "bar", "orientation": "h", "y": list(names), "x": 100 * np.asarray(shares), "marker": {"color": PALETTE[0]}}
+    trace["hovertemplate"] = "%{y}: %{x:.3f} %<extra></extra>"
+    side = {"autorange": "reversed", "dtick": 1, "showgrid": False, "type": "category", "tickfont": {"size": 11}}
+    across = titled(what, ticksuffix=" %", rangemode="tozero")
+    return figure([trace], height=90 + 20 * len(names), bargap=0.25, xaxis=across, yaxis=side)
 
 
 def curves(lines: Mapping[str, tuple[Any, Any]], x: str, y: str, faint: Sequence[str] = ()) -> Figure:
@@ -100,49 +139,30 @@ def curves(lines: Mapping[str, tuple[Any, Any]], x: str, y: str, faint: Sequence
     thick = [name for name in lines if name not in faint]
     for name, (at, shares) in lines.items():
         thin = name in faint
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "lines" if thin else "lines+markers",
-                "name": name,
-                "x": list(at),
-                "y": 100 * np.asarray(shares, dtype=np.float64),
-                "line": {"width": 1, "color": "#c3ccd9"} if thin else {"width": 3, "color": PALETTE[thick.index(name) % len(PALETTE)]},
-                "marker": {"size": 8},
-                "showlegend": not thin,
-                "hovertemplate": name + ": %{y:.3f} % at %{x}<extra></extra>",
-            }
-        )
-    return figure(
-        data,
-        height=360,
-        xaxis={"title": {"text": x}, "dtick": 1},
-        yaxis={"title": {"text": y}, "ticksuffix": " %", "rangemode": "normal" if faint else "tozero"},
-    )
+        # Single markers are grey: the eye shall find the mean first.
+        style = {"width": 1, "color": "#c3ccd9"} if thin else {"width": 3, "color": PALETTE[thick.index(name) % len(PALETTE)]}
+        drawn = line(list(at), 100 * np.asarray(shares, dtype=np.float64), name, name + ": %{y:.3f} % at %{x}", line=style)
+        data.append({**drawn, "mode": "lines" if thin else "lines+markers", "marker": {"size": 8}, "showlegend": not thin})
+    up = titled(y, ticksuffix=" %", rangemode="normal" if faint else "tozero")
+    return figure(data, height=360, xaxis=titled(x, dtick=1), yaxis=up)
 
 
 def effort(sizes: Sequence[tuple[int, float, float]]) -> Figure:
     """The accuracy of solvers and, on a logarithmic axis, the evaluations that they take, by the number of their weak classifiers."""
     counts, accuracies, evaluations = zip(*sizes, strict=True) if sizes else ((), (), ())
-    accuracy = {"name": "accuracy", "y": 100 * np.asarray(accuracies), "hovertemplate": "%{x} classifiers: %{y:.3f} %<extra></extra>"}
-    cost = {"name": "evaluations", "y": list(evaluations), "yaxis": "y2", "hovertemplate": "%{x} classifiers: %{y:.0f}<extra></extra>"}
-    return figure(
-        [{"type": "scatter", "mode": "lines+markers", "x": list(counts), **line} for line in (accuracy, cost)],
-        height=360,
-        xaxis={"title": {"text": "weak classifiers"}},
-        yaxis={"title": {"text": "wrong labellings rejected"}, "ticksuffix": " %"},
-        yaxis2={
-            "title": {"text": "feature evaluations"},
-            "overlaying": "y",
-            "side": "right",
-            "showgrid": False,
-            **_logarithmic(evaluations),
-        },
-    )
+    said = "%{x} classifiers: %{y:"
+    data = [
+        line(list(counts), 100 * np.asarray(accuracies), "accuracy", said + ".3f} %", mode="lines+markers"),
+        line(list(counts), list(evaluations), "evaluations", said + ".0f}", mode="lines+markers", yaxis="y2"),
+    ]
+    second = titled("feature evaluations", overlaying="y", side="right", showgrid=False, **_logarithmic(evaluations))
+    up = titled("wrong labellings rejected", ticksuffix=" %")
+    return figure(data, height=360, xaxis=titled("weak classifiers"), yaxis=up, yaxis2=second)
 
 
 def _logarithmic(values: Sequence[float]) -> dict[str, Any]:
     """A logarithmic axis over positive values, its ticks written out: Plotly shows only their first digits."""
+    # A tenth of a decade beyond the points, so that none lies on the frame.
     logs = np.log10([value for value in values if value > 0] or [1.0])
     low, high = float(logs.min()) - 0.1, float(logs.max()) + 0.1
     ticks = [digit * 10.0**power for power in range(int(np.floor(low)), int(np.ceil(high))) for digit in (1, 2, 5)]
@@ -151,20 +171,13 @@ def _logarithmic(values: Sequence[float]) -> dict[str, Any]:
 
 def trade_off(lines: Mapping[str, tuple[Any, Any]]) -> Figure:
     """Named lines of (false assignments, false occlusions), as shares; both axes in percent."""
-    data = [
-        {
-            "type": "scatter",
-            "mode": "lines+markers",
-            "name": name,
-            "x": 100 * np.asarray(wrong, dtype=np.float64),
-            "y": 100 * np.asarray(missed, dtype=np.float64),
-            "line": {"color": PALETTE[number % len(PALETTE)]},
-            "hovertemplate": name + ": %{x:.3f} % wrong, %{y:.2f} % of the nulls missed<extra></extra>",
-        }
-        for number, (name, (wrong, missed)) in enumerate(lines.items())
-    ]
-    axes = {"xaxis": "false assignments", "yaxis": "false occlusions"}
-    return figure(data, height=360, **{axis: {"title": {"text": what}, "ticksuffix": " %"} for axis, what in axes.items()})
+    data = []
+    for number, (name, (wrong, missed)) in enumerate(lines.items()):
+        x, y = (100 * np.asarray(share, dtype=np.float64) for share in (wrong, missed))
+        hover = name + ": %{x:.3f} % wrong, %{y:.2f} % of the nulls missed"
+        data.append(line(x, y, name, hover, mode="lines+markers", line={"color": PALETTE[number % len(PALETTE)]}))
+    axes = {"xaxis": titled("false assignments", ticksuffix=" %"), "yaxis": titled("false occlusions", ticksuffix=" %")}
+    return figure(data, height=360, **axes)
 
 
 def reliability(lines: Mapping[str, Sequence[tuple[float, float, int]]], drawn: Sequence[str]) -> Figure:
@@ -173,51 +186,38 @@ def reliability(lines: Mapping[str, Sequence[tuple[float, float, int]]], drawn: 
     lines  name -> (mean confidence, share right, count) per bin
     drawn  the lines that are drawn at first; a click on the legend shows the others
     """
-    ticks = (0.0, 0.5, 0.9, 0.99, 0.999, 0.9999)
-    diagonal = {
-        "type": "scatter",
-        "mode": "lines",
-        "x": [0, MOST_NINES],
-        "y": [0, MOST_NINES],
-        "line": {"color": "#9aa4b5", "dash": "dot", "width": 2},
-        "name": "perfectly calibrated",
-        "hoverinfo": "skip",
-    }
+    ends, dotted = [0, MOST_NINES], {"color": "#9aa4b5", "dash": "dot", "width": 2}
+    # The lines drawn at first take the first colours, which differ most.
     colors = dict(zip([*drawn, *(name for name in lines if name not in drawn)], PALETTE * len(lines), strict=False))
-    data: list[Mapping[str, Any]] = [diagonal]
+    data: list[Mapping[str, Any]] = [line(ends, ends, "perfectly calibrated", line=dotted, hoverinfo="skip")]
     for name, bins in lines.items():
         data += _reliability_traces(name, bins, colors[name], name in drawn)
     scale = {
-        "tickvals": [_nines(tick) for tick in ticks],
+        "tickvals": nines((0.0, 0.5, 0.9, 0.99, 0.999, 0.9999)),
         "ticktext": ["0 %", "50 %", "90 %", "99 %", "99.9 %", "≥ 99.99 %"],
         "range": [-0.1, MOST_NINES + 0.1],
     }
-    return figure(
-        data,
-        height=560,
-        xaxis={**scale, "title": {"text": "confidence of the label"}, "anchor": "y2"},
-        yaxis={**scale, "title": {"text": "labels that were right"}, "domain": [0.36, 1]},
-        yaxis2={"title": {"text": "number of labels"}, "type": "log", "dtick": 1, "domain": [0, 0.26]},
-    )
+    across = titled("confidence of the label", **scale, anchor="y2")
+    up = titled("labels that were right", **scale, domain=[0.36, 1])
+    below = titled("number of labels", type="log", dtick=1, domain=[0, 0.26])
+    return figure(data, height=560, xaxis=across, yaxis=up, yaxis2=below)
 
 
 def _reliability_traces(name: str, bins: Sequence[tuple[float, float, int]], color: str, drawn: bool) -> list[dict[str, Any]]:
     """One condition's line of shares, and below it the line of counts; bins without labels are left out."""
+    # A bin without labels has no share; drawn as 0 it would look like an error.
     kept = [(float(confidence), float(right), int(n)) for confidence, right, n in bins if n > 0]
-    shared: dict[str, Any] = {
-        "name": name,
-        "x": [_nines(confidence) for confidence, _, _ in kept],
-        "legendgroup": name,
-        "visible": True if drawn else "legendonly",
-        "text": [f"confidence {100 * confidence:.4g} %, right {100 * right:.4g} % of {n:,}" for confidence, right, n in kept],
-        "hovertemplate": name + ": %{text}<extra></extra>",
-        "type": "scatter",
-        "mode": "lines+markers",
-    }
-    shares = {"y": [_nines(right) for _, right, _ in kept], "line": {"color": color, "width": 2}, "marker": {"size": 7}}
-    counts = {"y": [n for _, _, n in kept], "line": {"color": color, "width": 1}, "marker": {"size": 5}, "yaxis": "y2", "showlegend": False}
-    return [{**shared, **shares}, {**shared, **counts}]
+    text = [f"confidence {100 * confidence:.4g} %, right {100 * right:.4g} % of {n:,}" for confidence, right, n in kept]
+    shared = {"legendgroup": name, "visible": True if drawn else "legendonly", "text": text, "mode": "lines+markers"}
+
+    def drawn_line(y: Any, width: int, size: int, **more: Any) -> dict[str, Any]:
+        style = {"line": {"color": color, "width": width}, "marker": {"size": size}}
+        return line(nines([confidence for confidence, _, _ in kept]), y, name, name + ": %{text}", **shared, **style, **more)
+
+    shares = drawn_line(nines([right for _, right, _ in kept]), 2, 7)
+    return [shares, drawn_line([n for _, _, n in kept], 1, 5, yaxis="y2", showlegend=False)]
 
 
-def _nines(share: float) -> float:
-    return float(np.clip(-np.log10(max(1.0 - share, 10.0**-MOST_NINES)), 0.0, MOST_NINES))
+def nines(shares: Any) -> Floats:
+    """Shares on a scale on which each step means ten times fewer errors: 0.9 is 1, 0.99 is 2; from 0 to `MOST_NINES`."""
+    return np.clip(-np.log10(np.maximum(1.0 - np.asarray(shares, dtype=np.float64), 10.0**-MOST_NINES)), 0.0, MOST_NINES)

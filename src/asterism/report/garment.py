@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import colorsys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,17 +15,16 @@ from asterism.findings import Severity, worst
 from asterism.geometry import z_up_rotation
 from asterism.recording import Floats
 from asterism.report import figures
-from asterism.report.page import Cell, Page, Section, Table, count, percent, write_page
+from asterism.report.page import Cell, Page, Section, Table, count, findings_table, percent, write_page
 
 if TYPE_CHECKING:
     from asterism.cameras import Rig
     from asterism.garment import Pattern
     from asterism.garment.capture import Capture
-    from asterism.garment.dense import Circles
+    from asterism.garment.dense import UsedCircles
 
 _WIDEST = 1000
 """px of a picture on the page; larger ones are reduced."""
-_QUALITY = 80
 
 
 @dataclass(frozen=True)
@@ -40,7 +38,7 @@ class Picture:
 
     name: str
     image: NDArray[np.uint8]
-    circles: Circles | None = None
+    circles: UsedCircles | None = None
 
 
 def garment_report(
@@ -64,7 +62,8 @@ def garment_report(
     sections = []
     if criteria is not None:
         sections.append(Section("Against the truth", "The wearer is simulated, so it is known where each circle was.", table=criteria))
-    sections.append(Section("What to know before using it", table=_findings(made)))
+    sections.append(Section("What to know before using it", table=findings_table(made.findings)))
+    # The fullest frame shows the cloth best.
     shown = int(np.argmax(made.points))
     if made.points[shown]:
         text = f"Frame {made.frames[shown]}, the one with most points: triangles between neighbours on the cloth. Drag to turn."
@@ -102,21 +101,15 @@ def _merits(made: Capture) -> list[tuple[str, str, str]]:
     ]
 
 
-_SEVERITIES = {Severity.ERROR: Cell("do not use", 1.0, "bad"), Severity.WARNING: Cell("look at this", 0.6), Severity.NOTE: Cell("note")}
-
-
-def _findings(made: Capture) -> Table:
-    rows: list[list[str | Cell]] = [[_SEVERITIES[finding.severity], str(finding)] for finding in made.findings]
-    return Table(["", "what was found"], rows or [["good", "nothing speaks against it"]], left=2)
-
-
 def _cloth(made: Capture, pattern: Pattern, rig: Rig, frame: int) -> figures.Figure:
     """The surface of one frame in 3D, up is up."""
     from asterism.garment.surface import surface
 
+    # Triangles between neighbours on the print: they need no guess of the shape.
     cloth = surface(made.trajectories.points(frame), pattern)
     turn = z_up_rotation(made.trajectories.vertical)
     x, y, z = np.round((cloth.points @ turn.T).T, 4) if len(cloth.points) else np.empty((3, 0))
+    # Dots in the printed colours: whoever knows the suit sees where it is.
     cells = pattern.cells(cloth.ids)
     inks = [_css(pattern.hsv[number]) for number in pattern.colours[cells[:, 0], cells[:, 1]].tolist()]
     corners = {name: cloth.triangles[:, k] for k, name in enumerate("ijk")}
@@ -126,7 +119,7 @@ def _cloth(made: Capture, pattern: Pattern, rig: Rig, frame: int) -> figures.Fig
     }  # fmt: skip
     dots = {
         "type": "scatter3d", "mode": "markers", "x": x, "y": y, "z": z, "marker": {"size": 2.2, "color": inks}, "showlegend": False,
-        "text": [str(number) for number in cloth.ids.tolist()],
+        "text": [str(circle) for circle in cloth.ids.tolist()],
         "hovertemplate": "circle %{text}: %{x:.3f}, %{y:.3f}, %{z:.3f} m<extra></extra>",
     }  # fmt: skip
     axis = {"title": {"text": ""}, "showbackground": False, "gridcolor": "#e6ebf2", "zerolinecolor": "#cfd8e4"}
@@ -141,19 +134,12 @@ def _css(hsv: Floats) -> str:
 
 def _picture(picture: Picture, pattern: Pattern) -> figures.Figure:
     """An image with a ring around each circle that has an identity."""
-    import cv2
-
     height, width = picture.image.shape[:2]
-    factor = min(1.0, _WIDEST / max(width, 1))
-    small = cv2.resize(picture.image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA) if factor < 1 else picture.image
-    data = base64.b64encode(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()).decode()
-    source = {
-        "source": f"data:image/jpeg;base64,{data}", "xref": "x", "yref": "y", "x": -0.5, "y": -0.5, "sizex": width, "sizey": height,
-        "sizing": "stretch", "layer": "below",
-    }  # fmt: skip
+    source = figures.behind(figures.picture(picture.image, _WIDEST), (width, height), {"xaxis": "x", "yaxis": "y"})
     traces: list[dict[str, Any]] = []
     if picture.circles is not None:
         ids = np.asarray(picture.circles.ids)
+        # A circle without an identity was found but not read; a ring would promise more.
         known = np.flatnonzero(ids >= 0)
         cells = pattern.cells(ids[known])
         colours = [_css(colour) for colour in pattern.hsv]
@@ -178,17 +164,17 @@ def _picture(picture: Picture, pattern: Pattern) -> figures.Figure:
 def _over_time(made: Capture) -> figures.Figure:
     lines = (("points", made.points, figures.PALETTE[0]), ("circles that two cameras read", made.seen, figures.PALETTE[2]))
     data = [
-        {
-            "type": "scatter", "mode": "lines+markers", "name": name, "x": made.frames, "y": values, "line": {"color": colour, "width": 2},
-            "marker": {"size": 5}, "hovertemplate": "frame %{x}: %{y}<extra></extra>",
-        }
+        figures.line(
+            made.frames, values, name, "frame %{x}: %{y}", mode="lines+markers", line={"color": colour, "width": 2}, marker={"size": 5}
+        )
         for name, values, colour in lines
-    ]  # fmt: skip
-    return figures.figure(data, height=300, xaxis={"title": {"text": "frame"}}, yaxis={"title": {"text": ""}, "rangemode": "tozero"})
+    ]
+    return figures.figure(data, height=300, xaxis=figures.titled("frame"), yaxis=figures.titled("", rangemode="tozero"))
 
 
 def _sheet(made: Capture, pattern: Pattern) -> figures.Figure:
     """The share of frames in which each circle has a position, on the printed sheet."""
+    # Circles at the borders have no identity to capture: white, not missing.
     share = np.where(pattern.ids >= 0, 0.0, np.nan)
     cells = pattern.cells(made.trajectories.ids)
     if len(cells):
@@ -197,7 +183,7 @@ def _sheet(made: Capture, pattern: Pattern) -> figures.Figure:
         "type": "heatmap", "z": np.round(100 * share, 1), "zmin": 0, "zmax": 100,
         "hovertemplate": "row %{y}, column %{x}: %{z} %<extra></extra>",
         "colorscale": [[0, "#7d1a2d"], [0.5, "#f6c177"], [1, "#0f7b8a"]],
-        "colorbar": {"ticksuffix": " %", "thickness": 12, "outlinewidth": 0},
+        "colorbar": figures.colour_bar(ticksuffix=" %"),
     }  # fmt: skip
     names = [
         {
@@ -215,6 +201,7 @@ def _sheet(made: Capture, pattern: Pattern) -> figures.Figure:
 
 
 def _cameras(made: Capture, rig: Rig) -> Table:
+    # A quarter of the best camera is little, whatever the suit.
     most = float(made.read.mean(axis=0).max(initial=1.0))
     rows: list[list[str | Cell]] = []
     for c, name in enumerate(rig.names):

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from asterism.files.text import some_of
 from asterism.recording import Floats, Recording
 from asterism.report import figures
 from asterism.report.motion_angles import clinical_section, methods_section
-from asterism.report.page import NOTHING, Cell, Page, Section, Table, write_page
+from asterism.report.page import Cell, Page, Section, Table, decimal, write_page
 
 if TYPE_CHECKING:
     from asterism.motion.analysis import JointAngles, MotionAnalysis
@@ -25,6 +26,7 @@ REJECTED = "rejected"
 
 def segmentation_report(path: str | Path, results: Sequence[tuple[str, Recording, Segmentation]], *, title: str = "Limbs") -> None:
     """Write an HTML page on the limbs of recordings (name, recording, segmentation). Raises AsterismError where it cannot be written."""
+    # Clinical angles first: where they are, they are what the page was asked for.
     sections = []
     for name, recording, found in results:
         names = [f"limb {k + 1}" for k in range(found.limbs)]
@@ -33,14 +35,8 @@ def segmentation_report(path: str | Path, results: Sequence[tuple[str, Recording
             points = found.points(k)
             stray = found.stray[points, k]
             known = stray[np.isfinite(stray)]
-            rows.append(
-                [
-                    limb,
-                    _few([recording.labels[n] for n in points]),
-                    str(len(points)),
-                    _mm(float(np.median(known)) if len(known) else np.nan),
-                ]
-            )
+            typical = 1000 * float(np.median(known)) if len(known) else np.nan
+            rows.append([limb, some_of([recording.labels[n] for n in points], 10), str(len(points)), decimal(typical, 1)])
         sections.append(
             Section(
                 name,
@@ -83,6 +79,7 @@ def motion_report(
 
 
 def _sections(name: str, analysis: MotionAnalysis, certain: UncertaintyResult | None) -> list[Section]:
+    # Hollow by the majority of frames: single frames would flicker.
     rejected = np.zeros(len(analysis.limb_of), dtype=bool)
     for limb, motion in enumerate(analysis.motions):
         rejected[analysis.limb_of == limb] = motion.rejected.mean(axis=0) > 0.5
@@ -106,7 +103,9 @@ def points_figure(
     recording: Recording, limb_of: np.ndarray, names: Sequence[str], rejected: np.ndarray | None = None, centres: Floats | None = None
 ) -> figures.Figure:
     """The frame with the most points, in space, coloured by limb; rejected points hollow, joint centres as diamonds."""
+    # The frame with the most points shows the limbs most completely.
     frame = int(np.argmax(recording.visible.sum(axis=1)))
+    # Some thousand points show a limb; more only make the page slow.
     step = max(1, -(-len(limb_of) // _MOST_POINTS))
     chosen = np.arange(0, len(limb_of), step)
     hollow = np.zeros(len(limb_of), dtype=bool) if rejected is None else rejected
@@ -115,26 +114,17 @@ def points_figure(
         for open_, suffix in ((False, ""), (True, f", {REJECTED}")):
             own = chosen[(limb_of[chosen] == limb) & (hollow[chosen] == open_)]
             if len(own):
-                size = 3 if len(limb_of) > 200 else 6
-                marker = {
-                    "size": size,
-                    "color": figures.PALETTE[limb % len(figures.PALETTE)],
-                    "symbol": "circle-open" if open_ else "circle",
-                }
-                data.append(_in_space(f"{name}{suffix}", recording.positions[frame, own], marker, [recording.labels[n] for n in own]))
+                marker = {"size": 3 if len(limb_of) > 200 else 6, "color": figures.PALETTE[limb % len(figures.PALETTE)]}
+                marker["symbol"] = "circle-open" if open_ else "circle"
+                named = {"text": [recording.labels[n] for n in own], "hovertemplate": "%{text}<extra></extra>"}
+                places = recording.positions[frame, own]
+                data.append(figures.in_space(places, 4, name=f"{name}{suffix}", marker=marker, **named))
     if centres is not None and len(centres):
-        data.append(_in_space("joint centres", centres[:, frame], {"size": 7, "color": "#16213a", "symbol": "diamond"}, None))
-    scene = {"aspectmode": "data", **{axis: {"title": {"text": f"{axis[0]} (m)"}} for axis in ("xaxis", "yaxis", "zaxis")}}
+        marker, hover = {"size": 7, "color": "#16213a", "symbol": "diamond"}, "joint centres<extra></extra>"
+        data.append(figures.in_space(centres[:, frame], 4, name="joint centres", marker=marker, text=None, hovertemplate=hover))
+    scene = {"aspectmode": "data", **{axis: figures.titled(f"{axis[0]} (m)") for axis in ("xaxis", "yaxis", "zaxis")}}
     scene["camera"] = {"eye": {"x": 1.8, "y": -1.8, "z": 0.5}}
     return figures.figure(data, height=560, scene=scene)
-
-
-def _in_space(name: str, points: Floats, marker: dict[str, object], labels: list[str] | None) -> dict[str, object]:
-    return {
-        "type": "scatter3d", "mode": "markers", "name": name, "marker": marker, "text": labels,
-        "x": np.round(points[:, 0], 4), "y": np.round(points[:, 1], 4), "z": np.round(points[:, 2], 4),
-        "hovertemplate": ("%{text}" if labels else name) + "<extra></extra>",
-    }  # fmt: skip
 
 
 def _joint_table(analysis: MotionAnalysis) -> Table:
@@ -144,7 +134,7 @@ def _joint_table(analysis: MotionAnalysis) -> Table:
         if fitted is not None:
             sigma = float(np.sqrt(np.trace(fitted.covariance)))
             turned = np.degrees(np.nanmax(joint.angle))
-            rows.append([joint.name, fitted.kind, f"{turned:.1f}", _mm(fitted.residual), _mm(sigma)])
+            rows.append([joint.name, fitted.kind, f"{turned:.1f}", decimal(1000 * fitted.residual, 1), decimal(1000 * sigma, 1)])
     return Table(["joint", "kind", "largest angle, °", "centre drifts, mm", "centre ±, mm"], rows, left=2)
 
 
@@ -160,37 +150,34 @@ def _angle_section(name: str, analysis: MotionAnalysis, joint: JointAngles, one:
 def band_figure(times: Floats, angle: Floats, bands: Sequence[tuple[str, Floats, Floats]]) -> figures.Figure:
     """An angle over time (rad, drawn in degrees) over its bands (name, low, high), the widest first; below, the bands about the angle."""
     data: list[dict[str, object]] = []
+    # Below, the bands about the angle itself: beside a range of a hundred degrees they would be a line.
     for axis, zero in (("y", np.zeros(len(angle))), ("y2", angle)) if bands else ():
         for place, (label, low, high) in enumerate(bands):
             shade = f"rgba(15, 123, 138, {0.15 + 0.2 * place})"
-            flat = {"type": "scatter", "mode": "lines", "line": {"width": 0}, "x": list(times), "hoverinfo": "skip", "yaxis": axis}
-            data.append({**flat, "y": np.round(np.degrees(low - zero), 3), "showlegend": False})
-            ends = {"fill": "tonexty", "fillcolor": shade, "name": label, "showlegend": axis == "y"}
-            data.append({**flat, "y": np.round(np.degrees(high - zero), 3), **ends})
-    line = {"type": "scatter", "mode": "lines", "name": "angle", "x": list(times), "y": np.round(np.degrees(angle), 3)}
-    data.append({**line, "line": {"color": figures.PALETTE[0], "width": 2}, "hovertemplate": "%{x:.2f} s: %{y:.2f}°<extra></extra>"})
-    upper = {"title": {"text": "angle (°)"}, "ticksuffix": "°"}
+            low_end, high_end = (np.round(np.degrees(end - zero), 3) for end in (low, high))
+            named = {"name": label, "showlegend": axis == "y"}
+            data += figures.band(list(times), low_end, high_end, shade, {"yaxis": axis}, named)
+    style = {"color": figures.PALETTE[0], "width": 2}
+    data.append(figures.line(list(times), np.round(np.degrees(angle), 3), "angle", "%{x:.2f} s: %{y:.2f}°", line=style))
+    upper = figures.titled("angle (°)", ticksuffix="°")
     if not bands:
-        return figures.figure(data, height=360, xaxis={"title": {"text": "time (s)"}}, yaxis=upper)
-    lower = {"title": {"text": "interval (°)"}, "ticksuffix": "°", "domain": [0, 0.3], "anchor": "x"}
-    across = {"title": {"text": "time (s)"}, "anchor": "y2"}
+        return figures.figure(data, height=360, xaxis=figures.titled("time (s)"), yaxis=upper)
+    lower = figures.titled("interval (°)", ticksuffix="°", domain=[0, 0.3], anchor="x")
+    across = figures.titled("time (s)", anchor="y2")
     return figures.figure(data, height=480, xaxis=across, yaxis={**upper, "domain": [0.38, 1]}, yaxis2=lower)
 
 
 def _budget_section(joint: JointAngles, one: AngleUncertainty, times: Floats) -> Section:
-    data = [
-        {
-            "type": "scatter", "mode": "lines", "name": source, "x": list(times), "y": np.round(np.degrees(part), 4),
-            "line": {"width": 3 if source == "all" else 2, "color": "#16213a" if source == "all" else figures.PALETTE[place]},
-            "hovertemplate": source + " %{x:.2f} s: %{y:.2f}°<extra></extra>",
-        }
-        for place, (source, part) in enumerate(one.budget.items())
-    ]  # fmt: skip
+    data = []
+    for place, (source, part) in enumerate(one.budget.items()):
+        style = {"width": 3, "color": "#16213a"} if source == "all" else {"width": 2, "color": figures.PALETTE[place]}
+        data.append(figures.line(list(times), np.round(np.degrees(part), 4), source, source + " %{x:.2f} s: %{y:.2f}°", line=style))
     names = list(one.budget)
     rows: list[list[str | Cell]] = []
+    # Both: landmarks change the one and not the other.
     for label, budget in (("flexion in anatomical axes", one.budget), ("angle since the first frame", one.angle_budget)):
-        rows.append([label, *(_degrees(float(np.degrees(np.sqrt(np.nanmean(budget[name] ** 2))))) for name in names)])
-    axes = {"xaxis": {"title": {"text": "time (s)"}}, "yaxis": {"title": {"text": "standard uncertainty (°)"}, "rangemode": "tozero"}}
+        rows.append([label, *(decimal(float(np.degrees(np.sqrt(np.nanmean(budget[name] ** 2)))), 2) for name in names)])
+    axes = {"xaxis": figures.titled("time (s)"), "yaxis": figures.titled("standard uncertainty (°)", rangemode="tozero")}
     return Section(
         f"{joint.name}: what makes it uncertain",
         "The standard uncertainty of the flexion from each source alone, and from all together.",
@@ -198,15 +185,3 @@ def _budget_section(joint: JointAngles, one: AngleUncertainty, times: Floats) ->
         table=Table(["root mean square over the frames, °", *names], rows),
         note="Misplaced landmarks shift the flexion by one angle in all frames. They leave the angle since a frame as it is.",
     )
-
-
-def _few(labels: Sequence[str]) -> str:
-    return ", ".join(labels[:10]) + (", ..." if len(labels) > 10 else "")
-
-
-def _mm(metres: float) -> str:
-    return NOTHING if np.isnan(metres) else f"{1000 * metres:.1f}"
-
-
-def _degrees(value: float) -> str:
-    return NOTHING if np.isnan(value) else f"{value:.2f}"

@@ -29,28 +29,22 @@ def clinical_section(name: str, times: Floats, clinical: ClinicalAngles, known: 
     layout: dict[str, object] = {}
     for row, joint in enumerate(joints):
         for column, angle in enumerate(CLINICAL):
-            cell = row * len(CLINICAL) + column + 1
-            x, y = (axis + (str(cell) if cell > 1 else "") for axis in "xy")
-            drawn = False
-            for number, one in ((number, each) for number, each in enumerate(clinical.joints) if each.joint == joint):
-                values = one.angles[:, column]
-                if not np.isfinite(values).any():
-                    continue
-                drawn = True
+            cell = row * len(CLINICAL) + column
+            # What is not known, such as the ankle's adduction, gets no empty figure.
+            own = [(number, each) for number, each in enumerate(clinical.joints) if each.joint == joint]
+            own = [(number, each) for number, each in own if np.isfinite(each.angles[:, column]).any()]
+            # The time is named below the lowest figure of each column.
+            last = row == len(joints) - 1 or (row == len(joints) - 2 and joints[-1] == "ankle" and angle == "adduction")
+            axes, sides = _axes(cell, (row, len(joints)), (column, len(CLINICAL)), f"{joint} {angle} (°)", last)
+            layout |= sides if own else {}
+            for number, one in own:
+                colour, group = _SIDE_COLOURS[one.side], {**axes, "legendgroup": one.side}
                 if known is not None:
-                    low, high = (end[:, column] for end in known.joints[number].intervals[0.95])
-                    data += _band(times, low, high, {"xaxis": x, "yaxis": y, "legendgroup": one.side}, _SIDE_COLOURS[one.side])
-                data.append(
-                    {
-                        "type": "scatter", "mode": "lines", "name": one.side, "legendgroup": one.side, "showlegend": cell == 1,
-                        "x": list(times), "y": np.round(np.degrees(values), 3), "xaxis": x, "yaxis": y,
-                        "line": {"color": _SIDE_COLOURS[one.side], "width": 2},
-                        "hovertemplate": one.name + " " + angle + " %{x:.2f} s: %{y:.1f}°<extra></extra>",
-                    }
-                )  # fmt: skip
-            if drawn:
-                last = row == len(joints) - 1 or (row == len(joints) - 2 and joints[-1] == "ankle" and angle == "adduction")
-                layout |= _axes(cell, (row, len(joints)), (column, len(CLINICAL)), f"{joint} {angle} (°)", last)
+                    low, high = (np.round(np.degrees(end[:, column]), 2) for end in known.joints[number].intervals[0.95])
+                    data += figures.band(list(times), low, high, colour + "2e", group, {"showlegend": False})
+                values, hover = np.round(np.degrees(one.angles[:, column]), 3), one.name + " " + angle + " %{x:.2f} s: %{y:.1f}°"
+                style = {"line": {"color": colour, "width": 2}, "showlegend": cell == 0}
+                data.append(figures.line(list(times), values, one.side, hover, **style, **group))
     measured = sorted({measure for one in clinical.measures.values() for measure in one.from_file})
     taken = f"Measures from the file: {', '.join(measured).replace('_', ' ')}." if measured else "The file has no measures: an adult's."
     text = "Of Grood and Suntay, by the markers of Helen Hayes or Plug-in-Gait. Flexion, adduction and internal rotation are positive."
@@ -61,13 +55,6 @@ def clinical_section(name: str, times: Floats, clinical: ClinicalAngles, known: 
         table=_clinical_budget(known) if known is not None else None,
         note=f"{taken} The foot is a line from ankle to toe, which tells no adduction.",
     )
-
-
-def _band(times: Floats, low: Floats, high: Floats, where: dict[str, object], colour: str) -> list[dict[str, object]]:
-    """The two edges of a band, the space between them filled."""
-    flat = {"type": "scatter", "mode": "lines", "line": {"width": 0}, "x": list(times), "hoverinfo": "skip", "showlegend": False, **where}
-    edges = [{**flat, "y": np.round(np.degrees(edge), 2)} for edge in (low, high)]
-    return [edges[0], {**edges[1], "fill": "tonexty", "fillcolor": colour + "2e"}]
 
 
 def _clinical_budget(known: ClinicalUncertainty) -> Table:
@@ -84,22 +71,19 @@ def _clinical_budget(known: ClinicalUncertainty) -> Table:
     return Table(["standard uncertainty, °", *names], rows)
 
 
-def _axes(cell: int, row: tuple[int, int], column: tuple[int, int], title: str, last: bool) -> dict[str, object]:
-    """The two axes of a small figure in a grid: row and column as (place, number of places)."""
-    number = str(cell) if cell > 1 else ""
+def _axes(cell: int, row: tuple[int, int], column: tuple[int, int], title: str, last: bool) -> tuple[dict[str, str], dict[str, object]]:
+    """The two axes of a small figure in a grid, see `figures.cell_axes`: row and column as (place, number of places)."""
     high, wide = ((1 - gap * (count - 1)) / count for gap, (_, count) in zip(_GAPS, (row, column), strict=True))
     left, top = column[0] * (wide + _GAPS[1]), 1 - row[0] * (high + _GAPS[0])
-    below = {"title": {"text": "time (s)"}} if last else {}
-    return {
-        f"xaxis{number}": {"domain": [left, left + wide], "anchor": f"y{number}", **below},
-        f"yaxis{number}": {"domain": [max(top - high, 0.0), top], "anchor": f"x{number}", "title": {"text": title}},
-    }
+    across = {"domain": [left, left + wide], **(figures.titled("time (s)") if last else {})}
+    return figures.cell_axes(cell, across, figures.titled(title, domain=[max(top - high, 0.0), top]))
 
 
 def methods_section(name: str, analysis: MotionAnalysis) -> list[Section]:
     """The angle of the joint that turns most, by every method of `estimate_limb_motion`, and how far each is from the one in use."""
     if not analysis.angles:
         return []
+    # The joint that turns most shows the differences of the methods best.
     joint = max(analysis.angles, key=lambda one: float(np.nanmax(one.angle)))
     angles, rejected = angles_by_method(analysis, joint)
     used = analysis.motions[joint.parent].method
@@ -107,24 +91,16 @@ def methods_section(name: str, analysis: MotionAnalysis) -> list[Section]:
     data: list[dict[str, object]] = []
     rows: list[list[str | Cell]] = []
     for place, (method, angle) in enumerate(angles.items()):
-        line = {"color": figures.PALETTE[place], "width": 3 if method == used else 1.5}
-        flat: dict[str, object] = {
-            "type": "scatter",
-            "mode": "lines",
-            "name": method,
-            "legendgroup": method,
-            "x": list(times),
-            "line": line,
-        }
-        hover = {"hovertemplate": method + " %{x:.2f} s: %{y:.2f}°<extra></extra>"}
-        data.append({**flat, **hover, "y": np.round(np.degrees(angle), 3)})
+        style = {"line": {"color": figures.PALETTE[place], "width": 3 if method == used else 1.5}, "legendgroup": method}
+        hover = method + " %{x:.2f} s: %{y:.2f}°"
+        data.append(figures.line(list(times), np.round(np.degrees(angle), 3), method, hover, **style))
         apart = np.degrees(angle - angles[used])
         if method != used:
-            data.append({**flat, **hover, "y": np.round(apart, 4), "yaxis": "y2", "showlegend": False})
+            data.append(figures.line(list(times), np.round(apart, 4), method, hover, **style, yaxis="y2", showlegend=False))
         rows.append([method, *_differences(apart, method == used), f"{100 * rejected[method]:.1f}"])
-    upper = {"title": {"text": "angle (°)"}, "ticksuffix": "°", "domain": [0.45, 1]}
-    lower = {"title": {"text": f"minus {used} (°)"}, "ticksuffix": "°", "domain": [0, 0.37], "anchor": "x"}
-    across = {"title": {"text": "time (s)"}, "anchor": "y2"}
+    upper = figures.titled("angle (°)", ticksuffix="°", domain=[0.45, 1])
+    lower = figures.titled(f"minus {used} (°)", ticksuffix="°", domain=[0, 0.37], anchor="x")
+    across = figures.titled("time (s)", anchor="y2")
     return [
         Section(
             f"{name}: {joint.name} by each method",
@@ -148,6 +124,7 @@ def angles_by_method(analysis: MotionAnalysis, joint: JointAngles) -> tuple[dict
     pair = (joint.parent, joint.child)
     angles, rejected = {}, {}
     for method in METHODS:
+        # The method in use has been computed already.
         one, other = [
             own if own.method == method else estimate_limb_motion(analysis.recording.positions[:, analysis.limb_of == limb], method)
             for limb, own in ((limb, analysis.motions[limb]) for limb in pair)

@@ -8,7 +8,8 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from importlib import metadata, resources
+from functools import cache
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from asterism.files.atomic import utf8, write_atomically
-from asterism.report.player import deflated, player_script, player_style
+from asterism.findings import Finding, Severity
+from asterism.report.player import deflated, player_script, player_style, template
 
 NOTHING = "–"
 
@@ -72,6 +74,7 @@ def write_page(path: str | Path, page: Page) -> None:
     target = Path(path)
     figures = {f"figure-{i}": s.figure for i, s in enumerate(page.sections) if s.figure is not None}
     players = {f"player-{i}": s.player for i, s in enumerate(page.sections) if s.player}
+    # Every text is escaped: labels and file names come from files of others.
     environment = Environment(
         loader=PackageLoader("asterism.report"),
         autoescape=True,
@@ -81,15 +84,17 @@ def write_page(path: str | Path, page: Page) -> None:
         finalize=visible_text,
     )
     facts = {"Asterism": _version(), **page.facts, "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")}
+    # Scripts only where something is drawn: a page of tables stays readable by any program.
     html = environment.get_template("page.html").render(
         page=page,
-        facts={name: _fact_text(value) for name, value in facts.items() if value is not None},
-        style=_template("page.css") + player_style(),
-        script=player_script() + _template("page.js") if figures or players else "",
+        facts={name.replace("_", " "): _fact_text(value) for name, value in facts.items() if not _says_nothing(value)},
+        style=template("page.css") + player_style(),
+        script=player_script() + template("page.js") if figures or players else "",
         plotly=_plotly() if figures else "",
         data=_as_script({"figures": _without_markup(figures), "players": players}),
         is_cell=lambda cell: isinstance(cell, Cell),
     )
+    # Whole or not at all: a browser that reloads must not meet half a page.
     write_atomically(target, utf8(html))
 
 
@@ -103,6 +108,7 @@ def _without_markup(value: Any) -> Any:
         return _OWN_TAGS.sub(r"<\1>", visible_text(str(value)).replace("&", "&amp;").replace("<", "&lt;"))
     if isinstance(value, Mapping):
         return {key: _without_markup(item) for key, item in value.items()}
+    # Numbers hold no markup; only arrays of texts are looked through.
     if isinstance(value, np.ndarray):
         return _without_markup(value.tolist()) if value.dtype.kind in "OU" else value
     return [_without_markup(item) for item in value] if isinstance(value, list | tuple) else value
@@ -117,7 +123,11 @@ def visible_text(value: Any) -> Any:
 
 
 def percent(share: float, digits: int = 1) -> str:
-    """A share 0..1 as text: 99.2 %; a dash where it is not known."""
+    """A share 0..1 as text: 99.2 %; a dash where it is not known.
+
+    >>> percent(0.9921), percent(float("nan"))
+    ('99.2 %', '–')
+    """
     return NOTHING if share is None or math.isnan(share) else f"{100 * share:.{digits}f} %"
 
 
@@ -126,8 +136,36 @@ def count(number: float) -> str:
     return NOTHING if number is None or math.isnan(number) else f"{number:,.0f}"
 
 
+def decimal(value: float, digits: int, unit: str = "") -> str:
+    """A number with so many digits behind the point, and its unit; a dash where it is not known."""
+    return f"{value:.{digits}f}{unit}" if math.isfinite(value) else NOTHING
+
+
+def millimetres(metres: float, digits: int = 2) -> str:
+    """A length in m as text: 0.32 mm; a dash where it is not known."""
+    return decimal(1000 * metres, digits, " mm")
+
+
+_SEVERITIES = {Severity.ERROR: Cell("do not use", 1.0, "bad"), Severity.WARNING: Cell("look at this", 0.6), Severity.NOTE: Cell("note")}
+
+
+def findings_table(findings: Sequence[Finding], more: Sequence[Sequence[str | Cell]] = ()) -> Table:
+    """What was found, the more severe ones tinted, and `more` rows; one row that says so where there is nothing."""
+    rows: list[Sequence[str | Cell]] = [(_SEVERITIES[finding.severity], str(finding)) for finding in findings]
+    rows += more
+    return Table(["", "what was found"], rows or [["good", "nothing speaks against it"]], left=2)
+
+
+def short_names(files: Sequence[str]) -> list[str]:
+    """What to call each file: its name, with its folder where another file has the same name."""
+    names = {file: Path(file).name for file in files}
+    twice = {name for name in names.values() if list(names.values()).count(name) > 1}
+    return ["/".join(Path(file).parts[-2:]) if names[file] in twice else names[file] for file in files]
+
+
 def tinted(share: float, digits: int, worst: float, kind: str = "warn") -> Cell:
     """A share as a cell whose tint grows with its root up to `worst`."""
+    # The root makes small shares visible beside large ones.
     known = not math.isnan(share) and worst > 0
     return Cell(percent(share, digits), min(math.sqrt(max(share, 0.0) / worst), 1.0) if known else 0.0, kind)
 
@@ -142,30 +180,37 @@ def plain(value: Any) -> Any:
         return [plain(item) for item in value]
     if isinstance(value, np.generic):
         return plain(value.item())
+    # JSON has no NaN: a gap in a line is null.
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
 
 
+def _says_nothing(value: Any) -> bool:
+    return value is None or (isinstance(value, str | list | tuple | Mapping) and not value)
+
+
 def _fact_text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{str(key).replace('_', ' ')} {_fact_text(item)}" for key, item in value.items() if not _says_nothing(item))
     return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
 def _as_script(value: Any) -> str:
+    # A label could close the script; written as escapes it cannot.
     text = json.dumps(plain(value), ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
+@cache
 def _plotly() -> str:
-    """Plotly's script, deflated: 2 MB of a page instead of 5."""
+    """Plotly's script, deflated: 2 MB of a page instead of 5. Half a second, once for all pages of a process."""
     from plotly.offline import get_plotlyjs
 
     load: Callable[[], str] = get_plotlyjs
     return deflated(np.frombuffer(load().encode("utf-8"), dtype=np.uint8))
-
-
-def _template(name: str) -> str:
-    return resources.files("asterism.report").joinpath("templates", name).read_text(encoding="utf-8")
 
 
 def _version() -> str:

@@ -36,6 +36,11 @@ def plot_recording(recording: Recording, path: str | Path | None = None) -> Reco
 
     In a notebook the page is shown; elsewhere `.open()` shows it in the browser. Raises AsterismError where there is nothing to plot,
     or the file cannot be written.
+
+    >>> from asterism.simulation import simulate_walks
+    >>> page = plot_recording(simulate_walks(1, frames=20)[0], "walk.html")
+    >>> page.path.exists()
+    True
     """
     target = Path(mkdtemp(prefix="asterism-")) / "recording.html" if path is None else Path(path)
     recording_report(target, recording)
@@ -52,6 +57,7 @@ def recording_report(path: str | Path, recording: Recording) -> None:
         raise AsterismError("the recording has no frames or no columns, so there is nothing to plot.")
     visible = recording.visible
     named = [column for column, label in enumerate(recording.labels) if not is_unnamed(label)]
+    # A visible column is the point of its frame's cloud at this place.
     place = np.cumsum(visible, axis=1) - 1
     shown = visible[:, named]
     labelling = Labelling(

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from asterism.report.page import NOTHING, Cell, Page, Section, Table, percent, write_page
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, decimal, percent, write_page
 from asterism.report.space import rig_in_space
 
 if TYPE_CHECKING:
@@ -18,30 +18,23 @@ _TINTS = {"good": 0.0, "moved": 0.6, "out of step": 0.6, "lost": 1.0, "unknown":
 
 def refinement_report(path: str | Path, made: Refinement, *, settings: Mapping[str, Any] | None = None) -> None:
     """Write an HTML page on a refinement; `settings` are named at its foot. Raises AsterismError where the file cannot be written."""
+    # By state, not by size: a camera out of step moves little and is wrong all the same.
     states = [check.state for check in made.cameras]
     rows: list[list[str | Cell]] = [
         [
             check.name,
             Cell(check.state, _TINTS[check.state], "bad" if check.state == "lost" else "warn"),
-            _number(check.moved_px, 2),
-            _number(check.rms_px, 2),
-            _number(math.degrees(check.turned), 3),
-            _number(1000 * check.shifted, 1),
-            _number(100 * check.zoomed, 2),
+            decimal(check.moved_px, 2),
+            decimal(check.rms_px, 2),
+            decimal(math.degrees(check.turned), 3),
+            decimal(1000 * check.shifted, 1),
+            decimal(100 * check.zoomed, 2),
             percent(check.shown) if math.isfinite(check.shown) else NOTHING,
         ]
         for check in made.cameras
     ]
-    head = [
-        "camera",
-        "state",
-        "view moved by, px",
-        "error now, px",
-        "turned, degrees",
-        "shifted, mm",
-        "zoomed, %",
-        "of the others' points shown",
-    ]
+    head = ["camera", "state", "view moved by, px", "error now, px", "turned, degrees", "shifted, mm", "zoomed, %"]
+    head += ["of the others' points shown"]
     lead = " ".join(f"{sentence[0].upper()}{sentence[1:]}" for sentence in map(str, made.findings)) or "No camera was moved."
     merits = [
         (str(states.count("moved")), "cameras moved, with new poses", "warn" if "moved" in states else "good"),
@@ -59,7 +52,3 @@ def refinement_report(path: str | Path, made: Refinement, *, settings: Mapping[s
         Section("The refined rig", figure=rig_in_space(made.rig)),
     ]
     write_page(path, Page("Was a camera moved?", lead, settings or {}, merits, sections))
-
-
-def _number(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if math.isfinite(value) else NOTHING

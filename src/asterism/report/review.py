@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from asterism.recording import Clouds, Labelling, MarkerSet
-from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, write_page
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, short_names, write_page
 from asterism.report.player import IN_QUESTION, ShownRecording, pack_recordings
 
 if TYPE_CHECKING:
@@ -66,8 +66,10 @@ def review_report(
 
     Raises AsterismError where the file cannot be written.
     """
-    names = _short_names([entry.file for entry in entries])
+    files = [entry.file for entry in entries]
+    names = dict(zip(files, short_names(files), strict=True))
     head = sum(entry.item.gain for entry in entries)
+    # The list may be the head of a longer one; the totals are of the whole.
     number, gain = totals or (len(entries), head)
     merits = [
         (count(number), "pieces of tracks to check", ""),
@@ -75,6 +77,7 @@ def review_report(
         (count(len(entries)), "listed here", ""),
         (percent(head / gain if gain else float("nan"), 1), "of the expected gain is in this list", ""),
     ]
+    # Pictures cost space: only the head of the list gets them.
     drawn = [entry for entry in entries[:pictures] if entry.labelling is not None and entry.clouds is not None]
     shown = [_shown(place, entry, names[entry.file], marker_set) for place, entry in enumerate(drawn, 1)]
     sections = [
@@ -108,12 +111,6 @@ def _advice(item: ReviewItem) -> str:
     return "Only some of its frames have a low confidence." if item.marker else "It may be a ghost."
 
 
-def _short_names(files: Sequence[str]) -> dict[str, str]:
-    """What to call each file: its name, with its folder where another file has the same name."""
-    names = [Path(file).name for file in dict.fromkeys(files)]
-    return {file: Path(file).name if names.count(Path(file).name) == 1 else "/".join(Path(file).parts[-2:]) for file in files}
-
-
 def _table(entries: Sequence[ReviewEntry], names: Mapping[str, str], opens: bool) -> Table:
     most = max((entry.item.gain for entry in entries), default=1.0)
     rows: list[list[str | Cell]] = [
@@ -136,6 +133,7 @@ def _shown(place: int, entry: ReviewEntry, file: str, marker_set: MarkerSet | No
     item, labelling, clouds = entry.item, entry.labelling, entry.clouds
     assert labelling is not None and clouds is not None
     reach = max(1, round(_SECONDS_AROUND * clouds.rate))
+    # Only the piece in question is ringed; its neighbours are context.
     marks = np.zeros(len(clouds.xyz), dtype=np.int64)
     marks[item.points] = IN_QUESTION
     return ShownRecording(

@@ -11,11 +11,11 @@ import numpy as np
 from asterism.cameras import Rig
 from asterism.cameras.accuracy import RigMap, WandAccuracy, map_rig, sees, sensitivity
 from asterism.recording import Floats, as_vertical
-from asterism.report.page import NOTHING, Cell, Page, Section, Table, percent, tinted, write_page
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, decimal, millimetres, percent, tinted, write_page
 from asterism.report.space import rig_in_space, slices
 
 if TYPE_CHECKING:
-    from asterism.cameras.plan import Plan
+    from asterism.cameras.plan import RigPlan
 
 SEEN_SHADES = [[0, "#7d1a2d"], [0.25, "#dd6b4d"], [0.375, "#f6c177"], [0.5, "#a5d8dc"], [1, "#0b5563"]]
 ERROR_SHADES = [[0, "#0b5563"], [0.3, "#5fb6be"], [0.6, "#f6c177"], [1, "#7d1a2d"]]
@@ -30,7 +30,7 @@ def rig_report(
     title: str = "What this rig measures",
     wand: WandAccuracy | None = None,
     still: Floats | None = None,
-    plan: Plan | None = None,
+    plan: RigPlan | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> None:
     """Write an HTML page on a rig.
@@ -38,15 +38,17 @@ def rig_report(
     result  of `map_rig`; wand: of `wand_accuracy`; still: of `repeatability`, (M,) m; plan: where the rig is a proposal
     Raises AsterismError where the file cannot be written.
     """
+    # A rig that knows no vertical is drawn as its numbers stand.
     up = as_vertical("z") if rig.vertical is None else rig.vertical
     seen = sees(rig, result.places)
     three = result.coverage(3)
     merits = [
         (str(len(rig)), "cameras", ""),
         (percent(three), "of the volume is seen by three cameras or more", "good" if three > 0.95 else "warn" if three > 0.7 else "bad"),
-        (_mm(result.median_error), f"error of a marker (RMS, median) at {result.noise:.2g} px noise", ""),
+        (millimetres(result.median_error), f"error of a marker (RMS, median) at {result.noise:.2g} px noise", ""),
         (percent(float(result.facing.mean())), "of markers on a body face two cameras or more", ""),
     ]
+    # Percentiles: one place at the edge must not take the whole scale.
     best, worst = 1000 * np.nanpercentile(result.error, (1, 99)) if np.isfinite(result.error).any() else (0.0, 1.0)
     sections = [
         Section(
@@ -68,21 +70,17 @@ def rig_report(
         Section("The cameras", table=_cameras(rig, result, seen), note="Without it: what three of the other cameras see of the volume."),
         _pairs(rig, result),
     ]
+    # What was measured stands before what was computed of single cameras.
     if wand is not None:
         sections.insert(3, _wand(rig, result, wand))
-        merits.append((_mm(wand.mean_absolute), "off the wand's lengths, on average", ""))
+        merits.append((millimetres(wand.mean_absolute), "off the wand's lengths, on average", ""))
     if still is not None:
         sections.insert(3, _still(still))
     if plan is not None:
         sections.insert(1, _against_the_ring(plan, result))
-    lead = (
-        f"Three cameras or more see {percent(three)} of the volume; a marker is measured to {_mm(result.median_error)} there in the median."
-    )
+    exact = millimetres(result.median_error)
+    lead = f"Three cameras or more see {percent(three)} of the volume; a marker is measured to {exact} there in the median."
     write_page(path, Page(title, lead, settings or {}, merits, sections))
-
-
-def _mm(metres: float) -> str:
-    return f"{1000 * metres:.2f} mm" if np.isfinite(metres) else NOTHING
 
 
 def _coverage(result: RigMap) -> Table:
@@ -93,7 +91,7 @@ def _coverage(result: RigMap) -> Table:
 def _errors(result: RigMap) -> Table:
     def row(name: str, values: Floats) -> list[str | Cell]:
         known = values[np.isfinite(values)]
-        return [name, *(_mm(float(np.percentile(known, share))) if len(known) else NOTHING for share in (50, 95, 100))]
+        return [name, *(millimetres(float(np.percentile(known, share))) if len(known) else NOTHING for share in (50, 95, 100))]
 
     return Table(
         ["", "median", "95 % of places", "worst"],
@@ -126,6 +124,7 @@ def pair_scalars(rig: Rig, result: RigMap) -> list[dict[str, Any]]:
     """The 12 scalars (m) of each pair of cameras in the middle of the volume, the best pair first (thesis 3.3)."""
     middle = 0.5 * (result.volume.low + result.volume.high)
     found = sensitivity(rig, middle[None], result.noise, "one-at-a-time")
+    # Pairs that see no common place come last.
     order = np.argsort(np.where(np.isfinite(found.effective[:, 0]), found.effective[:, 0], np.inf), kind="stable")
     return [
         {
@@ -160,10 +159,10 @@ def _cameras(rig: Rig, result: RigMap, seen: np.ndarray) -> Table:
 
 def _pairs(rig: Rig, result: RigMap) -> Section:
     def scalars(pair: Mapping[str, Any]) -> list[str]:
-        return [_plain_mm(value) for axis in "xyz" for value in pair["scalars_m"][axis].values()]
+        return [decimal(1000 * value, 2) for axis in "xyz" for value in pair["scalars_m"][axis].values()]
 
     head = ["pair (a, b)", "mean of 12", *(f"{axis} of {coordinate}" for axis in "xyz" for coordinate in COORDINATES)]
-    rows = [[", ".join(pair["pair"]), _plain_mm(pair["effective_m"]), *scalars(pair)] for pair in pair_scalars(rig, result)]
+    rows = [[", ".join(pair["pair"]), decimal(1000 * pair["effective_m"], 2), *scalars(pair)] for pair in pair_scalars(rig, result)]
     return Section(
         "Sensitivity of pairs in the middle of the volume",
         f"How far a point moves, in mm, where one coordinate of one image moves from -{result.noise:.2g} to +{result.noise:.2g} px and the "
@@ -173,15 +172,12 @@ def _pairs(rig: Rig, result: RigMap) -> Section:
     )
 
 
-def _plain_mm(metres: float) -> str:
-    return f"{1000 * metres:.2f}" if np.isfinite(metres) else NOTHING
-
-
 def _wand(rig: Rig, result: RigMap, wand: WandAccuracy) -> Section:
     return Section(
         "Accuracy against the wand",
         f"{wand.frames:,} frames show the whole wand. Its measured lengths are {1000 * wand.mean_error:+.3f} mm off on average "
-        f"(the sign is that of a wrong scale), {_mm(wand.mean_absolute)} without signs, with a standard deviation of {_mm(wand.std)}.",
+        f"(the sign is that of a wrong scale), "
+        f"{millimetres(wand.mean_absolute)} without signs, with a standard deviation of {millimetres(wand.std)}.",
         figure=rig_in_space(rig, result.volume, wand.places, (1000 * wand.place_errors).tolist(), "mm off"),
         table=Table(
             ["pair of wand markers", "mean error"],
@@ -194,11 +190,12 @@ def _still(still: Floats) -> Section:
     return Section(
         "Repeatability of what stands still",
         "How far the measurements of a still marker lie from their mean, on average.",
-        table=Table(["still marker", "mean distance"], [[str(m + 1), _mm(float(value))] for m, value in enumerate(still)]),
+        table=Table(["still marker", "mean distance"], [[str(m + 1), millimetres(float(value))] for m, value in enumerate(still)]),
     )
 
 
-def _against_the_ring(plan: Plan, result: RigMap) -> Section:
+def _against_the_ring(plan: RigPlan, result: RigMap) -> Section:
+    # The same map of the ring: both are judged by one measure.
     ring = map_rig(plan.ring, result.volume, noise=result.noise)
 
     def row(name: str, value_of: Any) -> list[str | Cell]:
@@ -207,8 +204,8 @@ def _against_the_ring(plan: Plan, result: RigMap) -> Section:
     rows = [row(f"seen by {n} cameras or more", lambda m, w, g, n=n: percent(m.coverage(n))) for n in (2, 3, 4)]
     rows += [
         row("markers on a body that face two cameras", lambda m, w, g: percent(float(m.facing.mean()))),
-        row("error of a marker, median", lambda m, w, g: _mm(m.median_error)),
-        row("error of a marker, 95 % of places", lambda m, w, g: _mm(float(np.nanpercentile(m.error, 95)))),
+        row("error of a marker, median", lambda m, w, g: millimetres(m.median_error)),
+        row("error of a marker, 95 % of places", lambda m, w, g: millimetres(float(np.nanpercentile(m.error, 95)))),
         row("cameras that have another one's lamps in their image", lambda m, w, g: str(g)),
         row("worth", lambda m, w, g: f"{w:.3f}"),
     ]

@@ -11,7 +11,7 @@ from asterism.cameras import Camera, Rig
 from asterism.cameras.accuracy import RigMap, Volume
 from asterism.geometry import z_up_rotation
 from asterism.recording import Floats, as_vertical
-from asterism.report.figures import PALETTE, Figure, figure
+from asterism.report.figures import PALETTE, Figure, cell_axes, colour_bar, figure, in_space, titled
 
 LAYERS = 4
 """So many slices through a volume."""
@@ -24,54 +24,33 @@ def rig_in_space(
 
     values  one per point, drawn as its shade; what: their name and unit
     """
+    # Up is up on the page, whatever axis the laboratory calls up.
     turn = z_up_rotation(as_vertical("z") if rig.vertical is None else rig.vertical)
     eyes = np.stack([camera.position for camera in rig])
+    # Pyramids grow with the rig, so that they are seen in a hall.
     reach = float(np.linalg.norm(eyes.max(axis=0) - eyes.min(axis=0))) or 1.0
     data: list[Mapping[str, Any]] = []
     edges = [path for camera in rig for path in _pyramid(camera, 0.06 * reach)]
     data.append(_lines(edges, turn, PALETTE[0], 3))
     if volume is not None:
         data.append(_lines(_box(volume), turn, "#9aa4b5", 2))
-    x, y, z = (eyes @ turn.T).T
-    data.append(
-        {
-            "type": "scatter3d",
-            "mode": "markers+text",
-            "x": np.round(x, 3),
-            "y": np.round(y, 3),
-            "z": np.round(z, 3),
-            "text": list(rig.names),
-            "textposition": "top center",
-            "textfont": {"size": 11},
-            "marker": {"size": 3, "color": PALETTE[0]},
-            "hovertemplate": "%{text}: %{x:.2f}, %{y:.2f}, %{z:.2f} m<extra></extra>",
-            "showlegend": False,
-        }
-    )
-    if points is not None and len(points):
-        x, y, z = (np.asarray(points) @ turn.T).T
-        shade: Any = PALETTE[2] if values is None else np.round(np.asarray(values, dtype=np.float64), 4)
-        bar = {"title": {"text": what, "side": "right"}, "thickness": 12, "outlinewidth": 0}
-        data.append(
-            {
-                "type": "scatter3d",
-                "mode": "markers",
-                "x": np.round(x, 3),
-                "y": np.round(y, 3),
-                "z": np.round(z, 3),
-                "marker": {"size": 3, "color": shade, **({} if values is None else {"colorscale": "Viridis", "colorbar": bar})},
-                "hovertemplate": "%{x:.2f}, %{y:.2f}, %{z:.2f} m" + ("" if values is None else ": %{marker.color:.3g}") + "<extra></extra>",
-                "showlegend": False,
-            }
-        )
-    axis = {
-        "title": {"text": ""},
-        "backgroundcolor": "#f7f9fc",
-        "gridcolor": "#dfe5ee",
-        "showspikes": False,
-        "ticksuffix": " m",
-        "nticks": 6,
+    named: dict[str, Any] = {
+        "text": list(rig.names),
+        "textposition": "top center",
+        "textfont": {"size": 11},
+        "mode": "markers+text",
+        "showlegend": False,
     }
+    place = "%{x:.2f}, %{y:.2f}, %{z:.2f} m"
+    hover = "%{text}: " + place + "<extra></extra>"
+    data.append(in_space(eyes @ turn.T, marker={"size": 3, "color": PALETTE[0]}, hovertemplate=hover, **named))
+    if points is not None and len(points):
+        marker: dict[str, Any] = {"size": 3, "color": PALETTE[2]}
+        if values is not None:
+            marker |= {"color": np.round(np.asarray(values, dtype=np.float64), 4), "colorscale": "Viridis", "colorbar": colour_bar(what)}
+        hover = place + ("" if values is None else ": %{marker.color:.3g}") + "<extra></extra>"
+        data.append(in_space(np.asarray(points) @ turn.T, marker=marker, hovertemplate=hover, showlegend=False))
+    axis = titled("", backgroundcolor="#f7f9fc", gridcolor="#dfe5ee", showspikes=False, ticksuffix=" m", nticks=6)
     view = {"eye": {"x": 1.1, "y": -1.35, "z": 0.95}, "center": {"x": 0, "y": 0, "z": -0.12}}
     scene = {"aspectmode": "data", "xaxis": axis, "yaxis": axis, "zaxis": axis, "camera": view}
     return figure(data, height=520, scene=scene)
@@ -79,49 +58,32 @@ def rig_in_space(
 
 def slices(result: RigMap, values: Floats, vertical: Floats, what: str, shades: Sequence[Sequence[Any]], low: float, high: float) -> Figure:
     """Level slices through a map, from the lowest up: values (N,) of its places as shades from `low` to `high`."""
+    # Level slices: people move along the floor.
     axis = int(np.argmax(np.abs(vertical)))
     across, along = [i for i in range(3) if i != axis]
     grid = np.moveaxis(result.grid(values), axis, 0)  # height, across, along
     count = len(result.axes[axis])
+    # From the lowest up, also where the vertical points down the axis.
     layers = np.unique(np.linspace(0, count - 1, min(LAYERS, count)).round().astype(np.int64))
     layers = layers if vertical[axis] > 0 else layers[::-1]
     wide, deep = result.volume.size[across], result.volume.size[along]
-    data, layout = [], {}
+    data: list[dict[str, Any]] = []
+    layout: dict[str, Any] = {}
     for n, layer in enumerate(layers):
         left, right = (n + 0.05) / len(layers), (n + 0.91) / len(layers)
-        suffix = "" if n == 0 else str(n + 1)
+        side = {"showgrid": False, "zeroline": False, "ticksuffix": " m", "nticks": 4, "tickfont": {"size": 10}, "constrain": "domain"}
+        height = float(result.axes[axis][layer] * np.sign(vertical[axis]))
+        title = {"text": f"{height:.1f} m high", "font": {"size": 12}}
+        up = {**side, "scaleanchor": "x" + ("" if n == 0 else str(n + 1)), "showticklabels": n == 0}
+        axes, sides = cell_axes(n, {**side, "title": title, "domain": [left, right]}, up)
+        layout |= sides
         data.append(
             {
-                "type": "heatmap",
-                "x": np.round(result.axes[across], 3),
-                "y": np.round(result.axes[along], 3),
-                "z": np.round(grid[layer].T, 4),
-                "xaxis": f"x{suffix}",
-                "yaxis": f"y{suffix}",
-                "zmin": low,
-                "zmax": high,
-                "colorscale": list(shades),
-                "showscale": n == len(layers) - 1,
-                "hovertemplate": "%{x:.2f}, %{y:.2f} m: %{z:.3g} " + what + "<extra></extra>",
-                "colorbar": {"title": {"text": what, "side": "right"}, "thickness": 12, "outlinewidth": 0},
+                "type": "heatmap", "x": np.round(result.axes[across], 3), "y": np.round(result.axes[along], 3),
+                "z": np.round(grid[layer].T, 4), "zmin": low, "zmax": high, "colorscale": list(shades), "colorbar": colour_bar(what),
+                "showscale": n == len(layers) - 1, "hovertemplate": "%{x:.2f}, %{y:.2f} m: %{z:.3g} " + what + "<extra></extra>", **axes,
             }
-        )
-        side = {"showgrid": False, "zeroline": False, "ticksuffix": " m", "nticks": 4, "tickfont": {"size": 10}}
-        height = float(result.axes[axis][layer] * np.sign(vertical[axis]))
-        layout[f"xaxis{suffix}"] = {
-            "title": {"text": f"{height:.1f} m high", "font": {"size": 12}},
-            **side,
-            "domain": [left, right],
-            "anchor": f"y{suffix}",
-            "constrain": "domain",
-        }
-        layout[f"yaxis{suffix}"] = {
-            **side,
-            "anchor": f"x{suffix}",
-            "scaleanchor": f"x{suffix}",
-            "constrain": "domain",
-            "showticklabels": n == 0,
-        }
+        )  # fmt: skip
     drawn = int(np.clip(90 + 900 / len(layers) * deep / wide, 220, 460))
     return figure(data, height=drawn, plot_bgcolor="#eef1f6", **layout)
 
@@ -129,6 +91,7 @@ def slices(result: RigMap, values: Floats, vertical: Floats, what: str, shades: 
 def _pyramid(camera: Camera, length: float) -> list[Floats]:
     """The lines of a camera's field of view, `length` m deep; 40 degrees, half as deep, where the image size is not known."""
     width, height = camera.size or (0.7 * camera.focal[0], 0.7 * camera.focal[1])
+    # Without an image size the field of view is a guess, drawn short.
     depth = length if camera.size else 0.5 * length
     x, y = 0.5 * width / camera.focal[0], 0.5 * height / camera.focal[1]
     corners = depth * np.array([(-x, -y, 1.0), (x, -y, 1.0), (x, y, 1.0), (-x, y, 1.0)]) @ camera.rotation + camera.position
@@ -137,6 +100,7 @@ def _pyramid(camera: Camera, length: float) -> list[Floats]:
 
 def _box(volume: Volume) -> list[Floats]:
     low, high = volume.low, volume.high
+    # The twelve edges join corners that differ in one coordinate.
     corners = np.array([[(low, high)[bit][i] for i, bit in enumerate(bits)] for bits in np.ndindex(2, 2, 2)])
     return [np.stack([corners[a], corners[b]]) for a in range(8) for b in range(a) if np.isclose(corners[a], corners[b]).sum() == 2]
 
@@ -145,6 +109,7 @@ def _lines(paths: Sequence[Floats], turn: Floats, color: str, width: int) -> dic
     xyz: list[list[float | None]] = []
     for path in paths:
         xyz += [[round(float(v), 3) for v in point] for point in path @ turn.T]
+        # A gap between the paths: one trace draws them all.
         xyz.append([None, None, None])
     x, y, z = zip(*xyz, strict=True)
     line = {"color": color, "width": width}

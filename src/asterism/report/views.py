@@ -10,6 +10,7 @@ import numpy as np
 
 from asterism.cameras import Camera
 from asterism.recording import Floats
+from asterism.report.figures import line
 from asterism.report.page import Page, Section, Table, percent, write_page
 from asterism.views import ViewsLabelling
 from asterism.views.posing import posed_points
@@ -27,6 +28,7 @@ def views_report(path: str | Path, result: ViewsLabelling, *, frame: int | None 
     given = result.labels >= 0
     one, more = result.views == 1, result.views >= 2
     if frame is None:
+        # Where most markers are seen by one camera alone the body does most of the work.
         frame = int(np.argmax(np.where(there, one.sum(axis=1), -1))) if there.any() else 0
     merits = [
         (percent(float(there.mean())) if len(there) else "0 %", "of the frames show the body", ""),
@@ -84,14 +86,17 @@ def _picture(result: ViewsLabelling, c: int, frame: int) -> dict[str, Any]:
         seen = camera.project(points)
         links = [(seen[m], own) for own, m in zip(xy, labels, strict=True) if m >= 0]
         traces.append(_lines(links))
+        # Expected to be hidden, and without a blob.
         hidden = (result.expected[frame, c] < 0.5) & ~np.isin(np.arange(len(points)), labels[labels >= 0])
         traces.append(_dots(seen[hidden], names[hidden], _LABEL, "circle-open", "hidden by the body"))
     labelled, alone = labels >= 0, np.zeros(len(labels), dtype=np.bool_)
+    # Labels of one camera rest on the body; they get a colour of their own.
     alone[labelled] = result.views[frame, labels[labelled]] == 1
     several = labelled & ~alone
     traces.append(_dots(xy[several], names[labels[several]], _LABEL, "circle", "labelled"))
     traces.append(_dots(xy[alone], names[labels[alone]], _ONE, "circle", "labelled, this camera alone"))
     traces.append(_dots(xy[~labelled], np.full(int((~labelled).sum()), ""), _LEFT, "x", "no label"))
+    # Strays may be anywhere: they must not shrink the person.
     left, right, top, bottom = _extent(camera, [*traces[:-1]] or traces)
     axis = {"showgrid": False, "zeroline": False}
     layout = {
@@ -126,36 +131,26 @@ def _capsule(camera: Camera, start: Floats, end: Floats, radii: Floats) -> dict[
     ]
     seen = camera.project(np.concatenate(rings))
     seen = seen[np.isfinite(seen[:, 0])]
+    # Fewer than three points before the camera have no outline.
     outline = seen[ConvexHull(seen).vertices] if len(seen) >= 3 else np.empty((0, 2))
     closed = np.concatenate([outline, outline[:1]])
-    shape = {"type": "scatter", "mode": "lines", "fill": "toself", "fillcolor": _BODY, "hoverinfo": "skip", "showlegend": False}
-    return {**shape, "x": closed[:, 0].tolist(), "y": closed[:, 1].tolist(), "line": {"color": "rgba(11, 85, 99, 0.4)", "width": 1}}
+    shape: dict[str, Any] = {"fill": "toself", "fillcolor": _BODY, "hoverinfo": "skip", "showlegend": False}
+    return line(closed[:, 0].tolist(), closed[:, 1].tolist(), line={"color": "rgba(11, 85, 99, 0.4)", "width": 1}, **shape)
 
 
 def _lines(links: list[tuple[Floats, Floats]]) -> dict[str, Any]:
     """From where the body has its markers to their blobs."""
     x = [value for one, other in links for value in (float(one[0]), float(other[0]), None)]
     y = [value for one, other in links for value in (float(one[1]), float(other[1]), None)]
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": x,
-        "y": y,
-        "line": {"color": "#d9480f", "width": 1.5},
-        "name": "from the body to the blob",
-    }
+    return line(x, y, "from the body to the blob", line={"color": "#d9480f", "width": 1.5})
 
 
 def _dots(xy: Floats, names: np.ndarray, colour: str, symbol: str, what: str) -> dict[str, Any]:
     there = np.isfinite(xy[:, 0])
-    return {
-        "type": "scatter",
-        "mode": "markers+text",
-        "x": xy[there, 0].tolist(),
-        "y": xy[there, 1].tolist(),
+    text: dict[str, Any] = {
         "text": [str(name) for name in names[there]],
         "textposition": "top center",
         "textfont": {"size": 10, "color": colour},
-        "marker": {"color": colour, "symbol": symbol, "size": 7, "line": {"width": 1.5, "color": colour}},
-        "name": what,
     }
+    marker = {"color": colour, "symbol": symbol, "size": 7, "line": {"width": 1.5, "color": colour}}
+    return line(xy[there, 0].tolist(), xy[there, 1].tolist(), what, mode="markers+text", marker=marker, **text)

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from asterism.findings import Severity
 from asterism.recording import Floats
 from asterism.report import figures
-from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, percent, write_page
+from asterism.report.page import NOTHING, Cell, Page, Section, Table, count, findings_table, percent, write_page
 from asterism.report.space import rig_in_space
 
 if TYPE_CHECKING:
@@ -34,7 +33,7 @@ def wand_report(path: str | Path, made: WandCalibration, *, settings: Mapping[st
     lengths = made.lengths[np.isfinite(made.lengths)]
     cells = coverage(made)
     sections = [
-        Section("What to know before using it", table=_findings(made)),
+        Section("What to know before using it", table=findings_table(made.findings)),
         Section(
             "The rig",
             "Cameras with their images, and where the wand was waved. Turn it with the mouse. Up is as the cameras hang until a floor is "
@@ -62,6 +61,7 @@ def wand_report(path: str | Path, made: WandCalibration, *, settings: Mapping[st
             figure=_residuals(made),
         ),
     ]  # fmt: skip
+    # A single marker has no length to measure.
     if len(made.wand.lengths) > 1:
         sections.append(
             Section(
@@ -82,14 +82,6 @@ def wand_report(path: str | Path, made: WandCalibration, *, settings: Mapping[st
     write_page(path, Page("Wand calibration", lead, settings or {}, merits, sections))
 
 
-_SEVERITIES = {Severity.ERROR: Cell("do not use", 1.0, "bad"), Severity.WARNING: Cell("look at this", 0.6), Severity.NOTE: Cell("note")}
-
-
-def _findings(made: WandCalibration) -> Table:
-    rows: list[list[str | Cell]] = [[_SEVERITIES[finding.severity], str(finding)] for finding in made.findings]
-    return Table(["", "what was found"], rows or [["good", "nothing speaks against it"]], left=2)
-
-
 def _cameras(made: WandCalibration, cells: Floats) -> Table:
     rows: list[list[str | Cell]] = []
     for c, camera in enumerate(made.rig):
@@ -106,21 +98,13 @@ def _cameras(made: WandCalibration, cells: Floats) -> Table:
                 f"{1000 * made.position_sigma[c]:.1f}",
             ]
         )
-    head = [
-        "camera",
-        "markers",
-        "error in px",
-        "image covered",
-        "focal length in px",
-        "principal point in px",
-        "k1, k2, ...",
-        "where it stands, ± mm",
-    ]
-    return Table(head, rows)
+    head = ["camera", "markers", "error in px", "image covered", "focal length in px", "principal point in px", "k1, k2, ..."]
+    return Table([*head, "where it stands, ± mm"], rows)
 
 
 def _some(points: Floats) -> Floats:
     """Some of the points (n, 3) m that are there: as many as a picture can hold."""
+    # Every so many: evenly over the recording, not its beginning.
     points = points[np.isfinite(points).all(axis=1)]
     return points[:: max(1, len(points) // _MOST_POINTS)]
 
@@ -128,23 +112,22 @@ def _some(points: Floats) -> Floats:
 def _coverage(made: WandCalibration, cells: Floats) -> figures.Figure:
     """One small picture per camera."""
     down = -(-len(made.rig) // _ACROSS)
+    # Counts differ by powers of ten between the middle and the edge of an image.
     most = float(np.log10(1.0 + cells.max(initial=0.0)))
     data: list[dict[str, Any]] = []
     layout: dict[str, Any] = {"annotations": []}
     for c, camera in enumerate(made.rig):
         row, column = divmod(c, _ACROSS)
         width, height = camera.size or (8, 6)
-        suffix = "" if c == 0 else str(c + 1)
         left, top = column / _ACROSS, 1.0 - row / down
-        box = ([left, left + 0.94 / _ACROSS], [top - 0.84 / down, top])
-        layout[f"xaxis{suffix}"] = {"domain": box[0], "anchor": f"y{suffix}", "showgrid": False, "showticklabels": False}
-        layout[f"yaxis{suffix}"] = {
-            "domain": box[1], "anchor": f"x{suffix}", "autorange": "reversed", "showgrid": False, "showticklabels": False,
-        }  # fmt: skip
+        bare, low = {"showgrid": False, "showticklabels": False}, top - 0.84 / down
+        up = {"domain": [low, top], "autorange": "reversed", **bare}
+        axes, sides = figures.cell_axes(c, {"domain": [left, left + 0.94 / _ACROSS], **bare}, up)
+        layout |= sides
         layout["annotations"].append(
             {
                 "text": f"{camera.name}: {100 * float((cells[c] > 0).mean()):.0f} %", "showarrow": False, "font": {"size": 12},
-                "xref": "paper", "yref": "paper", "x": left, "y": box[1][0], "xanchor": "left", "yanchor": "top",
+                "xref": "paper", "yref": "paper", "x": left, "y": low, "xanchor": "left", "yanchor": "top",
             }
         )  # fmt: skip
         rows, columns = cells[c].shape
@@ -153,54 +136,54 @@ def _coverage(made: WandCalibration, cells: Floats) -> figures.Figure:
                 "type": "heatmap", "z": np.log10(1.0 + cells[c]), "zmin": 0.0, "zmax": max(most, 1.0), "showscale": False,
                 "x": (np.arange(columns) + 0.5) * width / columns, "y": (np.arange(rows) + 0.5) * height / rows,
                 "customdata": cells[c], "hovertemplate": "%{customdata} markers<extra>" + camera.name + "</extra>",
-                "colorscale": [[0, "#ffffff"], [0.01, "#d8eef0"], [1, "#0b5563"]], "xgap": 1, "ygap": 1,
-                "xaxis": f"x{suffix}", "yaxis": f"y{suffix}",
+                "colorscale": [[0, "#ffffff"], [0.01, "#d8eef0"], [1, "#0b5563"]], "xgap": 1, "ygap": 1, **axes,
             }
         )  # fmt: skip
     return figures.figure(data, height=60 + 190 * down, plot_bgcolor="#eef1f6", **layout)
 
 
 def _volume(made: WandCalibration) -> figures.Figure:
-    """From above and from the side: the mean number of cameras that saw the wand's markers, in cells of a twentieth of the width."""
+    """From above and from the side: the mean number of cameras that saw the wand's markers, in cells of a 24th of the widest extent."""
+    # Frames that were left out have no positions.
     rows = np.searchsorted(made.used, made.sightings.frame)
     markers = len(made.wand.lengths)
     seen = np.bincount(rows * markers + made.sightings.point, minlength=len(made.used) * markers)
     points = made.positions.reshape(-1, 3)
     good = np.isfinite(points).all(axis=1)
     points, seen = points[good], seen[good]
+    # Cells of a share of the volume: small rooms and halls get pictures of the same fineness.
     size = max(float(np.ptp(points, axis=0).max()) / 24.0, 1e-6) if len(points) else 1.0
     data: list[dict[str, Any]] = []
-    for n, (across, up) in enumerate(((0, 1), (0, 2))):
+    layout: dict[str, Any] = {}
+    for n, (across, up, domain, view) in enumerate(((0, 1, [0, 0.47], "from above"), (0, 2, [0.55, 1.0], "from the side"))):
+        upwards = figures.titled(f"{'xyz'[up]} in m", scaleanchor=f"x{'' if n == 0 else 2}")
+        axes, sides = figures.cell_axes(n, figures.titled(f"x in m, {view}", domain=domain), upwards)
+        layout |= sides
+        # Counted in cells from the lowest one.
         at = np.floor(points[:, [across, up]] / size).astype(np.int64)
         low = at.min(axis=0, initial=0) if len(at) else np.zeros(2, dtype=np.int64)
         shape = tuple((at.max(axis=0) - low + 1)[::-1]) if len(at) else (1, 1)
         total, number = np.zeros(shape), np.zeros(shape)
         np.add.at(total, (at[:, 1] - low[1], at[:, 0] - low[0]), seen)
         np.add.at(number, (at[:, 1] - low[1], at[:, 0] - low[0]), 1)
+        # Places where the wand never was stay white.
         mean = np.where(number > 0, total / np.maximum(number, 1), np.nan)
         data.append(
             {
                 "type": "heatmap", "z": np.round(mean, 2), "zmin": 2, "zmax": max(len(made.rig), 3), "showscale": n == 0,
                 "x": (low[0] + np.arange(shape[1]) + 0.5) * size, "y": (low[1] + np.arange(shape[0]) + 0.5) * size,
                 "colorscale": [[0, "#f6c177"], [1.0 / max(len(made.rig) - 2, 1) * 0.99, "#d8eef0"], [1, "#0b5563"]],
-                "colorbar": {"thickness": 12, "outlinewidth": 0, "title": {"text": "cameras"}},
-                "hovertemplate": "%{z} cameras<extra></extra>", "xaxis": f"x{'' if n == 0 else 2}", "yaxis": f"y{'' if n == 0 else 2}",
+                "colorbar": figures.colour_bar(title={"text": "cameras"}), "hovertemplate": "%{z} cameras<extra></extra>", **axes,
             }
         )  # fmt: skip
-    return figures.figure(
-        data,
-        height=380,
-        xaxis={"domain": [0, 0.47], "anchor": "y", "title": {"text": "x in m, from above"}},
-        yaxis={"anchor": "x", "title": {"text": "y in m"}, "scaleanchor": "x"},
-        xaxis2={"domain": [0.55, 1.0], "anchor": "y2", "title": {"text": "x in m, from the side"}},
-        yaxis2={"anchor": "x2", "title": {"text": "z in m"}, "scaleanchor": "x2"},
-    )
+    return figures.figure(data, height=380, **layout)
 
 
 def _residuals(made: WandCalibration) -> figures.Figure:
     size = np.linalg.norm(made.residuals, axis=1)
     data = []
     for c, camera in enumerate(made.rig):
+        # 5 and 95 %: the ends of a box must not be single outliers.
         low, first, middle, third, high = np.percentile(size[made.sightings.camera == c], [5, 25, 50, 75, 95])
         data.append(
             {
@@ -208,17 +191,13 @@ def _residuals(made: WandCalibration) -> figures.Figure:
                 "q3": [third], "upperfence": [high], "fillcolor": "#a5d8dc", "line": {"color": "#0f7b8a"}, "showlegend": False,
             }
         )  # fmt: skip
-    return figures.figure(data, height=320, yaxis={"title": {"text": "px, 5 to 95 %"}, "rangemode": "tozero"}, xaxis={"type": "category"})
+    return figures.figure(data, height=320, yaxis=figures.titled("px, 5 to 95 %", rangemode="tozero"), xaxis={"type": "category"})
 
 
 def _histogram(values: Floats, what: str) -> figures.Figure:
+    # Symmetric about 0: a shift to one side is a wrong scale.
     reach = float(np.percentile(np.abs(values), 99.5)) if len(values) else 1.0
     counts, edges = np.histogram(values, bins=41, range=(-reach, reach))
-    trace = {
-        "type": "bar",
-        "x": 0.5 * (edges[1:] + edges[:-1]),
-        "y": counts,
-        "marker": {"color": "#0f7b8a"},
-        "hovertemplate": "%{x:.2f} mm: %{y} frames<extra></extra>",
-    }
-    return figures.figure([trace], height=280, bargap=0.05, xaxis={"title": {"text": what}}, yaxis={"title": {"text": "frames"}})
+    trace = {"type": "bar", "x": 0.5 * (edges[1:] + edges[:-1]), "y": counts, "marker": {"color": figures.PALETTE[0]}}
+    trace["hovertemplate"] = "%{x:.2f} mm: %{y} frames<extra></extra>"
+    return figures.figure([trace], height=280, bargap=0.05, xaxis=figures.titled(what), yaxis=figures.titled("frames"))

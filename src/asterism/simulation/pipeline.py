@@ -9,12 +9,12 @@ import numpy as np
 
 from asterism.calibration.wand import WandCalibration, calibrate_wand, in_world, world_from_l_frame
 from asterism.cameras import Rig
-from asterism.labelling import SolverEnsemble
+from asterism.labelling import MarkerModel
 from asterism.progress import Progress
 from asterism.reconstruction import Reconstruction, reconstruct
 from asterism.recording import Labelling
 from asterism.simulation.comparison import PointErrors, RigErrors, compare_points, compare_rigs
-from asterism.simulation.session import L_FRAME, WAND, Session
+from asterism.simulation.session import L_FRAME, WAND, SimulatedSession
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,27 @@ class Criterion:
     def met(self) -> bool:
         """Whether the measurement keeps to the limit; a missing one (NaN) does not."""
         return self.measured >= self.limit if self.at_least else self.measured <= self.limit
+
+
+class TimedSteps:
+    """The seconds that each step of a pipeline took, and what `progress` is told when it begins."""
+
+    def __init__(self, progress: Progress | None) -> None:
+        self.seconds: dict[str, float] = {}
+        self._progress, self._name, self._started = progress, "", time.perf_counter()
+
+    def begin(self, name: str, done: float, doing: str) -> None:
+        """End the step before and begin this one; done: the share of the work that is behind it, doing: what it does."""
+        self.end(done, doing)
+        self._name = name
+
+    def end(self, done: float, doing: str) -> None:
+        """End the last step; what is done from here on belongs to none."""
+        if self._name:
+            self.seconds[self._name] = time.perf_counter() - self._started
+        if self._progress is not None:
+            self._progress(done, doing)
+        self._name, self._started = "", time.perf_counter()
 
 
 @dataclass(frozen=True)
@@ -57,6 +78,7 @@ class PipelineResult:
 
     def criteria(self) -> list[Criterion]:
         """What the whole pipeline promises on simulated sessions, and what was measured."""
+        # Of the markers that were found: what no camera saw cannot be labelled.
         points, found = self.points, self.right + self.unlabelled
         return [
             Criterion("cameras that could not be calibrated", float(len(self.calibration.excluded)), 0.0, False, ""),
@@ -70,32 +92,23 @@ class PipelineResult:
         ]
 
 
-def run_pipeline(session: Session, ensemble: SolverEnsemble, progress: Progress | None = None) -> PipelineResult:
+def run_pipeline(session: SimulatedSession, model: MarkerModel, progress: Progress | None = None) -> PipelineResult:
     """Calibrate by the wand, put the world into the L-frame, reconstruct the walker, label, and compare with the truth.
 
     The steps use the blobs, the image sizes and the lengths of wand and L-frame; the truth is used for the comparison only. Raises
     AsterismError where a step is impossible.
     """
-    seconds: dict[str, float] = {}
-    started = time.perf_counter()
-
-    def step(name: str, done: float, doing: str) -> None:
-        nonlocal started
-        if name:
-            seconds[name] = time.perf_counter() - started
-        if progress is not None:
-            progress(done, doing)
-        started = time.perf_counter()
-
-    step("", 0.0, "calibrating")
+    steps = TimedSteps(progress)
+    steps.begin("calibrate", 0.0, "calibrating")
+    # Of the true rig only what a laboratory knows: image sizes, and the lengths of wand and frame.
     sizes = {camera.name: camera.size for camera in session.rig if camera.size is not None}
     calibration = calibrate_wand(session.wand, WAND, sizes=sizes)
     rig = in_world(calibration.rig, world_from_l_frame(calibration.rig, session.l_frame, L_FRAME), "the L-frame")
-    step("calibrate", 0.6, "reconstructing")
+    steps.begin("reconstruct", 0.6, "reconstructing")
     reconstruction = reconstruct(session.blobs, rig)
-    step("reconstruct", 0.8, "labelling")
-    labelling = ensemble.label(reconstruction.clouds, time=True)
-    step("label", 1.0, "comparing")
+    steps.begin("label", 0.8, "labelling")
+    labelling = model.label(reconstruction.clouds)
+    steps.end(1.0, "comparing")
     points = compare_points(reconstruction.clouds, session.walk.positions, session.seen >= 2)
     indices = labelling.indices
     return PipelineResult(
@@ -108,5 +121,5 @@ def run_pipeline(session: Session, ensemble: SolverEnsemble, progress: Progress 
         int(((indices >= 0) & (indices == points.truth)).sum()),
         int(((indices >= 0) & (indices != points.truth)).sum()),
         int(((indices < 0) & (points.truth >= 0)).sum()),
-        seconds,
+        steps.seconds,
     )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from asterism.recording import Floats, Ints
 
 
-class BodyArrays(NamedTuple):
+class ArticulatedBodyArrays(NamedTuple):
     """A body model on flat arrays; rest positions are relative to the root's pivot, in metres.
 
     parents (B,), pivots (B, 3), hinge_starts (B + 1,), axes (J, 3), moves (B, J), low, high, usual (J,) rad, precision (J,) rad-2: bones
@@ -35,7 +35,7 @@ class BodyArrays(NamedTuple):
     radii: Floats
 
 
-class CameraArrays(NamedTuple):
+class PinholeArrays(NamedTuple):
     """Pinholes without lenses: blobs are undistorted before. Pixels are of the undistorted image around the principal point.
 
     rotations (C, 3, 3), translations (C, 3) m: camera from world; focals (C, 2) px; eyes (C, 3) m; limits (C, 4) px: left, right, top,
@@ -66,14 +66,14 @@ class Observing(NamedTuple):
 
     noise    px, standard deviation of a blob's x and y
     strays   blobs per px2 that show no marker
-    doubt    m, softness m, hidden, shown, clearance m: see `visible_shares` and `sight_depths`; an infinite doubt: all markers are shown
+    occlusion_tolerance, softness, clearance m; hidden, shown: see `visible_shares` and `sight_depths`; infinite tolerance: all are shown
     reach    px, `nearest` alone: distances above it do not count
     nearest  whether each visible marker takes its nearest blob (the paper's eq. 7), or blobs are shared among markers
     """
 
     noise: float
     strays: float
-    doubt: float
+    occlusion_tolerance: float
     softness: float
     hidden: float
     shown: float

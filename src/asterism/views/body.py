@@ -11,7 +11,7 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.recording import Floats, Ints, MarkerSet, canonical
 from asterism.recording.display import Rows, as_html, as_text, listed
-from asterism.views.arrays import BodyArrays
+from asterism.views.arrays import ArticulatedBodyArrays
 
 Point = tuple[float, float, float]
 """A place in space, m."""
@@ -73,7 +73,7 @@ class Capsule:
 
 
 @dataclass(frozen=True, repr=False)
-class BodyModel:
+class ArticulatedBody:
     """A body in its rest pose: x ahead, y left, z up, the floor at z = 0.
 
     title     what it is
@@ -98,6 +98,7 @@ class BodyModel:
     def __post_init__(self) -> None:
         names = [bone.name for bone in self.bones]
         if not names or self.bones[0].parent or any(not bone.parent for bone in self.bones[1:]):
+            # Kernels walk the bones once from the root down, so a parent has to come before its children.
             raise AsterismError(f"body {self.title}: exactly the first bone has no parent; give each other bone one.")
         for place, bone in enumerate(self.bones):
             if bone.parent and bone.parent not in names[:place]:
@@ -116,6 +117,7 @@ class BodyModel:
 
     def _check_numbers(self) -> None:
         where = f"body {self.title}"
+        # Lengths in millimetres are the usual mistake: no body is taller than 10 m or shorter than 5 cm.
         if not 0.05 < self.height < 10:
             raise AsterismError(f"{where}: its height is {self.height:g} m; give metres.")
         numbers = [x for part in self.bones for x in part.pivot] + [x for part in self.markers for x in (*part.place, part.spread)]
@@ -170,7 +172,7 @@ class BodyModel:
         on = {bone.name: tuple(marker.name for marker in self.markers if marker.bone == bone.name) for bone in self.bones}
         return {bone: names for bone, names in on.items() if names}
 
-    def select(self, names: Sequence[str]) -> BodyModel:
+    def select(self, names: Sequence[str]) -> ArticulatedBody:
         """The body with these markers alone, in this order; bones and hinges stay. Raises AsterismError where a name is absent."""
         by_name = {marker.name: marker for marker in self.markers}
         absent = next((name for name in names if name not in by_name), None)
@@ -182,7 +184,7 @@ class BodyModel:
             aliases={name: spelled for name, spelled in self.aliases.items() if name in names},
         )
 
-    def mirrored(self) -> BodyModel:
+    def mirrored(self) -> ArticulatedBody:
         """The body with left and right exchanged, the names of markers, bones and hinges kept: what a mirror shows."""
 
         def flip(place: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -199,10 +201,11 @@ class BodyModel:
             capsules=tuple(replace(part, start=flip(part.start), end=flip(part.end)) for part in self.capsules),
         )
 
-    def sized(self, height: float) -> BodyModel:
+    def sized(self, height: float) -> ArticulatedBody:
         """The body of a person of this height (m), the same everywhere else. Raises AsterismError where it is not a height in metres."""
         if not 0.3 < height < 2.8:
             raise AsterismError(f"a height of {height:g} m is not a person's; give metres, 0.3 to 2.8.")
+        # All lengths grow alike; angles, and how much people differ, stay.
         k = height / self.height
 
         def grown(place: Sequence[float]) -> tuple[float, float, float]:
@@ -220,7 +223,7 @@ class BodyModel:
         )
 
     @cached_property
-    def arrays(self) -> BodyArrays:
+    def arrays(self) -> ArticulatedBodyArrays:
         """The body as the kernels take it."""
         index = {bone.name: i for i, bone in enumerate(self.bones)}
         parents: Ints = np.array([index.get(bone.parent, -1) for bone in self.bones], dtype=np.int64)
@@ -228,13 +231,14 @@ class BodyModel:
         starts = np.concatenate([[0], np.cumsum([len(bone.hinges) for bone in self.bones])]).astype(np.int64)
         hinges = self.hinges
         moves = np.zeros((len(self.bones), len(hinges)), dtype=np.bool_)
+        # A hinge moves its own bone and all below it; parents come first, so each bone inherits a complete row.
         for b in range(len(self.bones)):
             if parents[b] >= 0:
                 moves[b] = moves[parents[b]]
             moves[b, starts[b] : starts[b + 1]] = True
         ends = [part.start for part in self.capsules] + [part.end for part in self.capsules]
         on = [index[part.bone] for part in self.capsules]
-        return BodyArrays(
+        return ArticulatedBodyArrays(
             parents,
             np.array([bone.pivot for bone in self.bones], dtype=np.float64) - root,
             starts,
@@ -269,7 +273,7 @@ class BodyModel:
         )
 
     def __repr__(self) -> str:
-        return as_text("BodyModel", self._facts())
+        return as_text("ArticulatedBody", self._facts())
 
     def _repr_html_(self) -> str:
-        return as_html("BodyModel", self._facts())
+        return as_html("ArticulatedBody", self._facts())

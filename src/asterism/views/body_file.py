@@ -1,4 +1,4 @@
-"""Body models as TOML: files and shipped names in, `BodyModel` out, and back."""
+"""Body models as TOML: files and shipped names in, `ArticulatedBody` out, and back."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from asterism.errors import AsterismError, guarded_reading
-from asterism.views.body import BodyMarker, BodyModel, Bone, Capsule, Hinge, Point
+from asterism.views.body import ArticulatedBody, BodyMarker, Bone, Capsule, Hinge, Point
 
 _VERSION = 1
 _MOST = 2000
@@ -24,12 +24,12 @@ def shipped_bodies() -> tuple[str, ...]:
     return tuple(sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml")))
 
 
-def load_body(source: str | Path | BodyModel) -> BodyModel:
+def load_body(source: str | Path | ArticulatedBody) -> ArticulatedBody:
     """A shipped body by name ("gait15"), a TOML file by path, or a body model as it is.
 
     Raises AsterismError where the name is not shipped, or the file is missing, damaged or of a later version.
     """
-    if isinstance(source, BodyModel):
+    if isinstance(source, ArticulatedBody):
         return source
     if isinstance(source, str) and source in shipped_bodies():
         text = resources.files("asterism").joinpath("bodies", f"{source}.toml").read_text(encoding="utf-8")
@@ -41,14 +41,14 @@ def load_body(source: str | Path | BodyModel) -> BodyModel:
         return body_from_toml(path.read_text(encoding="utf-8", errors="replace"), str(path))
 
 
-def save_body(body: BodyModel, path: str | Path) -> None:
+def save_body(body: ArticulatedBody, path: str | Path) -> None:
     """Write a body as TOML, to be read back to the same numbers within 0.1 mm and 0.1 degrees. Raises AsterismError where it cannot be."""
     from asterism.files.atomic import write_atomically
 
     write_atomically(Path(path), body_to_toml(body).encode())
 
 
-def body_from_toml(text: str, origin: str) -> BodyModel:
+def body_from_toml(text: str, origin: str) -> ArticulatedBody:
     """A body model from its TOML text; `origin` names it in messages. Raises AsterismError that names the first entry that is wrong."""
     try:
         table = tomllib.loads(text)
@@ -61,12 +61,13 @@ def body_from_toml(text: str, origin: str) -> BodyModel:
         raise AsterismError(f"{origin} is not a body model ({problem}); make one with `asterism body fit`.") from problem
 
 
-def _body(table: Mapping[str, Any], origin: str) -> BodyModel:
+def _body(table: Mapping[str, Any], origin: str) -> ArticulatedBody:
     bones = tuple(_bone(entry) for entry in _tables(table, "bones"))
     hinges = [hinge.name for bone in bones for hinge in bone.hinges]
     poses = {}
     for entry in _tables(table, "poses", needed=False):
         angles = _mapping(entry.get("angles_deg", {}), "angles_deg")
+        # A pose with a misspelt hinge would silently leave that hinge at rest.
         unknown = next((name for name in angles if name not in hinges), None)
         if unknown is not None:
             raise ValueError(f"the pose {entry.get('name')!r} turns {unknown!r}, which is no hinge")
@@ -86,7 +87,7 @@ def _body(table: Mapping[str, Any], origin: str) -> BodyModel:
     }
     spread = _pair(table, "scale_spread") if "scale_spread" in table else (0.12, 0.04)
     title = table.get("title", origin)
-    return BodyModel(str(title), _number(table.get("height"), "height"), bones, markers, capsules, poses, aliases, spread)
+    return ArticulatedBody(str(title), _number(table.get("height"), "height"), bones, markers, capsules, poses, aliases, spread)
 
 
 def _bone(entry: Mapping[str, Any]) -> Bone:
@@ -106,6 +107,7 @@ def _bone(entry: Mapping[str, Any]) -> Bone:
 
 def _unit(axis: Point) -> Point:
     length = math.sqrt(sum(x * x for x in axis))
+    # Rounded numbers are brought to length 1; a vector far from it is a mistake.
     if not 0.5 < length < 2.0:
         raise ValueError("an axis does not have length 1")
     return (axis[0] / length, axis[1] / length, axis[2] / length)
@@ -113,6 +115,7 @@ def _unit(axis: Point) -> Point:
 
 def _tables(table: Mapping[str, Any], key: str, needed: bool = True) -> list[Mapping[str, Any]]:
     found = table.get(key, [])
+    # A bound on the entries, so that a hostile file cannot take the memory.
     if not isinstance(found, list) or len(found) > _MOST or any(not isinstance(entry, dict) for entry in found) or (needed and not found):
         raise ValueError(f"`{key}` is no list of tables")
     return found
@@ -154,7 +157,7 @@ def _pair(entry: Mapping[str, Any], key: str) -> tuple[float, float]:
     return (first, second)
 
 
-def body_to_toml(body: BodyModel) -> str:
+def body_to_toml(body: ArticulatedBody) -> str:
     """The body as the text of its TOML file."""
     lines = ['format = "asterism body"', f"version = {_VERSION}", f"title = {_quoted(body.title)}", f"height = {body.height:.4f} # m"]
     lines += [f"scale_spread = [{body.scale_spread[0]:.4f}, {body.scale_spread[1]:.4f}]"]
@@ -189,4 +192,5 @@ def _quoted(text: str) -> str:
 
 
 def _list(numbers: tuple[float, ...]) -> str:
+    # Adding zero turns -0.0 into 0.0, so that a body written twice is the same file.
     return "[" + ", ".join(f"{round(number, 4) + 0.0:.4f}" for number in numbers) + "]"

@@ -10,9 +10,9 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.recording import Floats, Ints
 from asterism.views._pose_kernels import PLACE
-from asterism.views.body import BodyModel, as_point
+from asterism.views.body import ArticulatedBody, as_point
 from asterism.views.body_fit import PosedFrames, rest_places
-from asterism.views.frame import FrameLabeller, FrameLabels
+from asterism.views.frame import BlobLabels, FrameLabeller
 from asterism.views.scene import cameras_with_blobs
 
 
@@ -39,7 +39,7 @@ class PersonalRules:
 PERSONAL = PersonalRules()
 
 
-def personal_body(labeller: FrameLabeller, rules: PersonalRules = PERSONAL) -> BodyModel:
+def personal_body(labeller: FrameLabeller, rules: PersonalRules = PERSONAL) -> ArticulatedBody:
     """The body of the person whose blobs these are: the model where nothing is learned. O(frames) labellings.
 
     Places of the markers that two cameras show are medians over frames, in the axes of their bones. A marker that is hardly found where the
@@ -50,6 +50,7 @@ def personal_body(labeller: FrameLabeller, rules: PersonalRules = PERSONAL) -> B
     frames = _spread(labeller, rules.frames)
     found = _labelled(labeller, frames)
     good = [t for t, each in found.items() if quality_of(labeller, each) >= rules.quality]
+    # Learned from few frames, a body would be that of the blobs' noise.
     if len(good) < 2 * rules.least_frames:
         return general
     astray = _astray(labeller, found, good, rules)
@@ -60,29 +61,32 @@ def personal_body(labeller: FrameLabeller, rules: PersonalRules = PERSONAL) -> B
             for marker, away in zip(body.markers, astray, strict=True)
         )
         labeller = replace(labeller, body=replace(body, markers=wider))
+        # With room for the astray markers the labels are found again, so that their true blobs can take part.
         found = {t: labeller.turned(t, labeller.again(t, found[t])) for t in good}
+    # Cross-validation both ways: what half of the frames teaches has to explain the other half better.
     for learned, unused in ((good[::2], good[1::2]), (good[1::2], good[::2])):
         if not _is_better(labeller, _learned(labeller, found, learned, rules), [found[t] for t in unused], unused):
             return general
     return _learned(labeller, found, good, rules)
 
 
-def _learned(labeller: FrameLabeller, found: dict[int, FrameLabels], frames: list[int], rules: PersonalRules) -> BodyModel:
+def _learned(labeller: FrameLabeller, found: dict[int, BlobLabels], frames: list[int], rules: PersonalRules) -> ArticulatedBody:
     return _with_own_places(labeller.body, [found[t] for t in frames], [_views(labeller, found[t]) for t in frames], rules)
 
 
-def _is_better(labeller: FrameLabeller, own: BodyModel, found: list[FrameLabels], frames: list[int]) -> bool:
+def _is_better(labeller: FrameLabeller, own: ArticulatedBody, found: list[BlobLabels], frames: list[int]) -> bool:
     """Whether a person's body explains frames that were not used for it better than the model does."""
     personal = replace(labeller, body=own, size=None)
     gain = 0.0
     for t, each in zip(frames, found, strict=True):
         pose = each.pose.copy()
+        # The person's own body has the person's size, so its scales start at 1.
         pose[:PLACE] = 1.0
         gain += personal.from_start(t, pose, each.rotation).gain - each.gain
     return gain > 0.0
 
 
-def quality_of(labeller: FrameLabeller, found: FrameLabels) -> float:
+def quality_of(labeller: FrameLabeller, found: BlobLabels) -> float:
     """nats of gain per sighting that the body lets expect; 0 where fewer of them are there than `ViewsRules.least_shown`."""
     expected = max(float(labeller.expected(found).sum()), 1.0)
     shown = int((found.labels >= 0).sum())
@@ -96,13 +100,14 @@ def _spread(labeller: FrameLabeller, most: int) -> Ints:
     return np.array(some, dtype=np.int64)[np.unique(np.linspace(0, len(some) - 1, min(most, len(some))).round().astype(np.int64))]
 
 
-def _labelled(labeller: FrameLabeller, frames: Ints) -> dict[int, FrameLabels]:
+def _labelled(labeller: FrameLabeller, frames: Ints) -> dict[int, BlobLabels]:
     """These frames labelled, each from nothing, and then from the poses of its neighbours where those explain it better.
 
     No frame depends on one start: a wrong one is a minority, and its neighbours mend it. Where the body is in none of every third frame,
     the others are not tried.
     """
-    out = dict[int, FrameLabels]()
+    out = dict[int, BlobLabels]()
+    # A third of the frames first: where the body is in none of them, the rest would be searched in vain.
     for part in (frames[::3], frames[1::3], frames[2::3]):
         for t in part.tolist():
             try:
@@ -113,6 +118,7 @@ def _labelled(labeller: FrameLabeller, frames: Ints) -> dict[int, FrameLabels]:
             return out
     known = sorted(out)
     for order in (known, known[::-1]):
+        # Good poses spread to their neighbours, forwards and then backwards.
         for before, t in pairwise(order):
             other = labeller.from_start(t, out[before].pose, out[before].rotation)
             if other.gain > out[t].gain + 1.0:
@@ -120,23 +126,25 @@ def _labelled(labeller: FrameLabeller, frames: Ints) -> dict[int, FrameLabels]:
     return out
 
 
-def _astray(labeller: FrameLabeller, found: dict[int, FrameLabels], good: list[int], rules: PersonalRules) -> np.ndarray:
+def _astray(labeller: FrameLabeller, found: dict[int, BlobLabels], good: list[int], rules: PersonalRules) -> np.ndarray:
     markers = len(labeller.body.markers)
     expected, seen = np.zeros(markers), np.zeros(markers)
     for t in good:
         expected += labeller.expected(found[t]).sum(axis=0)
         seen += np.bincount(found[t].labels[found[t].labels >= 0], minlength=markers)
+    # Markers that no camera should see cannot be missed.
     return np.asarray((seen < rules.least_found * expected) & (expected > 1.0))
 
 
-def _views(labeller: FrameLabeller, found: FrameLabels) -> Ints:
+def _views(labeller: FrameLabeller, found: BlobLabels) -> Ints:
     """(M,) how many cameras show each marker."""
     return np.bincount(found.labels[found.labels >= 0], minlength=len(labeller.body.markers))
 
 
-def _with_own_places(body: BodyModel, found: list[FrameLabels], views: list[Ints], rules: PersonalRules) -> BodyModel:
+def _with_own_places(body: ArticulatedBody, found: list[BlobLabels], views: list[Ints], rules: PersonalRules) -> ArticulatedBody:
     poses = np.array([each.pose for each in found])
     scale: Floats = np.median(poses[:, :PLACE], axis=0)
+    # A marker that one camera shows lies somewhere on a ray, so its place comes from the model and teaches nothing.
     positions = np.array([np.where(seen[:, None] >= 2, each.points, np.nan) for each, seen in zip(found, views, strict=True)])
     rest = rest_places(body, PosedFrames(poses, np.array([each.rotation for each in found]), np.zeros(len(found))), positions)
     root = np.array(body.bones[0].pivot)
@@ -147,17 +155,19 @@ def _with_own_places(body: BodyModel, found: list[FrameLabels], views: list[Ints
             markers.append(marker)
             continue
         middle = np.median(own, axis=0)
+        # 1.4826 times the median deviation is a normal distribution's standard deviation, and outliers do not count.
         scatter = 1.4826 * float(np.sqrt(np.mean(np.median(np.abs(own - middle), axis=0) ** 2)))
         markers.append(replace(marker, place=as_point(middle + root), spread=min(marker.spread, max(scatter, rules.least_spread))))
     return _scaled(replace(body, markers=tuple(markers)), scale)
 
 
-def _scaled(body: BodyModel, scale: Floats) -> BodyModel:
+def _scaled(body: ArticulatedBody, scale: Floats) -> ArticulatedBody:
     """The body with the person's scales in it, which then hardly vary."""
 
     def grown(place: tuple[float, float, float]) -> tuple[float, float, float]:
         return as_point(np.array(place) * scale)
 
+    # Capsules are round, so their radii grow with the mean of the three scales.
     girth = float(scale.mean())
     return replace(
         body,

@@ -6,10 +6,10 @@ import numpy as np
 
 from asterism.recording import Floats
 from asterism.views._pose_kernels import place_bones, place_points
-from asterism.views.body import BodyModel
+from asterism.views.body import ArticulatedBody
 
 
-def posed_points(body: BodyModel, pose: Floats, rotation: Floats) -> tuple[Floats, Floats, Floats]:
+def posed_points(body: ArticulatedBody, pose: Floats, rotation: Floats) -> tuple[Floats, Floats, Floats]:
     """Markers (M, 3) m, and the capsules' starts and ends (K, 3) m, of a body in a pose (9 + J,) with a rotation (3, 3).
 
     The pose: three scales, the root's place (m), three numbers that are not used, and the hinge angles (rad). O(B + M + K).
@@ -22,7 +22,7 @@ def posed_points(body: BodyModel, pose: Floats, rotation: Floats) -> tuple[Float
     return points, ends[:capsules], ends[capsules:]
 
 
-def posed_bones(body: BodyModel, pose: Floats, rotation: Floats) -> tuple[Floats, Floats]:
+def posed_bones(body: ArticulatedBody, pose: Floats, rotation: Floats) -> tuple[Floats, Floats]:
     """How each bone of a body in a pose is turned (B, 3, 3) and moved (B, 3) m, see `place_bones`. O(B)."""
     arrays, bones, hinges = body.arrays, len(body.bones), len(body.hinges)
     turned, moved, by_scale = np.empty((bones, 3, 3)), np.empty((bones, 3)), np.empty((bones, 3, 3))

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from asterism.cameras import Camera, Rig
 from asterism.errors import AsterismError
 from asterism.recording import Blobs, Floats, Ints
-from asterism.views.arrays import CameraArrays
+from asterism.views.arrays import PinholeArrays
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class ViewsScene:
     """Blobs of all frames before a rig.
 
     rig       the cameras that have blobs, in their order
@@ -28,7 +28,7 @@ class Scene:
     rig: Rig
     blobs: Blobs
     xy: Floats
-    cameras: CameraArrays
+    cameras: PinholeArrays
     area: float
     vertical: Floats
 
@@ -39,7 +39,7 @@ class Scene:
         return self.xy[offsets[0] : offsets[-1]], offsets - offsets[0]
 
 
-def scene_of(blobs: Blobs, rig: Rig) -> Scene:
+def scene_of(blobs: Blobs, rig: Rig) -> ViewsScene:
     """Blobs and a rig whose cameras have the same names, in the order of the blobs.
 
     Raises AsterismError where a camera is not in the rig, has no pose or no image size, or the rig does not say what is up.
@@ -55,12 +55,14 @@ def scene_of(blobs: Blobs, rig: Rig) -> Scene:
     for camera in rig:
         if not camera.posed:
             raise AsterismError(f"camera {camera.name} has no pose; calibrate the rig.")
+    # Without a size in the rig, the blobs tell how far the image reaches at least.
     sizes = [_size(camera, blobs.xy[blobs.camera_of == c]) for c, camera in enumerate(rig)]
     xy = np.empty(blobs.xy.shape)
     for c, camera in enumerate(rig):
         own = blobs.camera_of == c
+        # A pixel without a ray is put far outside, where no marker is expected.
         xy[own] = np.nan_to_num(camera.undistort(blobs.xy[own]), nan=1e3) * np.array(camera.focal)
-    return Scene(
+    return ViewsScene(
         rig, blobs, xy, camera_arrays(rig, sizes), float(np.mean([width * height for width, height in sizes])), np.asarray(rig.vertical)
     )
 
@@ -73,17 +75,18 @@ def _size(camera: Camera, xy: Floats) -> tuple[float, float]:
     return float(max(2 * camera.centre[0], reach[0], 1.0)), float(max(2 * camera.centre[1], reach[1], 1.0))
 
 
-def camera_arrays(rig: Rig, sizes: list[tuple[float, float]]) -> CameraArrays:
+def camera_arrays(rig: Rig, sizes: list[tuple[float, float]]) -> PinholeArrays:
     """The rig for the kernels; sizes (C,) px, width and height of the images."""
     limits = []
     for camera, (width, height) in zip(rig, sizes, strict=True):
+        # A lens bends the borders, so the limits are those of the whole outline and not of the corners.
         along, across = np.linspace(-0.5, width - 0.5, 17), np.linspace(-0.5, height - 0.5, 17)
         border = [(x, y) for x in along for y in (-0.5, height - 0.5)] + [(x, y) for y in across for x in (-0.5, width - 0.5)]
         flat = camera.undistort(np.array(border))
         flat = flat[np.isfinite(flat[:, 0])] * np.array(camera.focal)
         low, high = (flat.min(axis=0), flat.max(axis=0)) if len(flat) else (np.full(2, -1e4), np.full(2, 1e4))
         limits.append([low[0], high[0], low[1], high[1]])
-    return CameraArrays(
+    return PinholeArrays(
         np.ascontiguousarray([camera.rotation for camera in rig]),
         np.ascontiguousarray([camera.translation for camera in rig]),
         np.array([camera.focal for camera in rig], dtype=np.float64),

@@ -16,10 +16,11 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from asterism.errors import AsterismError
-from asterism.labelling.correction import Change, Correction, request_of
+from asterism.labelling.correction import Correction, CorrectionChange, request_of
+from asterism.recording.display import counted
 from asterism.report import player_script, player_style
 from asterism.web.plain import packed_pieces, packed_points, plain_change, plain_state, plain_trials
-from asterism.web.session import Session, StaleRevision, Trial
+from asterism.web.session import CorrectionSession, CorrectionTrial, StaleRevision
 
 MAX_BODY = 1 << 16
 """Bytes of a request at most."""
@@ -34,8 +35,9 @@ class _Refused(Exception):
         self.status, self.sentence = status, sentence
 
 
-def make_app(session: Session) -> Starlette:
+def make_app(session: CorrectionSession) -> Starlette:
     """The application for a sitting; behind a `Guard`."""
+    # Every answer passes one place that turns failures into sentences.
     api = _Api(session)
     trial = "/api/trials/{trial}"
     routes = [
@@ -57,18 +59,20 @@ def make_app(session: Session) -> Starlette:
 class _Api:
     """What the addresses under /api/ answer. Each method takes the request and its JSON, and runs in a thread."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: CorrectionSession) -> None:
         self.session = session
 
     def answering(self, answer: Callable[[Request, dict[str, Any]], Response | dict[str, Any]]) -> Callable[[Request], Any]:
         """An endpoint that answers by a method of this class, and by a sentence where it fails."""
 
         async def endpoint(request: Request) -> Response:
+            # Reading the body waits for the network; the work itself runs in a thread, so that other requests go on.
             try:
                 given = await _json_of(request) if request.method == "POST" else {}
                 found = await run_in_threadpool(answer, request, given)
             except _Refused as problem:
                 return JSONResponse({"error": problem.sentence}, problem.status)
+            # 409: the page asks for the state anew and shows what has changed.
             except StaleRevision as problem:
                 return JSONResponse({"error": str(problem)}, 409)
             except AsterismError as problem:
@@ -108,6 +112,7 @@ class _Api:
 
         def answer(request: Request, given: dict[str, Any]) -> dict[str, Any]:
             trial, revision = self._trial(request), given.get("revision")
+            # JSON has true and 1; in Python they are equal.
             if isinstance(revision, bool) or not isinstance(revision, int):
                 raise _Refused(400, "the request needs the revision that it is about, a whole number.")
             change = trial.change(revision, lambda correction: _change(correction, verb, given))
@@ -123,13 +128,14 @@ class _Api:
 
     def teach(self, request: Request, given: dict[str, Any]) -> dict[str, Any]:
         trials, name = given.get("trials"), given.get("model_out")
+        # Ids from the page are checked: they name files.
         known = {trial.id for trial in self.session.trials}
         if not isinstance(trials, list) or not all(isinstance(trial, str) and trial in known for trial in trials):
             raise _Refused(400, "the request needs the ids of trials in the field trials.")
         if name is not None and not isinstance(name, str):
             raise _Refused(400, "the field model_out is no text; give the name of a file, or null.")
         path = self.session.teach(trials, name)
-        return {"path": str(path), "sentence": f"The model has learned {len(trials)} trials; it was written as {path}."}
+        return {"path": str(path), "sentence": f"The model has learned {counted(len(trials), 'trial')}; it was written as {path}."}
 
     async def tell(self, socket: WebSocket) -> None:
         """Tell a page whatever changes, for as long as it is open."""
@@ -137,11 +143,13 @@ class _Api:
         loop, waiting = asyncio.get_running_loop(), asyncio.Queue[tuple[str, int]]()
 
         def listener(trial: str, revision: int) -> None:
+            # Changes come from threads; the socket belongs to the loop.
             loop.call_soon_threadsafe(waiting.put_nowait, (trial, revision))
 
         self.session.listeners.append(listener)
         sender = asyncio.create_task(_send_all(socket, waiting))
         try:
+            # The page says nothing; waiting for it tells when it has gone.
             while True:
                 await socket.receive_text()
         except (WebSocketDisconnect, KeyError, RuntimeError):
@@ -150,7 +158,7 @@ class _Api:
             self.session.listeners.remove(listener)
             sender.cancel()
 
-    def _trial(self, request: Request) -> Trial:
+    def _trial(self, request: Request) -> CorrectionTrial:
         try:
             return self.session.trial(request.path_params["trial"])
         except KeyError:
@@ -163,7 +171,7 @@ async def _send_all(socket: WebSocket, waiting: asyncio.Queue[tuple[str, int]]) 
         await socket.send_text(json.dumps({"trial": trial, "revision": revision}))
 
 
-def _change(correction: Correction, verb: str, given: dict[str, Any]) -> Change:
+def _change(correction: Correction, verb: str, given: dict[str, Any]) -> CorrectionChange:
     if verb == "undo":
         return correction.undo()
     if verb == "redo":
@@ -183,11 +191,13 @@ def _change(correction: Correction, verb: str, given: dict[str, Any]) -> Change:
 
 async def _json_of(request: Request) -> dict[str, Any]:
     """The JSON object of a request."""
+    # A form of another page cannot send this type without asking first.
     if request.headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
         raise _Refused(415, "the request is no JSON.")
     body = b""
     async for part in request.stream():
         body += part
+        # Counted while it arrives: the header may lie.
         if len(body) > MAX_BODY:
             raise _Refused(413, f"the request has more than {MAX_BODY} bytes.")
     try:
@@ -204,6 +214,7 @@ def _static(name: str) -> Response:
     kind = _TYPES.get(name.rpartition(".")[2])
     if name in ("player.js", "player.css"):
         return Response(player_script() if name.endswith("js") else player_style(), media_type=kind)
+    # No path leads out of the folder of the page's files.
     if kind is None or name != name.replace("/", "").replace("\\", "") or name.startswith("."):
         return JSONResponse({"error": "there is no such file."}, 404)
     file = resources.files("asterism.web").joinpath("static", name)

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from asterism.geometry import rotate_z_up
-from asterism.labelling.correction import Change, Correction, Readiness
+from asterism.labelling.correction import Correction, CorrectionChange, Readiness
 from asterism.recording import label_shares
 from asterism.report import marker_bones, marker_sides
-from asterism.web.session import CORRECTED, READY, Session, Trial
+from asterism.web.session import CORRECTED, READY, CorrectionSession, CorrectionTrial
 
 ITEMS = 500
 """The list is cut after so many items."""
@@ -18,17 +18,17 @@ BONE_FRAMES = 200
 """Frames by which the bones are chosen, at most."""
 
 
-def plain_trials(session: Session) -> dict[str, Any]:
+def plain_trials(session: CorrectionSession) -> dict[str, Any]:
     """What `/api/trials` answers."""
     out = session.options.output
     return {
         "trials": [_plain_trial(trial) for trial in session.trials],
-        "markers_of_model": list(session.ensemble.marker_set.names),
+        "markers_of_model": list(session.labeller.marker_set.names),
         "out": CORRECTED if out is None else str(out),
     }
 
 
-def _plain_trial(trial: Trial) -> dict[str, Any]:
+def _plain_trial(trial: CorrectionTrial) -> dict[str, Any]:
     row: dict[str, Any] = {
         "id": trial.id,
         "name": trial.path.name,
@@ -36,10 +36,12 @@ def _plain_trial(trial: Trial) -> dict[str, Any]:
         "state": trial.state,
         "error": trial.error,
         "notes": list(trial.notes),
+        "findings": [finding.to_dict() for finding in trial.findings],
         "saved": trial.is_saved,
     }
     if trial.state != READY:
         return row
+    # Under the trial's lock: shares and verdict are of one revision.
     with trial.opened() as correction:
         shares = label_shares(correction.labelling, correction.clouds)
         return row | {
@@ -60,13 +62,13 @@ def plain_verdict(verdict: Readiness) -> dict[str, Any]:
     return {"kind": verdict.kind, "sentence": verdict.sentence, "look_at": verdict.look_at}
 
 
-def plain_state(trial: Trial, correction: Correction) -> dict[str, Any]:
+def plain_state(trial: CorrectionTrial, correction: Correction) -> dict[str, Any]:
     """What `/api/trials/ID/state` answers."""
     pieces, names = correction.pieces, correction.names
     return {
         "revision": correction.revision,
         "markers": list(names),
-        "side": marker_sides(names, correction.ensemble.marker_set),
+        "side": marker_sides(names, correction.marker_set),
         "bones": _bones(correction),
         "rate": correction.recording.rate,
         "first_frame": correction.recording.first_frame,
@@ -98,7 +100,7 @@ def plain_state(trial: Trial, correction: Correction) -> dict[str, Any]:
     }
 
 
-def plain_change(change: Change) -> list[dict[str, Any]]:
+def plain_change(change: CorrectionChange) -> list[dict[str, Any]]:
     """What a touch changed."""
     return [
         {
@@ -116,6 +118,7 @@ def plain_change(change: Change) -> list[dict[str, Any]]:
 def packed_points(correction: Correction) -> bytes:
     """What `/api/trials/ID/points` answers: numbers of frames and points, offsets, and positions with the z axis up."""
     clouds = correction.clouds
+    # Bytes instead of JSON: a long recording has millions of numbers.
     head = np.array([len(clouds), len(clouds.xyz)], dtype="<u4").tobytes() + clouds.offsets.astype("<u4").tobytes()
     return head + rotate_z_up(clouds.xyz, clouds.vertical).astype("<f4").tobytes()
 
@@ -127,12 +130,13 @@ def packed_pieces(correction: Correction) -> bytes:
 
 def _bones(correction: Correction) -> list[list[int]]:
     labelling, clouds = correction.labelling, correction.clouds
+    # Bones by a sample of frames: distances settle long before all are seen.
     frames = np.unique(np.linspace(0, len(clouds) - 1, BONE_FRAMES).round().astype(np.int64))
     some = clouds.frames(frames)
     positions = np.full((len(frames), len(correction.names), 3), np.nan)
     row, marker = np.nonzero(labelling.indices[frames] >= 0)
     positions[row, marker] = some.xyz[some.offsets[row] + labelling.indices[frames[row], marker]]
-    return [[int(a), int(b)] for a, b in marker_bones(positions, correction.names, correction.ensemble.marker_set)]
+    return [[int(a), int(b)] for a, b in marker_bones(positions, correction.names, correction.marker_set)]
 
 
 def _number(value: float) -> float | None:

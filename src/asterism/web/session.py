@@ -6,18 +6,20 @@ import hashlib
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from asterism import formats
+from asterism import __version__
 from asterism.errors import AsterismError
+from asterism.findings import Finding
 from asterism.labelling.correction import Correction, CorrectionLog, log_path
 from asterism.labelling.correction.event_log import SAVED
+from asterism.session import FileLabeller, LabelledFile, LabellingOptions, body_names
 
 if TYPE_CHECKING:
-    from asterism.labelling import SolverEnsemble
-    from asterism.labelling.correction import Change
+    from asterism.labelling import MarkerModel
+    from asterism.labelling.correction import CorrectionChange
 
 WAITING, LABELLING, READY, FAILED = "waiting", "labelling", "ready", "failed"
 
@@ -34,24 +36,22 @@ CORRECTED = "corrected"
 class SessionOptions:
     """How a sitting works.
 
-    model       the model's file
+    models      the models' files, one for each body
     output      the folder for the corrected files; None for a folder `corrected` beside each
     log_folder  the folder for the logs of corrections; None for beside each file
     overwrite   whether files that were there before may be replaced
-    vertical    what points up, as `asterism.read` takes it
-    workers     threads that share the work of labelling
+    labelling   how the files are labelled
     """
 
-    model: Path
+    models: Sequence[Path]
     output: Path | None = None
     log_folder: Path | None = None
     overwrite: bool = False
-    vertical: Any = None
-    workers: int = 1
+    labelling: LabellingOptions = field(default_factory=LabellingOptions)
 
 
 @dataclass
-class Trial:
+class CorrectionTrial:
     """One recording of a sitting. Its methods may be called from any thread.
 
     id       a short name in addresses
@@ -59,6 +59,8 @@ class Trial:
     target   where it is saved
     state    "waiting", "labelling", "ready" or "failed"
     error    why it failed, in one sentence
+    notes    what a person should know when it is opened
+    findings of labelling it
     """
 
     id: str
@@ -69,19 +71,21 @@ class Trial:
     state: str = WAITING
     error: str = ""
     notes: list[str] = field(default_factory=list)
+    findings: Sequence[Finding] = ()
     _lock: threading.RLock = field(default_factory=threading.RLock)
+    _labelled: LabelledFile | None = None
     _correction: Correction | None = None
     _log: CorrectionLog | None = None
     _saved: int = -1
     _saved_hash: str = ""
     _on_disk: tuple[int, int] = (0, 0)
 
-    def label(self, ensemble: SolverEnsemble) -> None:
+    def label(self, labeller: FileLabeller) -> None:
         """Read and label the file, and take up the corrections of its log; a failure is kept as `error`."""
         self.state = LABELLING
         self.changed(self.id, 0)
         try:
-            self._open(ensemble)
+            self._open(labeller)
             self.state = READY
         except Exception as problem:  # whatever a file raises costs that file only
             self.error = _sentence(problem, self.path)
@@ -107,9 +111,10 @@ class Trial:
         """Whether something was said that is in no saved file."""
         return self._correction is not None and bool(self._correction.touches) and not self.is_saved
 
-    def change(self, revision: int, act: Callable[[Correction], Change]) -> Change:
+    def change(self, revision: int, act: Callable[[Correction], CorrectionChange]) -> CorrectionChange:
         """Change the labels. Raises StaleRevision where they are no longer those of this revision, else what `act` raises."""
         with self.opened() as correction:
+            # Two tabs may show one trial: the later answer would be about labels that are gone.
             if revision != correction.revision:
                 raise StaleRevision("the labels have changed since, perhaps in another tab; look at them again.")
             change = act(correction)
@@ -122,15 +127,15 @@ class Trial:
 
         Raises AsterismError where the recording's file has changed on the disk, or the target is there and not ours.
         """
-        from asterism import __version__
-
         with self.opened() as correction:
+            # Labels by row numbers of a file that was written anew would be of other points.
             if _stamp(self.path) != self._on_disk:
                 raise AsterismError(f"{self.path} has changed on the disk since it was opened; start again to correct the new one.")
             self._check_target()
             self.target.parent.mkdir(parents=True, exist_ok=True)
-            by = f"asterism {__version__}, {self.options.model.name}"
-            lost = formats.write(self.target, correction.labelled_recording(by))
+            assert self._labelled is not None
+            lost = self._labelled.corrected(correction).write(self.target)
+            # The hash tells our file from one that someone else put there.
             self._saved, self._saved_hash = correction.revision, _hash_of_file(self.target)
             if self._log is not None:
                 self._log.append({"kind": SAVED, "file": str(self.target), "sha256": self._saved_hash})
@@ -144,10 +149,12 @@ class Trial:
             if self._correction is not None:
                 self._correction.close()
 
-    def _open(self, ensemble: SolverEnsemble) -> None:
+    def _open(self, labeller: FileLabeller) -> None:
         stamp = _stamp(self.path)
-        recording = formats.read(self.path, vertical=self.options.vertical)
-        correction = Correction(ensemble, recording, workers=self.options.workers)
+        labelled = labeller.label(self.path)
+        correction = labelled.correction()
+        self.findings = labelled.findings
+        self.notes += [finding.sentence for finding in labelled.findings]
         folder = self.options.log_folder
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
@@ -159,11 +166,12 @@ class Trial:
             raise
         if log.dropped:
             self.notes.append(f"{log.path.name}: the last line was not whole and was dropped; one correction may be missing.")
+        # A file that an earlier sitting saved is ours if its content still is.
         saves = [entry for entry in log.entries if entry["kind"] == SAVED and entry.get("file") == str(self.target)]
         self._saved_hash = str(saves[-1].get("sha256")) if saves else ""
         if saves and log.entries[-1] is saves[-1] and self._is_ours():
             self._saved = correction.revision
-        self._correction, self._log, self._on_disk = correction, log, stamp
+        self._labelled, self._correction, self._log, self._on_disk = labelled, correction, log, stamp
 
     def _is_ours(self) -> bool:
         """Whether the target is the file that was saved last."""
@@ -176,22 +184,32 @@ class Trial:
             raise AsterismError(f"{self.target} exists; choose another folder with -o, or replace it with --overwrite.")
 
 
-class Session:
+class CorrectionSession:
     """The trials of a sitting, labelled one after the other."""
 
     def __init__(
-        self, files: Sequence[Path], ensemble: SolverEnsemble, options: SessionOptions, targets: Sequence[Path] | None = None
+        self,
+        files: Sequence[Path],
+        models: MarkerModel | Sequence[MarkerModel],
+        options: SessionOptions,
+        targets: Sequence[Path] | None = None,
     ) -> None:
-        """targets: where each file is saved, by default in the folder for the corrected files, under its name.
+        """models: one, or one for each body.
+
+        targets: where each file is saved, by default in the folder for the corrected files, under its name.
 
         Raises AsterismError where two files would be saved to one place, or the output is no folder.
         """
-        self.ensemble, self.options = ensemble, options
+        several = tuple(models) if isinstance(models, Sequence) else (models,)
+        by = options.labelling.by or f"asterism {__version__}, {', '.join(path.name for path in options.models)}"
+        labelling = replace(options.labelling, by=by, in_memory=True, keep_tracklets=True)
+        self.labeller = FileLabeller(several, labelling, files, body_names(options.models) if len(several) > 1 else None)
+        self.options = options
         self.listeners: list[Callable[[str, int], None]] = []
         """Called with a trial's id and revision when it has changed, from any thread."""
         targets = _targets(files, options.output) if targets is None else targets
         self.trials = [
-            Trial(str(number), path, target, options, self._changed)
+            CorrectionTrial(str(number), path, target, options, self._changed)
             for number, (path, target) in enumerate(zip(files, targets, strict=True))
         ]
         self._stopped = threading.Event()
@@ -203,7 +221,7 @@ class Session:
         thread.start()
         return thread
 
-    def trial(self, number: str) -> Trial:
+    def trial(self, number: str) -> CorrectionTrial:
         """The trial with this id. Raises KeyError where there is none."""
         return {trial.id: trial for trial in self.trials}[number]
 
@@ -216,9 +234,12 @@ class Session:
         recordings = [self._taught(number) for number in trials]
         if not recordings:
             raise AsterismError("no trial was chosen; save one, and teach it.")
+        if len(self.labeller.models) > 1:
+            raise AsterismError("a sitting with several models teaches none of them; start again with the one to teach.")
         target = self._model_target(name)
+        # One at a time: two lessons from one model would each forget the other.
         with self._teaching:
-            self.ensemble.learn(recordings).save(target)
+            self.labeller.models[0].learn(recordings).save(target)
         return target
 
     def close(self) -> None:
@@ -231,7 +252,7 @@ class Session:
         for trial in self.trials:
             if self._stopped.is_set():
                 return
-            trial.label(self.ensemble)
+            trial.label(self.labeller)
 
     def _changed(self, trial: str, revision: int) -> None:
         for listener in list(self.listeners):
@@ -242,18 +263,20 @@ class Session:
         with trial.opened() as correction:
             if not trial.is_saved:
                 raise AsterismError(f"{trial.path.name} is not saved; save it before the model learns it.")
+            # A recording that should not be used would teach its mistakes.
             verdict = correction.verdict
             if verdict.kind == "do-not-use":
                 raise AsterismError(f"{trial.path.name} should not be learned: {verdict.sentence}")
             return correction.labelled_recording()
 
     def _model_target(self, name: str | None) -> Path:
-        model = self.options.model
+        model = self.options.models[0]
         if name is None:
             number = 2
             while (target := model.with_name(f"{model.stem}-{number}{model.suffix}")).exists():
                 number += 1
             return target
+        # The name comes from the page: it must not lead to another folder.
         if not name.strip() or name != Path(name).name or "\\" in name or name.startswith("."):
             raise AsterismError(f"{name[:60]!r} is no name of a file; give one without a folder, such as better.model.")
         target = model.with_name(name if name.endswith(".model") else f"{name}.model")
@@ -269,6 +292,7 @@ def _targets(files: Sequence[Path], output: Path | None) -> list[Path]:
     targets = [(path.parent / CORRECTED if output is None else output) / path.name for path in files]
     taken: dict[str, Path] = {}
     for path, target in zip(files, targets, strict=True):
+        # Names that differ only in case are one file on some systems.
         other = taken.setdefault(str(target.absolute()).casefold(), path)
         if other is not path:
             raise AsterismError(f"{other} and {path} would both become {target}; correct them one after the other, into two folders.")

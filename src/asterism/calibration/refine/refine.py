@@ -44,7 +44,7 @@ def refine_rig(blobs: Blobs, rig: Rig, *, frames: int = RULES.frames, progress: 
         raise AsterismError(f"only {len(seeing)} cameras of the rig have blobs and a pose; to tell which one was moved takes three.")
     some, picked = some_frames(blobs, seeing, frames)
     report(0.0, "measuring the noise")
-    problem = _Problem(some, rig, seeing, estimate_noise(some, rig, seeing))
+    problem = _RefinementProblem(some, rig, seeing, estimate_noise(some, rig, seeing))
     reference, comparisons = _find_reference(problem, report)
     if len(reference) < max(2, len(seeing) / 2):
         raise AsterismError(_CONTRADICT)
@@ -67,7 +67,7 @@ def refine_rig(blobs: Blobs, rig: Rig, *, frames: int = RULES.frames, progress: 
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _RefinementProblem:
     """Some frames of a recording, the rig as it was calibrated, the cameras (by number) that see something, and the noise, px."""
 
     blobs: Blobs
@@ -76,7 +76,7 @@ class _Problem:
     noise: float
 
 
-def _find_reference(problem: _Problem, report: Progress) -> tuple[list[int], dict[int, CameraComparison]]:
+def _find_reference(problem: _RefinementProblem, report: Progress) -> tuple[list[int], dict[int, CameraComparison]]:
     """The cameras that agree with each other as the rig has them, and how each camera compares with them."""
     rig, seeing = problem.rig, problem.seeing
     reference = list(seeing)
@@ -106,7 +106,9 @@ def _least_move(comparison: CameraComparison, noise: float, others: int) -> floa
     return least if others >= 3 else RULES.by_two * least
 
 
-def _most_likely_moved(problem: _Problem, moved: list[int], comparisons: dict[int, CameraComparison], reference: list[int]) -> int:
+def _most_likely_moved(
+    problem: _RefinementProblem, moved: list[int], comparisons: dict[int, CameraComparison], reference: list[int]
+) -> int:
     """Of cameras that seem to have moved, the one that did: with its new pose all agree best. One moved camera makes others seem moved."""
     likely = sorted((c for c in moved if comparisons[c].camera is not None), key=lambda c: -comparisons[c].shown)[:3]
     if len(likely) < 2:
@@ -119,13 +121,13 @@ def _most_likely_moved(problem: _Problem, moved: list[int], comparisons: dict[in
     return max(likely, key=lambda c: merit[c])
 
 
-def _lag(problem: _Problem, blobs: Blobs, picked: Ints, camera: int, reference: list[int]) -> int:
+def _lag(problem: _RefinementProblem, blobs: Blobs, picked: Ints, camera: int, reference: list[int]) -> int:
     """By how many frames a camera, as the rig has it, is behind the reference cameras; picked: the numbers of the frames used."""
     clouds = list(reconstruct_by(problem.blobs, problem.rig, reference, problem.noise).clouds)
     return frames_behind(clouds, picked.tolist(), blobs, camera, problem.rig[camera], match_radius(problem.noise))
 
 
-def _adjust_moved(problem: _Problem, moved: list[int], poses: dict[int, Camera | None], reference: list[int]) -> Rig:
+def _adjust_moved(problem: _RefinementProblem, moved: list[int], poses: dict[int, Camera | None], reference: list[int]) -> Rig:
     """The rig with its moved cameras adjusted, twice since what they are seen to show changes; focal lengths only where they changed."""
     rig, blobs, noise = problem.rig, problem.blobs, problem.noise
     fitted = replace(rig, cameras=tuple(poses.get(c) or rig[c] for c in range(len(rig))))
@@ -139,7 +141,7 @@ def _adjust_moved(problem: _Problem, moved: list[int], poses: dict[int, Camera |
     return fitted
 
 
-def _final_fit(problem: _Problem, fitted: Rig, moved: list[int], reference: list[int]) -> RigFit:
+def _final_fit(problem: _RefinementProblem, fitted: Rig, moved: list[int], reference: list[int]) -> RigFit:
     """How all cameras fit; again without moved ones that do not, since they spoil the points of the others."""
     last = adjust_rig(problem.blobs, fitted, [], [*reference, *moved], problem.noise)
     unfit = [c for c in moved if not last.off[c] <= misfit_limit(problem.noise)]
@@ -149,7 +151,7 @@ def _final_fit(problem: _Problem, fitted: Rig, moved: list[int], reference: list
 
 
 def _states(
-    problem: _Problem, reference: list[int], comparisons: dict[int, CameraComparison], lags: dict[int, int], off: Floats
+    problem: _RefinementProblem, reference: list[int], comparisons: dict[int, CameraComparison], lags: dict[int, int], off: Floats
 ) -> list[str]:
     """What became of each camera. Two reference cameras can only be compared with each other."""
     limit = misfit_limit(problem.noise)

@@ -22,7 +22,7 @@ BEHIND = 1e4
 """px, the residual of a point behind its camera: a step that moves one there is no step down."""
 
 
-class CameraArrays(NamedTuple):
+class BundleCameras(NamedTuple):
     """Cameras: lens (C, LENS), see `cameras.lens_kernels`; rotation (C, 3, 3), translation (C, 3) m: camera from world."""
 
     lens: np.ndarray

@@ -105,12 +105,15 @@ class Adjustment:
         rigid = np.zeros((3 * count, 6))
         for c, camera in enumerate(self.cameras):
             rows, first = slice(3 * c, 3 * c + 3), c * len(PARAMETERS)
+            # A camera's place is -R^T t: how it moves with a turn of the camera, and with a shift.
             by_parameter[rows, first : first + 3] = -camera.rotation.T @ cross_matrix(camera.translation)
             by_parameter[rows, first + 3 : first + 6] = -camera.rotation.T
             rigid[rows] = np.hstack([-cross_matrix(camera.position), np.eye(3)])
+        # Single points leave the size open, so that a larger world explains part of the spread, too.
         if self.no_scale:
             places = np.stack([camera.position for camera in self.cameras])
             rigid = np.column_stack([rigid, (places - places.mean(axis=0)).ravel()])
+        # What the world's own turn and shift explain is nobody's uncertainty.
         left = np.eye(3 * count) - rigid @ np.linalg.pinv(rigid)
         steps = left @ by_parameter[:, self.free.ravel()]
         variance = np.einsum("ij,jk,ik->i", steps, self.covariance, steps)
@@ -167,16 +170,19 @@ def adjust(
         raise AsterismError("a bundle adjustment was given no sightings.")
     if sightings.frame[-1] >= len(rotations) or len(rotations) != len(translations):
         raise AsterismError(f"sightings name frame {int(sightings.frame[-1])}, but only {len(rotations)} placements were given.")
+    # A wand has no turn about its own line: freedoms that nothing shows are taken out before the equations are set up.
     model, turn_back, axes = _principal_axes(np.asarray(template, dtype=np.float64).reshape(-1, 3))
     wanted: Bools = free_parameters(len(cameras), "pose", "focal") if free is None else np.array(free, dtype=bool)
-    state = _State.of(cameras, rotations @ turn_back, translations)
+    state = _AdjustmentState.of(cameras, rotations @ turn_back, translations)
+    # Images say nothing of where the world begins, and equations with that freedom have no solution.
     _hold_the_world(wanted, state, single=len(axes) == 3)
-    problem = _Problem(model, sightings, wanted, axes, settings, prior)
+    problem = _BundleProblem(model, sightings, wanted, axes, settings, prior)
     state, cost, done, converged = _descend(problem, state)
     residuals, weights = problem.residuals(state)[:2]
     noise = problem.noise(residuals, weights)
     spread: Floats = np.empty((0, 0))
     if settings.covariance and problem.unknowns:
+        # The pseudo-inverse, since a parameter that nothing determines must not spoil those of the others.
         spread = np.asarray(noise**2 * np.linalg.pinv(problem.normal(state, residuals, weights, 0.0).matrix, hermitian=True))
     errors = [rms(residuals[sightings.camera == c]) for c in range(len(cameras))]
     return Adjustment(
@@ -186,7 +192,7 @@ def adjust(
 
 
 @dataclass
-class _State:
+class _AdjustmentState:
     """Cameras and objects as arrays, the adjustment's working copy."""
 
     lens: Floats
@@ -196,7 +202,7 @@ class _State:
     placed: Floats
 
     @classmethod
-    def of(cls, cameras: Sequence[Camera], turned: Floats, placed: Floats) -> _State:
+    def of(cls, cameras: Sequence[Camera], turned: Floats, placed: Floats) -> _AdjustmentState:
         radial = max(3, *(len(camera.radial) for camera in cameras)) if len(cameras) > 1 else max(3, len(cameras[0].radial))
         lens = np.zeros((len(cameras), 9 + radial))
         for c, camera in enumerate(cameras):
@@ -204,14 +210,14 @@ class _State:
         turns, shifts = (np.array([getattr(camera, name) for camera in cameras]) for name in ("rotation", "translation"))
         return cls(lens, turns, shifts, np.ascontiguousarray(turned), np.array(placed))
 
-    def camera_arrays(self) -> kernels.CameraArrays:
-        return kernels.CameraArrays(self.lens, self.rotation, self.translation)
+    def camera_arrays(self) -> kernels.BundleCameras:
+        return kernels.BundleCameras(self.lens, self.rotation, self.translation)
 
     def objects(self, template: Floats) -> kernels.ObjectArrays:
         return kernels.ObjectArrays(self.turned, self.placed, template)
 
-    def copy(self) -> _State:
-        return _State(self.lens.copy(), self.rotation.copy(), self.translation.copy(), self.turned.copy(), self.placed.copy())
+    def copy(self) -> _AdjustmentState:
+        return _AdjustmentState(self.lens.copy(), self.rotation.copy(), self.translation.copy(), self.turned.copy(), self.placed.copy())
 
     def values(self) -> Floats:
         """(C, 15) in the order of PARAMETERS, turns and shifts 0."""
@@ -223,6 +229,7 @@ class _State:
         for c, part in enumerate(step):
             rotate_by(self.rotation[c], part[0], part[1], part[2], False)
         self.translation += step[:, 3:6]
+        # The parameters are one focal length and the ratio of the two, which a prior can keep at square pixels.
         aspect = self.lens[:, 1] / self.lens[:, 0] + step[:, 7]
         self.lens[:, 0] += step[:, 6]
         self.lens[:, 1] = aspect * self.lens[:, 0]
@@ -231,6 +238,7 @@ class _State:
         self.lens[:, 4:6] += step[:, 13:15]
 
     def cameras(self, before: Sequence[Camera], errors: Sequence[float]) -> tuple[Camera, ...]:
+        # Many small turns leave a matrix that is a rotation to rounding only.
         turned = nearest_orthogonal(self.rotation)
         return tuple(
             replace(
@@ -259,7 +267,7 @@ class _Normal:
     shifted: Floats
 
 
-class _Problem:
+class _BundleProblem:
     """What stays the same from step to step."""
 
     def __init__(
@@ -270,6 +278,7 @@ class _Problem:
         self.relative = np.ones(len(wanted)) if given is None else np.asarray(given, dtype=np.float64)
         self.unknowns = int(wanted.sum())
         self.free = [np.nonzero(own)[0] for own in wanted]
+        # The column of each free parameter in the equations, -1 where it is fixed.
         self.columns = np.where(wanted, np.cumsum(wanted.ravel()).reshape(wanted.shape) - 1, -1)
         self.expected = None if prior is None else prior[0]
         self.stiffness: Floats = np.zeros(wanted.shape) if prior is None else 1.0 / np.square(prior[1])
@@ -282,14 +291,14 @@ class _Problem:
         starts = np.searchsorted(seen.frame, np.arange(frames + 1))
         return kernels.SightingArrays(seen.frame, starts, seen.camera, seen.point, seen.xy)
 
-    def distance_from_prior(self, state: _State, moved: Floats) -> Floats:
+    def distance_from_prior(self, state: _AdjustmentState, moved: Floats) -> Floats:
         """(C, 15) how far the cameras are from what was expected; of turns and shifts, how far they have moved."""
         distance: Floats = moved.copy()
         if self.expected is not None:
             distance[:, 6:] = state.values()[:, 6:] - self.expected[:, 6:]
         return distance
 
-    def residuals(self, state: _State) -> tuple[Floats, Floats, float]:
+    def residuals(self, state: _AdjustmentState) -> tuple[Floats, Floats, float]:
         """Residuals (n, 2) px, weights (n,), and their cost."""
         residuals, weights = np.empty((len(self.seen), 2)), np.empty(len(self.seen))
         seen = self.sightings(len(state.placed))
@@ -298,6 +307,7 @@ class _Problem:
 
     def noise(self, residuals: Floats, weights: Floats) -> float:
         """px, of one coordinate of a camera of relative noise 1, from weighted residuals and the redundancy."""
+        # Two coordinates for each sighting, as far as it counts, less what was fitted to them.
         redundancy = 2.0 * (weights * self.relative[self.seen.camera] ** 2).sum() - self.wanted.sum()
         redundancy = redundancy - len(self.axes) * len(np.unique(self.seen.frame))
         return float(np.sqrt(np.nansum(weights * np.square(residuals).sum(axis=1)) / max(redundancy, 1.0)))
@@ -305,7 +315,7 @@ class _Problem:
     def prior_cost(self, off: Floats) -> float:
         return 0.5 * float((self.stiffness * np.square(off))[self.wanted].sum())
 
-    def normal(self, state: _State, residuals: Floats, weights: Floats, damping: float) -> _Normal:
+    def normal(self, state: _AdjustmentState, residuals: Floats, weights: Floats, damping: float) -> _Normal:
         """Gauss-Newton's equations, damped; without the gradient of the priors."""
         dof, frames = len(self.axes), len(state.placed)
         out = kernels.NormalArrays(
@@ -331,10 +341,10 @@ class _Problem:
 
 
 @dataclass(frozen=True)
-class _Trial:
+class _AdjustmentTrial:
     """A state of the search and its cost, priors included."""
 
-    state: _State
+    state: _AdjustmentState
     moved: Floats
     residuals: Floats
     weights: Floats
@@ -342,17 +352,17 @@ class _Trial:
     cost: float
 
     @classmethod
-    def at(cls, problem: _Problem, state: _State, moved: Floats) -> _Trial:
+    def at(cls, problem: _BundleProblem, state: _AdjustmentState, moved: Floats) -> _AdjustmentTrial:
         residuals, weights, cost = problem.residuals(state)
         from_prior = problem.distance_from_prior(state, moved)
         return cls(state, moved, residuals, weights, from_prior, cost + problem.prior_cost(from_prior))
 
 
-def _descend(problem: _Problem, state: _State) -> tuple[_State, float, int, bool]:
+def _descend(problem: _BundleProblem, state: _AdjustmentState) -> tuple[_AdjustmentState, float, int, bool]:
     """Levenberg-Marquardt until a step changes nothing: the state, its cost, the steps tried, and whether it converged."""
     settings = problem.settings
     damping, tolerance = settings.damping, settings.tolerance
-    best = _Trial.at(problem, state, np.zeros(problem.wanted.shape))
+    best = _AdjustmentTrial.at(problem, state, np.zeros(problem.wanted.shape))
     done = 0
     while done < settings.steps and damping < settings.hopeless:
         done += 1
@@ -372,7 +382,7 @@ def _descend(problem: _Problem, state: _State) -> tuple[_State, float, int, bool
     return best.state, best.cost, done, False
 
 
-def _step(problem: _Problem, best: _Trial, damping: float) -> _Trial | None:
+def _step(problem: _BundleProblem, best: _AdjustmentTrial, damping: float) -> _AdjustmentTrial | None:
     """One damped step of cameras and objects; None where the equations are singular or the step leads to impossible cameras."""
     normal = problem.normal(best.state, best.residuals, best.weights, damping)
     move: Floats = np.zeros(0)
@@ -389,10 +399,10 @@ def _step(problem: _Problem, best: _Trial, damping: float) -> _Trial | None:
     kernels.move_objects(state.turned, state.placed, normal.factors, normal.shifted - normal.reduced @ move, problem.axes)
     if not (np.isfinite(step).all() and (state.lens[:, :2] > 1.0).all()):
         return None
-    return _Trial.at(problem, state, best.moved + step)
+    return _AdjustmentTrial.at(problem, state, best.moved + step)
 
 
-def _hold_the_world(wanted: Bools, state: _State, single: bool) -> None:
+def _hold_the_world(wanted: Bools, state: _AdjustmentState, single: bool) -> None:
     """Fix what images leave open: where the world begins and how it is turned, and its size where the object is a single point."""
     if not wanted[:, :6].any(axis=1).all():
         return

@@ -16,6 +16,7 @@ from asterism.errors import AsterismError
 from asterism.files.text import read_bytes
 from asterism.geometry import nearest_orthogonal, rotation_from_vector
 from asterism.recording import Floats
+from asterism.recording.display import metres
 
 MILLIMETRES_ABOVE = 50.0
 """Cameras that stand further from the origin than this many units are in millimetres: no room is 50 m, no rig 50 mm wide."""
@@ -34,6 +35,7 @@ OPENCV_FROM_UPRIGHT = np.diag([1.0, -1.0, -1.0])
 def numbers(where: str, what: str, values: Any, count: int | None = None) -> Floats:
     """Finite numbers from a text with blanks or any nested list, flat. Raises AsterismError, naming the place, for anything else."""
     try:
+        #
         found = np.array(values.split() if isinstance(values, str) else values, dtype=np.float64).ravel()
     except (TypeError, ValueError):
         found = np.array([np.nan])
@@ -67,6 +69,7 @@ def rotation_of(where: str, values: Any) -> Floats:
         raise AsterismError(
             f"{where}: its rotation matrix is not a rotation: its rows are not of length 1 and at right angles; export it again."
         )
+    # A mirrored matrix is as orthogonal as a rotation, and would turn right hands into left ones.
     if np.linalg.det(nearest) < 0:
         raise AsterismError(f"{where}: its rotation mirrors the room, its axes are left-handed; export it again with right-handed axes.")
     return nearest
@@ -121,7 +124,7 @@ def in_metres(cameras: list[Camera]) -> tuple[list[Camera], list[str]]:
     middle = float(np.median(far))
     scale, unit = (1e-3, "millimetres") if middle > MILLIMETRES_ABOVE else (1.0, "metres")
     made = [replace(camera, translation=scale * camera.translation) for camera in cameras]
-    return made, [f"{UNIT_TAKEN} ({unit} taken: the cameras then stand {middle * scale:.2g} m from the origin)"]
+    return made, [f"{UNIT_TAKEN} ({unit} taken: the cameras then stand {metres(middle * scale)} from the origin)"]
 
 
 def read_otherwise(rig: Rig, units_per_metre: float) -> list[str]:

@@ -105,7 +105,6 @@ def _captured(options: CaptureOptions, rig: Rig, pattern: Pattern) -> tuple[Capt
     with _console.progress("reading") as progress:
         made = capture_garment(
             rig, pattern, footage, lambda image: read_image(image, pattern), rate=options.rate, workers=options.workers, progress=progress,
-            total=len(footage),
         )  # fmt: skip
     return made, footage.findings
 

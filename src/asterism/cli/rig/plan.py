@@ -16,7 +16,7 @@ from asterism.errors import AsterismError
 
 if TYPE_CHECKING:
     from asterism.cameras.accuracy import RigMap, Volume
-    from asterism.cameras.plan import Plan
+    from asterism.cameras.plan import RigPlan
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def plan(options: RigPlanOptions) -> None:
     _console.write_json(options.json, {"command": "rig plan", "rig": options.output, **_as_json(proposal, ours, ring)})
 
 
-def _proposal(options: RigPlanOptions, box: Volume, pixels: tuple[int, int], focal: float) -> Plan:
+def _proposal(options: RigPlanOptions, box: Volume, pixels: tuple[int, int], focal: float) -> RigPlan:
     from asterism.cameras.accuracy import Volume
     from asterism.cameras.plan import Mounts, plan_rig
 
@@ -101,7 +101,7 @@ def _proposal(options: RigPlanOptions, box: Volume, pixels: tuple[int, int], foc
         return plan_rig(box, options.cameras, pixels, focal, mounts=mounts, noise=options.noise, progress=progress)
 
 
-def _print(proposal: Plan, ours: RigMap, ring: RigMap, output: Path) -> None:
+def _print(proposal: RigPlan, ours: RigMap, ring: RigMap, output: Path) -> None:
     _console.table(
         "Where to hang them (m, degrees)",
         ["camera", "x", "y", "z", "turned", "tilted down"],
@@ -112,7 +112,7 @@ def _print(proposal: Plan, ours: RigMap, ring: RigMap, output: Path) -> None:
     _console.result(f"The second is the plain ring. Worth {proposal.worth:.3f}, the ring {proposal.ring_worth:.3f}; {output} is written.")
 
 
-def _as_json(proposal: Plan, ours: RigMap, ring: RigMap) -> dict[str, Any]:
+def _as_json(proposal: RigPlan, ours: RigMap, ring: RigMap) -> dict[str, Any]:
     return {
         "worth": proposal.worth,
         "map": ours.to_dict(),

@@ -17,7 +17,7 @@ from asterism.formats.c3d._assemble import assembled, tail_of
 from asterism.formats.c3d._confidence import Channels, LabelSummary
 from asterism.formats.c3d._file import BLOCK, KEY, C3DFile, Layout, header_of, open_c3d, parse_parameters, ranges
 from asterism.formats.c3d._reader import points_of, scaled
-from asterism.formats.c3d._writer import Filling, Plan, planned, renamed_computed
+from asterism.formats.c3d._writer import Filling, RewritePlan, planned, renamed_computed
 from asterism.recording import Floats, Ints, Recording, as_vertical
 
 SAMPLED_FRAMES = 2_000
@@ -142,7 +142,7 @@ def _without_data(like: C3DFile, raw: bytearray, points: int) -> C3DFile:
 
 
 def _parts(
-    head: bytearray, file: C3DFile, relabelled: C3DFile, plan: Plan, channels: Channels | None, labelled: LabelledRanges
+    head: bytearray, file: C3DFile, relabelled: C3DFile, plan: RewritePlan, channels: Channels | None, labelled: LabelledRanges
 ) -> Iterator[bytes | bytearray]:
     """The new file, piece by piece."""
     yield head

@@ -86,7 +86,7 @@ class _Slot:
 
 
 @dataclass(frozen=True)
-class Plan:
+class RewritePlan:
     """How a recording is written into a copy of its file.
 
     slots       the point columns of the new file
@@ -119,7 +119,7 @@ def rewritten(file: C3DFile, recording: Recording, target: str) -> bytearray:
     return data
 
 
-def planned(file: C3DFile, recording: Recording, main: Sequence[int], target: str) -> Plan:
+def planned(file: C3DFile, recording: Recording, main: Sequence[int], target: str) -> RewritePlan:
     """How a recording is written; main: the place in the file that most samples of each column came from, -1 for none.
 
     Of the recording only labels, events, log, rate and `taken` are looked at.
@@ -149,7 +149,7 @@ def planned(file: C3DFile, recording: Recording, main: Sequence[int], target: st
     rate = recording.rate if recording.rate != file.rate else None
     if rate is not None:
         parameters = _with_rate(parameters, rate / file.rate)
-    return Plan(slots, parameters, rate)
+    return RewritePlan(slots, parameters, rate)
 
 
 def _slots(seen: Sequence[str], recording: Recording, main: Sequence[int], points: int) -> list[_Slot]:

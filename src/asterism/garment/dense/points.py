@@ -20,7 +20,7 @@ from asterism.recording import Floats, Ints
 Bools = NDArray[np.bool_]
 
 
-class Circles(Protocol):
+class UsedCircles(Protocol):
     """What is used of the circles that were read in one image."""
 
     @property
@@ -105,7 +105,7 @@ class DensePoints:
         return len(self.ids)
 
 
-def dense_points(rig: Rig, circles: Sequence[Circles], rules: DenseRules | None = None, *, scale: float | None = None) -> DensePoints:
+def dense_points(rig: Rig, circles: Sequence[UsedCircles], rules: DenseRules | None = None, *, scale: float | None = None) -> DensePoints:
     """The points that the cameras of a rig read at one moment.
 
     circles  one per camera, in the rig's order
@@ -129,24 +129,24 @@ def dense_points(rig: Rig, circles: Sequence[Circles], rules: DenseRules | None 
     return ray_points(rig, rays, rules, scale)
 
 
-def ray_scale(rig: Rig, rays: Rays, rules: DenseRules) -> float:
+def ray_scale(rig: Rig, rays: CircleRays, rules: DenseRules) -> float:
     """The factor on all centres' standard deviations that `dense_points` estimates from these rays."""
     return _scale_of(rig, rays, rules, _midpoints(rays, rules))[0]
 
 
-def ray_points(rig: Rig, rays: Rays, rules: DenseRules, scale: float) -> DensePoints:
+def ray_points(rig: Rig, rays: CircleRays, rules: DenseRules, scale: float) -> DensePoints:
     """The points that `dense_points` makes of these rays by a known scale."""
     return _fitted(rig, rays, rules, scale, _midpoints(rays, rules))
 
 
-def fused_midpoints(rig: Rig, circles: Sequence[Circles], rules: DenseRules | None = None) -> tuple[NDArray[np.int32], Floats]:
+def fused_midpoints(rig: Rig, circles: Sequence[UsedCircles], rules: DenseRules | None = None) -> tuple[NDArray[np.int32], Floats]:
     """The paper's first guess alone: identities (m,) that two cameras or more read, and points (m, 3) m, NaN where rays are parallel."""
     rays = circle_rays(rig, circles, rules or DenseRules())
     return rays.ids, _midpoints(rays, rules or DenseRules())
 
 
 @dataclass(frozen=True)
-class Rays:
+class CircleRays:
     """Circles that two or more cameras read, sorted by identity.
 
     ids         (m,) int32 ascending
@@ -169,7 +169,7 @@ class Rays:
     duplicates: Ints
 
 
-def circle_rays(rig: Rig, circles: Sequence[Circles], rules: DenseRules) -> Rays:
+def circle_rays(rig: Rig, circles: Sequence[UsedCircles], rules: DenseRules) -> CircleRays:
     """The rays of the identities that two cameras or more read once each.
 
     Raises AsterismError where there is not one set of circles per camera.
@@ -196,14 +196,14 @@ def circle_rays(rig: Rig, circles: Sequence[Circles], rules: DenseRules) -> Rays
     unique, count = np.unique(ids, return_counts=True)
     order = order[np.repeat(count >= 2, count)]
     starts = np.concatenate([[0], np.cumsum(count[count >= 2])]).astype(np.int64)
-    return Rays(
+    return CircleRays(
         unique[count >= 2].astype(np.int32), starts, camera_of[order].astype(np.int64), np.ascontiguousarray(flat[order]),
         np.ascontiguousarray(weight[order]), np.ascontiguousarray(origins[order]), np.ascontiguousarray(ways[order]),
         np.array(twice, dtype=np.int64).reshape(-1, 2),
     )  # fmt: skip
 
 
-def _model_variance(read: Circles, rules: DenseRules) -> Floats:
+def _model_variance(read: UsedCircles, rules: DenseRules) -> Floats:
     """(n,) px2, what is added to the variance of each centre."""
     variance = np.full(len(read.ids), rules.least_sigma**2)
     axes = getattr(read, "axes", None)
@@ -220,13 +220,13 @@ def _information(covariance: Floats, variance: Floats, jacobian: Floats) -> Floa
     return np.column_stack([a * ux * ux + 2 * b * ux * vx + c * vx * vx, across, a * uy * uy + 2 * b * uy * vy + c * vy * vy])
 
 
-def _midpoints(rays: Rays, rules: DenseRules) -> Floats:
+def _midpoints(rays: CircleRays, rules: DenseRules) -> Floats:
     points = np.empty((len(rays.ids), 3))
     kernels.fuse_midpoints(rays.origins, rays.directions, rays.starts, rules.parallel, points)
     return points
 
 
-def _refined(rig: Rig, rays: Rays, rules: DenseRules, scale: float, start: Floats) -> tuple[Floats, Bools, Floats, Floats]:
+def _refined(rig: Rig, rays: CircleRays, rules: DenseRules, scale: float, start: Floats) -> tuple[Floats, Bools, Floats, Floats]:
     """Points (m, 3) m, which rays they use (n,), their covariance (m, 6) m2, and their sum of squares (m,), both for scale 1."""
     points = start.copy()
     used = np.ones(len(rays.camera), dtype=np.bool_)
@@ -244,7 +244,7 @@ _LEAST_FREEDOM = 50
 _SCALE_ROUNDS = 2
 
 
-def _scale_of(rig: Rig, rays: Rays, rules: DenseRules, start: Floats) -> tuple[float, Floats]:
+def _scale_of(rig: Rig, rays: CircleRays, rules: DenseRules, start: Floats) -> tuple[float, Floats]:
     """By how much the centres' standard deviations are too small, or too large; and the points of all rays, where to begin again.
 
     First from the median of the points' sums of squares, each divided by the median of its own distribution, chi2 of 2 k - 3 degrees: it
@@ -276,7 +276,7 @@ def _medians() -> Floats:
     return np.append(np.nan, chi2.median(np.arange(1, 64)))
 
 
-def _fitted(rig: Rig, rays: Rays, rules: DenseRules, scale: float, start: Floats) -> DensePoints:
+def _fitted(rig: Rig, rays: CircleRays, rules: DenseRules, scale: float, start: Floats) -> DensePoints:
     points, used, covariance, cost = _refined(rig, rays, rules, scale, start)
     there = np.isfinite(points[:, 0])
     group = np.repeat(np.arange(len(points)), np.diff(rays.starts))

@@ -17,8 +17,9 @@ import numpy as np
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
 from asterism.labelling.audit._kernels import exchange_gains
-from asterism.labelling.audit.errors import ALWAYS, EXCHANGED, MISPLACED, LabelError, Run, joined, sentence
+from asterism.labelling.audit.errors import ALWAYS, EXCHANGED, MISPLACED, ErrorRun, LabelError, joined, sentence
 from asterism.labelling.audit.paths import exchanges, jumps, pairs_of
+from asterism.labelling.body._score_kernels import NO_TAIL
 from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyRules, fit_body, names_of, subsample
@@ -82,7 +83,7 @@ class _ReferenceBody:
         known = np.nonzero(np.isin(pairs, self.markers).all(axis=1))[0]
         pairs_in_body = np.searchsorted(self.markers, pairs[known]).astype(np.int64)
         gains_in_body, scores_in_body = np.zeros((len(known), len(at))), np.full((len(at), len(self.markers)), np.nan)
-        settings = replace(FrameLabellingSettings(), outlier_score=-1e3).with_usual_score(0.0)
+        settings = replace(FrameLabellingSettings(), outlier_score=-1e3, tail_freedom=NO_TAIL).with_usual_score(0.0)
         some = np.ascontiguousarray(positions[np.ix_(at, self.markers)])
         least = 2.0 * self.rules.max_frame_nats
         exchange_gains(some, self.body, settings, pairs_in_body, least, FARTHEST, gains_in_body, scores_in_body)
@@ -128,6 +129,13 @@ def audit(
 
     With recordings of several people, each person's are compared with the others' bodies. Errors come in the order of recordings and
     frames. Raises AsterismError where there is no recording, or not one subject for each. O(T M^2) for the paths.
+
+    >>> from asterism.simulation import simulate_walks
+    >>> walk = simulate_walks(1, frames=100, seed=0)[0]
+    >>> left, right = walk.labels.index("LKNE"), walk.labels.index("RKNE")
+    >>> walk.positions[60:, [left, right]] = walk.positions[60:, [right, left]]
+    >>> [error.description for error in audit([walk])]
+    ['RKNE and LKNE exchanged for 40 frames (0.40 s)']
     """
     if not recordings:
         raise AsterismError("there is no recording to audit; give at least one labelled file.")
@@ -140,7 +148,7 @@ def audit(
     people = names_of(given)[1]
     several = people.max() > 0
     groups = people % rules.folds if several else np.arange(len(frames))
-    runs: dict[int, list[Run]] = {}
+    runs: dict[int, list[ErrorRun]] = {}
     for number in np.unique(groups).tolist():
         left_out = np.nonzero(groups == number)[0].tolist()
         others = np.nonzero(groups != number)[0].tolist()
@@ -157,7 +165,16 @@ def audit(
 
 
 def remove_errors(recordings: Sequence[Recording], errors: Sequence[LabelError]) -> list[Recording]:
-    """The recordings without the wrong labels: NaN in the frames and markers of each error. Hints remove nothing."""
+    """The recordings without the wrong labels: NaN in the frames and markers of each error. Hints remove nothing.
+
+    >>> from asterism.simulation import simulate_walks
+    >>> walk = simulate_walks(1, frames=100, seed=0)[0]
+    >>> left, right = walk.labels.index("LKNE"), walk.labels.index("RKNE")
+    >>> walk.positions[60:, [left, right]] = walk.positions[60:, [right, left]]
+    >>> [clean] = remove_errors([walk], audit([walk]))
+    >>> int(np.isnan(clean.positions[60:, [left, right]]).all(axis=2).sum())
+    80
+    """
     kept = []
     for i, recording in enumerate(recordings):
         positions = recording.positions.copy()
@@ -224,10 +241,10 @@ class _Case:
     rules: AuditRules
 
 
-def _find_runs(case: _Case) -> list[Run]:
+def _find_runs(case: _Case) -> list[ErrorRun]:
     """All that is wrong with one recording."""
     positions, rate, rules, reference, evidence = case.positions, case.rate, case.rules, case.reference, case.evidence
-    runs: list[Run] = []
+    runs: list[ErrorRun] = []
     emission = np.full((len(pairs_of(positions.shape[1])), len(positions)), -1e-3)
     if reference is not None and evidence is not None:
         runs, positions, evidence = _exchanged_throughout(case, reference, evidence)
@@ -244,14 +261,14 @@ def _find_runs(case: _Case) -> list[Run]:
     runs += jumps(corrected, rate, rules.jump_distance, rules.jump_speed, rules.jump_errors, rules.longest_jump)
     if reference is not None and evidence is not None:
         level = (reference.score(corrected) if exchanged else evidence).usual_scores()
-        runs += [Run(0, len(positions) - 1, (int(m),), MISPLACED, -float(level[m])) for m in np.nonzero(level < rules.misplaced)[0]]
+        runs += [ErrorRun(0, len(positions) - 1, (int(m),), MISPLACED, -float(level[m])) for m in np.nonzero(level < rules.misplaced)[0]]
     return sorted(joined(runs), key=lambda run: (run.first, run.last, run.markers))
 
 
-def _exchanged_throughout(case: _Case, reference: _ReferenceBody, evidence: _BodyEvidence) -> tuple[list[Run], Floats, _BodyEvidence]:
+def _exchanged_throughout(case: _Case, reference: _ReferenceBody, evidence: _BodyEvidence) -> tuple[list[ErrorRun], Floats, _BodyEvidence]:
     """Pairs that are exchanged in nearly every frame, the largest gain first; the corrected positions, and the evidence for these."""
     positions, rules = case.positions, case.rules
-    runs: list[Run] = []
+    runs: list[ErrorRun] = []
     pairs = pairs_of(positions.shape[1])
     for _ in range(positions.shape[1]):
         usual = evidence.usual_gains()
@@ -262,14 +279,14 @@ def _exchanged_throughout(case: _Case, reference: _ReferenceBody, evidence: _Bod
         a, b = pairs[best].tolist()
         everywhere = all(level[best] > 0.0 for level in case.siblings)
         gain = float(usual[best]) * max(1.0, len(positions) / case.rate / rules.correlation)
-        runs.append(Run(0, len(positions) - 1, (a, b), ALWAYS if everywhere else EXCHANGED, gain))
+        runs.append(ErrorRun(0, len(positions) - 1, (a, b), ALWAYS if everywhere else EXCHANGED, gain))
         positions = positions.copy()
         positions[:, [a, b]] = positions[:, [b, a]]
         evidence = reference.score(positions)
     return runs, positions, evidence
 
 
-def _error(run: Run, number: int, recording: Recording, subject: str, labels: Sequence[str]) -> LabelError:
+def _error(run: ErrorRun, number: int, recording: Recording, subject: str, labels: Sequence[str]) -> LabelError:
     names = tuple(labels[m] for m in run.markers)
     count = run.last - run.first + 1
     words = sentence(run.kind, names, count / recording.rate, count, count == len(recording), subject)

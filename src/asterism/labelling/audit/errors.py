@@ -61,7 +61,7 @@ class LabelError:
 
 
 @dataclass(frozen=True)
-class Run:
+class ErrorRun:
     """Frames first..last in which markers' points carry each other's names, or one label is off its marker; gain in nats."""
 
     first: int
@@ -71,9 +71,9 @@ class Run:
     gain: float
 
 
-def joined(runs: Sequence[Run]) -> list[Run]:
+def joined(runs: Sequence[ErrorRun]) -> list[ErrorRun]:
     """Join exchanges of the same frames that share a marker into one exchange among more markers."""
-    out: list[Run] = []
+    out: list[ErrorRun] = []
     for run in sorted(runs, key=lambda run: (run.first, run.last, run.markers)):
         for i, known in enumerate(out):
             if run.kind == known.kind == EXCHANGED and (run.first, run.last) == (known.first, known.last):

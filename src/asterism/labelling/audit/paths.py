@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.labelling.audit._kernels import all_exchanges, exchange_path, path_score
-from asterism.labelling.audit.errors import EXCHANGED, JUMP, Run
+from asterism.labelling.audit.errors import EXCHANGED, JUMP, ErrorRun
 from asterism.recording import Floats, Ints
 
 LEAST_SCALE = 1e-3
@@ -34,7 +34,7 @@ def scales_of(positions: Floats) -> Floats:
     return scales
 
 
-def exchanges(positions: Floats, emission: Floats, switch: float, least: float) -> tuple[list[Run], Floats]:
+def exchanges(positions: Floats, emission: Floats, switch: float, least: float) -> tuple[list[ErrorRun], Floats]:
     """Where pairs of markers are exchanged, one pair after the other, the largest gain first; and the corrected positions.
 
     positions  (T, M, 3) m
@@ -48,7 +48,7 @@ def exchanges(positions: Floats, emission: Floats, switch: float, least: float) 
     if len(pairs) == 0 or frames < 3:
         return [], positions
     all_exchanges(positions, scales, emission, switch, pairs, gains)
-    runs: list[Run] = []
+    runs: list[ErrorRun] = []
     for _ in range(8 * markers):
         best = int(np.argmax(gains))
         if gains[best] < least:
@@ -74,7 +74,7 @@ def exchanges(positions: Floats, emission: Floats, switch: float, least: float) 
     return runs, positions
 
 
-def _runs(positions: Floats, scales: Floats, emission: Floats, switch: float, pair: tuple[int, int]) -> list[Run]:
+def _runs(positions: Floats, scales: Floats, emission: Floats, switch: float, pair: tuple[int, int]) -> list[ErrorRun]:
     """The runs of frames in which the most likely path has the pair exchanged, each with the gain of that run alone."""
     seen = np.nonzero(~np.isnan(positions[:, pair, 0]).any(axis=1))[0]
     paths = np.ascontiguousarray(positions[seen][:, pair])
@@ -89,11 +89,11 @@ def _runs(positions: Floats, scales: Floats, emission: Floats, switch: float, pa
         only_this = np.zeros_like(states)
         only_this[start:stop] = 1
         gain = path_score(*arguments, only_this) - never
-        runs.append(Run(int(seen[start]), int(seen[stop - 1]), pair, EXCHANGED, float(gain)))
+        runs.append(ErrorRun(int(seen[start]), int(seen[stop - 1]), pair, EXCHANGED, float(gain)))
     return runs
 
 
-def jumps(positions: Floats, rate: float, distance: float, speed: float, errors: float, longest: float) -> list[Run]:
+def jumps(positions: Floats, rate: float, distance: float, speed: float, errors: float, longest: float) -> list[ErrorRun]:
     """Where a marker jumps off its path between two frames, and jumps back within `longest` seconds.
 
     positions (T, M, 3) m. A jump is longer than `distance` (m), than a change of speed by `speed` (m/s) within a frame, and than `errors`
@@ -118,7 +118,7 @@ def jumps(positions: Floats, rate: float, distance: float, speed: float, errors:
             if one <= taken or other - one > longest * rate or not _comes_back(path, one, other):
                 continue
             gain = sum(3.0 * np.log1p(size[t, m] ** 2 / (3.0 * scales[m] ** 2)) for t in (one, other))
-            runs.append(Run(int(one) + 1, int(other), (m,), JUMP, float(gain)))
+            runs.append(ErrorRun(int(one) + 1, int(other), (m,), JUMP, float(gain)))
             taken = other
     return runs
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from asterism.labelling.body._workspace_kernels import LOG_2PI, AnchorArrays
 from asterism.labelling.body.model import BodyModel
-from asterism.labelling.partial._feature_kernels import G2, G4, G19, feature_ranges
-from asterism.labelling.partial._search_kernels import SolverArrays, count_search
+from asterism.labelling.features.feature_kernels import G2, G4, G19, feature_ranges
+from asterism.labelling.features.search_kernels import SolverArrays, count_search
 from asterism.recording import Floats, Ints
 
 CHECKS = ((G4, (0, 1), 1), (G2, (0, 1), 1), (G4, (0, 2), 2), (G2, (0, 2), 2), (G2, (1, 2), 2), (G19, (0, 1, 2), 2))

@@ -1,7 +1,7 @@
 """A person corrects labels: a model and a recording in; touches, their consequences and a log of them out."""
 
 from asterism.labelling.correction.answers import Answer, question_row, read_answers, table_text, touches_of
-from asterism.labelling.correction.correct import Change, Correction, PieceChange
+from asterism.labelling.correction.correct import Correction, CorrectionChange, FirstLabels, PieceChange
 from asterism.labelling.correction.event_log import CorrectionLog, log_path
 from asterism.labelling.correction.pieces import Pieces
 from asterism.labelling.correction.readiness import Readiness, ReadinessRules, readiness
@@ -9,10 +9,11 @@ from asterism.labelling.correction.touches import Cut, Ghost, Name, PointInFrame
 
 __all__ = [
     "Answer",
-    "Change",
     "Correction",
+    "CorrectionChange",
     "CorrectionLog",
     "Cut",
+    "FirstLabels",
     "Ghost",
     "Name",
     "PieceChange",

@@ -168,7 +168,7 @@ def _said(text: str, correction: Correction, place: int) -> tuple[str, str | Non
 
 
 def _marker_of(text: str, correction: Correction) -> str:
-    found = np.nonzero(correction.ensemble.marker_set.columns_of((text,)) >= 0)[0]
+    found = np.nonzero(correction.marker_set.columns_of((text,)) >= 0)[0]
     if not len(found):
         raise AsterismError(
             f"{text[:60]!r} is no answer; give a marker ({', '.join(correction.names[:4])}, ...), ghost, right, "

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from asterism.errors import AsterismError
-from asterism.labelling.correction.event_log import REDO, SAVED, UNDO, CorrectionLog, hash_of_model, hash_of_points
+from asterism.labelling.correction.event_log import REDO, SAVED, UNDO, CorrectionLog, hash_of_models, hash_of_points
 from asterism.labelling.correction.pieces import (
     Pieces,
-    by_first_points,
     cut_before,
     described,
     found_again,
@@ -21,15 +20,17 @@ from asterism.labelling.correction.pieces import (
     table_of_pieces,
 )
 from asterism.labelling.correction.readiness import Readiness, readiness
+from asterism.labelling.correction.relabelling import Relabelling
 from asterism.labelling.correction.touches import Cut, Ghost, Name, PointInFrame, Request, Right, Swap, SwapMarkers, Touch
+from asterism.labelling.recording_labeller import LabelledBodies, LabellingSettings, RecordingLabeller
 from asterism.labelling.review import ReviewItem, review
-from asterism.labelling.whole.relabel import FREE, label_tracklets, marker_chances, relabel_tracklets
+from asterism.labelling.whole.relabel import FREE
 from asterism.progress import Progress
-from asterism.recording import NULL, Ints, Labelling, Recording
+from asterism.recording import NULL, Clouds, Ints, Labelling, Recording
 from asterism.tracking.linking import Tracklets
 
 if TYPE_CHECKING:
-    from asterism.labelling.ensemble import SolverEnsemble
+    from asterism.labelling.marker_model import MarkerModel
 
 GHOST = "ghost"
 """What a piece is that a person said to be no marker."""
@@ -54,7 +55,7 @@ class PieceChange:
 
 
 @dataclass(frozen=True)
-class Change:
+class CorrectionChange:
     """What touches, or taking one back, changed.
 
     touches  what was said
@@ -63,6 +64,26 @@ class Change:
 
     touches: tuple[Touch, ...]
     pieces: tuple[PieceChange, ...]
+
+
+@dataclass(frozen=True)
+class FirstLabels:
+    """The labels that a person corrects.
+
+    labeller   what labelled: the models, perhaps narrowed to the person, and the settings
+    labelling  of the recording's clouds, perhaps with names of its file
+    bodies     what the models alone say; None where they said it of stretches
+    """
+
+    labeller: RecordingLabeller
+    labelling: Labelling
+    bodies: LabelledBodies | None
+
+    @classmethod
+    def of(cls, labeller: RecordingLabeller, clouds: Clouds, progress: Progress | None = None) -> FirstLabels:
+        """What the models give of a recording that is in memory. Raises NoMarkers where it has no points."""
+        labelling, bodies = labeller.label_with_bodies(clouds, progress)
+        return cls(labeller, labelling, bodies)
 
 
 @dataclass(frozen=True)
@@ -83,24 +104,34 @@ class Correction:
     give the same labels, whatever was taken back between them.
     """
 
-    def __init__(self, ensemble: SolverEnsemble, recording: Recording, *, workers: int = 1, progress: Progress | None = None) -> None:
-        """Label the recording. Raises AsterismError where it has no points, or certainly shows two bodies of the model."""
-        self.ensemble, self.recording = ensemble, recording
+    def __init__(
+        self,
+        model: MarkerModel | Sequence[MarkerModel],
+        recording: Recording,
+        *,
+        first: FirstLabels | None = None,
+        workers: int = 1,
+        progress: Progress | None = None,
+    ) -> None:
+        """Label the recording, as `MarkerModel.label` does, or begin with the labels that it has.
+
+        model: one for each body. Raises NoMarkers where the recording has no points.
+        """
+        self.models = tuple(model) if isinstance(model, Sequence) else (model,)
+        self.recording = recording
         self.clouds = recording.clouds()
-        if not len(self.clouds.xyz):
-            raise AsterismError("the recording has no points to label.")
-        self.names = ensemble.marker_set.names
-        self._body = ensemble.in_recording()
-        self._base = label_tracklets(self._body, self.clouds, ensemble.state.body_rules, workers, progress)
-        self._tracklets = by_first_points(self._base.long.tracklets)
-        self._column = np.full(len(self.names), NULL, dtype=np.int64)
-        self._column[self._body.markers] = np.arange(len(self._body.markers))
+        if first is None:
+            labeller = RecordingLabeller(self.models, LabellingSettings(workers=workers))
+            first = FirstLabels.of(labeller, self.clouds, progress)
+        self.marker_set = first.labeller.marker_set
+        self.names = self.marker_set.names
+        self._relabelling = Relabelling(first.labeller, self.clouds, first.labelling, first.bodies)
         self._done: list[Touch] = []
         self._undone: list[Touch] = []
         self._log: CorrectionLog | None = None
         self._solved = self._solve([])
         self._items: list[ReviewItem] | None = None
-        self.last_change: Change | None = None
+        self.last_change: CorrectionChange | None = None
         self.revision = 0
         """Rises with every change."""
 
@@ -132,7 +163,7 @@ class Correction:
     @cached_property
     def identity(self) -> tuple[str, str]:
         """Hashes of the recording's points and of the model: to whom a log of corrections belongs."""
-        return hash_of_points(self.clouds), hash_of_model(self.ensemble)
+        return hash_of_points(self.clouds), hash_of_models(self.models)
 
     def items(self) -> list[ReviewItem]:
         """What a person should check, by expected gain, without what they have answered."""
@@ -155,7 +186,7 @@ class Correction:
         pieces = self.pieces
         place = pieces.place_of(piece)
         points = np.nonzero(pieces.of_point == place)[0]
-        chance = marker_chances(self._base, self.labelling, points)
+        chance = self._relabelling.chances(self.labelling, points)
         # what the list says of the piece is calibrated; the body alone is too sure, and ranks the other markers
         known = {int(pieces.marker[place]): float(pieces.confidence[place])} if pieces.marker[place] != NULL else {}
         none = 0.0
@@ -172,14 +203,14 @@ class Correction:
         order = np.argsort(-chance, kind="stable")
         return [(self.names[m], float(chance[m])) for m in order]
 
-    def apply(self, request: Request) -> Change:
+    def apply(self, request: Request) -> CorrectionChange:
         """Take what a person says, and label the recording again.
 
         Raises AsterismError where the piece, marker or frame does not exist; nothing changes then.
         """
         return self.touch(self._touch_of(request))
 
-    def refuse(self, change: Change, pieces: Sequence[int]) -> Change:
+    def refuse(self, change: CorrectionChange, pieces: Sequence[int]) -> CorrectionChange:
         """Keep the labels that some pieces of a change had before it; what a person said in it stays unless it is named.
 
         pieces: their ids in the change. Raises AsterismError where one is not in it.
@@ -198,7 +229,7 @@ class Correction:
                 labels.append((point, None if part.before == GHOST else part.before))
         return self.touch(Touch("refuse", (), tuple(labels)))
 
-    def touch(self, *touches: Touch) -> Change:
+    def touch(self, *touches: Touch) -> CorrectionChange:
         """Take touches as they are written in a log, one or several at once. Raises AsterismError as `apply` does."""
         solved = self._solve([*self._done, *touches])
         self._write(*(touch.to_plain() for touch in touches))
@@ -206,7 +237,7 @@ class Correction:
         self._undone.clear()
         return self._become(solved, touches)
 
-    def undo(self) -> Change:
+    def undo(self) -> CorrectionChange:
         """Take the last touch back. Raises AsterismError where there is none."""
         if not self._done:
             raise AsterismError("there is nothing to take back.")
@@ -216,7 +247,7 @@ class Correction:
         self._undone.append(touch)
         return self._become(solved, (touch,))
 
-    def redo(self) -> Change:
+    def redo(self) -> CorrectionChange:
         """Take again what was taken back last. Raises AsterismError where there is nothing."""
         if not self._undone:
             raise AsterismError("there is nothing to take again.")
@@ -250,7 +281,10 @@ class Correction:
 
     def labelled_recording(self, by: str = "", *, keep_names: bool = False) -> Recording:
         """The recording under its labels, what was said counted in its processing log; by: what labelled, such as the model's file."""
-        labelled = self.recording.with_labelling(self.labelling, self.clouds, keep_names=keep_names, by=by)
+        return self.logged(self.recording.with_labelling(self.labelling, self.clouds, keep_names=keep_names, by=by))
+
+    def logged(self, labelled: Recording) -> Recording:
+        """A recording under these labels, with what was said counted in its processing log."""
         if not self._done:
             return labelled
         kinds = [touch.kind for touch in self._done]
@@ -261,9 +295,9 @@ class Correction:
         if self._log is not None:
             self._log.append(*entries)
 
-    def _become(self, solved: _Solved, touches: tuple[Touch, ...]) -> Change:
+    def _become(self, solved: _Solved, touches: tuple[Touch, ...]) -> CorrectionChange:
         """Take a solved state, and say what changed."""
-        change = Change(touches, self._differences(self._solved, solved))
+        change = CorrectionChange(touches, self._differences(self._solved, solved))
         self._solved, self._items, self.last_change = solved, None, change
         self.revision += 1
         return change
@@ -271,16 +305,12 @@ class Correction:
     def _solve(self, touches: Sequence[Touch]) -> _Solved:
         """The recording labelled with these touches held; from the first labelling on, whatever was solved between."""
         cuts = np.array([found_again(point, self.clouds) for touch in touches for point in touch.cuts], dtype=np.int64)
-        tracklets = cut_before(self._tracklets, self.clouds, cuts)
+        tracklets = cut_before(self._relabelling.tracklets, self.clouds, cuts)
         said = np.full(len(tracklets), FREE, dtype=np.int64)
         for touch in touches:
             for point, marker in touch.labels:
                 self._say(said, tracklets, int(tracklets.of_point[found_again(point, self.clouds)]), marker)
-        labelling = self._base.labelling
-        if touches:
-            column = np.where(said >= 0, self._column[said], said)
-            labelling = relabel_tracklets(self._base, tracklets, column)
-            labelling = self._with_unlearned(labelling, tracklets, np.where((said >= 0) & (column == NULL), said, FREE))
+        labelling = self._relabelling.label(tracklets, said) if touches else self._relabelling.first
         pieces = table_of_pieces(tracklets, self.clouds, labelling, said == NULL, said != FREE)
         return _Solved(tracklets, said, labelling, pieces)
 
@@ -299,16 +329,6 @@ class Correction:
             listed = ", ".join(self.names[:8])
             raise AsterismError(f"{marker[:60]!r} is no marker of the model ({listed}, ...); give one of its markers.")
         return self.names.index(marker)
-
-    def _with_unlearned(self, labelling: Labelling, tracklets: Tracklets, said: Ints) -> Labelling:
-        """The labelling with what was said of markers that the model has not learned: said (J,), `FREE` for others."""
-        points = np.nonzero(said[tracklets.of_point] != FREE)[0]
-        if not len(points):
-            return labelling
-        indices, confidence = labelling.indices.copy(), labelling.confidence.copy()
-        frames, markers = self.clouds.frame_of[points], said[tracklets.of_point[points]]
-        indices[frames, markers], confidence[frames, markers] = points - self.clouds.offsets[frames], 1.0
-        return replace(labelling, indices=indices, confidence=confidence)
 
     def _touch_of(self, request: Request) -> Touch:
         """What a request says, in terms that survive another labelling."""

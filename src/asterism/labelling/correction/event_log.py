@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ from asterism.errors import AsterismError
 from asterism.recording import Clouds
 
 if TYPE_CHECKING:
-    from asterism.labelling.ensemble import SolverEnsemble
+    from asterism.labelling.marker_model import MarkerModel
 
 FORMAT, VERSION = "asterism-corrections", 1
 SUFFIX = ".asterism-log.jsonl"
@@ -31,9 +31,15 @@ def hash_of_points(clouds: Clouds) -> str:
     return digest.hexdigest()
 
 
-def hash_of_model(ensemble: SolverEnsemble) -> str:
+def hash_of_models(models: Sequence[MarkerModel]) -> str:
+    """A hash of what the models of several bodies label by; of one model, its own."""
+    hashes = [hash_of_model(model) for model in models]
+    return hashes[0] if len(hashes) == 1 else hashlib.sha256(" ".join(hashes).encode()).hexdigest()
+
+
+def hash_of_model(model: MarkerModel) -> str:
     """A hash of what a model labels by: 64 hexadecimal digits."""
-    state = ensemble.state
+    state = model.state
     digest = hashlib.sha256(json.dumps([state.marker_set.names, state.usual_score, state.least_confidence], sort_keys=True).encode())
     arrays = {"markers": state.markers, "triples": state.anchors.triples, **state.body.to_arrays()}
     for name in sorted(arrays):

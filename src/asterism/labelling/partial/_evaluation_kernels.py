@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.labelling.partial._full_solver_kernels import agreed_points
 from asterism.labelling.partial._pair_search_kernels import load_frame, search_by_pairs
-from asterism.labelling.partial._search_kernels import agreed_points
 
 
 class ValidationFrames(NamedTuple):

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
-from asterism.labelling.partial._feature_kernels import LAST_INLINED, feature_or_cosine, later_feature
+from asterism.labelling.features.feature_kernels import LAST_INLINED, feature_or_cosine, later_feature
+from asterism.labelling.partial._full_solver_kernels import agreed_points
 from asterism.labelling.partial._pair_search_kernels import load_frame, make_search_workspace, search_by_pairs
-from asterism.labelling.partial._search_kernels import agreed_points
 
 
 class StrongClassifierArrays(NamedTuple):

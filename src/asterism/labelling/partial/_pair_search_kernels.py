@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.labelling.features.feature_kernels import LAST_INLINED, feature_or_cosine, later_feature, point_distances
+from asterism.labelling.features.motion_kernels import motion_feature
 from asterism.labelling.partial._bit_kernels import popcount, set_first_bits
-from asterism.labelling.partial._feature_kernels import LAST_INLINED, feature_or_cosine, later_feature, point_distances
-from asterism.labelling.partial._motion_kernels import motion_feature
-from asterism.labelling.partial._search_kernels import sort_highest_first
+from asterism.labelling.partial._full_solver_kernels import sort_highest_first
 
 
 class PairRules(NamedTuple):
@@ -31,7 +31,7 @@ class PairRules(NamedTuple):
     high: np.ndarray
 
 
-class SearchWorkspace(NamedTuple):
+class PairSearchWorkspace(NamedTuple):
     """Memory of `search_by_pairs` for frames of up to n points and solvers of up to D markers, W = ceil(n / 64).
 
     points    (n, 3) m, the frame's points, highest first, with their motion (n, WIDTH) where solvers need it; order (n,) their rows
@@ -65,7 +65,7 @@ def make_search_workspace(markers, n, depths, width, motions):
     Returns SearchWorkspace. O(M^2 n^2 / 64) memory.
     """
     words = (n + 63) // 64
-    return SearchWorkspace(
+    return PairSearchWorkspace(
         np.empty((n, width)),
         np.empty(n, dtype=np.int64),
         np.empty((n, n)),

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from scipy.special import betaincinv
 
 from asterism.errors import AsterismError
+from asterism.labelling.features.motion_points import feature_points
+from asterism.labelling.features.registry import FEATURES, markers_read, needs_motion
+from asterism.labelling.features.search_kernels import SolverArrays
 from asterism.labelling.partial import _matrix_kernels
 from asterism.labelling.partial._matrix_kernels import MatrixRules, StrongClassifierArrays, VoteArrays
-from asterism.labelling.partial._search_kernels import SolverArrays
-from asterism.labelling.partial.features import FEATURES, markers_read, needs_motion
-from asterism.labelling.partial.motion_points import feature_points
 from asterism.labelling.partial.solver import angles_to_cosines, factor_pair_rules
 from asterism.labelling.partial.weak import Bits, WeakClassifiers
 from asterism.recording import Clouds, Floats, Ints

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
+from asterism.labelling.features.feature_kernels import G1, G2, G4, G6, G7, LAST_INLINED, mark_rejections
+from asterism.labelling.features.motion_kernels import G14
+from asterism.labelling.features.motion_points import feature_points, frames_with_motion
+from asterism.labelling.features.registry import FEATURES, THESIS, kinds_of, markers_read, needs_motion
+from asterism.labelling.features.search_kernels import SolverArrays, search
 from asterism.labelling.partial._build_kernels import order_tests
-from asterism.labelling.partial._feature_kernels import G1, G2, G4, G6, G7, LAST_INLINED, mark_rejections
-from asterism.labelling.partial._motion_kernels import G14
+from asterism.labelling.partial._full_solver_kernels import label_by_full_solver
 from asterism.labelling.partial._pair_search_kernels import PairRules
-from asterism.labelling.partial._search_kernels import SolverArrays, label_by_full_solver, search
-from asterism.labelling.partial.features import FEATURES, THESIS, kinds_of, markers_read, needs_motion
-from asterism.labelling.partial.motion_points import feature_points, frames_with_motion
 from asterism.labelling.partial.weak import (
     Bits,
     FeatureRanges,

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asterism.errors import AsterismError
+from asterism.labelling.features.registry import FEATURES as REGISTRY
+from asterism.labelling.features.registry import MANY_MARKERS, markers_read
 from asterism.labelling.partial._evaluation_kernels import (
     EvaluationLimits,
     ProposalCounts,
@@ -19,8 +21,6 @@ from asterism.labelling.partial._evaluation_kernels import (
     handed_in_points,
 )
 from asterism.labelling.partial._pair_search_kernels import make_search_workspace
-from asterism.labelling.partial.features import FEATURES as REGISTRY
-from asterism.labelling.partial.features import MANY_MARKERS, markers_read
 from asterism.labelling.partial.matrix import PartialSolvers, VotingRules, classifiers_by_marker
 from asterism.labelling.partial.matrix_choice import Matrix, Points, choose_solvers, word_for
 from asterism.labelling.partial.solver import Solver, build_search_tree, factor_pair_rules, pack_solvers, replacement_table

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
+from asterism.labelling.features.feature_kernels import count_rejected, feature_ranges, mark_rejections
+from asterism.labelling.features.registry import THESIS, check_motion, feature_pool, markers_read
 from asterism.labelling.partial._build_kernels import choose_covering
-from asterism.labelling.partial._feature_kernels import count_rejected, feature_ranges, mark_rejections
-from asterism.labelling.partial.features import THESIS, check_motion, feature_pool, markers_read
 from asterism.recording import Floats, Ints
 
 Bits = NDArray[np.uint64]

@@ -150,7 +150,7 @@ class LabelCalibration:
     and of what models of as many people gave elsewhere. No trial can make a label without a margin more than a coin toss.
 
     own    (2, 9) weights from the trials, without and with points left over: log odds of a label of the largest margin and fit; then for
-           each piece what 4 nats of it are worth
+           each piece what 4 nats of it add
     prior  (2, 9) those from elsewhere
     share  of `own` in the mean
     """

@@ -18,12 +18,12 @@ from asterism.labelling.body.anchors import AnchorRules, Anchors, choose_anchors
 from asterism.labelling.body.labeller import BodyLabeller, FrameLabellingSettings, usual_fits
 from asterism.labelling.body.model import BodyModel, BodyRules, fit_body, subsample
 from asterism.labelling.body.subject import SubjectRules
-from asterism.labelling.partial.features import kinds_of, needs_motion
-from asterism.labelling.partial.motion_points import frames_with_motion
+from asterism.labelling.features.motion_points import frames_with_motion
+from asterism.labelling.features.registry import kinds_of, needs_motion
 from asterism.labelling.partial.solver_search import check_miner
 from asterism.labelling.training.calibration import IN_FRAMES, IN_TIME, Calibration, LabelCalibration, LabelTrials
 from asterism.labelling.training.sample import FEWEST_SHOWN, Sample
-from asterism.labelling.training.trials import Trial
+from asterism.labelling.training.trials import TrainingTrial
 from asterism.labelling.whole.certainty import Certainty, least_confidence_in_time
 from asterism.labelling.whole.label import run_trials
 from asterism.labelling.whole.scene import RecordingLabellingSettings
@@ -45,7 +45,7 @@ EARLIER_NAMES = {
 
 @dataclass(frozen=True)
 class TrainingRules:
-    """How an ensemble is learned. Chosen by hand on the gait subjects, each left out in turn, where no other source is named.
+    """How a model is learned. Chosen by hand on the gait subjects, each left out in turn, where no other source is named.
 
     sample_frames_per_person  frames of one person that a model keeps, about, in clips of half a second. Not tuned: bounds the file
     sample_frames       frames of all people that a model keeps, about. Not tuned: bounds the file
@@ -82,13 +82,18 @@ class TrainingRules:
     usual_hidden_share: float = 0.25
     usual_quantile: float = 0.05
     solver_widen: float = 1.5
-    trials: tuple[Trial, ...] = (
-        *(Trial(share) for share in (0.0, 0.07, 0.14, 0.2, 0.27, 0.34)),
-        *(Trial(share, 3) for share in (0.0, 0.2, 0.34)),
-        *(Trial(0.2, clutter=3.0, spread=spread) for spread in (0.08, 0.03)),
+    trials: tuple[TrainingTrial, ...] = (
+        *(TrainingTrial(share) for share in (0.0, 0.07, 0.14, 0.2, 0.27, 0.34)),
+        *(TrainingTrial(share, 3) for share in (0.0, 0.2, 0.34)),
+        *(TrainingTrial(0.2, clutter=3.0, spread=spread) for spread in (0.08, 0.03)),
     )
     ghost_trial_weight: float = 0.2
-    time_trials: tuple[Trial, ...] = (Trial(0.27), Trial(0.2, 3), Trial(0.34, 6), Trial(0.2, clutter=3.0, spread=0.03))
+    time_trials: tuple[TrainingTrial, ...] = (
+        TrainingTrial(0.27),
+        TrainingTrial(0.2, 3),
+        TrainingTrial(0.34, 6),
+        TrainingTrial(0.2, clutter=3.0, spread=0.03),
+    )
     stretch_frames: int = 300
     stretches: int = 2
     body: BodyRules = field(default_factory=BodyRules)
@@ -155,7 +160,9 @@ class TrainingConfig:
         training = {EARLIER_NAMES.get(name, name): value for name, value in plain["training"].items()}
         for name in ("trials", "time_trials"):
             # earlier models name the share hidden and the ghosts only
-            training[name] = tuple(Trial(**t) if isinstance(t, dict) else Trial(float(t[0]), int(t[1])) for t in training[name])
+            training[name] = tuple(
+                TrainingTrial(**t) if isinstance(t, dict) else TrainingTrial(float(t[0]), int(t[1])) for t in training[name]
+            )
         rules = TrainingRules(
             **training,
             body=BodyRules(**plain["body"]),

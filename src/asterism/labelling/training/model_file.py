@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from asterism.errors import AsterismError
+from asterism.errors import AsterismError, cause_of
 from asterism.files.atomic import write_atomically
 from asterism.files.npz import arrays_of_npz
 from asterism.labelling.training.model_schema import check_contents
@@ -65,5 +65,4 @@ def reading(path: str | os.PathLike[str]) -> Iterator[Contents]:
             raise
         raise AsterismError(f"{path}: {problem}") from problem
     except Exception as problem:  # a damaged archive raises anything from zlib.error to SyntaxError
-        what = f": {' '.join(str(problem).split())[:120]}" if isinstance(problem, ValueError) else ""
-        raise AsterismError(f"{path} is damaged or no Asterism model ({type(problem).__name__}{what}); train it again.") from problem
+        raise AsterismError(f"{path} is damaged or no Asterism model ({cause_of(problem)}); train it again.") from problem

@@ -1,4 +1,4 @@
-"""The state of a training in; all that an ensemble learns from it out."""
+"""The state of a training in; all that a model learns from it out."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from asterism.labelling.partial.features import MANY_MARKERS, THESIS
+from asterism.labelling.features.registry import MANY_MARKERS, THESIS
 from asterism.labelling.partial.matrix import PartialSolvers
 from asterism.labelling.partial.solver_search import PRINTED, PRINTED_FEATURES, SearchSettings, search_partial_solvers
-from asterism.labelling.training.ensemble_state import EnsembleState
 from asterism.labelling.training.learning import TrainingConfig, TrainingState, learn_body, least_confidence
+from asterism.labelling.training.model_state import ModelState
 from asterism.progress import Progress
 from asterism.recording import Floats, Ints, MarkerSet
 
 
-def train_ensemble(
+def train_model(
     marker_set: MarkerSet,
     training: TrainingState,
     progress: Progress | None = None,
     *,
-    earlier: EnsembleState | None = None,
+    earlier: ModelState | None = None,
     left_out: Sequence[str] = (),
-) -> EnsembleState:
+) -> ModelState:
     """Learn the body, the confidence and, where the configuration names a miner, partial solvers.
 
     earlier   a state whose partial solvers are kept instead of searching new ones
@@ -50,9 +50,9 @@ def train_ensemble(
         solvers = dict(earlier.solvers) if np.array_equal(markers, earlier.markers) else {}
         before = earlier.about.get("partial_solvers_from", earlier.about.get("mined_from", 0))
         about["partial_solvers_from"] = before if solvers else 0
-    about["partial_solvers"] = {rules: ensemble.summary(names) for rules, ensemble in solvers.items()}
+    about["partial_solvers"] = {rules: model.summary(names) for rules, model in solvers.items()}
     report(1.0, "done")
-    return EnsembleState(
+    return ModelState(
         marker_set=marker_set,
         markers=markers,
         body=learned.body,

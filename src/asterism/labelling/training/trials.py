@@ -12,7 +12,7 @@ from asterism.recording import Clouds, Ints, Recording
 
 
 @dataclass(frozen=True)
-class Trial:
+class TrainingTrial:
     """One way to make labelling hard.
 
     hidden   share of the markers that is hidden at every moment

@@ -26,7 +26,8 @@ from asterism.labelling.whole._kernels import FrameScores, margins_of, overlaps,
 from asterism.labelling.whole.assignment import Assignment, assign_tracklets
 from asterism.labelling.whole.bodies import find_bodies, follow_bodies, votes_of_bodies
 from asterism.labelling.whole.plausibility import compare_with_training, ghost_penalty
-from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, SceneScores, labels_of_body, marker_offsets
+from asterism.labelling.whole.scene import RecordingLabellingSettings, RecordingScene, SceneScores, labels_of_body, marker_offsets
+from asterism.labelling.whole.turned import TwinRules, hold_against_twins
 from asterism.labelling.whole.upright import turned, upright_turns
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints
@@ -49,10 +50,11 @@ class SceneLabelling:
     by_body (J,) nats, the margin before labels whose distances are off lost theirs
     stages  labels (J,) after each stage, by name
     rough   number of tracklets that could not all be compared exactly, see `assignment.py`
+    lead    (L,) nats a frame by which the labels of each column beat those of the body's twins, see `turned.py`; None where not compared
     turns   (E, 3, 3) rotations that set the body upright in each sampled frame, see `upright.py`; None where none is turned
     """
 
-    scene: Scene
+    scene: RecordingScene
     label: Ints
     margin: Floats
     rival: Ints
@@ -62,6 +64,7 @@ class SceneLabelling:
     stages: dict[str, Ints] = field(default_factory=dict)
     turns: Floats | None = None
     rough: int = 0
+    lead: Floats | None = None
 
     def turns_of(self, frames: int) -> Floats | None:
         """The rotation of each of so many frames of the recording (T, 3, 3), the identity for those not sampled; None as `turns`."""
@@ -72,24 +75,34 @@ class SceneLabelling:
         return found
 
 
+@dataclass(frozen=True)
+class SceneWork:
+    """How a scene is worked on: threads, who is told how far it is, and arrays of an earlier scene to be written over.
+
+    arrays: scores by body that nobody needs any more; they are written over again by the next call that is given this list
+    """
+
+    workers: int = 1
+    progress: Progress | None = None
+    arrays: list[FrameScores] = field(default_factory=list)
+
+
 def label_scene(
     labellers: Sequence[BodyLabeller],
-    scene: Scene,
+    scene: RecordingScene,
     rules: RecordingLabellingSettings,
     subject_rules: SubjectRules,
     body_rules: BodyRules,
-    workers: int = 1,
-    progress: Progress | None = None,
+    work: SceneWork | None = None,
     start: Ints | None = None,
-    arrays: list[FrameScores] | None = None,
 ) -> SceneLabelling:
     """Label all tracklets of a recording together; see the module's head.
 
-    start: labels (J,) to begin with, -1 for none, instead of what the sampled frames vote for. arrays: scores by body that nobody needs any
-    more, to be written over; they are written over again by the next call that is given this list.
+    start: labels (J,) to begin with, -1 for none, instead of what the sampled frames vote for.
     """
-    arrays = [] if arrays is None else arrays
-    report = progress or (lambda fraction, what: None)
+    work = work or SceneWork()
+    workers, arrays = work.workers, work.arrays
+    report = work.progress or (lambda fraction, what: None)
     bodies = [labeller.model for labeller in labellers]
     if start is not None:
         label = start
@@ -105,6 +118,14 @@ def label_scene(
         scores = state.scores[0].with_frames(upright, (turns != np.eye(3)).any(axis=(1, 2)))
         state = _coordinate_ascent(labellers, [scores], state.label, rules)
         stages["upright"] = state.label
+
+    def relabel(start: Ints) -> Ints:
+        return _coordinate_ascent(labellers, state.scores, start, rules).label
+
+    label, lead = hold_against_twins(labellers, upright, state.label, relabel, TwinRules(), rules)
+    if not np.array_equal(label, state.label):
+        state = _coordinate_ascent(labellers, state.scores, label, rules)
+        stages["twin"] = state.label
     for turn in range(rules.adapt_rounds):
         if ((state.label != NULL) & (state.margin > rules.no_adapt_margin)).all():
             break
@@ -123,14 +144,14 @@ def label_scene(
     report(1.0, "labelled")
     found = _judged(labellers, bodies, upright, state, rules, body_rules)
     arrays[:] = state.arrays
-    return replace(found, scene=scene, stages=stages, turns=turns)
+    return replace(found, scene=scene, stages=stages, turns=turns, lead=lead)
 
 
 def _judged(
     labellers: Sequence[BodyLabeller],
     bodies: Sequence[BodyModel],
-    scene: Scene,
-    state: _State,
+    scene: RecordingScene,
+    state: _JointLabels,
     rules: RecordingLabellingSettings,
     body_rules: BodyRules,
 ) -> SceneLabelling:
@@ -146,7 +167,7 @@ def _judged(
 
 
 @dataclass(frozen=True)
-class _State:
+class _JointLabels:
     """Labels that no longer change (J,), columns of all bodies.
 
     margin, rival  (J,) nats and columns
@@ -172,7 +193,9 @@ class _State:
         return [scores.scored for scores in self.scores if scores.scored is not None]
 
 
-def _votes_of_one(labeller: BodyLabeller, scene: Scene, rules: RecordingLabellingSettings, workers: int, report: Progress) -> Floats:
+def _votes_of_one(
+    labeller: BodyLabeller, scene: RecordingScene, rules: RecordingLabellingSettings, workers: int, report: Progress
+) -> Floats:
     """The votes of the sampled frames, labelled singly, for each tracklet: (J, M) nats."""
     crowd = np.diff(scene.sampled_offsets).mean() / labeller.body.mean.shape[1] if len(scene.sampled_frames) else 0.0
     if crowd > rules.crowded:
@@ -194,7 +217,7 @@ def _votes_of_one(labeller: BodyLabeller, scene: Scene, rules: RecordingLabellin
     return votes
 
 
-def voting_frames(scene: Scene, rules: RecordingLabellingSettings) -> Ints:
+def voting_frames(scene: RecordingScene, rules: RecordingLabellingSettings) -> Ints:
     """Which sampled frames vote: some, evenly spread, and one of each tracklet that none of these shows.
 
     As many for each second of a long recording as of a short one: of an hour, few frames would leave most tracklets out, and one more frame
@@ -217,7 +240,7 @@ def voting_frames(scene: Scene, rules: RecordingLabellingSettings) -> Ints:
 
 
 def _votes_of_several(
-    labellers: Sequence[BodyLabeller], scene: Scene, rules: RecordingLabellingSettings, workers: int, report: Progress
+    labellers: Sequence[BodyLabeller], scene: RecordingScene, rules: RecordingLabellingSettings, workers: int, report: Progress
 ) -> Floats:
     """`_votes_of_one` where there are several bodies, each followed through time."""
     bodies = find_bodies(
@@ -227,7 +250,7 @@ def _votes_of_several(
 
 
 def _scores(
-    labellers: Sequence[BodyLabeller], bodies: Sequence[BodyModel], scene: Scene, arrays: Sequence[FrameScores]
+    labellers: Sequence[BodyLabeller], bodies: Sequence[BodyModel], scene: RecordingScene, arrays: Sequence[FrameScores]
 ) -> list[SceneScores]:
     """What the scene scores by each body, to be asked for labels; written over scores that nobody needs any more, where given."""
     return [
@@ -238,7 +261,7 @@ def _scores(
 
 def _coordinate_ascent(
     labellers: Sequence[BodyLabeller], scores: list[SceneScores], label: Ints, rules: RecordingLabellingSettings
-) -> _State:
+) -> _JointLabels:
     """Relabel until nothing changes."""
     scene = scores[0].scene
     for _ in range(rules.max_rounds):
@@ -248,7 +271,7 @@ def _coordinate_ascent(
             break
         label = found.label
     margin, rival = margins_of(gain, found.label, scene.first, scene.last, np.argsort(scene.first, kind="stable"))
-    return _State(found.label, margin, rival, marker_offsets(labellers), poses, total, scores, int(found.rough.sum()))
+    return _JointLabels(found.label, margin, rival, marker_offsets(labellers), poses, total, scores, int(found.rough.sum()))
 
 
 def _gains(
@@ -267,7 +290,7 @@ def _gains(
 
 
 def _with_ghost_credit(
-    gain: Floats, scene: Scene, labellers: Sequence[BodyLabeller], rules: RecordingLabellingSettings
+    gain: Floats, scene: RecordingScene, labellers: Sequence[BodyLabeller], rules: RecordingLabellingSettings
 ) -> tuple[Floats, Assignment, float]:
     """The gains with what a tracklet earns for being a marker rather than a ghost, the best labels, and their total.
 
@@ -290,7 +313,7 @@ def _with_ghost_credit(
     return chosen, found, best
 
 
-def _by_length(gain: Floats, scene: Scene) -> Floats:
+def _by_length(gain: Floats, scene: RecordingScene) -> Floats:
     """The gains (J, L), those of long tracklets raised as far as needed: not even all shorter rivals together have more frames than one.
 
     A tracklet's frames resemble each other, so that many count like few. The frames of many short ghosts do not, and together they would
@@ -304,8 +327,8 @@ def _by_length(gain: Floats, scene: Scene) -> Floats:
 def _adapted_body(
     labeller: BodyLabeller,
     number: int,
-    scene: Scene,
-    state: _State,
+    scene: RecordingScene,
+    state: _JointLabels,
     rules: RecordingLabellingSettings,
     subject_rules: SubjectRules,
     body_rules: BodyRules,

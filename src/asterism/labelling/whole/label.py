@@ -10,20 +10,21 @@ from numpy.typing import NDArray
 
 from asterism.errors import AsterismError
 from asterism.geometry import rotate_z_up
+from asterism.labelling.body._score_kernels import NO_TAIL
 from asterism.labelling.body._workspace_kernels import FrameSettings
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enough
 from asterism.labelling.training.calibration import LabelTrials
-from asterism.labelling.training.trials import Trial
+from asterism.labelling.training.trials import TrainingTrial
 from asterism.labelling.whole._kernels import FrameScores, score_frames
 from asterism.labelling.whole.bodies import check_single_body
 from asterism.labelling.whole.certainty import overlaps_unlabelled
 from asterism.labelling.whole.fits import point_fits
 from asterism.labelling.whole.foreign import ForeignConfidence, ForeignLabels, ForeignRules, forward_travel, label_foreign
-from asterism.labelling.whole.joint import SceneLabelling, label_scene
+from asterism.labelling.whole.joint import SceneLabelling, SceneWork, label_scene
 from asterism.labelling.whole.point_labels import BodyInRecording, PointLabels, empty_labelling, labelling_of
-from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, prepare_scene
+from asterism.labelling.whole.scene import RecordingLabellingSettings, RecordingScene, labels_of_body, marker_offsets, prepare_scene
 from asterism.labelling.whole.short import frames_with_bodies, label_short_points, long_points, tracklets_of
 from asterism.labelling.whole.splits import split_tracklets
 from asterism.labelling.whole.verdict import judge_scene
@@ -116,9 +117,9 @@ def label_long_tracklets(
 
     arrays = list[FrameScores]()
 
-    def label_from(scene: Scene, start: Ints | None) -> SceneLabelling:
-        report = progress if start is None else None
-        return label_scene(labellers, scene, rules, subject_rules, body_rules, workers, report, start, arrays)
+    def label_from(scene: RecordingScene, start: Ints | None) -> SceneLabelling:
+        work = SceneWork(workers, progress if start is None else None, arrays)
+        return label_scene(labellers, scene, rules, subject_rules, body_rules, work, start)
 
     tracklets, found = _label_and_split(labellers, points, tracklets, kept, rules, label_from, arrays)
     foreign = None
@@ -145,7 +146,7 @@ def _label_and_split(
     tracklets: Tracklets,
     kept: NDArray[np.bool_],
     rules: RecordingLabellingSettings,
-    label_from: Callable[[Scene, Ints | None], SceneLabelling],
+    label_from: Callable[[RecordingScene, Ints | None], SceneLabelling],
     arrays: Sequence[FrameScores],
 ) -> tuple[Tracklets, SceneLabelling]:
     """All tracklets, those cut that go over from one marker to another, and the labels of the kept ones.
@@ -203,7 +204,7 @@ def _fits(labellers: Sequence[BodyLabeller], clouds: Clouds, xyz: Floats, long: 
 
 
 def label_if_foreign(
-    body: BodyInRecording, found: SceneLabelling, relabel: Callable[[Scene, Ints], SceneLabelling]
+    body: BodyInRecording, found: SceneLabelling, relabel: Callable[[RecordingScene, Ints], SceneLabelling]
 ) -> ForeignLabels | None:
     """A recording labelled again, None where there is no need.
 
@@ -219,7 +220,7 @@ def label_if_foreign(
     crowded = few and verdict.surplus >= reference.rules.min_surplus * len(names)
     if verdict.fits and not crowded and forward_travel(found, names, rules) > rules.backward:
         return None
-    return label_foreign(body.labeller.model, found, reference, names, relabel, rules)
+    return label_foreign(body.labeller, found, reference, names, relabel, rules)
 
 
 def label_whole(
@@ -282,6 +283,8 @@ def _scores_of_labels(
     offsets = np.concatenate([[0], np.cumsum(visible.sum(axis=1))]).astype(np.int64)
     xyz, marker = np.ascontiguousarray(frames[used][visible]), np.nonzero(visible)[1].astype(np.int64)
     scores, totals, poses = np.empty((len(xyz), visible.shape[1])), np.empty(len(used)), np.empty(len(used), dtype=np.int64)
+    # the labels are given: a body that they do not fit must not pass for one in an unknown posture
+    settings = settings._replace(tail_freedom=NO_TAIL)
     score_frames(xyz, offsets, marker, np.arange(visible.shape[1]), body.arrays(), settings, FrameScores(scores, totals, poses))
     return used, scores[np.arange(len(xyz)), marker], totals, poses
 
@@ -289,7 +292,7 @@ def _scores_of_labels(
 def run_trials(
     labeller: BodyLabeller,
     stretches: Sequence[Recording],
-    trials: Sequence[Trial],
+    trials: Sequence[TrainingTrial],
     rules: RecordingLabellingSettings,
     subject_rules: SubjectRules,
     body_rules: BodyRules,

@@ -13,7 +13,7 @@ from asterism.labelling.body.model import BodyModel, BodyRules, length_scale
 from asterism.labelling.whole._distance_kernels import DistanceLimits, TrackedPoints, rigid_deviations, training_deviations
 from asterism.labelling.whole._residual_kernels import ResidualLimits, prediction_residuals, residual_deviations
 from asterism.labelling.whole.certainty import overlaps_unlabelled
-from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets
+from asterism.labelling.whole.scene import RecordingLabellingSettings, RecordingScene, labels_of_body, marker_offsets
 from asterism.recording import NULL, Floats, Ints
 
 MIN_FRAMES, MAX_PARTNERS, MAX_DEVIATION = 5, 6, 8.0
@@ -21,7 +21,7 @@ MIN_FRAMES, MAX_PARTNERS, MAX_DEVIATION = 5, 6, 8.0
 
 
 def ghost_penalty(
-    labellers: Sequence[BodyLabeller], bodies: Sequence[BodyModel], scene: Scene, label: Ints, rules: RecordingLabellingSettings
+    labellers: Sequence[BodyLabeller], bodies: Sequence[BodyModel], scene: RecordingScene, label: Ints, rules: RecordingLabellingSettings
 ) -> Floats:
     """Nats of margin (J,) that tracklets lose that do not lie, in this body, where their markers lie elsewhere in the recording.
 
@@ -40,7 +40,7 @@ def ghost_penalty(
 
 
 def place_deviations(
-    labellers: Sequence[BodyLabeller], bodies: Sequence[BodyModel], scene: Scene, label: Ints, rules: RecordingLabellingSettings
+    labellers: Sequence[BodyLabeller], bodies: Sequence[BodyModel], scene: RecordingScene, label: Ints, rules: RecordingLabellingSettings
 ) -> Floats:
     """Standard deviations (J,) by which tracklets lie elsewhere, in the body, than their markers do in the rest of the recording.
 
@@ -60,7 +60,7 @@ def place_deviations(
 
 
 def own_deviations(
-    scene: Scene, label: Ints, offsets: Ints, rules: RecordingLabellingSettings, labellers: Sequence[BodyLabeller] = ()
+    scene: RecordingScene, label: Ints, offsets: Ints, rules: RecordingLabellingSettings, labellers: Sequence[BodyLabeller] = ()
 ) -> Floats:
     """Standard deviations (J,) by which tracklets' near-rigid distances differ from those of their markers elsewhere in the recording.
 
@@ -103,7 +103,7 @@ class TrainingDeviations:
 
 
 def compare_with_training(
-    labeller: BodyLabeller, scores: Floats, scene: Scene, label: Ints, rules: RecordingLabellingSettings, body_rules: BodyRules
+    labeller: BodyLabeller, scores: Floats, scene: RecordingScene, label: Ints, rules: RecordingLabellingSettings, body_rules: BodyRules
 ) -> TrainingDeviations:
     """Compare the distances of labelled tracklets with those of the training.
 
@@ -121,7 +121,7 @@ def compare_with_training(
     return TrainingDeviations(deviation, float(usual), _in_unfamiliar_movement(labeller, scores, scene, label))
 
 
-def _in_unfamiliar_movement(labeller: BodyLabeller, scores: Floats, scene: Scene, label: Ints) -> NDArray[np.bool_]:
+def _in_unfamiliar_movement(labeller: BodyLabeller, scores: Floats, scene: RecordingScene, label: Ints) -> NDArray[np.bool_]:
     """Tracklets (J,) most of whose sampled frames fit the body worse than nearly every frame of people left out did."""
     markers, frames = labeller.body.mean.shape[1], len(scene.sampled_frames)
     points = np.nonzero(label[scene.sampled_track] != NULL)[0]

@@ -29,7 +29,7 @@ from asterism.labelling.whole.plausibility import compare_with_training, ghost_p
 from asterism.labelling.whole.point_labels import BodyInRecording, PointLabels, labelling_of
 from asterism.labelling.whole.scene import (
     RecordingLabellingSettings,
-    Scene,
+    RecordingScene,
     marker_offsets,
     prepare_scene,
     score_again,
@@ -93,7 +93,7 @@ class LabelledTracklets:
         return rotate_z_up(self.clouds.xyz, self.clouds.vertical)
 
     @cached_property
-    def upright(self) -> Scene:
+    def upright(self) -> RecordingScene:
         """The scene with the body upright in every sampled frame."""
         return _turned(self.long.found.scene, self.long.found)
 
@@ -176,7 +176,7 @@ def relabel_tracklets(before: LabelledTracklets, tracklets: Tracklets, fixed: In
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _RelabelProblem:
     """What is labelled again.
 
     scene      the long tracklets, the body upright
@@ -187,7 +187,7 @@ class _Problem:
     scores     (Q, M) nats of the sampled points under the first labels; None where there are none for this scene
     """
 
-    scene: Scene
+    scene: RecordingScene
     fixed: Ints
     start: Ints
     penalty: Floats
@@ -195,7 +195,7 @@ class _Problem:
     scores: Floats | None
 
 
-def _problem(before: LabelledTracklets, tracklets: Tracklets, kept: NDArray[np.bool_], fixed: Ints, anew: bool) -> _Problem:
+def _problem(before: LabelledTracklets, tracklets: Tracklets, kept: NDArray[np.bool_], fixed: Ints, anew: bool) -> _RelabelProblem:
     """The scene of the kept points (P,), and what the first labelling says of it; fixed (P,). anew: it is another one than then."""
     found, scene = before.long.found, before.upright
     was_long = np.full(len(kept), NULL, dtype=np.int64)
@@ -208,10 +208,10 @@ def _problem(before: LabelledTracklets, tracklets: Tracklets, kept: NDArray[np.b
     known[scene.track], earlier[scene.track] = fixed[points], was_long[points]
     start = np.where(earlier >= 0, found.label[earlier], NULL)
     penalty = np.where(earlier >= 0, before.penalty[earlier], 0.0)
-    return _Problem(scene, known, start, penalty, earlier, None if anew else before.scores)
+    return _RelabelProblem(scene, known, start, penalty, earlier, None if anew else before.scores)
 
 
-def _turned(scene: Scene, found: SceneLabelling) -> Scene:
+def _turned(scene: RecordingScene, found: SceneLabelling) -> RecordingScene:
     """A scene with its sampled frames turned as those of a labelling were, where it had them."""
     if found.turns is None:
         return scene
@@ -221,7 +221,7 @@ def _turned(scene: Scene, found: SceneLabelling) -> Scene:
     return replace(scene, sampled_xyz=turned(scene.sampled_xyz, scene.sampled_frame, turns))
 
 
-def _ascent(before: LabelledTracklets, problem: _Problem) -> SceneLabelling:
+def _ascent(before: LabelledTracklets, problem: _RelabelProblem) -> SceneLabelling:
     """Labels that no longer change, and their margins."""
     scene, fixed = problem.scene, problem.fixed
     label = np.where(fixed == FREE, problem.start, fixed)
@@ -248,7 +248,7 @@ def _ascent(before: LabelledTracklets, problem: _Problem) -> SceneLabelling:
     return SceneLabelling(scene, label, margin, rival, before.long.found.bodies, 0.0, by_body, turns=turns)
 
 
-def _score(scores: Floats, scene: Scene, label: Ints, changed: NDArray[np.bool_] | None, before: LabelledTracklets) -> None:
+def _score(scores: Floats, scene: RecordingScene, label: Ints, changed: NDArray[np.bool_] | None, before: LabelledTracklets) -> None:
     """Write the scores (Q, M) of all sampled points, or of those in frames that show one of the changed tracklets (J,)."""
     arrays, settings, frames = before.arrays, before.body.labeller.settings, len(scene.sampled_frames)
     again = np.ones(frames, dtype=np.bool_)
@@ -257,7 +257,7 @@ def _score(scores: Floats, scene: Scene, label: Ints, changed: NDArray[np.bool_]
     score_again(scene, again, label, arrays, settings, FrameScores(scores, np.empty(frames), np.empty(frames, dtype=np.int64)))
 
 
-def _gain(scores: Floats, scene: Scene, fixed: Ints, before: LabelledTracklets) -> Floats:
+def _gain(scores: Floats, scene: RecordingScene, fixed: Ints, before: LabelledTracklets) -> Floats:
     """The gain of each tracklet for each marker (J, M) nats, with what it earns for being no ghost.
 
     Which ghosts the recording shows is what the first labelling found; see `joint.py`.
@@ -281,7 +281,7 @@ def _hold_labels(gain: Floats, fixed: Ints) -> None:
     gain[named, fixed[named]] = CERTAIN
 
 
-def _lost_margin(before: LabelledTracklets, problem: _Problem, label: Ints) -> tuple[Floats, NDArray[np.bool_]]:
+def _lost_margin(before: LabelledTracklets, problem: _RelabelProblem, label: Ints) -> tuple[Floats, NDArray[np.bool_]]:
     """Nats of margin (J,) that labels lose in this body, and whether their distances are not those of the training (J,).
 
     What they lost in the first labelling, where they are the same; only labels that changed are looked at.
@@ -301,7 +301,7 @@ def _lost_margin(before: LabelledTracklets, problem: _Problem, label: Ints) -> t
     return np.where(changed, in_body, problem.penalty), np.where(changed, compared.are_off(_SETTINGS)[number], doubtful)
 
 
-def _merged(scene: Scene, label: Ints, apart: NDArray[np.bool_]) -> tuple[Scene, Ints]:
+def _merged(scene: RecordingScene, label: Ints, apart: NDArray[np.bool_]) -> tuple[RecordingScene, Ints]:
     """The scene with the tracklets of one marker merged, but for those apart (J,), and the new number of each tracklet (J,).
 
     A tracklet's distances and places are compared with those of all others of its marker, so that those apart are found to be the same.
@@ -317,7 +317,7 @@ def _merged(scene: Scene, label: Ints, apart: NDArray[np.bool_]) -> tuple[Scene,
     return replace(scene, first=first, last=last, sampled_track=track, samples=samples, independent=samples.astype(np.float64)), number
 
 
-def _point_labels(before: LabelledTracklets, long: LongTracklets, problem: _Problem) -> PointLabels:
+def _point_labels(before: LabelledTracklets, long: LongTracklets, problem: _RelabelProblem) -> PointLabels:
     """The labels of all points. The fit is that of the first labelling where a point has the same label."""
     labeller, clouds, found = before.body.labeller, before.clouds, long.found
     labels = long.points()
@@ -340,7 +340,7 @@ def _point_labels(before: LabelledTracklets, long: LongTracklets, problem: _Prob
     return replace(labels, fit=fit)
 
 
-def _of_tracklets(foreign: ForeignConfidence, problem: _Problem) -> ForeignConfidence:
+def _of_tracklets(foreign: ForeignConfidence, problem: _RelabelProblem) -> ForeignConfidence:
     """The confidence of tracklets in a foreign recording, as the first labelling found it; those that were short get the median."""
     known = problem.earlier >= 0
     log_odds = np.where(known, foreign.log_odds[problem.earlier], float(np.median(foreign.log_odds)))

@@ -82,7 +82,7 @@ class RecordingLabellingSettings:
 
 
 @dataclass(frozen=True)
-class Scene:
+class RecordingScene:
     """A recording of P points in T frames and J tracklets, prepared for the kernels; E of the frames are sampled, with Q points.
 
     xyz             (P, 3) m, z up, sorted within each frame
@@ -116,7 +116,7 @@ class Scene:
     independent: Floats
 
 
-def prepare_scene(clouds: Clouds, tracklets: Tracklets, rules: RecordingLabellingSettings) -> Scene:
+def prepare_scene(clouds: Clouds, tracklets: Tracklets, rules: RecordingLabellingSettings) -> RecordingScene:
     """Sort the points of every frame, number the tracklets by their first points, and choose the frames to sample.
 
     The result does not depend on the order of the points. O(P n) for n points a frame at worst.
@@ -139,7 +139,7 @@ def prepare_scene(clouds: Clouds, tracklets: Tracklets, rules: RecordingLabellin
     points = is_sampled[frame_of]
     sampled_track = track[points]
     samples = np.bincount(sampled_track, minlength=len(tracklets))
-    return Scene(
+    return RecordingScene(
         xyz,
         clouds.offsets,
         order,
@@ -157,7 +157,7 @@ def prepare_scene(clouds: Clouds, tracklets: Tracklets, rules: RecordingLabellin
     )
 
 
-def with_fewer_samples(scene: Scene, most: int, rules: RecordingLabellingSettings) -> Scene:
+def with_fewer_samples(scene: RecordingScene, most: int, rules: RecordingLabellingSettings) -> RecordingScene:
     """The scene with so many of its sampled frames at most, evenly spread. Tracklets that none of these shows stay, without a sample."""
     if len(scene.sampled_frames) <= most:
         return scene
@@ -198,7 +198,9 @@ def _sampled_frames(frames: int, step: int, first: Ints, last: Ints) -> NDArray[
     return sampled
 
 
-def score_scene(scene: Scene, label: Ints, body: BodyArrays, settings: FrameSettings, out: FrameScores | None = None) -> FrameScores:
+def score_scene(
+    scene: RecordingScene, label: Ints, body: BodyArrays, settings: FrameSettings, out: FrameScores | None = None
+) -> FrameScores:
     """Score every sampled point as every marker of a body, given the labels (J,) of all tracklets as its markers. See `score_frames`.
 
     Written over `out`, where it is given and as large.
@@ -210,7 +212,9 @@ def score_scene(scene: Scene, label: Ints, body: BodyArrays, settings: FrameSett
     return out
 
 
-def score_again(scene: Scene, frames: NDArray[np.bool_], label: Ints, body: BodyArrays, settings: FrameSettings, out: FrameScores) -> None:
+def score_again(
+    scene: RecordingScene, frames: NDArray[np.bool_], label: Ints, body: BodyArrays, settings: FrameSettings, out: FrameScores
+) -> None:
     """Write over `out`, see `score_scene`, what some of the sampled frames (E,) score under the labels (J,)."""
     points = np.nonzero(frames[scene.sampled_frame])[0]
     if not len(points):
@@ -231,7 +235,7 @@ class SceneScores:
     scored                 their scores; before, arrays to be written over, or None
     """
 
-    scene: Scene
+    scene: RecordingScene
     body: BodyArrays
     settings: FrameSettings
     label: Ints | None = None
@@ -248,7 +252,7 @@ class SceneScores:
         self.label = label.copy()
         return self.scored
 
-    def with_frames(self, scene: Scene, frames: NDArray[np.bool_]) -> SceneScores:
+    def with_frames(self, scene: RecordingScene, frames: NDArray[np.bool_]) -> SceneScores:
         """The same of a scene in which the points of these sampled frames (E,) lie elsewhere; takes over the arrays."""
         if self.label is not None and self.scored is not None:
             score_again(scene, frames, self.label, self.body, self.settings, self.scored)

@@ -13,13 +13,17 @@ import numpy as np
 
 from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole._kernels import FrameScores, best_split
-from asterism.labelling.whole.scene import RecordingLabellingSettings, Scene, labels_of_body, marker_offsets, score_scene
+from asterism.labelling.whole.scene import RecordingLabellingSettings, RecordingScene, labels_of_body, marker_offsets, score_scene
 from asterism.recording import Floats, Ints
 from asterism.tracking.linking import Tracklets
 
 
 def sample_scores(
-    labellers: Sequence[BodyLabeller], scene: Scene, label: Ints, rules: RecordingLabellingSettings, arrays: Sequence[FrameScores] = ()
+    labellers: Sequence[BodyLabeller],
+    scene: RecordingScene,
+    label: Ints,
+    rules: RecordingLabellingSettings,
+    arrays: Sequence[FrameScores] = (),
 ) -> Floats:
     """Nats of each sampled point as each column of all bodies, (Q, L), given the labels (J,) of all tracklets.
 
@@ -38,7 +42,7 @@ def split_tracklets(
     tracklets: Tracklets,
     points: Ints,
     labellers: Sequence[BodyLabeller],
-    scene: Scene,
+    scene: RecordingScene,
     label: Ints,
     rules: RecordingLabellingSettings,
     arrays: Sequence[FrameScores] = (),

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import expit, logit
 
 from asterism.labelling.whole._distance_kernels import frame_scatters
-from asterism.labelling.whole.scene import Scene, labels_of_body
+from asterism.labelling.whole.scene import RecordingScene, labels_of_body
 from asterism.recording import NULL, Floats, Ints
 from asterism.recording.verdict import FITS, OTHER_BODY, OTHER_MARKERS, OTHER_PERSON, Verdict
 
@@ -236,7 +236,7 @@ def _is_other_body(verdict: Verdict, lost: float, rules: VerdictRules) -> bool:
     )
 
 
-def judge_scene(scene: Scene, label: Ints, offsets: Ints, number: int, reference: RigidDistances | None) -> Verdict | None:
+def judge_scene(scene: RecordingScene, label: Ints, offsets: Ints, number: int, reference: RigidDistances | None) -> Verdict | None:
     """The verdict on a recording's labels for the body with this number; None for a model that keeps no sample of its training.
 
     label (J,): labels of all bodies, -1 for none; offsets: where each body's markers begin among them.

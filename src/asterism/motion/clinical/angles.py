@@ -9,8 +9,9 @@ import numpy as np
 
 from asterism.errors import AsterismError
 from asterism.motion.clinical.measures import LegMeasures, leg_measures
-from asterism.motion.joints.anatomy import AnatomicalFrames, leg_frames
+from asterism.motion.joints.anatomy import AnatomicalFrames, leg_frames, sacrum_markers
 from asterism.motion.joints.angles import grood_suntay
+from asterism.motion.rigid.rotations import unit_vectors
 from asterism.recording import Floats, Recording
 
 CLINICAL = ("flexion", "adduction", "rotation")
@@ -63,8 +64,15 @@ def clinical_angles(recording: Recording, sides: Sequence[str] | None = None) ->
     the tibia is taken off: against Plug-in-Gait the angles of a subject differ by an offset. The foot is the line from ankle to TOE,
     as in Plug-in-Gait; a line leaves its own turn open, so the ankle's adduction (inversion) is NaN. Without TOE there is no ankle.
     Raises AsterismError where a side lacks a marker or is none, and where no side has all markers. O(T).
+
+    >>> from asterism.simulation import simulate_walks
+    >>> walk = simulate_walks(1, frames=120, seed=0)[0]
+    >>> angles = {joint.name: np.degrees(joint.angles[:, 0]) for joint in clinical_angles(walk).joints}
+    >>> bool(50 < angles["left knee"].max() < 90)
+    True
     """
     chosen = complete_legs(recording) if sides is None else tuple(sides)
+    # Sides that are asked for are demanded; sides that are found are complete already.
     for side in chosen if sides is not None else ():
         _demand(recording, side)
     if not chosen:
@@ -81,8 +89,7 @@ def _file(recording: Recording) -> str:
 
 
 def _needed(recording: Recording, side: str) -> list[str]:
-    back = ["SACR"] if "SACR" in recording.labels or "LPSI" not in recording.labels else ["LPSI", "RPSI"]
-    return ["LASI", "RASI", *back, *(side + name for name in _LEG)]
+    return ["LASI", "RASI", *sacrum_markers(recording), *(side + name for name in _LEG)]
 
 
 def _missing(recording: Recording, side: str) -> list[str]:
@@ -110,13 +117,16 @@ def leg_angles(recording: Recording, side: str, measures: LegMeasures) -> list[C
     """
     right = 1.0 if side == "R" else -1.0
     frames = leg_axes(recording, side, measures)
+    # Axes point right on both sides, so adduction and rotation of a left leg change sign.
     mirrored = np.array([1.0, right, right])
     hip = grood_suntay(frames.pelvis, frames.thigh) * mirrored
+    # A knee bends backwards: its flexion is the negative turn about z.
     knee = grood_suntay(frames.thigh, frames.shank) * mirrored * [-1.0, 1.0, 1.0]
     joints = [ClinicalJoint(SIDES[side], "hip", hip), ClinicalJoint(SIDES[side], "knee", knee)]
     if f"{side}TOE" in recording.labels:
         foot = _foot(frames, recording.positions[:, recording.labels.index(f"{side}TOE")])
         ankle = grood_suntay(frames.shank, foot) * mirrored + [measures.foot_flexion, 0.0, 0.0]
+        # The line from ankle to toe has no turn about itself.
         ankle[:, 1] = np.nan
         joints.append(ClinicalJoint(SIDES[side], "ankle", ankle))
     return joints
@@ -125,6 +135,7 @@ def leg_angles(recording: Recording, side: str, measures: LegMeasures) -> list[C
 def leg_axes(recording: Recording, side: str, measures: LegMeasures) -> AnatomicalFrames:
     """The leg's frames, in m, after the wands of thigh and shank are turned back: the shank's needs the knee, which needs the thigh's."""
     widths = {"knee_width": measures.knee_width, "ankle_width": measures.ankle_width}
+    # The thigh first: the knee centre, on which the shank's turn rests, moves with it.
     for wand, end, angle in (("THI", "KNE", measures.thigh_rotation), ("TIB", "ANK", measures.shank_rotation)):
         if angle:
             frames = leg_frames(recording, side, **widths)
@@ -137,10 +148,10 @@ def _turned(recording: Recording, wand: str, end: str, upper: Floats, angle: flo
     """The recording with the marker `wand` turned by an angle (rad) about the line from the upper joint (T, 3) to the marker `end`."""
     positions = recording.positions.copy()
     marker = positions[:, recording.labels.index(end)]
-    axis = marker - upper
-    axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-12)
+    axis = unit_vectors(marker - upper)
     arm = positions[:, recording.labels.index(wand)] - marker
     along = axis * np.einsum("ti,ti->t", axis, arm)[:, None]
+    # Rodrigues about the limb's line.
     turned = arm * np.cos(angle) + np.cross(axis, arm) * np.sin(angle) + along * (1 - np.cos(angle))
     positions[:, recording.labels.index(wand)] = marker + turned
     return replace(recording, positions=positions)
@@ -148,8 +159,6 @@ def _turned(recording: Recording, wand: str, end: str, upper: Floats, angle: flo
 
 def _foot(frames: AnatomicalFrames, toe: Floats) -> Floats:
     """(T, 3, 3): x from the ankle to the toe marker, z the shank's z as far as it is across x."""
-    x = toe - frames.ankle
-    x = x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-12)
-    y = np.cross(frames.shank[:, :, 2], x)
-    y = y / np.maximum(np.linalg.norm(y, axis=1, keepdims=True), 1e-12)
+    x = unit_vectors(toe - frames.ankle)
+    y = unit_vectors(np.cross(frames.shank[:, :, 2], x))
     return np.stack([x, y, np.cross(x, y)], axis=2)

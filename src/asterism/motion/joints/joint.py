@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asterism.errors import AsterismError
+from asterism.geometry import best_rotation
 from asterism.motion.rigid.rotations import relative_rotations, rotation_vectors
 from asterism.recording import Floats
 
 JOINT_METHODS = ("score", "sphere")
 """score: the point that both limbs carry alike (Ehrig et al. 2006; symmetric). sphere: the common centre of the spheres on which the
 child's points move in the parent's axes (Gamage and Lasenby 2002)."""
+LEAST_FRAMES = 3
+"""Frames in which two limbs are known together, below which they have no joint: two tell no axis that a third could confirm."""
 
 
 class Motion(Protocol):
@@ -100,18 +103,21 @@ def fit_joint(
     if len(parent.rotations) != len(child.rotations):
         raise AsterismError(f"the limbs have {len(parent.rotations)} and {len(child.rotations)} frames; give motions of one recording.")
     both = np.asarray(np.isfinite(parent.translations).all(axis=1) & np.isfinite(child.translations).all(axis=1))
-    if both.sum() < 3:
+    if both.sum() < LEAST_FRAMES:
         raise AsterismError(f"the limbs are known together in {int(both.sum())} frames; a joint needs three.")
     r_p, t_p, r_c, t_c = parent.rotations[both], parent.translations[both], child.rotations[both], child.translations[both]
-    vectors = rotation_vectors(relative_rotations(r_p, r_c))
-    mean = _mean_rotation(relative_rotations(r_p, r_c))
-    spread = np.linalg.svd(rotation_vectors(mean.T @ relative_rotations(r_p, r_c)) / np.sqrt(len(vectors)), compute_uv=False)
+    turned = relative_rotations(r_p, r_c)
+    mean = best_rotation(turned.sum(axis=0))
+    # Spread about the mean pose: about the first frame a bent joint would seem to have turned.
+    spread = np.linalg.svd(rotation_vectors(mean.T @ turned) / np.sqrt(len(turned)), compute_uv=False)
+    # One strong direction only is a hinge, and then the place along it stays open to the motion.
     kind = "fixed" if spread[0] < rules.turn / 2 else "hinge" if spread[1] < rules.hinge * spread[0] else "ball"
     design = np.concatenate([r_p, -r_c], axis=2)
     prior, expected = _prior(near, both, (r_p, t_p, r_c, t_c), rules)
+    # The sphere fit has no equations of its own for the child: its centre is carried there and averaged.
     if method == "sphere":
-        if points is None:
-            raise AsterismError("the method sphere needs the child's points.")
+        if points is None or np.ndim(points) != 3 or len(np.asarray(points)) != len(both):
+            raise AsterismError(f"the method sphere needs the child's points as ({len(both)}, points, 3) in m.")
         centre = _sphere_centre(np.asarray(points, dtype=np.float64)[both], (r_p, t_p), expected[:3], prior[0, 0])
         other = np.einsum("tji,tj->ti", r_c, np.einsum("tij,j->ti", r_p, centre) + t_p - t_c).mean(axis=0)
         solution, covariance = np.concatenate([centre, other]), None
@@ -120,15 +126,9 @@ def fit_joint(
     left = np.einsum("tij,j->ti", design, solution) + t_p - t_c
     residual = float(np.sqrt((left**2).sum(axis=1).mean()))
     if covariance is None:
-        covariance = _covariance(design, left, prior)
+        covariance = np.linalg.inv(np.einsum("tki,tkj->ij", design, design) / _variance(left) + prior)
     axis_p, axis_c = _axis(design) if kind != "fixed" else (np.full(3, np.nan), np.full(3, np.nan))
     return Joint(solution[:3], solution[3:], axis_p, axis_c, kind, covariance[:3, :3], residual, spread, method)
-
-
-def _mean_rotation(rotations: Floats) -> Floats:
-    from asterism.geometry import best_rotation
-
-    return best_rotation(rotations.sum(axis=0))
 
 
 def _prior(
@@ -142,14 +142,18 @@ def _prior(
     if place.shape != (len(both), 3):
         raise AsterismError(f"near has shape {place.shape}, expected ({len(both)}, 3): a place in the world for each frame.")
     place = place[both]
-    in_parent = np.nanmean(np.einsum("tji,tj->ti", r_p, place - t_p), axis=0)
-    in_child = np.nanmean(np.einsum("tji,tj->ti", r_c, place - t_c), axis=0)
+    known = np.isfinite(place).all(axis=1)
+    if not known.any():
+        return 1e-2 * np.eye(6), np.zeros(6)
+    in_parent = np.einsum("tji,tj->ti", r_p, place - t_p)[known].mean(axis=0)
+    in_child = np.einsum("tji,tj->ti", r_c, place - t_c)[known].mean(axis=0)
     return np.eye(6) / rules.near_m**2, np.concatenate([in_parent, in_child])
 
 
 def _score(design: Floats, right: Floats, expected: Floats, prior: Floats) -> tuple[Floats, Floats]:
     """The centre (6,) m and its covariance (6, 6): two rounds, since how much the prior counts depends on the residuals."""
     normal, shift = np.einsum("tki,tkj->ij", design, design), np.einsum("tki,tk->i", design, right)
+    # A centimetre to begin with. How much the prior counts depends on the residuals, and these on the prior: a few rounds.
     variance = 1e-4
     for _ in range(4):
         solution = np.linalg.solve(normal / variance + prior, shift / variance + prior @ expected)
@@ -162,13 +166,10 @@ def _variance(left: Floats) -> float:
     """m2 of one residual coordinate, as large as makes residuals that are correlated in time count as often as they are independent."""
     frames = len(left)
     square = float((left**2).sum()) / max(3 * frames - 6, 1)
+    # Residuals that follow each other count less often than frames: an AR(1) course of their correlation.
     lagged = float((left[1:] * left[:-1]).sum() / max((left**2).sum(), 1e-30)) if frames > 3 else 0.0
     lagged = min(max(lagged, 0.0), 0.98)
     return max(square, 1e-10) * (1 + lagged) / (1 - lagged)
-
-
-def _covariance(design: Floats, left: Floats, prior: Floats) -> Floats:
-    return np.linalg.inv(np.einsum("tki,tkj->ij", design, design) / _variance(left) + prior)
 
 
 def _axis(design: Floats) -> tuple[Floats, Floats]:
@@ -182,6 +183,7 @@ def _axis(design: Floats) -> tuple[Floats, Floats]:
 def _sphere_centre(points: Floats, parent: tuple[Floats, Floats], expected: Floats, precision: float) -> Floats:
     """(3,) m in the parent's axes: the centre whose squared distances from each point vary least (Gamage and Lasenby 2002, eq. 5)."""
     local = np.einsum("tji,tnj->tni", parent[0], points - parent[1][:, None])
+    # About the expected place: squares of far coordinates would lose the digits that count.
     local -= expected
     seen = np.isfinite(local[:, :, :1])
     count = np.maximum(seen.sum(axis=0), 1)
@@ -192,4 +194,5 @@ def _sphere_centre(points: Floats, parent: tuple[Floats, Floats], expected: Floa
     normal = 2 * np.einsum("tni,tnj->ij", moved, moved)
     right = np.einsum("tni,tn->i", moved, (square - square.sum(axis=0) / count)[:, :, 0])
     weak = 1e-9 * np.trace(normal) if precision < 1.0 else 1e-4 * np.trace(normal)
-    return np.asarray(np.linalg.solve(normal + weak * np.eye(3), right) + expected)
+    # Points that never move leave all open: 1e-12 m2, far below what millimetres over ten frames give, keeps the expected place.
+    return np.asarray(np.linalg.solve(normal + max(weak, 1e-12) * np.eye(3), right) + expected)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from asterism.errors import AsterismError
-from asterism.motion.joints.joint import Joint, JointRules, Motion, fit_joint
+from asterism.motion.joints.joint import LEAST_FRAMES, Joint, JointRules, Motion, fit_joint
 from asterism.recording import Floats
 
 _NEAREST = 0.1
@@ -19,8 +21,9 @@ _NEAREST = 0.1
 class Skeleton:
     """Limbs joined to a tree.
 
-    parents  (L,) the limb to which each is joined, -1 for the root, which is the limb with the most points
-    joints   (L,) the joint to the parent, None for the root
+    parents  (L,) the limb to which each is joined, -1 for a root: the limb with the most points, and each that shares too few frames with
+             the others to be joined to one
+    joints   (L,) the joint to the parent, None for a root
     """
 
     parents: tuple[int, ...]
@@ -45,7 +48,8 @@ def find_skeleton(
     """Join limbs where they turn about a common point that lies between them.
 
     motions of the limbs, and points (T, N, 3) m of each. Of all trees the one is taken whose joints together lie nearest to both limbs'
-    points and drift least: cost of a joint is its residual and its distance from the place between the limbs (Prim's algorithm).
+    points and drift least: cost of a joint is its residual and its distance from the place between the limbs (Prim's algorithm). Limbs that
+    are known together in fewer than three frames are not joined: the skeleton is then of several trees.
     Raises AsterismError where there is no limb, or the lists differ in length. O(L^2 (T + N^2 / 100)).
     """
     if not motions or len(motions) != len(points):
@@ -54,41 +58,49 @@ def find_skeleton(
         )
     rules = rules or JointRules()
     joints: dict[tuple[int, int], tuple[float, Joint]] = {}
-    for one in range(len(motions)):
-        for other in range(one + 1, len(motions)):
-            near, gap = between(points[one], points[other])
-            for parent, child in ((one, other), (other, one)):
-                joint = fit_joint(motions[parent], motions[child], near=near, points=points[child], method=method, rules=rules)
-                centres = joint.centres(motions[parent], motions[child])
-                aside = float(np.nanmean(np.linalg.norm(centres - near, axis=1)))
-                joints[parent, child] = (joint.residual + aside + gap, joint)
+    known = [np.isfinite(motion.translations).all(axis=1) for motion in motions]
+    for one, other in combinations(range(len(motions)), 2):
+        if (known[one] & known[other]).sum() < LEAST_FRAMES:
+            continue
+        near, gap = between(points[one], points[other])
+        # Both ways: the covariance is in the parent's axes, and which limb is the parent is not known yet.
+        for parent, child in ((one, other), (other, one)):
+            joint = fit_joint(motions[parent], motions[child], near=near, points=points[child], method=method, rules=rules)
+            aside = np.linalg.norm(joint.centres(motions[parent], motions[child]) - near, axis=1)
+            aside = aside[np.isfinite(aside)]
+            # Where nothing says what lies between two limbs, any other joint of theirs is better.
+            joints[parent, child] = (joint.residual + gap + (float(aside.mean()) if len(aside) else np.inf), joint)
     parents, found = [-1] * len(motions), [None] * len(motions)
-    root = int(np.argmax([one.shape[1] for one in points]))
-    reached = [root]
-    while len(reached) < len(motions):
-        waiting = [limb for limb in range(len(motions)) if limb not in reached]
-        _, parent, child = min((joints[parent, child][0], parent, child) for parent in reached for child in waiting)
-        parents[child] = parent
-        found[child] = joints[parent, child][1]  # type: ignore[call-overload]
-        reached.append(child)
+    sizes = [one.shape[1] for one in points]
+    waiting = set(range(len(motions)))
+    while waiting:
+        reached = {limb for limb in range(len(motions)) if limb not in waiting}
+        # Prim: of all joints from the tree to a limb outside, the best.
+        costs = [(joints[pair][0], *pair) for pair in joints if pair[0] in reached and pair[1] in waiting]
+        if costs:
+            _, parent, limb = min(costs)
+            parents[limb], found[limb] = parent, joints[parent, limb][1]  # type: ignore[call-overload]
+        else:
+            limb = max(waiting, key=lambda one: (sizes[one], -one))
+        waiting.remove(limb)
     return Skeleton(tuple(parents), tuple(found))
 
 
 def between(one: Floats, other: Floats) -> tuple[Floats, float]:
     """(T, 3) m: the middle between the points of two limbs (T, N, 3) m that are nearest to the other limb, and how far apart those are (m).
 
-    Which points are near is decided once, in the frame with the most points. NaN in frames without these points.
+    Which points are near is decided once, in the frame with the most points of those that show both limbs. NaN in frames without these
+    points. Raises AsterismError where no frame shows both.
     """
-    seen = np.isfinite(one[:, :, 0]).sum(axis=1) + np.isfinite(other[:, :, 0]).sum(axis=1)
-    frame = int(np.argmax(seen))
-    from scipy.spatial import cKDTree
-
+    seen = np.array([np.isfinite(limb[:, :, 0]).sum(axis=1) for limb in (one, other)])
+    frame = int(np.argmax(np.where(seen.all(axis=0), seen.sum(axis=0), 0)))
+    if not seen[:, frame].all():
+        raise AsterismError("two limbs are never seen in one frame, so nothing says how they are joined.")
     sides, apart = [], 0.0
+    # Of each limb the points that are nearest to the other: the joint lies between them.
     for mine, theirs in ((one, other), (other, one)):
         here = np.nonzero(np.isfinite(mine[frame, :, 0]))[0]
         there = theirs[frame][np.isfinite(theirs[frame, :, 0])]
-        if not len(here) or not len(there):
-            raise AsterismError("two limbs are never seen in one frame, so nothing says how they are joined.")
         distance = cKDTree(there).query(mine[frame, here])[0]
         few = max(3, round(_NEAREST * len(here)))
         chosen = here[np.argsort(distance, kind="stable")[:few]]

@@ -23,7 +23,8 @@ class FirstOrder:
 
     standard  (T,) rad of the angle, for the measurement noise of the points
     holds     (T,) bool: where the ends of its 95 % interval are those of the Monte Carlo within half a unit of the last significant digit
-              (Supplement 1, clause 8) and three standard errors of these ends; None without a Monte Carlo to compare with
+              (Supplement 1, clause 8) and three standard errors of these ends; False where the angle is not known; None without a Monte
+              Carlo to compare with
     """
 
     standard: Floats
@@ -41,22 +42,22 @@ def rotation_covariance(motion: LimbMotion, sigma: float) -> Floats:
     weights = np.where(present, motion.weights, 0.0)
     total = np.maximum(weights.sum(axis=1), 1e-30)
     template = np.where(np.isfinite(motion.template), motion.template, 0.0)
+    # About the weighted mean, where rotation and translation do not mix.
     mean = (weights @ template) / total[:, None]
 
     def tensor(w: Floats) -> Floats:
         second = np.einsum("tn,ni,nj->tij", w, template, template, optimize=True)
         first = w @ template
         outer = first[:, :, None] * mean[:, None, :]
+        # Moments about the mean from those about the origin, for all frames at once.
         second = second - outer - outer.swapaxes(1, 2) + w.sum(axis=1)[:, None, None] * mean[:, :, None] * mean[:, None, :]
         return np.asarray(np.trace(second, axis1=1, axis2=2)[:, None, None] * np.eye(3) - second)
 
-    known = present.sum(axis=1) >= 3
-    out = np.full((len(weights), 3, 3), np.nan)
-    inverse = np.linalg.pinv(tensor(weights[known]))
-    local = sigma**2 * inverse @ tensor(weights[known] ** 2) @ inverse
-    r = motion.rotations[known]
-    out[known] = r @ local @ r.swapaxes(1, 2)
-    return out
+    # All frames are computed, those without a motion with weights of zero: one selection at the end instead of one in each product.
+    inverse = np.linalg.pinv(tensor(weights))
+    local = sigma**2 * inverse @ tensor(weights**2) @ inverse
+    r = motion.rotations
+    return np.asarray(r @ local @ r.swapaxes(1, 2))
 
 
 def first_order_angles(
@@ -65,22 +66,23 @@ def first_order_angles(
     """The standard uncertainty of `angles.angle` to first order, from noise of standard deviation `sigma` m of all points.
 
     The relative rotation's small turn has the sum of both limbs' covariances, and the zero frame's added; the angle's is its part along the
-    rotation's axis. check: a Monte Carlo of the same source and of nothing else, against which the result is held.
+    rotation's axis. NaN where the angle is. check: a Monte Carlo of the same source and of nothing else, against which the result is held.
     """
     spread = rotation_covariance(parent, sigma) + rotation_covariance(child, sigma)
     r = parent.rotations
+    # Into the parent's axes, in which the joint's vector is given.
     local = r.swapaxes(1, 2) @ spread @ r
     both = local + local[angles.zero]
-    length = np.linalg.norm(angles.vectors, axis=1, keepdims=True)
-    axes = np.where(length > 1e-3, angles.vectors / np.maximum(length, 1e-12), angles.axis)
-    variance = np.einsum("ti,tij,tj->t", axes, both, axes)
+    variance = np.einsum("ti,tij,tj->t", angles.directions, both, angles.directions)
+    # The zero frame is compared with itself.
     variance[angles.zero] = 0.0
-    standard = np.sqrt(np.maximum(variance, 0.0))
+    standard = np.where(np.isfinite(angles.angle), np.sqrt(np.maximum(variance, 0.0)), np.nan)
     if check is None:
         return FirstOrder(standard)
     low, high = check.intervals.get(0.95, (check.estimate, check.estimate))
     reach = _COVERAGE_FACTOR[0.95] * standard
-    sampled = _SAMPLING * float(np.nanmedian(standard)) / np.sqrt(check.trials)
-    tolerance = numerical_tolerance(float(np.nanmedian(standard))) + 3 * sampled
+    typical = float(np.median(standard[np.isfinite(standard)]))
+    tolerance = numerical_tolerance(typical) + 3 * _SAMPLING * typical / np.sqrt(check.trials)
+    # Both ends must agree: a skewed distribution agrees at one.
     miss = np.maximum(np.abs(check.estimate - reach - low), np.abs(check.estimate + reach - high))
     return FirstOrder(standard, miss <= tolerance)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,8 @@ RULES = MonteCarloRules()
 class MonteCarlo:
     """What the trials gave.
 
-    estimate     (...) mean of the outputs; standard (...) their standard uncertainty
+    estimate     (...) mean of the outputs; standard (...) their standard uncertainty. Of the trials in which an output is known (not NaN);
+                 NaN where it is never known, `standard` also where it is known in one trial only
     intervals    {probability: (low, high)} shortest coverage intervals, each (...)
     trials       how many were made; tolerance (...) what counts as certain; converged whether they were enough
     values       (trials, ...) all outputs, in the order of the trials
@@ -68,6 +70,10 @@ def run_monte_carlo(
     have twice their standard deviation below the tolerance, which is half a unit of the last of `digits` digits of the standard
     uncertainty (its median over the outputs). Blocks are smaller than the Supplement's 10,000, because a trial is a whole analysis;
     intervals are therefore taken from all trials together. Raises AsterismError where the rules make no sense.
+
+    >>> length = run_monte_carlo(lambda rng: np.linalg.norm(rng.normal([3.0, 4.0], 0.01), keepdims=True), seed=1)
+    >>> round(float(length.estimate[0]), 1), round(float(length.standard[0]), 2)
+    (5.0, 0.01)
     """
     _check(rules, workers)
     values: list[Floats] = []
@@ -75,20 +81,42 @@ def run_monte_carlo(
     tolerance, converged = np.inf, False
     with ThreadPoolExecutor(workers) as pool:
         while len(values) < rules.most and not converged:
+            # Trial k always has the generator (seed, k), whoever computes it.
             numbers = range(len(values), min(len(values) + rules.block, rules.most))
             new = list(pool.map(lambda k: np.asarray(model(np.random.default_rng([seed, k]))), numbers))
             values += new
             blocks.append(_summary(np.array(new), rules))
-            standard = np.nanstd(np.array(values), axis=0, ddof=1)
-            tolerance = numerical_tolerance(float(np.nanmedian(standard)), rules.digits)
+            standard = mean_and_standard(np.array(values))[1]
+            known = standard[np.isfinite(standard)]
+            if not len(known):  # no output is ever known: more trials would not tell it
+                tolerance, converged = np.inf, True
+                break
+            tolerance = numerical_tolerance(float(np.median(known)), rules.digits)
             if len(blocks) > 1:
-                spread = 2 * np.std(np.array(blocks), axis=0, ddof=1) / np.sqrt(len(blocks))
-                converged = bool(np.nanmax(spread) < tolerance)
+                spread = 2 * mean_and_standard(np.array(blocks))[1] / np.sqrt(len(blocks))
+                converged = bool(np.max(spread[np.isfinite(spread)], initial=0.0) < tolerance)
             if progress is not None:
                 progress(len(values) / rules.most, "Monte Carlo trials")
     every = np.array(values)
     intervals = {p: shortest_interval(every, p) for p in rules.coverage}
-    return MonteCarlo(every.mean(axis=0), every.std(axis=0, ddof=1), intervals, len(values), tolerance, converged, every)
+    return MonteCarlo(*mean_and_standard(every), intervals, len(values), tolerance, converged, every)
+
+
+def run_by_source(
+    trial: Callable[[tuple[str, ...]], Callable[[np.random.Generator], Floats]],
+    sources: Sequence[str],
+    budget_trials: int,
+    **options: Any,
+) -> tuple[MonteCarlo, dict[str, MonteCarlo], Floats]:
+    """A Monte Carlo with all sources of error; one with each alone; and the standard uncertainty (...) of all in as many trials as one.
+
+    trial    makes the model of `run_monte_carlo` with only these sources
+    options  of `run_monte_carlo`: seed, workers, rules, progress
+    """
+    total = run_monte_carlo(trial(tuple(sources)), **options)
+    few = {**options, "rules": replace(options["rules"], most=budget_trials, block=budget_trials)}
+    alone = {name: run_monte_carlo(trial((name,)), **few) for name in sources}
+    return total, alone, mean_and_standard(total.values[:budget_trials])[1]
 
 
 def _check(rules: MonteCarloRules, workers: int) -> None:
@@ -100,11 +128,22 @@ def _check(rules: MonteCarloRules, workers: int) -> None:
 
 def _summary(values: Floats, rules: MonteCarloRules) -> Floats:
     ends = [end for p in rules.coverage for end in shortest_interval(values, p)]
-    return np.array([values.mean(axis=0), values.std(axis=0, ddof=1), *ends])
+    return np.array([*mean_and_standard(values), *ends])
+
+
+def mean_and_standard(values: Floats) -> tuple[Floats, Floats]:
+    """Mean and standard deviation (...) of values (M, ...) over those that are not NaN: NaN of none, and the deviation of one."""
+    known = np.isfinite(values)
+    count = known.sum(axis=0)
+    mean = np.where(count > 0, np.where(known, values, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
+    # About the mean of the known ones, so that a gap adds nothing.
+    squares = (np.where(known, values - mean, 0.0) ** 2).sum(axis=0)
+    return mean, np.where(count > 1, np.sqrt(squares / np.maximum(count - 1, 1)), np.nan)
 
 
 def numerical_tolerance(standard: float, digits: int = 1) -> float:
     """Half a unit of the last significant digit of a standard uncertainty (Supplement 1, 7.9.2): 0.05 for 0.4 and one digit."""
+    # A certain output has no digit that could be uncertain.
     if not standard > 0 or not np.isfinite(standard):
         return np.inf
     return float(0.5 * 10.0 ** (np.floor(np.log10(standard)) - digits + 1))
@@ -113,13 +152,23 @@ def numerical_tolerance(standard: float, digits: int = 1) -> float:
 def shortest_interval(values: Floats, probability: float) -> tuple[Floats, Floats]:
     """The shortest interval that holds this share of the values (M, ...) along the first axis (Supplement 1, 7.7.2 and note 3).
 
-    Of the M values q = pM, rounded, lie above the lower end and up to the upper one. NaN where all values are.
+    Of the M values that are not NaN q = pM, rounded, lie above the lower end and up to the upper one. NaN where all values are. Raises
+    AsterismError where there is no value.
+
+    >>> shortest_interval([0.0, 1.0, 1.1, 1.2, 9.0], 0.4)
+    (array(1.), array(1.2))
     """
-    ordered = np.sort(np.asarray(values, dtype=np.float64), axis=0)
-    count = len(ordered)
-    span = min(int(np.floor(probability * count + 0.5)), count - 1)
-    widths = ordered[span:] - ordered[: count - span]
-    first = np.argmin(np.where(np.isnan(widths), np.inf, widths), axis=0)[None]
-    low = np.take_along_axis(ordered, first, axis=0)[0]
-    high = np.take_along_axis(ordered, first + span, axis=0)[0]
+    ordered = np.sort(np.asarray(values, dtype=np.float64), axis=0)  # NaN last
+    if not len(ordered):
+        raise AsterismError("an interval of no values was asked for; give one value or more.")
+    count = np.isfinite(ordered).sum(axis=0)
+    low, high = np.full(ordered.shape[1:], np.nan), np.full(ordered.shape[1:], np.nan)
+    # Outputs that are known in equally many trials share a span, so all of them are searched at once.
+    for size in np.unique(count[count > 0]):
+        own = count == size
+        known = ordered[:size, own]
+        span = min(int(np.floor(probability * size + 0.5)), int(size) - 1)
+        first = np.argmin(known[span:] - known[: size - span], axis=0)[None]
+        low[own] = np.take_along_axis(known, first, axis=0)[0]
+        high[own] = np.take_along_axis(known, first + span, axis=0)[0]
     return low, high

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,7 +20,7 @@ from asterism.recording import Ints
 from asterism.simulation.comparison import RigErrors, compare_rigs
 from asterism.simulation.garment.photograph import Photo
 from asterism.simulation.garment.session import DenseErrors, GarmentSession, compare_dense
-from asterism.simulation.pipeline import Criterion
+from asterism.simulation.pipeline import Criterion, TimedSteps
 
 _WRONG = 0.01
 """m: a point farther from the truth than this has another circle's identity, or another's ray; noise of a point is a fiftieth of it."""
@@ -124,33 +123,24 @@ def run_garment_session(
 
     Raises AsterismError where a step is impossible.
     """
-    seconds: dict[str, float] = {}
-    started = time.perf_counter()
-
-    def step(name: str, done: float, doing: str) -> None:
-        nonlocal started
-        if name:
-            seconds[name] = time.perf_counter() - started
-        if progress is not None:
-            progress(done, doing)
-        started = time.perf_counter()
-
-    step("", 0.0, "reading the target")
+    steps = TimedSteps(progress)
+    steps.begin("read the target", 0.0, "reading the target")
     seen = find_target(target, session.target.pattern, readers("target"), workers=workers)
-    step("read the target", 0.35, "calibrating")
+    steps.begin("calibrate", 0.35, "calibrating")
     calibration = calibrate_target(seen)
-    step("calibrate", 0.6, "reading the suit")
+    steps.begin("capture", 0.6, "reading the suit")
     pattern = session.worn.pattern
-    captured = capture(calibration.rig, pattern, film, readers("suit"), rate=session.rate, workers=workers, total=frames)
-    step("capture", 0.95, "comparing")
+    captured = capture(calibration.rig, pattern, film, readers("suit"), rate=session.rate, workers=workers)
+    steps.end(0.95, "comparing")
     errors = compare_dense(captured.trajectories, session.truth(frames))
     possible, found = 0, 0
     for t in range(frames):
+        # What two images show well can be composed; of the others nothing is promised.
         well = pattern.known[views.of(t, pattern.known) >= 2]
         possible += len(well)
         found += int(np.isin(well, captured.trajectories.points(t).ids).sum())
     wrong = int((np.linalg.norm(errors.errors, axis=1) > _WRONG).sum())
     density = surface(captured.trajectories.points(0), pattern).density
     return GarmentResult(
-        calibration, captured, compare_rigs(calibration.rig, session.rig), errors, found / max(possible, 1), wrong, density, seconds
+        calibration, captured, compare_rigs(calibration.rig, session.rig), errors, found / max(possible, 1), wrong, density, steps.seconds
     )

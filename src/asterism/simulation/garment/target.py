@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
-from asterism.cameras import Camera, Rig
+from asterism.cameras import Rig
 from asterism.errors import AsterismError
 from asterism.garment.pattern import Pattern
 from asterism.geometry import rotation_from_vector
 from asterism.recording import Floats
-from asterism.simulation.garment.photograph import Photo, PhotoSettings, photograph
-from asterism.simulation.garment.suit import Mesh, WornGarment
+from asterism.simulation.garment.suit import Mesh, grid_triangles
 
 _FINER = 4
 """Vertices of the mesh per pitch: a lens' distortion is linear within a triangle of 17 mm to 0.002 px."""
@@ -45,19 +43,10 @@ class WavedTarget:
         sheet = np.stack(np.meshgrid(row, column, indexing="ij"), axis=-1)
         flat = np.stack([sheet[..., 1] * self.pattern.pitch, sheet[..., 0] * self.pattern.pitch, np.zeros(sheet.shape[:2])], axis=-1)
         turn = self.rotations[int(time)]
-        n, m = sheet.shape[:2]
-        corner = (np.arange(n - 1)[:, None] * m + np.arange(m - 1)).ravel()
-        triangles = np.concatenate([np.stack([corner, corner + m, corner + 1], 1), np.stack([corner + 1, corner + m, corner + m + 1], 1)])
+        triangles = grid_triangles(*sheet.shape[:2])
         vertices = (flat @ turn.T + self.translations[int(time)]).reshape(-1, 3)
         normals = np.tile(-turn[:, 2], (len(vertices), 1))
         return Mesh(vertices, normals, sheet.reshape(-1, 2), triangles.astype(np.int32), np.zeros(len(triangles), dtype=np.int32))
-
-
-def photograph_target(
-    scene: WavedTarget, camera: Camera, pose: int, settings: PhotoSettings | None = None, *, rng: np.random.Generator
-) -> Photo:
-    """Take a picture of a waved sheet in one of its poses; see `photograph`, which needs of a scene only what a sheet has, too."""
-    return photograph(cast(WornGarment, scene), camera, float(pose), settings, rng=rng)
 
 
 def wave_target(pattern: Pattern, rig: Rig, views: int, *, reach: float = 0.5, rng: np.random.Generator) -> WavedTarget:
@@ -74,13 +63,16 @@ def wave_target(pattern: Pattern, rig: Rig, views: int, *, reach: float = 0.5, r
     places = np.array([camera.position for camera in rig])
     looks = np.array([camera.rotation[2] for camera in rig])
     across = np.eye(3) - looks[:, :, None] * looks[:, None, :]
+    # The place nearest to all lines of sight, where most cameras look.
     around = np.linalg.lstsq(across.sum(axis=0), np.einsum("cij,cj->i", across, places), rcond=None)[0]
     turns, shifts = np.empty((views, 3, 3)), np.empty((views, 3))
     for t in range(views):
+        # Each camera in turn: none is left without views.
         camera = rig.cameras[t % len(rig)]
         tilt = rng.uniform(0.0, np.radians(50.0))
         direction = rng.uniform(0.0, 2 * np.pi)
         turn = rotation_from_vector(tilt * np.array([np.cos(direction), np.sin(direction), 0.0]))
+        # Any turn in its own plane: a person does not hold a sheet level.
         spin = rotation_from_vector(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]))
         turns[t] = camera.rotation.T @ turn @ spin
         shifts[t] = around + rng.uniform(-reach, reach, 3) - turns[t] @ middle

@@ -12,7 +12,7 @@ REFERENCE_HEIGHT = 1.75
 
 
 @dataclass(frozen=True)
-class Tube:
+class LimbSkin:
     """A limb's skin: a tube with an elliptic section.
 
     begin, end   (x, y, z) m, the ends of its axis in the standing pose; `begin` is the end at the joint to its parent (or to its child,
@@ -27,7 +27,7 @@ class Tube:
 
 
 @dataclass(frozen=True)
-class Joint:
+class SimulatedJoint:
     """A joint of the simulated body.
 
     parent, child    numbers of limbs
@@ -47,25 +47,25 @@ class Joint:
 class Anatomy:
     """Limbs, the first of which has no parent, and the joints between them in order from there."""
 
-    limbs: tuple[Tube, ...]
-    joints: tuple[Joint, ...]
+    limbs: tuple[LimbSkin, ...]
+    joints: tuple[SimulatedJoint, ...]
 
 
-_TORSO_AT_SHOULDER = Tube((0.0, -0.19, 0.06), (0.0, -0.19, -0.42), (0.10, 0.11), (0.17, 0.15))
-_ARM = Tube((0.0, 0.0, -0.02), (0.0, 0.0, -0.30), (0.055, 0.042), (0.050, 0.040))
-_TORSO_AT_HIP = Tube((0.0, -0.09, 0.04), (0.0, -0.09, 0.52), (0.11, 0.10), (0.17, 0.16))
-_THIGH_AT_HIP = Tube((0.0, 0.0, -0.03), (0.0, 0.0, -0.41), (0.088, 0.060), (0.085, 0.056))
-_THIGH_AT_KNEE = Tube((0.0, 0.0, 0.01), (0.0, 0.0, 0.40), (0.060, 0.088), (0.056, 0.085))
-_SHANK = Tube((0.0, 0.0, -0.01), (0.0, 0.0, -0.39), (0.055, 0.036), (0.050, 0.034))
-_SHANK_BELOW = Tube((0.0, 0.0, -0.43), (0.0, 0.0, -0.81), (0.055, 0.036), (0.050, 0.034))
+_TORSO_AT_SHOULDER = LimbSkin((0.0, -0.19, 0.06), (0.0, -0.19, -0.42), (0.10, 0.11), (0.17, 0.15))
+_ARM = LimbSkin((0.0, 0.0, -0.02), (0.0, 0.0, -0.30), (0.055, 0.042), (0.050, 0.040))
+_TORSO_AT_HIP = LimbSkin((0.0, -0.09, 0.04), (0.0, -0.09, 0.52), (0.11, 0.10), (0.17, 0.16))
+_THIGH_AT_HIP = LimbSkin((0.0, 0.0, -0.03), (0.0, 0.0, -0.41), (0.088, 0.060), (0.085, 0.056))
+_THIGH_AT_KNEE = LimbSkin((0.0, 0.0, 0.01), (0.0, 0.0, 0.40), (0.060, 0.088), (0.056, 0.085))
+_SHANK = LimbSkin((0.0, 0.0, -0.01), (0.0, 0.0, -0.39), (0.055, 0.036), (0.050, 0.034))
+_SHANK_BELOW = LimbSkin((0.0, 0.0, -0.43), (0.0, 0.0, -0.81), (0.055, 0.036), (0.050, 0.034))
 
 ANATOMIES: dict[str, Anatomy] = {
-    "shoulder": Anatomy((_TORSO_AT_SHOULDER, _ARM), (Joint(0, 1, (0.0, 0.0, 0.0), 120.0, (25.0, 20.0)),)),
-    "knee": Anatomy((_THIGH_AT_KNEE, _SHANK), (Joint(0, 1, (0.0, 0.0, 0.0), 110.0, (5.0, 8.0)),)),
-    "hip": Anatomy((_TORSO_AT_HIP, _THIGH_AT_HIP), (Joint(0, 1, (0.0, 0.0, 0.0), 80.0, (20.0, 12.0)),)),
+    "shoulder": Anatomy((_TORSO_AT_SHOULDER, _ARM), (SimulatedJoint(0, 1, (0.0, 0.0, 0.0), 120.0, (25.0, 20.0)),)),
+    "knee": Anatomy((_THIGH_AT_KNEE, _SHANK), (SimulatedJoint(0, 1, (0.0, 0.0, 0.0), 110.0, (5.0, 8.0)),)),
+    "hip": Anatomy((_TORSO_AT_HIP, _THIGH_AT_HIP), (SimulatedJoint(0, 1, (0.0, 0.0, 0.0), 80.0, (20.0, 12.0)),)),
     "leg": Anatomy(
         (_TORSO_AT_HIP, _THIGH_AT_HIP, _SHANK_BELOW),
-        (Joint(0, 1, (0.0, 0.0, 0.0), 70.0, (15.0, 10.0)), Joint(1, 2, (0.0, 0.0, -0.42), 90.0, (4.0, 6.0))),
+        (SimulatedJoint(0, 1, (0.0, 0.0, 0.0), 70.0, (15.0, 10.0)), SimulatedJoint(1, 2, (0.0, 0.0, -0.42), 90.0, (4.0, 6.0))),
     ),
     "rigid": Anatomy((_THIGH_AT_KNEE,), ()),
 }
@@ -89,8 +89,10 @@ class Skin:
 def dense_skin(anatomy: Anatomy, points: int, scale: float, rng: np.random.Generator) -> Skin:
     """So many points, spread evenly over the tubes' surfaces with some jitter; `scale` is the stature by REFERENCE_HEIGHT."""
     areas = np.array([_area(tube) for tube in anatomy.limbs])
+    # Points by area, so that each limb is as dense; what rounding leaves goes to the first.
     counts = np.floor(points * areas / areas.sum()).astype(int)
     counts[0] += points - counts.sum()
+    # The golden angle spreads points without rows.
     golden = np.pi * (3 - np.sqrt(5))
     along = np.concatenate([(np.arange(n) + rng.random(n)) / n for n in counts])
     around = np.concatenate([np.arange(n) * golden + 0.3 * rng.standard_normal(n) for n in counts])
@@ -100,12 +102,13 @@ def dense_skin(anatomy: Anatomy, points: int, scale: float, rng: np.random.Gener
 def sparse_skin(anatomy: Anatomy, markers: int, scale: float, rng: np.random.Generator) -> Skin:
     """So many markers on each limb, one in each part of its length, from 8 to 92 %."""
     limbs = len(anatomy.limbs)
+    # One marker in each part of the limb: laboratories spread their few markers.
     along = np.concatenate([0.08 + 0.84 * (np.arange(markers) + rng.random(markers)) / markers for _ in range(limbs)])
     around = np.concatenate([2 * np.pi * (rng.permutation(markers) + rng.random(markers)) / markers for _ in range(limbs)])
     return _on_tubes(anatomy, np.repeat(np.arange(limbs), markers), along, around, scale)
 
 
-def _area(tube: Tube) -> float:
+def _area(tube: LimbSkin) -> float:
     length = float(np.linalg.norm(np.subtract(tube.end, tube.begin)))
     return length * (sum(tube.depth) + sum(tube.width)) / 2
 

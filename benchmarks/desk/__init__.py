@@ -1,1 +1,0 @@
-"""The person who corrects: pages, folders, interruptions."""

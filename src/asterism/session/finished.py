@@ -1,0 +1,99 @@
+"""What an earlier run has labelled in a folder: a file of JSON lines, by which a run that was stopped goes on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from asterism.files.plain import as_json
+
+NAME = "asterism-label.jsonl"
+_SLACK = 2 * 10**9
+"""ns by which a file system may round the time of a file down."""
+
+
+class FinishedFiles:
+    """The record in a folder of outputs: for each output what it was made from, how, and with which result.
+
+    A line is written before an output, and another one after it. A line that was cut off is as if it were not there.
+    """
+
+    def __init__(self, folder: Path, how: Mapping[str, Any], models: Sequence[Path]) -> None:
+        self.folder = folder
+        self.how = hashlib.sha256(json.dumps(as_json(how), sort_keys=True).encode()).hexdigest()
+        self.models = [_hash(path) for path in models]
+        self.entries: dict[str, dict[str, Any]] = {}
+        for line in _lines(folder / NAME):
+            if line.get("event") == "begun":
+                self.entries[str(line.get("output"))] = line
+            elif line.get("event") == "written" and str(line.get("output")) in self.entries:
+                self.entries[str(line["output"])] |= line
+
+    def row(self, place: Path, source: Path, target: Path) -> dict[str, Any] | None:
+        """The result of a file that this version has labelled with the same models and options from the same content; else None.
+
+        `changed` in it says that somebody has changed the output since.
+        """
+        entry = self.entries.get(place.as_posix())
+        if entry is None or entry.get("key") != self._key(source):
+            return None
+        try:
+            written = target.stat().st_mtime_ns
+            if "row" not in entry and written + _SLACK < int(entry["at"]):
+                return None
+            changed = "sha256" in entry and entry["sha256"] != _hash(target)
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        row = entry.get("row")
+        return {**(row if isinstance(row, dict) else {}), "changed": changed}
+
+    def begin(self, place: Path, source: Path) -> None:
+        """Note that an output is being made."""
+        self._append({"event": "begun", "output": place.as_posix(), "source": str(source), "key": self._key(source), "at": time.time_ns()})
+
+    def end(self, place: Path, target: Path, row: Mapping[str, Any]) -> None:
+        """Note that an output is complete, with its row of results."""
+        self._append({"event": "written", "output": place.as_posix(), "sha256": _hash(target), "row": as_json(row)})
+
+    def _key(self, source: Path) -> str:
+        from asterism import __version__
+
+        return hashlib.sha256(" ".join([__version__, self.how, *self.models, _hash(source)]).encode()).hexdigest()
+
+    def _append(self, line: Mapping[str, Any]) -> None:
+        """Add a line in one piece, after an end of line where the last one was cut off."""
+        path = self.folder / NAME
+        text = json.dumps(line, ensure_ascii=True, allow_nan=False) + "\n"
+        with path.open("ab+") as file:
+            if file.seek(0, os.SEEK_END) and (file.seek(-1, os.SEEK_END), file.read(1))[1] != b"\n":
+                text = "\n" + text
+            file.write(text.encode())
+
+
+def _lines(path: Path) -> list[dict[str, Any]]:
+    found = []
+    try:
+        texts = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return []
+    for text in texts:
+        try:
+            line = json.loads(text)
+        except (ValueError, RecursionError):
+            continue
+        if isinstance(line, dict):
+            found.append(line)
+    return found
+
+
+def _hash(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return "none"

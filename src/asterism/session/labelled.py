@@ -1,0 +1,94 @@
+"""A labelled file: what was found, and what a person should know of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+from asterism.findings import Finding
+from asterism.labelling import MarkerModel, ReviewItem
+from asterism.labelling.correction import Correction, FirstLabels
+from asterism.labelling.correction.readiness import Readiness, readiness
+from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabeller
+from asterism.recording import Clouds, Labelling, MarkerSet, Recording
+from asterism.recording.verdict import Verdict
+from asterism.session.sources import LabelledCopy
+
+
+@dataclass(frozen=True)
+class LabelledFile:
+    """A file that was labelled.
+
+    path        the file
+    labelling   (T, M) of its clouds, with the names of the file that hold
+    marker_set  its names are the labelling's
+    findings    what a person should know before they use the labels
+    standing    the trial by which the model was narrowed to the person; None where none was used
+    file_names  what was done with the names that the points had: "keep", "check", "ignore"; None where they played no part
+    models      one for each body, as they were given
+    labeller    what labelled it: the models, perhaps narrowed to the person, and the settings
+    bodies      what the models alone say; None where the recording was labelled in stretches
+    seconds     that labelling took, without reading
+    about       the recording as it was read. Of one that is not in memory, a frame that shows each column
+    copy        the recording under its labels
+    """
+
+    path: Path
+    labelling: Labelling
+    marker_set: MarkerSet
+    findings: tuple[Finding, ...]
+    standing: Path | None
+    file_names: str | None
+    models: tuple[MarkerModel, ...]
+    labeller: RecordingLabeller
+    bodies: LabelledBodies | None
+    seconds: float
+    about: Recording
+    copy: LabelledCopy
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Whether the recording shows what the model was trained on; None where it was not judged."""
+        return self.labelling.verdict
+
+    @property
+    def clouds(self) -> Clouds:
+        """The points that were labelled. Of a recording that is not in memory, as many points, which are nowhere."""
+        return self.copy.clouds
+
+    @property
+    def recording(self) -> Recording:
+        """The recording under its labels. One that is not in memory is read into it."""
+        return self.copy.recording
+
+    @cached_property
+    def items(self) -> Sequence[ReviewItem]:
+        """What a person should check, by expected gain. Of a recording that is not in memory, without the points."""
+        return self.copy.items()
+
+    @cached_property
+    def readiness(self) -> Readiness:
+        """Whether the labels can be used."""
+        return readiness(self.labelling, self.clouds, self.items)
+
+    def correction(self) -> Correction:
+        """The labels, to be corrected by a person; of a recording that is in memory."""
+        return Correction(self.models, self.about, first=FirstLabels(self.labeller, self.labelling, self.bodies))
+
+    def corrected(self, correction: Correction) -> LabelledFile:
+        """The same file under the labels that a person has corrected."""
+        return replace(self, labelling=correction.labelling, copy=self.copy.corrected(correction))
+
+    def without_file(self) -> LabelledFile:
+        """The same without what only writing needs: half of the memory of a recording of an hour."""
+        return replace(self, copy=self.copy.without_file())
+
+    def write(self, target: Path, *, program: str | None = None, drop_computed: bool = False) -> list[str]:
+        """Write the labelled recording; returns what the file cannot hold.
+
+        program: the one that reads the file next, see `formats.PROGRAMS`; it needs a recording in memory. drop_computed: whether points and
+        angles that a model computed are left out. Raises AsterismError where the file cannot be written.
+        """
+        return self.copy.write(target, program, drop_computed)

@@ -1,0 +1,263 @@
+"""The one way of a file to its labels: a path, models and options in; a `LabelledFile` out.
+
+A short file is a long one of a single stretch. Each file goes through the same steps: its person's standing trial narrows the model, its
+frames are labelled range by range, and the names that its points have already are held against the labels.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from asterism.errors import AsterismError
+from asterism.findings import Finding, Severity
+from asterism.labelling.marker_model import OTHER_SUBJECT_FIT, MarkerModel
+from asterism.labelling.recording_labeller import LabelledBodies, RecordingLabeller
+from asterism.labelling.stretches import JoinedLabelling, label_in_stretches, stretches_of
+from asterism.labelling.whole.bodies import SeveralBodies
+from asterism.progress import Progress
+from asterism.recording import Clouds, Disagreement, Labelling, MarkerSet
+from asterism.session.labelled import LabelledFile
+from asterism.session.names import choose_name_policy, findings_on_names, join_disagreements, merge_file_names
+from asterism.session.options import LabellingOptions
+from asterism.session.sources import FrameSource, open_source
+from asterism.session.standing import StandingTrials
+
+_NARROWED_KEPT = 8
+"""Narrowed models that are kept. Files of one person follow each other; a model has some megabytes."""
+
+
+class _OtherSubject(Exception):
+    """The standing trial is not of the person in the recording."""
+
+
+@dataclass(frozen=True)
+class _Person:
+    """Who is labelled: the models, or the one that a trial has narrowed to the person, and this trial."""
+
+    labeller: RecordingLabeller
+    narrowed: MarkerModel | None = None
+    trial: Path | None = None
+
+
+@dataclass
+class _Labels:
+    """What labelling a source has found."""
+
+    labelling: Labelling
+    bodies: LabelledBodies | None
+    against: list[Disagreement]
+    source: FrameSource
+
+
+@dataclass
+class FileLabeller:
+    """Labels the files of a run with one model, or with one for each body in the volume.
+
+    models   one for each body
+    options  what a person chose for the run
+    files    of the run, among which standing trials are looked for
+    names    what each body is called where two have markers of one name; by default 1, 2, ...
+    """
+
+    models: Sequence[MarkerModel]
+    options: LabellingOptions = field(default_factory=LabellingOptions)
+    files: Sequence[Path] = ()
+    names: Sequence[str] | None = None
+    _narrowed: dict[Path, MarkerModel | AsterismError] = field(default_factory=dict)
+    _compiled: bool = False
+
+    def __post_init__(self) -> None:
+        # only a model that labels by the body can be narrowed to one, and only where there is one
+        alone = len(self.models) == 1 and self.options.settings.method == "whole-body"
+        find = alone and self.options.find_standing
+        self._standing = StandingTrials(self.files, self.options.standing, find, self.options.vertical)
+        self._plain = RecordingLabeller(self.models, self.options.settings, self.names)
+        if len(self.options.standing) == 1:
+            self._narrowed_by(self.options.standing[0])
+
+    @classmethod
+    def of_models(cls, models: Sequence[Path], options: LabellingOptions, files: Sequence[Path] = ()) -> FileLabeller:
+        """With the models in these files. Raises AsterismError where one cannot be loaded, or the one trial given cannot be used."""
+        from asterism import __version__
+
+        loaded = {path: MarkerModel.load(path) for path in dict.fromkeys(models)}
+        # files say what labelled them, unless somebody has said it otherwise
+        by = options.by or f"asterism {__version__}, {', '.join(path.name for path in models)}"
+        return cls([loaded[path] for path in models], replace(options, by=by), files, body_names(models))
+
+    @property
+    def marker_set(self) -> MarkerSet:
+        """The names of the markers of all bodies."""
+        return self._plain.marker_set
+
+    def label(self, path: Path, progress: Progress | None = None) -> LabelledFile:
+        """Label a file.
+
+        Raises AsterismError where it cannot be read, its kind NoMarkers where no frame has a point, or where names are to be kept that
+        contradict each other.
+        """
+        path = Path(path)
+        source = open_source(path, self.options, by_ranges=self._plain.can_divide and not self.options.in_memory)
+        self._compile(source)
+        person, findings = self._person(path), _of_reading(source)
+        started = time.perf_counter()
+        policy = choose_name_policy(source.about, self._plain.marker_set, self.options.file_names)
+        try:
+            found = self._labels(path, source, person, policy, progress)
+        except _OtherSubject:
+            findings.append(_other_subject(path, person.trial, given=bool(self.options.standing)))
+            person = _Person(self._plain)
+            found = self._labels(path, source, person, policy, progress)
+        copy = found.source.finish(found.labelling, policy, self.options.by)
+        seconds = time.perf_counter() - started
+        findings += found.labelling.findings(str(path))
+        findings += findings_on_names(path, source.about, found.against, policy)
+        return LabelledFile(
+            path,
+            found.labelling,
+            self._plain.marker_set,
+            tuple(findings),
+            person.trial,
+            policy,
+            tuple(self.models),
+            person.labeller,
+            found.bodies,
+            seconds,
+            found.source.about,
+            copy,
+        )
+
+    def _labels(self, path: Path, source: FrameSource, person: _Person, policy: str | None, progress: Progress | None) -> _Labels:
+        """The labels of a source, and the names that contradict them. Raises _OtherSubject where the trial is of somebody else."""
+        rules, frames = self.options.settings.stretches, slice(0, len(source.counts))
+        parts = stretches_of(source.counts, source.about.rate, rules) if self._plain.can_divide else [frames]
+        try:
+            return self._labels_in(parts, path, source, person, policy, progress, two=False)
+        except SeveralBodies:
+            if not self._plain.can_divide:
+                raise
+            # two people are told apart by their tracks over the whole recording
+            return self._labels_in([frames], path, source.whole(), person, policy, progress, two=True)
+
+    def _labels_in(
+        self,
+        parts: Sequence[slice],
+        path: Path,
+        source: FrameSource,
+        person: _Person,
+        policy: str | None,
+        progress: Progress | None,
+        *,
+        two: bool,
+    ) -> _Labels:
+        """The labels of a source in these stretches. two: whether two people wear the one model's markers."""
+        labeller, marker_set = person.labeller, self._plain.marker_set
+        keep = self.options.keep_tracklets and len(parts) == 1 and len(person.labeller.models) == 1
+        bodies = list[LabelledBodies]()
+
+        def label(clouds: Clouds, report: Progress | None) -> Labelling:
+            bodies[:] = [labeller.label_two(clouds, report) if two else labeller.label_bodies(clouds, report, keep_tracklets=keep)]
+            return bodies[0].labelling
+
+        joined = JoinedLabelling(marker_set.names, len(source.counts), len(parts), compact=source.compact)
+        against, undecided = list[tuple[int, Disagreement]](), person.narrowed
+        source.begin(marker_set)
+        for begin, piece in label_in_stretches(label, source.clouds, parts, progress=progress):
+            here = slice(begin, begin + len(piece.indices))
+            recording, clouds = source.frames(here), source.clouds(here)
+            if undecided is not None:
+                # the first piece that shows enough of the person tells whose body it is
+                same = _shows_subject(undecided, clouds, piece)
+                if same is False:
+                    raise _OtherSubject
+                undecided = None if same else undecided
+            held, differ = merge_file_names(path, recording, clouds, piece, marker_set, policy)
+            joined.add(begin, held)
+            against += [(begin, each) for each in differ]
+            source.add(begin, held, recording, clouds)
+        return _Labels(joined.labelling(), bodies[0] if len(parts) == 1 else None, join_disagreements(against), source)
+
+    def _person(self, path: Path) -> _Person:
+        """The models for a file, narrowed to its person where a trial is known and can be used."""
+        trial = self._standing.of(path)
+        if trial is None:
+            return _Person(self._plain)
+        try:
+            model = self._narrowed_by(trial)
+        except (AsterismError, OSError):
+            if self.options.standing:
+                raise
+            return _Person(self._plain)  # nobody named the trial: it is named when it is labelled itself
+        return _Person(RecordingLabeller([model], self.options.settings, self.names), model, trial)
+
+    def _narrowed_by(self, trial: Path) -> MarkerModel:
+        """The model narrowed by a trial, made once; the last few are kept."""
+        from asterism import formats
+
+        if trial not in self._narrowed:
+            while len(self._narrowed) >= _NARROWED_KEPT:
+                self._narrowed.pop(next(iter(self._narrowed)))
+            try:
+                self._narrowed[trial] = self.models[0].adapt(formats.read(trial, vertical=self.options.vertical))
+            except AsterismError as problem:
+                sentence = str(problem)
+                self._narrowed[trial] = AsterismError(sentence if trial.name in sentence else f"{trial}: {sentence}")
+        narrowed = self._narrowed[trial]
+        if isinstance(narrowed, AsterismError):
+            raise narrowed
+        return narrowed
+
+    def _compile(self, source: FrameSource) -> None:
+        """Compile the kernels by one frame, so that the time of the first file leaves that out."""
+        if not self._compiled:
+            first = int(source.counts.argmax())
+            with suppress(SeveralBodies):
+                self._plain.label_bodies(source.clouds(slice(first, first + 1)))
+            self._compiled = True
+
+
+def label_file(
+    path: Path | str,
+    models: MarkerModel | Sequence[MarkerModel],
+    options: LabellingOptions | None = None,
+    *,
+    files: Sequence[Path] = (),
+    progress: Progress | None = None,
+) -> LabelledFile:
+    """Label a file as `asterism label` does.
+
+    models: one, or one for each body in the volume. files: of the same session, among which the person's standing trial is looked for.
+    Raises AsterismError where the file cannot be read or labelled, its kind NoMarkers where no frame has a point.
+    """
+    several = list(models) if isinstance(models, Sequence) else [models]
+    return FileLabeller(several, options or LabellingOptions(), [Path(file) for file in files]).label(Path(path), progress)
+
+
+def body_names(models: Sequence[Path]) -> list[str]:
+    """What each body is called: its model's file, or a number where two files have one name."""
+    names = [path.stem for path in models]
+    return names if len(set(names)) == len(names) else [str(i + 1) for i in range(len(names))]
+
+
+def _of_reading(source: FrameSource) -> list[Finding]:
+    """What the reader of the file found, without its notes, which `asterism info` shows."""
+    return [finding for finding in source.about.metadata.get("findings", ()) if finding.severity > Severity.NOTE]
+
+
+def _shows_subject(model: MarkerModel, clouds: Clouds, labelling: Labelling) -> bool | None:
+    """Whether a recording is of the person to whom the model is adapted; None where it shows too little of anybody."""
+    fit = model.subject_fit(clouds, labelling)
+    return None if math.isnan(fit) else fit >= OTHER_SUBJECT_FIT
+
+
+def _other_subject(path: Path, trial: Path | None, *, given: bool) -> Finding:
+    sentence = f"{path}: {trial} is not of this body, or its markers were placed again; the file was labelled without it."
+    if given:
+        return Finding("label-other-subject", Severity.WARNING, str(path), sentence, "Give a trial of the same session with --subject.")
+    mend = "Name the person's standing trial with --subject, or look for none with --no-static."
+    return Finding("label-other-subject", Severity.NOTE, str(path), sentence, mend)
