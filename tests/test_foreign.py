@@ -138,7 +138,7 @@ def test_of_two_labellings_that_explain_a_recording_alike_the_labels_so_far_are_
 ) -> None:
     found = label_tracklets(one.in_recording(), walks[2].clouds(), one.state.body_rules).long.found
     reference = RigidDistances.of_training(walks[0].positions, np.zeros(120, dtype=np.int64), 1.0, VerdictRules())
-    scores = _scores([found, found, found], Samples.of_scene(found.scene), walks[0].labels, reference, crowded, RULES)
+    scores = _scores(one.body_labeller, [found, found, found], Samples.of_scene(found.scene), walks[0].labels, reference, crowded, RULES)
     np.testing.assert_allclose(scores - scores[1], [RULES.prior[crowded], 0.0, 0.0], atol=1e-9)
 
 

@@ -19,6 +19,7 @@ from asterism.geometry import rotate_z_up
 from asterism.labelling.audit._kernels import exchange_gains
 from asterism.labelling.audit.errors import ALWAYS, EXCHANGED, MISPLACED, ErrorRun, LabelError, joined, sentence
 from asterism.labelling.audit.paths import exchanges, jumps, pairs_of
+from asterism.labelling.body._score_kernels import NO_TAIL
 from asterism.labelling.body._workspace_kernels import BodyArrays
 from asterism.labelling.body.labeller import FrameLabellingSettings
 from asterism.labelling.body.model import BodyRules, fit_body, names_of, subsample
@@ -84,7 +85,7 @@ class _ReferenceBody:
         pairs_in_body = np.searchsorted(self.markers, pairs[known]).astype(np.int64)
         gains_in_body, scores_in_body = np.zeros((len(known), len(at))), np.full((len(at), len(self.markers)), np.nan)
         # No point may count as an outlier: a wrong label must show its full loss.
-        settings = replace(FrameLabellingSettings(), outlier_score=-1e3).with_usual_score(0.0)
+        settings = replace(FrameLabellingSettings(), outlier_score=-1e3, tail_freedom=NO_TAIL).with_usual_score(0.0)
         some = np.ascontiguousarray(positions[np.ix_(at, self.markers)])
         # Below twice the most that a frame counts, the exact value would be clipped anyway.
         least = 2.0 * self.rules.max_frame_nats

@@ -318,7 +318,7 @@ class Stream:
             )
         order = np.argsort(-frame.xyz[:, 2], kind="stable")
         counters = np.zeros(4, dtype=np.int64)
-        model = FrameModel(labeller.solvers, labeller.anchors, labeller.body, settings)
+        model = FrameModel(labeller.solvers, labeller.anchors, labeller.body, settings, labeller.twins)
         workspace = make_search_workspace(frame.workspace, self._candidates, settings.proposals_per_anchor)
         _, best = find_labellings(model, np.ascontiguousarray(frame.xyz[order]), workspace, counters)
         if best < 0 or not np.isfinite(self._candidates.scores[best]):

@@ -2,7 +2,7 @@
 
 The frames of a foreign recording can agree on a wrong labelling, such as the body turned round. So the mean bodies are laid into one
 frame at several headings and sizes, each is labelled from there, and the labellings are compared by three kinds of evidence: the body
-model's gain, the near-rigid distances against those of the training, and whether the body travels forward. Where the next labelling is
+model's evidence, the near-rigid distances against those of the training, and whether the body travels forward. Where the next labelling is
 as good, or where another point or marker would fit the distances as well, a label is doubtful.
 """
 
@@ -15,10 +15,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.special import expit, gammaln, logit
 
-from asterism.labelling.body.model import BodyModel
+from asterism.labelling.body.labeller import BodyLabeller
 from asterism.labelling.whole.joint import SceneLabelling
 from asterism.labelling.whole.plausibility import own_deviations
 from asterism.labelling.whole.scene import RecordingLabellingSettings, RecordingScene, with_fewer_samples
+from asterism.labelling.whole.turned import joint_evidence
 from asterism.labelling.whole.verdict import RigidDistances, median_and_std
 from asterism.recording import NULL, Floats, Ints
 
@@ -37,7 +38,7 @@ class ForeignRules:
     reach            how far a point may be from its marker, as a share of the body's root mean square radius: first, and in the last rounds
     max_starts       labellings that are refined, the ones whose distances fit best
     same             share of common labels from which two labellings are the same one
-    body_weight      weight of the body model's gain
+    body_weight      weight of the body model's evidence
     distance_weight  weight of the distances; and where the recording is crowded and no labelling has a scatter up to `close`: among many
                      points some always fit
     close            see above
@@ -157,7 +158,7 @@ class ForeignLabels:
 
 
 def label_foreign(
-    body: BodyModel, found: SceneLabelling, reference: RigidDistances, names: Sequence[str], relabel: Relabel, rules: ForeignRules
+    labeller: BodyLabeller, found: SceneLabelling, reference: RigidDistances, names: Sequence[str], relabel: Relabel, rules: ForeignRules
 ) -> ForeignLabels:
     """The best whole labelling of a recording with one body, and how certain its labels may be.
 
@@ -165,12 +166,12 @@ def label_foreign(
     found: the labels so far; names: of the body's markers. O(starts) on the sample.
     """
     settings = RecordingLabellingSettings()
-    scene, markers = with_fewer_samples(found.scene, rules.frames, settings), body.mean.shape[1]
+    scene, markers = with_fewer_samples(found.scene, rules.frames, settings), labeller.body.mean.shape[1]
     crowded = _crowded(found, markers, rules)
     samples = Samples.of_scene(scene)
-    starts = _best_starts(body.mean, samples, found.label, reference, rules)
+    starts = _best_starts(labeller.model.mean, samples, found.label, reference, rules)
     compared = [relabel(scene, start) for start in (found.label, *starts)] if starts else [found]
-    scores = _scores(compared, samples, names, reference, crowded, rules) if starts else np.zeros(1)
+    scores = _scores(labeller, compared, samples, names, reference, crowded, rules) if starts else np.zeros(1)
     best = int(np.argmax(scores))
     chosen = relabel(found.scene, compared[best].label) if best else found
     limit = np.ones(len(chosen.label))
@@ -195,6 +196,7 @@ def _best_starts(mean: Floats, samples: Samples, found: Ints, reference: RigidDi
 
 
 def _scores(
+    labeller: BodyLabeller,
     compared: Sequence[SceneLabelling],
     samples: Samples,
     names: Sequence[str],
@@ -208,7 +210,10 @@ def _scores(
     seconds, sides = _seconds(compared[0].scene), _side_pairs(names)
     forward = np.array([forward_share(some, seconds, sides, rules.min_speed) for some in positions])
     weight = rules.distance_weight[crowded and not (distances[:, 1] <= rules.close).any()]
-    scores = rules.body_weight * np.array([one.total for one in compared]) + weight * distances[:, 0] + rules.forward * forward
+    # by the body of people at large: one that was adapted to wrong labels explains these well
+    evidence = np.array([joint_evidence([labeller], one.scene, one.label) for one in compared])
+    independent = float(compared[0].scene.independent.max(initial=0.0))
+    scores = rules.body_weight * independent * evidence + weight * distances[:, 0] + rules.forward * forward
     scores[0] += rules.prior[crowded]
     return scores
 
