@@ -36,12 +36,13 @@ def choose_covering(table, wrong, weight, most, chosen, gains):
             for w in range(words):
                 # Only what is not rejected yet counts.
                 gain += weight[w] * popcount(table[f, w] & left[w])
+            # Strictly more: of equals the first stays, whatever the order of summation.
             if gain > best_gain:
                 best, best_gain = f, gain
         if best < 0:
             if first_round < 0:
                 first_round = count
-            # Not even all samples leave anything to gain.
+            # A round that adds nothing ends the choice, or the rounds would go on for ever.
             if fresh:
                 break
             # A second round, so that each sample is rejected twice: one classifier may fail on a new person.
@@ -52,6 +53,7 @@ def choose_covering(table, wrong, weight, most, chosen, gains):
         taken[best] = True
         chosen[count], gains[count] = best, best_gain
         count += 1
+        # What this classifier rejects needs no other one in this round.
         for w in range(words):
             left[w] &= ~table[best, w]
     return count, first_round if first_round >= 0 else count
@@ -82,6 +84,7 @@ def order_tests(table, reads, markers, start, order, rank, first_feature):
     left = np.empty(words, dtype=np.uint64)
     count = 0
     for depth in range(len(markers)):
+        # The first marker is given; each later one is the one that is checked best.
         best, best_share = start, -1
         # The first marker is given.
         if depth > 0:
@@ -94,6 +97,7 @@ def order_tests(table, reads, markers, start, order, rank, first_feature):
         order[depth] = best
         open_marker[best] = False
         first_feature[depth] = count
+        # A classifier becomes computable with the last of its markers.
         for f in range(features):
             # A classifier becomes computable when nothing is missing any more.
             missing[f] -= reads[f, best]
@@ -114,6 +118,7 @@ def _share_rejected(table, reads, placed, missing, m):
     return share
 
 
+# Only classifiers that this marker completes say anything about it now.
 @kernel
 def _rank_tests(table, reads, placed, missing, marker, left, rank, count):
     """Append the classifiers that a marker makes computable to `rank`, those that reject most of what is left first.
@@ -140,5 +145,6 @@ def _rank_tests(table, reads, placed, missing, marker, left, rank, count):
         placed[chosen] = True
         rank[count] = chosen
         count += 1
+        # The next one is chosen for what the ones before it let through.
         for w in range(len(left)):
             left[w] &= ~table[chosen, marker, w]
