@@ -81,8 +81,8 @@ def serve(session: CorrectionSession, place: Place, say: Callable[[str], None], 
 def _bound(place: Place) -> socket.socket:
     """A socket that is bound."""
     try:
-        found = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)[0]
-        listening = socket.socket(found[0], found[1])
+        resolved = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)[0]
+        listening = socket.socket(resolved[0], resolved[1])
     except (OSError, OverflowError) as problem:
         raise AsterismError(f"--host {place.host} is no address of this machine; leave it out, or give one of its own.") from problem
     try:
@@ -91,7 +91,7 @@ def _bound(place: Place) -> socket.socket:
             listening.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
         else:
             listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.bind(found[4])
+        listening.bind(resolved[4])
         listening.listen(128)
     except OSError as problem:
         listening.close()
