@@ -24,7 +24,7 @@ _MOST_POINTS = 4000
 REJECTED = "rejected"
 
 
-def segmentation_report(path: str | Path, results: Sequence[tuple[str, Recording, Segmentation]], *, title: str = "Limbs") -> None:
+def segmentation_report(path: str | Path, results: Sequence[tuple[str, Recording, Segmentation]]) -> None:
     """Write an HTML page on the limbs of recordings (name, recording, segmentation). Raises AsterismError where it cannot be written."""
     # Clinical angles first: where they are, they are what the page was asked for.
     sections = []
@@ -47,7 +47,7 @@ def segmentation_report(path: str | Path, results: Sequence[tuple[str, Recording
         )
     limbs = sum(segmentation.limbs for _, _, segmentation in results)
     lead = "Points that keep their places in the axes of one moving body are one limb."
-    write_page(path, Page(title, lead, {"recordings": len(results)}, [(str(limbs), "limbs", "")], sections))
+    write_page(path, Page("Limbs", lead, {"recordings": len(results)}, [(str(limbs), "limbs", "")], sections))
 
 
 def motion_report(

@@ -28,10 +28,10 @@ class Place:
     browser: bool = True
 
 
-def serve(session: CorrectionSession, place: Place, say: Callable[[str], None], ready: Callable[[str], None] | None = None) -> None:
+def serve(session: CorrectionSession, place: Place, say: Callable[[str], None]) -> None:
     """Serve the page of a sitting until it is interrupted.
 
-    say: told sentences for the person, the page's address among them; ready: told the address once the server answers.
+    say: told sentences for the person, the page's address among them.
     Raises AsterismError where the port is taken, the address is not of this machine, or the extra `web` is not installed.
     """
     try:
@@ -64,8 +64,6 @@ def serve(session: CorrectionSession, place: Place, say: Callable[[str], None], 
         thread = session.start()
         say(f"The page is at {address}")
         say("Stop with Ctrl-C. Every answer is kept in a log at once.")
-        if ready is not None:
-            ready(address)
         # In a thread: some browsers return only when they are closed.
         if place.browser:
             threading.Thread(target=_open, args=(address, say), daemon=True).start()
