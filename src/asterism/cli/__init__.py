@@ -18,11 +18,11 @@ from asterism.cli._plain_values import PlainValuesCommand, PlainValuesGroup
 from asterism.errors import AsterismError
 
 _RENAMED = {
-    "--miner": "--partial-solvers",
     "--keep": "--keep-labels",
     "--anyway": "--force",
     "--weigh-from": "--weight-reference",
     "--mine-again": "--search-again",
+    "--miner": "--partial-solvers",
 }
 """Renamed options: the old name, which is accepted and no longer shown, and the new one."""
 _LISTS = ("--occlusions", "--ghosts", "--wand")

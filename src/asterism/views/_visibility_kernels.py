@@ -56,13 +56,14 @@ def sight_depths(eyes, points, starts, ends, radii, clearance, out):
 
 
 @kernel
-def visible_shares(depths, doubt, softness, hidden, shown, out):
+def visible_shares(depths, occlusion_tolerance, softness, hidden, shown, out):
     """The probability that a camera has a blob of a marker, from how deep its line of sight runs.
 
-    IN  depths (C, M) m; doubt m: what is hidden by less counts as visible; softness m; hidden, shown: the lowest and highest probability
+    IN  depths (C, M) m; occlusion_tolerance m: occlusions shallower than this do not hide; softness m
+        hidden, shown: the lowest and highest probability
     OUT out (C, M)
     O(C M), no allocation.
     """
     for c in range(depths.shape[0]):
         for m in range(depths.shape[1]):
-            out[c, m] = hidden + (shown - hidden) / (1.0 + math.exp(min((depths[c, m] - doubt) / softness, 50.0)))
+            out[c, m] = hidden + (shown - hidden) / (1.0 + math.exp(min((depths[c, m] - occlusion_tolerance) / softness, 50.0)))
